@@ -1,0 +1,57 @@
+# What a newcomer runs: demo, test. What a contributor runs besides: lint, bench.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+CAPTURE := captures/mks_rs485_bench.log
+
+.PHONY: demo test lint bench clean
+
+demo: $(VENV)/.installed
+	@rm -rf demo && mkdir demo
+	@echo '$$ servotap decode $(CAPTURE) -o demo/'
+	@$(BIN)/servotap decode $(CAPTURE) -o demo/
+	@echo
+	@echo '$$ servotap show demo/$(notdir $(CAPTURE)).mcap --limit 12'
+	@$(BIN)/servotap show demo/$(notdir $(CAPTURE)).mcap --limit 12
+	@echo
+	@echo 'Three commands to try next:'
+	@echo '  $(BIN)/servotap explain "FA 01 F6 01 40 02 34"'
+	@echo '  $(BIN)/servotap show captures/mks_can_arm.asc --filter "findings != []"'
+	@echo '  $(BIN)/servotap catalogue --dialect mks-can run_speed'
+
+test: $(VENV)/.test
+	$(BIN)/python -m pytest -n 2
+
+lint: $(VENV)/.lint
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+bench: $(VENV)/.bench
+	$(BIN)/python benchmarks/run.py
+
+# Debian puts ensurepip into a package of its own; without it venv fails half-way and leaves a folder behind.
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "Python 3.11 or newer is needed; $(PYTHON) is $$($(PYTHON) --version)"; exit 1; }
+	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || \
+	  { echo "Python's venv is not complete here. Install it with: sudo apt install python3-venv"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	@touch $@
+
+$(VENV)/.test: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test]'
+	@touch $@ $(VENV)/.installed
+
+$(VENV)/.lint: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test,lint]'
+	@touch $@ $(VENV)/.installed
+
+$(VENV)/.bench: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test,bench]'
+	@touch $@ $(VENV)/.installed
+
+clean:
+	rm -rf $(VENV) demo

@@ -1,0 +1,421 @@
+"""Commands, dialects, worked examples and errata: the manuals as data.
+
+A `Command` says everything the manual says about one command: its code, the layouts of its requests and replies, what
+its statuses mean, which work modes it needs, what it risks, and the frames the manual prints. A `Dialect` is one
+manual's commands on one link. Nothing here does I/O or knows a particular drive.
+
+Forms: a command has one or more forms; the first that matches wins. A form matches when the length of the data fits its
+layout, all `fixed` fields have their value, the model is one of `models` (if any are named) and, where
+`needs_request` is set, a request of the command is open. So two commands of one code (run and stop), a parameter table
+behind one code, replies that carry another command's code, and models that answer otherwise need no special code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from analyzer.layout import Field, Layout
+
+if TYPE_CHECKING:
+    from analyzer.link import Link
+
+
+class Role(StrEnum):
+    """Who sent a frame."""
+
+    REQUEST = "request"
+    REPLY = "reply"
+    UNKNOWN = "unknown"
+
+
+class Risk(StrEnum):
+    """What a command may do to a machine; a command and its values have a set of these."""
+
+    READ = "read"
+    SETTING = "setting"
+    MOTION = "motion"
+    UNBOUNDED = "unbounded"
+    TORQUE = "torque"
+    POWER_ON = "power-on"
+    LINK = "link"
+    WEAR = "wear"
+    DESTRUCTIVE = "destructive"
+    UNKNOWN = "unknown"
+
+
+class Certainty(StrEnum):
+    """How sure a reading of the manual is."""
+
+    CERTAIN = "certain"
+    LIKELY = "likely"
+    OPEN = "open"
+
+
+class Damage(StrEnum):
+    """Where a wrong print comes from: the manual's authors, or the scan its text was read from."""
+
+    MANUAL = "manual"
+    SCAN = "scan"
+
+
+class Verb(StrEnum):
+    """What a command does, the same word in every dialect."""
+
+    READ_ENCODER_CARRY = "read_encoder_carry"
+    READ_POSITION = "read_position"
+    READ_ENCODER = "read_encoder"
+    READ_SINGLE_TURN = "read_single_turn"
+    READ_SPEED = "read_speed"
+    READ_PULSES = "read_pulses"
+    READ_IO = "read_io"
+    WRITE_IO = "write_io"
+    READ_ANGLE_ERROR = "read_angle_error"
+    READ_ENABLED = "read_enabled"
+    READ_ZERO_STATUS = "read_zero_status"
+    READ_PROTECTION = "read_protection"
+    READ_STATUS = "read_status"
+    READ_STATE_1 = "read_state_1"
+    READ_STATE_2 = "read_state_2"
+    READ_STATE_3 = "read_state_3"
+    READ_PARAMETER = "read_parameter"
+    READ_VERSION = "read_version"
+    READ_USER_ID = "read_user_id"
+    RELEASE_PROTECTION = "release_protection"
+    CLEAR_ERRORS = "clear_errors"
+    CALIBRATE = "calibrate"
+    RESTORE = "restore"
+    RESTART = "restart"
+    ENABLE = "enable"
+    MOTOR_ON = "motor_on"
+    MOTOR_OFF = "motor_off"
+    STOP = "stop"
+    EMERGENCY_STOP = "emergency_stop"
+    BRAKE = "brake"
+    HOME = "home"
+    SET_ZERO = "set_zero"
+    CLEAR_TURNS = "clear_turns"
+    RUN_SPEED = "run_speed"
+    STOP_SPEED = "stop_speed"
+    SAVE_SPEED = "save_speed"
+    RUN_TORQUE = "run_torque"
+    RUN_OPEN_LOOP = "run_open_loop"
+    MOVE_RELATIVE_PULSES = "move_relative_pulses"
+    STOP_RELATIVE_PULSES = "stop_relative_pulses"
+    MOVE_ABSOLUTE_PULSES = "move_absolute_pulses"
+    STOP_ABSOLUTE_PULSES = "stop_absolute_pulses"
+    MOVE_RELATIVE_AXIS = "move_relative_axis"
+    STOP_RELATIVE_AXIS = "stop_relative_axis"
+    MOVE_ABSOLUTE_AXIS = "move_absolute_axis"
+    STOP_ABSOLUTE_AXIS = "stop_absolute_axis"
+    MOVE_SINGLE_TURN = "move_single_turn"
+    LONG_PACKAGE = "long_package"
+    SET_WORK_MODE = "set_work_mode"
+    SET_CURRENT = "set_current"
+    SET_HOLDING_CURRENT = "set_holding_current"
+    SET_SUBDIVISION = "set_subdivision"
+    SET_ENABLE_LEVEL = "set_enable_level"
+    SET_DIRECTION = "set_direction"
+    SET_SCREEN_OFF = "set_screen_off"
+    SET_PULSE_DELAY = "set_pulse_delay"
+    SET_PROTECTION = "set_protection"
+    SET_STALL_TOLERANCE = "set_stall_tolerance"
+    SET_INTERPOLATION = "set_interpolation"
+    SET_BAUD_RATE = "set_baud_rate"
+    SET_BIT_RATE = "set_bit_rate"
+    SET_ADDRESS = "set_address"
+    SET_RESPOND = "set_respond"
+    SET_MODBUS = "set_modbus"
+    SET_KEY_LOCK = "set_key_lock"
+    SET_AXIS_LOCK = "set_axis_lock"
+    SET_GROUP_ADDRESS = "set_group_address"
+    SET_HOME = "set_home"
+    SET_NO_LIMIT_HOME = "set_no_limit_home"
+    SET_NO_LIMIT_CURRENT = "set_no_limit_current"
+    SET_LIMIT_REMAP = "set_limit_remap"
+    SET_ZERO_MODE = "set_zero_mode"
+    SET_PULSE_DIVISION = "set_pulse_division"
+    WRITE_PARAMETER = "write_parameter"
+    WRITE_USER_ID = "write_user_id"
+    OTHER = "other"
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """One shape of a command's data.
+
+    `code`: the code on the wire where it is not the command's own (a reply that carries the code of the parameter it
+    answers). `needs_request`: this is a reply only while a request of this command is open; `request_values` are values
+    (as sent) that this open request must have.
+    """
+
+    layout: Layout
+    name: str = ""
+    code: int | None = None
+    models: tuple[str, ...] = ()
+    needs_request: bool = False
+    request_values: Mapping[str, int] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Replies:
+    """What a reply means by the value of its status field, or by the name of its form.
+
+    A command without statuses is finished by any reply. `interim`: it goes on; `final`: done; `failed`: refused or
+    gone wrong. A status in none of these sets is outside the manual's list.
+    """
+
+    interim: frozenset[int] = frozenset()
+    final: frozenset[int] = frozenset()
+    failed: frozenset[int] = frozenset()
+    status: str = "status"
+    failed_forms: frozenset[str] = frozenset()
+
+    def __init__(
+        self,
+        interim: set[int] | frozenset[int] = frozenset(),
+        final: set[int] | frozenset[int] = frozenset(),
+        failed: set[int] | frozenset[int] = frozenset(),
+        status: str = "status",
+        failed_forms: set[str] | frozenset[str] = frozenset(),
+    ) -> None:
+        object.__setattr__(self, "interim", frozenset(interim))
+        object.__setattr__(self, "final", frozenset(final))
+        object.__setattr__(self, "failed", frozenset(failed))
+        object.__setattr__(self, "status", status)
+        object.__setattr__(self, "failed_forms", frozenset(failed_forms))
+
+
+@dataclass(frozen=True, slots=True)
+class RiskRule:
+    """These risks hold when field `field` (integer as sent) lies in `low`..`high`; without a field, always."""
+
+    risks: frozenset[Risk]
+    field: str = ""
+    low: int = 0
+    high: int = 0
+
+    def applies(self, values: Mapping[str, int]) -> bool:
+        """Say whether the rule holds for these values as sent; a missing value counts as the worst case."""
+        if not self.field or self.field not in values:
+            return True
+        return self.low <= values[self.field] <= self.high
+
+
+def always(*risks: Risk) -> RiskRule:
+    """Declare risks that every use of a command has."""
+    return RiskRule(frozenset(risks))
+
+
+def when(field: str, low: int, high: int | None, *risks: Risk) -> RiskRule:
+    """Declare risks of a command while `field` is within `low`..`high` (high None: equal to low)."""
+    return RiskRule(frozenset(risks), field, low, low if high is None else high)
+
+
+@dataclass(frozen=True, slots=True)
+class Vector:
+    """A frame as the manual prints it (or, where it prints none, as computed from its rules).
+
+    `printed`: hex text of the bytes that are printed; CAN: ID first, then the data. `checksum` False: the manual leaves
+    the checksum out ("CRC" or nothing in its place). `values`: each field by name, integers as sent, of the whole data.
+    `command`: only where the frame stands in another command's section. `erratum`: the id of the erratum that says why
+    the printed frame does not hold; `corrected` is then the frame that we take as true.
+    """
+
+    printed: str
+    values: Mapping[str, int] = field(default_factory=dict)
+    role: Role = Role.REQUEST
+    section: str = ""
+    checksum: bool = True
+    computed: bool = False
+    erratum: str = ""
+    corrected: str = ""
+    models: tuple[str, ...] = ()
+
+    @property
+    def data(self) -> bytes:
+        """The printed bytes."""
+        return bytes.fromhex(self.printed)
+
+
+@dataclass(frozen=True, slots=True)
+class Erratum:
+    """A place where the manual contradicts itself, its arithmetic, a standard or its scan."""
+
+    id: str
+    section: str
+    printed: str
+    wrong: str
+    taken_as: str
+    why: str
+    certainty: Certainty
+    damage: Damage = Damage.MANUAL
+
+
+@dataclass(frozen=True, slots=True)
+class Slots:
+    """The data of a package: `count` slots of `size` bytes, each an address, a code and that command's own data.
+
+    A slot is filled up with zeros; a slot of zeros alone is unused.
+    """
+
+    count: int
+    size: int
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command of one dialect.
+
+    `code`: the function code; for Modbus the register, with `function` 0x04, 0x06 or 0x10. `request` and `reply`: a
+    layout, or forms in the order in which they are tried; a reply of None means that the command is never answered.
+    `modes`: the work modes it needs, by name; empty: any. `models`: the models that have it; empty: all. `silenced`:
+    its replies are those that `respond = 0` silences. `readable`: its value can be read back by the dialect's
+    parameter read. `slots`: the data is a package of requests to several drives.
+    """
+
+    name: str
+    verb: Verb
+    code: int
+    section: str
+    summary: str
+    risk: tuple[RiskRule, ...]
+    request: Layout | tuple[Form, ...]
+    reply: Layout | tuple[Form, ...] | None
+    replies: Replies = Replies()
+    function: int | None = None
+    quantity: int = 0
+    answers_broadcast: bool = False
+    answers_group: bool = False
+    broadcastable: bool = True
+    silenced: bool = False
+    readable: bool = False
+    modes: tuple[str, ...] = ()
+    models: tuple[str, ...] = ()
+    slots: Slots | None = None
+    printed: str = ""
+    notes: tuple[str, ...] = ()
+    vectors: tuple[Vector, ...] = ()
+
+    @cached_property
+    def request_forms(self) -> tuple[Form, ...]:
+        """The request's forms, each with a name."""
+        return _forms(self.request, "request")
+
+    @cached_property
+    def reply_forms(self) -> tuple[Form, ...]:
+        """The reply's forms, each with a name; empty where nothing is answered."""
+        return _forms(self.reply, "reply")
+
+    @cached_property
+    def judged(self) -> bool:
+        """Whether a reply can mean anything but that the command is done."""
+        replies = self.replies
+        return bool(replies.interim or replies.failed or replies.failed_forms)
+
+    @cached_property
+    def moves(self) -> bool:
+        """Whether the command can move the motor."""
+        return bool(self.all_risks & {Risk.MOTION, Risk.UNBOUNDED})
+
+    @cached_property
+    def all_risks(self) -> frozenset[Risk]:
+        """Every risk the command can have, whatever its values."""
+        return frozenset().union(*(rule.risks for rule in self.risk))
+
+    def risks(self, values: Mapping[str, int]) -> frozenset[Risk]:
+        """Return the risks of a request with these values as sent; a missing value counts as the worst case."""
+        return frozenset().union(*(rule.risks for rule in self.risk if rule.applies(values)))
+
+    def for_model(self, model: str) -> Command:
+        """Return this command as one model has it."""
+
+        def keep(forms: tuple[Form, ...]) -> tuple[Form, ...]:
+            return tuple(
+                replace(f, layout=f.layout.for_model(model)) for f in forms if not f.models or model in f.models
+            )
+
+        return replace(
+            self,
+            request=keep(self.request_forms),
+            reply=None if self.reply is None else keep(self.reply_forms),
+        )
+
+
+def _forms(given: Layout | tuple[Form, ...] | None, name: str) -> tuple[Form, ...]:
+    if given is None:
+        return ()
+    if isinstance(given, Layout):
+        return (Form(given, name),)
+    return tuple(f if f.name else replace(f, name=name) for f in given)
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """One manual's commands on one link.
+
+    `addresses`: what one drive can be given (first, last); `broadcast`: the address of all, or None. `models`: names
+    that `--model` takes. `baud_rates`: what the drive can be set to, the default first. `fallbacks`: for links with standard
+    functions, the command that stands for an uncatalogued use of each; its own data begin after the function.
+    `exception`: the form of a reply that refuses by an exception code, whatever the command.
+    """
+
+    name: str
+    title: str
+    manual: str
+    bus: str
+    link: Link
+    commands: tuple[Command, ...]
+    errata: tuple[Erratum, ...] = ()
+    models: tuple[str, ...] = ()
+    addresses: tuple[int, int] = (1, 255)
+    broadcast: int | None = 0
+    baud_rates: tuple[int, ...] = ()
+    fallbacks: Mapping[int, Command] = field(default_factory=dict)
+    exception: Form | None = None
+    model: str = ""
+
+    def __post_init__(self) -> None:
+        names = [c.name for c in self.commands]
+        if len(set(names)) != len(names):
+            raise ValueError(f"{self.name}: two commands of one name")
+
+    @cached_property
+    def by_name(self) -> dict[str, Command]:
+        """Commands by name."""
+        return {c.name: c for c in self.commands}
+
+    @cached_property
+    def by_verb(self) -> dict[Verb, Command]:
+        """Commands by what they do; the first of a verb wins."""
+        return {c.verb: c for c in reversed(self.commands)}
+
+    @cached_property
+    def by_code(self) -> dict[int, tuple[Command, ...]]:
+        """Commands by code, in the manual's order."""
+        result: dict[int, tuple[Command, ...]] = {}
+        for command in self.commands:
+            result[command.code] = (*result.get(command.code, ()), command)
+        return result
+
+    def for_model(self, model: str) -> Dialect:
+        """Return this dialect as one model speaks it.
+
+        Raises ValueError for a model the dialect does not have.
+        """
+        if model not in self.models:
+            raise ValueError(f"{self.name} has no model {model!r}; it has {', '.join(self.models) or 'none'}")
+        commands = tuple(c.for_model(model) for c in self.commands if not c.models or model in c.models)
+        return replace(self, commands=commands, model=model)
+
+
+def all_fields(forms: tuple[Form, ...]) -> dict[str, Field]:
+    """Return the fields of several forms by name; a name's first declaration wins."""
+    result: dict[str, Field] = {}
+    for form in forms:
+        for name, declared in form.layout.named.items():
+            result.setdefault(name, declared)
+    return result

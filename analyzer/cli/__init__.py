@@ -1,0 +1,110 @@
+"""The command line. Commands are a table; a command's module is imported only when it runs.
+
+A module of a command has `add_arguments(parser)` and `run(arguments) -> int`. Other packages (and `conformance`) add
+commands by entry points of the group `servotap.commands` that name such a module.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from types import ModuleType
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    "decode": ("analyzer.cli.decode", "decode a capture into an annotated MCAP log, with a summary"),
+    "show": ("analyzer.cli.show", "show the decoded frames of a capture or a log as a table"),
+    "explain": ("analyzer.cli.explain", "explain a frame byte by byte"),
+    "frame": ("analyzer.cli.frame", "print the bytes of a frame"),
+    "catalogue": ("analyzer.cli.catalogue", "reference pages of the dialects, and the errata of their manuals"),
+}
+GROUP = "servotap.commands"
+
+_EPILOG = """\
+examples:
+  servotap decode capture.log                    write capture.log.mcap and print a summary
+  servotap show capture.log --filter 'address == 1'
+  servotap explain "FA 01 F6 01 40 02 34"
+  servotap frame mks-rs485@1 run_speed speed=320 acceleration=2
+  servotap catalogue --dialect mks-can run_speed
+
+'servotap COMMAND --help' says more of each.
+"""
+
+
+def _added() -> dict[str, tuple[str, str]]:
+    """Return the commands of other packages: name -> (module, help)."""
+    from importlib.metadata import entry_points
+
+    # The text after the blank in an entry point's name would not be valid, so the help comes from the module itself.
+    return {point.name: (point.value.split(":")[0], "") for point in entry_points(group=GROUP)}
+
+
+def _overview(commands: dict[str, tuple[str, str]]) -> str:
+    width = max(len(name) for name in commands)
+    rows = "\n".join(f"  {name:<{width}}  {text}" for name, (_, text) in commands.items())
+    return (
+        "usage: servotap COMMAND ...\n\n"
+        "Listen to servo-drive buses (RS485, CAN), say what happened on them, and prove drives against their manuals.\n\n"
+        f"commands:\n{rows}\n\n{_EPILOG}"
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit status: 0 well, 1 findings, 2 wrong use or an unreadable input."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or words[0] in ("-h", "--help", "help"):
+        commands = COMMANDS | {n: (m, _help_of(n)) for n, (m, _) in _added().items()}
+        print(_overview(commands))
+        return 0 if words else 2
+    if words[0] in ("-V", "--version"):
+        from analyzer import __version__
+
+        print(f"servotap {__version__}")
+        return 0
+    name, rest = words[0], words[1:]
+    entry = COMMANDS.get(name) or _added().get(name)
+    if entry is None:
+        near = difflib.get_close_matches(name, [*COMMANDS, *_added()], 1, 0.4)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        print(f"servotap: no command {name!r}{hint} (see servotap --help)", file=sys.stderr)
+        return 2
+    return _run(name, import_module(entry[0]), rest)
+
+
+def _help_of(name: str) -> str:
+    """Return the help line of an added command, which stands in a table beside its module to keep the start quick."""
+    try:
+        from conformance.cli import HELP
+    except ImportError:
+        return ""
+    return HELP.get(name, "")
+
+
+def _run(name: str, module: ModuleType, words: Sequence[str]) -> int:
+    from analyzer.errors import ServotapError
+
+    parser = argparse.ArgumentParser(
+        prog=f"servotap {name}",
+        description=(module.__doc__ or "").split("\n\n")[0],
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=getattr(module, "EXAMPLES", None),
+    )
+    module.add_arguments(parser)
+    # Options may stand among the positional arguments: `frame D@1 run_speed --reply status=1`.
+    parsed = parser.parse_intermixed_args(words)
+    try:
+        return int(module.run(parsed))
+    except ServotapError as error:
+        print(f"servotap {name}: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        # The reader of our output has gone (`| head`): leave without a word, and without a second error at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        print(f"servotap {name}: stopped", file=sys.stderr)
+        return 130

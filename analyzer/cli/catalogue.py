@@ -1,0 +1,83 @@
+"""Print the catalogue: an overview of the dialects, the reference page of a command, or the errata of the manuals.
+
+A command is named by its name (run_speed), its code (0xF6, F6) or its register (0x0030, 04:0030); without --dialect it is
+looked up in every dialect.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+
+from analyzer import dialects as registry
+from analyzer.catalogue import Command, Dialect
+from analyzer.cli.catalogue_pages import errata, overview, page
+from analyzer.lookup import find
+from analyzer.reference import concerns, reference
+
+EXAMPLES = """\
+--json prints one object. In it every number of a field (minimum, maximum, default, fixed, values, the keys of choices) is
+the integer as sent: times `scale` it is a value in `unit`. bit_offset counts bits from the first byte of the command's
+own data, the most significant first. What does not apply is left out.
+
+examples:
+  servotap catalogue
+  servotap catalogue run_speed
+  servotap catalogue --dialect mks-modbus 04:0030
+  servotap catalogue --dialect lk-rs485 --model MF run_torque
+  servotap catalogue --errata --dialect mks-can
+  servotap catalogue --json > catalogue.json
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("command", nargs="?", metavar="NAME|CODE", help="show this command's reference page")
+    parser.add_argument("--dialect", metavar="D", help="only this dialect")
+    parser.add_argument("--model", metavar="M", help="as this model has it: 42D 57D 28D 35D 42E 57E MF MG MH MS")
+    parser.add_argument("--errata", action="store_true", help="the errata of the manuals, or of one command")
+    parser.add_argument("--pages", action="store_true", help="the pages of all commands")
+    parser.add_argument("--json", action="store_true", help="one JSON object; numbers are integers as sent")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print what is asked for; return 0."""
+    dialects = _dialects(arguments)
+    chosen: dict[str, list[Command]] | None = None
+    if arguments.command is not None:
+        chosen = {}
+        for dialect, command in find(dialects, arguments.command):
+            chosen.setdefault(dialect.name, []).append(command)
+        dialects = [d for d in dialects if d.name in chosen]
+    if arguments.json:
+        print(json.dumps(reference(dialects, chosen, errata_only=arguments.errata), indent=1))
+        return 0
+    for index, lines in enumerate(_texts(dialects, chosen, arguments)):
+        if index:
+            print()
+        for line in lines:
+            print(line)
+    return 0
+
+
+def _dialects(arguments: argparse.Namespace) -> list[Dialect]:
+    """Return the dialects asked for: one, those that know the model, or all."""
+    found = [registry.get(arguments.dialect)] if arguments.dialect else registry.every()
+    adapted = registry.for_model(found, arguments.model)
+    return [d for d in adapted if d.model] if arguments.model else adapted
+
+
+def _texts(
+    dialects: Sequence[Dialect], chosen: dict[str, list[Command]] | None, arguments: argparse.Namespace
+) -> Iterator[Iterator[str]]:
+    for dialect in dialects:
+        commands = dialect.commands if chosen is None else chosen[dialect.name]
+        if arguments.errata:
+            about = [e for e in dialect.errata if chosen is None or any(concerns(e, c) for c in commands)]
+            yield errata(dialect, about)
+        elif chosen is None and not arguments.pages:
+            yield overview(dialect)
+        else:
+            for command in commands:
+                yield page(dialect, command)

@@ -1,0 +1,214 @@
+"""Decode a capture of any format into an annotated MCAP log, and end with a summary.
+
+The log stands beside the capture as FILE.mcap unless -o says otherwise. With --dialect auto (the default) the dialects
+are ranked on the data, and the reason is shown.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import IO, Any
+
+from analyzer import __version__
+from analyzer.cli.reading import Reading, add_reading_arguments, clean, now_text, open_reading, progress
+from analyzer.errors import ServotapError, UnreadableError, UsageError
+from analyzer.pipeline import Pipeline
+from analyzer.records import Severity
+from analyzer.sinks.mcap_log import McapLog
+from analyzer.sinks.summary import Summary
+
+EXAMPLES = """\
+examples:
+  servotap decode capture.log                         writes capture.log.mcap
+  servotap decode wire.bin --dialect mks-rs485 --baud 38400
+  servotap decode a.log b.pcapng -o logs/             a folder that exists
+  candump -L can0 | servotap decode - -o can.mcap
+  servotap decode old.mcap -o new.mcap --dialect mks-modbus
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("files", nargs="+", metavar="FILE", help="capture files; - reads standard input")
+    parser.add_argument("-o", "--output", metavar="OUT.mcap", help="the log, or a folder for several")
+    add_reading_arguments(parser)
+    parser.add_argument("--strict", action="store_true", help="exit with 1 if there are findings of severity error")
+    parser.add_argument("--json", action="store_true", help="print the summary as JSON, one line a file")
+    parser.add_argument("--force", action="store_true", help="replace a log that exists")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Decode each file; return 0, 1 for errors found under --strict, 2 for a file that could not be read."""
+    status = 0
+    targets = [_target(path, arguments) for path in arguments.files]
+    for path, target in zip(arguments.files, targets, strict=True):
+        try:
+            summary = decode(path, target, arguments)
+        except UnreadableError as error:
+            if len(targets) == 1:
+                raise
+            print(f"servotap decode: {clean(str(error))}", file=sys.stderr)
+            status = 2
+            continue
+        if arguments.strict and summary.severities[Severity.ERROR]:
+            status = max(status, 1)
+    return status
+
+
+def _target(path: str, arguments: argparse.Namespace) -> Path:
+    if arguments.output is None:
+        if path == "-":
+            raise UsageError("standard input has no name to write beside: give the log's name with -o")
+        target = Path(path + ".mcap") if not path.endswith(".mcap") else Path(path[: -len(".mcap")] + ".decoded.mcap")
+    else:
+        target = Path(arguments.output)
+        if target.is_dir():
+            target = target / (Path("standard_input" if path == "-" else path).name + ".mcap")
+        elif len(arguments.files) > 1:
+            raise UsageError(f"-o {arguments.output} is one file for {len(arguments.files)} captures; give a folder")
+    if path != "-" and target.exists() and Path(path).exists() and target.samefile(path):
+        raise UsageError(f"{target} is the capture itself; give another name with -o")
+    if target.exists() and not arguments.force:
+        raise UsageError(f"{target} exists; --force replaces it")
+    return target
+
+
+class _Output:
+    """The log under construction: a file beside the target that takes its name only when it is whole."""
+
+    def __init__(self, target: Path) -> None:
+        self.target = target
+        try:
+            handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent)
+        except OSError as error:
+            raise UsageError(f"cannot write {target}: {error.strerror}") from None
+        self.part = Path(name)
+        self.stream: IO[bytes] = os.fdopen(handle, "wb", buffering=1 << 20)
+
+    def keep(self) -> None:
+        """Give the log its name."""
+        self.stream.close()
+        umask = os.umask(0)
+        os.umask(umask)
+        self.part.chmod(0o666 & ~umask)
+        self.part.replace(self.target)
+
+    def drop(self) -> None:
+        """Leave no log."""
+        # On a full disk closing fails too; the file is removed all the same.
+        with contextlib.suppress(OSError):
+            self.stream.close()
+        self.part.unlink(missing_ok=True)
+
+
+def decode(path: str, target: Path, arguments: argparse.Namespace) -> Summary:
+    """Decode one capture into one log and print its summary."""
+    reading = open_reading(path, arguments)
+    summary = Summary()
+    with contextlib.closing(reading.source):
+        output = _Output(target)
+        options = reading.options
+        log = McapLog(output.stream, byte_ns=options.byte_ns, bit_ns=options.synthetic_bit_ns)
+        pipeline = Pipeline(reading.dialects, (log, summary), options)
+        stopped = ""
+        try:
+            try:
+                with progress(reading.source, f"decoding {reading.source.name}"):
+                    for item in reading:
+                        pipeline.feed(item)
+            except KeyboardInterrupt:
+                stopped = "stopped by Ctrl-C"
+            except UnreadableError as error:
+                if not summary.frames and not summary.junk_bytes:
+                    raise
+                stopped = f"the capture broke off: {error}"
+            pipeline.close()
+            log.finish(_metadata(reading, pipeline, summary, arguments, stopped))
+            output.keep()
+        except OSError as error:
+            log.abandon()
+            output.drop()
+            raise UsageError(f"cannot write {target}: {error.strerror or error}; no log was left") from None
+        except BaseException:
+            log.abandon()
+            output.drop()
+            raise
+    _report(reading, pipeline, summary, target, arguments, stopped)
+    if stopped.startswith("stopped"):
+        raise KeyboardInterrupt
+    return summary
+
+
+def _metadata(
+    reading: Reading, pipeline: Pipeline, summary: Summary, arguments: argparse.Namespace, stopped: str
+) -> dict[str, str]:
+    source = reading.source
+    total = sum(port.bytes_in for port in pipeline.ports.values())
+    _account(total, summary)
+    values = {
+        "source": source.name,
+        "source_size": str(source.size if source.size is not None else source.position()),
+        "format": source.format,
+        "dialect": ",".join(d.name for d in reading.dialects),
+        "dialect_reason": reading.choice.reason,
+        "manual": "; ".join(d.manual for d in reading.dialects),
+        "time_source": reading.time_source,
+        "version": __version__,
+        "decoded_at": now_text(),
+        "bytes_total": str(total),
+        "bytes_in_frames": str(summary.frame_bytes),
+        "bytes_junk": str(sum(summary.junk_bytes.values())),
+        "frames": str(summary.frames),
+        "findings": str(sum(summary.findings.values())),
+    }
+    if source.sha256:
+        values["source_sha256"] = source.sha256
+    if arguments.model:
+        values["model"] = arguments.model
+    if arguments.baud:
+        values["bit_rate" if reading.dialects[0].bus == "can" else "baud"] = str(arguments.baud)
+    if stopped:
+        values["incomplete"] = stopped
+    if source.notes:
+        values["notes"] = "; ".join(source.notes)
+    return values
+
+
+def _account(total: int, summary: Summary) -> None:
+    """Raise if a byte was lost or counted twice: that would be a fault of this program."""
+    counted = summary.frame_bytes + sum(summary.junk_bytes.values())
+    if counted != total:
+        raise ServotapError(f"internal fault: {total} bytes came in, {counted} are accounted for; please report it")
+
+
+def _report(
+    reading: Reading,
+    pipeline: Pipeline,
+    summary: Summary,
+    target: Path,
+    arguments: argparse.Namespace,
+    stopped: str,
+) -> None:
+    if arguments.json:
+        import msgspec
+
+        whole: dict[str, Any] = {
+            "file": reading.source.path,
+            "log": str(target),
+            "format": reading.source.format,
+            "dialects": [d.name for d in reading.dialects],
+            "reason": reading.choice.reason,
+            "time_source": reading.time_source,
+            **summary.as_object(),
+            "notes": list(reading.source.notes) + ([stopped] if stopped else []),
+        }
+        print(msgspec.json.encode(whole).decode())
+        return
+    from analyzer.cli.summary_text import print_summary
+
+    print_summary(reading, summary, target, stopped)

@@ -1,0 +1,133 @@
+"""Print the bytes of a frame: a command of a dialect, to an address, with values by name.
+
+Values are physical, in the unit of their field (320, 3.5, 0x10), or names of choices (direction=cw, work_mode=sr_vfoc);
+switches take on and off. Fields left out take their default or 0. On CAN the identifier stands first. Nothing is sent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from analyzer import dialects as registry
+from analyzer.catalogue import Dialect, Role
+from analyzer.encoder import SLOTS, Built, assemble
+from analyzer.errors import UsageError
+from analyzer.hextext import write_frame
+from analyzer.lookup import code_text, find_one
+from analyzer.values import quote
+
+EXAMPLES = """\
+exit status: 0 printed; 2 wrong use, or a value that the manual does not allow (see --force).
+
+examples:
+  servotap frame mks-rs485@1 run_speed speed=320 acceleration=2
+  servotap frame mks-can@1 run_speed speed=320 acceleration=2 --candump
+  servotap frame mks-modbus@1 set_work_mode work_mode=sr_vfoc
+  servotap frame lk-rs485@1 move_multi_turn position=360.5
+  servotap frame mks-rs485@1 run_speed status=1 --reply
+  servotap frame mks-rs485@all long_package slot="1 run_speed speed=50" slot="2 run_speed speed=100 direction=cw"
+
+'servotap catalogue NAME' lists the fields of a command.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("target", metavar="DIALECT@ADDRESS", help="whom it is for: mks-rs485@1, mks-can@0x123, mks-rs485@all")
+    parser.add_argument("command", metavar="COMMAND", help="its name, or a code that only one command has")
+    parser.add_argument("values", nargs="*", metavar="FIELD=VALUE", help='values of its fields; slot="1 run_speed speed=50"')
+    parser.add_argument("--reply", action="store_true", help="the drive's reply instead of the request")
+    parser.add_argument("--form", metavar="NAME", help="the form, where the fields do not tell it")
+    parser.add_argument("--model", metavar="M", help="limits and units of a model: 42D 57D 28D 35D 42E 57E MF MG MH MS")
+    parser.add_argument("--wire", action="store_true", help="numbers are integers as sent")
+    parser.add_argument("--force", action="store_true", help="build also what the manual forbids, if its bits hold it")
+    shown = parser.add_mutually_exclusive_group()
+    shown.add_argument("--candump", action="store_true", help="as 001#F60140023A (CAN)")
+    shown.add_argument("--json", action="store_true", help="a JSON object with the frame and its risks")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print the frame; return 0."""
+    dialect, address = _target(arguments.target, arguments.model)
+    if arguments.candump and dialect.link.kind != "can":
+        raise UsageError(f"--candump is for CAN, got {dialect.name}")
+    command = find_one(dialect, arguments.command)
+    role = Role.REPLY if arguments.reply else Role.REQUEST
+    values = _values(arguments.values)
+    built = assemble(dialect, command, address, values, role, arguments.form, physical=not arguments.wire)
+    if built.refusals and not arguments.force:
+        raise UsageError("; ".join(built.refusals))
+    can_id = address if dialect.link.kind == "can" else None
+    text = write_frame(built.frame, can_id, candump=arguments.candump)
+    print(json.dumps(_object(dialect, built, text)) if arguments.json else text)
+    return 0
+
+
+def _object(dialect: Dialect, built: Built, text: str) -> dict[str, Any]:
+    command = built.command
+    return {
+        "dialect": dialect.name,
+        "address": built.address,
+        "command": command.name,
+        "code": code_text(command.code, command.function),
+        "role": built.role.value,
+        "frame": text,
+        "risk": sorted(built.risks),
+        "section": command.section,
+    }
+
+
+def _target(text: str, model: str | None) -> tuple[Dialect, int]:
+    """Return dialect and address of `DIALECT@ADDRESS`."""
+    name, separator, where = text.partition("@")
+    dialect = registry.get(name)
+    if not separator or not where:
+        raise UsageError(f"expected DIALECT@ADDRESS as {dialect.name}@1, got {quote(text)}")
+    dialect = registry.for_model([dialect], model)[0]
+    if where.lower() == "all":
+        if dialect.broadcast is None:
+            raise UsageError(f"{dialect.name} has no address for all drives")
+        return dialect, dialect.broadcast
+    return dialect, _address(where)
+
+
+def _address(text: str) -> int:
+    try:
+        return int(text, 0) if len(text) <= 16 else int("")
+    except ValueError:
+        raise UsageError(f"address: got {quote(text)}, expected a number as 1 or 0x10, or all") from None
+
+
+def _values(words: Sequence[str]) -> Mapping[str, Any]:
+    """Return the values by field name; the slots of a package as a list."""
+    values: dict[str, Any] = {}
+    for word in words:
+        name, separator, value = word.partition("=")
+        name = name.strip().lower().replace("-", "_")
+        if not separator or not name:
+            raise UsageError(f"expected FIELD=VALUE, got {quote(word)}")
+        if name in ("slot", SLOTS):
+            values.setdefault(SLOTS, []).append(_slot(value, len(values.get(SLOTS, ())) + 1))
+        elif name in values:
+            raise UsageError(f"{quote(name)} is given twice")
+        else:
+            values[name] = value
+    return values
+
+
+def _slot(text: str, number: int) -> Mapping[str, Any]:
+    """Return a slot from `1 run_speed speed=50`."""
+    try:
+        words = shlex.split(text)
+    except ValueError as error:
+        raise UsageError(f"slot {number}: {error} in {quote(text)}") from None
+    if len(words) < 2:
+        raise UsageError(f'slot {number}: expected "ADDRESS COMMAND FIELD=VALUE ...", got {quote(text)}')
+    fields = _values(words[2:])
+    if SLOTS in fields:
+        raise UsageError(f"slot {number}: a slot cannot hold slots")
+    return {**fields, "address": _address(words[0]), "command": words[1]}

@@ -1,0 +1,195 @@
+"""Show the decoded frames of a capture or an MCAP log as a table, one line a frame, as they come.
+
+A filter is an expression over a message's fields: address, bus, command, dialect, role, time (s), latency (s),
+checksum_ok, findings, raw, offset, section, sequence, and every field of the commands by name.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from analyzer.cli.reading import add_reading_arguments, clean, open_reading, progress
+from analyzer.decoder import physical
+from analyzer.filter import Filter
+from analyzer.pipeline import Entry, Pipeline
+from analyzer.records import Comment, Finding, Junk
+
+EXAMPLES = """\
+examples:
+  servotap show capture.log
+  servotap show capture.log --filter 'address == 1 and command == "read_speed" and speed > 300'
+  servotap show capture.log.mcap --filter '"bad_checksum" in findings'
+  candump -L can0 | servotap show -
+"""
+
+_COLORS = {"request": "36", "reply": "32", "unknown": "33"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("file", metavar="FILE", help="a capture or an MCAP log; - reads standard input")
+    parser.add_argument("--filter", metavar="EXPRESSION", help="show only messages for which this holds")
+    parser.add_argument("--limit", type=int, metavar="N", help="stop after N lines")
+    parser.add_argument("--json", action="store_true", help="a JSON object a line")
+    parser.add_argument("--bytes", action="store_true", help="show the bytes of each frame too")
+    add_reading_arguments(parser)
+
+
+class _Enough(Exception):
+    """The wanted number of lines was shown."""
+
+
+class Table:
+    """A sink that prints a line per frame and per piece of junk, and the findings below theirs."""
+
+    def __init__(self, arguments: argparse.Namespace, wanted: Filter | None) -> None:
+        self._wanted = wanted
+        self._json: bool = arguments.json
+        self._bytes: bool = arguments.bytes
+        self._left: int | None = arguments.limit
+        self._color = sys.stdout.isatty()
+        self._shown: set[int] = set()
+        self._first_ns: int | None = None
+        if not self._json:
+            print(f"{'time':>15}  {'bus':<8} {'addr':>4} {'role':<7} {'command':<24} fields")
+
+    def entry(self, entry: Entry) -> None:
+        """Print a frame if it is wanted."""
+        fields = physical(entry.message)
+        names = names_of(entry, fields)
+        if self._wanted is not None and not self._wanted(names):
+            return
+        self._shown = {entry.sequence}
+        message = entry.message
+        if self._json:
+            self._line(msgspec.json.encode({**names, **({"slots": fields["slots"]} if "slots" in fields else {})}).decode())
+            return
+        role = message.role.value
+        shown = _fields_text(fields)
+        if entry.latency_ns is not None and entry.request_sequence is not None:
+            shown += f"  ({entry.latency_ns / 1e6:.3f} ms)"
+        if self._bytes or message.form is None:
+            shown += f"  [{_bytes_text(entry)}]"
+        command = message.command.name if message.command is not None else "unknown"
+        who = "all" if message.command is not None and message.command.slots is not None else str(message.address)
+        time_text = self._time(message.frame.last_ns)
+        text = f"{time_text}  {clean(message.frame.port):<8} {who:>4} {role:<7} {command:<24} {shown}"
+        self._line(f"\x1b[{_COLORS[role]}m{text}\x1b[0m" if self._color else text)
+
+    def junk(self, junk: Junk, sequence: int, topic: str) -> None:
+        """Print a piece of junk if no filter is set."""
+        if self._wanted is not None:
+            return
+        self._shown = {sequence}
+        if self._json:
+            shown = {"time": junk.last_ns / 1e9, "bus": junk.port, "junk": junk.reason.value, "offset": junk.offset}
+            self._line(msgspec.json.encode({**shown, "raw": junk.data.hex(" ").upper()}).decode())
+            return
+        data = junk.data[:24].hex(" ").upper() + (" ..." if len(junk.data) > 24 else "")
+        text = f"{self._time(junk.last_ns)}  {clean(junk.port):<8} {'':>4} {'junk':<7} {junk.reason.value:<24} [{data}]"
+        self._line(f"\x1b[35m{text}\x1b[0m" if self._color else text)
+
+    def finding(self, found: Finding) -> None:
+        """Print a finding below its message."""
+        if self._json or (self._wanted is not None and found.sequence not in self._shown):
+            return
+        about = "" if found.sequence in self._shown else f" (frame {found.sequence}, {found.topic})"
+        section = f", section {found.section}" if found.section else ""
+        text = f"{'':>15}  ! {found.severity.value} {found.rule}: {clean(found.text)}{section}{about}"
+        print(f"\x1b[31m{text}\x1b[0m" if self._color else text)
+
+    def comment(self, comment: Comment) -> None:
+        """Print a comment of the capture."""
+        if self._wanted is None and not self._json:
+            print(f"{'':>15}  # {clean(comment.text)}")
+
+    def _line(self, text: str) -> None:
+        if self._left is not None:
+            if self._left <= 0:
+                raise _Enough
+            self._left -= 1
+        print(text, flush=self._color)
+
+    def _time(self, t_ns: int) -> str:
+        """Return a time of day for times since the epoch, seconds for others."""
+        if 86_400 * 10**9 * 365 < t_ns < 7 * 10**18:
+            return time.strftime("%H:%M:%S", time.gmtime(t_ns // 10**9)) + f".{t_ns % 10**9 // 1000:06d}"
+        return f"{t_ns / 1e9:15.6f}"
+
+
+def names_of(entry: Entry, fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a filter can name of a message."""
+    message = entry.message
+    frame = message.frame
+    names: dict[str, Any] = {n: v for n, v in fields.items() if n != "slots"}
+    names.update(
+        time=frame.last_ns / 1e9,
+        bus=frame.port,
+        dialect=frame.dialect.name,
+        address=message.address,
+        role=message.role.value,
+        command=message.command.name if message.command is not None else "unknown",
+        checksum_ok=frame.checksum_ok,
+        findings=[f.rule for f in entry.findings],
+        raw=_bytes_text(entry),
+        offset=frame.offset,
+        sequence=entry.sequence,
+        section=message.command.section if message.command is not None else "",
+    )
+    if entry.latency_ns is not None and entry.request_sequence is not None:
+        names["latency"] = entry.latency_ns / 1e9
+    return names
+
+
+def _bytes_text(entry: Entry) -> str:
+    frame = entry.message.frame
+    text = frame.data.hex(" ").upper()
+    return f"{frame.can.id:02X} {text}".rstrip() if frame.can is not None else text
+
+
+def _fields_text(fields: Mapping[str, Any]) -> str:
+    if "slots" in fields:
+        return "; ".join(_fields_text(slot) for slot in fields["slots"])
+    parts = []
+    for name, value in fields.items():
+        if name.endswith("_name") and name[:-5] in fields:
+            continue
+        shown = fields.get(name + "_name", value)
+        parts.append(f"{name}={shown:g}" if isinstance(shown, float) else f"{name}={shown}")
+    return " ".join(parts)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Show the frames; return 0."""
+    reading = open_reading(arguments.file, arguments)
+    with contextlib.closing(reading.source):
+        wanted = None
+        if arguments.filter:
+            known = {
+                n
+                for d in reading.dialects
+                for c in (*d.commands, *d.fallbacks.values())
+                for f in (*c.request_forms, *c.reply_forms)
+                for name, field in f.layout.named.items()
+                for n in ((name, name + "_name") if field.choices is not None else (name,))
+            }
+            if any(d.exception for d in reading.dialects):
+                known |= {"exception", "exception_name"}
+            wanted = Filter(arguments.filter, frozenset(known))
+        pipeline = Pipeline(reading.dialects, (Table(arguments, wanted),), reading.options)
+        with contextlib.suppress(_Enough):
+            if wanted is not None:
+                with progress(reading.source, f"reading {reading.source.name}"):
+                    pipeline.run(reading)
+            else:
+                pipeline.run(reading)
+        for note in reading.source.notes:
+            print(f"note: {clean(note)}", file=sys.stderr)
+    return 0

@@ -1,0 +1,83 @@
+"""The summary that `decode` ends with, as tables for people."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from analyzer.cli.reading import Reading, clean
+from analyzer.findings import RULES
+from analyzer.records import Severity
+from analyzer.sinks.summary import Summary
+
+_STYLES = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}
+
+
+def milliseconds(value_ns: float) -> str:
+    """Return a time in ms with three digits that matter."""
+    value = value_ns / 1e6
+    return f"{value:.3f}" if value < 10 else f"{value:.1f}" if value < 1000 else f"{value:.0f}"
+
+
+def print_summary(reading: Reading, summary: Summary, target: Path, stopped: str) -> None:
+    """Print the summary of a decoded capture."""
+    console = Console(highlight=False, soft_wrap=True)
+
+    def line(text: str, style: str = "") -> None:
+        console.print(Text(clean(text), style=style))
+
+    source = reading.source
+    line(f"{source.name}: {source.format}, {', '.join(d.title for d in reading.dialects)}")
+    line(f"dialect {', '.join(d.name for d in reading.dialects)} ({reading.choice.reason})")
+    line(f"times: {reading.time_source}")
+    console.print(_commands(summary))
+    junk = sum(summary.junk_bytes.values())
+    reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(summary.junk_bytes.items()))
+    total = summary.frame_bytes + junk
+    line(f"{total} bytes: {summary.frame_bytes} in {summary.frames} frames, {junk} junk" + (f" ({reasons})" if junk else ""))
+    if summary.findings:
+        console.print(_findings(summary))
+    else:
+        line("no findings")
+    for note in source.notes:
+        line(f"note: {note}", "yellow")
+    if stopped:
+        line(f"{stopped}: the log holds what came before", "yellow")
+    line(f"wrote {target}")
+
+
+def _commands(summary: Summary) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("bus", "address", "command"):
+        table.add_column(name)
+    for name in ("requests", "replies", "latency ms: median", "p99", "max"):
+        table.add_column(name, justify="right")
+    ordered = sorted(summary.rows.items(), key=lambda i: (i[0][0], i[0][1].zfill(5), i[0][2], i[0][3]))
+    for (bus, address, _dialect, name), row in ordered:
+        lat = row.latencies
+        times = [milliseconds(lat.quantile(0.5)), milliseconds(lat.quantile(0.99)), milliseconds(lat.greatest)]
+        table.add_row(
+            Text(clean(bus)),
+            address,
+            name,
+            str(row.requests + row.unknown),
+            str(row.replies),
+            *(times if lat.count else ("", "", "")),
+        )
+    return table
+
+
+def _findings(summary: Summary) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("finding")
+    table.add_column("severity")
+    table.add_column("count", justify="right")
+    table.add_column("the first few", overflow="fold")
+    for rule, count in summary.findings.most_common():
+        severity = RULES[rule].severity
+        first = "\n".join(f"{f.topic} #{f.sequence} byte {f.offset}: {clean(f.text)}" for f in summary.first[rule])
+        table.add_row(rule, Text(severity.value, style=_STYLES[severity]), str(count), Text(first))
+    return table

@@ -1,0 +1,121 @@
+"""What is known of a port at a moment: open requests, groups, who speaks what.
+
+Transactions write here; the framer and the decoder read. It holds no rules: what a reply means stands in
+`analyzer.transactions`, what is wrong in `analyzer.findings`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from enum import StrEnum
+
+from analyzer.catalogue import Form, Role
+from analyzer.link import READS
+from analyzer.records import Message
+
+
+class State(StrEnum):
+    """Where a request stands."""
+
+    WAITING = "waiting"
+    RUNNING = "running"
+    DONE = "done"
+
+
+class Outcome(StrEnum):
+    """How a request ended."""
+
+    OPEN = "open"
+    ANSWERED = "answered"
+    FAILED = "failed"
+    REFUSED = "refused"
+    UNANSWERED = "unanswered"
+    RETRIED = "retried"
+    SUPERSEDED = "superseded"
+    SILENT = "silent"
+
+
+class Request:
+    """A request that was seen, and how far it got. `expects` False: by the manual nobody answers it."""
+
+    __slots__ = ("address", "expects", "gave_up", "message", "outcome", "reply", "sequence", "state", "t_ns", "topic")
+
+    def __init__(self, message: Message, sequence: int, expects: bool) -> None:
+        self.message = message
+        self.address = message.address
+        self.sequence = sequence
+        self.t_ns = message.frame.last_ns
+        self.expects = expects
+        self.state = State.WAITING
+        self.outcome = Outcome.OPEN
+        self.reply: Message | None = None
+        self.gave_up = ""
+        self.topic = ""
+
+
+class Context:
+    """The state of one port.
+
+    `groups`: addresses that several drives listen to and none answers. `silenced`: addresses whose motion commands are
+    not answered (respond = 0). `passive`: addresses that send no completion (active = 0). `speaks`: the dialect of the
+    last reply of an address.
+    """
+
+    def __init__(self, groups: frozenset[int] = frozenset()) -> None:
+        self.groups: set[int] = set(groups)
+        self.silenced: set[int] = set()
+        self.passive: set[int] = set()
+        self.speaks: dict[int, str] = {}
+        self.open: dict[int, list[Request]] = {}
+        #: Requests given up without a reply, for replies that come after all.
+        self.unanswered: deque[Request] = deque(maxlen=16)
+        #: Requests to all, newest last.
+        self.broadcasts: deque[Request] = deque(maxlen=8)
+        self.last_request: Request | None = None
+        self.echoes = 0
+
+    def expects(self, address: int, function: int) -> int:
+        """Return the data bytes of the Modbus read reply that an open request awaits, 0 for none."""
+        if function not in READS:
+            return 0
+        for request in self.open.get(address, ()):
+            command = request.message.command
+            if command is not None and command.function == function and request.state is State.WAITING:
+                return 2 * (request.message.values.get("quantity", command.quantity) or command.quantity)
+        return 0
+
+    def asked(
+        self, dialect: str, address: int, function: int | None, code: int | None, data: bytes
+    ) -> tuple[Request, Form] | None:
+        """Return the open request that these reply data answer, with the form they have; the oldest first."""
+        for request in self.open.get(address, ()):
+            if request.message.frame.dialect.name != dialect:
+                continue
+            form = answers(request, function, code, data)
+            if form is not None:
+                return request, form
+        return None
+
+
+def answers(request: Request, function: int | None, code: int | None, data: bytes) -> Form | None:
+    """Return the form by which reply data answer a request, or None."""
+    command = request.message.command
+    if command is None or command.function != function:
+        return None
+    from analyzer.codec import codec
+
+    for form in command.reply_forms:
+        own = command.code if form.code is None else form.code
+        if code is not None and own != code:
+            continue
+        wanted = form.request_values
+        if wanted and any(request.message.values.get(n) != v for n, v in wanted.items()):
+            continue
+        if codec(form.layout).matches(data):
+            return form
+    return None
+
+
+def is_request(role: Role) -> bool:
+    """Say whether a role is the host's."""
+    return role is Role.REQUEST

@@ -1,0 +1,327 @@
+"""The decoder: a frame becomes a message. Unknown codes and bad values survive; nothing raises.
+
+Who sent a frame is told, in this order, by its head, by the capture's mark, by the length of its data, by its values,
+by the open requests; without a context it may stay `unknown`. Which command and form a reply has is told by the request
+that it answers, if one is open, else by the first form that fits.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from analyzer.catalogue import Command, Dialect, Form, Role
+from analyzer.codec import Codec, Violation, codec
+from analyzer.context import Context, Request, State
+from analyzer.link import Head
+from analyzer.records import Frame, Message
+
+_Entry = tuple[Command, Form, Codec]
+
+
+class Slot(NamedTuple):
+    """One used slot of a package: a request of its own. `command` None: the code is not in the catalogue."""
+
+    address: int
+    code: int
+    command: Command | None
+    form: Form | None
+    data: bytes
+    violations: tuple[Violation, ...]
+
+
+class _Lane:
+    """What all frames of one head (role, address, code) share, where the head alone decides the form."""
+
+    __slots__ = ("address", "coder", "command", "form", "length", "role", "sound", "start", "trailer")
+
+    def __init__(self, role: Role, head: Head, entry: _Entry, length: int) -> None:
+        self.role = role
+        self.address = head.address
+        self.command, self.form, self.coder = entry
+        self.sound = self.coder.sound
+        self.length = length
+        self.start = head.start
+        self.trailer = length - head.stop
+
+
+class Decoder:
+    """Decodes the frames of one dialect (as one model speaks it, if `Dialect.for_model` was used)."""
+
+    def __init__(self, dialect: Dialect) -> None:
+        self.dialect = dialect
+        self._link = dialect.link
+        self._lane_bytes = dialect.link.deciding_bytes
+        self._lanes: dict[bytes, _Lane] = {}
+        self._requests: dict[tuple[int | None, int], list[_Entry]] = {}
+        self._replies: dict[tuple[int | None, int], list[_Entry]] = {}
+        for command in dialect.commands:
+            for form in command.request_forms:
+                self._add(self._requests, command, form)
+            for form in command.reply_forms:
+                self._add(self._replies, command, form)
+
+    @staticmethod
+    def _add(table: dict[tuple[int | None, int], list[_Entry]], command: Command, form: Form) -> None:
+        code = command.code if form.code is None else form.code
+        table.setdefault((command.function, code), []).append((command, form, codec(form.layout)))
+
+    def decode(self, frame: Frame, context: Context | None = None) -> tuple[Message, Request | None]:
+        """Return the message of a frame, and the open request that it answers if it is a reply to one."""
+        lane = self._lanes.get(frame.data[: self._lane_bytes]) if self._lane_bytes else None
+        if lane is not None and len(frame.data) == lane.length:
+            data = frame.data[lane.start : lane.length - lane.trailer]
+            command = lane.command
+            violations = () if lane.sound(data) else lane.coder.broken(data)
+            message = Message(frame, lane.role, lane.address, command, lane.form, data, violations)
+            if lane.role is Role.REPLY and context is not None:
+                for request in context.open.get(lane.address, ()):
+                    if request.message.command is command:
+                        return message, request
+            return message, None
+        return self._decode(frame, context)
+
+    def _decode(self, frame: Frame, context: Context | None) -> tuple[Message, Request | None]:
+        can_id = frame.can.id if frame.can is not None else None
+        head = self._link.parse(frame.data, can_id)
+        data = frame.data[head.start : head.stop]
+        role = head.role
+        if role is Role.UNKNOWN:
+            role = frame.role if frame.role is not Role.UNKNOWN else self._role(head, data, context)
+        if self._lane_bytes and head.role is not Role.UNKNOWN and head.code is not None:
+            self._keep_lane(frame, head, data)
+        if role is Role.REPLY:
+            return self._reply(frame, head, data, context)
+        return self._request(frame, role, head, data), None
+
+    def _keep_lane(self, frame: Frame, head: Head, data: bytes) -> None:
+        """Keep what later frames of this head need not work out again, where only one form can have its code."""
+        table = self._requests if head.role is Role.REQUEST else self._replies
+        entries = table.get((head.function, -1 if head.code is None else head.code), [])
+        if len(entries) != 1:
+            return
+        command, form, coder = entries[0]
+        if command.slots is None and not coder.fixed and not form.needs_request and coder.matches(data):
+            self._lanes[frame.data[: self._lane_bytes]] = _Lane(head.role, head, entries[0], len(frame.data))
+
+    # --- who sent it ----------------------------------------------------------------------------------------------
+
+    def _role(self, head: Head, data: bytes, context: Context | None) -> Role:
+        if head.code is None:
+            return self._role_by_requests(head, context)
+        key = (head.function, head.code)
+        request = _first(self._requests.get(key, ()), data)
+        reply = self._any_reply(key, head, data, context)
+        if request is None and reply is None:
+            return self._role_of_unknown(head, context)
+        if reply is None:
+            return Role.REQUEST
+        if request is None or reply[1].needs_request:
+            # A form that needs an open request was only found because that request is open.
+            return Role.REPLY
+        request_sound, reply_sound = not request[2].broken(data), not reply[2].broken(data)
+        if request_sound != reply_sound:
+            return Role.REQUEST if request_sound else Role.REPLY
+        return self._role_by_requests(head, context, data)
+
+    def _any_reply(
+        self, key: tuple[int | None, int], head: Head, data: bytes, context: Context | None
+    ) -> _Entry | None:
+        """Return a reply entry that fits; those that need an open request only while it is open."""
+        for command, form, coder in self._replies.get(key, ()):
+            if not coder.matches(data):
+                continue
+            if form.needs_request:
+                if context is None:
+                    continue
+                asked = context.asked(self.dialect.name, head.address, head.function, head.code, data)
+                if asked is None or asked[1] is not form:
+                    continue
+            return command, form, coder
+        return None
+
+    def _role_by_requests(self, head: Head, context: Context | None, data: bytes = b"") -> Role:
+        if context is None:
+            return Role.UNKNOWN
+        if head.code is None:
+            return Role.REPLY if self._same_function(head, context) else Role.REQUEST
+        asked = context.asked(self.dialect.name, head.address, head.function, head.code, data)
+        return Role.REPLY if asked is not None else Role.REQUEST
+
+    def _role_of_unknown(self, head: Head, context: Context | None) -> Role:
+        """Tell the role of a frame whose code or length is not catalogued, where an open request of its code says."""
+        if context is None:
+            return Role.UNKNOWN
+        for request in context.open.get(head.address, ()):
+            command = request.message.command
+            if command is not None and command.code == head.code and command.function == head.function:
+                return Role.REPLY
+        known = (head.function, head.code) in self._requests or (head.function, head.code) in self._replies
+        return Role.REQUEST if known else Role.UNKNOWN
+
+    # --- what it says ---------------------------------------------------------------------------------------------
+
+    def _request(self, frame: Frame, role: Role, head: Head, data: bytes) -> Message:
+        key = (head.function, -1 if head.code is None else head.code)
+        entry = _first(self._requests.get(key, ()), data)
+        if entry is None and role is Role.UNKNOWN:
+            entry = _first(self._replies.get(key, ()), data)
+        if entry is None:
+            return self._unfitting(frame, role, head, data, self._requests.get(key, []), request=True)
+        command, form, coder = entry
+        violations = coder.broken(data)
+        if command.quantity and head.quantity is not None and head.quantity != command.quantity:
+            text = f"quantity: expected {command.quantity} registers, got {head.quantity}"
+            violations += (Violation("wrong_length", text, "quantity"),)
+        if command.slots is not None:
+            for number, slot in enumerate(slots_of(self.dialect, command, data), 1):
+                violations += tuple(Violation(v.rule, f"slot {number}: {v.text}", v.field) for v in slot.violations)
+            expected = command.slots.count * command.slots.size
+            if len(data) != expected:
+                text = f"package of {len(data)} bytes in its slots, expected {expected}: zeros were lost"
+                violations += (Violation("short_package", text),)
+        return Message(frame, role, head.address, command, form, data, violations)
+
+    def _reply(self, frame: Frame, head: Head, data: bytes, context: Context | None) -> tuple[Message, Request | None]:
+        request, entry = self._asked(head, data, context)
+        if head.exception is not None and self.dialect.exception is not None:
+            command = request.message.command if request else self.dialect.fallbacks.get(head.function or 0)
+            form = self.dialect.exception
+            coder = codec(form.layout)
+            if coder.matches(data):
+                return Message(frame, Role.REPLY, head.address, command, form, data, coder.broken(data)), request
+        if entry is None and head.code is not None:
+            candidates = self._replies.get((head.function, head.code), ())
+            entry = next((e for e in candidates if not e[1].needs_request and e[2].matches(data)), None)
+        if entry is None:
+            known = self._replies.get((head.function, -1 if head.code is None else head.code), [])
+            return self._unfitting(frame, Role.REPLY, head, data, known, request=False, asked=request), request
+        command, form, coder = entry
+        message = Message(frame, Role.REPLY, head.address, command, form, data, coder.broken(data))
+        return message, request
+
+    def _asked(self, head: Head, data: bytes, context: Context | None) -> tuple[Request | None, _Entry | None]:
+        """Return the open request that a reply answers, and the entry by which it does; either may be None."""
+        if context is None:
+            return None, None
+        if head.exception is None:
+            found = context.asked(self.dialect.name, head.address, head.function, head.code, data)
+            if found is not None:
+                request, form = found
+                command = request.message.command
+                assert command is not None  # answers() found its form
+                return request, (command, form, codec(form.layout))
+        if head.code is None:
+            return self._same_function(head, context), None
+        for request in context.open.get(head.address, ()):
+            command = request.message.command
+            if command is not None and (command.function, command.code) == (head.function, head.code):
+                return request, None
+        return None, None
+
+    def _same_function(self, head: Head, context: Context) -> Request | None:
+        """Return the oldest request that waits for a reply of this function, which carries no register."""
+        for request in context.open.get(head.address, ()):
+            waits = request.state is State.WAITING and request.message.frame.dialect.name == self.dialect.name
+            if waits and self._link.parse(request.message.frame.data).function == head.function:
+                return request
+        return None
+
+    def _unfitting(
+        self,
+        frame: Frame,
+        role: Role,
+        head: Head,
+        data: bytes,
+        known: list[_Entry],
+        *,
+        request: bool,
+        asked: Request | None = None,
+    ) -> Message:
+        """Return the message of a frame that fits no form: the length is wrong, or the code is not catalogued."""
+        violations: tuple[Violation, ...]
+        command = known[0][0] if known else (asked.message.command if asked else None)
+        if command is not None:
+            forms = command.request_forms if request else command.reply_forms
+            sizes = sorted({f.layout.byte_length for f in forms})
+            text = f"{command.name} {role}: expected {_either(sizes)} bytes of data, got {len(data)}"
+            violations = (Violation("wrong_length", text),)
+            if not forms:
+                violations = (Violation("wrong_length", f"{command.name} has no {role}, got {len(data)} bytes"),)
+        elif head.code is not None:
+            shown = f"0x{head.code:04X}" if head.function is not None else f"0x{head.code:02X}"
+            where = f" of function 0x{head.function:02X}" if head.function is not None else ""
+            violations = (Violation("unknown_command", f"{shown}{where} is not in the catalogue"),)
+        else:
+            text = f"function 0x{head.function or 0:02X}: no request of it is open"
+            violations = (Violation("unknown_command", text),)
+        fallback = self.dialect.fallbacks.get(head.function or 0)
+        form: Form | None = None
+        if fallback is not None and (command is None or role is Role.REPLY):
+            body = frame.data[2 : head.stop]
+            for candidate in fallback.request_forms if request else fallback.reply_forms:
+                if codec(candidate.layout).matches(body):
+                    form, data = candidate, body
+                    command = command or fallback
+                    break
+        return Message(frame, role, head.address, command, form, data, violations)
+
+
+# --- packages -----------------------------------------------------------------------------------------------------
+
+
+def slots_of(dialect: Dialect, command: Command, data: bytes) -> list[Slot]:
+    """Return the used slots of a package; a slot that is cut short counts as filled up with zeros."""
+    assert command.slots is not None
+    size = command.slots.size
+    result = []
+    for start in range(0, len(data), size):
+        raw = data[start : start + size].ljust(size, b"\0")
+        if any(raw):
+            result.append(_slot(dialect, raw[0], raw[1], raw[2:]))
+    return result
+
+
+def _slot(dialect: Dialect, address: int, code: int, body: bytes) -> Slot:
+    for command in dialect.by_code.get(code, ()):
+        for form in command.request_forms:
+            size, coder = form.layout.byte_length, codec(form.layout)
+            if command.slots is None and coder.matches(body[:size]):
+                violations = coder.broken(body[:size])
+                if any(body[size:]):
+                    got = body[size:].hex(" ").upper()
+                    violations += (Violation("reserved_bits", f"expected zeros behind {command.name}, got {got}"),)
+                return Slot(address, code, command, form, body[:size], violations)
+    text = f"0x{code:02X} is not in the catalogue"
+    return Slot(address, code, None, None, body, (Violation("unknown_command", text),))
+
+
+def physical(message: Message) -> dict[str, Any]:
+    """Return a message's fields in their units, with name twins; empty where no form fits."""
+    if message.form is None:
+        return {}
+    if message.command is not None and message.command.slots is not None:
+        slots = slots_of(message.frame.dialect, message.command, message.data)
+        return {"slots": [slot_fields(slot) for slot in slots]}
+    return codec(message.form.layout).physical(message.data)
+
+
+def slot_fields(slot: Slot) -> dict[str, Any]:
+    """Return one slot of a package as an object: address, command and the command's fields."""
+    shown: dict[str, Any] = {"address": slot.address, "code": slot.code}
+    if slot.command is not None and slot.form is not None:
+        shown["command"] = slot.command.name
+        shown.update(codec(slot.form.layout).physical(slot.data))
+    else:
+        shown["raw"] = slot.data.hex(" ").upper()
+    return shown
+
+
+def _first(entries: list[_Entry] | tuple[_Entry, ...], data: bytes) -> _Entry | None:
+    for entry in entries:
+        if entry[2].matches(data):
+            return entry
+    return None
+
+
+def _either(sizes: list[int]) -> str:
+    return " or ".join(str(n) for n in sizes) or "no"

@@ -1,0 +1,121 @@
+"""Which dialects a capture is in: each is tried on a sample, and the evidence is kept to be shown.
+
+A dialect's score is the share of the sample's bytes that end in its frames with a fitting check, a catalogued command and
+values as the manual lists them. The best one is chosen; another serial dialect joins it when together they explain
+clearly more than the best alone (a drive switched to Modbus, drives of several makers on one line).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from analyzer.catalogue import Dialect, Role
+from analyzer.pipeline import Entry, Options, Pipeline
+from analyzer.records import CanFrame, Chunk, Comment, Finding, Junk
+
+#: A further dialect must explain this share of the sample, in this many frames at least.
+_JOIN_SHARE = 0.01
+_JOIN_FRAMES = 3
+#: Below this share no dialect is believed.
+_LEAST = 0.02
+
+
+@dataclass
+class Evidence:
+    """What a dialect explains of a sample. `share`: of its bytes, 0..1."""
+
+    dialect: Dialect
+    frames: int = 0
+    good_bytes: int = 0
+    total_bytes: int = 0
+    findings: int = 0
+
+    @property
+    def share(self) -> float:
+        """Share of the bytes in good frames."""
+        return self.good_bytes / self.total_bytes if self.total_bytes else 0.0
+
+    def __str__(self) -> str:
+        return f"{self.dialect.name}: {self.frames} good frames, {100 * self.share:.1f} % of the bytes"
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The dialects chosen, the evidence for each that was tried, best first, and the reason in words."""
+
+    dialects: tuple[Dialect, ...]
+    evidence: tuple[Evidence, ...]
+    reason: str
+
+
+class _Tally:
+    """A sink that counts good frames by dialect."""
+
+    def __init__(self) -> None:
+        self.frames: dict[str, int] = {}
+        self.good_bytes: dict[str, int] = {}
+        self.findings = 0
+
+    def entry(self, entry: Entry) -> None:
+        message = entry.message
+        frame = message.frame
+        sound = frame.checksum_ok and message.form is not None and not message.violations
+        fallback = message.command is not None and message.command in frame.dialect.fallbacks.values()
+        if sound and not fallback and (frame.can is None or message.role is not Role.UNKNOWN):
+            name = frame.dialect.name
+            self.frames[name] = self.frames.get(name, 0) + 1
+            self.good_bytes[name] = self.good_bytes.get(name, 0) + len(frame.data)
+
+    def junk(self, junk: Junk, sequence: int, topic: str) -> None:
+        pass
+
+    def finding(self, found: Finding) -> None:
+        self.findings += 1
+
+    def comment(self, comment: Comment) -> None:
+        pass
+
+
+def _try(dialects: Sequence[Dialect], sample: Sequence[Chunk | CanFrame]) -> _Tally:
+    tally = _Tally()
+    Pipeline(dialects, [tally], Options()).run(sample)
+    return tally
+
+
+def choose(candidates: Sequence[Dialect], items: Sequence[Chunk | CanFrame | Comment]) -> Choice:
+    """Return the dialects that a sample is in; without any evidence, all candidates of its kind of bus."""
+    sample = [item for item in items if not isinstance(item, Comment)]
+    kind = "can" if sample and isinstance(sample[0], CanFrame) else "serial"
+    fitting = [d for d in candidates if d.bus == kind]
+    total = sum(len(item.data) for item in sample)
+    if len(fitting) == 1:
+        return Choice(tuple(fitting), (), f"the only dialect for {kind} buses")
+    evidence = []
+    for dialect in fitting:
+        tally = _try([dialect], sample)
+        evidence.append(
+            Evidence(
+                dialect,
+                tally.frames.get(dialect.name, 0),
+                tally.good_bytes.get(dialect.name, 0),
+                total,
+                tally.findings,
+            )
+        )
+    # A stable sort: of dialects that explain the same, the one listed first wins.
+    evidence.sort(key=lambda e: -e.good_bytes)
+    if not evidence or evidence[0].share < _LEAST:
+        shown = "; ".join(str(e) for e in evidence)
+        return Choice(tuple(fitting), tuple(evidence), f"no dialect explains the bytes, all are tried ({shown})")
+    chosen = [evidence[0].dialect]
+    for other in evidence[1:]:
+        if other.frames < _JOIN_FRAMES or kind == "can":
+            continue
+        together = _try([*chosen, other.dialect], sample)
+        before = _try(chosen, sample)
+        gain = sum(together.good_bytes.values()) - sum(before.good_bytes.values())
+        if together.frames.get(other.dialect.name, 0) >= _JOIN_FRAMES and gain >= _JOIN_SHARE * total:
+            chosen.append(other.dialect)
+    reason = "; ".join(str(e) for e in evidence)
+    return Choice(tuple(chosen), tuple(evidence), reason)

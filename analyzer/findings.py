@@ -1,0 +1,128 @@
+"""Rules: what can be wrong on a bus, each with an id, a severity and what it means.
+
+A rule is a row here, and a small condition where the fact is at hand: what the bytes of one frame break stands in the
+catalogue (`analyzer.codec`, `analyzer.decoder`), what the course of an exchange breaks in `analyzer.transactions`, and
+what a frame is as such in `of_frame` below. All speak in the ids of this table, so that reports, filters and the
+conformance suite have one list.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+from analyzer.context import Context
+from analyzer.records import Finding, Junk, JunkReason, Message, Severity
+
+
+class Rule(NamedTuple):
+    """One rule: its id, how bad a breach is, and what it means in a sentence."""
+
+    id: str
+    severity: Severity
+    meaning: str
+
+
+class Issue(NamedTuple):
+    """A breach of a rule, before it is tied to a place in the log. `severity` None: the rule's own."""
+
+    rule: str
+    text: str
+    severity: Severity | None = None
+
+
+_E, _W, _I = Severity.ERROR, Severity.WARNING, Severity.INFO
+
+RULES: dict[str, Rule] = {
+    rule.id: rule
+    for rule in (
+        Rule("junk_noise", _W, "bytes that belong to no frame"),
+        Rule("junk_truncated", _W, "the beginning of a frame that broke off"),
+        Rule("junk_collision", _W, "several frames in one heap, none whole: two senders at once"),
+        Rule("bad_checksum", _E, "a known frame whose check does not fit; a drive stays silent on it"),
+        Rule("unknown_command", _W, "a code that the manual does not list"),
+        Rule("out_of_range", _E, "a value outside the range that the manual gives"),
+        Rule("unknown_choice", _E, "a value that is none of those the manual lists"),
+        Rule("reserved_bits", _W, "reserved bits that are not 0"),
+        Rule("wrong_length", _E, "a known command with another number of bytes than the manual's"),
+        Rule("short_package", _E, "a package shorter than 52 bytes: its padding zeros were lost"),
+        Rule("unanswered", _E, "a request that should have been answered and was not"),
+        Rule("silent_address", _I, "an address that answers no motion command: respond = 0, or a group (see --group)"),
+        Rule("late_reply", _W, "a reply that came after the limit (see --late)"),
+        Rule("unsolicited_reply", _W, "a reply that no request asked for"),
+        Rule("duplicate_reply", _W, "the same reply once more"),
+        Rule("answered_broadcast", _E, "a reply to a broadcast or a group, which the manual forbids"),
+        Rule("failed_status", _E, "the drive says that it failed or refused"),
+        Rule("modbus_exception", _E, "a Modbus exception reply"),
+        Rule("refused_write", _E, "a Modbus write that the drive refused in its echo"),
+        Rule("other_dialect", _E, "a frame in one dialect to a drive that speaks another"),
+        Rule("host_echo", _I, "the host's own bytes once more: an adapter or a wiring that echoes"),
+        Rule("can_error_frame", _E, "a CAN error frame"),
+        Rule("foreign_can_frame", _W, "a CAN frame that cannot be of the dialect: its identifier, type or length"),
+    )
+}
+
+JUNK_RULES = {reason: f"junk_{reason.value}" for reason in JunkReason}
+
+
+def _checksum(message: Message, context: Context) -> Iterator[Issue]:
+    frame = message.frame
+    if frame.checksum_ok:
+        return
+    can_id = frame.can.id if frame.can is not None else None
+    for check in frame.dialect.link.checks(frame.data, can_id):
+        if not check.ok:
+            expected, got = check.expected.hex(" ").upper(), check.got.hex(" ").upper() or "none"
+            yield Issue("bad_checksum", f"{check.name}: expected {expected}, got {got}")
+
+
+def _violations(message: Message, context: Context) -> Iterator[Issue]:
+    for violation in message.violations:
+        yield Issue(violation.rule, violation.text)
+
+
+def _dialect(message: Message, context: Context) -> Iterator[Issue]:
+    spoken = context.speaks.get(message.address)
+    if spoken is not None and spoken != message.frame.dialect.name and message.role == "request":
+        yield Issue("other_dialect", f"address {message.address} speaks {spoken}, got a {message.frame.dialect.name} request")
+
+
+#: What is looked at in every message, each a small generator.
+MESSAGE_RULES: tuple[Callable[[Message, Context], Iterator[Issue]], ...] = (_checksum, _violations, _dialect)
+
+
+def of_message(message: Message, context: Context) -> list[Issue]:
+    """Return what is wrong with a message by itself."""
+    return [issue for rule in MESSAGE_RULES for issue in rule(message, context)]
+
+
+def is_plain(message: Message, context: Context) -> bool:
+    """Say whether no rule of `of_message` can have anything to say: the usual case, asked first."""
+    return (
+        message.frame.checksum_ok
+        and not message.violations
+        and context.speaks.get(message.address, message.frame.dialect.name) == message.frame.dialect.name
+    )
+
+
+def of_junk(junk: Junk) -> Issue:
+    """Return the issue of a piece of junk."""
+    shown = junk.data[:16].hex(" ").upper() + (" ..." if len(junk.data) > 16 else "")
+    return Issue(JUNK_RULES[junk.reason], f"{len(junk.data)} bytes: {shown}")
+
+
+def finding(
+    issue: Issue,
+    *,
+    port: str,
+    address: int | None,
+    first_ns: int,
+    last_ns: int,
+    section: str,
+    offset: int,
+    topic: str,
+    sequence: int,
+) -> Finding:
+    """Tie an issue to a place."""
+    severity = issue.severity or RULES[issue.rule].severity
+    return Finding(issue.rule, severity, port, address, first_ns, last_ns, issue.text, section, offset, topic, sequence)

@@ -1,0 +1,511 @@
+"""The framer: the only resynchroniser, for every serial dialect. Bytes in, frames and junk out, nothing lost.
+
+Theory of operation. The framer stands at a byte and asks the slicer of each dialect on the wire whether a frame begins
+here. The answer is a length, nothing, or "more bytes are needed"; then it waits. Rules:
+
+1. Each byte ends in exactly one frame or one piece of junk.
+2. Chunks do not matter. A decision rests on bytes, on silences and on marks of the capture, never on where a read ended:
+   where the next bytes could change a decision, the framer waits for them.
+3. A frame is believed when another one or a boundary follows it. Where something else follows it is doubtful, for an
+   8-bit sum fits by chance once in 256 times: it is weighed against other readings of the same bytes (`_doubtful`).
+4. A failed check costs one byte of the input, not the buffer.
+5. A known frame with only its check wrong is a frame (`checksum_ok` False) when a frame or a boundary follows it and
+   none begins inside it.
+6. A frame of unknown code or length is taken only when it fills a burst exactly and its check fits.
+7. A package that lost zeros (its sum still fits) is a frame when a frame or a boundary follows it. Where it fills a burst
+   its end is known, so its check counts; elsewhere the sum has to say where it ends and cannot vouch for it too
+   (`checksum_ok` False).
+
+Boundaries: a *silence* (longer than any pause inside a frame, also behind a USB adapter) and a change of direction end
+every wait; a *burst* (a line of a log, a packet, a shorter pause) ends none, but counts as evidence.
+
+Not known here: what a frame means. Only where readings are weighed does it count whether the manual allows the values.
+`feed` yields one event at a time, so that its consumer can let the event's meaning reach the context before the framer
+goes on.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+from analyzer.catalogue import Command, Dialect, Role
+from analyzer.codec import Codec, codec
+from analyzer.context import Context
+from analyzer.link import MORE, TIE
+from analyzer.records import Chunk, Frame, Junk, JunkReason
+
+#: Junk is passed on in pieces of at most this many bytes, so that noise without end does not pile up.
+JUNK_PIECE = 4096
+#: A pause that no adapter puts inside a frame: USB adapters hold bytes back for up to 16 ms.
+SILENCE_NS = 25_000_000
+#: Characters of pause that end a burst.
+BURST_CHARACTERS = 4
+#: One byte at 9600 baud: where the speed of the line is unknown, the bytes of a chunk may have taken that long.
+SLOWEST_BYTE_NS = 1_041_667
+#: What follows a frame: a boundary. No frame is so short that its length could be taken for it.
+BOUNDARY = 1
+
+_Look = Callable[[bytes, int, int, bool], int]
+
+
+class _Mark(NamedTuple):
+    """Bytes that came in one chunk: where they end on the port, the time of the last one, and what came before them."""
+
+    stop: int
+    t_ns: int
+    before_ns: int
+    byte_ns: int
+
+
+class Framer:
+    """Frames the bytes of one port.
+
+    `dialects`: all that may be on the wire. `byte_ns`: time of one byte on the wire, 0 where the speed is unknown.
+    `made_up_byte_ns`: the same for chunks without a time, which then get their times from it.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        dialects: Sequence[Dialect],
+        context: Context,
+        *,
+        byte_ns: int = 0,
+        silence_ns: int = SILENCE_NS,
+        made_up_byte_ns: int = 0,
+    ) -> None:
+        self.port = port
+        self.dialects = tuple(dialects)
+        self._slicers = [d.link.slicer(d, context.expects) for d in dialects]
+        self._judges = [_Judge(d) for d in dialects]
+        self._starts = re.compile(b"|".join(s.starts for s in self._slicers), re.DOTALL)
+        self._longest = max(s.longest for s in self._slicers)
+        # By first byte: the slicers that know it (as indexes), what looks there, and whose frame it is if that is sure.
+        self._by_head: list[tuple[int, ...]] = []
+        self._looks: list[_Look] = []
+        self._owners: list[Dialect | None] = []
+        for head in range(256):
+            known = tuple(i for i, s in enumerate(self._slicers) if head in s.heads)
+            self._by_head.append(known)
+            only = len(known) == 1
+            self._looks.append(self._slicers[known[0]].look if only else self._look_at_several if known else _nothing)
+            self._owners.append(self.dialects[known[0]] if only else None)
+        self._byte_ns = byte_ns
+        self._made_up_byte_ns = made_up_byte_ns
+        self._silence_ns = silence_ns
+        self._buffer = b""
+        self._base = 0  # offset of the buffer's first byte on the port
+        self._at = 0  # where the framer stands in the buffer
+        self._junk_from = 0  # junk is buffer[_junk_from:_at]
+        self._known = 0  # length of the frame at _at, 0 if not asked yet
+        self._step = 0  # offset on the port where the last frame ends
+        self._bursts: deque[int] = deque((0,))  # offsets on the port where a burst begins or ends, ascending
+        self._marks: deque[_Mark] = deque()
+        self._direction = Role.UNKNOWN
+        self._last_ns = 0
+        self._timed = False
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that are held back because what follows could change what they are."""
+        return len(self._buffer) - self._junk_from
+
+    def feed(self, chunk: Chunk) -> Iterator[Frame | Junk]:
+        """Take a chunk; yield the frames and the junk that are certain by now.
+
+        The chunk is taken while the events are: use them up before the next one.
+        """
+        size = len(chunk.data)
+        if not size:
+            return
+        end = self._base + len(self._buffer)
+        before_ns = self._last_ns
+        if chunk.t_ns is None:
+            byte_ns = self._made_up_byte_ns
+            self._last_ns = before_ns + size * byte_ns
+        else:
+            byte_ns = self._byte_ns
+            slowest_ns = byte_ns or SLOWEST_BYTE_NS
+            pause = chunk.t_ns - before_ns - size * slowest_ns if self._timed else 0
+            if pause > self._silence_ns:
+                yield from self.silence()
+            elif pause >= BURST_CHARACTERS * slowest_ns:
+                self._add_burst(end)
+            self._timed = True
+            self._last_ns = max(before_ns, chunk.t_ns)
+        if chunk.direction is not self._direction:
+            yield from self.silence()
+            self._direction = chunk.direction
+        self._buffer = self._buffer[self._junk_from :] + chunk.data
+        self._base += self._junk_from
+        self._at -= self._junk_from
+        self._junk_from = 0
+        self._marks.append(_Mark(end + size, self._last_ns, before_ns, byte_ns))
+        if chunk.burst:
+            self._add_burst(end)
+            self._add_burst(end + size)
+        yield from self._advance(False)
+
+    def silence(self) -> Iterator[Frame | Junk]:
+        """End every wait: nothing more belongs to what has come so far."""
+        yield from self._advance(True)
+        yield from self._drop_junk()
+        self._base += len(self._buffer)
+        self._buffer = b""
+        self._at = self._junk_from = self._known = 0
+        self._bursts.clear()
+        self._bursts.append(self._base)
+
+    close = silence
+
+    def _add_burst(self, offset: int) -> None:
+        if not self._bursts or self._bursts[-1] < offset:
+            self._bursts.append(offset)
+
+    # --- the machine ----------------------------------------------------------------------------------------------
+
+    def _advance(self, closed: bool) -> Iterator[Frame | Junk]:
+        buffer, base, end, at = self._buffer, self._base, len(self._buffer), self._at
+        looks, owners, bursts, marks = self._looks, self._owners, self._bursts, self._marks
+        port, direction = self.port, self._direction
+        length, self._known = self._known, 0
+        while at < end:
+            if bursts and bursts[0] <= base + at:
+                yield from self._reach_burst()
+            if not length:
+                length = looks[buffer[at]](buffer, at, end, closed)
+            if length == TIE:
+                length = self._settled(at, closed)
+            follower, check_ok = 0, True
+            if length > 0:
+                stop = at + length
+                # `_follower`, written out: this is the way of every frame of a clean line.
+                if bursts and base + stop in bursts:
+                    follower = BOUNDARY
+                elif stop < end:
+                    follower = looks[buffer[stop]](buffer, stop, end, closed)
+                else:
+                    follower = BOUNDARY if closed else MORE
+                if follower == MORE:
+                    self._known = length
+                    return
+                if follower == 0:
+                    length = self._doubtful(at, length, closed)
+            elif length == 0:
+                length, check_ok = self._wrecked(at, closed)
+            if length == MORE:
+                return
+            if length == 0:
+                self._at = at = self._skip(at)
+                if at - self._junk_from >= JUNK_PIECE:
+                    yield from self._drop_junk()
+                continue
+            if at > self._junk_from:
+                yield from self._drop_junk()
+            stop = at + length
+            start = base + at
+            mark = marks[0]
+            if base + stop <= mark.stop and not mark.byte_ns:
+                first_ns = last_ns = mark.t_ns
+            else:
+                first_ns, last_ns = self._times(start, base + stop)
+            data = buffer[at:stop]
+            # The framer is ready for the next event before it gives this one away.
+            self._at = self._junk_from = at = stop
+            self._step = base + stop
+            length = follower if follower > BOUNDARY else 0
+            self._known = length
+            yield Frame(
+                port,
+                first_ns,
+                last_ns,
+                start,
+                data,
+                owners[data[0]] or self._owner(data, check_ok),
+                direction,
+                check_ok,
+            )
+            self._known = 0
+
+    def _look_at_several(self, buffer: bytes, at: int, end: int, closed: bool) -> int:
+        """Look where frames of several dialects may begin: the longest that checks, when all have answered."""
+        answers = [self._slicers[i].look(buffer, at, end, closed) for i in self._by_head[buffer[at]]]
+        if MORE in answers:
+            return MORE
+        return TIE if TIE in answers else max(answers)
+
+    def _look_at(self, at: int, closed: bool) -> int:
+        return self._looks[self._buffer[at]](self._buffer, at, len(self._buffer), closed)
+
+    def _follower(self, stop: int, closed: bool) -> int:
+        """Say what stands at `stop`: `BOUNDARY`, the length of a frame (or `TIE`), 0 for something else, or `MORE`."""
+        if self._base + stop in self._bursts:
+            return BOUNDARY
+        if stop < len(self._buffer):
+            return self._look_at(stop, closed)
+        return BOUNDARY if closed else MORE
+
+    def _lengths(self, at: int, closed: bool) -> list[int]:
+        """Return all lengths at which a frame checks here, and `MORE` last if there may be others."""
+        buffer, end = self._buffer, len(self._buffer)
+        found = {n for i in self._by_head[buffer[at]] for n in self._slicers[i].lengths(buffer, at, end)}
+        wanting = MORE in found and not closed
+        found.discard(MORE)
+        return [*sorted(found), MORE] if wanting else sorted(found)
+
+    def _settled(self, at: int, closed: bool) -> int:
+        """Return which of two lengths one apart it is, or `MORE`.
+
+        A frame behind one of them says so, then the open request, then a boundary; else it is the longer.
+        """
+        tied = [n for n in self._lengths(at, closed) if n != MORE]
+        tied = next([a, b] for a, b in itertools.pairwise(tied) if b == a + 1)
+        followers = [self._follower(at + n, closed) for n in tied]
+        if MORE in followers:
+            return MORE
+        framed = [n for n, f in zip(tied, followers, strict=True) if f not in (0, BOUNDARY)]
+        if len(framed) == 1:
+            return framed[0]
+        for index in self._by_head[self._buffer[at]]:
+            preferred = self._slicers[index].preferred(self._buffer, at, tied)
+            if preferred:
+                return preferred
+        bounded = [n for n, f in zip(tied, followers, strict=True) if f]
+        return bounded[0] if len(bounded) == 1 else tied[1]
+
+    def _doubtful(self, at: int, length: int, closed: bool) -> int:
+        """Weigh a frame that checks and that something else follows; return its length, 0 not to believe it, or `MORE`.
+
+        Against it speaks a longer frame that begins here and is followed; a frame that begins inside it and is followed,
+        or ends beyond it (then this is the wreck of a frame that lost bytes, and the head of the next one checks by
+        chance); and a frame that one inserted byte has made longer, if the values of that one are as the manual says and
+        those of this one are not.
+        """
+        stop = at + length
+        for longer in self._lengths(at, closed):
+            if longer == MORE:
+                return MORE
+            if longer > length:
+                follower = self._follower(at + longer, closed)
+                if follower:
+                    return MORE if follower == MORE else longer
+        data = self._buffer[at:stop]
+        index = self._index(data, True)
+        strong = self._slicers[index].strong_check
+        for start in range(at + 1, stop):
+            inner = self._look_at(start, closed)
+            if inner == MORE:
+                return MORE
+            if inner == TIE:
+                inner = self._lengths(start, closed)[0]
+            if not inner or start + inner == stop or self._spans(start, inner):
+                continue
+            follower = self._follower(start + inner, closed)
+            if follower == MORE:
+                return MORE
+            if follower:
+                return 0
+            if start + inner > stop and not strong:
+                inside = self._buffer[start : start + inner]
+                if self._judges[self._index(inside, True)].plausible(inside):
+                    return 0
+        return length if strong else self._or_inserted(at, length, index, closed)
+
+    def _or_inserted(self, at: int, length: int, index: int, closed: bool) -> int:
+        """Return `length`, or 0 if a byte more, one of which was inserted, is the better reading, or `MORE`."""
+        stop = at + length + 1
+        if stop > len(self._buffer):
+            return length if closed else MORE
+        follower = self._follower(stop, closed)
+        if follower in (0, MORE):
+            return (follower and MORE) or length
+        slicer, judge = self._slicers[index], self._judges[index]
+        data = self._buffer[at:stop]
+        if judge.plausible(data[:-1]):
+            return length
+        for place in range(1, length):
+            mended = data[:place] + data[place + 1 :]
+            if slicer.look(mended, 0, length, True) == length and judge.plausible(mended):
+                return 0
+        return length
+
+    def _wrecked(self, at: int, closed: bool) -> tuple[int, bool]:
+        """Return the length of a frame that `look` does not know, and if its check fits: damaged, foreign, or short.
+
+        0: there is none; `MORE`: open.
+        """
+        buffer, end, bursts = self._buffer, len(self._buffer), self._bursts
+        offset = self._base + at
+        known = self._by_head[buffer[at]]
+        begins = bool(bursts) and bursts[0] == offset
+        burst = 0
+        if begins:
+            burst = bursts[1] - offset if len(bursts) > 1 else end - at
+            if len(bursts) == 1 and not closed:
+                if burst < self._longest and any(self._slicers[i].foreign(buffer, at) for i in known):
+                    return MORE, False
+                burst = 0
+            if burst and any(self._slicers[i].whole(buffer[at : at + burst]) for i in known):
+                return burst, True
+        for index in known:
+            slicer = self._slicers[index]
+            if slicer.strong_head or begins or offset == self._step:
+                for length in slicer.damaged(buffer, at, end):
+                    sure = self._alone(at, length, closed)
+                    if sure:
+                        return (MORE if sure == MORE else length), False
+        for index in known:
+            for length in self._slicers[index].shortened(buffer, at, end):
+                sure = self._alone(at, length, closed)
+                if sure:
+                    return (MORE if sure == MORE else length), length == burst
+        return 0, False
+
+    def _alone(self, at: int, length: int, closed: bool) -> int:
+        """Return 1 if a frame or a boundary follows and no frame begins inside, 0 if not, `MORE` if that is open."""
+        if length == MORE:
+            return 0 if closed else MORE
+        if self._spans(at, length):
+            return 0
+        follower = self._follower(at + length, closed)
+        if follower in (0, MORE):
+            return follower
+        for start in range(at + 1, at + length):
+            inner = self._look_at(start, closed)
+            if inner:
+                return MORE if inner == MORE else 0
+        return 1
+
+    def _spans(self, at: int, length: int) -> bool:
+        """Say whether a boundary lies within these bytes."""
+        first = self._base + at
+        return any(first < b < first + length for b in self._bursts)
+
+    # --- what is given away ---------------------------------------------------------------------------------------
+
+    def _reach_burst(self) -> Iterator[Junk]:
+        """Forget the boundaries passed; junk ends at one."""
+        offset = self._base + self._at
+        bursts = self._bursts
+        while bursts and bursts[0] < offset:
+            bursts.popleft()
+        if bursts and bursts[0] == offset:
+            yield from self._drop_junk()
+
+    def _skip(self, at: int) -> int:
+        """Return the next place where a frame may begin, a burst does, or a piece of junk is full."""
+        found = self._starts.search(self._buffer, at + 1)
+        target = found.start() if found else len(self._buffer)
+        for burst in self._bursts:
+            if burst > self._base + at:
+                target = min(target, burst - self._base)
+                break
+        return min(target, self._junk_from + JUNK_PIECE)
+
+    def _index(self, data: bytes, check_ok: bool) -> int:
+        """Return which dialect's frame this is; the first wins where several could."""
+        size = len(data)
+        known = self._by_head[data[0]]
+        if check_ok:
+            for index in known:
+                if size in self._slicers[index].lengths(data, 0, size):
+                    return index
+            for index in known:
+                if self._slicers[index].whole(data):
+                    return index
+        return next((i for i in known if size in self._slicers[i].damaged(data, 0, size)), known[0])
+
+    def _owner(self, data: bytes, check_ok: bool) -> Dialect:
+        return self.dialects[self._index(data, check_ok)]
+
+    def _drop_junk(self) -> Iterator[Junk]:
+        start, stop = self._junk_from, self._at
+        if stop <= start:
+            return
+        data = self._buffer[start:stop]
+        offset = self._base + start
+        first_ns, last_ns = self._times(offset, offset + len(data))
+        self._junk_from = stop
+        yield Junk(self.port, first_ns, last_ns, offset, data, self._reason(data))
+
+    def _reason(self, data: bytes) -> JunkReason:
+        """Say why bytes are junk: the beginning of a frame that broke off, several frames in one heap, or noise."""
+        size = len(data)
+        if size > 2 * self._longest:
+            return JunkReason.NOISE
+        known = self._by_head[data[0]]
+        if size < self._longest and any(self._slicers[i].look(data, 0, size, False) == MORE for i in known):
+            return JunkReason.TRUNCATED
+        heads = 0
+        for found in self._starts.finditer(data):
+            at = found.start()
+            for index in self._by_head[data[at]]:
+                slicer = self._slicers[index]
+                if slicer.strong_head and size - at > 2 and slicer.damaged(data, at, size):
+                    heads += 1
+        return JunkReason.COLLISION if heads > 1 else JunkReason.NOISE
+
+    def _times(self, start: int, stop: int) -> tuple[int, int]:
+        """Return the times of the first and the last byte, each from the chunk that brought it."""
+        marks = self._marks
+        while marks[0].stop <= start:
+            marks.popleft()
+        return self._time_of(start), self._time_of(stop - 1)
+
+    def _time_of(self, offset: int) -> int:
+        for mark in self._marks:
+            if offset < mark.stop:
+                return max(mark.before_ns, mark.t_ns - (mark.stop - 1 - offset) * mark.byte_ns)
+        raise AssertionError(f"no chunk brought byte {offset}")
+
+
+class _Judge:
+    """Says whether a frame is one that the manual allows: a known code, every value in its range."""
+
+    def __init__(self, dialect: Dialect) -> None:
+        self._link = dialect.link
+        self._forms: dict[tuple[int | None, int], list[tuple[Role, Codec]]] = {}
+        self._packages: dict[int, Command] = {}
+        for command in dialect.commands:
+            if command.slots is not None:
+                self._packages[command.code] = command
+                continue
+            for role, forms in ((Role.REQUEST, command.request_forms), (Role.REPLY, command.reply_forms)):
+                for form in forms:
+                    code = command.code if form.code is None else form.code
+                    self._forms.setdefault((command.function, code), []).append((role, codec(form.layout)))
+
+    def plausible(self, frame: bytes) -> bool:
+        """Say whether the manual allows a complete frame."""
+        head = self._link.parse(frame)
+        if head.code is None:
+            return True
+        data = frame[head.start : head.stop]
+        package = self._packages.get(head.code)
+        if package is None or package.slots is None:
+            return self._allowed(head.role, head.function, head.code, data)
+        size = package.slots.size
+        slots = [data[n : n + size] for n in range(0, len(data), size)]
+        return all(self._slot_allowed(slot) for slot in slots if any(slot))
+
+    def _allowed(self, role: Role, function: int | None, code: int, data: bytes) -> bool:
+        return any(
+            role in (Role.UNKNOWN, wanted) and coder.matches(data) and not coder.broken(data)
+            for wanted, coder in self._forms.get((function, code), ())
+        )
+
+    def _slot_allowed(self, slot: bytes) -> bool:
+        for role, coder in self._forms.get((None, slot[1]), ()) if len(slot) > 1 else ():
+            stop = 2 + coder.layout.byte_length
+            data = slot[2:stop]
+            if role is Role.REQUEST and coder.matches(data) and not coder.broken(data) and not any(slot[stop:]):
+                return True
+        return False
+
+
+def _nothing(buffer: bytes, at: int, end: int, closed: bool) -> int:
+    return 0

@@ -1,0 +1,1 @@
+"""The dialects: each manual as a table."""

@@ -1,0 +1,140 @@
+"""What flows through the pipeline: chunks and CAN frames in, frames and junk, messages, transactions, findings out.
+
+All times are integer nanoseconds; the times of a capture without any are made up from the line speed and marked as such
+in the log's metadata. Records are immutable and hold no resources.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Any
+
+import msgspec
+
+from analyzer.catalogue import Command, Dialect, Form, Role
+from analyzer.codec import Violation, codec
+
+
+class Severity(StrEnum):
+    """How bad a finding is."""
+
+    INFO = "info"
+    WARNING = "warning"
+    ERROR = "error"
+
+
+class JunkReason(StrEnum):
+    """Why bytes belong to no frame."""
+
+    NOISE = "noise"
+    TRUNCATED = "truncated"
+    COLLISION = "collision"
+
+
+class Chunk(msgspec.Struct, frozen=True, gc=False):
+    """Bytes of a serial line as the host got them.
+
+    `t_ns`: arrival of the last byte, or None where the capture has no times. `direction`: who sent them where the
+    capture says so, else `unknown`. `burst`: the capture itself delimits these bytes (a line of a log, a packet).
+    """
+
+    t_ns: int | None
+    port: str
+    data: bytes
+    direction: Role = Role.UNKNOWN
+    burst: bool = False
+
+
+class CanFrame(msgspec.Struct, frozen=True, gc=False):
+    """One frame of a CAN bus.
+
+    `direction`: from the capture's Rx/Tx mark as seen by the host, else `unknown`.
+    """
+
+    t_ns: int | None
+    port: str
+    id: int
+    data: bytes
+    direction: Role = Role.UNKNOWN
+    extended: bool = False
+    remote: bool = False
+    error: bool = False
+    fd: bool = False
+
+
+class Comment(msgspec.Struct, frozen=True, gc=False):
+    """Text that stands in a capture beside the traffic: a comment, a marker. It is shown as text, never interpreted."""
+
+    t_ns: int | None
+    port: str
+    text: str
+
+
+class Frame(msgspec.Struct, frozen=True, gc=False):
+    """Bytes that are one frame of a dialect.
+
+    `offset`: bytes of the port before it. `role`: from the head of the frame or the capture's direction, else
+    `unknown`. `whole` False: it is told by its burst alone, its code or length is not in the catalogue.
+    """
+
+    port: str
+    first_ns: int
+    last_ns: int
+    offset: int
+    data: bytes
+    dialect: Dialect
+    role: Role
+    checksum_ok: bool
+    can: CanFrame | None = None
+
+
+class Junk(msgspec.Struct, frozen=True, gc=False):
+    """Bytes that are no frame, and why."""
+
+    port: str
+    first_ns: int
+    last_ns: int
+    offset: int
+    data: bytes
+    reason: JunkReason
+
+
+class Message(msgspec.Struct, frozen=True, gc=False):
+    """A frame decoded.
+
+    `command` None: the code is not in the catalogue. `form` None: no form of the command fits. `data`: the command's own
+    data, from which `values` are read when they are asked for.
+    """
+
+    frame: Frame
+    role: Role
+    address: int
+    command: Command | None
+    form: Form | None
+    data: bytes
+    violations: tuple[Violation, ...] = ()
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Return the integers as sent, by field name; empty where no form fits."""
+        return codec(self.form.layout).wire(self.data) if self.form is not None else {}
+
+
+class Finding(msgspec.Struct, frozen=True, gc=False):
+    """Something that is wrong, or that one should know.
+
+    `evidence`: sequence numbers of the messages it rests on, the first being the one it is about; `offset` and `data`
+    lead to the bytes.
+    """
+
+    rule: str
+    severity: Severity
+    port: str
+    address: int | None
+    first_ns: int
+    last_ns: int
+    text: str
+    section: str = ""
+    offset: int = 0
+    topic: str = ""
+    sequence: int = 0

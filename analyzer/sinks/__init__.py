@@ -1,0 +1,1 @@
+"""Where what the pipeline decodes goes to."""

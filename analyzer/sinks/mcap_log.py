@@ -1,0 +1,304 @@
+"""The log: what the pipeline decodes, as an MCAP file that Foxglove, PlotJuggler and any MCAP reader can use.
+
+    /<bus>/<address>/<command>/<request|reply>   the decoded fields, flat, with reserved keys that begin with _
+    /<bus>/<address>/state                       position, speed, current ... from whichever reply carried them
+    /<bus>/unknown  /<bus>/junk  /<bus>/stats    /findings  /comments
+
+`log_time` is the time of the last byte and never decreases; `publish_time` is the estimated start on the wire.
+"""
+
+from __future__ import annotations
+
+from binascii import hexlify
+from collections.abc import Callable, Mapping
+from typing import IO, Any
+
+import msgspec
+
+from analyzer import __version__
+from analyzer.catalogue import Role
+from analyzer.codec import codec
+from analyzer.decoder import physical
+from analyzer.pipeline import CAN_OVERHEAD_BITS, Entry, topic_name
+from analyzer.records import Comment, Finding, Junk, Message, Severity
+from analyzer.sinks import schemas
+from analyzer.sinks.mcap_file import McapFile
+
+PROFILE = "servotap"
+LIBRARY = f"servotap {__version__}"
+SECOND = 1_000_000_000
+_LEVELS = {Severity.INFO: 2, Severity.WARNING: 3, Severity.ERROR: 4}
+_encode = msgspec.json.Encoder().encode
+_LATEST_NS = (1 << 63) - 1
+
+
+class _Lane:
+    """What is kept per topic: the channel and, for replies, which fields feed the derived state."""
+
+    __slots__ = ("channel", "odd", "state", "state_lane")
+
+    def __init__(self, channel: int) -> None:
+        self.channel = channel
+        self.odd = False
+        self.state: dict[int, tuple[tuple[str, str, float], ...]] = {}
+        self.state_lane: _Lane | None = None
+
+
+class _Second:
+    """Counts of one second of a bus."""
+
+    __slots__ = ("bytes", "end_ns", "errors", "frames", "junk_bytes", "warnings", "wire_ns")
+
+    def __init__(self, end_ns: int) -> None:
+        self.end_ns = end_ns
+        self.frames = self.bytes = self.junk_bytes = self.errors = self.warnings = self.wire_ns = 0
+
+
+class McapLog:
+    """A sink that writes the log to a stream open for binary writing.
+
+    `byte_ns`: time of a byte on the wire for the bus load, 0 where it is not known.
+    """
+
+    def __init__(self, stream: IO[bytes], *, byte_ns: int = 0, bit_ns: int = 0) -> None:
+        self._file = McapFile(stream, profile=PROFILE, library=LIBRARY)
+        self._lanes: dict[str, _Lane] = {}
+        self._schemas: dict[str, int] = {}
+        self._last_ns = 0
+        self._seconds: dict[str, _Second] = {}
+        self._byte_ns = byte_ns
+        self._bit_ns = bit_ns
+
+    @property
+    def messages(self) -> int:
+        """Messages written so far."""
+        return self._file.messages
+
+    # --- sink -----------------------------------------------------------------------------------------------------
+
+    def entry(self, entry: Entry) -> None:
+        """Write a decoded frame, and the state it carries."""
+        message = entry.message
+        frame = message.frame
+        form = message.form
+        lane = self._lanes.get(entry.topic)
+        if lane is None:
+            lane = self._open_lane(entry.topic, message)
+        log_ns = frame.last_ns
+        if log_ns > self._last_ns:
+            self._last_ns = log_ns = min(log_ns, _LATEST_NS)
+        else:
+            log_ns = self._last_ns
+        if form is None or lane.odd or entry.findings or frame.can is not None:
+            data = self._odd(entry, lane)
+        else:
+            start, raw = codec(form.layout).json(message.data), hexlify(frame.data, " ").upper()
+            ok = b"true" if frame.checksum_ok else b"false"
+            if entry.request_sequence is None:
+                data = b'%b"_raw":"%b","_checksum_ok":%b,"_offset":%d}' % (start, raw, ok, frame.offset)
+            elif entry.latency_ns is None:
+                data = b'%b"_raw":"%b","_checksum_ok":%b,"_offset":%d,"_request_sequence":%d}' % (
+                    start, raw, ok, frame.offset, entry.request_sequence,
+                )  # fmt: skip
+            else:
+                data = b'%b"_raw":"%b","_checksum_ok":%b,"_offset":%d,"_latency":%a,"_request_sequence":%d}' % (
+                    start, raw, ok, frame.offset, entry.latency_ns / 1e9, entry.request_sequence,
+                )  # fmt: skip
+        publish_ns = frame.first_ns
+        if publish_ns < 0:
+            publish_ns = 0
+        self._file.add_message(lane.channel, entry.sequence, log_ns, publish_ns, data)
+        if form is not None and frame.checksum_ok:
+            parts = lane.state.get(id(form))
+            if parts is None:
+                parts = self._state_parts(lane, message)
+            if parts:
+                self._state(entry, lane, parts, log_ns, publish_ns)
+        second = self._seconds.get(frame.port)
+        if second is None or log_ns >= second.end_ns:
+            second = self._second(frame.port, log_ns)
+        size = len(frame.data)
+        second.frames += 1
+        second.bytes += size
+        second.wire_ns += size * self._byte_ns if frame.can is None else (CAN_OVERHEAD_BITS + 8 * size) * self._bit_ns
+
+    def _odd(self, entry: Entry, lane: _Lane) -> bytes:
+        """Return the JSON of a message that is more than its fields: unknown, with findings, a package, on CAN."""
+        message = entry.message
+        frame = message.frame
+        shown = physical(message)
+        if lane.odd and (message.command is None or message.role is Role.UNKNOWN):
+            shown["address"] = message.address
+            shown["dialect"] = frame.dialect.name
+            shown["role"] = message.role.value
+            if message.command is not None:
+                shown["command"] = message.command.name
+        shown["_raw"] = frame.data.hex(" ").upper()
+        shown["_checksum_ok"] = frame.checksum_ok
+        shown["_offset"] = frame.offset
+        if entry.findings:
+            shown["_findings"] = [f.rule for f in entry.findings]
+        if entry.request_sequence is not None:
+            if entry.latency_ns is not None:
+                shown["_latency"] = entry.latency_ns / 1e9
+            shown["_request_sequence"] = entry.request_sequence
+        can = frame.can
+        if can is not None:
+            shown["_can_id"] = can.id
+            flags = [n for n in ("extended", "remote", "error", "fd") if getattr(can, n)]
+            if flags:
+                shown["_can_flags"] = flags
+        return _encode(shown)
+
+    def junk(self, junk: Junk, sequence: int, topic: str) -> None:
+        """Write bytes that are no frame."""
+        lane = self._lanes.get(topic)
+        if lane is None:
+            lane = self._add_lane(topic, "servotap.junk", schemas.junk_schema, {"bus_kind": "serial"})
+        data = {
+            "reason": junk.reason.value,
+            "length": len(junk.data),
+            "_raw": junk.data.hex(" ").upper(),
+            "_offset": junk.offset,
+        }
+        log_ns = self._clock(junk.last_ns)
+        self._file.add_message(lane.channel, sequence, log_ns, max(0, junk.first_ns), _encode(data))
+        second = self._second(junk.port, log_ns)
+        second.junk_bytes += len(junk.data)
+        second.bytes += len(junk.data)
+        second.wire_ns += len(junk.data) * self._byte_ns
+
+    def finding(self, found: Finding) -> None:
+        """Write a finding."""
+        second = self._seconds.get(found.port)
+        if second is not None:
+            second.errors += found.severity is Severity.ERROR
+            second.warnings += found.severity is Severity.WARNING
+        data: dict[str, Any] = {
+            "timestamp": {"sec": found.first_ns // SECOND, "nsec": found.first_ns % SECOND},
+            "level": _LEVELS[found.severity],
+            "message": found.text,
+            "name": found.rule,
+            "file": found.topic,
+            "line": found.sequence,
+            "section": found.section,
+            "bus": topic_name(found.port),
+            "offset": found.offset,
+        }
+        if found.address is not None:
+            data["address"] = found.address
+        self._log("/findings", data, found.sequence, found.last_ns)
+
+    def comment(self, comment: Comment) -> None:
+        """Write a comment of the capture."""
+        t_ns = self._last_ns if comment.t_ns is None else comment.t_ns
+        data = {
+            "timestamp": {"sec": max(0, t_ns) // SECOND, "nsec": max(0, t_ns) % SECOND},
+            "level": 2,
+            "message": comment.text,
+            "name": "comment",
+            "bus": topic_name(comment.port),
+        }
+        self._log("/comments", data, 0, t_ns)
+
+    def finish(self, metadata: Mapping[str, str]) -> None:
+        """Write the last counts, the metadata and the summary; the file is whole after this."""
+        for bus, second in self._seconds.items():
+            self._write_second(bus, second)
+        self._file.add_metadata("servotap", metadata)
+        self._file.finish()
+
+    def flush(self) -> None:
+        """Write everything so far to the stream."""
+        self._file.flush()
+
+    def abandon(self) -> None:
+        """Give the file up."""
+        self._file.abandon()
+
+    # --- topics ---------------------------------------------------------------------------------------------------
+
+    def _open_lane(self, topic: str, message: Message) -> _Lane:
+        dialect, command = message.frame.dialect, message.command
+        about = {"dialect": dialect.name, "manual": dialect.manual, "bus_kind": dialect.bus}
+        if command is None or message.role is Role.UNKNOWN:
+            lane = self._add_lane(topic, "servotap.unknown", schemas.unknown_schema, {"bus_kind": dialect.bus})
+            lane.odd = True
+            return lane
+        about["section"] = command.section
+        about["command"] = command.name
+        about["code"] = f"0x{command.code:04X}" if command.function is not None else f"0x{command.code:02X}"
+        name = f"servotap.{dialect.name}.{command.name}.{message.role}"
+        lane = self._add_lane(topic, name, lambda: schemas.command_schema(dialect, command, message.role), about)
+        lane.odd = command.slots is not None
+        return lane
+
+    def _add_lane(self, topic: str, name: str, schema: Callable[[], bytes], about: Mapping[str, str]) -> _Lane:
+        schema_id = self._schemas.get(name)
+        if schema_id is None:
+            schema_id = self._schemas[name] = self._file.add_schema(name, schema())
+        lane = self._lanes[topic] = _Lane(self._file.add_channel(topic, schema_id, about))
+        return lane
+
+    def _log(self, topic: str, data: dict[str, Any], sequence: int, t_ns: int) -> None:
+        lane = self._lanes.get(topic) or self._add_lane(topic, "foxglove.Log", schemas.log_schema, {})
+        log_ns = self._clock(t_ns)
+        self._file.add_message(lane.channel, sequence, log_ns, log_ns, _encode(data))
+
+    # --- derived topics -------------------------------------------------------------------------------------------
+
+    @staticmethod
+    def _state_parts(lane: _Lane, message: Message) -> tuple[tuple[str, str, float], ...]:
+        form = message.form
+        assert form is not None  # asked only for a message that fits a form
+        named = form.layout.named.values() if message.role is Role.REPLY else ()
+        parts = tuple((f.name, f.state.quantity, f.state.factor) for f in named if f.state is not None)
+        lane.state[id(form)] = parts
+        return parts
+
+    def _state(
+        self, entry: Entry, lane: _Lane, parts: tuple[tuple[str, str, float], ...], log_ns: int, publish_ns: int
+    ) -> None:
+        message = entry.message
+        target = lane.state_lane
+        if target is None:
+            topic = f"/{topic_name(message.frame.port)}/{message.address}/state"
+            target = self._lanes.get(topic) or self._add_lane(topic, "servotap.state", schemas.state_schema, {})
+            lane.state_lane = target
+        fields = physical(message)
+        if len(parts) == 1:
+            name, quantity, factor = parts[0]
+            data = b'{"%b":%a}' % (quantity.encode(), fields[name] * factor)
+        else:
+            state: dict[str, float] = {}
+            for name, quantity, factor in parts:
+                state[quantity] = state.get(quantity, 0.0) + fields[name] * factor
+            data = _encode(state)
+        self._file.add_message(target.channel, entry.sequence, log_ns, publish_ns, data)
+
+    def _second(self, port: str, log_ns: int) -> _Second:
+        second = self._seconds.get(port)
+        if second is None or log_ns >= second.end_ns:
+            if second is not None:
+                self._write_second(port, second)
+            second = self._seconds[port] = _Second((log_ns // SECOND + 1) * SECOND)
+        return second
+
+    def _write_second(self, port: str, second: _Second) -> None:
+        topic = f"/{topic_name(port)}/stats"
+        lane = self._lanes.get(topic) or self._add_lane(topic, "servotap.stats", schemas.stats_schema, {})
+        data: dict[str, Any] = {
+            name: getattr(second, name) for name in ("frames", "bytes", "junk_bytes", "errors", "warnings")
+        }
+        if self._byte_ns or self._bit_ns:
+            data["load"] = second.wire_ns / SECOND
+        log_ns = self._clock(self._last_ns)
+        self._file.add_message(lane.channel, 0, log_ns, log_ns, _encode(data))
+
+    def _clock(self, t_ns: int) -> int:
+        """Return a log time that never decreases and fits the format."""
+        if t_ns > self._last_ns:
+            self._last_ns = min(t_ns, _LATEST_NS)
+        return self._last_ns
+
+

@@ -1,0 +1,156 @@
+"""JSON Schemas of the log's topics, made from the layouts.
+
+Rules (Foxglove's): the root is an object; no null, no anyOf, no lists of types; a field that may be absent is just not
+required. A choice is two fields, the number and its name. Reserved keys begin with `_`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from analyzer.catalogue import Command, Dialect, Form, Role
+from analyzer.codec import shown
+from analyzer.layout import STATE_UNITS, Field, Kind
+
+_RESERVED: dict[str, dict[str, Any]] = {
+    "_raw": {"type": "string", "description": "bytes of the frame, hex"},
+    "_checksum_ok": {"type": "boolean"},
+    "_offset": {"type": "integer", "description": "bytes of this bus before the frame"},
+    "_findings": {"type": "array", "items": {"type": "string"}, "description": "rules broken, as far as known here"},
+}
+_REPLY: dict[str, dict[str, Any]] = {
+    "_latency": {"type": "number", "description": "from the end of the request to the start of the reply", "unit": "s"},
+    "_request_sequence": {"type": "integer", "description": "sequence of the request's message"},
+}
+_CAN: dict[str, dict[str, Any]] = {
+    "_can_id": {"type": "integer"},
+    "_can_flags": {"type": "array", "items": {"type": "string"}},
+}
+
+
+def field_properties(field: Field, section: str) -> dict[str, dict[str, Any]]:
+    """Return the schema properties of a field: itself, its name twin, its text twin."""
+    if field.kind is Kind.BYTES:
+        return {field.name: {"type": "string", "description": "bytes, hex"}}
+    words = [field.note] if field.note else []
+    if field.unit:
+        words.append(f"unit {field.unit}")
+    if field.fixed is None and field.choices is None:
+        words.append(f"range {shown(field.physical(field.low))}..{shown(field.physical(field.high))}")
+    words.append(f"section {section}")
+    own: dict[str, Any] = {
+        "type": "integer" if field.scale == 1 else "number",
+        "description": "; ".join(words),
+    }
+    if field.unit:
+        own["unit"] = field.unit
+    result = {field.name: own}
+    if field.choices is not None:
+        names = ", ".join(f"{v} {n}" for v, n in sorted(field.choice_names.items())[:24])
+        result[field.name + "_name"] = {"type": "string", "description": names}
+    if field.bit_width > 53:
+        result[field.name + "_text"] = {"type": "string", "description": "the exact value, beyond 2**53"}
+    return result
+
+
+def forms_of(dialect: Dialect, command: Command, role: Role) -> tuple[Form, ...]:
+    """Return every form that a message of a command can have, those of the dialect as a whole included."""
+    forms = command.request_forms if role is Role.REQUEST else command.reply_forms
+    fallback = dialect.fallbacks.get(command.function) if command.function is not None else None
+    if fallback is not None and fallback is not command:
+        forms += fallback.request_forms if role is Role.REQUEST else fallback.reply_forms
+    if dialect.exception is not None and role is Role.REPLY:
+        forms += (dialect.exception,)
+    return forms
+
+
+def command_schema(dialect: Dialect, command: Command, role: Role) -> bytes:
+    """Return the JSON Schema of a command's requests or replies."""
+    properties: dict[str, Any] = {}
+    for form in forms_of(dialect, command, role):
+        for name, field in form.layout.named.items():
+            if name not in properties:
+                properties.update(field_properties(field, command.section))
+    if command.slots is not None:
+        properties = {"slots": slots_property(dialect)}
+    return _object(
+        f"{dialect.title}: {command.summary} (section {command.section})",
+        {**properties, **_RESERVED, **(_REPLY if role is Role.REPLY else {}), **(_CAN if dialect.bus == "can" else {})},
+    )
+
+
+def slots_property(dialect: Dialect) -> dict[str, Any]:
+    """Return the property of a package's slots: a list of address, command and that command's fields."""
+    properties: dict[str, Any] = {
+        "address": {"type": "integer"},
+        "code": {"type": "integer"},
+        "command": {"type": "string"},
+        "raw": {"type": "string"},
+    }
+    for command in dialect.commands:
+        if command.slots is None:
+            for form in command.request_forms:
+                for field in form.layout.named.values():
+                    if field.name not in properties:
+                        properties.update(field_properties(field, command.section))
+    return {"type": "array", "items": {"type": "object", "properties": properties}}
+
+
+def state_schema() -> bytes:
+    """Return the schema of the derived state of a drive."""
+    return _object(
+        "State of a drive, from whichever frame carried it; the same units for every dialect",
+        {name: {"type": "number", "unit": unit, "description": f"unit {unit}"} for name, unit in STATE_UNITS.items()},
+    )
+
+
+def unknown_schema() -> bytes:
+    """Return the schema of frames that no command fits or whose sender is not known."""
+    words = {"dialect": {"type": "string"}, "command": {"type": "string"}, "role": {"type": "string"}}
+    return _object("Frames without a command", {"address": {"type": "integer"}, **words, **_RESERVED, **_CAN})
+
+
+def junk_schema() -> bytes:
+    """Return the schema of bytes that belong to no frame."""
+    return _object(
+        "Bytes that belong to no frame",
+        {"reason": {"type": "string"}, "length": {"type": "integer"}, "_raw": _RESERVED["_raw"]}
+        | {"_offset": _RESERVED["_offset"]},
+    )
+
+
+def stats_schema() -> bytes:
+    """Return the schema of a bus's counts per second."""
+    whole = {"type": "integer"}
+    return _object(
+        "Counts of one second of a bus",
+        {"frames": whole, "bytes": whole, "junk_bytes": whole, "errors": whole, "warnings": whole}
+        | {"load": {"type": "number", "description": "share of the second in which bytes were on the wire"}},
+    )
+
+
+def log_schema() -> bytes:
+    """Return the schema of `foxglove.Log`, with what leads to the place as further fields."""
+    stamp = {"type": "object", "title": "time", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+    text, whole = {"type": "string"}, {"type": "integer"}
+    return _object(
+        "foxglove.Log",
+        {
+            "timestamp": stamp,
+            "level": {"type": "integer", "description": "1 debug, 2 info, 3 warning, 4 error"},
+            "message": text,
+            "name": {**text, "description": "rule"},
+            "file": {**text, "description": "topic of the message it is about"},
+            "line": {**whole, "description": "sequence of that message"},
+            "section": text,
+            "bus": text,
+            "address": whole,
+            "offset": whole,
+        },
+    )
+
+
+def _object(title: str, properties: dict[str, Any]) -> bytes:
+    return msgspec.json.encode({"title": title, "type": "object", "properties": properties})

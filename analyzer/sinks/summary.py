@@ -1,0 +1,189 @@
+"""The summary of a capture: frames and latencies by command and address, bytes by what they are, findings by rule.
+
+Memory does not grow with the capture: latencies go into histograms whose buckets are at most 3 % wide, and of the findings only
+the first few of each rule are kept.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+from analyzer.catalogue import Role
+from analyzer.findings import RULES
+from analyzer.pipeline import Entry
+from analyzer.records import Comment, Finding, Junk, Severity
+
+#: Findings of each rule that are kept to be shown.
+FIRST_FEW = 3
+
+
+class Latencies:
+    """A histogram of times in ns; quantiles are good to 1.6 %, the greatest is exact."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.greatest = 0
+        self._buckets: dict[int, int] = {}
+
+    def add(self, latency_ns: int) -> None:
+        """Count a time."""
+        self.count += 1
+        if latency_ns > self.greatest:
+            self.greatest = latency_ns
+        # The six leading bits and the number of the others: buckets are 1.6 % to 3.1 % wide.
+        more = latency_ns.bit_length() - 6
+        bucket = latency_ns if more <= 0 else (more << 6) + (latency_ns >> more)
+        self._buckets[bucket] = self._buckets.get(bucket, 0) + 1
+
+    def quantile(self, share: float) -> float:
+        """Return the time that this share (0..1) of all does not exceed, in ns; 0 without any."""
+        wanted = share * self.count
+        seen = 0
+        for bucket in sorted(self._buckets):
+            seen += self._buckets[bucket]
+            if seen >= wanted:
+                return min(_middle(bucket), self.greatest)
+        return 0.0
+
+
+def _middle(bucket: int) -> float:
+    """Return the middle of a bucket in ns."""
+    if bucket < 64:
+        return bucket
+    # The leading bits are 32..63, so they never carry into the number of the others.
+    more, leading = bucket >> 6, bucket & 63
+    return ((leading << more) + ((leading + 1) << more) - 1) / 2
+
+
+@dataclass
+class Row:
+    """One command of one address."""
+
+    requests: int = 0
+    replies: int = 0
+    unknown: int = 0
+    latencies: Latencies = field(default_factory=Latencies)
+
+
+class Summary:
+    """A sink that counts."""
+
+    def __init__(self) -> None:
+        self.rows: dict[tuple[str, str, str, str], Row] = {}
+        self.frames = 0
+        self.frame_bytes = 0
+        self.junk_bytes: Counter[str] = Counter()
+        self.junk_pieces: Counter[str] = Counter()
+        self.findings: Counter[str] = Counter()
+        self.severities: Counter[Severity] = Counter()
+        self.first: dict[str, list[Finding]] = {}
+        self.comments = 0
+        self.first_ns: int | None = None
+        self.last_ns = 0
+        self._known: dict[str, Row] = {}
+
+    def entry(self, entry: Entry) -> None:
+        """Count a frame."""
+        message = entry.message
+        frame = message.frame
+        self.frames += 1
+        self.frame_bytes += len(frame.data)
+        if self.first_ns is None:
+            self.first_ns = frame.first_ns
+        if frame.last_ns > self.last_ns:
+            self.last_ns = frame.last_ns
+        role = message.role
+        # The topic names bus, address and command already; unknown ones share a topic and are told apart here.
+        row = self._known.get(entry.topic) if message.command is not None and role is not Role.UNKNOWN else None
+        if row is None:
+            row = self._row(entry)
+        if role is Role.REQUEST:
+            row.requests += 1
+        elif role is Role.REPLY:
+            row.replies += 1
+            if entry.first_reply and entry.latency_ns is not None:
+                row.latencies.add(entry.latency_ns)
+        else:
+            row.unknown += 1
+
+    def _row(self, entry: Entry) -> Row:
+        message = entry.message
+        command = message.command
+        if command is not None:
+            name = command.name
+        else:
+            head = message.frame.dialect.link.parse(
+                message.frame.data, message.frame.can.id if message.frame.can else None
+            )
+            name = "unknown" if head.code is None else f"unknown 0x{head.code:02X}"
+        who = "all" if command is not None and command.slots is not None else str(message.address)
+        key = (message.frame.port, who, message.frame.dialect.name, name)
+        row = self.rows.setdefault(key, Row())
+        if command is not None and message.role is not Role.UNKNOWN:
+            self._known[entry.topic] = row
+        return row
+
+    def junk(self, junk: Junk, sequence: int, topic: str) -> None:
+        """Count bytes that are no frame."""
+        self.junk_bytes[junk.reason.value] += len(junk.data)
+        self.junk_pieces[junk.reason.value] += 1
+        if self.first_ns is None:
+            self.first_ns = junk.first_ns
+        self.last_ns = max(self.last_ns, junk.last_ns)
+
+    def finding(self, found: Finding) -> None:
+        """Count a finding."""
+        self.findings[found.rule] += 1
+        self.severities[found.severity] += 1
+        kept = self.first.setdefault(found.rule, [])
+        if len(kept) < FIRST_FEW:
+            kept.append(found)
+
+    def comment(self, comment: Comment) -> None:
+        """Count a comment."""
+        self.comments += 1
+
+    def as_object(self) -> dict[str, Any]:
+        """Return the summary as an object for JSON; times in seconds."""
+        commands = []
+        for (bus, address, dialect, name), row in sorted(self.rows.items(), key=_order):
+            shown: dict[str, Any] = {"bus": bus, "address": address, "dialect": dialect, "command": name}
+            shown |= {"requests": row.requests, "replies": row.replies}
+            if row.unknown:
+                shown["unknown"] = row.unknown
+            if row.latencies.count:
+                shown["latency"] = {
+                    "median": row.latencies.quantile(0.5) / 1e9,
+                    "p99": row.latencies.quantile(0.99) / 1e9,
+                    "max": row.latencies.greatest / 1e9,
+                }
+            commands.append(shown)
+        return {
+            "frames": self.frames,
+            "bytes": {
+                "frames": self.frame_bytes,
+                "junk": dict(sorted(self.junk_bytes.items())),
+                "total": self.frame_bytes + sum(self.junk_bytes.values()),
+            },
+            "commands": commands,
+            "findings": [
+                {
+                    "rule": rule,
+                    "severity": RULES[rule].severity.value,
+                    "count": count,
+                    "first": [
+                        {"time": f.first_ns / 1e9, "topic": f.topic, "sequence": f.sequence, "offset": f.offset}
+                        | {"text": f.text}
+                        for f in self.first[rule]
+                    ],
+                }
+                for rule, count in self.findings.most_common()
+            ],
+        }
+
+
+def _order(item: tuple[tuple[str, str, str, str], Row]) -> tuple[str, int, str, str]:
+    bus, address, dialect, name = item[0]
+    return bus, int(address) if address.isdigit() else -1, dialect, name

@@ -1,0 +1,168 @@
+"""Sources: captures of every format, read as chunks, CAN frames and comments.
+
+    with open_source("capture.log") as source:
+        for record in source: ...
+
+A format is found by content, not by name. Each format is one module with `score` and `read` (see `source.py`), imported
+only when it is asked; libraries that a format needs are imported only when it is read.
+"""
+
+from __future__ import annotations
+
+import difflib
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import NamedTuple
+
+from analyzer.errors import UnreadableError, UsageError
+from analyzer.sources.lines import head_lines, is_text
+from analyzer.sources.source import Problem, Record, Source, quote
+from analyzer.sources.stream import BLOCK
+
+__all__ = ["FORMATS", "Format", "Problem", "Record", "Source", "open_source"]
+
+
+class Format(NamedTuple):
+    """A capture format. `endings` are for help only: what a file is called decides nothing."""
+
+    module: str
+    title: str
+    summary: str
+    endings: tuple[str, ...]
+    kind: str
+
+
+#: Every format by name; the first of two that fit equally wins.
+FORMATS: dict[str, Format] = {
+    "mcap": Format("mcap_log", "Servotap log", "a log of this program, to be decoded again", (".mcap",), "log"),
+    "pcapng": Format("pcapng", "pcapng", "SocketCAN, USER and RTAC serial links", (".pcapng",), "serial"),
+    "pcap": Format("pcap", "pcap", "SocketCAN, USER and RTAC serial links", (".pcap",), "serial"),
+    "blf": Format("blf", "BLF", "Vector binary log, CAN", (".blf",), "can"),
+    "mf4": Format("mf4", "MF4", "ASAM measurement data, CAN bus logging (needs asammdf)", (".mf4",), "can"),
+    "asc": Format("asc", "ASC", "Vector text log, CAN", (".asc",), "can"),
+    "trc": Format("trc", "TRC", "PEAK text trace, CAN", (".trc",), "can"),
+    "candump": Format("candump", "candump", "can-utils, log lines or as on the screen", (".log", ".txt"), "can"),
+    "can-csv": Format("can_csv", "python-can CSV", "CAN frames as python-can's CSV writer puts them", (".csv",), "can"),
+    "spy": Format("spy", "pyserial spy", "log of a spy:// port of pyserial", (".log", ".txt"), "serial"),
+    "saleae": Format("saleae", "Saleae CSV", "decoded bytes of Logic 1 and Logic 2", (".csv", ".txt"), "serial"),
+    "sigrok": Format("sigrok", "sigrok UART", "annotations of sigrok-cli and PulseView", (".txt", ".csv"), "serial"),
+    "hexdump": Format("hexdump", "hex dump", "raw bytes as hexdump -C and xxd print them", (".txt", ".hex"), "serial"),
+    "hex": Format(
+        "hextext", "hex text", "lines of hex bytes with or without times and marks", (".log", ".txt"), "serial"
+    ),
+    "raw": Format("raw", "raw bytes", "the bytes of a serial line, nothing else", (".bin", ".raw"), "serial"),
+}
+
+#: A format must be this sure to be chosen.
+_LEAST_SCORE = 0.3
+#: One that is this sure is chosen without waiting for more of a pipe.
+_SURE_SCORE = 0.5
+
+#: Files that people give by mistake, and what to do about it.
+_OTHERS: tuple[tuple[bytes, str], ...] = (
+    (b"PK\x03\x04", "a zip archive (also .sr of sigrok and .sal of Saleae): unpack it, or export the decoded bytes"),
+    (b"\x1f\x8b\x08", "compressed twice: unpack it once"),
+    (b"\x28\xb5\x2f\xfd", "compressed twice: unpack it once"),
+    (b"BZh", "bzip2 data: unpack it first"),
+    (b"\xfd7zXZ\x00", "xz data: unpack it first"),
+    (b"7z\xbc\xaf\x27\x1c", "a 7z archive: unpack it first"),
+    (b"SQLite format 3\x00", "an SQLite database: export it as candump, ASC or BLF"),
+    (b"%PDF-", "a PDF document"),
+    (b"\x89PNG\r\n", "a picture"),
+    (b"\xff\xd8\xff\xe0", "a picture"),
+    (b"\x7fELF", "a program"),
+)
+
+
+def open_source(
+    path: str | Path, *, format: str | None = None, baud: int | None = None, bus: str | None = None
+) -> Source:
+    """Open a capture; `-` is standard input.
+
+    `format`: a name in `FORMATS`, found by content if None. `baud`: the line speed, for formats that count samples.
+    `bus`: the name of the capture's (first) line. Raises UsageError for wrong arguments and UnreadableError, which says
+    why, for what cannot be read or understood.
+    """
+    if format is not None and format not in FORMATS:
+        near = difflib.get_close_matches(format.lower(), FORMATS, 1, 0.5)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise UsageError(f"unknown format {format!r}, expected one of {', '.join(FORMATS)}{hint}")
+    if baud is not None and baud <= 0:
+        raise UsageError(f"baud: expected a number above 0, got {baud}")
+    source = Source(str(path), baud=baud, bus=bus)
+    try:
+        name = _find(source) if format is None else _forced(source, format)
+        entry = FORMATS[name]
+        source.format, source.title, source.kind = name, entry.title, entry.kind
+        source.stream.unread(source.head)
+        source.begin(_module(name).read(source))
+    except BaseException:
+        source.close()
+        raise
+    return source
+
+
+def _module(name: str) -> ModuleType:
+    return import_module(f"{__name__}.{FORMATS[name].module}")
+
+
+def _more(source: Source) -> bool:
+    """Let the head grow by what comes next; say whether anything came."""
+    block = source.stream.block()
+    source.head += block
+    return bool(block)
+
+
+def _not_empty(source: Source) -> None:
+    if source.head:
+        return
+    packed = source.stream.compression
+    if source.problems:
+        raise UnreadableError(f"{source.name}: {source.problems[0]}")
+    raise UnreadableError(f"{source.name} is empty{' once unpacked' if packed else ''}")
+
+
+def _forced(source: Source, format: str) -> str:
+    _fill(source)
+    _not_empty(source)
+    return format
+
+
+def _fill(source: Source) -> None:
+    """Take the beginning of a file; of a pipe only what it has by now."""
+    while len(source.head) < BLOCK and _more(source):
+        if source.size is None:
+            break
+
+
+def _find(source: Source) -> str:
+    """Return the format that fits best."""
+    while True:
+        _fill(source)
+        _not_empty(source)
+        head = source.head
+        other = next((what for magic, what in _OTHERS if head.startswith(magic)), None)
+        if other is not None:
+            raise UnreadableError(f"{source.name} is {other}")
+        scores = {name: _module(name).score(head) for name in FORMATS}
+        best = max(scores, key=scores.__getitem__)
+        # What a pipe gave so far may be too little to tell: a title line, half a magic number.
+        if source.size is None and scores[best] < _SURE_SCORE and len(head) < BLOCK and _more(source):
+            continue
+        if scores[best] >= _LEAST_SCORE:
+            return best
+        raise UnreadableError(_unknown(source, scores))
+
+
+def _unknown(source: Source, scores: dict[str, float]) -> str:
+    """Return why nothing fits, with what came nearest."""
+    best = max(scores, key=scores.__getitem__)
+    lines = head_lines(source.head)
+    seems = "text" if is_text(source.head) else "binary data"
+    shown = f", beginning {quote(lines[0].strip())!r}" if lines else ""
+    near = f"the nearest is {FORMATS[best].title} ({scores[best]:.0%})" if scores[best] > 0 else "none comes near"
+    return (
+        f"{source.name} is no capture that is known ({seems}{shown}). Tried: {', '.join(scores)}; {near}. "
+        "--format NAME reads it as one of them all the same"
+    )

@@ -1,0 +1,107 @@
+"""ASC, the text log of Vector's tools, through python-can.
+
+    date Sun Apr 30 10:40:55.899 pm 2023
+    base hex  timestamps absolute
+    internal events logged
+    Begin Triggerblock Sun Apr 30 10:40:55.899 pm 2023
+       0.000512 1  001             Rx   d 4 F6 01 40 02
+
+Rules: a time is the header's date plus the printed seconds, exact to their digits; with `timestamps relative` the
+seconds of all lines are summed. The header has no zone; its date is taken as UTC. `Tx` says that the host sent a
+frame; `TxRq`, the wish to send one, is left out, since the frame follows.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from typing import Any, cast
+
+from analyzer.records import CanFrame
+from analyzer.sources.can_library import Tap, frame, messages
+from analyzer.sources.lines import Lines, head_lines, share
+from analyzer.sources.source import Source
+from analyzer.sources.times import clock_ns, day_ns, number_ns
+
+_HEADER = re.compile(r"\s*(date\s+\w+\s|base\s+(hex|dec)\b|//|(no\s+)?internal\s+events\s+logged)", re.IGNORECASE)
+_HEADED = re.compile(r"\s*(date\s+\w+\s+\w+\s+\d+\s+\d+:\d\d:\d\d|base\s+(hex|dec)\b)", re.IGNORECASE)
+_FRAME = re.compile(r"\s*\d+\.\d+\s+(\d+\s+([0-9A-F]+x?\s+(Tx|Rx)|ErrorFrame)\b|CANFD\s+\d+\s)", re.IGNORECASE)
+_STAMP = re.compile(r"\s*(\d+\.\d+)\s")
+_DATE = re.compile(
+    r"\s*(?:date|begin\s+triggerblock)\s+\w+\s+(\w+)\s+(\d+)\s+(\d+):(\d\d):(\d\d)(?:\.(\d+))?\s*(am|pm)?\s+(\d{4})",
+    re.IGNORECASE,
+)
+_RELATIVE = re.compile(r"\s*base\s+\w+\s+timestamps\s+relative", re.IGNORECASE)
+_WISH = re.compile(r"\sTxRq\s", re.IGNORECASE)
+_MONTHS = {
+    "jan": 1, "feb": 2, "mar": 3, "mär": 3, "apr": 4, "may": 5, "mai": 5, "jun": 6, "jul": 7, "aug": 8, "sep": 9,
+    "oct": 10, "okt": 10, "nov": 11, "dec": 12, "dez": 12,
+}  # fmt: skip
+
+
+def score(head: bytes) -> float:
+    """Say how sure it is that these bytes are ASC, 0..1."""
+    lines = head_lines(head)[:5]
+    if any(_HEADED.match(line) for line in lines):
+        return 0.95
+    return 0.9 * share(head, _FRAME)
+
+
+def read(source: Source) -> Iterator[CanFrame]:
+    """Read the frames; other events of the log are left out."""
+    source.time_source = "capture: the date of the header, taken as UTC, and the printed seconds, exact to their digits"
+    return _records(source)
+
+
+class _Clock:
+    """Keeps the time of a log from its lines."""
+
+    def __init__(self) -> None:
+        self._start_ns = 0
+        self._now_ns = 0
+        self._relative = False
+
+    def line(self, line: str) -> None:
+        """Take what a line says of the time."""
+        stamp = _STAMP.match(line)
+        if stamp is not None:
+            seconds = number_ns(stamp[1])
+            self._now_ns = self._now_ns + seconds if self._relative else seconds
+        elif (dated := _DATE.match(line)) is not None:
+            self._start_ns = _date_ns(dated) or self._start_ns
+        elif _RELATIVE.match(line):
+            self._relative = True
+
+    @property
+    def t_ns(self) -> int:
+        """The time of the line taken last."""
+        return self._start_ns + self._now_ns
+
+
+def _date_ns(dated: re.Match[str]) -> int | None:
+    month, day, hour, minute, second, fraction, half, year = dated.groups()
+    number = _MONTHS.get(month[:3].lower())
+    if number is None:
+        return None
+    if half:
+        hour = str(int(hour) % 12 + (12 if half.lower() == "pm" else 0))
+    try:
+        return day_ns(int(year), number, int(day)) + clock_ns(hour, minute, second, fraction)
+    except ValueError:
+        return None
+
+
+def _records(source: Source) -> Iterator[CanFrame]:
+    from can.io.asc import ASCReader
+
+    clock = _Clock()
+
+    def keep(line: str) -> bool:
+        clock.line(line)
+        return _WISH.search(line) is None
+
+    tap = Tap(Lines(source), lambda line: _HEADER.match(line) is not None, keep, "no internal events logged")
+    for message in messages(source, tap, cast(Callable[[Tap], Any], ASCReader)):
+        # python-can counts channels from 0, the file from 1.
+        name = f"can{message.channel + 1}" if isinstance(message.channel, int) else None
+        yield frame(message, clock.t_ns, source.port(name))

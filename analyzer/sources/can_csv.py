@@ -1,0 +1,47 @@
+"""CSV as python-can's CSV writer puts CAN frames, through python-can.
+
+    timestamp,arbitration_id,extended,remote,error,dlc,data
+    1483389946.197,0x1,0,0,0,4,9gFAAg==
+
+Times are exact to their digits. The format names neither the bus nor who sent a frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, cast
+
+from analyzer.records import CanFrame
+from analyzer.sources.can_library import Tap, frame, messages
+from analyzer.sources.lines import Lines, head_lines
+from analyzer.sources.source import Source
+from analyzer.sources.times import number_ns
+
+_HEADER = "timestamp,arbitration_id,extended,remote,error,dlc,data"
+
+
+def score(head: bytes) -> float:
+    """Say how sure it is that these bytes are python-can's CSV, 0..1."""
+    lines = head_lines(head)
+    return 1.0 if lines and lines[0].strip() == _HEADER else 0.0
+
+
+def read(source: Source) -> Iterator[CanFrame]:
+    """Read the frames."""
+    source.time_source = "capture: seconds as printed, exact to their digits"
+    return _records(source)
+
+
+def _records(source: Source) -> Iterator[CanFrame]:
+    from can.io.csv import CSVReader
+
+    # The reader skips the first line, whatever it is; a log that was appended to has headers inside.
+    tap = Tap(Lines(source), lambda line: False, lambda line: bool(line.strip()) and line.strip() != _HEADER, _HEADER)
+    for message in messages(source, tap, cast(Callable[[Tap], Any], CSVReader)):
+        stamp = tap.line.partition(",")[0]
+        try:
+            t_ns = number_ns(stamp.strip())
+        except ValueError:
+            source.problem(f"expected seconds, got {stamp[:40]!r}; the frame is kept", line=tap.number)
+            t_ns = None
+        yield frame(message, t_ns, source.port())

@@ -1,0 +1,121 @@
+"""What the formats that python-can reads share: its messages as CAN frames, and readers that survive a bad line.
+
+python-can reads a text from an iterator of lines. Ours remembers the line it gave last, so that a time can be read from
+the digits that stand there (the library carries float seconds, which resolve 238 ns today). A line that makes a reader
+raise ends that reader; then another one is made and gets the header lines again before the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING
+
+from analyzer.catalogue import Role
+from analyzer.errors import ServotapError
+from analyzer.records import CanFrame
+from analyzer.sources.lines import Lines, cut_note
+from analyzer.sources.source import SECOND_NS, Source, describe, quote
+
+if TYPE_CHECKING:
+    from can import Message
+
+#: Lines of a header that are kept to be given again.
+HEADER_LIMIT = 200
+
+
+def frame(message: Message, t_ns: int | None, port: str) -> CanFrame:
+    """Return a message of python-can as a CAN frame.
+
+    Only "sent by the host" says who sent it: a listener receives everything.
+    """
+    return CanFrame(
+        t_ns,
+        port,
+        message.arbitration_id,
+        b"" if message.is_remote_frame else bytes(message.data),
+        Role.UNKNOWN if message.is_rx else Role.REQUEST,
+        message.is_extended_id and not message.is_error_frame,
+        message.is_remote_frame,
+        message.is_error_frame,
+        message.is_fd,
+    )
+
+
+def float_ns(seconds: float) -> int:
+    """Return float seconds as nanoseconds; a time of today is good to 240 ns."""
+    whole = int(seconds)
+    return whole * SECOND_NS + round((seconds - whole) * SECOND_NS)
+
+
+class Tap:
+    """An iterator of lines for a reader of python-can. `line` and `number`: of the line given last.
+
+    `is_header(line)`: whether a line belongs to the header; the header ends with the first line that does not.
+    `keep(line)`: called once with every line; the reader does not get those for which it is False. `insert`: a line to
+    give after the header, for readers that swallow one there.
+    """
+
+    def __init__(
+        self,
+        lines: Lines,
+        is_header: Callable[[str], bool],
+        keep: Callable[[str], bool] | None = None,
+        insert: str = "",
+    ) -> None:
+        self.lines = lines
+        self._given = (line for line in lines if keep is None or keep(line))
+        self._is_header = is_header
+        self._insert = insert
+        self._header: list[str] = []
+        self._in_header = True
+        self._again: list[str] = []
+        self.line = ""
+
+    @property
+    def number(self) -> int:
+        """Number of the line given last, from 1."""
+        return self.lines.number
+
+    def __iter__(self) -> Iterator[str]:
+        return self
+
+    def __next__(self) -> str:
+        if self._again:
+            return self._again.pop()
+        line = self.line = next(self._given)
+        if self._in_header:
+            if self._is_header(line) and len(self._header) < HEADER_LIMIT:
+                self._header.append(line)
+            else:
+                self._in_header = False
+                if self._insert:
+                    self._header.append(self._insert)
+                    self._again.append(line)
+                    return self._insert
+        return line
+
+    def restart(self) -> None:
+        """Give the header again, then go on."""
+        self._again = self._header[::-1]
+
+    def close(self) -> None:
+        """Do nothing: the source closes its file."""
+
+
+def messages(source: Source, tap: Tap, reader: Callable[[Tap], Iterable[Message]]) -> Iterator[Message]:
+    """Yield a reader's messages, past the lines it cannot read."""
+    lines = -1
+    while True:
+        try:
+            yield from reader(tap)
+            break
+        except ServotapError:
+            raise
+        # Its parsers raise whatever a damaged line makes them stumble over.
+        except Exception as error:
+            if tap.number == lines:
+                raise
+            lines = tap.number
+            source.problem(f"expected a frame, got {quote(tap.line.strip())!r} ({describe(error)})", line=lines)
+            tap.restart()
+    cut_note(source, tap.lines)

@@ -1,0 +1,89 @@
+"""Hex dumps of raw bytes, as `hexdump -C`, `xxd` and `od -A x -t x1` print them.
+
+    00000000  fa 01 f6 01 40 02 34 fb  01 f6 01 f3              |....@.4.....|
+    00000000: fa01 f601 4002 34fb 01f6 01f3                     ....@.4.....
+    *                                                           the row before, again, up to the next offset
+
+No times, no directions: rows are cut anywhere. The offsets show bytes that are missing.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from itertools import pairwise
+
+from analyzer.records import Chunk
+from analyzer.sources.lines import Lines, head_lines
+from analyzer.sources.source import Source, quote
+
+_ROW = re.compile(r"\s*([0-9A-Fa-f]{4,16})(:?)(?:\s+|$)(.*)$")
+_GROUPS = re.compile(r"(?:[0-9A-Fa-f]{2})+(?: {1,2}(?:[0-9A-Fa-f]{2})+)*")
+#: `xxd` separates the characters by two spaces, and never has two between bytes; hexdump frames them.
+_FRAMED = re.compile(r"\s*(?:\||>).*$")
+#: Rows that one `*` may stand for.
+_REPEATED = 1 << 22
+_LONGEST_ROW = 64
+_USUAL_ROWS = (8, 16, 32)
+
+
+def score(head: bytes) -> float:
+    """Say how sure it is that these bytes are a hex dump, 0..1: each offset must follow from the row before."""
+    lines = head_lines(head)
+    rows = [row for line in lines if (row := _row(line)) is not None]
+    stars = sum(1 for line in lines if line.strip() == "*")
+    if not rows or len(rows) + stars < len(lines) or not rows[0][1]:
+        return 0.0
+    if len(rows) == 1:
+        return 0.95 if rows[0][0] == 0 and len(rows[0][1]) in _USUAL_ROWS else 0.0
+    follows = sum(1 for (offset, data), (then, _) in pairwise(rows) if then == offset + len(data))
+    return 0.95 if follows + stars >= len(rows) - 1 else 0.0
+
+
+def read(source: Source) -> Iterator[Chunk]:
+    """Read the bytes."""
+    return _records(source)
+
+
+def _row(line: str) -> tuple[int, bytes] | None:
+    """Return a row's offset and bytes, None if the line is no row."""
+    found = _ROW.match(line)
+    if found is None:
+        return None
+    offset, colon, text = found.groups()
+    text = text.partition("  ")[0] if colon else _FRAMED.sub("", text)
+    text = text.strip()
+    if text and _GROUPS.fullmatch(text) is None:
+        return None
+    data = bytes.fromhex(text)
+    return (int(offset, 16), data) if len(data) <= _LONGEST_ROW else None
+
+
+def _records(source: Source) -> Iterator[Chunk]:
+    lines = Lines(source)
+    port = source.port()
+    before, end = b"", 0
+    first = True
+    starred = False
+    for line in lines:
+        text = line.strip()
+        if text == "*":
+            starred = True
+            continue
+        row = _row(line)
+        if row is None:
+            if text:
+                source.problem(f"expected an offset and hex bytes, got {quote(text)!r}", line=lines.number)
+            continue
+        offset, data = row
+        if not first and offset > end:
+            missing = offset - end
+            if starred and before and missing % len(before) == 0 and missing <= _REPEATED:
+                for _ in range(missing // len(before)):
+                    yield Chunk(None, port, before)
+            else:
+                source.problem(f"{missing} bytes are missing before offset {offset:X}", line=lines.number)
+        first = starred = False
+        before, end = data or before, offset + len(data)
+        if data:
+            yield Chunk(None, port, data)

@@ -1,0 +1,137 @@
+"""The lines of a text capture, one by one, in bounded memory.
+
+A line ends with LF or CR LF (CR alone where a capture has no LF). Bytes that are no valid text become replacement
+characters. Colours of a terminal are taken out. A line longer than `LINE_LIMIT` is cut, with a problem.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import lru_cache
+
+from analyzer.sources.source import Source
+
+#: Bytes of one line.
+LINE_LIMIT = 1 << 20
+_COLOR = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
+#: Characters that Chinese serial assistants put before traffic (send, receive, arrows), as they write them.
+_CHINESE_MARKS = ("发", "收", "→", "←")
+_CONTROLS = bytes(c for c in range(32) if c not in b"\t\n\r\f\v\b\x1b") + b"\x7f"
+
+
+class Lines:
+    """Iterates the lines of a source's text without their ends. `number`: of the line given last, from 1.
+
+    `ended`: whether the last line had its end; a line without one may have been cut off.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._encoding = encoding_of(source.head)
+        self._end = b"\r" if b"\n" not in source.head and b"\r" in source.head else b"\n"
+        self.number = 0
+        self.ended = True
+
+    def __iter__(self) -> Iterator[str]:
+        source, encoding, end = self._source, self._encoding, self._end
+        read = source.stream.block
+        split = end.decode()
+        held: list[bytes] = []
+        held_size = dropped = 0
+        first = True
+        while block := read():
+            if first:
+                block = block.removeprefix(b"\xef\xbb\xbf")
+                first = False
+            cut = block.rfind(end)
+            if cut < 0:
+                if held_size < LINE_LIMIT:
+                    held.append(block)
+                    held_size += len(block)
+                else:
+                    dropped += len(block)
+                continue
+            held.append(block[:cut])
+            text = b"".join(held).decode(encoding, "replace")
+            rest = block[cut + len(end) :]
+            held = [rest] if rest else []
+            overlong = held_size >= LINE_LIMIT
+            held_size = len(rest)
+            if "\x1b" in text:
+                text = _COLOR.sub("", text)
+            lines = text.split(split)
+            if overlong:
+                lines[0] = self._cut(lines[0], dropped)
+                dropped = 0
+            for line in lines:
+                self.number += 1
+                yield line
+        if held:
+            self.ended = False
+            text = _COLOR.sub("", b"".join(held).decode(encoding, "replace"))
+            if held_size >= LINE_LIMIT:
+                text = self._cut(text, dropped)
+            self.number += 1
+            yield text
+
+    def _cut(self, line: str, dropped: int) -> str:
+        length = len(line) + dropped
+        if length > LINE_LIMIT:
+            self._source.problem(
+                f"a line of {length} bytes, expected at most {LINE_LIMIT}: only its beginning is used",
+                line=self.number + 1,
+            )
+        return line[:LINE_LIMIT]
+
+
+def cut_note(source: Source, lines: Lines) -> None:
+    """Note that the last line of a capture that a program wrote has no end."""
+    if not lines.ended:
+        source.note(f"line {lines.number}, the last one, has no line end: the capture may be cut off in it")
+
+
+def encoding_of(head: bytes) -> str:
+    """Return the encoding of a text that begins with these bytes: UTF-8, or GB 18030 of Chinese serial assistants."""
+    try:
+        # The head may end inside a character.
+        head.rsplit(b"\n", 1)[0].decode("utf-8")
+    except UnicodeDecodeError:
+        chinese = head.decode("gb18030", "ignore")
+        return "gb18030" if any(mark in chinese for mark in _CHINESE_MARKS) else "utf-8"
+    return "utf-8"
+
+
+@lru_cache(maxsize=4)
+def is_text(head: bytes) -> bool:
+    """Say whether bytes look like text: no control characters to speak of, and not mostly foreign bytes."""
+    if not head:
+        return False
+    if len(head.translate(None, _CONTROLS)) < len(head) - len(head) // 1000:
+        return False
+    high = sum(1 for b in head if b >= 0x80)
+    if high <= len(head) // 5:
+        return True
+    try:
+        head[: len(head) - 3 or 1].rsplit(b"\n", 1)[0].decode(encoding_of(head))
+    except UnicodeDecodeError:
+        return False
+    return b"\n" in head
+
+
+@lru_cache(maxsize=4)
+def head_lines(head: bytes) -> tuple[str, ...]:
+    """Return the whole lines of a capture's beginning that are not blank; its only line if it has no end."""
+    if not is_text(head):
+        return ()
+    text = _COLOR.sub("", head.removeprefix(b"\xef\xbb\xbf").decode(encoding_of(head), "replace"))
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    if len(lines) > 1:
+        lines.pop()
+    return tuple(line[:4096] for line in lines if line.strip())
+
+
+def share(head: bytes, pattern: re.Pattern[str]) -> float:
+    """Return which share of a head's lines match a pattern, 0..1."""
+    lines = head_lines(head)
+    return sum(1 for line in lines if pattern.match(line)) / len(lines) if lines else 0.0

@@ -1,0 +1,79 @@
+"""The words and signs by which logs say who sent: the host, or the drive.
+
+A log is taken to be written at the host's end: what it sent is a request, what it received a reply. A word for who
+speaks ("slave TX") turns that round; a word for what was sent ("request") decides alone. The words are those of the
+tools and libraries that people use; the misspelt one is real.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from analyzer.catalogue import Role
+
+_SENT, _RECEIVED = 1, -1
+
+#: What was done, as seen by the one who speaks.
+ACTIONS: dict[str, int] = {
+    **dict.fromkeys(
+        ("tx", "txd", "send", "sends", "sending", "sended", "sent", "transmit", "transmitted", "transmitting", "write",
+         "writing", "wrote", "written", "发送", "发"),
+        _SENT,
+    ),
+    **dict.fromkeys(
+        ("rx", "rxd", "recv", "rcvd", "receive", "receives", "received", "receiving", "recieve", "recieved",
+         "recieving", "read", "接收", "收"),
+        _RECEIVED,
+    ),
+}  # fmt: skip
+#: Who speaks: the host is meant where none is named.
+SPEAKERS: dict[str, int] = {
+    **dict.fromkeys(("master", "host", "pc", "client"), 1),
+    **dict.fromkeys(("slave", "drive", "motor", "device", "servo", "server"), -1),
+}
+#: What was sent, whoever says so.
+MATTERS: dict[str, int] = {
+    **dict.fromkeys(("request", "req", "query", "command", "cmd"), 1),
+    **dict.fromkeys(("response", "resp", "reply", "answer", "ack"), -1),
+}
+#: Signs; they count only where no word stands beside them.
+SIGNS: dict[str, int] = {
+    **dict.fromkeys(("-->", "->", "=>", ">>>", ">>", ">", "→"), 1),
+    **dict.fromkeys(("<--", "<-", "<=", "<<<", "<<", "<", "←"), -1),
+}
+#: Letters that mean an action only where they are all that is said.
+LETTERS: dict[str, int] = {"t": _SENT, "r": _RECEIVED, "out": _SENT, "in": _RECEIVED}
+
+WORDS = frozenset((*ACTIONS, *SPEAKERS, *MATTERS))
+_ROLES = {1: Role.REQUEST, -1: Role.REPLY, 0: Role.UNKNOWN}
+
+
+def role_of(words: Iterable[str], sign: str = "") -> Role:
+    """Return who sent what stands under these words and this sign, in lower case; `unknown` where they do not tell."""
+    action = speaker = matter = 0
+    for word in words:
+        action = ACTIONS.get(word, action)
+        speaker = SPEAKERS.get(word, speaker)
+        matter = MATTERS.get(word, matter)
+    if not (action or speaker or matter):
+        return _ROLES[SIGNS.get(sign, LETTERS.get(sign, 0))]
+    return _ROLES[matter or (action or 1) * (speaker or 1)]
+
+
+def role_of_name(name: str) -> Role:
+    """Return who sends on a line that is called so (`TX`, `uart rx`, `Host`)."""
+    cleaned = "".join(c if c.isalnum() else " " for c in name.lower())
+    return role_of(cleaned.split())
+
+
+class Heard:
+    """Holds back "received" until something was sent: a listener receives everything, whoever sent it."""
+
+    def __init__(self, sent: bool = False) -> None:
+        self._sent = sent
+
+    def __call__(self, role: Role) -> Role:
+        """Return the role that a mark stands for."""
+        if role is Role.REQUEST:
+            self._sent = True
+        return Role.UNKNOWN if role is Role.REPLY and not self._sent else role

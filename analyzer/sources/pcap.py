@@ -1,0 +1,77 @@
+"""Classic pcap, with times in micro- or nanoseconds and in either byte order.
+
+    magic, version, zone, accuracy, longest record, link type | seconds, fraction, stored, original, data | ...
+
+A record whose length cannot be true ends the reading: nothing marks where the next one begins. Times are exact.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+
+from analyzer.errors import UnreadableError
+from analyzer.sources.links import EXPECTED, LINKS, Line, link_name
+from analyzer.sources.source import SECOND_NS, Record, Source
+
+#: Magic number -> byte order, nanoseconds of the fraction's unit.
+_MAGICS = {
+    b"\xd4\xc3\xb2\xa1": ("<", 1000),
+    b"\xa1\xb2\xc3\xd4": (">", 1000),
+    b"\x4d\x3c\xb2\xa1": ("<", 1),
+    b"\xa1\xb2\x3c\x4d": (">", 1),
+}
+_HEADER_SIZE = 24
+_RECORD_SIZE = 16
+#: The longest record of any serial or CAN link; what claims more is damage.
+_RECORD_LIMIT = 1 << 20
+_LINK_MASK = 0x0FFF_FFFF
+
+
+def score(head: bytes) -> float:
+    """Say how sure it is that these bytes are a pcap file, 0..1."""
+    return 1.0 if head[:4] in _MAGICS else 0.0
+
+
+def read(source: Source) -> Iterator[Record]:
+    """Read the records. Raises UnreadableError for a link type that carries neither CAN nor serial bytes."""
+    found = _MAGICS.get(source.head[:4])
+    if found is None or len(source.head) < _HEADER_SIZE:
+        shown = source.head[:4].hex(" ").upper()
+        raise UnreadableError(f"{source.name}: expected a pcap header of {_HEADER_SIZE} bytes, got {shown} ...")
+    order, unit = found
+    link = struct.unpack_from(order + "L", source.head, 20)[0] & _LINK_MASK
+    if link not in LINKS:
+        raise UnreadableError(f"{source.name}: link type {link_name(link)} carries no drive traffic, {EXPECTED}")
+    source.kind = LINKS[link][0]
+    source.time_source = f"capture: exact, in steps of {'1 us' if unit > 1 else '1 ns'}"
+    return _records(source, order, unit, link)
+
+
+def _records(source: Source, order: str, unit: int, link: int) -> Iterator[Record]:
+    line = Line(source, link, source.port(), "little" if order == "<" else "big")
+    take = LINKS[link][1]
+    unpack = struct.Struct(order + "LLLL").unpack_from
+    stream = source.stream
+    stream.exactly(_HEADER_SIZE)
+    buffer, at, offset = b"", 0, _HEADER_SIZE
+    while True:
+        # One record is whole in the buffer as a rule; the buffer grows only where one is not.
+        while len(buffer) - at >= _RECORD_SIZE:
+            seconds, fraction, stored, _ = unpack(buffer, at)
+            if stored > _RECORD_LIMIT:
+                source.problem(f"a record of {stored} bytes, expected at most {_RECORD_LIMIT}", offset=offset + at)
+                return
+            end = at + _RECORD_SIZE + stored
+            if end > len(buffer):
+                break
+            taken = take(line, seconds * SECOND_NS + fraction * unit, buffer[at + _RECORD_SIZE : end], None)
+            at = end
+            if taken is not None:
+                yield taken
+        more = stream.block()
+        if not more:
+            break
+        buffer, at, offset = buffer[at:] + more, 0, offset + at
+    if at < len(buffer):
+        source.problem(f"the last record breaks off after {len(buffer) - at} bytes", offset=offset + at)

@@ -1,0 +1,229 @@
+"""pcapng: sections, interfaces, and packets with times in each interface's own resolution.
+
+    type, length, body, length | ...
+    section header: byte order      interface: link type, name, resolution      enhanced, simple, old packet blocks
+
+Times are exact. An interface's name becomes the port; comments of packets and sections are given on; who sent a packet
+comes from its flags. Blocks of other types are passed over.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+from analyzer.errors import UnreadableError
+from analyzer.records import Comment
+from analyzer.sources.links import EXPECTED, LINKS, Line, link_name
+from analyzer.sources.source import SECOND_NS, Record, Source
+
+_SECTION_MAGIC = b"\x0a\x0d\x0d\x0a"
+_ORDERS = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}
+_SECTION = 0x0A0D0D0A
+_INTERFACE = 1
+_OLD_PACKET = 2
+_SIMPLE_PACKET = 3
+_ENHANCED_PACKET = 6
+#: No block of a CAN or serial capture comes near; what claims more is damage.
+_BLOCK_LIMIT = 16 << 20
+_LEAST_BLOCK = 12
+_COMMENT = 1
+_NAME = 2
+_RESOLUTION = 9
+_OFFSET = 14
+_FLAGS = 2
+_OUTGOING = {1: False, 2: True}
+#: Bits of a resolution exponent that are of use: 10 ** 18 and 2 ** 60 are finer than any clock.
+_FINEST = 60
+
+
+@dataclass
+class _Interface:
+    line: Line | None
+    take: Callable[..., Record | None] | None
+    ticks: int = 1_000_000
+    start_ns: int = 0
+    longest: int = 0
+
+    def t_ns(self, high: int, low: int) -> int:
+        """Return the time of a packet."""
+        return self.start_ns + ((high << 32) | low) * SECOND_NS // self.ticks
+
+
+@dataclass
+class _Section:
+    order: str = "<"
+    interfaces: list[_Interface] = field(default_factory=list)
+
+    def interface(self, number: int) -> _Interface | None:
+        """Return an interface by number, None if the section does not declare it."""
+        return self.interfaces[number] if number < len(self.interfaces) else None
+
+
+def score(head: bytes) -> float:
+    """Say how sure it is that these bytes are pcapng, 0..1."""
+    return 1.0 if head.startswith(_SECTION_MAGIC) and head[8:12] in _ORDERS else 0.0
+
+
+def read(source: Source) -> Iterator[Record]:
+    """Read the packets."""
+    if source.head[:4] != _SECTION_MAGIC or source.head[8:12] not in _ORDERS:
+        shown = source.head[:12].hex(" ").upper()
+        raise UnreadableError(f"{source.name}: expected a pcapng section header (0A 0D 0D 0A ...), got {shown}")
+    source.time_source = "capture: exact, in the steps of each interface"
+    source.kind = _first_kind(source.head, _ORDERS[source.head[8:12]]) or "serial"
+    return _records(source)
+
+
+def _first_kind(head: bytes, order: str) -> str | None:
+    """Return the kind of the first interface that a head declares."""
+    at = 0
+    while at + _LEAST_BLOCK <= len(head):
+        kind, length = struct.unpack_from(order + "LL", head, at)
+        if kind == _INTERFACE and at + 10 <= len(head):
+            link = struct.unpack_from(order + "H", head, at + 8)[0]
+            if link in LINKS:
+                return LINKS[link][0]
+        if length < _LEAST_BLOCK:
+            break
+        at += length
+    return None
+
+
+def _blocks(source: Source, section: _Section) -> Iterator[tuple[int, bytes]]:
+    """Yield (type, body) of each block; keeps the byte order of the section."""
+    stream = source.stream
+    offset = 0
+    while True:
+        head = stream.exactly(_LEAST_BLOCK)
+        if not head:
+            return
+        if head[:4] == _SECTION_MAGIC:
+            section.order = _ORDERS.get(head[8:12], section.order)
+        if len(head) < _LEAST_BLOCK:
+            source.problem(f"the last block breaks off after {len(head)} bytes", offset=offset)
+            return
+        kind, length = struct.unpack_from(section.order + "LL", head)
+        if not _LEAST_BLOCK <= length <= _BLOCK_LIMIT:
+            source.problem(f"a block of {length} bytes, expected {_LEAST_BLOCK}..{_BLOCK_LIMIT}", offset=offset)
+            return
+        # Some writers leave out the padding in the length.
+        padded = length + -length % 4
+        rest = stream.exactly(padded - _LEAST_BLOCK)
+        if len(rest) < padded - _LEAST_BLOCK:
+            source.problem(f"the last block breaks off after {len(head) + len(rest)} of {length} bytes", offset=offset)
+            return
+        yield kind, (head[8:] + rest)[: length - _LEAST_BLOCK]
+        offset += padded
+
+
+def _options(section: _Section, data: bytes) -> dict[int, bytes]:
+    """Return a block's options, the first of each code."""
+    found: dict[int, bytes] = {}
+    at = 0
+    while at + 4 <= len(data):
+        code, length = struct.unpack_from(section.order + "HH", data, at)
+        if code == 0:
+            break
+        found.setdefault(code, data[at + 4 : at + 4 + length])
+        at += 4 + length + -length % 4
+    return found
+
+
+def _records(source: Source) -> Iterator[Record]:
+    section = _Section()
+    for kind, body in _blocks(source, section):
+        handler = _HANDLERS.get(kind)
+        if handler is None:
+            continue
+        try:
+            yield from handler(source, section, body)
+        except struct.error:
+            source.problem(f"a block of type {kind} is too short: {len(body)} bytes")
+
+
+def _begin_section(source: Source, section: _Section, body: bytes) -> Iterator[Record]:
+    section.interfaces.clear()
+    text = _options(section, body[16:]).get(_COMMENT)
+    if text:
+        yield source.comment(None, text.decode("utf-8", "replace"))
+
+
+def _begin_interface(source: Source, section: _Section, body: bytes) -> Iterator[Record]:
+    link, _, longest = struct.unpack_from(section.order + "HHL", body)
+    options = _options(section, body[8:])
+    if link not in LINKS:
+        source.problem(f"an interface of link type {link_name(link)} carries no drive traffic, {EXPECTED}")
+        section.interfaces.append(_Interface(None, None))
+        return
+    kind, take = LINKS[link]
+    name = options.get(_NAME, b"").decode("utf-8", "replace").strip("\0 ")
+    if not name and section.interfaces:
+        name = f"{kind}{len(section.interfaces)}"
+    line = Line(source, link, source.port(name or None), "little" if section.order == "<" else "big")
+    resolution = options.get(_RESOLUTION, b"\x06")[:1] or b"\x06"
+    base, exponent = (2 if resolution[0] & 0x80 else 10), min(resolution[0] & 0x7F, _FINEST)
+    seconds = int.from_bytes(options.get(_OFFSET, b""), "little" if section.order == "<" else "big", signed=True)
+    section.interfaces.append(_Interface(line, take, base**exponent, seconds * SECOND_NS, longest))
+    yield from ()
+
+
+def _give(
+    source: Source,
+    interface: _Interface | None,
+    number: int,
+    t_ns: int | None,
+    data: bytes,
+    options: dict[int, bytes],
+    order: str,
+) -> Iterator[Record]:
+    if interface is None:
+        source.problem(f"a packet of interface {number}, which the section does not declare")
+        return
+    if interface.line is None or interface.take is None:
+        return
+    text = options.get(_COMMENT)
+    if text:
+        yield Comment(t_ns, interface.line.port, source.comment(None, text.decode("utf-8", "replace")).text)
+    flags = int.from_bytes(options.get(_FLAGS, b"")[:4], "little" if order == "<" else "big")
+    taken = interface.take(interface.line, t_ns, data, _OUTGOING.get(flags & 3))
+    if taken is not None:
+        yield taken
+
+
+def _enhanced(source: Source, section: _Section, body: bytes) -> Iterator[Record]:
+    number, high, low, stored, _ = struct.unpack_from(section.order + "LLLLL", body)
+    interface = section.interface(number)
+    if stored > len(body) - 20:
+        source.problem(f"a packet of {stored} bytes in a block that has {len(body) - 20}")
+        return
+    options = _options(section, body[20 + stored + -stored % 4 :]) if len(body) > 20 + stored + 3 else {}
+    t_ns = interface.t_ns(high, low) if interface is not None else None
+    yield from _give(source, interface, number, t_ns, body[20 : 20 + stored], options, section.order)
+
+
+def _old(source: Source, section: _Section, body: bytes) -> Iterator[Record]:
+    number, _, high, low, stored, _ = struct.unpack_from(section.order + "HHLLLL", body)
+    interface = section.interface(number)
+    if stored > len(body) - 20:
+        source.problem(f"a packet of {stored} bytes in a block that has {len(body) - 20}")
+        return
+    t_ns = interface.t_ns(high, low) if interface is not None else None
+    yield from _give(source, interface, number, t_ns, body[20 : 20 + stored], {}, section.order)
+
+
+def _simple(source: Source, section: _Section, body: bytes) -> Iterator[Record]:
+    original = struct.unpack_from(section.order + "L", body)[0]
+    interface = section.interface(0)
+    longest = interface.longest if interface is not None and interface.longest else original
+    yield from _give(source, interface, 0, None, body[4 : 4 + min(original, longest)], {}, section.order)
+
+
+_HANDLERS: dict[int, Callable[[Source, _Section, bytes], Iterator[Record]]] = {
+    _SECTION: _begin_section,
+    _INTERFACE: _begin_interface,
+    _ENHANCED_PACKET: _enhanced,
+    _SIMPLE_PACKET: _simple,
+    _OLD_PACKET: _old,
+}

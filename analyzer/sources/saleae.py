@@ -1,0 +1,177 @@
+"""Decoded bytes as Saleae's programs export them: CSV, a byte a row.
+
+    Time [s],Value,Parity Error,Framing Error                    Logic 1, and Logic 2 for one analyzer
+    0.042909760000000,0xFA,,
+    name,type,start_time,duration,data,error                     Logic 2, table of all analyzers
+    "TX","data",0.0006025,2.375e-05,0xFA,
+    Time [s],Analyzer Name,Decoded Protocol Result               Logic 1, all analyzers
+
+Rules: a time is the end of the byte: its start, and its duration where the file or the line speed gives it. Each byte
+is a chunk. Names of analyzers that mean sent or received say who sent, once something was sent; other names are
+ports. Bytes with a parity or framing error are given on and counted.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from analyzer.catalogue import Role
+from analyzer.records import Chunk
+from analyzer.sources.lines import Lines, head_lines
+from analyzer.sources.marks import Heard, role_of_name
+from analyzer.sources.source import SECOND_NS, Source, quote
+from analyzer.sources.times import clock_ns, day_ns, number_ns, zone_ns
+
+#: Columns by what they mean, in lower case; the first name that a header has counts.
+_COLUMNS: dict[str, tuple[str, ...]] = {
+    "time": ("time [s]", "start_time", "time", "start"),
+    "data": ("value", "data", "decoded protocol result"),
+    "name": ("name", "analyzer name"),
+    "type": ("type",),
+    "duration": ("duration",),
+    "error": ("error",),
+    "parity": ("parity error",),
+    "framing": ("framing error",),
+}
+#: A header must have these columns, and one of the second group.
+_NEEDED = ("time", "data")
+_TELLING = ("type", "duration", "parity", "framing", "name")
+_BITS_PER_BYTE = 10
+
+_VALUE = re.compile(r"(?:0x([0-9A-Fa-f]{1,16})|0b([01 ]{1,64})|'?(\d{1,3})'?)$")
+_INSIDE = re.compile(r"\(?0x([0-9A-Fa-f]{2})\)?")
+_ESCAPES = {
+    "COMMA": 0x2C, "' '": 0x20, "space": 0x20, "\\r": 13, "\\n": 10, "\\t": 9, "\\0": 0, "\\\\": 0x5C, "TAB": 9,
+    "CR": 13, "LF": 10,
+}  # fmt: skip
+_ESCAPED = re.compile(r"\\x([0-9A-Fa-f]{2})$")
+_ISO = re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d):(\d\d)(?:\.(\d+))?(Z|[+-]\d\d:?\d\d)?$")
+#: What analyzers are called when nobody named them.
+_UNNAMED = re.compile(r"async serial|uart|serial|modbus", re.IGNORECASE)
+
+
+@dataclass
+class _Table:
+    """Which column holds what; -1: none."""
+
+    places: dict[str, int]
+    characters: bool = False
+
+    def cell(self, row: list[str], what: str) -> str:
+        """Return what a row says of one thing, "" where it does not."""
+        place = self.places.get(what, -1)
+        return row[place].strip() if 0 <= place < len(row) else ""
+
+
+def _table(line: str) -> _Table | None:
+    """Return the columns of a header line, None if it is none."""
+    names = [name.strip().strip('"').lower() for name in line.lstrip("﻿").split(",")]
+    places = {
+        what: next(names.index(name) for name in known if name in names)
+        for what, known in _COLUMNS.items()
+        if any(name in names for name in known)
+    }
+    fits = all(what in places for what in _NEEDED) and any(what in places for what in _TELLING)
+    return _Table(places) if fits else None
+
+
+def score(head: bytes) -> float:
+    """Say how sure it is that these bytes are Saleae's CSV, 0..1."""
+    lines = head_lines(head)
+    return 0.95 if lines and _table(lines[0]) is not None else 0.0
+
+
+def read(source: Source) -> Iterator[Chunk]:
+    """Read the bytes."""
+    of = "the end" if source.baud or b"duration" in source.head.partition(b"\n")[0].lower() else "the start"
+    source.time_source = f"capture: seconds as a logic analyzer measured them, of {of} of each byte"
+    return _records(source)
+
+
+def _row(line: str) -> list[str]:
+    return next(csv.reader((line,)), []) if '"' in line else line.split(",")
+
+
+def _records(source: Source) -> Iterator[Chunk]:
+    lines = Lines(source)
+    rows = iter(lines)
+    table = _table(next(rows, ""))
+    if table is None:
+        source.problem("expected a header with a time and a value column, got another line", line=1)
+        return
+    sample = [_row(line) for line in head_lines(source.head)[1:]]
+    # A table of characters has digits that are characters too; only the other values show it.
+    table.characters = any(_number(table.cell(row, "data")) is None for row in sample)
+    heard = Heard()
+    directions: dict[str, Role] = {}
+    byte_ns = _BITS_PER_BYTE * SECOND_NS // source.baud if source.baud else 0
+    errors = shift_ns = 0
+    first = True
+    for line in rows:
+        if not line.strip():
+            continue
+        try:
+            row = _row(line)
+            if table.cell(row, "type") not in ("", "data"):
+                continue
+            value = _value(table, table.cell(row, "data"))
+            t_ns = _time(table.cell(row, "time"))
+            duration = table.cell(row, "duration")
+            t_ns += number_ns(duration) if duration else byte_ns
+        except (ValueError, csv.Error) as error:
+            source.problem(f"{error}: {quote(line.strip())!r}", line=lines.number)
+            continue
+        if first:
+            first = False
+            shift_ns = max(0, -t_ns)
+            if shift_ns:
+                source.note(f"times before the trigger: all are moved by {shift_ns / SECOND_NS:g} s")
+        errors += any(table.cell(row, what) not in ("", "false", "0") for what in ("error", "parity", "framing"))
+        name = table.cell(row, "name")
+        direction = directions.get(name)
+        if direction is None:
+            direction = directions[name] = role_of_name(name)
+        port = source.port(None if direction is not Role.UNKNOWN or _UNNAMED.fullmatch(name) else name)
+        yield Chunk(t_ns + shift_ns, port, value, heard(direction))
+    if errors:
+        source.note(f"{errors} bytes with a parity or framing error")
+
+
+def _time(text: str) -> int:
+    found = _ISO.match(text)
+    if found is None:
+        return number_ns(text)
+    year, month, day, hour, minute, second, fraction, zone = found.groups()
+    return day_ns(int(year), int(month), int(day)) + clock_ns(hour, minute, second, fraction) - zone_ns(zone)
+
+
+def _number(text: str) -> int | None:
+    found = _VALUE.match(text)
+    if found is None:
+        inside = _INSIDE.search(text)
+        return int(inside[1], 16) if inside is not None else None
+    digits, bits, decimal = found.groups()
+    if digits is not None:
+        return int(digits, 16)
+    return int(bits.replace(" ", ""), 2) if bits is not None else int(decimal)
+
+
+def _value(table: _Table, text: str) -> bytes:
+    """Return a value as a byte. Raises ValueError for what is none."""
+    value = None
+    if table.characters:
+        escaped = _ESCAPED.match(text)
+        if escaped is not None:
+            value = int(escaped[1], 16)
+        elif text in _ESCAPES:
+            value = _ESCAPES[text]
+        elif len(text) == 1:
+            value = ord(text)
+    if value is None:
+        value = _number(text)
+    if value is None or value > 0xFF:
+        raise ValueError(f"expected a byte, got {quote(text) or 'nothing'!r}")
+    return bytes((value,))

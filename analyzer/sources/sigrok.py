@@ -1,0 +1,97 @@
+"""UART annotations of sigrok: the text of sigrok-cli, and what PulseView exports.
+
+    uart-1: FA                            sigrok-cli -A uart=rx-data
+    1234-5678 uart-1: FA                  the same with --protocol-decoder-samplenum
+    uart-1: rx-data: FA                   with --protocol-decoder-ann-class
+    1234-5678 UART: RX data: FA           PulseView, with the row or class in the middle
+
+Rules: each byte is a chunk. Start, stop and parity bits are passed over. Sample numbers become times only with the
+line speed (`--baud`), which tells how long the 8 bits of a byte are; else the capture has no times. `RX` and `TX` say
+who sent once something was sent.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from analyzer.catalogue import Role
+from analyzer.records import Chunk
+from analyzer.sources.lines import Lines, head_lines
+from analyzer.sources.marks import Heard, role_of_name
+from analyzer.sources.source import SECOND_NS, Source, quote
+
+_LINE = re.compile(
+    r"\"?(?:(\d{1,18})-(\d{1,18})\"?\s+)?\"?([A-Za-z][\w .\[\]-]{0,40}?)\"?:\s(?:\"?([A-Za-z][\w -]{0,30})\"?:\s)?(.+)$"
+)
+_DATA_CLASS = re.compile(r"(?:(rx|tx)[ -]?(?:data|dump)?|data)$", re.IGNORECASE)
+_OTHER_CLASS = re.compile(r"(rx|tx)[ -]?\w+|.*(bits?|warnings?|packets?|break|start|stop|parity).*", re.IGNORECASE)
+_QUOTED = re.compile(r'"([^"]*)"')
+_HEX = re.compile(r"(?:0x|@|\[)?([0-9A-Fa-f]{2})\]?$")
+_BITS = re.compile(r"[01]{8}$")
+_BIT_WORDS = re.compile(r"(start|stop|parity|break|frame|idle|rx|tx)\b", re.IGNORECASE)
+_DATA_BITS = 8
+
+
+def score(head: bytes) -> float:
+    """Say how sure it is that these bytes are UART annotations, 0..1."""
+    lines = head_lines(head)
+    found = [m for line in lines if (m := _LINE.match(line.strip())) is not None]
+    telling = sum(1 for m in found if "uart" in m[3].lower() or (m[1] is not None and _DATA_CLASS.match(m[4] or "")))
+    return 0.95 * telling / len(lines) if telling else 0.0
+
+
+def read(source: Source) -> Iterator[Chunk]:
+    """Read the bytes."""
+    numbered = any(m[1] for line in head_lines(source.head) if (m := _LINE.match(line.strip())) is not None)
+    if numbered and source.baud:
+        source.time_source = f"capture: sample numbers, at {source.baud} baud by the length of the bytes"
+    elif numbered:
+        source.note("the sample numbers have no rate: --baud makes times of them")
+    return _records(source)
+
+
+def _records(source: Source) -> Iterator[Chunk]:
+    lines = Lines(source)
+    heard = Heard()
+    # Nanoseconds of a sample as a fraction, from the first byte: its samples last 8 bits.
+    bits_ns, samples = 0, 0
+    for line in lines:
+        text = line.strip()
+        if not text:
+            continue
+        found = _LINE.match(text)
+        if found is None:
+            source.problem(f"expected 'samples decoder: byte', got {quote(text)!r}", line=lines.number)
+            continue
+        start, stop, decoder, kind, value = found.groups()
+        if kind is not None and not _DATA_CLASS.match(kind) and _OTHER_CLASS.match(kind):
+            continue
+        data = _byte(value, kind is not None)
+        if data is None:
+            if not _BIT_WORDS.match(value.strip('"')) and value not in ("0", "1"):
+                source.problem(f"expected a byte of two hex digits, got {quote(value)!r}", line=lines.number)
+            continue
+        t_ns = None
+        if start is not None and source.baud:
+            if not samples:
+                bits_ns, samples = _DATA_BITS * SECOND_NS // source.baud, int(stop) - int(start)
+            t_ns = int(stop) * bits_ns // samples if samples > 0 else None
+        role = role_of_name(kind) if kind else Role.UNKNOWN
+        port = None if decoder.lower().rstrip("-1").startswith("uart") and decoder[-1:] not in "23456789" else decoder
+        yield Chunk(t_ns, source.port(port), data, heard(role))
+
+
+def _byte(value: str, classed: bool) -> bytes | None:
+    """Return an annotation's byte, None if it is none."""
+    quoted = _QUOTED.match(value)
+    text = quoted[1] if quoted is not None else value
+    found = _HEX.match(text)
+    if found is not None:
+        return bytes.fromhex(found[1])
+    if _BITS.match(text):
+        return bytes((int(text, 2),))
+    # The decoder's format "ascii" prints one character; a lone 0 or 1 is a bit unless the line says it is data.
+    if len(text) == 1 and text.isascii() and (classed or text not in "01"):
+        return text.encode()
+    return None

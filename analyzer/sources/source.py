@@ -1,0 +1,261 @@
+"""A source: a capture that is being read, the same for every format.
+
+A format module offers `score(head) -> float` (how sure it is that a capture beginning with these bytes is of its
+format, 0..1) and `read(source) -> Iterator[Record]`. Everything else is here: ports, times, problems, errors of
+libraries.
+
+Rules:
+
+1. Reading a source raises nothing but errors of this program; what a library raises becomes a problem where something
+   was read before, and an UnreadableError where nothing was.
+2. Times are given on as the capture has them. Backward steps and impossible times are noted, not mended; a record
+   without a time among others that have one takes the time before it.
+3. Problems and notes are bounded, however bad the capture.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from types import TracebackType
+
+import msgspec
+
+from analyzer.errors import ServotapError, UnreadableError
+from analyzer.records import CanFrame, Chunk, Comment
+from analyzer.sources.stream import Stream
+
+Record = Chunk | CanFrame | Comment
+
+#: Problems kept in full; the others are counted.
+KEPT_PROBLEMS = 20
+#: Problems named in a note.
+SHOWN_PROBLEMS = 3
+#: Notes kept.
+KEPT_NOTES = 50
+#: Characters of a comment, and of a capture's text inside a message.
+COMMENT_LIMIT = 2000
+QUOTE_LIMIT = 60
+#: Ports of one capture; a capture with more is damaged or hostile.
+PORT_LIMIT = 64
+
+SECOND_NS = 1_000_000_000
+#: 2100-01-01: what lies behind it is noted.
+FAR_NS = 4_102_444_800 * SECOND_NS
+#: The greatest time that every part of the program can hold.
+LATEST_NS = (1 << 63) - 1
+
+_DEFAULT_PORTS = {"can": "can", "serial": "serial", "log": "bus"}
+_UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
+
+
+class Problem(msgspec.Struct, frozen=True):
+    """A place that could not be read. `line` counts from 1; `offset` is in bytes of the unpacked capture."""
+
+    text: str
+    line: int | None = None
+    offset: int | None = None
+
+    def __str__(self) -> str:
+        if self.line is not None:
+            return f"line {self.line}: {self.text}"
+        if self.offset is not None:
+            return f"byte {self.offset}: {self.text}"
+        return self.text
+
+
+class Source:
+    """A capture open for reading. Iterate it once for its records; it closes its file at `close`.
+
+    `path` as given, `name` to show, `format` by its name in the table of formats. `kind`: "serial", "can", or "log"
+    for a log of this program, which can hold both. `time_source`: what the times are and how exact, in words, or
+    "none". `size`: bytes on disk, None for a pipe.
+    """
+
+    def __init__(self, path: str, *, baud: int | None = None, bus: str | None = None) -> None:
+        self.path = path
+        self.baud = baud
+        self.bus = bus
+        self.problems: list[Problem] = []
+        self.problem_count = 0
+        self._notes: list[str] = []
+        self.stream = Stream(path, self.problem)
+        self.name = self.stream.name
+        self.size = self.stream.size
+        self.format = ""
+        self.title = ""
+        self.kind = "serial"
+        self.time_source = "none"
+        self.head = b""
+        self._records: Iterator[Record] = iter(())
+        self._ports: dict[str | None, str] = {}
+        self._backward = 0
+        self._backward_ns = 0
+        self._far = 0
+        self._impossible = 0
+        self._negative = False
+        self._untimed = 0
+
+    # --- for those who read it ------------------------------------------------------------------------------------
+
+    def __iter__(self) -> Iterator[Record]:
+        return self._records
+
+    def position(self) -> int:
+        """Return how many bytes of the file have been read; it never goes back."""
+        return self.stream.position
+
+    @property
+    def sha256(self) -> str | None:
+        """SHA-256 of the whole file in hex; None before all of it was read."""
+        return self.stream.sha256
+
+    @property
+    def notes(self) -> list[str]:
+        """What the user should know of the capture; complete once it was read to the end."""
+        return [*self._notes, *self._time_notes(), *self._problem_notes()]
+
+    def close(self) -> None:
+        """Close the file. Closing twice is fine."""
+        close = getattr(self._records, "close", None)
+        if close is not None:
+            close()
+        self.stream.close()
+
+    def __enter__(self) -> Source:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    # --- for format modules ---------------------------------------------------------------------------------------
+
+    def note(self, text: str) -> None:
+        """Say something about the capture; the same text counts once."""
+        if text not in self._notes and len(self._notes) < KEPT_NOTES:
+            self._notes.append(text)
+
+    def problem(self, text: str, line: int | None = None, offset: int | None = None) -> None:
+        """Say that a place could not be read."""
+        self.problem_count += 1
+        if len(self.problems) < KEPT_PROBLEMS:
+            self.problems.append(Problem(text, line, offset))
+
+    def port(self, name: str | None = None) -> str:
+        """Return the port for a capture's own name of a line, or for the only line of a capture that names none.
+
+        A name given by the user takes the place of the first line's; further lines are told apart by their own names.
+        """
+        known = self._ports.get(name)
+        if known is not None:
+            return known
+        cleaned = clean_port(name) if name else ""
+        port = cleaned or _DEFAULT_PORTS[self.kind]
+        if self.bus is not None:
+            port = self.bus if not self._ports else f"{self.bus}_{port}"
+        if len(self._ports) >= PORT_LIMIT:
+            self.note(f"more than {PORT_LIMIT} lines: the others are taken as one")
+            return next(iter(self._ports.values()))
+        self._ports[name] = port
+        return port
+
+    def comment(self, t_ns: int | None, text: str) -> Comment:
+        """Return a comment of bounded length, on the capture's first line."""
+        port = next(iter(self._ports.values()), None) or self.bus or _DEFAULT_PORTS[self.kind]
+        text = text.strip()
+        return Comment(t_ns, port, text if len(text) <= COMMENT_LIMIT else text[:COMMENT_LIMIT] + "...")
+
+    def begin(self, records: Iterator[Record]) -> None:
+        """Set what iterating yields."""
+        self._records = self._run(records)
+
+    # --- reading --------------------------------------------------------------------------------------------------
+
+    def _run(self, records: Iterator[Record]) -> Iterator[Record]:
+        given = False
+        last_ns: int | None = None
+        try:
+            for record in records:
+                t_ns = record.t_ns
+                if t_ns is None:
+                    if last_ns is not None:
+                        self._untimed += not isinstance(record, Comment)
+                        record = msgspec.structs.replace(record, t_ns=last_ns)
+                elif last_ns is None or last_ns <= t_ns < FAR_NS:
+                    if not 0 <= t_ns < FAR_NS:
+                        record = self._odd_time(record, t_ns, last_ns)
+                    last_ns = record.t_ns
+                else:
+                    record = self._odd_time(record, t_ns, last_ns)
+                    last_ns = record.t_ns
+                given = True
+                yield record
+        except ServotapError:
+            raise
+        # A library that meets a damaged file raises whatever its parser stumbles over.
+        except Exception as error:
+            what = describe(error)
+            if not given:
+                raise UnreadableError(f"{self.name}: cannot be read as {self.title}: {what}") from error
+            self.problem(f"the capture breaks off: {what}", offset=self.stream.position)
+        finally:
+            closing = getattr(records, "close", None)
+            if closing is not None:
+                closing()
+        self.stream.drain()
+        if not given:
+            if self.problem_count:
+                raise UnreadableError(f"{self.name}: cannot be read as {self.title}: {self.problems[0]}")
+            self.note("the capture holds no traffic")
+
+    def _odd_time(self, record: Record, t_ns: int, last_ns: int | None) -> Record:
+        if abs(t_ns) > LATEST_NS:
+            self._impossible += 1
+            return msgspec.structs.replace(record, t_ns=last_ns)
+        self._negative |= t_ns < 0
+        self._far += t_ns >= FAR_NS
+        if last_ns is not None and t_ns < last_ns:
+            self._backward += 1
+            self._backward_ns = max(self._backward_ns, last_ns - t_ns)
+        return record
+
+    def _time_notes(self) -> Iterator[str]:
+        if self._backward:
+            steps = "once" if self._backward == 1 else f"{self._backward} times"
+            yield f"times run backwards {steps}, by {self._backward_ns / SECOND_NS:g} s at most"
+        if self._negative:
+            yield "times before zero"
+        if self._far:
+            yield f"{self._far} times lie after the year 2100: the clock of the capture is wrong"
+        if self._impossible:
+            yield f"{self._impossible} times are beyond any calendar: the one before each is used"
+        if self._untimed:
+            yield f"{self._untimed} frames or chunks have no time: the one before each is used"
+
+    def _problem_notes(self) -> Iterator[str]:
+        if self.problem_count == 0:
+            return
+        shown = "; ".join(str(p) for p in self.problems[:SHOWN_PROBLEMS])
+        left = self.problem_count - SHOWN_PROBLEMS
+        places = "1 problem" if self.problem_count == 1 else f"{self.problem_count} problems"
+        yield f"{places}: {shown}" + (f"; and {left} more" if left > 0 else "")
+
+
+def clean_port(name: str) -> str:
+    """Return a capture's name of a line as a port: letters, digits, `_`, `.`, `-`; a path is cut to its last part."""
+    last = name.replace("\\", "/").rstrip("/").rpartition("/")[2]
+    return _UNFIT.sub("_", last).strip("_.")[:40]
+
+
+def describe(error: BaseException) -> str:
+    """Return an error of a library in words."""
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {quote(text, 200)}" if text else type(error).__name__
+
+
+def quote(text: str, limit: int = QUOTE_LIMIT) -> str:
+    """Return a piece of a capture's text for a message: bounded, without control characters."""
+    shown = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text[:limit])
+    return shown + ("..." if len(text) > limit else "")

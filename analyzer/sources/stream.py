@@ -1,0 +1,289 @@
+"""The bytes of a capture: from a file or a pipe, unpacked where they are compressed, hashed as they pass.
+
+    file or pipe -> block -> (gzip, zstd) -> (UTF-16 text) -> format reader
+
+Rules:
+
+1. Nothing seeks and nothing reads ahead of need, so a pipe gives what it has at once.
+2. Memory is bounded: a block is at most `BLOCK` bytes as read and `UNPACKED` once unpacked, whatever a header claims.
+3. `position` counts bytes as they lie in the file, compressed ones too; it only grows.
+
+What it does not know: what the bytes mean.
+"""
+
+from __future__ import annotations
+
+import codecs
+import hashlib
+import os
+import stat
+import sys
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from analyzer.errors import UnreadableError
+
+#: Bytes of one read.
+BLOCK = 64 * 1024
+#: Bytes that one step of a decompressor may give.
+UNPACKED = 1 << 20
+#: A stream that grew to more than this, and more than `BOMB_RATIO` times, is taken for a decompression bomb.
+BOMB_BYTES = 1 << 30
+BOMB_RATIO = 1000
+#: One zstd block of 4 bytes can hold 128 KiB, so only few bytes are unpacked in one step.
+_ZSTD_STEP = 256
+_ZSTD_WINDOW = 1 << 27
+
+GZIP_MAGIC = b"\x1f\x8b\x08"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_BOMS = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
+
+Report = Callable[[str], None]
+
+
+class Stream:
+    """The unpacked bytes of a file or a pipe, in order, once.
+
+    `report` is told what is wrong with the compressed data. `size`: bytes of the file, None for a pipe. `compression`:
+    "gzip", "zstd" or "".
+    """
+
+    def __init__(self, path: str, report: Report) -> None:
+        self.path = path
+        self.name = "standard input" if path == "-" else (Path(path).name or path)
+        self._report = report
+        self._fd, self.size = _open(path)
+        self._closable = path != "-"
+        self._hash = hashlib.sha256()
+        self._ended = False
+        self.position = 0
+        self.unpacked = 0
+        self.compression = ""
+        self._held = b""
+        self._blocks = self._start()
+
+    # --- reading --------------------------------------------------------------------------------------------------
+
+    def block(self) -> bytes:
+        """Return the next bytes, as many as there are at once; none at the end.
+
+        Raises UnreadableError for a decompression bomb and for a medium that fails.
+        """
+        if self._held:
+            held, self._held = self._held, b""
+            return held
+        return next(self._blocks, b"")
+
+    def exactly(self, count: int) -> bytes:
+        """Return `count` bytes, fewer only at the end.
+
+        The caller bounds `count`.
+        """
+        if len(self._held) >= count:
+            taken, self._held = self._held[:count], self._held[count:]
+            return taken
+        parts, size = [], 0
+        while size < count:
+            block = self.block()
+            if not block:
+                break
+            parts.append(block)
+            size += len(block)
+        joined = b"".join(parts)
+        if size > count:
+            self._held = joined[count:]
+            return joined[:count]
+        return joined
+
+    def unread(self, data: bytes) -> None:
+        """Put bytes back: they come again before all others."""
+        self._held = data + self._held
+
+    def drain(self) -> None:
+        """Read a file to its end for the sake of its hash; leave a pipe alone, which may never end."""
+        if self.size is None:
+            return
+        while self._raw():
+            pass
+
+    @property
+    def sha256(self) -> str | None:
+        """SHA-256 of the file as it lies, in hex; None before its end was read."""
+        return self._hash.hexdigest() if self._ended else None
+
+    def close(self) -> None:
+        """Close the file. Closing twice is fine."""
+        if self._fd >= 0 and self._closable:
+            os.close(self._fd)
+        self._fd = -1
+
+    # --- from the medium ------------------------------------------------------------------------------------------
+
+    def _raw(self) -> bytes:
+        if self._ended or self._fd < 0:
+            return b""
+        try:
+            data = os.read(self._fd, BLOCK)
+        except OSError as error:
+            raise UnreadableError(f"{self.name}: reading failed at byte {self.position}: {error.strerror}") from None
+        self._hash.update(data)
+        self.position += len(data)
+        self._ended = not data
+        return data
+
+    def _start(self) -> Iterator[bytes]:
+        """Yield unpacked blocks."""
+        first = b""
+        while len(first) < len(ZSTD_MAGIC):
+            more = self._raw()
+            if not more:
+                break
+            first += more
+        blocks = self._plain(first)
+        for name, magic, opener in _OPENERS:
+            if first.startswith(magic):
+                self.compression = name
+                blocks = self._guarded(opener(blocks, self._damaged))
+                break
+        yield from _as_utf8(blocks)
+
+    def _plain(self, first: bytes) -> Iterator[bytes]:
+        if first:
+            yield first
+        while block := self._raw():
+            yield block
+
+    def _damaged(self, text: str) -> None:
+        self._report(f"{self.compression} data: {text} (at byte {self.position} of the file)")
+
+    def _guarded(self, blocks: Iterator[bytes]) -> Iterator[bytes]:
+        for block in blocks:
+            self.unpacked += len(block)
+            if self.unpacked > BOMB_BYTES and self.unpacked > BOMB_RATIO * self.position:
+                raise UnreadableError(
+                    f"{self.name}: {self.position} bytes of {self.compression} data unpack to more than "
+                    f"{self.unpacked >> 20} MiB, more than {BOMB_RATIO} times as much: taken for a decompression "
+                    "bomb; unpack it first if it is none"
+                )
+            yield block
+
+
+def _open(path: str) -> tuple[int, int | None]:
+    """Return a descriptor for reading and the size, None for what is no regular file."""
+    if path == "-":
+        try:
+            return sys.stdin.fileno(), None
+        except (OSError, ValueError, AttributeError):
+            raise UnreadableError("standard input cannot be read: it is closed or no file") from None
+    try:
+        fd = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOCTTY", 0))
+    except ValueError as error:
+        raise UnreadableError(f"{path!r} is no path: {error}") from None
+    except OSError as error:
+        if Path(path).is_dir():
+            raise UnreadableError(f"{path} is a directory, expected a capture file") from None
+        raise UnreadableError(f"{path}: {error.strerror}") from None
+    mode = os.fstat(fd).st_mode
+    wrong = next((what for test, what in _NO_CAPTURE if test(mode)), None)
+    if wrong is not None:
+        os.close(fd)
+        raise UnreadableError(f"{path} is {wrong}, expected a capture file")
+    return fd, os.fstat(fd).st_size if stat.S_ISREG(mode) else None
+
+
+_NO_CAPTURE: tuple[tuple[Callable[[int], bool], str], ...] = (
+    (stat.S_ISDIR, "a directory"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a block device"),
+)
+
+
+def _gzip(blocks: Iterator[bytes], damaged: Report) -> Iterator[bytes]:
+    """Yield what gzip data unpacks to; several members follow each other as one stream."""
+    unpacker = zlib.decompressobj(31)
+    for block in blocks:
+        data, more = block, True
+        while data or more:
+            if unpacker.eof:
+                # Some writers pad their files with zeros.
+                data = data.lstrip(b"\0")
+                if not data:
+                    break
+                if not GZIP_MAGIC.startswith(data[:3]):
+                    damaged(f"what follows its end is no gzip data ({data[:4].hex(' ').upper()} ...), ignored")
+                    return
+                unpacker = zlib.decompressobj(31)
+            try:
+                unpacked = unpacker.decompress(data, UNPACKED)
+            except zlib.error as error:
+                damaged(str(error))
+                return
+            data = unpacker.unconsumed_tail or unpacker.unused_data
+            # A full step may have left output inside the decompressor.
+            more = len(unpacked) == UNPACKED and not unpacker.eof
+            if unpacked:
+                yield unpacked
+    if not unpacker.eof:
+        damaged("breaks off before its end")
+
+
+def _zstd(blocks: Iterator[bytes], damaged: Report) -> Iterator[bytes]:
+    """Yield what zstd data unpacks to; several frames follow each other as one stream."""
+    import zstandard
+
+    context = zstandard.ZstdDecompressor(max_window_size=_ZSTD_WINDOW)
+    unpacker = context.decompressobj()
+    begun = False
+    for block in blocks:
+        parts: list[bytes] = []
+        size = at = 0
+        while at < len(block):
+            step = block[at : at + _ZSTD_STEP]
+            at += len(step)
+            while step:
+                try:
+                    unpacked = unpacker.decompress(step)
+                except zstandard.ZstdError as error:
+                    if parts:
+                        yield b"".join(parts)
+                    damaged(str(error))
+                    return
+                begun = True
+                step = b""
+                if unpacker.eof:
+                    step = unpacker.unused_data
+                    unpacker = context.decompressobj()
+                    begun = bool(step)
+                parts.append(unpacked)
+                size += len(unpacked)
+                if size >= UNPACKED:
+                    yield b"".join(parts)
+                    parts, size = [], 0
+        if size:
+            yield b"".join(parts)
+    if begun:
+        damaged("breaks off before its end")
+
+
+_OPENERS: tuple[tuple[str, bytes, Callable[[Iterator[bytes], Report], Iterator[bytes]]], ...] = (
+    ("gzip", GZIP_MAGIC, _gzip),
+    ("zstd", ZSTD_MAGIC, _zstd),
+)
+
+
+def _as_utf8(blocks: Iterator[bytes]) -> Iterator[bytes]:
+    """Yield the blocks; text in UTF-16, as a Windows shell redirects it, as UTF-8."""
+    first = next(blocks, b"")
+    encoding = _BOMS.get(first[:2])
+    half = first[2:][1::2] if encoding == "utf-16-le" else first[2:][0::2]
+    # A raw capture may begin with these two bytes; then every other byte would not be zero.
+    if encoding is None or len(first) < 4 or half.count(0) < 0.9 * len(half):
+        if first:
+            yield first
+        yield from blocks
+        return
+    decoder = codecs.getincrementaldecoder(encoding)("replace")
+    yield decoder.decode(first[2:]).encode("utf-8", "replace")
+    for block in blocks:
+        yield decoder.decode(block).encode("utf-8", "replace")

@@ -1,0 +1,329 @@
+"""Transactions: which reply belongs to which request, and what an exchange breaks.
+
+Theory of operation. Each request that the manual lets a drive answer is open until it ends. A reply has a meaning by its
+command's `Replies`: interim (it goes on), final, failed. The machine is one table:
+
+    state     reply      next
+    waiting   interim    running     (done, where the drive was told to send no completion)
+    waiting   final      done
+    waiting   failed     done
+    running   interim    running     the same reply once more: a duplicate
+    running   final      done
+    running   failed     done
+
+A drive answers in order, so a reply to a later request ends earlier ones as unanswered; on a half-duplex line the host
+has then moved on for all drives. A newer motion command supersedes one that runs. The same request again, with nothing
+between, is an echo when it comes at once and a retry when it comes later.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import msgspec
+
+from analyzer.catalogue import Command, Role, Verb
+from analyzer.context import Context, Outcome, Request, State, answers
+from analyzer.findings import Issue
+from analyzer.records import Message, Severity
+
+#: A request is given up for good after this many late limits.
+GIVE_UP = 5
+#: The same bytes again within this time are an echo: no host repeats a request so soon.
+ECHO_NS = 3_000_000
+#: Open requests kept per address.
+MOST_OPEN = 64
+
+#: Meaning of a reply -> the state it leads to, from waiting and from running alike.
+NEXT: dict[str, State] = {"interim": State.RUNNING, "final": State.DONE, "failed": State.DONE}
+
+
+class Late(NamedTuple):
+    """An issue about a request that was seen before."""
+
+    request: Request
+    issue: Issue
+
+
+class Paired(msgspec.Struct, gc=False):
+    """What a message is in its exchange. `first`: it is the first reply to its request."""
+
+    request: Request | None = None
+    latency_ns: int | None = None
+    first: bool = False
+    issues: tuple[Issue, ...] = ()
+    earlier: tuple[Late, ...] = ()
+    opened: Request | None = None
+
+
+
+class Transactions:
+    """Pairs the messages of one port. `late_ns`: a first reply later than this is late; `timed` False: times say nothing."""
+
+    def __init__(
+        self, context: Context, *, late_ns: int = 1_000_000_000, half_duplex: bool = True, timed: bool = True
+    ) -> None:
+        self.context = context
+        self.late_ns = late_ns
+        self.half_duplex = half_duplex
+        self._timed = timed
+        self._check_ns = 0
+        self._last_message: Message | None = None
+        self._last_reply: dict[int, bytes] = {}
+        self._answers_motion: set[int] = set()
+        self._told_silent: set[int] = set()
+
+    def observe(self, message: Message, sequence: int, asked: Request | None) -> Paired:
+        """Take the next message of the port and return what it is; `asked` is what the decoder found it answers."""
+        now = message.frame.last_ns
+        earlier = self._expired(now) if now >= self._check_ns else ()
+        if message.role is Role.REPLY:
+            paired = self._reply(message, asked)
+        elif message.role is Role.REQUEST or message.command is not None:
+            paired = self._request(message, sequence)
+        else:
+            paired = Paired()
+        self._last_message = message
+        if earlier:
+            paired.earlier = earlier + paired.earlier
+        return paired
+
+    def close(self) -> list[Late]:
+        """End the capture: what still waits was not answered."""
+        late = []
+        for requests in list(self.context.open.values()):
+            for request in list(requests):
+                if request.state is State.WAITING:
+                    is_last = request.message is self._last_message
+                    severity = Severity.INFO if is_last else None
+                    why = "the capture ends here" if is_last else "no reply until the end of the capture"
+                    late += self._give_up(request, Outcome.UNANSWERED, why, severity)
+        return late
+
+    # --- requests -------------------------------------------------------------------------------------------------
+
+    def _request(self, message: Message, sequence: int) -> Paired:
+        context, frame, command = self.context, message.frame, message.command
+        earlier: list[Late] = []
+        same = self._repeated(message)
+        if same is not None:
+            gap = frame.first_ns - same.t_ns
+            if frame.role is Role.REPLY or gap <= ECHO_NS:
+                context.echoes += 1
+                return Paired(issues=(Issue("host_echo", f"the request once more after {gap / 1e6:.3f} ms"),))
+            earlier += self._give_up(same, Outcome.RETRIED, f"the host repeated it after {gap / 1e6:.1f} ms")
+        request = Request(message, sequence, self._expects(message))
+        running = context.open.get(message.address)
+        if running and command is not None and command.moves:
+            for older in list(running):
+                if older.state is State.RUNNING:
+                    self._end(older, Outcome.SUPERSEDED)
+        if not request.expects:
+            request.outcome = Outcome.SILENT
+            if self._is_to_many(message):
+                context.broadcasts.append(request)
+                self._learn(message)
+        else:
+            waiting = context.open.setdefault(message.address, [])
+            waiting.append(request)
+            if len(waiting) > MOST_OPEN:
+                earlier += self._give_up(waiting[0], Outcome.UNANSWERED, f"{MOST_OPEN} requests followed without a reply")
+        context.last_request = request
+        return Paired(earlier=tuple(earlier), opened=request)
+
+    def _repeated(self, message: Message) -> Request | None:
+        """Return the open request that this one repeats with nothing between, or None."""
+        last = self._last_message
+        if last is None or last.frame.data != message.frame.data or last.address != message.address:
+            return None
+        if last.role is Role.REPLY or not last.frame.checksum_ok:
+            return None
+        request = self.context.last_request
+        if request is None or request.message.frame.data != message.frame.data or request.state is not State.WAITING:
+            return None
+        return request if request.expects or message.frame.first_ns - request.t_ns <= ECHO_NS else None
+
+    def _is_to_many(self, message: Message) -> bool:
+        command = message.command
+        return (
+            message.address == message.frame.dialect.broadcast
+            or message.address in self.context.groups
+            or (command is not None and command.slots is not None)
+        )
+
+    def _expects(self, message: Message) -> bool:
+        command = message.command
+        if not message.frame.checksum_ok:
+            return False
+        if command is None:
+            return False
+        if not command.reply_forms or self._is_to_many(message):
+            return False
+        return not (command.silenced and message.address in self.context.silenced)
+
+    # --- replies --------------------------------------------------------------------------------------------------
+
+    def _reply(self, message: Message, asked: Request | None) -> Paired:
+        context = self.context
+        if asked is None:
+            return self._unasked(message)
+        if context.echoes >= 2 and self._is_echo(message, asked):
+            context.echoes += 1
+            return Paired(issues=(Issue("host_echo", "the request once more, before its reply"),))
+        first = asked.state is State.WAITING
+        latency = max(0, message.frame.first_ns - asked.t_ns) if self._timed else None
+        earlier = self._overtaken(asked)
+        issues: list[Issue] = []
+        if first and latency is not None and latency > self.late_ns:
+            issues.append(Issue("late_reply", f"after {latency / 1e6:.1f} ms, limit {self.late_ns / 1e6:g} ms"))
+        meaning, problem = meaning_of(message, asked.message.command)
+        if problem is not None:
+            issues.append(problem)
+        if asked.state is State.RUNNING and meaning == "interim":
+            issues.append(Issue("duplicate_reply", "the interim reply once more"))
+        self._advance(asked, message, meaning)
+        return Paired(asked, latency, first, tuple(issues), tuple(earlier))
+
+    def _is_echo(self, message: Message, asked: Request) -> bool:
+        """Say whether a reply that is byte for byte its request is the host's echo: only on a bus known to echo."""
+        if asked.gave_up == "echoed" or message.frame.data != asked.message.frame.data:
+            return False
+        asked.gave_up = "echoed"
+        return self._last_message is asked.message
+
+    def _advance(self, request: Request, message: Message, meaning: str) -> None:
+        context, command = self.context, request.message.command
+        request.state = NEXT[meaning]
+        if request.state is State.RUNNING and message.address in context.passive:
+            request.state = State.DONE
+        if message.frame.checksum_ok:
+            context.speaks[message.address] = message.frame.dialect.name
+        if command is not None:
+            if command.silenced:
+                self._answers_motion.add(message.address)
+            if meaning == "final" and command.verb in _LEARN:
+                self._learn(request.message)
+        self._last_reply[message.address] = message.frame.data
+        request.reply = message
+        if request.state is State.DONE:
+            self._end(request, Outcome.FAILED if meaning == "failed" else Outcome.ANSWERED)
+
+    def _unasked(self, message: Message) -> Paired:
+        """Judge a reply that no open request asked for: late, to a broadcast, a duplicate, or out of the blue."""
+        context, frame = self.context, message.frame
+        head = frame.dialect.link.parse(frame.data, frame.can.id if frame.can else None)
+        # A duplicate is the very bytes of the last reply; a later one must not be taken for the reply to an older request.
+        for request in reversed(context.unanswered):
+            if request.address == message.address and answers(request, head.function, head.code, message.data):
+                context.unanswered.remove(request)
+                latency = max(0, frame.first_ns - request.t_ns) if self._timed else None
+                meaning, problem = meaning_of(message, request.message.command)
+                after = "" if latency is None else f" after {latency / 1e6:.1f} ms"
+                issues = [Issue("late_reply", f"it came{after}, when the request had been given up")]
+                self._advance(request, message, meaning)
+                return Paired(request, latency, True, tuple(issues + ([problem] if problem else [])))
+        for request in reversed(context.broadcasts):
+            near = frame.first_ns - request.t_ns <= self.late_ns
+            if near and answers(request, head.function, head.code, message.data):
+                kind = "the broadcast" if request.address == frame.dialect.broadcast else f"group {request.address}"
+                return Paired(request, issues=(Issue("answered_broadcast", f"a reply to {kind}"),))
+        if self._last_reply.get(message.address) == frame.data:
+            return Paired(issues=(Issue("duplicate_reply", "the same reply once more"),))
+        self._last_reply[message.address] = frame.data
+        if message.frame.checksum_ok:
+            context.speaks.setdefault(message.address, frame.dialect.name)
+        name = message.command.name if message.command is not None else "an unknown command"
+        return Paired(issues=(Issue("unsolicited_reply", f"no request for {name} is open"),))
+
+    # --- ends -----------------------------------------------------------------------------------------------------
+
+    def _overtaken(self, asked: Request) -> list[Late]:
+        """End the requests that a reply to a later one has overtaken."""
+        late: list[Late] = []
+        open_ = self.context.open
+        if len(open_) == 1 and len(open_.get(asked.address, ())) == 1:
+            return late
+        for address, requests in list(open_.items()):
+            if address != asked.address and not self.half_duplex:
+                continue
+            for request in list(requests):
+                if request.state is State.WAITING and request.sequence < asked.sequence:
+                    late += self._give_up(request, Outcome.UNANSWERED, "a later request was answered first")
+        return late
+
+    def _expired(self, now: int) -> tuple[Late, ...]:
+        limit = GIVE_UP * self.late_ns
+        self._check_ns = now + limit // 10
+        late: list[Late] = []
+        for requests in list(self.context.open.values()):
+            for request in list(requests):
+                if request.state is State.WAITING and now - request.t_ns > limit:
+                    late += self._give_up(request, Outcome.UNANSWERED, f"no reply within {limit / 1e9:g} s")
+        return tuple(late)
+
+    def _give_up(
+        self, request: Request, outcome: Outcome, why: str, severity: Severity | None = None
+    ) -> list[Late]:
+        self._end(request, outcome)
+        self.context.unanswered.append(request)
+        command = request.message.command
+        address = request.address
+        if command is not None and command.silenced and address not in self._answers_motion:
+            if address in self._told_silent:
+                return []
+            self._told_silent.add(address)
+            text = f"address {address} does not answer motion commands: respond = 0 or a group address"
+            return [Late(request, Issue("silent_address", text))]
+        name = command.name if command is not None else "an unknown command"
+        return [Late(request, Issue("unanswered", f"{name}: {why}", severity))]
+
+    def _end(self, request: Request, outcome: Outcome) -> None:
+        request.outcome = outcome
+        requests = self.context.open.get(request.address)
+        if requests and request in requests:
+            requests.remove(request)
+            if not requests:
+                del self.context.open[request.address]
+
+    def _learn(self, request: Message) -> None:
+        """Take from a setting what it changes in who answers and how."""
+        command = request.command
+        if command is None or command.verb not in _LEARN:
+            return
+        context, address = self.context, request.address
+        for name, value in request.values.items():
+            if name == "group_address":
+                context.groups.add(value)
+            elif name in ("respond", "active"):
+                chosen = context.silenced if name == "respond" else context.passive
+                (chosen.discard if value else chosen.add)(address)
+            elif name == "modbus":
+                family = request.frame.dialect.name.rsplit("-", 1)[0]
+                context.speaks[address] = f"{family}-modbus" if value else f"{family}-rs485"
+            elif name == "new_address" and address in context.speaks:
+                context.speaks[value] = context.speaks[address]
+
+
+_LEARN = frozenset({Verb.SET_RESPOND, Verb.SET_GROUP_ADDRESS, Verb.SET_MODBUS, Verb.SET_ADDRESS})
+
+
+def meaning_of(message: Message, command: Command | None) -> tuple[str, Issue | None]:
+    """Return what a reply means (interim, final, failed), and the issue if it failed."""
+    form = message.form
+    if form is not None and form is message.frame.dialect.exception:
+        name = message.values.get("exception", 0)
+        known = form.layout.named["exception"].choice_names.get(name, "not a standard code")
+        return "failed", Issue("modbus_exception", f"exception 0x{name:02X}, {known}")
+    if command is None or form is None or not command.judged:
+        return "final", None
+    replies = command.replies
+    if form.name in replies.failed_forms:
+        rule = "refused_write" if command.function is not None else "failed_status"
+        return "failed", Issue(rule, f"{command.name} was answered: {form.name}")
+    status = message.values.get(replies.status)
+    if status in replies.interim:
+        return "interim", None
+    if status in replies.failed:
+        name = form.layout.named[replies.status].choice_names.get(status, "")
+        return "failed", Issue("failed_status", f"{command.name}: {replies.status} {status} {name}".rstrip())
+    return "final", None

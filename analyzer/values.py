@@ -1,0 +1,146 @@
+"""Values as people write and read them: `320`, `3.5`, `0x10`, `cw`, `on` <-> the integer as sent.
+
+A written value is in the unit of its field. What a scale cannot hit exactly goes to the nearest integer as sent; a field
+without a scale takes whole numbers only. Nothing here checks ranges but `refusal`, so that frames outside the manual can
+be built on purpose.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable
+from fractions import Fraction
+
+from analyzer.errors import UsageError
+from analyzer.layout import Field, Kind
+
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)")
+_HEX = re.compile(r"[+-]?0[xX][0-9a-fA-F]+")
+#: Longer texts are no values; it also bounds the work that a hostile one can cause.
+_LONGEST = 64
+_ON = frozenset({"on", "true", "yes", "enabled"})
+_OFF = frozenset({"off", "false", "no", "disabled"})
+#: Names of the value 1 that `on` may stand for; a direction is never on.
+_SWITCH_NAMES = frozenset({"enabled", "on", "high"})
+_DECIMALS = 6
+
+
+def quote(text: str, longest: int = 60) -> str:
+    """Return a text of the user as ASCII in quotes, cut where it is long: nothing in it steers a terminal."""
+    shown = text if len(text) <= longest else text[:longest]
+    return ascii(shown) + ("" if shown is text else f" ... ({len(text)} characters)")
+
+
+def near(word: str, known: Iterable[str]) -> str:
+    """Return `; did you mean A or B?` with the names next to a word, or nothing."""
+    found = difflib.get_close_matches(word[:_LONGEST].lower(), list(known), 3, 0.5)
+    return f"; did you mean {' or '.join(found)}?" if found else ""
+
+
+def decimal(value: Fraction | int) -> str:
+    """Return a number in decimal, exact up to six digits behind the point."""
+    whole = round(Fraction(value) * 10**_DECIMALS)
+    digits = str(abs(whole)).rjust(_DECIMALS + 1, "0")
+    text = f"{digits[:-_DECIMALS]}.{digits[-_DECIMALS:]}".rstrip("0").rstrip(".")
+    return f"-{text}" if whole < 0 else text
+
+
+def with_unit(field: Field, value: int) -> str:
+    """Return an integer as sent as its physical value with the unit."""
+    shown = decimal(value * field.scale)
+    return f"{shown} {field.unit}" if field.unit else shown
+
+
+def value_text(field: Field, value: int | bytes) -> str:
+    """Return a value as sent for people: with its unit, or with the name of its choice."""
+    if isinstance(value, bytes):
+        return value.hex(" ").upper() or "none"
+    name = field.choice_names.get(value)
+    return f"{decimal(value * field.scale)} {name}" if name is not None else with_unit(field, value)
+
+
+def range_text(field: Field, most: int | None = None) -> str:
+    """Return what a field may hold: its choices, its values or its range; of choices and values at most `most`."""
+    if field.kind is Kind.BYTES:
+        return "bytes"
+    if field.fixed is not None:
+        return f"always {value_text(field, field.fixed)}"
+    if field.choices is not None:
+        listed = [f"{v} {n}" for v, n in sorted(field.choice_names.items()) if field.allows(v)]
+        return _listed(listed, most)
+    if field.values is not None:
+        return _listed([decimal(v * field.scale) for v in sorted(field.values)], most)
+    low, high = decimal(field.low * field.scale), with_unit(field, field.high)
+    return f"{low}..{high}" if field.low != field.high else high
+
+
+def _listed(items: list[str], most: int | None) -> str:
+    return ", ".join(items) if most is None or len(items) <= most else f"one of {len(items)}"
+
+
+def refusal(field: Field, value: int | bytes) -> str | None:
+    """Return why the manual does not allow a value as sent, by the field's name, or None."""
+    if isinstance(value, bytes) or field.allows(value):
+        return None
+    expected = range_text(field) if field.fixed is None else value_text(field, field.fixed)
+    return f"{field.name}: got {value_text(field, value)}, expected {expected}"
+
+
+def parse_value(field: Field, text: str, *, as_sent: bool = False) -> int | bytes:
+    """Return the integer as sent (bytes for a field of bytes) that a text means.
+
+    `as_sent`: a number is the integer as sent, not a physical value. Names of choices, on and off are taken either way.
+    Raises UsageError for what is neither a number nor a name of this field.
+    """
+    stripped = text.strip()
+    if field.kind is Kind.BYTES:
+        return _parse_bytes(field, stripped)
+    if len(stripped) > _LONGEST:
+        raise _unknown(field, text)
+    word = stripped.lower().replace("-", "_")
+    for value, name in field.choice_names.items():
+        if word == name:
+            return value
+    switch = _parse_switch(field, word)
+    if switch is not None:
+        return switch
+    number = _parse_number(field, stripped)
+    if number is None:
+        raise _unknown(field, text)
+    if as_sent or field.scale == 1:
+        if number.denominator != 1:
+            raise UsageError(f"{field.name}: got {stripped}, expected a whole number")
+        return int(number)
+    return round(number / field.scale)
+
+
+def _parse_number(field: Field, text: str) -> Fraction | None:
+    if field.unit and text.lower().endswith(field.unit.lower()):
+        text = text[: -len(field.unit)].rstrip()
+    if _HEX.fullmatch(text):
+        return Fraction(int(text, 16))
+    return Fraction(text) if _NUMBER.fullmatch(text) else None
+
+
+def _parse_switch(field: Field, word: str) -> int | None:
+    names = field.choice_names
+    if names:
+        switches = set(names) == {0, 1} and names[1] in _SWITCH_NAMES
+    else:
+        switches = field.low == 0 and field.high == 1
+    if not switches or word not in _ON | _OFF:
+        return None
+    return int(word in _ON)
+
+
+def _parse_bytes(field: Field, text: str) -> bytes:
+    try:
+        return bytes.fromhex(text)
+    except ValueError:
+        raise UsageError(f"{field.name}: got {quote(text)}, expected hex bytes") from None
+
+
+def _unknown(field: Field, text: str) -> UsageError:
+    names = field.choice_names.values()
+    return UsageError(f"{field.name}: got {quote(text)}, expected {range_text(field)}{near(text, names)}")
