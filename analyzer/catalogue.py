@@ -317,6 +317,11 @@ class Command:
         return bool(replies.interim or replies.failed or replies.failed_forms)
 
     @cached_property
+    def borrows(self) -> bool:
+        """Whether a reply can carry another command's code."""
+        return any(form.code is not None for form in self.reply_forms)
+
+    @cached_property
     def moves(self) -> bool:
         """Whether the command can move the motor."""
         return bool(self.all_risks & {Risk.MOTION, Risk.UNBOUNDED})

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from decimal import Decimal
+from functools import cached_property
 from typing import Any
 
 import msgspec
@@ -79,20 +80,41 @@ class Codec:
 
     def __init__(self, layout: Layout) -> None:
         self.layout = layout
-        items = [(o, f) for o, f in layout if f.kind is not Kind.RESERVED]
-        pairs = ", ".join(f"{f.name!r}: {_expression(o, f)}" for o, f in items)
-        self.wire: Callable[[bytes], dict[str, Any]] = _compile("wire", f"    return {{{pairs}}}", {})
         self.fixed = [(o, f) for o, f in layout if f.fixed is not None]
-        self.physical: Callable[[bytes], dict[str, Any]] = self._physical(items)
-        self.json: Callable[[bytes], bytes] = self._json(items)
-        self.sound: Callable[[bytes], bool] = self._soundness()
+        self._items = [(o, f) for o, f in layout if f.kind is not Kind.RESERVED]
+
+    # Each function is compiled when it is first asked for: most runs use a few commands of many.
+
+    @cached_property
+    def wire(self) -> Callable[[bytes], dict[str, Any]]:
+        """Reads data into integers as sent, by name."""
+        pairs = ", ".join(f"{f.name!r}: {_expression(o, f)}" for o, f in self._items)
+        return _compile("wire", f"    return {{{pairs}}}", {})
+
+    @cached_property
+    def physical(self) -> Callable[[bytes], dict[str, Any]]:
+        """Reads data into numbers in the fields' units, with name twins."""
+        return self._physical(self._items)
+
+    @cached_property
+    def json(self) -> Callable[[bytes], bytes]:
+        """Reads data into the same as JSON text, without the closing brace."""
+        return self._json(self._items)
+
+    @cached_property
+    def sound(self) -> Callable[[bytes], bool]:
+        """Says whether all values are as the manual lists them."""
+        return self._soundness()
+
+    @cached_property
+    def _fixed_match(self) -> Callable[[bytes], bool]:
         names = {f"is_{i}": f.fixed for i, (_, f) in enumerate(self.fixed)}
         tests = " and ".join(f"({_expression(o, f)}) == is_{i}" for i, (o, f) in enumerate(self.fixed))
-        self._fixed_match = _compile("fixed_match", f"    return {tests or True}", dict(names))
+        return _compile("fixed_match", f"    return {tests or True}", dict(names))
 
     def matches(self, data: bytes) -> bool:
         """Say whether data are of this layout: the length fits and every fixed field has its value."""
-        return self.layout.fits(len(data)) and bool(self._fixed_match(data))
+        return self.layout.fits(len(data)) and (not self.fixed or self._fixed_match(data))
 
     def _physical(self, items: list[tuple[int, Field]]) -> Callable[[bytes], dict[str, Any]]:
         if any(f.bit_width == 0 or f.bit_width > 53 for _, f in items):

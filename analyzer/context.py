@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections import deque
 from enum import StrEnum
 
-from analyzer.catalogue import Form, Role
+from analyzer.catalogue import Command, Form, Role
+from analyzer.codec import codec
 from analyzer.link import READS
-from analyzer.records import Message
+from analyzer.records import Frame, Lane, Message
 
 
 class State(StrEnum):
@@ -36,21 +37,44 @@ class Outcome(StrEnum):
 
 
 class Request:
-    """A request that was seen, and how far it got. `expects` False: by the manual nobody answers it."""
+    """A request that was seen, and how far it got.
 
-    __slots__ = ("address", "expects", "gave_up", "message", "outcome", "reply", "sequence", "state", "t_ns", "topic")
+    The message is built when it is asked for, from what the request was opened with: a message, or a lane and a frame.
+    """
 
-    def __init__(self, message: Message, sequence: int, expects: bool) -> None:
-        self.message = message
-        self.address = message.address
+    __slots__ = (
+        "_message", "address", "command", "frame", "gave_up", "lane", "outcome", "reply", "sequence", "state", "t_ns",
+        "topic",
+    )  # fmt: skip
+
+    def __init__(self, frame: Frame, address: int, command: Command | None, sequence: int, topic: str) -> None:
+        self.frame = frame
+        self.address = address
+        self.command = command
         self.sequence = sequence
-        self.t_ns = message.frame.last_ns
-        self.expects = expects
+        self.topic = topic
+        self.t_ns = frame.last_ns
         self.state = State.WAITING
         self.outcome = Outcome.OPEN
+        self.lane: Lane | None = None
+        self._message: Message | None = None
         self.reply: Message | None = None
         self.gave_up = ""
-        self.topic = ""
+
+    @classmethod
+    def of(cls, message: Message, sequence: int, topic: str) -> Request:
+        """Return the request of a message."""
+        request = cls(message.frame, message.address, message.command, sequence, topic)
+        request._message = message
+        return request
+
+    @property
+    def message(self) -> Message:
+        """The message of the request."""
+        if self._message is None:
+            assert self.lane is not None  # a request has a message or a lane
+            self._message = self.lane.message(self.frame)
+        return self._message
 
 
 class Context:
@@ -72,6 +96,8 @@ class Context:
         #: Requests to all, newest last.
         self.broadcasts: deque[Request] = deque(maxlen=8)
         self.last_request: Request | None = None
+        #: Open requests whose replies carry another command's code.
+        self.borrowed = 0
         self.echoes = 0
 
     def expects(self, address: int, function: int) -> int:
@@ -79,7 +105,7 @@ class Context:
         if function not in READS:
             return 0
         for request in self.open.get(address, ()):
-            command = request.message.command
+            command = request.command
             if command is not None and command.function == function and request.state is State.WAITING:
                 return 2 * (request.message.values.get("quantity", command.quantity) or command.quantity)
         return 0
@@ -89,7 +115,7 @@ class Context:
     ) -> tuple[Request, Form] | None:
         """Return the open request that these reply data answer, with the form they have; the oldest first."""
         for request in self.open.get(address, ()):
-            if request.message.frame.dialect.name != dialect:
+            if request.frame.dialect.name != dialect:
                 continue
             form = answers(request, function, code, data)
             if form is not None:
@@ -99,11 +125,9 @@ class Context:
 
 def answers(request: Request, function: int | None, code: int | None, data: bytes) -> Form | None:
     """Return the form by which reply data answer a request, or None."""
-    command = request.message.command
+    command = request.command
     if command is None or command.function != function:
         return None
-    from analyzer.codec import codec
-
     for form in command.reply_forms:
         own = command.code if form.code is None else form.code
         if code is not None and own != code:

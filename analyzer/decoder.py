@@ -13,7 +13,7 @@ from analyzer.catalogue import Command, Dialect, Form, Role
 from analyzer.codec import Codec, Violation, codec
 from analyzer.context import Context, Request, State
 from analyzer.link import Head
-from analyzer.records import Frame, Message
+from analyzer.records import Frame, Lane, Message
 
 _Entry = tuple[Command, Form, Codec]
 
@@ -29,29 +29,15 @@ class Slot(NamedTuple):
     violations: tuple[Violation, ...]
 
 
-class _Lane:
-    """What all frames of one head (role, address, code) share, where the head alone decides the form."""
-
-    __slots__ = ("address", "coder", "command", "form", "length", "role", "sound", "start", "trailer")
-
-    def __init__(self, role: Role, head: Head, entry: _Entry, length: int) -> None:
-        self.role = role
-        self.address = head.address
-        self.command, self.form, self.coder = entry
-        self.sound = self.coder.sound
-        self.length = length
-        self.start = head.start
-        self.trailer = length - head.stop
-
-
 class Decoder:
     """Decodes the frames of one dialect (as one model speaks it, if `Dialect.for_model` was used)."""
 
     def __init__(self, dialect: Dialect) -> None:
         self.dialect = dialect
         self._link = dialect.link
-        self._lane_bytes = dialect.link.deciding_bytes
-        self._lanes: dict[bytes, _Lane] = {}
+        self._head_bytes = dialect.link.deciding_bytes
+        #: By head and length; None: such frames have no lane.
+        self._lanes: dict[tuple[bytes | int, int, int], Lane | None] = {}
         self._requests: dict[tuple[int | None, int], list[_Entry]] = {}
         self._replies: dict[tuple[int | None, int], list[_Entry]] = {}
         for command in dialect.commands:
@@ -67,41 +53,49 @@ class Decoder:
 
     def decode(self, frame: Frame, context: Context | None = None) -> tuple[Message, Request | None]:
         """Return the message of a frame, and the open request that it answers if it is a reply to one."""
-        lane = self._lanes.get(frame.data[: self._lane_bytes]) if self._lane_bytes else None
-        if lane is not None and len(frame.data) == lane.length:
-            data = frame.data[lane.start : lane.length - lane.trailer]
-            command = lane.command
-            violations = () if lane.sound(data) else lane.coder.broken(data)
-            message = Message(frame, lane.role, lane.address, command, lane.form, data, violations)
-            if lane.role is Role.REPLY and context is not None:
-                for request in context.open.get(lane.address, ()):
-                    if request.message.command is command:
-                        return message, request
-            return message, None
-        return self._decode(frame, context)
-
-    def _decode(self, frame: Frame, context: Context | None) -> tuple[Message, Request | None]:
         can_id = frame.can.id if frame.can is not None else None
         head = self._link.parse(frame.data, can_id)
         data = frame.data[head.start : head.stop]
         role = head.role
         if role is Role.UNKNOWN:
             role = frame.role if frame.role is not Role.UNKNOWN else self._role(head, data, context)
-        if self._lane_bytes and head.role is not Role.UNKNOWN and head.code is not None:
-            self._keep_lane(frame, head, data)
         if role is Role.REPLY:
             return self._reply(frame, head, data, context)
         return self._request(frame, role, head, data), None
 
-    def _keep_lane(self, frame: Frame, head: Head, data: bytes) -> None:
-        """Keep what later frames of this head need not work out again, where only one form can have its code."""
-        table = self._requests if head.role is Role.REQUEST else self._replies
-        entries = table.get((head.function, -1 if head.code is None else head.code), [])
-        if len(entries) != 1:
-            return
-        command, form, coder = entries[0]
-        if command.slots is None and not coder.fixed and not form.needs_request and coder.matches(data):
-            self._lanes[frame.data[: self._lane_bytes]] = _Lane(head.role, head, entries[0], len(frame.data))
+    def lane(self, frame: Frame) -> Lane | None:
+        """Return the lane of a frame, or None if its bytes alone do not decide what it is.
+
+        On a bus where a request is open whose reply carries another command's code, the caller must not use it.
+        """
+        data, can = frame.data, frame.can
+        size = len(data)
+        key = (data[: self._head_bytes], size, 0) if can is None else (can.id, size, data[0])
+        try:
+            return self._lanes[key]
+        except KeyError:
+            lane = self._lanes[key] = self._new_lane(frame) if self._head_bytes else None
+            return lane
+
+    def _new_lane(self, frame: Frame) -> Lane | None:
+        head = self._link.parse(frame.data, frame.can.id if frame.can is not None else None)
+        if head.code is None or head.exception is not None or head.quantity is not None:
+            return None
+        size = head.stop - head.start
+        tables = {Role.REQUEST: self._requests, Role.REPLY: self._replies}
+        fitting = [
+            (role, entry)
+            for role, table in tables.items()
+            if head.role in (role, Role.UNKNOWN)
+            for entry in table.get((head.function, head.code), ())
+            if entry[1].layout.fits(size) and not (entry[1].needs_request and entry[1].code is not None)
+        ]
+        if len(fitting) != 1:
+            return None
+        role, (command, form, coder) = fitting[0]
+        if command.slots is not None or coder.fixed or form.needs_request or form.layout.open_ended:
+            return None
+        return Lane(role, head.address, command, form, head.start, head.stop)
 
     # --- who sent it ----------------------------------------------------------------------------------------------
 
@@ -126,17 +120,15 @@ class Decoder:
     def _any_reply(
         self, key: tuple[int | None, int], head: Head, data: bytes, context: Context | None
     ) -> _Entry | None:
-        """Return a reply entry that fits; those that need an open request only while it is open."""
+        """Return the reply that an open request awaits, else a reply that fits and needs none."""
+        asked = None
+        if context is not None:
+            asked = context.asked(self.dialect.name, head.address, head.function, head.code, data)
+        if asked is not None and asked[0].command is not None:
+            return asked[0].command, asked[1], codec(asked[1].layout)
         for command, form, coder in self._replies.get(key, ()):
-            if not coder.matches(data):
-                continue
-            if form.needs_request:
-                if context is None:
-                    continue
-                asked = context.asked(self.dialect.name, head.address, head.function, head.code, data)
-                if asked is None or asked[1] is not form:
-                    continue
-            return command, form, coder
+            if coder.matches(data) and not form.needs_request:
+                return command, form, coder
         return None
 
     def _role_by_requests(self, head: Head, context: Context | None, data: bytes = b"") -> Role:
@@ -152,7 +144,7 @@ class Decoder:
         if context is None:
             return Role.UNKNOWN
         for request in context.open.get(head.address, ()):
-            command = request.message.command
+            command = request.command
             if command is not None and command.code == head.code and command.function == head.function:
                 return Role.REPLY
         known = (head.function, head.code) in self._requests or (head.function, head.code) in self._replies
@@ -184,7 +176,7 @@ class Decoder:
     def _reply(self, frame: Frame, head: Head, data: bytes, context: Context | None) -> tuple[Message, Request | None]:
         request, entry = self._asked(head, data, context)
         if head.exception is not None and self.dialect.exception is not None:
-            command = request.message.command if request else self.dialect.fallbacks.get(head.function or 0)
+            command = request.command if request else self.dialect.fallbacks.get(head.function or 0)
             form = self.dialect.exception
             coder = codec(form.layout)
             if coder.matches(data):
@@ -207,13 +199,13 @@ class Decoder:
             found = context.asked(self.dialect.name, head.address, head.function, head.code, data)
             if found is not None:
                 request, form = found
-                command = request.message.command
+                command = request.command
                 assert command is not None  # answers() found its form
                 return request, (command, form, codec(form.layout))
         if head.code is None:
             return self._same_function(head, context), None
         for request in context.open.get(head.address, ()):
-            command = request.message.command
+            command = request.command
             if command is not None and (command.function, command.code) == (head.function, head.code):
                 return request, None
         return None, None
@@ -221,8 +213,8 @@ class Decoder:
     def _same_function(self, head: Head, context: Context) -> Request | None:
         """Return the oldest request that waits for a reply of this function, which carries no register."""
         for request in context.open.get(head.address, ()):
-            waits = request.state is State.WAITING and request.message.frame.dialect.name == self.dialect.name
-            if waits and self._link.parse(request.message.frame.data).function == head.function:
+            waits = request.state is State.WAITING and request.frame.dialect.name == self.dialect.name
+            if waits and self._link.parse(request.frame.data).function == head.function:
                 return request
         return None
 
@@ -239,7 +231,9 @@ class Decoder:
     ) -> Message:
         """Return the message of a frame that fits no form: the length is wrong, or the code is not catalogued."""
         violations: tuple[Violation, ...]
-        command = known[0][0] if known else (asked.message.command if asked else None)
+        # Of several commands of one code, the one that its fixed fields do not narrow down stands for the code.
+        general = next((entry for entry in known if not entry[2].fixed), known[0] if known else None)
+        command = general[0] if general else (asked.command if asked else None)
         if command is not None:
             forms = command.request_forms if request else command.reply_forms
             sizes = sorted({f.layout.byte_length for f in forms})

@@ -22,7 +22,6 @@ from typing import Any
 from analyzer.catalogue import Command, Dialect, Form, Risk, Role, all_fields
 from analyzer.codec import codec
 from analyzer.errors import UsageError
-from analyzer.hextext import CAN_ID_LIMIT
 from analyzer.layout import Field
 from analyzer.lookup import find_one
 from analyzer.values import near, parse_value, quote, refusal
@@ -98,7 +97,7 @@ def assemble(
         shown = codec(form.layout).wire(data)
         forbidden += refusals(command, form, data)
         risks = command.risks(shown) if role is Role.REQUEST else frozenset()
-    head_limit = CAN_ID_LIMIT if dialect.link.kind == "can" else 0xFF
+    head_limit = max(dialect.addresses[1], 0xFF)
     if not 0 <= address <= head_limit:
         raise UsageError(f"address {address} does not fit the frame, expected 0..{head_limit}")
     frame = dialect.link.build(command, form, address, data, role)

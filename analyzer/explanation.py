@@ -108,9 +108,9 @@ class Explainer:
             unchecked = [e for d in self._dialects for e in self._read(d, given, role, True, no_checksum, contexts)]
         found += unchecked
         if not found:
-            raise UnreadableError(self._why(given, role))
+            raise UnreadableError(self._why(given, role, no_checksum))
         # Between equals a head of its own says more than a first byte that may also be an identifier.
-        best = max(found, key=lambda e: (e.score, self._begins(e.dialect, e.message.frame.data)))
+        best = max(found, key=lambda e: (e.score, self._begins(e.dialect, e.message.frame.data), not e.absent))
         also = dict.fromkeys(e.dialect.name for e in found if e.score == best.score and e.dialect is not best.dialect)
         doubt = bool(best.score[0] and any(e.score[2] for e in unchecked))
         return replace(best, also=tuple(also), maybe_unchecked=doubt)
@@ -164,7 +164,6 @@ class Explainer:
             known,
             int(message.form is not None),
             int(message.form is not None and not message.violations and not odd),
-            int(not absent),
         )
         return Explanation(
             dialect, head, message, sent, can_id, checks, absent, tuple(issues), right, readings, not odd, score
@@ -189,16 +188,16 @@ class Explainer:
         return re.match(slicer.starts, data, re.DOTALL) is not None
 
     def _believed(self, found: Explanation, stated: bool) -> bool:
-        fits, known, form, _, present = found.score
-        if not present and not stated and not (form and found.sound_head):
+        fits, known, form, valid = found.score
+        present, strong = not found.absent, self._begins(found.dialect, found.message.frame.data)
+        if not present and not stated and not (form and found.sound_head and (valid or strong)):
             return False
         if fits or (known == 2 and form):
             return True
         sure = len(self._dialects) == 1
         if sure and form and (present or stated):
             return True
-        by_head = bool(present or stated) and len(found.sent) >= _LEAST_BY_HEAD
-        return by_head and self._begins(found.dialect, found.message.frame.data)
+        return (present or stated) and len(found.sent) >= _LEAST_BY_HEAD and strong
 
     # --- what was said before -------------------------------------------------------------------------------------
 
@@ -213,7 +212,7 @@ class Explainer:
             asked = [e.message for e in found if e.message.form is not None]
             if asked:
                 context = Context()
-                context.open[asked[0].address] = [Request(asked[0], 0, True)]
+                context.open[asked[0].address] = [Request.of(asked[0], 0, "")]
                 result[dialect.name] = context
         if not result:
             raise UnreadableError(f"expected a request, got {write_frame(*request)}")
@@ -221,17 +220,17 @@ class Explainer:
 
     # --- no reading -----------------------------------------------------------------------------------------------
 
-    def _why(self, given: Given, role: Role) -> str:
+    def _why(self, given: Given, role: Role, stated: bool) -> str:
         shown = write_frame(given.data[:16], given.can_id) + (" ..." if len(given.data) > 16 else "")
-        reasons = [f"{d.name}: {self._reason(d, given, role)}" for d in self._dialects]
+        reasons = [f"{d.name}: {self._reason(d, given, role, stated)}" for d in self._dialects]
         return "no frame: " + shown + "".join(f"\n  {r}" for r in reasons)
 
-    def _reason(self, dialect: Dialect, given: Given, role: Role) -> str:
+    def _reason(self, dialect: Dialect, given: Given, role: Role, stated: bool) -> str:
         link = dialect.link
         if link.kind == "can":
             if given.can_id is None and len(given.data) > CAN_DATA_LIMIT + 1:
                 return f"expected an identifier and at most {CAN_DATA_LIMIT} bytes, got {len(given.data)} bytes"
-            return self._reason_of_bytes(dialect, *next(_split(link, given), (b"", 0)))
+            return self._reason_of_bytes(dialect, *next(_split(link, given), (b"", 0)), stated)
         if given.can_id is not None:
             return "a dialect of a serial bus, got a CAN frame"
         head = link.parse(given.data, None) if given.data else None
@@ -240,14 +239,14 @@ class Explainer:
         slicer = self._slicers[dialect.name]
         if slicer.strong_head and re.match(slicer.starts, given.data, re.DOTALL) is None:
             return f"no frame begins with {_hex(given.data[:1])}"
-        return self._reason_of_bytes(dialect, given.data, None)
+        return self._reason_of_bytes(dialect, given.data, None, stated)
 
-    def _reason_of_bytes(self, dialect: Dialect, data: bytes, can_id: int | None) -> str:
+    def _reason_of_bytes(self, dialect: Dialect, data: bytes, can_id: int | None, stated: bool) -> str:
         if len(data) < 2 + (can_id is None):
             return f"got {len(data)} bytes, which is too short"
         bad = [c for c in dialect.link.checks(data, can_id) if not c.ok]
-        if not bad:
-            return "no command and no length fit"
+        if stated or not bad:
+            return "no command of this code and length"
         return f"{bad[0].name}: expected {_hex(bad[0].expected)}, got {_hex(bad[0].got)}, and no command fits"
 
 

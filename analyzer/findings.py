@@ -81,6 +81,14 @@ def _violations(message: Message, context: Context) -> Iterator[Issue]:
         yield Issue(violation.rule, violation.text)
 
 
+def _exception(message: Message, context: Context) -> Iterator[Issue]:
+    form = message.form
+    if form is not None and form is message.frame.dialect.exception:
+        code = message.values.get("exception", 0)
+        known = form.layout.named["exception"].choice_names.get(code, "not a standard code")
+        yield Issue("modbus_exception", f"exception 0x{code:02X}, {known}")
+
+
 def _dialect(message: Message, context: Context) -> Iterator[Issue]:
     spoken = context.speaks.get(message.address)
     if spoken is not None and spoken != message.frame.dialect.name and message.role == "request":
@@ -88,7 +96,12 @@ def _dialect(message: Message, context: Context) -> Iterator[Issue]:
 
 
 #: What is looked at in every message, each a small generator.
-MESSAGE_RULES: tuple[Callable[[Message, Context], Iterator[Issue]], ...] = (_checksum, _violations, _dialect)
+MESSAGE_RULES: tuple[Callable[[Message, Context], Iterator[Issue]], ...] = (
+    _checksum,
+    _violations,
+    _exception,
+    _dialect,
+)
 
 
 def of_message(message: Message, context: Context) -> list[Issue]:
@@ -101,6 +114,7 @@ def is_plain(message: Message, context: Context) -> bool:
     return (
         message.frame.checksum_ok
         and not message.violations
+        and (message.form is None or message.form is not message.frame.dialect.exception)
         and context.speaks.get(message.address, message.frame.dialect.name) == message.frame.dialect.name
     )
 

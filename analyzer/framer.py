@@ -4,20 +4,21 @@ Theory of operation. The framer stands at a byte and asks the slicer of each dia
 here. The answer is a length, nothing, or "more bytes are needed"; then it waits. Rules:
 
 1. Each byte ends in exactly one frame or one piece of junk.
-2. Chunks do not matter. A decision rests on bytes, on silences and on marks of the capture, never on where a read ended:
-   where the next bytes could change a decision, the framer waits for them.
+2. Chunks do not matter. A decision rests on bytes, on silences and on marks of the capture, never on where a read
+   ended: where the next bytes could change a decision, the framer waits for them.
 3. A frame is believed when another one or a boundary follows it. Where something else follows it is doubtful, for an
    8-bit sum fits by chance once in 256 times: it is weighed against other readings of the same bytes (`_doubtful`).
 4. A failed check costs one byte of the input, not the buffer.
 5. A known frame with only its check wrong is a frame (`checksum_ok` False) when a frame or a boundary follows it and
    none begins inside it.
-6. A frame of unknown code or length is taken only when it fills a burst exactly and its check fits.
-7. A package that lost zeros (its sum still fits) is a frame when a frame or a boundary follows it. Where it fills a burst
-   its end is known, so its check counts; elsewhere the sum has to say where it ends and cannot vouch for it too
-   (`checksum_ok` False).
+6. A frame of unknown code is taken only when it fills a burst exactly and its check fits. A known code of another length
+   is taken so only where the burst ends firmly, for a sum does not see zeros that were lost or added.
+7. A package that lost zeros is a frame when a frame or a boundary follows it. Its check counts where its end is firm;
+   elsewhere the sum has to say where it ends and cannot vouch for it too (`checksum_ok` False).
 
 Boundaries: a *silence* (longer than any pause inside a frame, also behind a USB adapter) and a change of direction end
-every wait; a *burst* (a line of a log, a packet, a shorter pause) ends none, but counts as evidence.
+every wait; a *burst* (a line of a log, a packet, a shorter pause) ends none, but counts as evidence. All are firm but the
+shorter pause.
 
 Not known here: what a frame means. Only where readings are weighed does it count whether the manual allows the values.
 `feed` yields one event at a time, so that its consumer can let the event's meaning reach the context before the framer
@@ -26,10 +27,10 @@ goes on.
 
 from __future__ import annotations
 
-import itertools
 import re
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 from analyzer.catalogue import Command, Dialect, Role
@@ -46,6 +47,8 @@ SILENCE_NS = 25_000_000
 BURST_CHARACTERS = 4
 #: One byte at 9600 baud: where the speed of the line is unknown, the bytes of a chunk may have taken that long.
 SLOWEST_BYTE_NS = 1_041_667
+#: What one pulse on an idle line reads as: a start bit, zeros, then ones. Such a byte between frames is a glitch.
+GLITCHES = frozenset((0x00, 0x80, 0xC0, 0xE0, 0xF0, 0xF8, 0xFC, 0xFE, 0xFF))
 #: What follows a frame: a boundary. No frame is so short that its length could be taken for it.
 BOUNDARY = 1
 
@@ -104,6 +107,7 @@ class Framer:
         self._known = 0  # length of the frame at _at, 0 if not asked yet
         self._step = 0  # offset on the port where the last frame ends
         self._bursts: deque[int] = deque((0,))  # offsets on the port where a burst begins or ends, ascending
+        self._firm: set[int] = {0}  # those of them that are no mere pause
         self._marks: deque[_Mark] = deque()
         self._direction = Role.UNKNOWN
         self._last_ns = 0
@@ -146,8 +150,9 @@ class Framer:
         self._junk_from = 0
         self._marks.append(_Mark(end + size, self._last_ns, before_ns, byte_ns))
         if chunk.burst:
-            self._add_burst(end)
-            self._add_burst(end + size)
+            for offset in (end, end + size):
+                self._add_burst(offset)
+                self._firm.add(offset)
         yield from self._advance(False)
 
     def silence(self) -> Iterator[Frame | Junk]:
@@ -159,6 +164,7 @@ class Framer:
         self._at = self._junk_from = self._known = 0
         self._bursts.clear()
         self._bursts.append(self._base)
+        self._firm = {self._base}
 
     close = silence
 
@@ -195,6 +201,8 @@ class Framer:
                     return
                 if follower == 0:
                     length = self._doubtful(at, length, closed)
+                elif self._step != base + at:
+                    length = self._out_of_step(at, length, closed)
             elif length == 0:
                 length, check_ok = self._wrecked(at, closed)
             if length == MORE:
@@ -208,27 +216,22 @@ class Framer:
                 yield from self._drop_junk()
             stop = at + length
             start = base + at
-            mark = marks[0]
-            if base + stop <= mark.stop and not mark.byte_ns:
-                first_ns = last_ns = mark.t_ns
-            else:
+            mark_stop, first_ns, before_ns, byte_ns = marks[0]
+            last_ns = first_ns
+            if base + stop > mark_stop:
                 first_ns, last_ns = self._times(start, base + stop)
+            elif byte_ns:
+                # `_times`, written out for a frame that came in one chunk.
+                last_ns = max(before_ns, last_ns - (mark_stop - base - stop) * byte_ns)
+                first_ns = max(before_ns, first_ns - (mark_stop - 1 - start) * byte_ns)
             data = buffer[at:stop]
+            dialect = owners[data[0]] or self.dialects[self._owner(data)]
             # The framer is ready for the next event before it gives this one away.
             self._at = self._junk_from = at = stop
             self._step = base + stop
-            length = follower if follower > BOUNDARY else 0
-            self._known = length
-            yield Frame(
-                port,
-                first_ns,
-                last_ns,
-                start,
-                data,
-                owners[data[0]] or self._owner(data, check_ok),
-                direction,
-                check_ok,
-            )
+            # Not so a `TIE`: it may be settled by what this frame brings to the context.
+            self._known = length = follower if follower > BOUNDARY else 0
+            yield Frame(port, first_ns, last_ns, start, data, dialect, direction, check_ok)
             self._known = 0
 
     def _look_at_several(self, buffer: bytes, at: int, end: int, closed: bool) -> int:
@@ -241,6 +244,11 @@ class Framer:
     def _look_at(self, at: int, closed: bool) -> int:
         return self._looks[self._buffer[at]](self._buffer, at, len(self._buffer), closed)
 
+    def _shortest(self, at: int, closed: bool) -> int:
+        """Return the length of the shortest frame that checks here, 0 for none, or `MORE`."""
+        length = self._look_at(at, closed)
+        return self._lengths(at, closed)[0] if length == TIE else length
+
     def _follower(self, stop: int, closed: bool) -> int:
         """Say what stands at `stop`: `BOUNDARY`, the length of a frame (or `TIE`), 0 for something else, or `MORE`."""
         if self._base + stop in self._bursts:
@@ -250,20 +258,53 @@ class Framer:
         return BOUNDARY if closed else MORE
 
     def _lengths(self, at: int, closed: bool) -> list[int]:
-        """Return all lengths at which a frame checks here, and `MORE` last if there may be others."""
+        """Return all lengths at which a frame checks here, ascending, and `MORE` behind them if there may be others."""
         buffer, end = self._buffer, len(self._buffer)
         found = {n for i in self._by_head[buffer[at]] for n in self._slicers[i].lengths(buffer, at, end)}
         wanting = MORE in found and not closed
         found.discard(MORE)
         return [*sorted(found), MORE] if wanting else sorted(found)
 
-    def _settled(self, at: int, closed: bool) -> int:
-        """Return which of two lengths one apart it is, or `MORE`.
+    def _is_firm(self, stop: int, closed: bool) -> bool:
+        """Say whether the bytes before `stop` end at a boundary that is no mere pause."""
+        return self._base + stop in self._firm or (closed and stop == len(self._buffer))
 
-        A frame behind one of them says so, then the open request, then a boundary; else it is the longer.
+    def _spans(self, at: int, length: int) -> bool:
+        """Say whether a boundary lies within these bytes."""
+        first = self._base + at
+        return any(first < b < first + length for b in self._bursts)
+
+    def _skip(self, at: int) -> int:
+        """Return the next place where a frame may begin, a burst does, or a piece of junk is full."""
+        # Noise is searched a piece at a time, or a long stretch of it would be searched again for each piece.
+        limit = min(len(self._buffer), self._junk_from + JUNK_PIECE)
+        found = self._starts.search(self._buffer, at + 1, limit)
+        target = found.start() if found else limit
+        for burst in self._bursts:
+            if burst > self._base + at:
+                target = min(target, burst - self._base)
+                break
+        return target
+
+    def _reach_burst(self) -> Iterator[Junk]:
+        """Forget the boundaries passed; at one, junk ends and the framer is in step."""
+        offset = self._base + self._at
+        bursts = self._bursts
+        while bursts and bursts[0] < offset:
+            self._firm.discard(bursts.popleft())
+        if bursts and bursts[0] == offset:
+            self._step = offset
+            yield from self._drop_junk()
+
+    # --- weighing: each returns the length to take, 0 for none, or MORE --------------------------------------------
+
+    def _settled(self, at: int, closed: bool) -> int:
+        """Choose between two lengths one apart that both check.
+
+        A frame behind one of them decides, then the open request, then a boundary; else it is the longer.
         """
-        tied = [n for n in self._lengths(at, closed) if n != MORE]
-        tied = next([a, b] for a, b in itertools.pairwise(tied) if b == a + 1)
+        lengths = [n for n in self._lengths(at, closed) if n != MORE]
+        tied = next([a, b] for a, b in pairwise(lengths) if b == a + 1)
         followers = [self._follower(at + n, closed) for n in tied]
         if MORE in followers:
             return MORE
@@ -278,12 +319,12 @@ class Framer:
         return bounded[0] if len(bounded) == 1 else tied[1]
 
     def _doubtful(self, at: int, length: int, closed: bool) -> int:
-        """Weigh a frame that checks and that something else follows; return its length, 0 not to believe it, or `MORE`.
+        """Weigh a frame that checks where something else follows.
 
-        Against it speaks a longer frame that begins here and is followed; a frame that begins inside it and is followed,
-        or ends beyond it (then this is the wreck of a frame that lost bytes, and the head of the next one checks by
-        chance); and a frame that one inserted byte has made longer, if the values of that one are as the manual says and
-        those of this one are not.
+        Against it speak: a longer frame that begins here and is followed (then it is that one); a frame that begins
+        inside it and is followed, or ends beyond it (then this is the wreck of a frame that lost bytes, and by chance
+        checks with the head of the next one at its end); and what `_or_inserted` finds. A strong check is believed
+        against all but the followed ones.
         """
         stop = at + length
         for longer in self._lengths(at, closed):
@@ -293,39 +334,40 @@ class Framer:
                 follower = self._follower(at + longer, closed)
                 if follower:
                     return MORE if follower == MORE else longer
-        data = self._buffer[at:stop]
-        index = self._index(data, True)
+        index = self._owner(self._buffer[at:stop])
         strong = self._slicers[index].strong_check
         for start in range(at + 1, stop):
-            inner = self._look_at(start, closed)
+            inner = self._shortest(start, closed)
             if inner == MORE:
                 return MORE
-            if inner == TIE:
-                inner = self._lengths(start, closed)[0]
             if not inner or start + inner == stop or self._spans(start, inner):
                 continue
             follower = self._follower(start + inner, closed)
-            if follower == MORE:
-                return MORE
+            if follower not in (0, MORE):
+                follower = self._out_of_step(start, inner, closed)
             if follower:
-                return 0
+                return MORE if follower == MORE else 0
             if start + inner > stop and not strong:
                 inside = self._buffer[start : start + inner]
-                if self._judges[self._index(inside, True)].plausible(inside):
+                if self._judges[self._owner(inside)].plausible(inside):
                     return 0
         return length if strong else self._or_inserted(at, length, index, closed)
 
     def _or_inserted(self, at: int, length: int, index: int, closed: bool) -> int:
-        """Return `length`, or 0 if a byte more, one of which was inserted, is the better reading, or `MORE`."""
+        """Weigh a doubtful frame against the same with one byte more, of which one was inserted.
+
+        Both readings fit where leaving out a byte makes a frame that checks with the last one. A byte that a pulse on
+        an idle line makes is more likely a glitch behind a frame; else neither is likelier, and nothing is claimed.
+        """
         stop = at + length + 1
         if stop > len(self._buffer):
             return length if closed else MORE
         follower = self._follower(stop, closed)
-        if follower in (0, MORE):
-            return (follower and MORE) or length
+        if follower == MORE:
+            return MORE
         slicer, judge = self._slicers[index], self._judges[index]
         data = self._buffer[at:stop]
-        if judge.plausible(data[:-1]):
+        if not follower or (data[-1] in GLITCHES and judge.plausible(data[:-1])):
             return length
         for place in range(1, length):
             mended = data[:place] + data[place + 1 :]
@@ -333,40 +375,50 @@ class Framer:
                 return 0
         return length
 
-    def _wrecked(self, at: int, closed: bool) -> tuple[int, bool]:
-        """Return the length of a frame that `look` does not know, and if its check fits: damaged, foreign, or short.
+    def _out_of_step(self, at: int, length: int, closed: bool) -> int:
+        """Weigh a frame behind junk, or inside another, that is followed.
 
-        0: there is none; `MORE`: open.
+        Where a row of frames stands in it, a byte of junk looks like the head of a package, and its sum fits by chance.
         """
-        buffer, end, bursts = self._buffer, len(self._buffer), self._bursts
+        for start in range(at + 1, at + length):
+            inner = self._shortest(start, closed)
+            if inner == MORE:
+                return MORE
+            if inner and start + inner < at + length:
+                follower = self._follower(start + inner, closed)
+                if follower not in (0, BOUNDARY):
+                    return MORE if follower == MORE else 0
+        return length
+
+    def _wrecked(self, at: int, closed: bool) -> tuple[int, bool]:
+        """Find a frame where none checks by its code: foreign, damaged, short. Return also whether its check counts."""
+        buffer, end = self._buffer, len(self._buffer)
         offset = self._base + at
-        known = self._by_head[buffer[at]]
-        begins = bool(bursts) and bursts[0] == offset
-        burst = 0
-        if begins:
-            burst = bursts[1] - offset if len(bursts) > 1 else end - at
-            if len(bursts) == 1 and not closed:
-                if burst < self._longest and any(self._slicers[i].foreign(buffer, at) for i in known):
+        known = [self._slicers[i] for i in self._by_head[buffer[at]]]
+        if known and self._bursts and self._bursts[0] == offset:
+            ends = len(self._bursts) > 1
+            burst = self._bursts[1] - offset if ends else end - at
+            if burst <= self._longest:
+                if not ends and not closed:
                     return MORE, False
-                burst = 0
-            if burst and any(self._slicers[i].whole(buffer[at : at + burst]) for i in known):
-                return burst, True
-        for index in known:
-            slicer = self._slicers[index]
-            if slicer.strong_head or begins or offset == self._step:
+                firm = self._is_firm(at + burst, closed)
+                if any(s.whole(buffer[at : at + burst]) and (firm or s.foreign(buffer, at)) for s in known):
+                    return burst, True
+        for slicer in known:
+            if slicer.strong_head or offset == self._step:
                 for length in slicer.damaged(buffer, at, end):
-                    sure = self._alone(at, length, closed)
-                    if sure:
-                        return (MORE if sure == MORE else length), False
-        for index in known:
-            for length in self._slicers[index].shortened(buffer, at, end):
-                sure = self._alone(at, length, closed)
-                if sure:
-                    return (MORE if sure == MORE else length), length == burst
+                    follower = self._alone(at, length, closed)
+                    if follower:
+                        return (MORE if follower == MORE else length), False
+        for slicer in known:
+            for length in slicer.shortened(buffer, at, end):
+                follower = self._alone(at, length, closed)
+                if follower:
+                    return (MORE if follower == MORE else length), self._is_firm(at + length, closed)
         return 0, False
 
     def _alone(self, at: int, length: int, closed: bool) -> int:
-        """Return 1 if a frame or a boundary follows and no frame begins inside, 0 if not, `MORE` if that is open."""
+        """Say what follows these bytes, as `_follower` does; 0 also where a frame begins inside them."""
         if length == MORE:
             return 0 if closed else MORE
         if self._spans(at, length):
@@ -378,75 +430,61 @@ class Framer:
             inner = self._look_at(start, closed)
             if inner:
                 return MORE if inner == MORE else 0
-        return 1
-
-    def _spans(self, at: int, length: int) -> bool:
-        """Say whether a boundary lies within these bytes."""
-        first = self._base + at
-        return any(first < b < first + length for b in self._bursts)
+        return follower
 
     # --- what is given away ---------------------------------------------------------------------------------------
 
-    def _reach_burst(self) -> Iterator[Junk]:
-        """Forget the boundaries passed; junk ends at one."""
-        offset = self._base + self._at
-        bursts = self._bursts
-        while bursts and bursts[0] < offset:
-            bursts.popleft()
-        if bursts and bursts[0] == offset:
-            yield from self._drop_junk()
-
-    def _skip(self, at: int) -> int:
-        """Return the next place where a frame may begin, a burst does, or a piece of junk is full."""
-        found = self._starts.search(self._buffer, at + 1)
-        target = found.start() if found else len(self._buffer)
-        for burst in self._bursts:
-            if burst > self._base + at:
-                target = min(target, burst - self._base)
-                break
-        return min(target, self._junk_from + JUNK_PIECE)
-
-    def _index(self, data: bytes, check_ok: bool) -> int:
-        """Return which dialect's frame this is; the first wins where several could."""
+    def _owner(self, data: bytes) -> int:
+        """Return which dialect's frame this is, as an index; the first wins where several could."""
         size = len(data)
         known = self._by_head[data[0]]
-        if check_ok:
-            for index in known:
-                if size in self._slicers[index].lengths(data, 0, size):
-                    return index
-            for index in known:
-                if self._slicers[index].whole(data):
-                    return index
-        return next((i for i in known if size in self._slicers[i].damaged(data, 0, size)), known[0])
-
-    def _owner(self, data: bytes, check_ok: bool) -> Dialect:
-        return self.dialects[self._index(data, check_ok)]
+        for index in known if len(known) > 1 else ():
+            if size in self._slicers[index].lengths(data, 0, size):
+                return index
+        for index in known if len(known) > 1 else ():
+            slicer = self._slicers[index]
+            if slicer.whole(data) or size in slicer.damaged(data, 0, size):
+                return index
+        return known[0]
 
     def _drop_junk(self) -> Iterator[Junk]:
+        """Give the junk away, the beginning of a frame that broke off at its end apart."""
         start, stop = self._junk_from, self._at
         if stop <= start:
             return
         data = self._buffer[start:stop]
         offset = self._base + start
-        first_ns, last_ns = self._times(offset, offset + len(data))
-        self._junk_from = stop
-        yield Junk(self.port, first_ns, last_ns, offset, data, self._reason(data))
+        size = self._broken_off(data)
+        for part, reason in ((data[:size], self._reason(data[:size])), (data[size:], JunkReason.TRUNCATED)):
+            if part:
+                first_ns, last_ns = self._times(offset, offset + len(part))
+                offset += len(part)
+                self._junk_from += len(part)
+                yield Junk(self.port, first_ns, last_ns, offset - len(part), part, reason)
 
-    def _reason(self, data: bytes) -> JunkReason:
-        """Say why bytes are junk: the beginning of a frame that broke off, several frames in one heap, or noise."""
+    def _broken_off(self, data: bytes) -> int:
+        """Return where the beginning of a known frame stands that the end of the junk cuts off."""
         size = len(data)
-        if size > 2 * self._longest:
-            return JunkReason.NOISE
-        known = self._by_head[data[0]]
-        if size < self._longest and any(self._slicers[i].look(data, 0, size, False) == MORE for i in known):
-            return JunkReason.TRUNCATED
-        heads = 0
-        for found in self._starts.finditer(data):
-            at = found.start()
+        if size >= JUNK_PIECE:
+            return size
+        for at in range(max(0, size - self._longest), size):
             for index in self._by_head[data[at]]:
                 slicer = self._slicers[index]
-                if slicer.strong_head and size - at > 2 and slicer.damaged(data, at, size):
-                    heads += 1
+                if at and not (slicer.strong_head and size - at > 2):
+                    continue
+                if slicer.look(data, at, size, False) == MORE:
+                    return at
+        return size
+
+    def _reason(self, data: bytes) -> JunkReason:
+        """Say why bytes are junk: where several known frames begin and none is whole, two senders spoke at once."""
+        size = len(data)
+        heads = 0
+        if size <= 2 * self._longest:
+            for found in self._starts.finditer(data):
+                at = found.start()
+                known = (self._slicers[i] for i in self._by_head[data[at]])
+                heads += any(s.strong_head and s.damaged(data, at, size) for s in known)
         return JunkReason.COLLISION if heads > 1 else JunkReason.NOISE
 
     def _times(self, start: int, stop: int) -> tuple[int, int]:
@@ -457,10 +495,8 @@ class Framer:
         return self._time_of(start), self._time_of(stop - 1)
 
     def _time_of(self, offset: int) -> int:
-        for mark in self._marks:
-            if offset < mark.stop:
-                return max(mark.before_ns, mark.t_ns - (mark.stop - 1 - offset) * mark.byte_ns)
-        raise AssertionError(f"no chunk brought byte {offset}")
+        mark = next(m for m in self._marks if offset < m.stop)
+        return max(mark.before_ns, mark.t_ns - (mark.stop - 1 - offset) * mark.byte_ns)
 
 
 class _Judge:

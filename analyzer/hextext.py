@@ -21,13 +21,14 @@ from analyzer.values import quote
 #: The longest frame of any bus here is one of Modbus (256); text for many more bytes is no frame.
 LONGEST = 512
 _LONGEST_TEXT = 16 * LONGEST
+_LONGEST_CAN_TEXT = 256
 #: Largest identifier of CAN 2.0A.
 CAN_ID_LIMIT = 0x7FF
 CAN_DATA_LIMIT = 8
 
 _SEPARATORS = re.compile(r"[\s,;:_\-\[\](){}]+")
 _TOKEN = re.compile(r"(?:0[xX]|\\x|\$)?([0-9a-fA-F]+)[hH]?")
-_CAN_HASH = re.compile(r"(?:\([^()]*\)\s*)?(?:[\w.\-]+\s+)?([0-9a-fA-F]+)(#{1,2})(\S*)(?:\s+[TR])?")
+_CAN_HASH = re.compile(r"(?:\([^()]*\)\s*)?(?:[\w.\-]+\s+)?([0-9a-fA-F]+)(#{1,2})([0-9a-fA-FRr.\s]*?)(?:\s+[TR])?")
 _CAN_DUMP = re.compile(r"(?:\([^()]*\)\s*)?[\w.\-]+\s+([0-9a-fA-F]{3}|[0-9a-fA-F]{8})\s+\[(\d+)\]((?:\s+[0-9a-fA-F]{2})*)")
 
 
@@ -48,6 +49,8 @@ def read_frame(text: str) -> Given:
         raise UnreadableError("expected the hex bytes of a frame, got nothing")
     if len(text) > _LONGEST_TEXT:
         raise UnreadableError(f"expected a frame of at most {LONGEST} bytes, got {quote(text, 20)}")
+    if len(text) > _LONGEST_CAN_TEXT:
+        return _plain(text)
     dump = _CAN_DUMP.fullmatch(text)
     if dump is not None:
         given = _can(dump[1], dump[3], text)

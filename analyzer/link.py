@@ -6,17 +6,18 @@
     LK          3E A2 01 04 E5 | data | sum8     head, code, address, length, sum8 of the head | data | sum8 of the data
     CAN         ID | F6 01 40 02 | 3A            ID, code, data, sum8 of ID and all before
 
-A link knows bytes and lengths, no command: a `Slicer` is a link that has been told which lengths the codes of one dialect
-have. `Slicer.look` answers with the length of a frame that is complete and whose check fits, 0 for none, `MORE` while that
-is open, and `TIE` where two lengths check. It never raises, whatever the bytes.
+A link knows bytes and lengths, no command: a `Slicer` is a link that has been told which lengths the codes of one
+dialect have. `Slicer.look` answers with the length of a frame that is complete and whose check fits, 0 for none, `MORE`
+while that is open, and `TIE` where two lengths check. It never raises, whatever the bytes.
 
 Rules kept here:
 - An answer that is not `MORE` rests on bytes that have come and does not change with those that follow, so that it does
   not matter where the bytes were cut into reads.
-- Of several lengths at one place the shortest that checks is the answer; what follows a frame can still speak for another
-  (`Slicer.lengths`). Only lengths one apart are a `TIE`: a Modbus frame whose CRC ends in 00 checks one byte short too.
-- Heads above 0xF7 are never taken for Modbus addresses. The length of an LK frame is believed only behind a fitting head
-  sum.
+- Of several lengths at one place the shortest that checks is the answer; what follows a frame can still speak for
+  another (`Slicer.lengths`). Only lengths one apart are a `TIE`: a Modbus frame whose CRC ends in 00 checks one byte
+  short too.
+- Heads above 0xF7 are never taken for Modbus addresses. The length of an LK frame is believed only behind a fitting
+  head sum.
 
 Not known here: whether bytes that check are a frame. Where that is doubtful, `analyzer.framer` weighs it.
 """
@@ -118,11 +119,11 @@ class Slicer:
         return 0
 
     def damaged(self, buffer: bytes, at: int, end: int) -> list[int]:
-        """Return the lengths of known frames at `at` of which only the check is wrong, then `MORE` if bytes are wanting."""
+        """Return the lengths of known frames at `at` whose check alone is wrong, then `MORE` if bytes are wanting."""
         return []
 
     def foreign(self, buffer: bytes, at: int) -> bool:
-        """Say whether a frame of a code or length that is not in the catalogue may begin at `at`."""
+        """Say whether what begins at `at` has the head of this dialect and a code that is not in the catalogue."""
         return False
 
     def whole(self, data: bytes) -> bool:
@@ -138,7 +139,7 @@ class Link:
     """How frames of a dialect are delimited and checked. Subclasses are immutable."""
 
     kind = "serial"
-    #: Bytes at the beginning that tell role, address and code, 0 where they are not told by the frame alone.
+    #: Bytes at the beginning that, with the length, tell address and code; 0 where the bytes alone never do.
     deciding_bytes = 0
 
     def slicer(self, dialect: Dialect, expects: Callable[[int, int], int]) -> Slicer:
@@ -155,6 +156,10 @@ class Link:
     def checks(self, frame: bytes, can_id: int | None = None) -> tuple[Check, ...]:
         """Return the checks of a complete frame, in the order in which they stand."""
         raise NotImplementedError
+
+    def fits(self, frame: bytes, can_id: int | None = None) -> bool:
+        """Say whether every check of a complete frame fits."""
+        return all(check.ok for check in self.checks(frame, can_id))
 
     def build(self, command: Command, form: Form, address: int, data: bytes, role: Role) -> bytes:
         """Return the bytes of a frame; on CAN its data bytes."""
@@ -309,9 +314,9 @@ class _HeadSlicer(Slicer):
         return self._choices.get((buffer[at], buffer[at + 2]), ()) if at + 3 <= end else ()
 
     def lengths(self, buffer: bytes, at: int, end: int) -> list[int]:
+        result: list[int] = []
         if buffer[at] in self.heads and at + 3 > end:
             return [MORE]
-        result = []
         for length in self._sizes(buffer, at, end):
             last = at + length - 1
             if last >= end:
@@ -321,18 +326,17 @@ class _HeadSlicer(Slicer):
         return result
 
     def damaged(self, buffer: bytes, at: int, end: int) -> list[int]:
-        result = []
-        for length in self._sizes(buffer, at, end):
-            if at + length > end:
-                return [*result, MORE]
-            result.append(length)
-        return result
+        lengths = self._sizes(buffer, at, end)
+        complete = [n for n in lengths if at + n <= end]
+        return complete if len(complete) == len(lengths) else [*complete, MORE]
 
     def foreign(self, buffer: bytes, at: int) -> bool:
-        return buffer[at] in self.heads
+        return buffer[at] in self.heads and at + 2 < len(buffer) and self._table[buffer[at]][buffer[at + 2]] == 0
 
     def whole(self, data: bytes) -> bool:
-        return len(data) >= 4 and data[0] in self.heads and self._total(data[:-1]) & 0xFF == data[-1]
+        if len(data) < 4 or data[0] not in self.heads or self._total(data[:-1]) & 0xFF != data[-1]:
+            return False
+        return self._package is None or data[0] != self._package.head or len(data) <= self._package.length
 
     def shortened(self, buffer: bytes, at: int, end: int) -> list[int]:
         package = self._package
@@ -442,7 +446,7 @@ def _u16(data: bytes, at: int) -> int:
 
 
 class _ModbusSlicer(Slicer):
-    """Lengths by function: a read is 8 bytes or a reply with its byte count, a write of several 8 or 9 and its count."""
+    """Lengths by function: a read has 8 bytes, or 5 and its byte count; a write of several 8, or 9 and its count."""
 
     heads = bytes(range(_MODBUS_HIGHEST + 1))
     # Address, then a function or an exception of one; a look-ahead keeps the search at the address.
@@ -456,7 +460,7 @@ class _ModbusSlicer(Slicer):
         self._expects = expects
 
     def _sizes(self, buffer: bytes, at: int, end: int) -> tuple[int, ...]:
-        """Return the lengths that a frame at `at` can have, in ascending order, and `MORE` while bytes could add one."""
+        """Return the lengths that a frame at `at` can have, ascending, or `MORE` while that cannot be told."""
         have = end - at
         if have < 2:
             return (MORE,)
@@ -532,14 +536,17 @@ class _ModbusSlicer(Slicer):
         return result
 
     def foreign(self, buffer: bytes, at: int) -> bool:
-        return buffer[at] <= _MODBUS_HIGHEST
+        known = at + 1 >= len(buffer) or buffer[at + 1] in FUNCTIONS or buffer[at + 1] ^ 0x80 in FUNCTIONS
+        return buffer[at] <= _MODBUS_HIGHEST and not known
 
     def whole(self, data: bytes) -> bool:
-        return (
-            4 <= len(data) <= self.longest
-            and data[0] <= _MODBUS_HIGHEST
-            and modbus_crc(data[:-2]) == data[-2] | data[-1] << 8
-        )
+        size = len(data)
+        if not 4 <= size <= self.longest or data[0] > _MODBUS_HIGHEST:
+            return False
+        if modbus_crc(data[:-2]) != data[-2] | data[-1] << 8:
+            return False
+        # A frame that lost the 00 at its end checks too.
+        return self.look(data + b"\0", 0, size + 1, True) != size + 1
 
 
 # --- Lingkong -----------------------------------------------------------------------------------------------------
@@ -551,6 +558,8 @@ _LK_LONGEST = 100
 @dataclass(frozen=True)
 class LkLink(Link):
     """Lingkong: the head carries the length and its own sum; data, where there is any, has another."""
+
+    deciding_bytes = 3
 
     def slicer(self, dialect: Dialect, expects: Callable[[int, int], int]) -> Slicer:
         """Return a slicer; frames carry their length, codes matter only where there are no data."""
@@ -628,13 +637,13 @@ class _LkSlicer(Slicer):
     def damaged(self, buffer: bytes, at: int, end: int) -> list[int]:
         if buffer[at] != _LK_HEAD:
             return []
-        if at + 5 > end:
-            return [MORE]
+        if at + 4 > end:
+            return [MORE] if at + 2 > end or buffer[at + 1] in self._known else []
         size = buffer[at + 3]
         if size not in self._known.get(buffer[at + 1], ()):
             return []
         if size == 0:
-            return [5]
+            return [5] if at + 5 <= end else [MORE]
         stop = at + 6 + size
         if stop > end:
             return [MORE]
@@ -643,7 +652,7 @@ class _LkSlicer(Slicer):
         return [6 + size] if head_fits or sum(buffer[at + 5 : stop - 1]) & 0xFF == buffer[stop - 1] else []
 
     def foreign(self, buffer: bytes, at: int) -> bool:
-        return buffer[at] == _LK_HEAD
+        return buffer[at] == _LK_HEAD and at + 1 < len(buffer) and buffer[at + 1] not in self._known
 
     def whole(self, data: bytes) -> bool:
         if len(data) < 5 or data[0] != _LK_HEAD or sum(data[:4]) & 0xFF != data[4]:
@@ -661,6 +670,7 @@ class CanLink(Link):
     """CAN 2.0A: the identifier is the address of the drive, in requests and replies alike; sum8 over ID and data."""
 
     kind = "can"
+    deciding_bytes = 1
 
     def slicer(self, dialect: Dialect, expects: Callable[[int, int], int]) -> Slicer:
         """Raise: a CAN bus delimits its frames itself."""
@@ -674,6 +684,10 @@ class CanLink(Link):
         """Return the sum over the whole ID and the data."""
         expected = bytes((((can_id or 0) + sum(frame[:-1])) & 0xFF,))
         return (Check("checksum", max(0, len(frame) - 1), frame[-1:], expected),)
+
+    def fits(self, frame: bytes, can_id: int | None = None) -> bool:
+        """Say whether the sum over the whole ID and the data fits."""
+        return len(frame) > 0 and ((can_id or 0) + sum(frame) - frame[-1]) & 0xFF == frame[-1]
 
     def build(self, command: Command, form: Form, address: int, data: bytes, role: Role) -> bytes:
         """Return the data bytes of a frame."""

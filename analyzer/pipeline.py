@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import msgspec
 
@@ -21,7 +21,7 @@ from analyzer.decoder import Decoder
 from analyzer.errors import UsageError
 from analyzer.findings import Issue, finding, is_plain, of_junk, of_message
 from analyzer.framer import SILENCE_NS, Framer
-from analyzer.records import CanFrame, Chunk, Comment, Finding, Frame, Junk, Message
+from analyzer.records import CanFrame, Chunk, Comment, Finding, Frame, Junk, Lane, Message
 from analyzer.transactions import Late, Transactions
 
 #: Data bits of a CAN frame besides its payload, for made-up times: standard frame with its gap.
@@ -56,6 +56,16 @@ class Sink(Protocol):
 
     def comment(self, comment: Comment) -> None:
         """Take a comment of the capture."""
+
+
+@runtime_checkable
+class PlainSink(Protocol):
+    """A sink that takes the usual case in fewer steps: a frame of a lane, with no finding."""
+
+    def plain(
+        self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None
+    ) -> None:
+        """Take a frame; a reply is its request's first and has that request's sequence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +135,9 @@ class Pipeline:
         self.dialects = tuple(dialects)
         self.sinks = tuple(sinks)
         self.options = options or Options()
+        # A sink may take frames that are in order as they are, without an entry being built for it.
+        self._plain_sinks = [s.plain for s in self.sinks if isinstance(s, PlainSink)]
+        self._entry_sinks = [s for s in self.sinks if not isinstance(s, PlainSink)]
         self.ports: dict[str, Port] = {}
         self.sequence = 0
 
@@ -193,33 +206,35 @@ class Pipeline:
         dialect = port.can[0] if port.can else self.dialects[0]
         if not port.can:
             raise UsageError(f"{port.name} is a CAN bus, and {dialect.name} is a dialect of serial lines")
-        foreign = _foreign(can)
+        usual = not (can.error or can.fd or can.extended or can.remote) and can.id <= CAN_ID_LIMIT and len(can.data) > 1
+        foreign = None if usual else _foreign(can)
         if foreign is not None:
             frame = Frame(port.name, t_ns, t_ns, offset, can.data, dialect, can.direction, True, can)
             message = Message(frame, Role.UNKNOWN, can.id, None, None, can.data)
             self._write(port, message, [foreign])
             return
-        link = dialect.link
-        good = True
         if len(port.can) > 1:
-            fitting = (d for d in port.can if all(c.ok for c in d.link.checks(can.data, can.id)))
-            dialect = next(fitting, dialect)
-            link = dialect.link
-        check = link.checks(can.data, can.id)
-        good = all(c.ok for c in check)
+            dialect = next((d for d in port.can if d.link.fits(can.data, can.id)), dialect)
+        good = dialect.link.fits(can.data, can.id)
         self._frame(port, Frame(port.name, t_ns, t_ns, offset, can.data, dialect, can.direction, good, can))
 
     # --- what both share ------------------------------------------------------------------------------------------
 
     def _frame(self, port: Port, frame: Frame) -> None:
         context = port.context
-        message, asked = port.decoders[frame.dialect.name].decode(frame, context)
-        paired = port.transactions.observe(message, self.sequence + 1, asked)
+        decoder = port.decoders[frame.dialect.name]
+        if frame.checksum_ok and not context.borrowed:
+            lane = decoder.lane(frame)
+            if lane is not None and lane.sound(frame.data[lane.start : lane.stop]):
+                if not lane.topic:
+                    lane.topic = port.topic(lane.message(frame))
+                if self._plain(port, lane, frame):
+                    return
+        message, asked = decoder.decode(frame, context)
+        topic = port.topic(message)
+        paired = port.transactions.observe(message, self.sequence + 1, asked, topic)
         for late in paired.earlier:
             self._late(port, late)
-        topic = port.topic(message)
-        if paired.opened is not None:
-            paired.opened.topic = topic
         request = paired.request
         asked_by = None if request is None else request.sequence
         if not paired.issues and is_plain(message, context):
@@ -230,6 +245,32 @@ class Pipeline:
             return
         issues = of_message(message, context) + list(paired.issues)
         self._write(port, message, issues, topic, paired.latency_ns, asked_by, paired.first)
+
+    def _plain(self, port: Port, lane: Lane, frame: Frame) -> bool:
+        """Pass a frame on that is in order in every way; return False, with nothing done, if it has to be looked at."""
+        sequence = self.sequence + 1
+        latency_ns = asked_by = None
+        if lane.is_request:
+            if frame.role is Role.REPLY or not port.transactions.plain_request(lane, frame, sequence):
+                return False
+        else:
+            request = port.transactions.plain_reply(lane, frame)
+            if request is None:
+                return False
+            asked_by = request.sequence
+            if self.options.timed:
+                latency_ns = frame.first_ns - request.t_ns
+                if latency_ns < 0:
+                    latency_ns = 0
+        self.sequence = sequence
+        for plain in self._plain_sinks:
+            plain(lane, frame, sequence, latency_ns, asked_by)
+        if self._entry_sinks:
+            first = not lane.is_request
+            entry = Entry(lane.message(frame), sequence, lane.topic, (), latency_ns, asked_by, first)
+            for sink in self._entry_sinks:
+                sink.entry(entry)
+        return True
 
     def _write(
         self,

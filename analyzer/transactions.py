@@ -25,7 +25,7 @@ import msgspec
 from analyzer.catalogue import Command, Role, Verb
 from analyzer.context import Context, Outcome, Request, State, answers
 from analyzer.findings import Issue
-from analyzer.records import Message, Severity
+from analyzer.records import Frame, Lane, Message, Severity
 
 #: A request is given up for good after this many late limits.
 GIVE_UP = 5
@@ -53,7 +53,6 @@ class Paired(msgspec.Struct, gc=False):
     first: bool = False
     issues: tuple[Issue, ...] = ()
     earlier: tuple[Late, ...] = ()
-    opened: Request | None = None
 
 
 
@@ -68,22 +67,24 @@ class Transactions:
         self.half_duplex = half_duplex
         self._timed = timed
         self._check_ns = 0
-        self._last_message: Message | None = None
+        self._last: Frame | None = None
+        self._last_is_reply = False
         self._last_reply: dict[int, bytes] = {}
         self._answers_motion: set[int] = set()
         self._told_silent: set[int] = set()
 
-    def observe(self, message: Message, sequence: int, asked: Request | None) -> Paired:
+    def observe(self, message: Message, sequence: int, asked: Request | None, topic: str = "") -> Paired:
         """Take the next message of the port and return what it is; `asked` is what the decoder found it answers."""
         now = message.frame.last_ns
         earlier = self._expired(now) if now >= self._check_ns else ()
         if message.role is Role.REPLY:
             paired = self._reply(message, asked)
         elif message.role is Role.REQUEST or message.command is not None:
-            paired = self._request(message, sequence)
+            paired = self._request(message, sequence, topic)
         else:
             paired = Paired()
-        self._last_message = message
+        self._last = message.frame
+        self._last_is_reply = message.role is Role.REPLY
         if earlier:
             paired.earlier = earlier + paired.earlier
         return paired
@@ -94,15 +95,81 @@ class Transactions:
         for requests in list(self.context.open.values()):
             for request in list(requests):
                 if request.state is State.WAITING:
-                    is_last = request.message is self._last_message
+                    is_last = request.frame is self._last
                     severity = Severity.INFO if is_last else None
                     why = "the capture ends here" if is_last else "no reply until the end of the capture"
                     late += self._give_up(request, Outcome.UNANSWERED, why, severity)
         return late
 
+    # --- the plain case -------------------------------------------------------------------------------------------
+
+    def plain_request(self, lane: Lane, frame: Frame, sequence: int) -> bool:
+        """Open a request that is nothing but a request; return False, with nothing done, if `observe` must look at it."""
+        context, address, last = self.context, lane.address, self._last
+        if (
+            not lane.expects
+            or frame.last_ns >= self._check_ns
+            or (last is not None and last.data == frame.data)
+            or address in context.groups
+            or address == frame.dialect.broadcast
+            or (lane.command.silenced and address in context.silenced)
+            or context.speaks.get(address, frame.dialect.name) != frame.dialect.name
+        ):
+            return False
+        waiting = context.open.get(address)
+        request = Request(frame, address, lane.command, sequence, lane.topic)
+        request.lane = lane
+        if waiting is None:
+            context.open[address] = [request]
+        elif lane.command.moves or len(waiting) >= MOST_OPEN:
+            return False
+        else:
+            waiting.append(request)
+        if lane.command.borrows:
+            context.borrowed += 1
+        context.last_request = request
+        self._last = frame
+        self._last_is_reply = False
+        return True
+
+    def plain_reply(self, lane: Lane, frame: Frame) -> Request | None:
+        """End the one open request with its first and final reply; return None, with nothing done, for any other case."""
+        context, address = self.context, lane.address
+        waiting = context.open.get(address)
+        if waiting is None or len(waiting) != 1 or len(context.open) != 1 or frame.last_ns >= self._check_ns:
+            return None
+        request, command = waiting[0], lane.command
+        if (
+            request.command is not command
+            or request.state is not State.WAITING
+            or context.echoes
+            or frame.first_ns - request.t_ns > self.late_ns
+            or command.verb in _LEARN
+        ):
+            return None
+        if command.judged:
+            data = frame.data[lane.start : lane.stop]
+            meaning = lane.meanings.get(data)
+            if meaning is None:
+                meaning = lane.meanings[data] = meaning_of(lane.message(frame), command)[0]
+            if meaning != "final":
+                return None
+        if command.silenced:
+            self._answers_motion.add(address)
+        request.state = State.DONE
+        request.outcome = Outcome.ANSWERED
+        del context.open[address]
+        if command.borrows:
+            context.borrowed -= 1
+        context.speaks[address] = frame.dialect.name
+        self._last_reply[address] = frame.data
+        self._last = frame
+        self._last_is_reply = True
+        return request
+
     # --- requests -------------------------------------------------------------------------------------------------
 
-    def _request(self, message: Message, sequence: int) -> Paired:
+    def _request(self, message: Message, sequence: int, topic: str) -> Paired:
         context, frame, command = self.context, message.frame, message.command
         earlier: list[Late] = []
         same = self._repeated(message)
@@ -112,13 +179,13 @@ class Transactions:
                 context.echoes += 1
                 return Paired(issues=(Issue("host_echo", f"the request once more after {gap / 1e6:.3f} ms"),))
             earlier += self._give_up(same, Outcome.RETRIED, f"the host repeated it after {gap / 1e6:.1f} ms")
-        request = Request(message, sequence, self._expects(message))
+        request = Request.of(message, sequence, topic)
         running = context.open.get(message.address)
         if running and command is not None and command.moves:
             for older in list(running):
                 if older.state is State.RUNNING:
                     self._end(older, Outcome.SUPERSEDED)
-        if not request.expects:
+        if not self._expects(message):
             request.outcome = Outcome.SILENT
             if self._is_to_many(message):
                 context.broadcasts.append(request)
@@ -126,22 +193,25 @@ class Transactions:
         else:
             waiting = context.open.setdefault(message.address, [])
             waiting.append(request)
+            if command is not None and command.borrows:
+                context.borrowed += 1
             if len(waiting) > MOST_OPEN:
                 earlier += self._give_up(waiting[0], Outcome.UNANSWERED, f"{MOST_OPEN} requests followed without a reply")
         context.last_request = request
-        return Paired(earlier=tuple(earlier), opened=request)
+        return Paired(earlier=tuple(earlier))
 
     def _repeated(self, message: Message) -> Request | None:
         """Return the open request that this one repeats with nothing between, or None."""
-        last = self._last_message
-        if last is None or last.frame.data != message.frame.data or last.address != message.address:
+        last = self._last
+        if last is None or last.data != message.frame.data or (last.can and last.can.id != message.address):
             return None
-        if last.role is Role.REPLY or not last.frame.checksum_ok:
+        if self._last_is_reply or not last.checksum_ok:
             return None
         request = self.context.last_request
-        if request is None or request.message.frame.data != message.frame.data or request.state is not State.WAITING:
+        if request is None or request.frame.data != message.frame.data or request.state is not State.WAITING:
             return None
-        return request if request.expects or message.frame.first_ns - request.t_ns <= ECHO_NS else None
+        silent = request.outcome is Outcome.SILENT
+        return None if silent and message.frame.first_ns - request.t_ns > ECHO_NS else request
 
     def _is_to_many(self, message: Message) -> bool:
         command = message.command
@@ -176,7 +246,7 @@ class Transactions:
         issues: list[Issue] = []
         if first and latency is not None and latency > self.late_ns:
             issues.append(Issue("late_reply", f"after {latency / 1e6:.1f} ms, limit {self.late_ns / 1e6:g} ms"))
-        meaning, problem = meaning_of(message, asked.message.command)
+        meaning, problem = meaning_of(message, asked.command)
         if problem is not None:
             issues.append(problem)
         if asked.state is State.RUNNING and meaning == "interim":
@@ -186,13 +256,13 @@ class Transactions:
 
     def _is_echo(self, message: Message, asked: Request) -> bool:
         """Say whether a reply that is byte for byte its request is the host's echo: only on a bus known to echo."""
-        if asked.gave_up == "echoed" or message.frame.data != asked.message.frame.data:
+        if asked.gave_up == "echoed" or message.frame.data != asked.frame.data:
             return False
         asked.gave_up = "echoed"
-        return self._last_message is asked.message
+        return self._last is asked.frame
 
     def _advance(self, request: Request, message: Message, meaning: str) -> None:
-        context, command = self.context, request.message.command
+        context, command = self.context, request.command
         request.state = NEXT[meaning]
         if request.state is State.RUNNING and message.address in context.passive:
             request.state = State.DONE
@@ -217,7 +287,7 @@ class Transactions:
             if request.address == message.address and answers(request, head.function, head.code, message.data):
                 context.unanswered.remove(request)
                 latency = max(0, frame.first_ns - request.t_ns) if self._timed else None
-                meaning, problem = meaning_of(message, request.message.command)
+                meaning, problem = meaning_of(message, request.command)
                 after = "" if latency is None else f" after {latency / 1e6:.1f} ms"
                 issues = [Issue("late_reply", f"it came{after}, when the request had been given up")]
                 self._advance(request, message, meaning)
@@ -266,7 +336,7 @@ class Transactions:
     ) -> list[Late]:
         self._end(request, outcome)
         self.context.unanswered.append(request)
-        command = request.message.command
+        command = request.command
         address = request.address
         if command is not None and command.silenced and address not in self._answers_motion:
             if address in self._told_silent:
@@ -282,6 +352,8 @@ class Transactions:
         requests = self.context.open.get(request.address)
         if requests and request in requests:
             requests.remove(request)
+            if request.command is not None and request.command.borrows:
+                self.context.borrowed -= 1
             if not requests:
                 del self.context.open[request.address]
 
@@ -311,9 +383,7 @@ def meaning_of(message: Message, command: Command | None) -> tuple[str, Issue | 
     """Return what a reply means (interim, final, failed), and the issue if it failed."""
     form = message.form
     if form is not None and form is message.frame.dialect.exception:
-        name = message.values.get("exception", 0)
-        known = form.layout.named["exception"].choice_names.get(name, "not a standard code")
-        return "failed", Issue("modbus_exception", f"exception 0x{name:02X}, {known}")
+        return "failed", None
     if command is None or form is None or not command.judged:
         return "final", None
     replies = command.replies

@@ -16,18 +16,19 @@ ROOT = Path(__file__).parents[1]
 LAYERS = (
     ("analyzer.errors", "analyzer"),
     ("analyzer.layout",),
-    ("analyzer.codec",),
+    ("analyzer.codec", "analyzer.values"),
     ("analyzer.catalogue", "analyzer.link"),
     ("analyzer.protocols",),
-    ("analyzer.dialects", "analyzer.records"),
+    ("analyzer.dialects", "analyzer.records", "analyzer.lookup"),
     ("analyzer.context",),
     ("analyzer.framer", "analyzer.decoder", "analyzer.encoder"),
     ("analyzer.findings",),
     ("analyzer.transactions",),
     ("analyzer.pipeline",),
     ("analyzer.detect", "analyzer.filter"),
-    ("analyzer.sources", "analyzer.sinks", "analyzer.reference", "analyzer.hextext"),
-    ("analyzer.cli",),
+    ("analyzer.sources", "analyzer.sinks", "analyzer.hextext", "analyzer.explanation"),
+    ("analyzer.reference", "analyzer.picture"),
+    ("analyzer.cli", "analyzer.__main__"),
 )
 
 

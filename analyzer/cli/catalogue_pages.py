@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 
-from analyzer.catalogue import Command, Dialect, Erratum, Form, RiskRule, Role, Vector
+from analyzer.catalogue import Command, Dialect, Erratum, Form, RiskRule, Role, Vector, Verb
 from analyzer.cli.columns import WIDTH, columns, paragraph, styled
+from analyzer.cli.field_table import field_table
+from analyzer.codec import codec
+from analyzer.decoder import slots_of
 from analyzer.encoder import SLOTS, assemble
 from analyzer.hextext import write_frame
-from analyzer.layout import Field, Kind, Layout, ModelLimits, Order
+from analyzer.layout import Field, Layout
 from analyzer.lookup import code_text
-from analyzer.picture import key, picture
+from analyzer.picture import picture
 from analyzer.reference import concerns
-from analyzer.values import range_text, value_text, with_unit
+from analyzer.values import value_text
 
 _INDENT = "  "
 #: More kinds of risk than this are not listed in the overview.
 _RISKS_LISTED = 4
-#: A natural range wider than this many bits says nothing that the type does not.
-_TELLING_WIDTH = 32
 #: Longer frames are not spelt out.
 _SHOWN_BYTES = 32
 #: Of more codes than this only the first are named.
 _CODES_LISTED = 4
-#: The first columns of a field table are always there; the others only where a field needs them.
-_ALWAYS = 4
 
 
 # --- overview ---------------------------------------------------------------------------------------------------------
@@ -130,7 +128,7 @@ def _answered(dialect: Dialect, command: Command) -> str:
             silent.append("not for all")
         elif not command.answers_broadcast:
             silent.append("not when sent to all")
-    if not command.answers_group:
+    if not command.answers_group and Verb.SET_GROUP_ADDRESS in dialect.by_verb:
         silent.append("not when sent to a group")
     if command.silenced:
         silent.append("not while respond is 0")
@@ -178,7 +176,7 @@ def _form_lines(dialect: Dialect, command: Command, form: Form, role: Role) -> I
     yield ""
     yield from (_INDENT + line for line in picture(layout))
     yield ""
-    yield from _field_table(layout)
+    yield from field_table(layout, indent=_INDENT)
 
 
 def _length(layout: Layout) -> str:
@@ -224,86 +222,6 @@ def _owner(dialect: Dialect, code: int, layout: Layout) -> str:
     return next((c.name for c in commands if any(f.layout == layout for f in c.request_forms)), "")
 
 
-# --- fields -----------------------------------------------------------------------------------------------------------
-
-
-def _field_table(layout: Layout) -> Iterator[str]:
-    rows: list[tuple[str, ...]] = [("", "field", "byte:bit", "type", "unit", "scale", "range", "default", "printed")]
-    details: list[tuple[str, str]] = []
-    number = 0
-    for offset, field in layout:
-        if field.kind is Kind.RESERVED:
-            continue
-        rows.append(_field_row(key(number), offset, field))
-        details += _details(field)
-        number += 1
-    used = [i for i in range(len(rows[0])) if i < _ALWAYS or any(row[i] for row in rows[1:])]
-    yield from columns([[row[i] for i in used] for row in rows], width=WIDTH, indent=_INDENT)
-    if details:
-        yield ""
-        yield from columns(details, width=WIDTH, indent=_INDENT * 2)
-
-
-def _field_row(letter: str, offset: int, field: Field) -> tuple[str, ...]:
-    default = "" if field.default is None else value_text(_bare(field), field.default)
-    scale = "" if field.scale == 1 else str(field.scale)
-    kind = "bytes" if field.kind is Kind.BYTES else f"{field.kind.value}{field.bit_width}"
-    kind += " le" if field.order is Order.LITTLE else ""
-    return letter, field.name, _place(offset, field), kind, field.unit, scale, _limits(field), default, field.printed
-
-
-def _place(offset: int, field: Field) -> str:
-    """Return where a field stands: bytes from 0, and bits from 7 where it does not fill whole bytes."""
-    first = offset // 8
-    if field.bit_width == 0:
-        return f"{first}.."
-    end = offset + field.bit_width - 1
-    last = end // 8
-    if offset % 8 == 0 and end % 8 == 7:
-        return str(first) if first == last else f"{first}-{last}"
-    high, low = 7 - offset % 8, 7 - end % 8
-    if first == last:
-        return f"{first}:{high}" if high == low else f"{first}:{high}-{low}"
-    return f"{first}:{high}-{last}:{low}"
-
-
-def _bare(field: Field) -> Field:
-    """Return a field without its unit, which has a column of its own."""
-    return replace(field, unit="")
-
-
-def _limits(field: Field) -> str:
-    if field.kind is Kind.BYTES:
-        return ""
-    if field.fixed is not None:
-        return f"always {value_text(_bare(field), field.fixed)}"
-    if field.choices is not None or field.values is not None:
-        return f"{len(field.values or field.choice_names)} values"
-    if field.minimum is None and field.maximum is None and field.bit_width > _TELLING_WIDTH:
-        return "any"
-    return range_text(_bare(field))
-
-
-def _details(field: Field) -> Iterator[tuple[str, str]]:
-    if field.fixed is None and (field.choices is not None or field.values is not None):
-        yield field.name, range_text(field)
-    for model, limits in (field.models or {}).items():
-        yield field.name, f"{model}: {_model_text(field.for_model(model), limits)}"
-    if field.note:
-        yield field.name, field.note
-
-
-def _model_text(field: Field, limits: ModelLimits) -> str:
-    words = []
-    if limits.scale is not None or limits.unit is not None:
-        words.append(f"{field.scale} {field.unit} as sent")
-    if limits.minimum is not None or limits.maximum is not None:
-        words.append(range_text(field))
-    if limits.default is not None:
-        words.append(f"default {with_unit(field, limits.default)}")
-    return ", ".join(words)
-
-
 # --- statuses, examples, errata ---------------------------------------------------------------------------------------
 
 
@@ -336,14 +254,23 @@ def _vector_lines(dialect: Dialect, command: Command) -> Iterator[str]:
             words.append(f"does not hold, see {vector.erratum}")
         yield from paragraph(vector.printed, indent=_INDENT)
         yield from paragraph(", ".join(words), indent=_INDENT * 2, hang=_INDENT)
-        decoded = _decoded(command, vector)
-        if decoded:
+        for decoded in _decoded(dialect, command, vector):
             yield from paragraph(decoded, indent=_INDENT * 2, hang=_INDENT)
         if vector.corrected:
             yield from paragraph(f"right: {vector.corrected}", indent=_INDENT * 2, hang=_INDENT)
 
 
-def _decoded(command: Command, vector: Vector) -> str:
+def _decoded(dialect: Dialect, command: Command, vector: Vector) -> Iterator[str]:
+    """Yield what a worked example says; of a package a line for each slot."""
+    if command.slots is not None:
+        head = dialect.link.parse(vector.data)
+        slots = () if vector.erratum else slots_of(dialect, command, vector.data[head.start : head.stop])
+        for number, slot in enumerate(slots, 1):
+            if slot.command is not None and slot.form is not None:
+                named = slot.form.layout.named
+                shown = _values_text(named, codec(slot.form.layout).wire(slot.data))
+                yield f"slot {number}: address {slot.address}, {slot.command.name}, {shown}"
+        return
     forms = command.request_forms if vector.role is Role.REQUEST else command.reply_forms
     fields: Mapping[str, Field] = {}
     for form in forms:
@@ -351,7 +278,12 @@ def _decoded(command: Command, vector: Vector) -> str:
         if vector.values.keys() == named.keys() and all(f.fixed in (None, vector.values[n]) for n, f in named.items()):
             fields = named
             break
-    return ", ".join(f"{n} {value_text(fields[n], v)}" for n, v in vector.values.items() if n in fields)
+    if fields:
+        yield _values_text(fields, vector.values)
+
+
+def _values_text(fields: Mapping[str, Field], values: Mapping[str, int]) -> str:
+    return ", ".join(f"{n} {value_text(fields[n], v)}" for n, v in values.items() if n in fields)
 
 
 def erratum_lines(erratum: Erratum, *, indent: str = "") -> Iterator[str]:

@@ -11,16 +11,22 @@ import contextlib
 import os
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any
 
 from analyzer import __version__
+from analyzer.cli.interrupt import Interrupt
 from analyzer.cli.reading import Reading, add_reading_arguments, clean, now_text, open_reading, progress
 from analyzer.errors import ServotapError, UnreadableError, UsageError
-from analyzer.pipeline import Pipeline
+from analyzer.pipeline import Pipeline, Sink
 from analyzer.records import Severity
 from analyzer.sinks.mcap_log import McapLog
+from analyzer.sinks.process import SinkProcess, available
 from analyzer.sinks.summary import Summary
+
+#: From this size on, in bytes, writing in a process of its own is worth starting one.
+LONG_CAPTURE = 1 << 20
 
 EXAMPLES = """\
 examples:
@@ -106,36 +112,78 @@ class _Output:
         self.part.unlink(missing_ok=True)
 
 
+class _Sinks:
+    """The log and the summary: in a process of their own for a long capture, else here."""
+
+    def __init__(self, reading: Reading, output: _Output) -> None:
+        options = reading.options
+
+        def make() -> tuple[McapLog, Summary]:
+            return McapLog(output.stream, byte_ns=options.byte_ns, bit_ns=options.synthetic_bit_ns), Summary()
+
+        self._process: SinkProcess | None = None
+        size = reading.source.size
+        self.given: tuple[Sink, ...]
+        if available() and size is not None and size >= LONG_CAPTURE:
+            self._process = SinkProcess(reading.dialects, make)
+            self.given = (self._process,)
+        else:
+            self._log, self._summary = make()
+            self.given = (self._log, self._summary)
+
+    def summary(self) -> Summary:
+        """Return the counts of everything so far."""
+        if self._process is None:
+            return self._summary
+        counted: Summary = self._process.call(1, "")
+        return counted
+
+    def finish(self, metadata: Mapping[str, str]) -> None:
+        """Make the log whole."""
+        if self._process is None:
+            self._log.finish(metadata)
+        else:
+            self._process.call(0, "finish", dict(metadata))
+            self._process.close()
+
+    def abandon(self) -> None:
+        """Give the log up."""
+        if self._process is None:
+            self._log.abandon()
+        else:
+            self._process.abandon()
+
+
 def decode(path: str, target: Path, arguments: argparse.Namespace) -> Summary:
     """Decode one capture into one log and print its summary."""
     reading = open_reading(path, arguments)
-    summary = Summary()
     with contextlib.closing(reading.source):
         output = _Output(target)
         options = reading.options
-        log = McapLog(output.stream, byte_ns=options.byte_ns, bit_ns=options.synthetic_bit_ns)
-        pipeline = Pipeline(reading.dialects, (log, summary), options)
+        sinks = _Sinks(reading, output)
+        pipeline = Pipeline(reading.dialects, sinks.given, options)
         stopped = ""
         try:
             try:
-                with progress(reading.source, f"decoding {reading.source.name}"):
-                    for item in reading:
+                with progress(reading.source, f"decoding {reading.source.name}"), Interrupt() as interrupt:
+                    for item in interrupt.items(reading):
                         pipeline.feed(item)
-            except KeyboardInterrupt:
-                stopped = "stopped by Ctrl-C"
+                if interrupt.asked:
+                    stopped = "stopped by Ctrl-C"
             except UnreadableError as error:
-                if not summary.frames and not summary.junk_bytes:
+                if not pipeline.sequence:
                     raise
                 stopped = f"the capture broke off: {error}"
             pipeline.close()
-            log.finish(_metadata(reading, pipeline, summary, arguments, stopped))
+            summary = sinks.summary()
+            sinks.finish(_metadata(reading, pipeline, summary, arguments, stopped))
             output.keep()
         except OSError as error:
-            log.abandon()
+            sinks.abandon()
             output.drop()
             raise UsageError(f"cannot write {target}: {error.strerror or error}; no log was left") from None
         except BaseException:
-            log.abandon()
+            sinks.abandon()
             output.drop()
             raise
     _report(reading, pipeline, summary, target, arguments, stopped)

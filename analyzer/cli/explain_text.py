@@ -50,8 +50,7 @@ def explanation_lines(found: Explanation) -> list[str]:
     lines += columns([Row("offset", "hex", "bits", "meaning"), *rows(found)])
     if len(found.readings) > 1:
         lines += ["", "who sent it is not told by its bytes; both readings:"]
-        for reading in found.readings:
-            lines += columns([(f"as a {reading.role}:", _reading_text(reading))], indent="  ")
+        lines += columns([(f"as a {m.role}:", _reading_text(m)) for m in found.readings], indent="  ")
     command = found.message.command
     if command is not None and found.message.role is not Role.REPLY and found.message.form is not None:
         lines += ["", f"risk: {', '.join(sorted(_risks(found, command))) or 'none'}"]
@@ -96,10 +95,14 @@ def finding_lines(found: Explanation) -> list[str]:
         lines.append("no findings")
     if found.right is not None and found.right != found.sent:
         lines.append(f"the right frame: {write_frame(found.right, found.can_id)}")
+    nameless = found.head.code is None and found.head.exception is None and found.message.role is Role.REPLY
+    if nameless and "unknown_command" in (i.rule for i in found.issues):
+        lines.append("such a reply does not say what was asked for; its request does: --request FRAME")
     if found.maybe_unchecked:
         lines.append("if its last bytes are data and the checksum was left out: --no-checksum")
     if found.also:
-        lines.append(f"fits equally well: {', '.join(found.also)} (choose with --dialect)")
+        words = "fits equally well" if found.checks_ok else "could as well be"
+        lines.append(f"{words}: {', '.join(found.also)} (choose with --dialect)")
     return lines
 
 

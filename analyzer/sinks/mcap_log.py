@@ -20,7 +20,7 @@ from analyzer.catalogue import Role
 from analyzer.codec import codec
 from analyzer.decoder import physical
 from analyzer.pipeline import CAN_OVERHEAD_BITS, Entry, topic_name
-from analyzer.records import Comment, Finding, Junk, Message, Severity
+from analyzer.records import Comment, Finding, Frame, Junk, Lane, Message, Severity
 from analyzer.sinks import schemas
 from analyzer.sinks.mcap_file import McapFile
 
@@ -32,7 +32,7 @@ _encode = msgspec.json.Encoder().encode
 _LATEST_NS = (1 << 63) - 1
 
 
-class _Lane:
+class _Topic:
     """What is kept per topic: the channel and, for replies, which fields feed the derived state."""
 
     __slots__ = ("channel", "odd", "state", "state_lane")
@@ -41,7 +41,7 @@ class _Lane:
         self.channel = channel
         self.odd = False
         self.state: dict[int, tuple[tuple[str, str, float], ...]] = {}
-        self.state_lane: _Lane | None = None
+        self.state_lane: _Topic | None = None
 
 
 class _Second:
@@ -62,7 +62,7 @@ class McapLog:
 
     def __init__(self, stream: IO[bytes], *, byte_ns: int = 0, bit_ns: int = 0) -> None:
         self._file = McapFile(stream, profile=PROFILE, library=LIBRARY)
-        self._lanes: dict[str, _Lane] = {}
+        self._lanes: dict[str, _Topic] = {}
         self._schemas: dict[str, int] = {}
         self._last_ns = 0
         self._seconds: dict[str, _Second] = {}
@@ -75,6 +75,52 @@ class McapLog:
         return self._file.messages
 
     # --- sink -----------------------------------------------------------------------------------------------------
+
+    def plain(
+        self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None
+    ) -> None:
+        """Write a frame that is in order, and the state it carries."""
+        kept = self._lanes.get(lane.topic)
+        if kept is None or kept.odd:
+            first = not lane.is_request
+            self.entry(Entry(lane.message(frame), sequence, lane.topic, (), latency_ns, request_sequence, first))
+            return
+        data = frame.data
+        log_ns = frame.last_ns
+        if log_ns > self._last_ns:
+            self._last_ns = log_ns = min(log_ns, _LATEST_NS)
+        else:
+            log_ns = self._last_ns
+        own = data[lane.start : lane.stop]
+        start, raw = lane.json(own), hexlify(data, " ").upper()
+        if request_sequence is None:
+            text = b'%b"_raw":"%b","_checksum_ok":true,"_offset":%d}' % (start, raw, frame.offset)
+        elif latency_ns is None:
+            text = b'%b"_raw":"%b","_checksum_ok":true,"_offset":%d,"_request_sequence":%d}' % (
+                start, raw, frame.offset, request_sequence,
+            )  # fmt: skip
+        else:
+            text = b'%b"_raw":"%b","_checksum_ok":true,"_offset":%d,"_latency":%a,"_request_sequence":%d}' % (
+                start, raw, frame.offset, latency_ns / 1e9, request_sequence,
+            )  # fmt: skip
+        can = frame.can
+        if can is not None:
+            text = b'%b,"_can_id":%d}' % (text[:-1], can.id)
+        publish_ns = frame.first_ns
+        self._file.add_message(kept.channel, sequence, log_ns, publish_ns if publish_ns > 0 else 0, text)
+        if not lane.is_request:
+            parts = kept.state.get(id(lane.form))
+            if parts is None:
+                parts = self._state_parts(kept, lane.message(frame))
+            if parts:
+                self._state(frame, lane.address, lane.codec.physical(own), sequence, kept, parts, log_ns)
+        second = self._seconds.get(frame.port)
+        if second is None or log_ns >= second.end_ns:
+            second = self._second(frame.port, log_ns)
+        size = len(data)
+        second.frames += 1
+        second.bytes += size
+        second.wire_ns += size * self._byte_ns if can is None else (CAN_OVERHEAD_BITS + 8 * size) * self._bit_ns
 
     def entry(self, entry: Entry) -> None:
         """Write a decoded frame, and the state it carries."""
@@ -113,7 +159,7 @@ class McapLog:
             if parts is None:
                 parts = self._state_parts(lane, message)
             if parts:
-                self._state(entry, lane, parts, log_ns, publish_ns)
+                self._state(frame, message.address, physical(message), entry.sequence, lane, parts, log_ns)
         second = self._seconds.get(frame.port)
         if second is None or log_ns >= second.end_ns:
             second = self._second(frame.port, log_ns)
@@ -122,7 +168,7 @@ class McapLog:
         second.bytes += size
         second.wire_ns += size * self._byte_ns if frame.can is None else (CAN_OVERHEAD_BITS + 8 * size) * self._bit_ns
 
-    def _odd(self, entry: Entry, lane: _Lane) -> bytes:
+    def _odd(self, entry: Entry, lane: _Topic) -> bytes:
         """Return the JSON of a message that is more than its fields: unknown, with findings, a package, on CAN."""
         message = entry.message
         frame = message.frame
@@ -218,7 +264,7 @@ class McapLog:
 
     # --- topics ---------------------------------------------------------------------------------------------------
 
-    def _open_lane(self, topic: str, message: Message) -> _Lane:
+    def _open_lane(self, topic: str, message: Message) -> _Topic:
         dialect, command = message.frame.dialect, message.command
         about = {"dialect": dialect.name, "manual": dialect.manual, "bus_kind": dialect.bus}
         if command is None or message.role is Role.UNKNOWN:
@@ -233,11 +279,11 @@ class McapLog:
         lane.odd = command.slots is not None
         return lane
 
-    def _add_lane(self, topic: str, name: str, schema: Callable[[], bytes], about: Mapping[str, str]) -> _Lane:
+    def _add_lane(self, topic: str, name: str, schema: Callable[[], bytes], about: Mapping[str, str]) -> _Topic:
         schema_id = self._schemas.get(name)
         if schema_id is None:
             schema_id = self._schemas[name] = self._file.add_schema(name, schema())
-        lane = self._lanes[topic] = _Lane(self._file.add_channel(topic, schema_id, about))
+        lane = self._lanes[topic] = _Topic(self._file.add_channel(topic, schema_id, about))
         return lane
 
     def _log(self, topic: str, data: dict[str, Any], sequence: int, t_ns: int) -> None:
@@ -248,7 +294,7 @@ class McapLog:
     # --- derived topics -------------------------------------------------------------------------------------------
 
     @staticmethod
-    def _state_parts(lane: _Lane, message: Message) -> tuple[tuple[str, str, float], ...]:
+    def _state_parts(lane: _Topic, message: Message) -> tuple[tuple[str, str, float], ...]:
         form = message.form
         assert form is not None  # asked only for a message that fits a form
         named = form.layout.named.values() if message.role is Role.REPLY else ()
@@ -257,15 +303,20 @@ class McapLog:
         return parts
 
     def _state(
-        self, entry: Entry, lane: _Lane, parts: tuple[tuple[str, str, float], ...], log_ns: int, publish_ns: int
+        self,
+        frame: Frame,
+        address: int,
+        fields: dict[str, Any],
+        sequence: int,
+        lane: _Topic,
+        parts: tuple[tuple[str, str, float], ...],
+        log_ns: int,
     ) -> None:
-        message = entry.message
         target = lane.state_lane
         if target is None:
-            topic = f"/{topic_name(message.frame.port)}/{message.address}/state"
+            topic = f"/{topic_name(frame.port)}/{address}/state"
             target = self._lanes.get(topic) or self._add_lane(topic, "servotap.state", schemas.state_schema, {})
             lane.state_lane = target
-        fields = physical(message)
         if len(parts) == 1:
             name, quantity, factor = parts[0]
             data = b'{"%b":%a}' % (quantity.encode(), fields[name] * factor)
@@ -274,7 +325,7 @@ class McapLog:
             for name, quantity, factor in parts:
                 state[quantity] = state.get(quantity, 0.0) + fields[name] * factor
             data = _encode(state)
-        self._file.add_message(target.channel, entry.sequence, log_ns, publish_ns, data)
+        self._file.add_message(target.channel, sequence, log_ns, max(0, frame.first_ns), data)
 
     def _second(self, port: str, log_ns: int) -> _Second:
         second = self._seconds.get(port)

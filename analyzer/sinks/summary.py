@@ -13,7 +13,7 @@ from typing import Any
 from analyzer.catalogue import Role
 from analyzer.findings import RULES
 from analyzer.pipeline import Entry
-from analyzer.records import Comment, Finding, Junk, Severity
+from analyzer.records import Comment, Finding, Frame, Junk, Lane, Severity
 
 #: Findings of each rule that are kept to be shown.
 FIRST_FEW = 3
@@ -83,6 +83,26 @@ class Summary:
         self.first_ns: int | None = None
         self.last_ns = 0
         self._known: dict[str, Row] = {}
+
+    def plain(
+        self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None
+    ) -> None:
+        """Count a frame that is in order."""
+        row = self._known.get(lane.topic)
+        if row is None:
+            first = not lane.is_request
+            self.entry(Entry(lane.message(frame), sequence, lane.topic, (), latency_ns, request_sequence, first))
+            return
+        self.frames += 1
+        self.frame_bytes += len(frame.data)
+        if frame.last_ns > self.last_ns:
+            self.last_ns = frame.last_ns
+        if lane.is_request:
+            row.requests += 1
+        else:
+            row.replies += 1
+            if latency_ns is not None:
+                row.latencies.add(latency_ns)
 
     def entry(self, entry: Entry) -> None:
         """Count a frame."""

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from can import Message
 
 _MAGIC = b"LOGG"
+_SIGNATURE = b"LOBJ"
 _OBJECT = struct.Struct("<4sHHLL")  # signature, header size, header version, object size, object type
 _CONTAINER = struct.Struct("<H6xL4x")  # compression, size when unpacked
 _HEADER_SIZE = struct.Struct("<L")
@@ -67,31 +68,62 @@ def _records(source: Source) -> Iterator[CanFrame]:
         yield frame(message, float_ns(message.timestamp), source.port(name))
 
 
-class _Unpacked:
-    """A file of unpacked containers for python-can to read from."""
+class _Damaged(Exception):
+    """A container cannot be unpacked."""
 
-    def __init__(self, header: bytes, containers: Iterator[bytes]) -> None:
+
+class _Unpacked:
+    """A file of unpacked containers for python-can to read from. `given`: containers so far."""
+
+    def __init__(self, header: bytes, containers: Iterator[bytes | str]) -> None:
         self._header = header
         self._containers = containers
         self._buffer = header
+        self._cut = False
         self.given = 0
 
     def read(self, count: int) -> bytes:
-        """Return `count` bytes, fewer at the end."""
+        """Return `count` bytes, fewer at the end. Raises _Damaged once for each damaged container."""
         if count < 0:
             raise ValueError(f"an object of {count} bytes")
-        while len(self._buffer) < count and (more := next(self._containers, b"")):
-            self._buffer += more
+        while len(self._buffer) < count:
+            container = next(self._containers, None)
+            if container is None:
+                break
             self.given += 1
+            if isinstance(container, str):
+                raise _Damaged(container)
+            if self._cut:
+                container = container[_first_object(container) :]
+                self._cut = False
+            self._buffer += _plain_container(container)
         taken, self._buffer = self._buffer[:count], self._buffer[count:]
         return taken
 
     def restart(self) -> None:
-        """Give the header again, then the next container."""
+        """Give the header again, then the next container from its first whole object on."""
         self._buffer = self._header
+        self._cut = True
 
     def close(self) -> None:
         """Do nothing: the source closes its file."""
+
+
+def _plain_container(data: bytes) -> bytes:
+    total = _OBJECT.size + _CONTAINER.size + len(data)
+    head = _OBJECT.pack(_SIGNATURE, _OBJECT.size, 1, total, _CONTAINER_TYPE)
+    return b"".join((head, _CONTAINER.pack(_PLAIN, len(data)), data, b"\0" * (total % 4)))
+
+
+def _first_object(data: bytes) -> int:
+    """Return where the first object begins: what stands before is the end of one in the container before."""
+    at = data.find(_SIGNATURE)
+    while 0 <= at <= len(data) - _OBJECT.size:
+        _, header_size, version, size, _ = _OBJECT.unpack_from(data, at)
+        if version in (1, 2) and _OBJECT.size <= header_size <= size <= _OBJECT_LIMIT:
+            return at
+        at = data.find(_SIGNATURE, at + 1)
+    return len(data)
 
 
 def _messages(source: Source, file: _Unpacked) -> Iterator[Message]:
@@ -110,12 +142,13 @@ def _messages(source: Source, file: _Unpacked) -> Iterator[Message]:
             if given == file.given:
                 raise
             given = file.given
-            source.problem(f"container {file.given} of the BLF file is damaged: {describe(error)}")
+            what = str(error) if isinstance(error, _Damaged) else describe(error)
+            source.problem(f"container {file.given} of the BLF file is damaged: {what}")
             file.restart()
 
 
-def _containers(source: Source, offset: int) -> Iterator[bytes]:
-    """Yield each container as one that is not compressed, as python-can takes them."""
+def _containers(source: Source, offset: int) -> Iterator[bytes | str]:
+    """Yield what each container holds, or in words why it cannot be unpacked."""
     stream = source.stream
     while True:
         head = stream.exactly(_OBJECT.size)
@@ -125,48 +158,35 @@ def _containers(source: Source, offset: int) -> Iterator[bytes]:
             source.problem(f"an object breaks off after {len(head)} bytes of its header", offset=offset)
             return
         signature, _, _, size, kind = _OBJECT.unpack(head)
-        if signature != b"LOBJ" or not _OBJECT.size <= size <= _OBJECT_LIMIT:
+        if signature != _SIGNATURE or not _OBJECT.size <= size <= _OBJECT_LIMIT:
             shown = head.hex(" ").upper()
-            source.problem(f"expected an object (LOBJ and a size below 16 MiB), got {shown}", offset=offset)
+            source.problem(f"expected an object (LOBJ and a size up to 16 MiB), got {shown}", offset=offset)
             return
         body = stream.exactly(size - _OBJECT.size)
         whole = len(body) == size - _OBJECT.size
         padding = stream.exactly(size % 4)
         if not whole:
             source.problem(f"an object breaks off after {len(head) + len(body)} of {size} bytes", offset=offset)
-        unpacked = _unpack(source, body, offset) if kind == _CONTAINER_TYPE else b""
-        if kind in _CAN_TYPES and whole:
-            unpacked = head + body + b"\0" * (-size % 4)
-        if unpacked:
-            total = _OBJECT.size + _CONTAINER.size + len(unpacked)
-            yield b"".join(
-                (
-                    _OBJECT.pack(b"LOBJ", _OBJECT.size, 1, total, _CONTAINER_TYPE),
-                    _CONTAINER.pack(_PLAIN, len(unpacked)),
-                    unpacked,
-                    b"\0" * (total % 4),
-                )
-            )
+        if kind == _CONTAINER_TYPE and len(body) >= _CONTAINER.size:
+            yield _unpack(source, body)
+        elif kind in _CAN_TYPES and whole:
+            yield head + body + b"\0" * (-size % 4)
         offset += len(head) + len(body) + len(padding)
 
 
-def _unpack(source: Source, body: bytes, offset: int) -> bytes:
-    """Return what a container holds, as far as it goes."""
-    if len(body) < _CONTAINER.size:
-        return b""
+def _unpack(source: Source, body: bytes) -> bytes | str:
+    """Return what a container holds, as far as it goes, or why it cannot be unpacked."""
     method, _ = _CONTAINER.unpack_from(body)
     data = body[_CONTAINER.size :]
     if method == _PLAIN:
         return data
     if method != _DEFLATE:
-        source.problem(f"expected a container of compression 0 or 2, got {method}", offset=offset)
-        return b""
+        return f"expected compression 0 or 2, got {method}"
     unpacker = zlib.decompressobj()
     try:
         unpacked = unpacker.decompress(data, _UNPACKED_LIMIT)
     except zlib.error as error:
-        source.problem(f"a container cannot be unpacked: {error}", offset=offset)
-        return b""
+        return str(error)
     if unpacker.unconsumed_tail:
         raise UnreadableError(
             f"{source.name}: a container of {len(data)} bytes unpacks to more than {_UNPACKED_LIMIT >> 20} MiB: "

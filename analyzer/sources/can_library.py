@@ -7,6 +7,7 @@ raise ends that reader; then another one is made and gets the header lines again
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,9 @@ from analyzer.sources.source import SECOND_NS, Source, describe, quote
 
 if TYPE_CHECKING:
     from can import Message
+
+# The library logs whole lines that it cannot read; without a handler they would end on the terminal.
+logging.getLogger("can").addHandler(logging.NullHandler())
 
 #: Lines of a header that are kept to be given again.
 HEADER_LIMIT = 200

@@ -20,10 +20,12 @@ from analyzer.sources.source import Source, quote
 _ROW = re.compile(r"\s*([0-9A-Fa-f]{4,16})(:?)(?:\s+|$)(.*)$")
 _GROUPS = re.compile(r"(?:[0-9A-Fa-f]{2})+(?: {1,2}(?:[0-9A-Fa-f]{2})+)*")
 #: `xxd` separates the characters by two spaces, and never has two between bytes; hexdump frames them.
-_FRAMED = re.compile(r"\s*(?:\||>).*$")
+_FRAMED = re.compile(r"[|>].*$")
 #: Rows that one `*` may stand for.
 _REPEATED = 1 << 22
 _LONGEST_ROW = 64
+#: Share of rows that must follow from the one before; some may be missing.
+_FOLLOWING = 0.8
 _USUAL_ROWS = (8, 16, 32)
 
 
@@ -37,7 +39,8 @@ def score(head: bytes) -> float:
     if len(rows) == 1:
         return 0.95 if rows[0][0] == 0 and len(rows[0][1]) in _USUAL_ROWS else 0.0
     follows = sum(1 for (offset, data), (then, _) in pairwise(rows) if then == offset + len(data))
-    return 0.95 if follows + stars >= len(rows) - 1 else 0.0
+    rising = all(then >= offset + len(data) for (offset, data), (then, _) in pairwise(rows))
+    return 0.95 if rising and follows + stars >= _FOLLOWING * (len(rows) - 1) else 0.0
 
 
 def read(source: Source) -> Iterator[Chunk]:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import ast
 import re
 from enum import StrEnum
+from functools import lru_cache
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
@@ -74,14 +75,26 @@ _STAMP = re.compile(rf"\s*[\[(]?\s*(?:{_stamps})(?![0-9A-Za-z_.]|:[0-9A-Fa-f])\s
 _WORD = re.compile(rf"[\s#*<>=\[(-]*(?P<word>{_words}){_END}{_DECORATION}", re.IGNORECASE)
 _LETTER = re.compile(rf"\s*\[?(?P<letter>{_letters})\]?\s*[:>|]+\s*", re.IGNORECASE)
 _SIGN = re.compile(rf"\s*(?P<sign>{_signs})(?![<>=-])[\s:]*")
-_NAME = re.compile(r"\s*\[(?P<name>[A-Za-z][\w :./\\#-]{0,40})\][\s:,|-]*(?:>\s*(?=[A-Za-z]))?")
+_NAME = re.compile(
+    r"\s*(?:\[(?P<name>[A-Za-z][\w :./\\#-]{0,40})\]|\[\d{1,9}\]"
+    r"|(?P<port>(?:/dev/)?(?:tty|com|uart|bus|port)\w{1,20})(?=[\s:]))"
+    r"[\s:,|-]*(?:>\s*(?=[A-Za-z]))?",
+    re.IGNORECASE,
+)
 _COUNT = re.compile(rf"\s*#?\d{{1,9}}\s*[-.):]\s*(?=[<>\[(]*(?:{_words}){_END})", re.IGNORECASE)
 _ASSIST = re.compile(r"\s*#\s*(?P<assist>SEND|RECV)\s+(?P<form>HEX|ASCII|BIN)[^>]{0,80}>\s*", re.IGNORECASE)
 #: Behind a mark: what the bytes are called, how many they are, a counter as Modbus Poll prints it.
 _BEHIND = re.compile(
-    rf"(?:(?:hex|data|bytes?|frame|adu|pdu|buffer|buf|msg|message|raw|len){_END}[\s:=>]*"
+    rf"(?:(?:hex|data|bytes?|frame|adu|pdu|buffer|buf|msg|message|raw){_END}[\s:=>]*"
+    r"|len(?:gth)?\s*[=:]?\s*\d{1,5}\s*(?:bytes?)?[\s:=>,-]+"
     r"|[\[(]\s*(?:len\s*[=:]?\s*)?\d{1,5}\s*(?:bytes?|B)?\s*[\])][\s:=>-]*"
     r"|\d{3,9}-(?=\s*[0-9A-Fa-f]{2}(?:\s|$)))",
+    re.IGNORECASE,
+)
+#: The shapes that most lines have, in one step: a time, a mark, plain hex bytes.
+_USUAL = re.compile(
+    rf"(?:[\[(]?(?:({STAMPS['date']})|({STAMPS['clock']})|(\d{{1,19}}\.\d{{1,12}}))[\])]?[\s,;|]+)?"
+    rf"(?:({_words}|{_signs}){_DECORATION})?((?:[0-9A-Fa-f]{{2}} ?)+)",
     re.IGNORECASE,
 )
 _DISTANT_WORD = re.compile(rf"(?<![\w.])(?:{_words})\s*[:>\]=|]", re.IGNORECASE)
@@ -92,13 +105,19 @@ _BARE = re.compile(r"[0-9A-Fa-f]{1,2}(?:[\s,;:|_-]+[0-9A-Fa-f]{1,2})*[\s,;:|_-]*
 _PREFIXED = re.compile(r"(?:(?:0[xX]|\\[xX]|\$)[0-9A-Fa-f]{1,2}[\s,;:|-]*)+")
 _SUFFIXED = re.compile(r"(?:[0-9A-Fa-f]{2}[hH][\s,;]*)+")
 _LITERAL = re.compile(r"(?:bytearray\()?(b'.*'|b\".*\")\)?", re.DOTALL)
+_TOKEN = re.compile(r"[0-9A-Fa-f]{1,2}")
+_TWO_DIGITS = re.compile(r"[0-9A-Fa-f]{2}")
 _DAYTIME_ONLY = re.compile(r"[0-2]?\d:[0-5]\d:[0-5]\d")
-_TRAILING = re.compile(r"\s*(?:#|//|;|\(|\||!|--(?=\s)).*", re.DOTALL)
+_TRAILING = re.compile(r"(?:#|//|;|\(|\||!|--(?=\s)).*", re.DOTALL)
 _PREFIX_DIGITS = re.compile(r"0[xX]|\\[xX]|\$")
 _SPLIT = re.compile(r"[\s,;:|]+")
 _HEXLIKE = re.compile(r"(?:0[xX]|\\[xX]|\$)?[0-9A-Fa-f]{1,2}[hH]?")
-_RUN = re.compile(r"(?=.*\d)[0-9A-Fa-f]{5,}")
+_RUN = re.compile(r"(?=.{0,20}\d)[0-9A-Fa-f]{5,}")
+_DIGITS = re.compile(r"[0-9A-Fa-f]{1,8}")
+_LONG_RUN = re.compile(r"(?=.{0,20}\d)[0-9A-Fa-f]{8,}$")
+#: What people put around bytes. The opening one may have been taken for a part of the mark.
 _WRAPPERS = {"[": "]", "{": "}", "(": ")", '"': '"', "'": "'", "<": ">"}
+_CLOSERS = " ]})>\"'"
 #: The longest bytes literal that is evaluated.
 _LITERAL_LIMIT = 1 << 16
 _ITEMS = 8
@@ -110,18 +129,20 @@ def bytes_of(text: str) -> bytes | None:
         return bytes.fromhex(text)
     except ValueError:
         pass
+    literal = _LITERAL.fullmatch(text.strip())
+    if literal is not None and len(text) <= _LITERAL_LIMIT:
+        return _literal(literal[1])
     text = text.strip()
     if _WRAPPERS.get(text[:1]) == text[-1:] and len(text) > 2:
         text = text[1:-1].strip()
     if _BARE.fullmatch(text):
-        return None if _DAYTIME_ONLY.fullmatch(text) else bytes(int(t, 16) for t in re.split(r"[\s,;:|_-]+", text) if t)
+        # Bytes printed without leading zeros are short here and there; letters and single numbers are something else.
+        plain = _TWO_DIGITS.search(text) is not None and not _DAYTIME_ONLY.fullmatch(text)
+        return bytes(int(token, 16) for token in _TOKEN.findall(text)) if plain else None
     if _PREFIXED.fullmatch(text):
         return bytes(int(t.strip(" \t,;:|-"), 16) for t in _PREFIX_DIGITS.split(text) if t)
     if _SUFFIXED.fullmatch(text):
         return bytes.fromhex(re.sub(r"[hH,;]", " ", text))
-    literal = _LITERAL.fullmatch(text)
-    if literal is not None and len(text) <= _LITERAL_LIMIT:
-        return _literal(literal[1])
     try:
         return bytes.fromhex(text[2:]) if text[:2] in ("0x", "0X") else bytes.fromhex(text)
     except ValueError:
@@ -141,10 +162,29 @@ def take_apart(line: str) -> HexLine:
     text = line.strip()
     if not text:
         return HexLine(Shape.BLANK)
+    # Plain bytes need no pattern.
+    plain = bytes_of(text) if text[2:3] == " " or text.isalnum() else None
+    if plain is not None:
+        return HexLine(Shape.TRAFFIC, plain)
+    usual = _USUAL.fullmatch(text)
+    if usual is not None:
+        date, clock, seconds, mark, digits = usual.groups()
+        role = _role(mark) if mark is not None else Role.UNKNOWN
+        kind = (
+            "date" if date is not None else "clock" if clock is not None else "seconds" if seconds is not None else ""
+        )
+        stamp = date or clock or seconds or ""
+        return HexLine(Shape.TRAFFIC, bytes.fromhex(digits), kind, stamp, role, "", "", "", mark is not None)
     plain = bytes_of(text)
     if plain is not None:
         return HexLine(Shape.TRAFFIC, plain)
     return _Peeler(text).line()
+
+
+@lru_cache(maxsize=256)
+def _role(mark: str) -> Role:
+    """Return who sent under one word or sign."""
+    return role_of((mark.lower(),), mark)
 
 
 class _Peeler:
@@ -199,7 +239,7 @@ class _Peeler:
         elif not marked and (found := _SIGN.match(text, at)):
             self.sign = found["sign"]
         elif not self.name and (found := _NAME.match(text, at)):
-            self.name = found["name"]
+            self.name = found["name"] or found["port"] or ""
         elif not marked and (found := _COUNT.match(text, at)):
             pass
         elif not marked and (distant := _DISTANT_WORD.search(text, at, at + _DISTANT_LIMIT)):
@@ -214,6 +254,9 @@ class _Peeler:
 
 def _with_note(rest: str) -> tuple[bytes | None, str]:
     """Return the bytes at the beginning of a text and what stands behind them as a comment."""
+    data = bytes_of(rest.rstrip(_CLOSERS))
+    if data is not None:
+        return data, ""
     found = _TRAILING.search(rest)
     if found is not None and found.start() > 0:
         data = bytes_of(rest[: found.start()])
@@ -233,4 +276,6 @@ def _is_broken(rest: str, marked: bool) -> bool:
     tokens = [t for t in _SPLIT.split(rest[:4096]) if t]
     alike = sum(1 for t in tokens if _HEXLIKE.fullmatch(t))
     runs = sum(1 for t in tokens if _RUN.match(t))
-    return alike + runs >= (1 if marked and len(tokens) <= 2 else 2) and 2 * (alike + runs) >= len(tokens)
+    if len(tokens) == 1:
+        return bool(_LONG_RUN.match(tokens[0]) or (marked and _DIGITS.fullmatch(tokens[0])))
+    return alike + runs >= 2 and 2 * (alike + runs) >= len(tokens)

@@ -39,8 +39,9 @@ _BUS_NAME = re.compile(
 )
 
 _CLOCK = re.compile(r"(\d{1,2}):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?")
-_DATE = re.compile(r"(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})")
-_ZONE = re.compile(r"\d\s?(Z|[+-]\d\d:?\d\d)$")
+_DATED = re.compile(
+    r"(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})[T_,\s]{1,2}(\d{1,2}):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?\s?(Z|[+-]\d\d:?\d\d)?"
+)
 _NUMBER = re.compile(r"\+?(\d+(?:\.\d+)?)\s?([a-zµ]*)")
 
 _SOURCES = {
@@ -116,21 +117,20 @@ def _number_ns(text: str) -> int:
 
 
 def _daytime_ns(text: str) -> int:
-    found = _CLOCK.search(text)
+    found = _CLOCK.match(text)
     if found is None:
         raise ValueError(f"expected a time of day, got {text!r}")
     return clock_ns(*found.groups())
 
 
 def _dated_ns(text: str) -> int:
-    found = _DATE.match(text)
+    found = _DATED.match(text)
     if found is None:
         raise ValueError(f"expected a date, got {text!r}")
-    first, month, last = found.groups()
+    first, month, last, hour, minute, second, fraction, zone = found.groups()
     year, day = (first, last) if len(first) == 4 else (last, first)
-    zone = _ZONE.search(text)
-    ns = day_ns(int(year), int(month), int(day)) + _daytime_ns(text[found.end() :])
-    return ns - zone_ns(zone[1] if zone is not None else None)
+    ns = day_ns(int(year), int(month), int(day)) + clock_ns(hour, minute, second, fraction)
+    return ns - zone_ns(zone) if zone is not None else ns
 
 
 class _Reader:

@@ -107,7 +107,7 @@ def is_text(head: bytes) -> bool:
     """Say whether bytes look like text: no control characters to speak of, and not mostly foreign bytes."""
     if not head:
         return False
-    if len(head.translate(None, _CONTROLS)) < len(head) - len(head) // 1000:
+    if head.count(0) > len(head) // 1000 or len(head.translate(None, _CONTROLS)) < 0.95 * len(head):
         return False
     high = sum(1 for b in head if b >= 0x80)
     if high <= len(head) // 5:

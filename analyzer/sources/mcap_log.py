@@ -51,7 +51,7 @@ class _Lane:
     def __init__(self, topic: str, metadata: dict[str, str]) -> None:
         parts = topic.split("/")
         self.topic = topic
-        self.bus = parts[1] if len(parts) > 1 else topic
+        self.bus = parts[1] if len(parts) > 1 else ""
         self.last = parts[-1]
         self.can = metadata.get("bus_kind") == "can"
 
@@ -133,7 +133,9 @@ def _records(source: Source) -> Iterator[Record]:
         if isinstance(record, Message):
             lane = lanes.get(record.channel_id)
             if lane is None:
-                continue
+                # The chunk that declared it is damaged; its bytes are still good.
+                source.note("some topics' declarations are lost: their bytes are taken as of one bus")
+                lane = lanes[record.channel_id] = _Lane("", {})
             try:
                 logged = decode(record.data)
                 taken = _traffic(source, lane, record.log_time, logged, covered)
@@ -171,7 +173,7 @@ def _traffic(
         flags = logged.can_flags
         return CanFrame(
             t_ns,
-            source.port(lane.bus),
+            source.port(lane.bus or None),
             logged.can_id,
             data,
             direction,
@@ -182,11 +184,11 @@ def _traffic(
         )
     if lane.can:
         return None
-    if logged.offset is not None:
+    if logged.offset is not None and lane.bus:
         coverage = covered.setdefault(lane.bus, _Coverage()) if len(covered) < _GAP_LIMIT else _Coverage()
         first, stop = coverage.fresh(logged.offset, len(data))
         data = data[first:stop]
-    return Chunk(t_ns, source.port(lane.bus), data, direction) if data else None
+    return Chunk(t_ns, source.port(lane.bus or None), data, direction) if data else None
 
 
 def _unpacked(source: Source) -> Iterator[object]:

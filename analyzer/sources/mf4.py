@@ -1,13 +1,16 @@
 """MF4, ASAM measurement data with CAN bus logging, through python-can and asammdf (extra `mf4`).
 
-asammdf needs a file that it can jump about in, so standard input and compressed files are put into a temporary file
-first. Times are float seconds since the start of the measurement, good to 1 us.
+asammdf needs a whole file that it can jump about in: standard input and compressed files are put into a temporary
+file first, and of a file that breaks off nothing can be read. Times are float seconds since the start of the
+measurement, good to 1 us.
 """
 
 from __future__ import annotations
 
 import contextlib
+import io
 import logging
+import mmap
 import os
 import tempfile
 from collections.abc import Callable, Iterator
@@ -18,6 +21,8 @@ from analyzer.records import CanFrame
 from analyzer.sources.can_library import float_ns, frame
 from analyzer.sources.source import Source, describe
 
+#: What asammdf opens as it is.
+_ENDINGS = (".mf4", ".mdf")
 _MAGICS = (b"MDF     ", b"UnFinMF ")
 
 
@@ -49,6 +54,7 @@ def _records(source: Source) -> Iterator[CanFrame]:
             reader = cast(Callable[[str], Any], MF4Reader)(path)
         # asammdf raises whatever its parser stumbles over.
         except Exception as error:
+            _defuse(error)
             raise UnreadableError(
                 f"{source.name}: the MF4 file is damaged or broken off, expected a whole one: {describe(error)}"
             ) from None
@@ -56,6 +62,19 @@ def _records(source: Source) -> Iterator[CanFrame]:
         for message in reader:
             name = f"can{message.channel}" if message.channel is not None else None
             yield frame(message, float_ns(message.timestamp), source.port(name))
+
+
+def _defuse(error: BaseException) -> None:
+    """Mark what asammdf half made as closed: else its destructor fails later and prints a traceback."""
+    trace = error.__traceback__
+    while trace is not None:
+        made = trace.tb_frame.f_locals.get("self")
+        if made is not None and hasattr(type(made), "__del__"):
+            made._closed = True
+            for part in vars(made).values():
+                if isinstance(part, io.IOBase | mmap.mmap):
+                    part.close()
+        trace = trace.tb_next
 
 
 def _stop(reader: Any) -> None:
@@ -68,11 +87,12 @@ def _stop(reader: Any) -> None:
 def _as_file(source: Source) -> Iterator[str]:
     """Give the path of a file with the unpacked bytes."""
     stream = source.stream
-    if source.size is not None and not stream.compression:
+    # By other endings asammdf guesses at archives, which it deletes after use.
+    if source.size is not None and not stream.compression and source.path.lower().endswith(_ENDINGS):
         stream.drain()
         yield source.path
         return
-    source.note("MF4 cannot be streamed: it was put into a temporary file first")
+    source.note("MF4 cannot be streamed: it was copied to a temporary file first")
     handle, path = tempfile.mkstemp(suffix=".mf4")
     try:
         with os.fdopen(handle, "wb") as file:

@@ -204,7 +204,9 @@ class Source:
             closing = getattr(records, "close", None)
             if closing is not None:
                 closing()
-        self.stream.drain()
+        # A pipe whose reading broke off may go on for ever.
+        if self.size is not None or not self.problem_count:
+            self.stream.drain()
         if not given:
             if self.problem_count:
                 raise UnreadableError(f"{self.name}: cannot be read as {self.title}: {self.problems[0]}")

@@ -101,9 +101,7 @@ class Stream:
         self._held = data + self._held
 
     def drain(self) -> None:
-        """Read a file to its end for the sake of its hash; leave a pipe alone, which may never end."""
-        if self.size is None:
-            return
+        """Read to the end of the file for the sake of its hash."""
         while self._raw():
             pass
 
@@ -214,9 +212,11 @@ def _gzip(blocks: Iterator[bytes], damaged: Report) -> Iterator[bytes]:
                     damaged(f"what follows its end is no gzip data ({data[:4].hex(' ').upper()} ...), ignored")
                     return
                 unpacker = zlib.decompressobj(31)
+            before = unpacker.copy()
             try:
                 unpacked = unpacker.decompress(data, UNPACKED)
             except zlib.error as error:
+                yield from _salvaged(before, data)
                 damaged(str(error))
                 return
             data = unpacker.unconsumed_tail or unpacker.unused_data
@@ -226,6 +226,17 @@ def _gzip(blocks: Iterator[bytes], damaged: Report) -> Iterator[bytes]:
                 yield unpacked
     if not unpacker.eof:
         damaged("breaks off before its end")
+
+
+def _salvaged(unpacker: zlib._Decompress, data: bytes) -> Iterator[bytes]:
+    """Yield what comes out before the place where the data is damaged: the step that meets it gives nothing."""
+    for at in range(len(data)):
+        try:
+            unpacked = unpacker.decompress(data[at : at + 1])
+        except zlib.error:
+            return
+        if unpacked:
+            yield unpacked
 
 
 def _zstd(blocks: Iterator[bytes], damaged: Report) -> Iterator[bytes]:

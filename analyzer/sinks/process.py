@@ -1,0 +1,280 @@
+"""Sinks in a process of their own: one core frames, decodes and pairs while another writes.
+
+    pipeline -> SinkProcess | pipe | worker -> sinks
+
+What goes through the pipe is a stream of records, each a tag byte first:
+
+    P  a frame of a lane: a fixed head, then the frame's bytes
+    O  anything else: a length, then a pickle in which dialects, commands and forms are numbers of a table that both
+       sides had before they parted (the worker is forked, so it has the very same objects)
+
+Rules: order is kept; the pipe's own limit holds the pipeline back when the sinks are slower; what goes wrong in a sink is
+raised here, as what it was there. A worker whose parent is gone ends without finishing anything.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import pickle
+import signal
+import struct
+from collections.abc import Callable, Sequence
+from typing import IO, Any
+
+from analyzer.catalogue import Command, Dialect, Form, Role
+from analyzer.pipeline import Entry, PlainSink, Sink
+from analyzer.records import CanFrame, Comment, Finding, Frame, Junk, Lane
+
+_PLAIN, _OTHER = b"P", b"O"
+#: tag, lane, sequence, first_ns, last_ns, offset, latency_ns or -1, request sequence or -1, length
+_HEAD = struct.Struct("<cHQqqQqqH")
+_LENGTH = struct.Struct("<cI")
+#: Bytes that are collected before they go into the pipe.
+_BATCH = 1 << 16
+
+
+def available() -> bool:
+    """Say whether this machine can run sinks beside the pipeline."""
+    return hasattr(os, "fork") and (os.cpu_count() or 1) > 1
+
+
+class _Table:
+    """Numbers for the objects of the catalogue that both processes have."""
+
+    def __init__(self, dialects: Sequence[Dialect]) -> None:
+        self.objects: list[Dialect | Command | Form] = []
+        for dialect in dialects:
+            self.objects.append(dialect)
+            if dialect.exception is not None:
+                self.objects.append(dialect.exception)
+            for command in (*dialect.commands, *dialect.fallbacks.values()):
+                self.objects += [command, *command.request_forms, *command.reply_forms]
+        self.numbers = {id(each): number for number, each in enumerate(self.objects)}
+
+
+class _Pickler(pickle.Pickler):
+    def __init__(self, stream: io.BytesIO, table: _Table) -> None:
+        super().__init__(stream, pickle.HIGHEST_PROTOCOL)
+        self._numbers = table.numbers
+
+    def persistent_id(self, obj: Any) -> int | None:
+        """Return the number of an object of the catalogue."""
+        return self._numbers.get(id(obj)) if isinstance(obj, (Dialect, Command, Form)) else None
+
+
+class _Unpickler(pickle.Unpickler):
+    def __init__(self, stream: io.BytesIO, table: _Table) -> None:
+        super().__init__(stream)
+        self._objects = table.objects
+
+    def persistent_load(self, pid: Any) -> Any:
+        """Return an object of the catalogue by its number."""
+        return self._objects[pid]
+
+
+class SinkProcess:
+    """A sink that passes everything on to sinks in another process.
+
+    `make`: called in the worker, returns the sinks there. `call` runs a method of one of them and returns its result.
+    """
+
+    def __init__(self, dialects: Sequence[Dialect], make: Callable[[], Sequence[Sink]]) -> None:
+        self._table = _Table(dialects)
+        self._lanes: dict[int, int] = {}
+        self._parts: list[bytes] = []
+        self._size = 0
+        read, write = os.pipe()
+        self._answers, answer = os.pipe()
+        self._worker = os.fork()
+        if self._worker == 0:
+            os.close(write)
+            os.close(self._answers)
+            _work(read, answer, self._table, make)
+        os.close(read)
+        os.close(answer)
+        self._pipe = io.FileIO(write, "wb")
+
+    # --- sink -----------------------------------------------------------------------------------------------------
+
+    def plain(
+        self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None
+    ) -> None:
+        """Pass a frame on that is in order."""
+        number = self._lanes.get(id(lane))
+        if number is None:
+            number = self._add_lane(lane, frame)
+        data = frame.data
+        head = _HEAD.pack(
+            _PLAIN, number, sequence, frame.first_ns, frame.last_ns, frame.offset,
+            -1 if latency_ns is None else latency_ns, -1 if request_sequence is None else request_sequence, len(data),
+        )  # fmt: skip
+        parts = self._parts
+        parts.append(head)
+        parts.append(data)
+        self._size += 53 + len(data)
+        if self._size >= _BATCH:
+            self._flush()
+
+    def entry(self, entry: Entry) -> None:
+        """Pass an entry on."""
+        self._other(("entry", (entry,)))
+
+    def junk(self, junk: Junk, sequence: int, topic: str) -> None:
+        """Pass a piece of junk on."""
+        self._other(("junk", (junk, sequence, topic)))
+
+    def finding(self, found: Finding) -> None:
+        """Pass a finding on."""
+        self._other(("finding", (found,)))
+
+    def comment(self, comment: Comment) -> None:
+        """Pass a comment on."""
+        self._other(("comment", (comment,)))
+
+    # --- calls ----------------------------------------------------------------------------------------------------
+
+    def call(self, sink: int, method: str, *arguments: Any) -> Any:
+        """Call a method of a sink, after everything that was passed on so far, and return its result.
+
+        An empty method returns the sink itself. Raises what the sinks raised.
+        """
+        self._other(("call", (sink, method, arguments)))
+        self._flush()
+        return self._answer()
+
+    def abandon(self) -> None:
+        """End the worker at once, with nothing finished."""
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(self._worker, signal.SIGKILL)
+        self._join()
+
+    def close(self) -> None:
+        """End the worker after the last call."""
+        self._join()
+
+    def _join(self) -> None:
+        if self._worker:
+            self._pipe.close()
+            os.close(self._answers)
+            os.waitpid(self._worker, 0)
+            self._worker = 0
+
+    def _answer(self) -> Any:
+        size = _read_whole(self._answers, 4)
+        if len(size) < 4:
+            raise OSError("the process that writes the log has died")
+        good, result = pickle.loads(_read_whole(self._answers, int.from_bytes(size, "little")))
+        if not good:
+            raise result
+        return result
+
+    def _add_lane(self, lane: Lane, frame: Frame) -> int:
+        number = self._lanes[id(lane)] = len(self._lanes)
+        numbers = self._table.numbers
+        about = (frame.dialect, lane.role, lane.address, lane.command, lane.form, lane.start, lane.stop, lane.topic)
+        assert id(lane.command) in numbers  # lanes are of the dialects that the pipeline was made with
+        self._other(("lane", (about, frame.port, None if frame.can is None else frame.can.id)))
+        return number
+
+    def _other(self, what: tuple[str, tuple[Any, ...]]) -> None:
+        stream = io.BytesIO()
+        _Pickler(stream, self._table).dump(what)
+        data = stream.getvalue()
+        self._parts += (_LENGTH.pack(_OTHER, len(data)), data)
+        self._size += len(data)
+        if self._size >= _BATCH:
+            self._flush()
+
+    def _flush(self) -> None:
+        view = memoryview(b"".join(self._parts))
+        self._parts.clear()
+        self._size = 0
+        try:
+            while view:
+                view = view[self._pipe.write(view) :]
+        except BrokenPipeError:
+            # The worker has ended; what it says of the reason is worth more than the broken pipe.
+            self._answer()
+            raise
+
+
+# --- the worker ---------------------------------------------------------------------------------------------------
+
+
+def _work(pipe: int, answers: int, table: _Table, make: Callable[[], Sequence[Sink]]) -> None:
+    """Run the sinks until the pipe ends; never return."""
+    # Ctrl-C reaches both processes; only the parent decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+    try:
+        with io.FileIO(pipe) as raw, io.BufferedReader(raw, 1 << 18) as stream:
+            _serve(stream, answers, table, make())
+    except BaseException as error:
+        # Whatever it was, it is raised again in the parent.
+        _say(answers, (False, error if isinstance(error, Exception) else OSError(repr(error))))
+    finally:
+        os._exit(0)
+
+
+def _serve(stream: IO[bytes], answers: int, table: _Table, sinks: Sequence[Sink]) -> None:
+    plain_sinks = [s.plain for s in sinks if isinstance(s, PlainSink)]
+    others = [s for s in sinks if not isinstance(s, PlainSink)]
+    lanes: list[tuple[Lane, Dialect, str, CanFrame | None]] = []
+    read = stream.read
+    rest = _HEAD.size - 1
+    unpack = struct.Struct("<HQqqQqqH").unpack
+    while True:
+        tag = read(1)
+        if tag == _PLAIN:
+            number, sequence, first_ns, last_ns, offset, latency, asked_by, size = unpack(read(rest))
+            lane, dialect, port, can = lanes[number]
+            role = Role.UNKNOWN
+            frame = Frame(port, first_ns, last_ns, offset, read(size), dialect, role, True, can)
+            latency_ns = None if latency < 0 else latency
+            request = None if asked_by < 0 else asked_by
+            for plain in plain_sinks:
+                plain(lane, frame, sequence, latency_ns, request)
+            for sink in others:
+                first = not lane.is_request
+                sink.entry(Entry(lane.message(frame), sequence, lane.topic, (), latency_ns, request, first))
+        elif tag == _OTHER:
+            what, arguments = _Unpickler(io.BytesIO(read(int.from_bytes(read(4), "little"))), table).load()
+            if what == "lane":
+                lanes.append(_lane(*arguments))
+            elif what == "call":
+                index, method, rest_of = arguments
+                _say(answers, (True, getattr(sinks[index], method)(*rest_of) if method else sinks[index]))
+            else:
+                for sink in sinks:
+                    getattr(sink, what)(*arguments)
+        else:
+            return
+
+
+def _lane(about: tuple[Any, ...], port: str, can_id: int | None) -> tuple[Lane, Dialect, str, CanFrame | None]:
+    dialect, role, address, command, form, start, stop, topic = about
+    lane = Lane(role, address, command, form, start, stop)
+    lane.topic = topic
+    # All frames of a lane have the same identifier, so one CAN frame stands for them all.
+    can = None if can_id is None else CanFrame(None, port, can_id, b"")
+    return lane, dialect, port, can
+
+
+def _say(answers: int, what: tuple[bool, Any]) -> None:
+    data = pickle.dumps(what)
+    with io.FileIO(answers, "wb", closefd=False) as pipe:
+        view = memoryview(len(data).to_bytes(4, "little") + data)
+        while view:
+            view = view[pipe.write(view) :]
+
+
+def _read_whole(pipe: int, size: int) -> bytes:
+    data = b""
+    while len(data) < size:
+        more = os.read(pipe, size - len(data))
+        if not more:
+            break
+        data += more
+    return data

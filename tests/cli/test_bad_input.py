@@ -1,0 +1,142 @@
+"""Bad input: each kind ends in a message or a finding, never in a traceback, and nothing readable is lost."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import random
+import time
+
+import pytest
+import zstandard
+
+from analyzer.cli import main
+from tests.collect import sum8
+
+GOOD = bytes.fromhex(sum8("FA 01 32") + sum8("FB 01 32 00 64"))
+
+
+def decode(tmp_path, capsys, data, *words, name="in.log"):
+    path = tmp_path / name
+    path.write_bytes(data)
+    status = main(["decode", str(path), "-o", str(tmp_path / "out.mcap"), "--force", *words])
+    captured = capsys.readouterr()
+    assert "Traceback" not in captured.err
+    return status, captured.out, captured.err
+
+
+def test_an_empty_file(tmp_path, capsys):
+    status, _, err = decode(tmp_path, capsys, b"")
+    assert status == 2
+    assert "empty" in err
+
+
+def test_a_folder(tmp_path, capsys):
+    assert main(["decode", str(tmp_path), "-o", str(tmp_path / "o.mcap")]) == 2
+    assert "folder" in capsys.readouterr().err or "directory" in capsys.readouterr().err
+
+
+def test_a_missing_file(tmp_path, capsys):
+    assert main(["show", str(tmp_path / "nothing.log")]) == 2
+    assert "nothing.log" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_no_permission(tmp_path, capsys):
+    path = tmp_path / "secret.log"
+    path.write_bytes(GOOD)
+    path.chmod(0)
+    assert main(["show", str(path)]) == 2
+    assert "permission" in capsys.readouterr().err.lower()
+
+
+def test_no_permission_to_write(tmp_path, capsys):
+    path = tmp_path / "in.log"
+    path.write_bytes(GOOD)
+    assert main(["decode", str(path), "-o", str(tmp_path / "no" / "such" / "folder" / "o.mcap")]) == 2
+    assert "cannot write" in capsys.readouterr().err
+
+
+def test_a_text_of_something_else(tmp_path, capsys):
+    text = b"#include <stdio.h>\nint main(void) {\n    printf(\"hello\\n\");\n    return 0;\n}\n"
+    status, _, err = decode(tmp_path, capsys, text)
+    assert status == 2
+    assert "hex" in err or "format" in err
+
+
+@pytest.mark.parametrize("dialect", ["auto", "mks-rs485", "mks-modbus", "lk-rs485", "mks-rs485,mks-modbus,lk-rs485"])
+def test_a_megabyte_of_random_bytes(tmp_path, capsys, dialect):
+    data = random.Random(1).randbytes(1_000_000)
+    started = time.process_time()
+    status, out, _ = decode(tmp_path, capsys, data, "--dialect", dialect, "--format", "raw")
+    assert status == 0
+    assert time.process_time() - started < 60
+    assert "1000000 bytes" in out
+
+
+@pytest.mark.parametrize("byte", [0x00, 0x01, 0x3E, 0xFA, 0xFB, 0xFC, 0xFF])
+def test_one_byte_over_and_over(tmp_path, capsys, byte):
+    words = ("--dialect", "mks-rs485,mks-modbus,lk-rs485", "--format", "raw")
+    status, out, _ = decode(tmp_path, capsys, bytes((byte,)) * 200_000, *words)
+    assert status == 0
+    assert "200000 bytes" in out
+
+
+def test_a_line_of_ten_megabytes(tmp_path, capsys):
+    status, _, _ = decode(tmp_path, capsys, b"FA 01 32 2D " * 830_000 + b"\n", "--format", "hex")
+    assert status in (0, 2)
+
+
+def test_invalid_utf8_in_a_comment(tmp_path, capsys):
+    data = b"# caf\xe9 \xff\xfe\n> FA 01 32 2D\n< FB 01 32 00 64 92\n"
+    status, out, _ = decode(tmp_path, capsys, data)
+    assert status == 0
+    assert "read_speed" in out
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        ("2026-03-02T09:00:01.000", "2026-03-02T09:00:00.000"),
+        ("1970-01-01T00:00:00.000", "1970-01-01T00:00:00.001"),
+        ("2200-01-01T00:00:00.000", "2200-01-01T00:00:01.000"),
+    ],
+)
+def test_impossible_times(tmp_path, capsys, stamps):
+    data = f"{stamps[0]} > FA 01 32 2D\n{stamps[1]} < FB 01 32 00 64 92\n".encode()
+    status, out, _ = decode(tmp_path, capsys, data)
+    assert status == 0
+    assert "read_speed" in out
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, zstandard.ZstdCompressor().compress])
+def test_a_decompression_bomb(tmp_path, capsys, pack):
+    status, _, err = decode(tmp_path, capsys, pack(bytes(64 << 20)), name="bomb.gz")
+    assert status in (0, 2)
+    if status == 2:
+        assert err
+
+
+def test_a_gzip_that_is_cut_off(tmp_path, capsys):
+    data = gzip.compress(b"> FA 01 32 2D\n< FB 01 32 00 64 92\n" * 5000)
+    status, out, _ = decode(tmp_path, capsys, data[: len(data) // 2])
+    assert status == 0
+    assert "read_speed" in out
+    assert "note:" in out or "broke off" in out
+
+
+def test_escapes_markup_and_html_are_text(tmp_path, capsys):
+    data = b"# \x1b[31mred\x1b[0m [bold]x[/bold] <script>\n(1.0) [/red] 001#F60140023A\n> FA 01 32 2D\n< FB 01 32 00 64 92\n"
+    path = tmp_path / "\x1b[31m[bold]evil<b>.log"
+    path.write_bytes(data)
+    assert main(["decode", str(path), "-o", str(tmp_path / "o.mcap")]) == 0
+    assert main(["show", str(path)]) == 0
+    captured = capsys.readouterr()
+    assert "\x1b[31m" not in captured.out + captured.err
+    assert "[bold]" in captured.out
+
+
+def test_bytes_before_a_fault_are_in_the_log(tmp_path, capsys):
+    status, out, _ = decode(tmp_path, capsys, GOOD * 50 + b"\xfa\x01", "--dialect", "mks-rs485", "--format", "raw")
+    assert status == 0
+    assert "in 100 frames, 2 junk (2 truncated)" in out

@@ -1,0 +1,183 @@
+"""`servotap decode`: what it writes, prints and returns, and what it leaves behind when something goes wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from analyzer.cli import main
+
+ROOT = Path(__file__).parents[2]
+CAPTURES = ROOT / "captures"
+BENCH = CAPTURES / "mks_rs485.log"
+
+
+def metadata(path):
+    with path.open("rb") as stream:
+        return next(iter(make_reader(stream).iter_metadata())).metadata
+
+
+def test_without_o_the_log_stands_beside_the_capture(tmp_path, capsys):
+    capture = tmp_path / "wire.log"
+    shutil.copy(BENCH, capture)
+    assert main(["decode", str(capture)]) == 0
+    assert (tmp_path / "wire.log.mcap").exists()
+    assert os.listdir(tmp_path) == ["wire.log", "wire.log.mcap"] or len(os.listdir(tmp_path)) == 2
+    out = capsys.readouterr().out
+    assert "mks-rs485: 39 good frames" in out or "mks-rs485" in out
+    assert "0 junk" in out
+    assert "bad_checksum" in out
+    assert "run_speed" in out
+
+
+def test_the_metadata_accounts_for_every_byte(tmp_path):
+    log = tmp_path / "out.mcap"
+    main(["decode", str(BENCH), "-o", str(log), "--model", "42D"])
+    values = metadata(log)
+    assert int(values["bytes_in_frames"]) + int(values["bytes_junk"]) == int(values["bytes_total"])
+    for key in ("source", "source_size", "source_sha256", "format", "dialect", "time_source", "version", "model"):
+        assert values[key], key
+
+
+def test_an_existing_log_is_replaced_only_by_force(tmp_path, capsys):
+    log = tmp_path / "out.mcap"
+    log.write_text("precious")
+    assert main(["decode", str(BENCH), "-o", str(log)]) == 2
+    assert "exists; --force replaces it" in capsys.readouterr().err
+    assert log.read_text() == "precious"
+    assert main(["decode", str(BENCH), "-o", str(log), "--force"]) == 0
+
+
+def test_strict_is_1_for_errors_and_0_without(tmp_path):
+    log = str(tmp_path / "out.mcap")
+    assert main(["decode", str(BENCH), "-o", log, "--strict"]) == 1
+    assert main(["decode", str(CAPTURES / "lk_rs485.log"), "-o", log, "--strict", "--force"]) == 0
+
+
+def test_json_is_one_object_a_file(tmp_path, capsys):
+    assert main(["decode", str(BENCH), "-o", str(tmp_path / "o.mcap"), "--json"]) == 0
+    whole = json.loads(capsys.readouterr().out)
+    assert whole["dialects"] == ["mks-rs485"]
+    assert whole["bytes"]["frames"] == whole["bytes"]["total"]
+    rows = {(r["address"], r["command"]): r for r in whole["commands"]}
+    assert rows["1", "read_speed"]["latency"] == pytest.approx({"median": 0.003, "p99": 0.003, "max": 0.003}, rel=0.02)
+    assert {f["rule"] for f in whole["findings"]} == {"out_of_range", "failed_status", "bad_checksum"}
+
+
+def test_several_files_need_a_folder(tmp_path, capsys):
+    files = [str(BENCH), str(CAPTURES / "mks_can.asc")]
+    assert main(["decode", *files, "-o", str(tmp_path / "one.mcap")]) == 2
+    assert "give a folder" in capsys.readouterr().err
+    assert main(["decode", *files, "-o", str(tmp_path)]) == 0
+    assert sorted(os.listdir(tmp_path)) == ["mks_can.asc.mcap", "mks_rs485.log.mcap"]
+
+
+def test_the_rest_goes_on_after_an_unreadable_file(tmp_path, capsys):
+    files = [str(tmp_path / "missing.log"), str(BENCH)]
+    assert main(["decode", *files, "-o", str(tmp_path)]) == 2
+    assert "missing.log" in capsys.readouterr().err
+    assert (tmp_path / "mks_rs485.log.mcap").exists()
+
+
+def test_standard_input_needs_a_name(tmp_path, capsys):
+    assert main(["decode", "-"]) == 2
+    assert "-o" in capsys.readouterr().err
+
+
+def test_standard_input_decodes(tmp_path):
+    log = tmp_path / "in.mcap"
+    data = (CAPTURES / "mks_can.candump.log").read_bytes()
+    done = subprocess.run(
+        [sys.executable, "-m", "analyzer", "decode", "-", "-o", str(log)], input=data, cwd=ROOT, capture_output=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert metadata(log)["frames"] == "25"
+
+
+def test_an_unknown_dialect_names_the_near_one(tmp_path, capsys):
+    assert main(["decode", str(BENCH), "-o", str(tmp_path / "o.mcap"), "--dialect", "mks-rs458"]) == 2
+    assert "did you mean mks-rs485?" in capsys.readouterr().err
+
+
+def test_a_model_that_no_dialect_has(tmp_path, capsys):
+    assert main(["decode", str(BENCH), "-o", str(tmp_path / "o.mcap"), "--model", "42X"]) == 2
+    assert "42D" in capsys.readouterr().err
+
+
+def test_a_dialect_of_the_wrong_bus(tmp_path, capsys):
+    assert main(["decode", str(BENCH), "-o", str(tmp_path / "o.mcap"), "--dialect", "mks-can"]) == 2
+    assert "serial" in capsys.readouterr().err
+    assert os.listdir(tmp_path) == []
+
+
+def test_the_capture_itself_is_never_the_target(tmp_path, capsys):
+    log = tmp_path / "a.mcap"
+    main(["decode", str(BENCH), "-o", str(log)])
+    assert main(["decode", str(log), "-o", str(log), "--force"]) == 2
+    assert "is the capture itself" in capsys.readouterr().err
+
+
+def test_a_disk_that_is_full_leaves_no_broken_log(tmp_path):
+    capture = tmp_path / "long.bin"
+    subprocess.run(
+        [sys.executable, CAPTURES / "make.py", "--frames", "60000", "-o", capture], check=True, capture_output=True
+    )
+    target = tmp_path / "out"
+    target.mkdir()
+    # A limit on the size of a file fails a write as a full disk does (EFBIG for ENOSPC), without a file system of our own.
+    code = (
+        "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (300000, 300000));"
+        f"from analyzer.cli import main; sys.exit(main(['decode', {str(capture)!r}, '-o', {str(target)!r}]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "no log was left" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert os.listdir(target) == []
+
+
+def test_ctrl_c_leaves_a_whole_shorter_log(tmp_path):
+    fifo = tmp_path / "pipe"
+    os.mkfifo(fifo)
+    log = tmp_path / "out.mcap"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "analyzer", "decode", "-", "-o", str(log)],
+        cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    data = (CAPTURES / "mks_can.candump.log").read_bytes()
+    process.stdin.write(data)
+    process.stdin.flush()
+    deadline = time.monotonic() + 20
+    while not list(tmp_path.glob(".out.mcap.*.part")) and time.monotonic() < deadline:
+        os.sched_yield()
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=20)
+    assert process.returncode == 130, err
+    assert b"stopped by Ctrl-C" in out
+    with log.open("rb") as stream:
+        assert make_reader(stream).get_summary() is not None
+
+
+def test_memory_does_not_grow_with_the_file(tmp_path):
+    peaks = []
+    for frames in (20_000, 120_000):
+        capture = tmp_path / f"{frames}.bin"
+        make = [sys.executable, CAPTURES / "make.py", "--frames", str(frames), "-o", capture]
+        subprocess.run(make, check=True, capture_output=True)
+        code = (
+            "import resource, sys; from analyzer.cli import main;"
+            f"main(['decode', {str(capture)!r}, '--json']); print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+        )
+        done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+        peaks.append(int(done.stdout.split()[-1]))
+    assert peaks[1] < peaks[0] * 1.25, peaks

@@ -1,0 +1,231 @@
+"""What is no capture, and captures with impossible content: each with its message."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from analyzer.errors import UnreadableError, UsageError
+from analyzer.records import Chunk, Comment
+from analyzer.sources import FORMATS, open_source
+from analyzer.sources.source import FAR_NS, clean_port
+from tests.contracts.source_contract import read_all
+
+C_SOURCE = """\
+#include <stdio.h>
+
+/* Adds two numbers: 0xFA and 1. */
+int add(int a, int b)
+{
+    return a + b;  // FA 01
+}
+
+int main(void)
+{
+    printf("%d\\n", add(0xFA, 1));
+    return 0;
+}
+"""
+EMAIL = """\
+From: someone@example.org
+To: you@example.org
+Subject: Re: servo
+Date: Sun, 30 Apr 2023 22:40:55 +0200
+
+Dear all,
+
+the drive does not move. I sent it a command and it said nothing.
+
+> Did you try at 10:30?
+
+Best regards
+"""
+
+
+@pytest.mark.parametrize("text", [C_SOURCE, EMAIL, "hello\n", "a,b\n1,2\n", "{}\n", "<html></html>\n"])
+def test_a_text_of_something_else(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text(text)
+    with pytest.raises(UnreadableError) as raised:
+        open_source(path)
+    message = str(raised.value)
+    assert message.startswith("notes.txt is no capture that is known (text, beginning ")
+    assert "candump" in message
+    assert "hex" in message
+    assert "--format NAME" in message
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("text", [C_SOURCE, EMAIL])
+def test_a_text_of_something_else_that_is_forced(text: str, name: str, tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text(text)
+    try:
+        _, records = read_all(path, format=name)
+    except UnreadableError:
+        pass
+    else:
+        assert name in ("raw", "hex", "trc", "asc", "spy", "candump")
+        assert all(isinstance(r, Chunk | Comment) for r in records)
+
+
+def test_an_empty_file(tmp_path: Path) -> None:
+    path = tmp_path / "empty.log"
+    path.touch()
+    for name in (None, *FORMATS):
+        with pytest.raises(UnreadableError, match=r"empty\.log is empty"):
+            open_source(path, format=name)
+
+
+def test_a_directory(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableError, match="is a directory, expected a capture file"):
+        open_source(tmp_path)
+
+
+def test_a_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableError, match="No such file or directory") as raised:
+        open_source(tmp_path / "none.log")
+    assert str(tmp_path / "none.log") in str(raised.value)
+
+
+def test_a_path_that_is_none() -> None:
+    with pytest.raises(UnreadableError, match="is no path"):
+        open_source("a\0b")
+
+
+def test_no_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "secret.log"
+    path.write_text("FA 01\n")
+
+    def refuse(*_: object) -> int:
+        raise PermissionError(13, "Permission denied")
+
+    # The user who runs the tests may read everything.
+    monkeypatch.setattr(os, "open", refuse)
+    with pytest.raises(UnreadableError, match=r"secret\.log: Permission denied"):
+        open_source(path)
+
+
+def test_a_device() -> None:
+    with pytest.raises(UnreadableError, match="is a device, expected a capture file"):
+        open_source("/dev/zero")
+
+
+def test_a_medium_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "bad.log"
+    path.write_bytes(b"FA 01 F6\n" * 20_000)
+    source = open_source(path)
+
+    def fail(*_: object) -> bytes:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(os, "read", fail)
+    with source, pytest.raises(UnreadableError, match=r"bad\.log: reading failed at byte 65536: Input/output error"):
+        list(source)
+
+
+@pytest.mark.parametrize(
+    ("given", "hint"), [("candmp", "candump"), ("pcap-ng", "pcapng"), ("CANDUMP", "candump"), ("hexx", "hex")]
+)
+def test_an_unknown_format_suggests_the_near_one(given: str, hint: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=f"unknown format {given!r}.*did you mean {hint!r}"):
+        open_source(tmp_path / "x", format=given)
+
+
+def test_a_speed_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="baud: expected a number above 0, got 0"):
+        open_source(tmp_path / "x", baud=0)
+
+
+@pytest.mark.parametrize(
+    ("data", "what"),
+    [
+        (b"PK\x03\x04" + bytes(50), "a zip archive"),
+        (b"SQLite format 3\x00" + bytes(50), "an SQLite database"),
+        (b"%PDF-1.4\n", "a PDF"),
+        (b"BZh91AY", "bzip2 data"),
+        (b"\x7fELF" + bytes(50), "a program"),
+    ],
+)
+def test_files_given_by_mistake(data: bytes, what: str, tmp_path: Path) -> None:
+    path = tmp_path / "x.bin"
+    path.write_bytes(data)
+    with pytest.raises(UnreadableError, match=what):
+        open_source(path)
+
+
+def test_times_that_cannot_be(tmp_path: Path) -> None:
+    path = tmp_path / "times.log"
+    stamps = ("5.0", "4.0", "0.0", "7258118400.0", "99999999999999999.0", "6.0")
+    path.write_text("".join(f"({t}) can0 001#F6\n" for t in stamps))
+    source, records = read_all(path)
+    second = 10**9
+    assert [r.t_ns for r in records] == [
+        5 * second, 4 * second, 0, 7_258_118_400 * second, 7_258_118_400 * second, 6 * second,
+    ]  # fmt: skip
+    assert 7_258_118_400 * second > FAR_NS
+    notes = " | ".join(source.notes)
+    assert "times run backwards 3 times" in notes
+    assert "1 times lie after the year 2100" in notes
+    assert "1 times are beyond any calendar" in notes
+
+
+@pytest.mark.parametrize(
+    ("stamp", "text"),
+    [
+        ("2023-13-40 10:00:00", "month must be in 1..12"),
+        ("25:00:00.5", "expected a time of day"),
+        ("1999-02-30T01:02:03", "day"),
+    ],
+)
+def test_dates_that_cannot_be(stamp: str, text: str, tmp_path: Path) -> None:
+    path = tmp_path / "times.log"
+    path.write_text(f"{stamp} TX: FA 01 F6\n" * 3)
+    source, records = read_all(path)
+    assert len(records) == 3
+    assert text in source.problems[0].text
+    assert source.problems[0].line == 1
+
+
+def test_terminal_escapes_in_names_and_comments(tmp_path: Path) -> None:
+    path = tmp_path / "x.log"
+    path.write_text("[bus\x07]>\n[bus:\x1b]0;x] TX: FA 01 F6\nTX: FA 01 F6\n\x1b[31mred [bold]rich[/] <b>html</b>\n")
+    records = read_all(path)[1]
+    assert all(r.port.isprintable() for r in records)
+    assert [r.text for r in records if isinstance(r, Comment)][-1] == "red [bold]rich[/] <b>html</b>"
+
+
+@pytest.mark.parametrize(
+    ("name", "port"),
+    [("/dev/ttyUSB0", "ttyUSB0"), ("COM3", "COM3"), ("\\\\.\\COM12", "COM12"), ("bus:0", "bus_0"),
+     ("a\x1b[31mb/", "a_31mb"), ("../..", ""), ("x" * 99, "x" * 40), ("Achse 1", "Achse_1")],
+)  # fmt: skip
+def test_port_names(name: str, port: str) -> None:
+    assert clean_port(name) == port
+
+
+def test_problems_are_bounded(tmp_path: Path) -> None:
+    path = tmp_path / "x.log"
+    path.write_text("(1.0) can0 001#F6\n" * 5000 + "(1.0) can0 001#F6X\n" * 4000)
+    source, records = read_all(path)
+    assert len(records) == 5000
+    assert (source.problem_count, len(source.problems)) == (4000, 20)
+    assert "and 3997 more" in source.notes[-1]
+
+
+def test_many_ports_are_bounded(tmp_path: Path) -> None:
+    path = tmp_path / "x.log"
+    path.write_text("".join(f"(1.0) can{n} 001#F6\n" for n in range(1000)))
+    source, records = read_all(path)
+    assert len({r.port for r in records}) == 64
+    assert any("more than 64 lines" in note for note in source.notes)
+
+
+def test_a_capture_without_traffic(tmp_path: Path) -> None:
+    path = tmp_path / "x.asc"
+    path.write_text("date Sun Apr 30 10:40:55.899 pm 2023\nbase hex  timestamps absolute\n")
+    source, records = read_all(path)
+    assert records == []
+    assert source.notes == ["the capture holds no traffic"]
