@@ -484,7 +484,7 @@ class Framer:
             for found in self._starts.finditer(data):
                 at = found.start()
                 known = (self._slicers[i] for i in self._by_head[data[at]])
-                heads += any(s.strong_head and s.damaged(data, at, size) for s in known)
+                heads += size - at > 2 and any(s.strong_head and s.damaged(data, at, size) for s in known)
         return JunkReason.COLLISION if heads > 1 else JunkReason.NOISE
 
     def _times(self, start: int, stop: int) -> tuple[int, int]:

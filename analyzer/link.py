@@ -326,6 +326,8 @@ class _HeadSlicer(Slicer):
         return result
 
     def damaged(self, buffer: bytes, at: int, end: int) -> list[int]:
+        if buffer[at] in self.heads and at + 3 > end:
+            return [MORE]
         lengths = self._sizes(buffer, at, end)
         complete = [n for n in lengths if at + n <= end]
         return complete if len(complete) == len(lengths) else [*complete, MORE]

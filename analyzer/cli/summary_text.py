@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from rich.console import Console
@@ -24,7 +25,8 @@ def milliseconds(value_ns: float) -> str:
 
 def print_summary(reading: Reading, summary: Summary, target: Path, stopped: str) -> None:
     """Print the summary of a decoded capture."""
-    console = Console(highlight=False, soft_wrap=True)
+    # Into a file or a pipe there is no width to keep to.
+    console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 140)
 
     def line(text: str, style: str = "") -> None:
         console.print(Text(clean(text), style=style))
@@ -52,8 +54,8 @@ def print_summary(reading: Reading, summary: Summary, target: Path, stopped: str
 def _commands(summary: Summary) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("bus", "address", "command"):
-        table.add_column(name)
-    for name in ("requests", "replies", "latency ms: median", "p99", "max"):
+        table.add_column(name, no_wrap=True)
+    for name in ("requests", "replies", "median ms", "p99 ms", "max ms"):
         table.add_column(name, justify="right")
     ordered = sorted(summary.rows.items(), key=lambda i: (i[0][0], i[0][1].zfill(5), i[0][2], i[0][3]))
     for (bus, address, _dialect, name), row in ordered:

@@ -20,7 +20,7 @@ FIRST_FEW = 3
 
 
 class Latencies:
-    """A histogram of times in ns; quantiles are good to 1.6 %, the greatest is exact."""
+    """A histogram of times in ns; quantiles are at most 3 % too great, the greatest is exact."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -37,24 +37,24 @@ class Latencies:
         bucket = latency_ns if more <= 0 else (more << 6) + (latency_ns >> more)
         self._buckets[bucket] = self._buckets.get(bucket, 0) + 1
 
-    def quantile(self, share: float) -> float:
+    def quantile(self, share: float) -> int:
         """Return the time that this share (0..1) of all does not exceed, in ns; 0 without any."""
         wanted = share * self.count
         seen = 0
         for bucket in sorted(self._buckets):
             seen += self._buckets[bucket]
             if seen >= wanted:
-                return min(_middle(bucket), self.greatest)
-        return 0.0
+                return min(_upper(bucket), self.greatest)
+        return 0
 
 
-def _middle(bucket: int) -> float:
-    """Return the middle of a bucket in ns."""
+def _upper(bucket: int) -> int:
+    """Return the greatest time of a bucket in ns."""
     if bucket < 64:
         return bucket
     # The leading bits are 32..63, so they never carry into the number of the others.
     more, leading = bucket >> 6, bucket & 63
-    return ((leading << more) + ((leading + 1) << more) - 1) / 2
+    return ((leading + 1) << more) - 1
 
 
 @dataclass

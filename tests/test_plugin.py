@@ -1,0 +1,114 @@
+"""A dialect of another package: found by its entry point, decoded, explained and logged without touching the core."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+MODULE = '''
+"""An invented drive: AA/55 heads, address, code, data, XOR check."""
+from enum import IntEnum
+from functools import reduce
+
+from analyzer.catalogue import Command, Dialect, Replies, Risk, Role, Vector, Verb, always
+from analyzer.layout import Layout, StatePart, i16, u8, u16
+from analyzer.link import HeadLink
+
+
+class Gate(IntEnum):
+    SHUT = 0
+    OPEN = 1
+
+
+def xor(data):
+    return reduce(lambda a, b: a ^ b, data, 0)
+
+
+DIALECT = Dialect(
+    name="toy-rs485",
+    title="A toy",
+    manual="The toy's manual V1",
+    bus="serial",
+    link=HeadLink(heads={0xAA: Role.REQUEST, 0x55: Role.REPLY}, check=xor),
+    commands=(
+        Command(
+            name="read_speed", verb=Verb.READ_SPEED, code=0x21, section="2.1", summary="Read the speed.",
+            risk=(always(Risk.READ),), request=Layout(),
+            reply=Layout(i16("speed", unit="rpm", state=StatePart("speed", 1.0)), u8("gate", choices=Gate)),
+            vectors=(Vector("AA 01 21 8A"),),
+        ),
+        Command(
+            name="set_speed", verb=Verb.RUN_SPEED, code=0x22, section="2.2", summary="Run.",
+            risk=(always(Risk.UNBOUNDED),), request=Layout(u16("speed", maximum=500, unit="rpm")),
+            reply=Layout(u8("status")), replies=Replies(final={1}, failed={0}),
+        ),
+    ),
+    addresses=(1, 15),
+    baud_rates=(9600,),
+)
+'''
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site")
+    (folder / "toy_drive.py").write_text(MODULE)
+    info = folder / "toy_drive-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: toy-drive\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[servotap.dialects]\ntoy-rs485 = toy_drive:DIALECT\n")
+    return folder
+
+
+def servotap(site, *words):
+    env = {**os.environ, "PYTHONPATH": f"{site}{os.pathsep}{ROOT}"}
+    done = subprocess.run([sys.executable, "-m", "analyzer", *words], env=env, cwd=site, capture_output=True, text=True)
+    assert "Traceback" not in done.stderr, done.stderr
+    return done
+
+
+def xored(text):
+    data = bytes.fromhex(text)
+    check = 0
+    for byte in data:
+        check ^= byte
+    return (data + bytes((check,))).hex(" ").upper()
+
+
+def test_it_is_explained(site):
+    line = json.loads(servotap(site, "explain", "--json", xored("55 01 21 FE D4 01")).stdout)
+    assert (line["dialect"], line["command"], line["role"]) == ("toy-rs485", "read_speed", "reply")
+    assert line["fields"] == {"speed": -300, "gate": 1, "gate_name": "open"}
+
+
+def test_it_is_built_and_stands_in_the_catalogue(site):
+    assert servotap(site, "frame", "toy-rs485@1", "set_speed", "speed=300").stdout.strip() == xored("AA 01 22 01 2C")
+    assert "expected 0..500 rpm" in servotap(site, "frame", "toy-rs485@1", "set_speed", "speed=501").stderr
+    assert "set_speed" in servotap(site, "catalogue", "--dialect", "toy-rs485").stdout
+
+
+def test_it_is_found_decoded_and_logged(site):
+    rows = []
+    for n in range(20):
+        rows += [f"0.{n:03d} > {xored('AA 01 21')}", f"0.{n:03d}5 < {xored(f'55 01 21 00 {n:02X} 00')}"]
+    rows += [f"1.0 > {xored('AA 01 22 03 E8')}", f"1.1 < {xored('55 01 22 00')}"]
+    (site / "toy.log").write_text("\n".join(rows) + "\n")
+    done = servotap(site, "decode", "toy.log", "--force", "--json")
+    summary = json.loads(done.stdout)
+    assert summary["dialects"] == ["toy-rs485"]
+    assert summary["frames"] == 42
+    assert {f["rule"] for f in summary["findings"]} == {"out_of_range", "failed_status"}
+
+    from mcap.reader import make_reader
+
+    with (site / "toy.log.mcap").open("rb") as stream:
+        messages = [(c.topic, json.loads(m.data)) for _, c, m in make_reader(stream).iter_messages()]
+    assert ("/serial/1/state", {"speed": 7.0}) in messages
+    assert any(topic == "/serial/1/read_speed/reply" and value["gate_name"] == "shut" for topic, value in messages)
