@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-CAPTURE := captures/mks_rs485_bench.log
+CAPTURE := captures/mks_rs485.log
 
 .PHONY: demo test lint bench clean
 
@@ -16,7 +16,7 @@ demo: $(VENV)/.installed
 	@echo
 	@echo 'Three commands to try next:'
 	@echo '  $(BIN)/servotap explain "FA 01 F6 01 40 02 34"'
-	@echo '  $(BIN)/servotap show captures/mks_can_arm.asc --filter "findings != []"'
+	@echo '  $(BIN)/servotap show captures/mks_can.asc --filter "findings != []"'
 	@echo '  $(BIN)/servotap catalogue --dialect mks-can run_speed'
 
 test: $(VENV)/.test

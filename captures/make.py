@@ -291,6 +291,10 @@ def make_all(folder: Path) -> list[Path]:
     for ending in LIBRARY:
         by_library("mks_can", ending, folder / "mks_can")
         written.append(folder / f"mks_can{ending}")
+    from analyzer.cli import main as servotap
+
+    written.append(folder / "mks_rs485.mcap")
+    servotap(["decode", str(folder / "mks_rs485.log"), "-o", str(written[-1]), "--force", "--json"])
     for name in SESSIONS:
         written.append(folder / f"{name}.golden")
         written[-1].write_text(golden(name))

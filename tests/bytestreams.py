@@ -1,4 +1,4 @@
-"""Strategies for bytes of a serial line, made from the catalogue: values, frames, exchanges, noise, and how they are cut.
+"""Strategies for bytes of a serial line, made from the catalogue: values, frames, exchanges, noise, cuts.
 
 A `Sent` is one frame as it was sent; `traffic` draws whole exchanges (a request with valid values, then its reply or
 replies) of several drives and dialects; `cuttings` cuts bytes into reads.
