@@ -11,14 +11,14 @@ here. The answer is a length, nothing, or "more bytes are needed"; then it waits
 4. A failed check costs one byte of the input, not the buffer.
 5. A known frame with only its check wrong is a frame (`checksum_ok` False) when a frame or a boundary follows it and
    none begins inside it.
-6. A frame of unknown code is taken only when it fills a burst exactly and its check fits. A known code of another length
-   is taken so only where the burst ends firmly, for a sum does not see zeros that were lost or added.
+6. A frame of unknown code is taken only when it fills a burst exactly, its check fits and no frame is inside. A known
+   code of another length is taken so only where the burst ends firmly: a sum does not see zeros that were lost.
 7. A package that lost zeros is a frame when a frame or a boundary follows it. Its check counts where its end is firm;
    elsewhere the sum has to say where it ends and cannot vouch for it too (`checksum_ok` False).
 
 Boundaries: a *silence* (longer than any pause inside a frame, also behind a USB adapter) and a change of direction end
-every wait; a *burst* (a line of a log, a packet, a shorter pause) ends none, but counts as evidence. All are firm but the
-shorter pause.
+every wait; a *burst* (a line of a log, a packet, a shorter pause) ends none, but counts as evidence. All are firm but
+the shorter pause.
 
 Not known here: what a frame means. Only where readings are weighed does it count whether the manual allows the values.
 `feed` yields one event at a time, so that its consumer can let the event's meaning reach the context before the framer
@@ -184,10 +184,10 @@ class Framer:
                 yield from self._reach_burst()
             if not length:
                 length = looks[buffer[at]](buffer, at, end, closed)
+            follower, check_ok = 0, True
             if length == TIE:
                 length = self._settled(at, closed)
-            follower, check_ok = 0, True
-            if length > 0:
+            elif length > 0:
                 stop = at + length
                 # `_follower`, written out: this is the way of every frame of a clean line.
                 if bursts and base + stop in bursts:
@@ -401,8 +401,10 @@ class Framer:
             if burst <= self._longest:
                 if not ends and not closed:
                     return MORE, False
-                firm = self._is_firm(at + burst, closed)
-                if any(s.whole(buffer[at : at + burst]) and (firm or s.foreign(buffer, at)) for s in known):
+                stop = at + burst
+                firm = self._is_firm(stop, closed)
+                fits = any(s.whole(buffer[at:stop]) and (firm or s.foreign(buffer, at)) for s in known)
+                if fits and not any(self._looks[buffer[n]](buffer, n, stop, True) for n in range(at + 1, stop)):
                     return burst, True
         for slicer in known:
             if slicer.strong_head or offset == self._step:

@@ -137,7 +137,8 @@ def plain_raw(capture: Path, target: Path) -> int:
                 continue
             frame = data[at : at + size]
             name, text, names = tables[head][code]
-            fields = {n: v.hex() if isinstance(v, bytes) else v for n, v in zip(names, struct.unpack(text, frame[3:-1]), strict=True)}
+            values = struct.unpack(text, frame[3:-1])
+            fields = {n: v.hex() if isinstance(v, bytes) else v for n, v in zip(names, values, strict=True)}
             fields["_raw"] = frame.hex(" ")
             fields["_offset"] = at
             channel = channels.get((head, address, code))

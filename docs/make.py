@@ -81,8 +81,9 @@ def findings() -> str:
         [
             "# Findings",
             "",
-            "Each finding stands in the log on `/findings` (schema `foxglove.Log`): `name` is the rule, `file` and `line` the topic",
-            "and sequence of the message it is about, `offset` the place of its bytes. `--strict` exits 1 on those of severity error.",
+            "Each finding stands in the log on `/findings` (schema `foxglove.Log`): `name` is the rule, `file` and `line`",
+            "the topic and sequence of the message it is about, `offset` the place of its bytes. `--strict` exits 1 on those",
+            "of severity error.",
             "",
             "| rule | severity | what it means |",
             "| --- | --- | --- |",

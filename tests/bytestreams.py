@@ -25,11 +25,11 @@ HARMLESS = bytes.fromhex("55 AA F8 F9 FD FE FF")
 
 
 class Sent(NamedTuple):
-    """A frame as it was sent."""
+    """A frame as it was sent, and the name of its dialect."""
 
     data: bytes
     role: Role
-    dialect: Dialect
+    dialect: str
 
 
 class Placed(NamedTuple):
@@ -108,7 +108,7 @@ def exchanges(draw: st.DrawFn, dialect: Dialect, address: int, packages: bool = 
     data = draw(package_slots(dialect, command)) if command.slots else codec(form.layout).encode(asked)
     if command.function not in READS and draw(st.integers(0, 19)) == 0:
         address = dialect.broadcast or 0
-    frames = [Sent(dialect.link.build(command, form, address, data, Role.REQUEST), Role.REQUEST, dialect)]
+    frames = [Sent(dialect.link.build(command, form, address, data, Role.REQUEST), Role.REQUEST, dialect.name)]
     if address == dialect.broadcast or not command.reply_forms or draw(st.integers(0, 19)) == 0:
         return frames
     reply = draw(st.sampled_from(answering(command.reply_forms, asked) or list(command.reply_forms)))
@@ -116,11 +116,11 @@ def exchanges(draw: st.DrawFn, dialect: Dialect, address: int, packages: bool = 
     body = codec(reply.layout).encode(told)
     if command.function in WRITE_ONE and reply.name != "refused":
         body = data
-    frames.append(Sent(dialect.link.build(command, reply, address, body, Role.REPLY), Role.REPLY, dialect))
+    frames.append(Sent(dialect.link.build(command, reply, address, body, Role.REPLY), Role.REPLY, dialect.name))
     if told.get(command.replies.status) in command.replies.interim and command.replies.final:
         told[command.replies.status] = draw(st.sampled_from(sorted(command.replies.final)))
         body = codec(reply.layout).encode(told)
-        frames.append(Sent(dialect.link.build(command, reply, address, body, Role.REPLY), Role.REPLY, dialect))
+        frames.append(Sent(dialect.link.build(command, reply, address, body, Role.REPLY), Role.REPLY, dialect.name))
     return frames
 
 

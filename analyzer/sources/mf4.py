@@ -1,29 +1,42 @@
 """MF4, ASAM measurement data with CAN bus logging, through python-can and asammdf (extra `mf4`).
 
-asammdf needs a whole file that it can jump about in: standard input and compressed files are put into a temporary
-file first, and of a file that breaks off nothing can be read. Times are float seconds since the start of the
-measurement, good to 1 us.
+asammdf needs a whole file that it can jump about in: standard input and compressed files are put into a temporary file
+first, and of a file that breaks off nothing can be read. It runs in a process of its own, which a damaged file may
+crash (see `mf4_child.py`). Times are float seconds since the start of the measurement, good to 1 us.
 """
 
 from __future__ import annotations
 
 import contextlib
-import io
-import logging
-import mmap
+import importlib.util
+import json
 import os
+import subprocess
+import sys
 import tempfile
-from collections.abc import Callable, Iterator
-from typing import Any, cast
+from collections.abc import Iterator
+from typing import IO
 
+import msgspec
+
+from analyzer.catalogue import Role
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame
-from analyzer.sources.can_library import float_ns, frame
-from analyzer.sources.source import Source, describe
+from analyzer.sources.mf4_child import LENGTH, Batch
+from analyzer.sources.source import Source
 
-#: What asammdf opens as it is.
-_ENDINGS = (".mf4", ".mdf")
 _MAGICS = (b"MDF     ", b"UnFinMF ")
+#: What asammdf opens as it is; by other endings it guesses at archives, which it deletes after use.
+_ENDINGS = (".mf4", ".mdf")
+#: The process finds this package where its parent did, and its library prints nothing of its own.
+_CHILD = """\
+import json, os, sys
+sys.path[:] = json.loads(sys.argv[2])
+out = os.fdopen(os.dup(1), "wb")
+os.dup2(2, 1)
+from analyzer.sources.mf4_child import main
+main(sys.argv[1], out)
+"""
 
 
 def score(head: bytes) -> float:
@@ -34,60 +47,78 @@ def score(head: bytes) -> float:
 def read(source: Source) -> Iterator[CanFrame]:
     """Read the frames. Raises UnreadableError if asammdf is not installed."""
     source.time_source = "capture: the start of the measurement and float seconds, good to 1 us"
-    try:
-        import asammdf  # noqa: F401
-    except ImportError as error:
-        raise UnreadableError(
-            f"{source.name} is an MF4 file, which needs asammdf: pip install 'servotap[mf4]' ({error})"
-        ) from None
+    if not source.head.startswith(_MAGICS):
+        shown = source.head[:8].hex(" ").upper()
+        raise UnreadableError(f"{source.name}: expected an MF4 file (4D 44 46 20 ...), got {shown}")
+    if not _installed():
+        raise UnreadableError(f"{source.name} is an MF4 file, which needs asammdf: pip install 'servotap[mf4]'")
     return _records(source)
 
 
-def _records(source: Source) -> Iterator[CanFrame]:
-    from can.io.mf4 import MF4Reader
+def _installed() -> bool:
+    try:
+        return importlib.util.find_spec("asammdf") is not None
+    except ValueError:
+        return False
 
-    # It writes tracebacks of files it cannot read to the terminal.
-    logging.getLogger("asammdf").setLevel(logging.CRITICAL + 1)
+
+def _records(source: Source) -> Iterator[CanFrame]:
     with contextlib.ExitStack() as stack:
         path = stack.enter_context(_as_file(source))
-        try:
-            reader = cast(Callable[[str], Any], MF4Reader)(path)
-        # asammdf raises whatever its parser stumbles over.
-        except Exception as error:
-            _defuse(error)
-            raise UnreadableError(
-                f"{source.name}: the MF4 file is damaged or broken off, expected a whole one: {describe(error)}"
-            ) from None
-        stack.callback(_stop, reader)
-        for message in reader:
-            name = f"can{message.channel}" if message.channel is not None else None
-            yield frame(message, float_ns(message.timestamp), source.port(name))
+        child = subprocess.Popen(
+            [sys.executable, "-c", _CHILD, os.path.abspath(path), json.dumps(sys.path)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
+        stack.callback(_end, child)
+        assert child.stdout is not None
+        for batch in _batches(child.stdout):
+            for row in batch.rows:
+                yield CanFrame(
+                    row.t_ns,
+                    source.port(f"can{row.channel}" if row.channel is not None else None),
+                    row.id,
+                    row.data,
+                    Role.REQUEST if row.sent else Role.UNKNOWN,
+                    row.extended,
+                    row.remote,
+                    row.error,
+                    row.fd,
+                )
+            if batch.failure and not batch.opened:
+                raise UnreadableError(
+                    f"{source.name}: the MF4 file is damaged or broken off, expected a whole one: {batch.failure}"
+                )
+            if batch.failure:
+                source.problem(f"the MF4 file is damaged: {batch.failure}")
+            if batch.last:
+                return
+        source.problem(f"the MF4 file is damaged: asammdf crashed on it (exit code {child.wait()})")
 
 
-def _defuse(error: BaseException) -> None:
-    """Mark what asammdf half made as closed: else its destructor fails later and prints a traceback."""
-    trace = error.__traceback__
-    while trace is not None:
-        made = trace.tb_frame.f_locals.get("self")
-        if made is not None and hasattr(type(made), "__del__"):
-            made._closed = True
-            for part in vars(made).values():
-                if isinstance(part, io.IOBase | mmap.mmap):
-                    part.close()
-        trace = trace.tb_next
+def _batches(pipe: IO[bytes]) -> Iterator[Batch]:
+    """Yield what the child sends, until it ends or dies."""
+    decode = msgspec.msgpack.Decoder(Batch).decode
+    while len(head := pipe.read(LENGTH.size)) == LENGTH.size:
+        size = LENGTH.unpack(head)[0]
+        data = pipe.read(size)
+        if len(data) < size:
+            return
+        yield decode(data)
 
 
-def _stop(reader: Any) -> None:
-    # Closing a file that was not understood fails on parts that were never made.
-    with contextlib.suppress(Exception):
-        reader.stop()
+def _end(child: subprocess.Popen[bytes]) -> None:
+    if child.stdout is not None:
+        child.stdout.close()
+    child.kill()
+    child.wait()
 
 
 @contextlib.contextmanager
 def _as_file(source: Source) -> Iterator[str]:
     """Give the path of a file with the unpacked bytes."""
     stream = source.stream
-    # By other endings asammdf guesses at archives, which it deletes after use.
     if source.size is not None and not stream.compression and source.path.lower().endswith(_ENDINGS):
         stream.drain()
         yield source.path

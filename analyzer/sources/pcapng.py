@@ -1,9 +1,9 @@
-"""pcapng: sections, interfaces, and packets with times in each interface's own resolution.
+"""pcapng: sections, interfaces, and records with times in each interface's own resolution.
 
     type, length, body, length | ...
     section header: byte order      interface: link type, name, resolution      enhanced, simple, old packet blocks
 
-Times are exact. An interface's name becomes the port; comments of packets and sections are given on; who sent a packet
+Times are exact. An interface's name becomes the port; comments of records and sections are given on; who sent a record
 comes from its flags. Blocks of other types are passed over.
 """
 
@@ -22,9 +22,9 @@ _SECTION_MAGIC = b"\x0a\x0d\x0d\x0a"
 _ORDERS = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}
 _SECTION = 0x0A0D0D0A
 _INTERFACE = 1
-_OLD_PACKET = 2
-_SIMPLE_PACKET = 3
-_ENHANCED_PACKET = 6
+_OLD = 2
+_SIMPLE = 3
+_ENHANCED = 6
 #: No block of a CAN or serial capture comes near; what claims more is damage.
 _BLOCK_LIMIT = 16 << 20
 _LEAST_BLOCK = 12
@@ -47,7 +47,7 @@ class _Interface:
     longest: int = 0
 
     def t_ns(self, high: int, low: int) -> int:
-        """Return the time of a packet."""
+        """Return the time of a record."""
         return self.start_ns + ((high << 32) | low) * SECOND_NS // self.ticks
 
 
@@ -67,7 +67,7 @@ def score(head: bytes) -> float:
 
 
 def read(source: Source) -> Iterator[Record]:
-    """Read the packets."""
+    """Read the records."""
     if source.head[:4] != _SECTION_MAGIC or source.head[8:12] not in _ORDERS:
         shown = source.head[:12].hex(" ").upper()
         raise UnreadableError(f"{source.name}: expected a pcapng section header (0A 0D 0D 0A ...), got {shown}")
@@ -179,7 +179,7 @@ def _give(
     order: str,
 ) -> Iterator[Record]:
     if interface is None:
-        source.problem(f"a packet of interface {number}, which the section does not declare")
+        source.problem(f"a record of interface {number}, which the section does not declare")
         return
     if interface.line is None or interface.take is None:
         return
@@ -196,7 +196,7 @@ def _enhanced(source: Source, section: _Section, body: bytes) -> Iterator[Record
     number, high, low, stored, _ = struct.unpack_from(section.order + "LLLLL", body)
     interface = section.interface(number)
     if stored > len(body) - 20:
-        source.problem(f"a packet of {stored} bytes in a block that has {len(body) - 20}")
+        source.problem(f"a record of {stored} bytes in a block that has {len(body) - 20}")
         return
     options = _options(section, body[20 + stored + -stored % 4 :]) if len(body) > 20 + stored + 3 else {}
     t_ns = interface.t_ns(high, low) if interface is not None else None
@@ -207,7 +207,7 @@ def _old(source: Source, section: _Section, body: bytes) -> Iterator[Record]:
     number, _, high, low, stored, _ = struct.unpack_from(section.order + "HHLLLL", body)
     interface = section.interface(number)
     if stored > len(body) - 20:
-        source.problem(f"a packet of {stored} bytes in a block that has {len(body) - 20}")
+        source.problem(f"a record of {stored} bytes in a block that has {len(body) - 20}")
         return
     t_ns = interface.t_ns(high, low) if interface is not None else None
     yield from _give(source, interface, number, t_ns, body[20 : 20 + stored], {}, section.order)
@@ -223,7 +223,7 @@ def _simple(source: Source, section: _Section, body: bytes) -> Iterator[Record]:
 _HANDLERS: dict[int, Callable[[Source, _Section, bytes], Iterator[Record]]] = {
     _SECTION: _begin_section,
     _INTERFACE: _begin_interface,
-    _ENHANCED_PACKET: _enhanced,
-    _SIMPLE_PACKET: _simple,
-    _OLD_PACKET: _old,
+    _ENHANCED: _enhanced,
+    _SIMPLE: _simple,
+    _OLD: _old,
 }

@@ -10,7 +10,7 @@ from analyzer.errors import ServotapError
 from analyzer.records import CanFrame, Chunk, Comment
 from analyzer.sources import Record, Source, open_source
 
-#: A capture is cut at each of these parts of its length.
+#: A capture is cut at each of this many parts of its length.
 PARTS = 7
 
 
@@ -20,10 +20,10 @@ def read_all(path: Path, **options: object) -> tuple[Source, list[Record]]:
         return source, list(source)
 
 
-def check_source(path: Path, *, format: str, kind: str, baud: int | None = None) -> list[Record]:
+def check_source(path: Path, *, format: str, kind: str, baud: int | None = None, parts: int = PARTS) -> list[Record]:
     """Check a whole capture, and every cut of it; return the records of the whole one.
 
-    `format`: what it must be found to be.
+    `format`: what it must be found to be. `parts`: into how many the capture is divided to cut it there.
     """
     source = open_source(path, baud=baud)
     assert source.format == format
@@ -46,7 +46,7 @@ def check_source(path: Path, *, format: str, kind: str, baud: int | None = None)
     source.close()
     source.close()
     assert read_all(path, format=format, baud=baud)[1] == records
-    _check_cuts(path, format, baud, records)
+    _check_cuts(path, format, baud, records, parts)
     return records
 
 
@@ -68,12 +68,12 @@ def check_record(record: Record) -> None:
     assert all(type(flag) is bool for flag in (record.extended, record.remote, record.error, record.fd))
 
 
-def _check_cuts(path: Path, format: str, baud: int | None, whole: list[Record]) -> None:
+def _check_cuts(path: Path, format: str, baud: int | None, whole: list[Record], parts: int) -> None:
     """Check that a cut capture gives a beginning of the whole one's records, and raises nothing unforeseen."""
     data = path.read_bytes()
     cut = path.with_name("cut-" + path.name)
-    for part in range(PARTS):
-        cut.write_bytes(data[: len(data) * part // PARTS])
+    for part in range(parts):
+        cut.write_bytes(data[: len(data) * part // parts])
         for forced in (None, format):
             given: list[Record] = []
             try:

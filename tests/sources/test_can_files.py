@@ -248,8 +248,19 @@ def test_mf4_without_asammdf_says_what_to_install(tmp_path: Path, monkeypatch: p
     path = tmp_path / "capture.mf4"
     path.write_bytes(b"MDF     4.10    " + bytes(200))
     monkeypatch.setitem(sys.modules, "asammdf", None)
-    with pytest.raises(UnreadableError, match=r"pip install 'servotap\[mf4\]'"):
+    with pytest.raises(UnreadableError, match=r"needs asammdf: pip install 'servotap\[mf4\]'"):
         open_source(path)
+
+
+def test_a_crash_of_the_mf4_reader_is_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from analyzer.sources import mf4
+
+    path = tmp_path / "capture.mf4"
+    path.write_bytes(b"MDF     4.10    " + bytes(200))
+    monkeypatch.setattr(mf4, "_installed", lambda: True)
+    monkeypatch.setattr(mf4, "_CHILD", "import os; os.abort()")
+    with pytest.raises(UnreadableError, match=r"asammdf crashed on it \(exit code -6\)"):
+        read_all(path)
 
 
 def test_a_broken_mf4_is_refused(tmp_path: Path) -> None:

@@ -174,7 +174,7 @@ def test_pcapng_packet_that_claims_more_than_its_block(tmp_path: Path) -> None:
     lying = block(6, struct.pack("<LLLLL", 0, 0, 0, 99, 99) + b"\xfa")
     source, records = read(tmp_path, section() + interface(147) + lying + enhanced(0, T, b"\xfb"))
     assert [r.data for r in records if isinstance(r, Chunk)] == [b"\xfb"]
-    assert "a packet of 99 bytes" in source.problems[0].text
+    assert "a record of 99 bytes" in source.problems[0].text
 
 
 def test_forced_on_something_else(tmp_path: Path) -> None:

@@ -81,7 +81,7 @@ def test_damaged_captures(name: str, edits: list[tuple[int, int, bytes]]) -> Non
 
 
 @pytest.mark.skipif(not HAS_MF4, reason="MF4 needs asammdf, an extra")
-@few
+@settings(max_examples=3, deadline=None)
 @given(edits=EDITS)
 def test_damaged_mf4(edits: list[tuple[int, int, bytes]]) -> None:
     survive(damaged(sample("mf4"), edits), "mf4")
