@@ -164,7 +164,7 @@ def take_apart(line: str) -> HexLine:
         return HexLine(Shape.BLANK)
     # Plain bytes need no pattern.
     plain = bytes_of(text) if text[2:3] == " " or text.isalnum() else None
-    if plain is not None:
+    if plain:
         return HexLine(Shape.TRAFFIC, plain)
     usual = _USUAL.fullmatch(text)
     if usual is not None:
@@ -176,7 +176,7 @@ def take_apart(line: str) -> HexLine:
         stamp = date or clock or seconds or ""
         return HexLine(Shape.TRAFFIC, bytes.fromhex(digits), kind, stamp, role, "", "", "", mark is not None)
     plain = bytes_of(text)
-    if plain is not None:
+    if plain:
         return HexLine(Shape.TRAFFIC, plain)
     return _Peeler(text).line()
 

@@ -170,6 +170,11 @@ def test_a_time_behind_the_mark(tmp_path: Path) -> None:
     assert records == [Chunk(45_296_789_000_000, "serial", b"\xfa\x01", REQUEST, True)]
 
 
+@pytest.mark.parametrize("line", ["0x", "b''", "TX: 0x", "[]", "TX: b''"])
+def test_no_bytes_are_no_traffic(line: str) -> None:
+    assert take_apart(line).shape is not Shape.TRAFFIC
+
+
 def test_colons_between_bytes_are_no_time() -> None:
     assert take_apart("TX: 12:34:56:78:9A").data == bytes.fromhex("123456789A")
     assert take_apart("12:34:56:78:9A").data == bytes.fromhex("123456789A")
