@@ -42,10 +42,13 @@ class Request:
     The message is built when it is asked for, from what the request was opened with: a message, or a lane and a frame.
     """
 
-    __slots__ = (
-        "_message", "address", "command", "frame", "gave_up", "lane", "outcome", "reply", "sequence", "state", "t_ns",
-        "topic",
-    )  # fmt: skip
+    # Of the many requests of a capture most end as they began: what seldom changes stands here and not in each.
+    state = State.WAITING
+    outcome = Outcome.OPEN
+    lane: Lane | None = None
+    reply: Message | None = None
+    gave_up = ""
+    _message: Message | None = None
 
     def __init__(self, frame: Frame, address: int, command: Command | None, sequence: int, topic: str) -> None:
         self.frame = frame
@@ -54,12 +57,6 @@ class Request:
         self.sequence = sequence
         self.topic = topic
         self.t_ns = frame.last_ns
-        self.state = State.WAITING
-        self.outcome = Outcome.OPEN
-        self.lane: Lane | None = None
-        self._message: Message | None = None
-        self.reply: Message | None = None
-        self.gave_up = ""
 
     @classmethod
     def of(cls, message: Message, sequence: int, topic: str) -> Request:

@@ -95,7 +95,7 @@ class Decoder:
         role, (command, form, coder) = fitting[0]
         if command.slots is not None or coder.fixed or form.needs_request or form.layout.open_ended:
             return None
-        return Lane(role, head.address, command, form, head.start, head.stop)
+        return Lane(self.dialect, role, head.address, command, form, head.start, head.stop)
 
     # --- who sent it ----------------------------------------------------------------------------------------------
 

@@ -61,14 +61,13 @@ class _Mark(NamedTuple):
     stop: int
     t_ns: int
     before_ns: int
-    byte_ns: int
 
 
 class Framer:
     """Frames the bytes of one port.
 
-    `dialects`: all that may be on the wire. `byte_ns`: time of one byte on the wire, 0 where the speed is unknown.
-    `made_up_byte_ns`: the same for chunks without a time, which then get their times from it.
+    `dialects`: all that may be on the wire. `byte_ns`: time of one byte on the wire, 0 where the speed is unknown (then
+    all bytes of a chunk have its time). `silence_ns`: a pause longer than this ends every wait.
     """
 
     def __init__(
@@ -79,7 +78,6 @@ class Framer:
         *,
         byte_ns: int = 0,
         silence_ns: int = SILENCE_NS,
-        made_up_byte_ns: int = 0,
     ) -> None:
         self.port = port
         self.dialects = tuple(dialects)
@@ -98,14 +96,13 @@ class Framer:
             self._looks.append(self._slicers[known[0]].look if only else self._look_at_several if known else _nothing)
             self._owners.append(self.dialects[known[0]] if only else None)
         self._byte_ns = byte_ns
-        self._made_up_byte_ns = made_up_byte_ns
         self._silence_ns = silence_ns
         self._buffer = b""
         self._base = 0  # offset of the buffer's first byte on the port
         self._at = 0  # where the framer stands in the buffer
         self._junk_from = 0  # junk is buffer[_junk_from:_at]
         self._known = 0  # length of the frame at _at, 0 if not asked yet
-        self._step = 0  # offset on the port where the last frame ends
+        self._step = 0  # offset on the port where the last frame ends, or a boundary behind it
         self._bursts: deque[int] = deque((0,))  # offsets on the port where a burst begins or ends, ascending
         self._firm: set[int] = {0}  # those of them that are no mere pause
         self._marks: deque[_Mark] = deque()
@@ -128,12 +125,8 @@ class Framer:
             return
         end = self._base + len(self._buffer)
         before_ns = self._last_ns
-        if chunk.t_ns is None:
-            byte_ns = self._made_up_byte_ns
-            self._last_ns = before_ns + size * byte_ns
-        else:
-            byte_ns = self._byte_ns
-            slowest_ns = byte_ns or SLOWEST_BYTE_NS
+        if chunk.t_ns is not None:
+            slowest_ns = self._byte_ns or SLOWEST_BYTE_NS
             pause = chunk.t_ns - before_ns - size * slowest_ns if self._timed else 0
             if pause > self._silence_ns:
                 yield from self.silence()
@@ -148,7 +141,7 @@ class Framer:
         self._base += self._junk_from
         self._at -= self._junk_from
         self._junk_from = 0
-        self._marks.append(_Mark(end + size, self._last_ns, before_ns, byte_ns))
+        self._marks.append(_Mark(end + size, self._last_ns, before_ns))
         if chunk.burst:
             for offset in (end, end + size):
                 self._add_burst(offset)
@@ -169,6 +162,7 @@ class Framer:
     close = silence
 
     def _add_burst(self, offset: int) -> None:
+        """Note a boundary; offsets come in ascending order."""
         if not self._bursts or self._bursts[-1] < offset:
             self._bursts.append(offset)
 
@@ -177,7 +171,7 @@ class Framer:
     def _advance(self, closed: bool) -> Iterator[Frame | Junk]:
         buffer, base, end, at = self._buffer, self._base, len(self._buffer), self._at
         looks, owners, bursts, marks = self._looks, self._owners, self._bursts, self._marks
-        port, direction = self.port, self._direction
+        port, direction, byte_ns = self.port, self._direction, self._byte_ns
         length, self._known = self._known, 0
         while at < end:
             if bursts and bursts[0] <= base + at:
@@ -216,7 +210,7 @@ class Framer:
                 yield from self._drop_junk()
             stop = at + length
             start = base + at
-            mark_stop, first_ns, before_ns, byte_ns = marks[0]
+            mark_stop, first_ns, before_ns = marks[0]
             last_ns = first_ns
             if base + stop > mark_stop:
                 first_ns, last_ns = self._times(start, base + stop)
@@ -242,6 +236,7 @@ class Framer:
         return TIE if TIE in answers else max(answers)
 
     def _look_at(self, at: int, closed: bool) -> int:
+        """Look for a frame anywhere in the buffer."""
         return self._looks[self._buffer[at]](self._buffer, at, len(self._buffer), closed)
 
     def _shortest(self, at: int, closed: bool) -> int:
@@ -497,8 +492,9 @@ class Framer:
         return self._time_of(start), self._time_of(stop - 1)
 
     def _time_of(self, offset: int) -> int:
+        """Return the time of one byte: that of its chunk less the bytes behind it, not before the chunk before."""
         mark = next(m for m in self._marks if offset < m.stop)
-        return max(mark.before_ns, mark.t_ns - (mark.stop - 1 - offset) * mark.byte_ns)
+        return max(mark.before_ns, mark.t_ns - (mark.stop - 1 - offset) * self._byte_ns)
 
 
 class _Judge:
@@ -531,12 +527,14 @@ class _Judge:
         return all(self._slot_allowed(slot) for slot in slots if any(slot))
 
     def _allowed(self, role: Role, function: int | None, code: int, data: bytes) -> bool:
+        """Say whether some form of the code has these data."""
         return any(
             role in (Role.UNKNOWN, wanted) and coder.matches(data) and not coder.broken(data)
             for wanted, coder in self._forms.get((function, code), ())
         )
 
     def _slot_allowed(self, slot: bytes) -> bool:
+        """Say whether a slot of a package holds a request and zeros behind it."""
         for role, coder in self._forms.get((None, slot[1]), ()) if len(slot) > 1 else ():
             stop = 2 + coder.layout.byte_length
             data = slot[2:stop]

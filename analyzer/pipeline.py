@@ -187,7 +187,10 @@ class Pipeline:
             port.clock_ns += len(chunk.data) * self.options.synthetic_byte_ns
             chunk = Chunk(port.clock_ns, chunk.port, chunk.data, chunk.direction, chunk.burst)
         for event in port.framer.feed(chunk):
-            self._event(port, event)
+            if isinstance(event, Frame):
+                self._frame(port, event)
+            else:
+                self._junk(port, event)
 
     def _event(self, port: Port, event: Frame | Junk) -> None:
         if isinstance(event, Frame):
@@ -225,11 +228,12 @@ class Pipeline:
         decoder = port.decoders[frame.dialect.name]
         if frame.checksum_ok and not context.borrowed:
             lane = decoder.lane(frame)
-            if lane is not None and lane.sound(frame.data[lane.start : lane.stop]):
-                if not lane.topic:
-                    lane.topic = port.topic(lane.message(frame))
-                if self._plain(port, lane, frame):
-                    return
+            if (
+                lane is not None
+                and (lane.sound is None or lane.sound(frame.data[lane.start : lane.stop]))
+                and self._plain(port, lane, frame)
+            ):
+                return
         message, asked = decoder.decode(frame, context)
         topic = port.topic(message)
         paired = port.transactions.observe(message, self.sequence + 1, asked, topic)
@@ -250,6 +254,8 @@ class Pipeline:
         """Pass a frame on that is in order in every way; return False, with nothing done, if it has to be looked at."""
         sequence = self.sequence + 1
         latency_ns = asked_by = None
+        if not lane.topic:
+            lane.topic = port.topic(lane.message(frame))
         if lane.is_request:
             if frame.role is Role.REPLY or not port.transactions.plain_request(lane, frame, sequence):
                 return False

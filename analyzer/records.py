@@ -124,35 +124,39 @@ class Lane:
     """What all frames of one head and length share: who, what, and how their data are read.
 
     Only a frame whose bytes alone tell its role, command and form has a lane, so nothing about it need be worked out
-    again; what is left is its own data. `topic` and `number` are given by the port that keeps it.
+    again; what is left is its own data. `topic` is given by the port that keeps it.
     """
 
     __slots__ = (
-        "address", "broken", "codec", "command", "expects", "form", "is_request", "json", "meanings", "number", "role",
-        "sound", "start", "stop", "topic",
+        "address", "codec", "command", "dialect", "form", "is_request", "json", "meanings", "plain", "role", "sound",
+        "start", "stop", "topic",
     )  # fmt: skip
 
-    def __init__(self, role: Role, address: int, command: Command, form: Form, start: int, stop: int) -> None:
+    def __init__(
+        self, dialect: Dialect, role: Role, address: int, command: Command, form: Form, start: int, stop: int
+    ) -> None:
+        self.dialect = dialect.name
         self.role = role
         self.is_request = role is Role.REQUEST
         self.address = address
         self.command = command
         self.form = form
         self.codec = codec(form.layout)
-        self.sound = self.codec.sound
+        #: Says whether data are as the manual lists them; None where there are none to be wrong.
+        self.sound = self.codec.sound if form.layout.fields else None
         self.json = self.codec.json
         self.start = start
         self.stop = stop
-        self.expects = bool(command.reply_forms)
+        #: A request that one drive answers, whatever was set before.
+        self.plain = bool(command.reply_forms) and not command.silenced and address != dialect.broadcast
         #: Data of a status reply -> what it means, as far as seen.
         self.meanings: dict[bytes, str] = {}
         self.topic = ""
-        self.number = 0
 
     def message(self, frame: Frame) -> Message:
         """Return the message of a frame of this lane."""
         data = frame.data[self.start : self.stop]
-        violations = () if self.sound(data) else self.codec.broken(data)
+        violations = self.codec.broken(data)
         return Message(frame, self.role, self.address, self.command, self.form, data, violations)
 
 

@@ -107,13 +107,11 @@ class Transactions:
         """Open a request that is nothing but a request; return False, with nothing done, if `observe` must look at it."""
         context, address, last = self.context, lane.address, self._last
         if (
-            not lane.expects
+            not lane.plain
             or frame.last_ns >= self._check_ns
             or (last is not None and last.data == frame.data)
             or address in context.groups
-            or address == frame.dialect.broadcast
-            or (lane.command.silenced and address in context.silenced)
-            or context.speaks.get(address, frame.dialect.name) != frame.dialect.name
+            or context.speaks.get(address, lane.dialect) != lane.dialect
         ):
             return False
         waiting = context.open.get(address)
@@ -145,6 +143,7 @@ class Transactions:
             or context.echoes
             or frame.first_ns - request.t_ns > self.late_ns
             or command.verb in _LEARN
+            or command.silenced
         ):
             return None
         if command.judged:
@@ -154,14 +153,12 @@ class Transactions:
                 meaning = lane.meanings[data] = meaning_of(lane.message(frame), command)[0]
             if meaning != "final":
                 return None
-        if command.silenced:
-            self._answers_motion.add(address)
         request.state = State.DONE
         request.outcome = Outcome.ANSWERED
         del context.open[address]
         if command.borrows:
             context.borrowed -= 1
-        context.speaks[address] = frame.dialect.name
+        context.speaks[address] = lane.dialect
         self._last_reply[address] = frame.data
         self._last = frame
         self._last_is_reply = True

@@ -134,9 +134,7 @@ class McapFile:
         index.append(log_ns)
         index.append(building.size)
         size = len(data)
-        parts = building.parts
-        parts.append(_MESSAGE.pack(5, size + 22, channel_id, sequence & 0xFFFFFFFF, log_ns, publish_ns))
-        parts.append(data)
+        building.parts += (_MESSAGE.pack(5, size + 22, channel_id, sequence & 0xFFFFFFFF, log_ns, publish_ns), data)
         building.size += size + 31
         building.last_ns = log_ns
         building.messages += 1

@@ -100,8 +100,9 @@ class McapLog:
                 start, raw, frame.offset, request_sequence,
             )  # fmt: skip
         else:
-            text = b'%b"_raw":"%b","_checksum_ok":true,"_offset":%d,"_latency":%a,"_request_sequence":%d}' % (
-                start, raw, frame.offset, latency_ns / 1e9, request_sequence,
+            seconds, rest = divmod(latency_ns, SECOND)
+            text = b'%b"_raw":"%b","_checksum_ok":true,"_offset":%d,"_latency":%d.%09d,"_request_sequence":%d}' % (
+                start, raw, frame.offset, seconds, rest, request_sequence,
             )  # fmt: skip
         can = frame.can
         if can is not None:
@@ -147,8 +148,9 @@ class McapLog:
                     start, raw, ok, frame.offset, entry.request_sequence,
                 )  # fmt: skip
             else:
-                data = b'%b"_raw":"%b","_checksum_ok":%b,"_offset":%d,"_latency":%a,"_request_sequence":%d}' % (
-                    start, raw, ok, frame.offset, entry.latency_ns / 1e9, entry.request_sequence,
+                seconds, rest = divmod(entry.latency_ns, SECOND)
+                data = b'%b"_raw":"%b","_checksum_ok":%b,"_offset":%d,"_latency":%d.%09d,"_request_sequence":%d}' % (
+                    start, raw, ok, frame.offset, seconds, rest, entry.request_sequence,
                 )  # fmt: skip
         publish_ns = frame.first_ns
         if publish_ns < 0:

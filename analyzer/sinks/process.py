@@ -255,7 +255,7 @@ def _serve(stream: IO[bytes], answers: int, table: _Table, sinks: Sequence[Sink]
 
 def _lane(about: tuple[Any, ...], port: str, can_id: int | None) -> tuple[Lane, Dialect, str, CanFrame | None]:
     dialect, role, address, command, form, start, stop, topic = about
-    lane = Lane(role, address, command, form, start, stop)
+    lane = Lane(dialect, role, address, command, form, start, stop)
     lane.topic = topic
     # All frames of a lane have the same identifier, so one CAN frame stands for them all.
     can = None if can_id is None else CanFrame(None, port, can_id, b"")
