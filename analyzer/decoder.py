@@ -112,7 +112,7 @@ class Decoder:
         if request is None or reply[1].needs_request:
             # A form that needs an open request was only found because that request is open.
             return Role.REPLY
-        request_sound, reply_sound = not request[2].broken(data), not reply[2].broken(data)
+        request_sound, reply_sound = request[2].sound(data), reply[2].sound(data)
         if request_sound != reply_sound:
             return Role.REQUEST if request_sound else Role.REPLY
         return self._role_by_requests(head, context, data)

@@ -149,18 +149,21 @@ class Pipeline:
 
     def feed(self, item: Chunk | CanFrame | Comment) -> None:
         """Take the next item of the source."""
-        if isinstance(item, Comment):
+        if isinstance(item, CanFrame):
+            self._feed_can(self._port(item), item)
+        elif isinstance(item, Chunk):
+            self._feed_chunk(self._port(item), item)
+        else:
             for sink in self.sinks:
                 sink.comment(item)
-            return
+
+    def _port(self, item: Chunk | CanFrame) -> Port:
+        """Return the port of an item, its bytes counted."""
         port = self.ports.get(item.port)
         if port is None:
             port = self.ports[item.port] = Port(item.port, self.dialects, self.options)
         port.bytes_in += len(item.data)
-        if isinstance(item, Chunk):
-            self._feed_chunk(port, item)
-        else:
-            self._feed_can(port, item)
+        return port
 
     def silence(self, name: str) -> None:
         """Say that nothing more belongs to what came on a port so far."""

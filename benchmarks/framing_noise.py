@@ -16,8 +16,8 @@ What is counted:
     found    frames reported with a good checksum, of those that no damage touched or abuts (no byte of the frame and no
              byte beside it was changed, dropped or inserted)
     false    frames reported with a good checksum whose bytes are no sent frame within 2 bytes of that place
-    named    those of them that carry a finding of a wrong length: a sum does not see zeros that were lost or added, and
-             where pauses say that a heap of bytes is one frame, it is reported as one of a wrong length
+    named    those of them that carry a finding of a wrong length or an unknown code: where pauses say that a heap of
+             bytes is one frame and its check fits, it is reported as such a frame, and a sum does not see lost zeros
 
 The analyzer runs as it does in `servotap decode`: framer, decoder and transactions. The splitter takes each read for a
 frame and keeps those whose check fits. pymodbus is made for one direction of a line: it is given requests and replies
@@ -58,7 +58,8 @@ ROWS: dict[str, tuple[str, ...]] = {
     "mks-rs485 + mks-modbus": ("mks-rs485", "mks-modbus"),
 }
 DAMAGES = (0.0, 0.001, 0.01, 0.05)
-LENGTH_RULES = ("wrong_length", "short_package")
+#: Findings that say that a frame is not one of the manual's.
+STRANGE_RULES = ("wrong_length", "short_package", "unknown_command")
 #: Shares of requests to all drives, of exchanges with no reply, and of interim replies that a final one follows.
 TO_ALL, UNANSWERED, COMPLETED = 0.02, 0.03, 0.5
 
@@ -81,7 +82,7 @@ class Placed(NamedTuple):
 
 
 class Found(NamedTuple):
-    """A frame that a framer reports with a good check. `named`: it says that the length is wrong."""
+    """A frame that a framer reports with a good check. `named`: it says that its length or code is wrong."""
 
     at: int
     data: bytes
@@ -286,7 +287,7 @@ class Collector:
         frame = entry.message.frame
         self.bytes += len(frame.data)
         if frame.checksum_ok:
-            named = any(f.rule in LENGTH_RULES for f in entry.findings)
+            named = any(f.rule in STRANGE_RULES for f in entry.findings)
             self.found.append(Found(frame.offset, frame.data, named))
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:

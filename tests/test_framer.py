@@ -139,16 +139,6 @@ def test_chunks_do_not_matter_between_pauses(data, names):
     assert cut.close().events == whole.close().events
 
 
-@given(data=st.data(), names=wires())
-@settings(max_examples=60)
-def test_times_of_untimed_chunks_are_made_up_from_the_speed(data, names):
-    line = data.draw(lines(names))
-    events = Line(*names, made_up_byte_ns=1000).feed(*data.draw(cuttings(line))).close().events
-    for event in events:
-        assert event.first_ns == (event.offset + 1) * 1000
-        assert event.last_ns == (event.offset + len(event.data)) * 1000
-
-
 @given(data=st.data(), names=wires(), byte_ns=st.sampled_from((0, BYTE_NS)))
 @settings(max_examples=100)
 def test_times_come_from_the_chunks_of_the_first_and_last_byte(data, names, byte_ns):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import os
 import sys
 import tempfile
@@ -157,6 +158,16 @@ class _Sinks:
 def decode(path: str, target: Path, arguments: argparse.Namespace) -> Summary:
     """Decode one capture into one log and print its summary."""
     reading = open_reading(path, arguments)
+    # What is loaded by now stays: the collector need not look at it again and again while records come and go, and a
+    # worker that is forked shares it untouched.
+    gc.freeze()
+    try:
+        return _decode(path, target, reading, arguments)
+    finally:
+        gc.unfreeze()
+
+
+def _decode(path: str, target: Path, reading: Reading, arguments: argparse.Namespace) -> Summary:
     with contextlib.closing(reading.source):
         output = _Output(target)
         options = reading.options
