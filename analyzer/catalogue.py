@@ -243,7 +243,11 @@ class Vector:
 
 @dataclass(frozen=True, slots=True)
 class Erratum:
-    """A place where the manual contradicts itself, its arithmetic, a standard or its scan."""
+    """A place where the manual contradicts itself, its arithmetic, a standard or its scan.
+
+    `section`: one or several, with commas between them; a range is written `8.3.3 to 8.3.7`. `commands`: the names of
+    commands that it is about without standing in their sections.
+    """
 
     id: str
     section: str
@@ -253,6 +257,7 @@ class Erratum:
     why: str
     certainty: Certainty
     damage: Damage = Damage.MANUAL
+    commands: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,10 +6,10 @@ counts from the first bit of the command's own data. What is not known or not de
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from analyzer.catalogue import Command, Dialect, Erratum, Form, RiskRule, Vector
+from analyzer.catalogue import Command, Dialect, Erratum, Form, RiskRule, Vector, all_fields
 from analyzer.layout import Field, Kind, Layout, ModelLimits
 from analyzer.lookup import code_text
 
@@ -46,7 +46,7 @@ def command_object(command: Command) -> dict[str, Any]:
         "summary": command.summary,
         "verb": command.verb.value,
         "risk": sorted(command.all_risks),
-        "risk_rules": [_risk_rule(rule) for rule in command.risk],
+        "risk_rules": [_risk_rule(rule, command) for rule in command.risk],
     }
     if command.function is not None:
         shown["function"] = code_text(command.function)
@@ -72,9 +72,20 @@ def command_object(command: Command) -> dict[str, Any]:
     return shown
 
 
-def _risk_rule(rule: RiskRule) -> dict[str, Any]:
+def _risk_rule(rule: RiskRule, command: Command) -> dict[str, Any]:
     shown: dict[str, Any] = {"risks": sorted(rule.risks)}
-    return {**shown, "field": rule.field, "low": rule.low, "high": rule.high} if rule.field else shown
+    if not rule.field:
+        return shown
+    low, high = risk_values(rule, command)
+    return {**shown, "field": rule.field, "low": low, "high": high}
+
+
+def risk_values(rule: RiskRule, command: Command) -> tuple[int, int]:
+    """Return the first and the last value for which a rule holds, of those that its field can hold."""
+    field = all_fields(command.request_forms).get(rule.field)
+    if field is None:
+        return rule.low, rule.high
+    return max(rule.low, field.wire_minimum), min(rule.high, field.wire_maximum)
 
 
 def _statuses(command: Command) -> dict[str, Any]:
@@ -185,7 +196,7 @@ def _vector(vector: Vector, command: Command) -> dict[str, Any]:
 
 def erratum_object(erratum: Erratum) -> dict[str, Any]:
     """Return an erratum as an object."""
-    return {
+    shown: dict[str, Any] = {
         "id": erratum.id,
         "section": erratum.section,
         "printed": erratum.printed,
@@ -195,18 +206,36 @@ def erratum_object(erratum: Erratum) -> dict[str, Any]:
         "certainty": erratum.certainty.value,
         "damage": erratum.damage.value,
     }
+    if erratum.commands:
+        shown["commands"] = list(erratum.commands)
+    return shown
 
 
 def concerns(erratum: Erratum, command: Command) -> bool:
-    """Say whether an erratum is about a command: its section or a part of it, or one of its worked examples."""
-    if any(v.erratum == erratum.id for v in command.vectors):
+    """Say whether an erratum is about a command.
+
+    It is if it names the command or one of its worked examples, or stands in the command's section, in a part of it, or
+    in a section or a range of sections around it.
+    """
+    if command.name in erratum.commands or any(v.erratum == erratum.id for v in command.vectors):
         return True
-    return any(_within(section, command.section) for section in _sections(erratum.section))
+    return any(_touches(place.strip(), command.section) for place in erratum.section.split(","))
 
 
-def _sections(text: str) -> Iterable[str]:
-    return (part.strip() for part in text.split(","))
+def _touches(place: str, section: str) -> bool:
+    """Say whether a place, one section or a range `8.3.3 to 8.3.7`, lies in a section or around it."""
+    first, _, last = place.partition(" to ")
+    if not last:
+        return _within(first, section) or _within(section, first)
+    low, high, own = _numbers(first), _numbers(last), _numbers(section)
+    return bool(low and high and own) and low <= own[: len(low)] and own[: len(high)] <= high
 
 
 def _within(section: str, whole: str) -> bool:
     return section == whole or section.startswith(whole + ".")
+
+
+def _numbers(section: str) -> tuple[int, ...]:
+    """Return the numbers of a section; empty for one that goes by words."""
+    parts = section.split(".")
+    return tuple(int(p) for p in parts) if all(p.isdecimal() for p in parts) else ()

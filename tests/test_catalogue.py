@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from analyzer import dialects
-from analyzer.catalogue import Risk, Role
+from analyzer.catalogue import Certainty, Erratum, Risk, Role
 from analyzer.codec import codec
 from analyzer.layout import Kind
+from analyzer.reference import concerns
 from analyzer.sinks.schemas import forms_of
 
 EVERY = dialects.every()
@@ -108,7 +111,12 @@ def test_reads_are_only_read_and_nothing_else_is():
         ("mks-rs485", "save_speed", {"save_state": 0xC8}, {"power-on", "wear"}),
         ("mks-rs485", "set_zero_mode", {"zero_mode": 1}, {"power-on"}),
         ("mks-rs485", "set_home", {"end_limit": 1}, {"torque"}),
-        ("mks-rs485", "restore", {}, {"destructive"}),
+        ("mks-rs485", "restore", {}, {"destructive", "power-on"}),
+        ("mks-modbus", "restore", {}, {"destructive", "power-on"}),
+        ("mks-can", "restore", {}, {"destructive", "power-on"}),
+        ("mks-rs485", "set_no_limit_home", {}, {"setting", "torque"}),
+        ("mks-can", "set_no_limit_home", {}, {"setting", "torque"}),
+        ("mks-can", "set_no_limit_current", {}, {"setting", "torque"}),
         ("mks-rs485", "set_baud_rate", {}, {"link"}),
         ("mks-modbus", "set_address", {}, {"link"}),
         ("mks-can", "calibrate", {}, {"unbounded"}),
@@ -116,6 +124,9 @@ def test_reads_are_only_read_and_nothing_else_is():
         ("lk-rs485", "brake", {"brake_control": 1}, {"torque"}),
         ("lk-rs485", "brake", {"brake_control": 0x10}, {"read"}),
         ("lk-rs485", "set_zero", {}, {"wear"}),
+        ("lk-rs485", "write_parameter", {"parameter": 10}, {"torque"}),
+        ("lk-rs485", "write_parameter", {"parameter": 12}, {"torque"}),
+        ("lk-rs485", "write_parameter", {"parameter": 30}, {"torque"}),
     ],
 )
 def test_a_risk_follows_the_command_and_its_values(dialect, name, values, risks):
@@ -139,6 +150,67 @@ def test_errata_are_complete_and_unique():
         assert len(ids) == len(set(ids))
         for erratum in dialect.errata:
             assert all((erratum.section, erratum.printed, erratum.wrong, erratum.taken_as, erratum.why)), erratum.id
+            assert set(erratum.commands) <= set(dialect.by_name), erratum.id
+
+
+@pytest.mark.parametrize(
+    ("place", "section", "expected"),
+    [
+        ("6.8.1", "6.8.1", True),
+        ("6.8.1", "6.8", True),
+        ("6.8", "6.8.1", True),
+        ("6", "6.8.1", True),
+        ("6.8.1", "6.8.2", False),
+        ("5.1", "5.10.1", False),
+        ("1", "10", False),
+        ("3.9, 6.7", "6.7.2", True),
+        ("3.9, 6.7", "6.6.2", False),
+        ("8.3.3 to 8.3.7", "8.3.3.1", True),
+        ("8.3.3 to 8.3.7", "8.3.5", True),
+        ("8.3.3 to 8.3.7", "8.3.7.2", True),
+        ("8.3.3 to 8.3.7", "8.3.2", False),
+        ("8.3.3 to 8.3.7", "8.3.8", False),
+        ("5.1.5 to 5.1.10", "5.1.9", True),
+        ("5.1.5 to 5.1.10", "5.1.4", False),
+        ("5.1.5 to 5.1.10", "5.2.6", False),
+        ("2.1, 11 to 17", "14", True),
+        ("11 to 17", "1", False),
+        ("11 to 17", "Modbus", False),
+        ("appendix 1", "appendix 1", True),
+        ("appendix 1", "1", False),
+        ("Single motor command", "1", False),
+    ],
+)
+def test_an_erratum_concerns_what_its_sections_cover(place, section, expected):
+    command = replace(dialects.get("mks-rs485").by_name["set_key_lock"], section=section)
+    assert concerns(Erratum("x", place, "p", "w", "t", "y", Certainty.OPEN), command) is expected
+    named = Erratum("x", "nowhere", "p", "w", "t", "y", Certainty.OPEN, commands=("set_key_lock",))
+    assert concerns(named, command)
+
+
+@pytest.mark.parametrize(
+    ("name", "erratum", "some", "not_one"),
+    [
+        ("mks-rs485", "mks-rs485-33", {"read_status", "emergency_stop", "move_absolute_axis"}, "set_home"),
+        ("mks-rs485", "mks-rs485-35", {"set_subdivision", "run_speed", "move_absolute_pulses"}, "stop_speed"),
+        ("mks-rs485", "mks-rs485-46", {"move_absolute_pulses", "stop_absolute_pulses"}, "move_relative_pulses"),
+        ("mks-rs485", "mks-rs485-49", {"read_position", "move_relative_axis", "stop_absolute_axis"}, "read_pulses"),
+        ("mks-modbus", "mks-modbus-21", {"stop_speed", "stop_absolute_axis"}, "home"),
+        ("mks-modbus", "mks-modbus-25", {"move_absolute_pulses", "stop_absolute_pulses"}, "move_absolute_axis"),
+        ("mks-modbus", "mks-modbus-29", {"read_position", "move_relative_axis", "move_absolute_axis"}, "run_speed"),
+        ("mks-can", "mks-can-68", {"move_absolute_pulses", "stop_absolute_pulses"}, "move_absolute_axis"),
+        ("mks-can", "mks-can-70", {"read_position", "move_relative_axis", "move_absolute_axis"}, "run_speed"),
+        ("mks-can", "mks-can-73", {"run_speed"}, "save_speed"),
+        ("lk-rs485", "lk-rs485-29", {"run_speed", "move_increment_limited"}, "run_torque"),
+        ("lk-rs485", "lk-rs485-48", {"read_parameter", "write_parameter"}, "read_encoder"),
+    ],
+)
+def test_errata_reach_their_commands(name, erratum, some, not_one):
+    dialect = dialects.get(name)
+    found = next(e for e in dialect.errata if e.id == erratum)
+    concerned = {c.name for c in dialect.commands if concerns(found, c)}
+    assert some <= concerned
+    assert not_one not in concerned
 
 
 def test_counts_do_not_shrink():

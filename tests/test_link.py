@@ -49,7 +49,7 @@ def test_look_finds_every_vector(name, command, frame):
 
 
 @given(data=st.data())
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None)
 def test_what_is_built_checks_and_is_parsed(data):
     dialect = data.draw(st.sampled_from((NATIVE, MODBUS, LK)))
     link = dialect.link
@@ -77,7 +77,7 @@ def near_frames():
 
 
 @given(name=st.sampled_from(SERIAL), data=near_frames())
-@settings(max_examples=400)
+@settings(max_examples=400, deadline=None)
 def test_an_answer_does_not_change_with_more_bytes(name, data):
     slicer = slicer_of(name)
     size = len(data)
@@ -93,7 +93,7 @@ def test_an_answer_does_not_change_with_more_bytes(name, data):
 
 
 @given(name=st.sampled_from(SERIAL), before=noise(10), data=near_frames())
-@settings(max_examples=200)
+@settings(max_examples=200, deadline=None)
 def test_an_answer_does_not_depend_on_bytes_before(name, before, data):
     slicer = slicer_of(name)
     line = before + data
@@ -105,7 +105,7 @@ def test_an_answer_does_not_depend_on_bytes_before(name, before, data):
 
 
 @given(name=st.sampled_from(SERIAL), data=near_frames())
-@settings(max_examples=200)
+@settings(max_examples=200, deadline=None)
 def test_answers_are_lengths_of_what_is_there(name, data):
     slicer = slicer_of(name)
     size = len(data)

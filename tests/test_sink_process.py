@@ -86,7 +86,7 @@ def test_a_worker_that_is_killed_is_an_error_and_no_hang(tmp_path):
     with (tmp_path / "x.mcap").open("wb") as stream:
         process = SinkProcess(CHOSEN, lambda: (McapLog(stream), Summary()))
         os.kill(process._worker, signal.SIGKILL)
+        pipeline = Pipeline(CHOSEN, (process,))
         with pytest.raises(OSError, match="died"):
-            for _ in range(100):
-                Pipeline(CHOSEN, (process,)).run(items())
+            pipeline.run(item for _ in range(100) for item in items())
         process.abandon()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from analyzer.catalogue import Command, Dialect, Erratum, Form, RiskRule, Role, Vector, Verb
+from analyzer.catalogue import Command, Dialect, Erratum, Form, RiskRule, Role, Vector, Verb, all_fields
 from analyzer.cli.columns import WIDTH, columns, paragraph, styled
 from analyzer.cli.field_table import field_table
 from analyzer.codec import codec
@@ -14,7 +14,7 @@ from analyzer.hextext import write_frame
 from analyzer.layout import Field, Layout
 from analyzer.lookup import code_text
 from analyzer.picture import picture
-from analyzer.reference import concerns
+from analyzer.reference import concerns, risk_values
 from analyzer.values import value_text
 
 _INDENT = "  "
@@ -72,7 +72,9 @@ def page(dialect: Dialect, command: Command) -> Iterator[str]:
     yield from columns(list(_facts(dialect, command)), width=WIDTH, indent=_INDENT)
     yield from _forms(dialect, command, Role.REQUEST)
     if [f.layout for f in command.reply_forms] == [f.layout for f in command.request_forms] and command.reply_forms:
-        yield from ("", styled("reply", "bold"), f"{_INDENT}the same as the request")
+        # Several forms: a reply has one of them, but need not repeat what was sent.
+        like = "the layouts of the request" if len(command.request_forms) > 1 else "the same as the request"
+        yield from ("", styled("reply", "bold"), _INDENT + like)
     else:
         yield from _forms(dialect, command, Role.REPLY)
     yield from _status_lines(command)
@@ -112,11 +114,12 @@ def _risk_text(command: Command) -> str:
 
 
 def _risk_values(rule: RiskRule, command: Command) -> str:
-    if rule.low != rule.high:
-        return f"{rule.low}..{rule.high}"
-    field = next((f.layout.named[rule.field] for f in command.request_forms if rule.field in f.layout.named), None)
-    name = field.choice_names.get(rule.low) if field is not None else None
-    return str(rule.low) if name is None else f"{rule.low} {name}"
+    low, high = risk_values(rule, command)
+    if low != high:
+        return f"{low}..{high}"
+    field = all_fields(command.request_forms).get(rule.field)
+    name = field.choice_names.get(low) if field is not None else None
+    return str(low) if name is None else f"{low} {name}"
 
 
 def _answered(dialect: Dialect, command: Command) -> str:
@@ -286,16 +289,18 @@ def _values_text(fields: Mapping[str, Field], values: Mapping[str, int]) -> str:
     return ", ".join(f"{n} {value_text(fields[n], v)}" for n, v in values.items() if n in fields)
 
 
-def erratum_lines(erratum: Erratum, *, indent: str = "") -> Iterator[str]:
-    """Yield the lines of an erratum."""
+def erratum_lines(erratum: Erratum, *, indent: str = "", whose: bool = False) -> Iterator[str]:
+    """Yield the lines of an erratum; `whose`: with the commands that it names."""
     damage = "damage of the scan, " if erratum.damage.value == "scan" else ""
     yield indent + styled(f"{erratum.id}  {damage}{erratum.certainty}  section {erratum.section}", "bold")
-    facts = (
+    facts = [
         ("printed", erratum.printed),
         ("wrong", erratum.wrong),
         ("taken as", erratum.taken_as),
         ("why", erratum.why),
-    )
+    ]
+    if whose and erratum.commands:
+        facts.append(("commands", ", ".join(erratum.commands)))
     yield from columns(facts, width=WIDTH, indent=indent + _INDENT)
 
 
@@ -306,4 +311,4 @@ def errata(dialect: Dialect, chosen: Iterable[Erratum]) -> Iterator[str]:
     yield styled(f"{dialect.name}: {dialect.manual}: {len(listed)} errata" + (f" ({counts})" if counts else ""), "bold")
     for erratum in listed:
         yield ""
-        yield from erratum_lines(erratum)
+        yield from erratum_lines(erratum, whose=True)

@@ -104,7 +104,7 @@ CURRENT_SCALES = {
     "MF": ModelLimits(scale=Fraction(33, 4096), unit="A"),
     "MG": ModelLimits(scale=Fraction(66, 4096), unit="A"),
 }
-ENCODER_NOTE = "14, 15 or 16 bits by model, which the wire does not tell; of 18 bits the upper 16"
+ENCODER_NOTE = "14, 15 or 16 bits by the encoder's resolution, which the wire does not tell; of 18 bits the upper 16"
 
 u16le = partial(u16, order=Order.LITTLE)
 u32le = partial(u32, order=Order.LITTLE)
@@ -569,6 +569,7 @@ COMMANDS = (
         summary="Write a control parameter of appendix 1, and read it back.",
         risk=(
             always(Risk.SETTING),
+            when("parameter", Parameter.ANGLE_PID, Parameter.CURRENT_PID, Risk.TORQUE),
             when("parameter", Parameter.TORQUE_LIMIT, None, Risk.TORQUE),
             *(when("parameter", low, high, Risk.UNKNOWN) for low, high in UNLISTED_PARAMETERS),
         ),

@@ -1,4 +1,4 @@
-"""Errata of the Lingkong motor RS485 manual V2.36, in the manual's order.
+"""Errata of the Lingkong motor RS485 manual V2.36, in the manual's order; a number stays with its entry.
 
 Each entry says what is printed, what is wrong with it, what this project takes as true and why. The manual prints no
 frame, so no entry corrects one. Its text is a machine translation from Chinese: what the translation broke is damage of
@@ -113,6 +113,15 @@ ERRATA: tuple[Erratum, ...] = (
         certainty=Certainty.CERTAIN,
     ),
     Erratum(
+        id="lk-rs485-54",
+        section="1",
+        printed="reads temperature, voltage and error flag",
+        wrong="the reply also has the current of the bus and the state of the motor",
+        taken_as="five values: temperature, voltage, current, state and error flags",
+        why="the list and the table of the reply have all five, in seven bytes",
+        certainty=Certainty.CERTAIN,
+    ),
+    Erratum(
         id="lk-rs485-12",
         section="1",
         printed="Drive Reply: Frame Command (5byte, including calibration) 0x3E 0x9A",
@@ -132,7 +141,7 @@ ERRATA: tuple[Erratum, ...] = (
     ),
     Erratum(
         id="lk-rs485-14",
-        section="1",
+        section="1, 3",
         printed="DATA[2] = *((uint8_t *)&voltage)+1; section 3: *((uint8_t *)&iq)+1)",
         wrong="as C, the first is the low byte plus one, not the byte after it; the second has an unpaired bracket",
         taken_as="the next byte: all numbers are little-endian",
@@ -169,7 +178,7 @@ ERRATA: tuple[Erratum, ...] = (
     ),
     Erratum(
         id="lk-rs485-18",
-        section="3",
+        section="3, 9",
         printed="MSMotorpowerscope-1000~1000; section 9: value range -850~ 850",
         wrong="one quantity has two ranges",
         taken_as="-1000..1000 where it is reported, -850..850 where it is commanded",
@@ -178,7 +187,7 @@ ERRATA: tuple[Erratum, ...] = (
     ),
     Erratum(
         id="lk-rs485-19",
-        section="3",
+        section="3, 20",
         printed="14bit, 15bit, 16bit; section 20: 14bit, 15bit, 18bit range 0~65535",
         wrong="the widest encoder has 16 bits here and 18 there, with one range",
         taken_as="16 bits, a wider encoder sends its upper 16; the width is not on the wire, so 0..65535 is allowed",
@@ -187,7 +196,7 @@ ERRATA: tuple[Erratum, ...] = (
     ),
     Erratum(
         id="lk-rs485-20",
-        section="3",
+        section="3, 11",
         printed="speed (int16_t, 1dps/LSB); section 11: int32_t, 0.01dps/LSB",
         wrong="a speed that can be commanded need not fit the reply, and it has another unit",
         taken_as="speeds are deg/s in replies and 0.01 deg/s in requests; beyond 32767 deg/s the reply is not judged",
@@ -206,7 +215,7 @@ ERRATA: tuple[Erratum, ...] = (
     Erratum(
         id="lk-rs485-22",
         section="4",
-        printed="becauseMSThe motor has no phase current sampling.MSNo effect on the motor.",
+        printed="MS: no phase current sampling; no effect on the motor",
         wrong="a reading can have no effect on any motor; whether an MS answers is not said",
         taken_as="MS does not have the command; silence and a reply are both accepted",
         why="it has nothing to report, but no rule says that it keeps silent",
@@ -215,7 +224,7 @@ ERRATA: tuple[Erratum, ...] = (
     Erratum(
         id="lk-rs485-23",
         section="7",
-        printed="Stop the motor, but do not clear the motor running status.",
+        printed="the motor running status is not cleared",
         wrong="it is not said what running status is, nor whether the shaft is held afterwards",
         taken_as="the motor stays on, and the next motion command moves it without another 0x88",
         why="the next sentence sends a control command right after it",
@@ -251,7 +260,7 @@ ERRATA: tuple[Erratum, ...] = (
     ),
     Erratum(
         id="lk-rs485-27",
-        section="10",
+        section="3, 10",
         printed="-2048~ 2048 ... MF -16.5A~16.5A, MG -33A~33A",
         wrong="no range in ampere for MH, which has the command too, and section 3 has no resolution for it",
         taken_as="MH stays in LSB; MF 33/4096 A, MG 66/4096 A for one LSB",
@@ -260,7 +269,7 @@ ERRATA: tuple[Erratum, ...] = (
     ),
     Erratum(
         id="lk-rs485-28",
-        section="11",
+        section="11, 12, 13, 16, 17",
         printed="speedControl int32_t (also angleControl in 12 and 13, angleIncrement in 16 and 17)",
         wrong="which way a positive speed or increment turns is not said where it is commanded",
         taken_as="positive is clockwise, and raises the position that 0x92 reads",
@@ -269,7 +278,7 @@ ERRATA: tuple[Erratum, ...] = (
     ),
     Erratum(
         id="lk-rs485-29",
-        section="11",
+        section="11 to 17",
         printed="By the host computer Max Speed, Max Acceleration, Max Torque Current, Max Power; 12: Max Angle",
         wrong="no host that sets such values is described; appendix 1 names limits and ramps otherwise, and no power",
         taken_as="limits that the vendor's setup program sets; no tie to parameters 30 to 38 is assumed",
@@ -278,7 +287,7 @@ ERRATA: tuple[Erratum, ...] = (
     ),
     Erratum(
         id="lk-rs485-30",
-        section="13",
+        section="13, 15, 17",
         printed="maxSpeed uint32_t; remarks without Max Speed (also in 15 and 17)",
         wrong="it is not said what 0 means, nor whether Max Speed still holds when maxSpeed is above it",
         taken_as="any value is allowed, 0 too; what the drive does with 0 is observed",
@@ -287,7 +296,7 @@ ERRATA: tuple[Erratum, ...] = (
     ),
     Erratum(
         id="lk-rs485-31",
-        section="14",
+        section="14, 15",
         printed="spinDirection 0x00 clockwise, 0x01 counterclockwise",
         wrong="it is not said from which side of the motor one looks",
         taken_as="0 is CW and 1 is CCW; clockwise is the way in which 0x92 and 0x94 count up; the side is observed",
@@ -296,7 +305,7 @@ ERRATA: tuple[Erratum, ...] = (
     ),
     Erratum(
         id="lk-rs485-32",
-        section="14",
+        section="14, 15",
         printed="Position control byte1, Position control byte2 (also in 15)",
         wrong="the two bytes are not named low and high as in all other tables",
         taken_as="low byte first",
@@ -324,7 +333,7 @@ ERRATA: tuple[Erratum, ...] = (
     ),
     Erratum(
         id="lk-rs485-35",
-        section="18",
+        section="18, 19",
         printed="controlParamID, see the table",
         wrong="it is not said what a drive answers to a number that the table does not list",
         taken_as="such frames keep their six bytes; a reply and silence are both accepted",
@@ -389,7 +398,7 @@ ERRATA: tuple[Erratum, ...] = (
         id="lk-rs485-42",
         section="23",
         printed="Drive Reply (8byte): Same as the host sends",
-        wrong="the host sends five bytes, and no frame of this bus has eight",
+        wrong="the host sends five bytes, so the same frame cannot have eight",
         taken_as="an echo of the five bytes",
         why="with length 0x00 a frame ends after its header; eight is the size of a CAN frame's data",
         certainty=Certainty.CERTAIN,
@@ -425,14 +434,14 @@ ERRATA: tuple[Erratum, ...] = (
         id="lk-rs485-46",
         section="25",
         printed="Drive Reply (8byte): Same as the host sends",
-        wrong="the host sends ten bytes, and no frame of this bus has eight",
+        wrong="the host sends ten bytes, so the same frame cannot have eight",
         taken_as="an echo of the ten bytes, data included",
         why="the words are those of 0x80, 0x81, 0x88 and 0x93, which are echoed whole; eight is a CAN frame's data",
         certainty=Certainty.LIKELY,
     ),
     Erratum(
         id="lk-rs485-47",
-        section="25",
+        section="22, 25",
         printed="motorAngle int32_t; section 22: motorAngle int64_t",
         wrong="one name has two widths",
         taken_as="0x95 has four bytes, so it reaches 21474836.47 degrees either way; 0x92 has eight",
@@ -448,6 +457,7 @@ ERRATA: tuple[Erratum, ...] = (
         taken_as="plain numbers in LSB, over the whole range of their type",
         why="0.01 deg/s and 0.01 deg would fit speed and angle, but nothing says so",
         certainty=Certainty.OPEN,
+        commands=("read_parameter", "write_parameter"),
     ),
     Erratum(
         id="lk-rs485-49",
@@ -457,6 +467,7 @@ ERRATA: tuple[Erratum, ...] = (
         taken_as="they are sent as 0; other values are reported and change nothing",
         why="section 18 sends unused bytes as 0x00",
         certainty=Certainty.LIKELY,
+        commands=("read_parameter", "write_parameter"),
     ),
     Erratum(
         id="lk-rs485-50",
@@ -466,6 +477,7 @@ ERRATA: tuple[Erratum, ...] = (
         taken_as="all numbers are declared for all models; what an MS answers is observed",
         why="section 4 denies MS the sampling, the appendix makes no exception",
         certainty=Certainty.OPEN,
+        commands=("read_parameter", "write_parameter"),
     ),
     Erratum(
         id="lk-rs485-51",
@@ -475,6 +487,7 @@ ERRATA: tuple[Erratum, ...] = (
         taken_as="parameter number; angle, speed and current loop; ramp",
         why="the C names of the same cells have one word each",
         certainty=Certainty.CERTAIN,
+        commands=("read_parameter", "write_parameter"),
     ),
     # --- the whole text ---
     Erratum(

@@ -169,8 +169,8 @@ _USER_ID = u32("user_id", printed="ID")
 _STATUS = mks.status()
 _RUN_STATUS = mks.status(mks.RunStatus)
 _RISK_AXIS_LOCK = (always(Risk.SETTING), when("axis_lock", 0, None, Risk.TORQUE))
-#: The power-on trigger of homing has no byte of its own in the manual; it may be one of these.
-_RISK_NO_LIMIT_HOME = (always(Risk.SETTING, Risk.POWER_ON),)
+#: The power-on trigger of homing has no byte of its own in the manual; it may be one of these. So may the current.
+_RISK_NO_LIMIT_HOME = (always(Risk.SETTING, Risk.TORQUE, Risk.POWER_ON),)
 _HALT = "above 1000 rpm a stop without a ramp is discouraged"
 _SPEED = "at another subdivision than 16, 32 or 64 the shaft turns at speed x 16 / subdivision"
 
@@ -374,7 +374,7 @@ _PARAMETERS = (
     _do(
         Verb.HOME, 0x91, "3.4.2", "Run until the end stop, or without one until an obstacle stops the shaft.",
         risk=mks.HOME_RISK, status=mks.status(mks.HomeStatus), replies=mks.HOMING,
-        notes=("from a closed end stop the shaft first turns the other way for a certain distance",),
+        notes=("from a closed end stop the shaft first turns the other way, by the return_angle of 94 as it is taken",),
         vectors=(_sent("01 91 92", "3.4.2"),),
     ),
     _do(
@@ -383,7 +383,7 @@ _PARAMETERS = (
     ),
     _set(
         Verb.SET_NO_LIMIT_CURRENT, 0x93, "3.4.4", "Set the current of homing without an end stop.", _HOME_CURRENT,
-        printed="nullHmMa",
+        risk=mks.TORQUE_RISK, printed="nullHmMa",
         notes=("the shaft runs at this current into an obstacle; a small one spares the motor",),
     ),
     _set(
@@ -426,6 +426,7 @@ _PARAMETERS = (
         u8("firmware_major", printed="firmVer[0]"),
         u8("firmware_minor", printed="firmVer[1]"),
         u8("firmware_patch", printed="firmVer[2]"),
+        notes=("the types are those of the whole E series; a drive of this manual is S42E_CAN or S57E_CAN",),
         vectors=(_bare("01 40", "3.7"),),
     ),
     _do(Verb.WRITE_USER_ID, 0x42, "3.8.1", "Keep a number of the user's choice in the drive.", _USER_ID),

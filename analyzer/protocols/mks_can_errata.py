@@ -1,6 +1,7 @@
 """Where the CAN manual V1.0.1 of the MKS SERVO42E/57E contradicts itself, its arithmetic or its scan.
 
-In the manual's order. `certain` and `likely` readings refute a drive that differs; an `open` one is only observed.
+In the manual's order; a number stays with its entry, so later entries have higher ones. `certain` and `likely` readings
+refute a drive that differs; an `open` one is only observed.
 Damage of the scan is told from errors of the authors where the text allows it: a table cell that spans two rows comes
 out torn, so a digit of a DLC column proves nothing by itself, while the columns beside it do.
 
@@ -10,6 +11,7 @@ Not known here: what the figures show; they are not in the text.
 from __future__ import annotations
 
 from analyzer.catalogue import Certainty, Damage, Erratum
+from analyzer.protocols.mks_shared import RUNS, STOPS
 
 _CERTAIN, _LIKELY, _OPEN = Certainty.CERTAIN, Certainty.LIKELY, Certainty.OPEN
 
@@ -25,12 +27,13 @@ ERRATA = (
     Erratum(
         "mks-can-02", "3, 4", "DLC 2 over 3, 1 over 4, 0 where eight bytes follow, б, no DLC at all",
         "DLC and ID cells that span two rows are torn, and their digits misread",
-        "the bytes of the columns, checksum included (94 apart)",
-        "the damaged digits stand only in spanning cells; where a cell is whole it agrees with its columns",
+        "the bytes of the columns, checksum included (for 89, 93 and 94 see mks-can-76, -77 and -48)",
+        "the damaged digits stand only in spanning cells; with those three apart, a whole cell agrees with its columns",
         _CERTAIN, Damage.SCAN,
     ),
     Erratum(
-        "mks-can-03", "2, 3, 4", "Notel, position model, mode = XO, 0°0x3FFF, ED for FD, () for 0, relaxis",
+        "mks-can-03", "2, 3.1.1, 3.2.2, 3.2.4, 4.5 to 4.8",
+        "Notel, position model, mode = XO, 0°0x3FFF, ED for FD, () for 0, relaxis",
         "digits, letters and signs of like shape are mixed up",
         "Note1, position mode 1, X0, 0~0x3FFF, FD, 0, relAxis",
         "other places print each of them right",
@@ -97,39 +100,39 @@ ERRATA = (
         "the cell is torn, and its plus sign speaks of more than the range of every command",
         "3000 rpm",
         "1.2, 3.2.2 and each speed parameter of Part 4 end at 3000",
-        _LIKELY,
+        _LIKELY, commands=RUNS,
     ),
     Erratum(
         "mks-can-13", "1.2, 1.3", "2048 slave addresses; 1 broadcast address, 2047 slave addresses",
         "1.2 counts the broadcast address among those of the drives",
         "2047: 1..7FF",
         "an ID has 11 bits, and 3.2.11 reserves 0",
-        _CERTAIN,
+        _CERTAIN, commands=("set_address",),
     ),
     Erratum(
         "mks-can-14", "1.4", "remap: see the limit instruction in Chapter 4",
         "Part 4 has no such instruction",
         "3.4.6",
         "9E sets the limit port remap",
-        _CERTAIN,
+        _CERTAIN, commands=("set_limit_remap",),
     ),
     # 3.1 Reading
     Erratum(
-        "mks-can-15", "3.1, 3.4, 3.6", "CRC, Check",
+        "mks-can-15", "3, 4", "CRC, Check",
         "no rule is given for the last byte, and it is no cyclic check",
         "the low byte of the sum of the ID and all bytes before it",
         "every complete frame but two fits it, those of IDs 00, 50 and 51 too",
         _CERTAIN,
     ),
     Erratum(
-        "mks-can-16", "3.1, 3.2.11", "IDs up to 7FF; a checksum over the ID",
+        "mks-can-16", "3.2.11, 3.2.14", "IDs up to 7FF; a checksum over the ID",
         "how an ID beyond one byte enters the sum is not said; all printed IDs are below 100h",
         "the whole ID is added, so that only its low byte counts",
         "a sum of one byte over a number takes just that; adding both bytes of the ID would need a split",
         _LIKELY,
     ),
     Erratum(
-        "mks-can-17", "3.1", "Command5, Command7, Command8, Command10, Command11 as items 5 to 9",
+        "mks-can-17", "3.1.5 to 3.1.9", "Command5, Command7, Command8, Command10, Command11 as items 5 to 9",
         "6 and 9 are missing, and the numbers run ahead of the items",
         "the numbers of the items",
         "the RS485 drives have further reads, which this manual leaves out",
@@ -242,7 +245,7 @@ ERRATA = (
         _CERTAIN, Damage.SCAN,
     ),
     Erratum(
-        "mks-can-33", "3.2.6, 4.4.1", "dir 00 CW, 01 CCW; dir 0/1 (CCW/CW)",
+        "mks-can-33", "3.2.6, 3.4.1, 4.4.1, 4.5.1", "dir 00 CW, 01 CCW; dir 0/1 (CCW/CW)",
         "settings and motion commands number the directions the other way round, and 0 is called forward in 4.4",
         "both as printed",
         "each is printed several times alike; which way a real shaft turns is observed, not judged",
@@ -270,6 +273,13 @@ ERRATA = (
         _CERTAIN,
     ),
     Erratum(
+        "mks-can-76", "3.2.9", "89: DLC 3; byte2-3 value, Byte4 Check",
+        "the columns make four bytes: the code, two of the value, the check",
+        "DLC 4",
+        "the digit is whole; the range up to 0x7FFF needs two bytes, and 83 and 8B have four for the same columns",
+        _CERTAIN,
+    ),
+    Erratum(
         "mks-can-37", "3.2.11", "ID(00~7FF); 00 is the broadcast address",
         "the range of a drive's ID includes that of all drives",
         "a drive has an ID of 1..7FF; setting 0 is refused",
@@ -277,11 +287,11 @@ ERRATA = (
         _LIKELY,
     ),
     Erratum(
-        "mks-can-38", "3.2.12", "respond 0: the slave does not return any information",
+        "mks-can-38", "3.2.12", "respond 0: no information at all is returned",
         "the note above has F1 answered while respond is 0",
         "respond 0 silences the replies of F6, FD, FE, F4 and F5",
         "the setting is explained by a motion command, and what replaces its replies is a read",
-        _LIKELY,
+        _LIKELY, commands=(*RUNS, *STOPS),
     ),
     Erratum(
         "mks-can-39", "3.2.14", "no answer if a group address is used",
@@ -334,11 +344,18 @@ ERRATA = (
         _LIKELY,
     ),
     Erratum(
-        "mks-can-46", "3.4.2", "homeDir (set by command 94)",
-        "94 has no direction",
-        "90",
-        "the second byte of 90 is homeDir",
-        _CERTAIN,
+        "mks-can-46", "3.4.2, 3.4.5", "a certain distance, opposite to homeDir (set by command 94)",
+        "the bracket follows the direction, which 90 sets, and may belong to the distance",
+        "the shaft leaves a closed end stop by 94's retValue; homeDir is set by 90",
+        "94 has an angle and no direction; yet 3.4.5 gives the angle for homing without a switch only",
+        _OPEN,
+    ),
+    Erratum(
+        "mks-can-77", "3.4.4", "93: DLC 2 over 3",
+        "torn as most DLC 3 of this manual are; the current takes two bytes, so the frame has four",
+        "DLC 4",
+        "the table was copied from a reply (mks-can-47), DLC included; 83, of the same shape, is torn as a DLC 4",
+        _LIKELY,
     ),
     Erratum(
         "mks-can-47", "3.4.4", "93: two uplink tables; byte2-3 status(uint8_t)",
@@ -398,20 +415,6 @@ ERRATA = (
         _LIKELY,
     ),
     Erratum(
-        "mks-can-55", "3.7", "firmware 1, 0, 0: V1.0.0",
-        "the manual is for V1.0.1",
-        "an example of how to read the three bytes",
-        "the release notes pair manual V1.0.1 with firmware V1.0.1",
-        _CERTAIN,
-    ),
-    Erratum(
-        "mks-can-56", "3.7", "S42E_RS485 ... S35E_CAN",
-        "six of the eight types are not drives of this manual",
-        "all are read; a drive of this manual is 2 or 4",
-        "the table is that of the whole E series",
-        _LIKELY,
-    ),
-    Erratum(
         "mks-can-57", "3.9", "00 code: system parameters; a parameter that cannot be read",
         "which parameters can be read is not listed; 82 and the working current are the only examples",
         "all settings with a stored value; other codes answer FF FF",
@@ -434,7 +437,7 @@ ERRATA = (
         _LIKELY,
     ),
     Erratum(
-        "mks-can-60", "4, 4.7, 4.8", "mode 14 runs without an encoder; Part 4 is for all bus modes",
+        "mks-can-60", "3.2.2, 4.7, 4.8", "mode 14 runs without an encoder; Part 4 is for all bus modes",
         "F4 and F5 go by the encoder, which cannot be read then",
         "F4 and F5 are accepted in every bus mode",
         "Part 4 makes no exception for them",
@@ -445,21 +448,21 @@ ERRATA = (
         "reckoned from 16, 32 and 64 would be slower; 64 keeps 1200 rpm and 128 drops to an eighth of it",
         "at 16, 32 and 64 the speed as sent; else speed x 16 / subdivision",
         "the three worked values (8: 2400, 16/32/64: 1200, 128: 150) fit it",
-        _LIKELY,
+        _LIKELY, commands=("set_subdivision", *RUNS),
     ),
     Erratum(
         "mks-can-62", "4.1, 4.4.1", "speed 0 to 3000, in 12 or 16 bits",
         "the bits hold more, and nothing is said of a greater speed",
         "the drive runs at 3000 and answers success",
         "the RS485 drives, whose text this is, are said to do so",
-        _LIKELY,
+        _LIKELY, commands=RUNS,
     ),
     Erratum(
         "mks-can-63", "4.1", "acc 0: no acceleration; (256 - acc) x 50 us",
         "the formula makes 0 the slowest ramp, the text the steepest",
         "0 changes the speed at once; the formula holds from 1 on",
         "the stop commands say so again: acc 0 stops at once",
-        _CERTAIN,
+        _CERTAIN, commands=(*RUNS, *STOPS),
     ),
     Erratum(
         "mks-can-64", "4.2.1", "Note 1: valid in bus control only; Note 2: in pulse control it tells the calibration",
@@ -490,7 +493,14 @@ ERRATA = (
         _LIKELY,
     ),
     Erratum(
-        "mks-can-68", "4.6", "column: absolute axis; field: absPulses",
+        "mks-can-78", "4.5, 4.7", "relative motion; to the specified position, to the specified axis",
+        "a relative move goes by a distance, not to a place",
+        "by the pulses or counts that are sent, from where the shaft is",
+        "the examples: 20 turns for 64000 pulses, and 0x8000 + 0x4000 = 0xC000",
+        _CERTAIN,
+    ),
+    Erratum(
+        "mks-can-68", "4.6", "to the specified axis; column: absolute axis; field: absPulses",
         "axis is elsewhere the encoder, in counts",
         "pulses",
         "4.6 is the absolute motion by pulses, and its examples end with a pulse count",
@@ -505,7 +515,7 @@ ERRATA = (
     ),
     Erratum(
         "mks-can-70", "3.1.2, 4.7, 4.8", "axis: the value that 31 reads (int48); field: int24_t",
-        "positions beyond 511 turns can be read and not sent",
+        "positions beyond 2^23 counts, 512 turns, can be read and not sent",
         "both as printed",
         "eight bytes of a CAN frame leave three for the axis",
         _OPEN,
@@ -530,7 +540,7 @@ ERRATA = (
         "the bytes hold 0x140, 320 rpm",
         "320 rpm",
         "4.4.1 has the same frame with 320RPM, and its checksum fits",
-        _CERTAIN,
+        _CERTAIN, commands=("run_speed",),
     ),
     Erratum(
         "mks-can-74", "5.4, 4.4.2", "stop: 1 started, 2 stopped; the worked example has 1 alone and calls it success",
@@ -540,9 +550,10 @@ ERRATA = (
         _LIKELY,
     ),
     Erratum(
-        "mks-can-75", "3, 4", "discription, vaule, respon, Currnet, sucess, stoped, goog, uS",
+        "mks-can-75", "title, 3.1.1, 3.2.12, 3.4.2, 3.4.3, 4.1, 4.5 to 4.8",
+        "discription, vaule, respon, sucess, Currnet, uS, stoped, goog",
         "misspelt words and units",
-        "description, value, respond, current, success, stopped, good, microseconds",
+        "description, value, respond, success, current, microseconds, stopped, good",
         "the words stand right elsewhere",
         _CERTAIN,
     ),

@@ -210,7 +210,7 @@ COMMANDS = (
         mks.ZERO_MODE, mks.SET_ZERO, mks.ZERO_SPEED, mks.ZERO_DIRECTION,
     ),
     # 8.3 Motion
-    _do(Verb.EMERGENCY_STOP, 0x00F7, "8.3.1", "01 06 00 F7 00 01 F9 F8", modes=()),
+    _do(Verb.EMERGENCY_STOP, 0x00F7, "8.3.1", "01 06 00 F7 00 01 F9 F8"),
     _do(Verb.HOME, 0x0091, "8.3.2", "01 06 00 91 00 01 19 E7"),
     # From here on each stop stands before its run: the first form that matches wins.
     _write_many(Verb.STOP_SPEED, 0x00F6, 2, "8.3.3.2", "01 10 00 F6 00 02 A1 FA", *_speed_body(fixed=0)),

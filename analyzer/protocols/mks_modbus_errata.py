@@ -1,6 +1,7 @@
 """Where the Modbus chapter (Part 8) of the RS485 manual V1.0.5 contradicts itself, the other parts or Modbus.
 
-In the manual's order. `certain` and `likely` readings refute a drive that differs; an `open` one is only observed.
+In the manual's order; a number stays with its entry, so later entries have higher ones. `certain` and `likely` readings
+refute a drive that differs; an `open` one is only observed.
 
 Not known here: what the .mbp files that the chapter names hold. Nothing is said of registers that only a later manual
 of the vendor has.
@@ -84,6 +85,13 @@ ERRATA = (
         _LIKELY,
     ),
     Erratum(
+        "mks-modbus-31", "5.2.13, 5.2.16, 5.3.4, 8.2.20, 8.3", "no register for 8C, 8D and 94",
+        "homing and motion depend on what they set, and Part 8 neither sets it nor says whether it holds",
+        "what native frames have set stays; whether respond, active and the group address hold under Modbus is observed",
+        "it is the same drive, and 8E changes how it is spoken to, not what it has stored",
+        _OPEN,
+    ),
+    Erratum(
         "mks-modbus-11", "8.2.1", "see 09_F4(F1) Read the motor status.mbp",
         "that is the file of 8.1.10; this section writes 3Dh by function 06h",
         "a file of function 06h and register 3Dh",
@@ -142,12 +150,12 @@ ERRATA = (
     Erratum(
         "mks-modbus-19", "8.3.1, 6", "F7 without a note on the work mode",
         "Part 6, which asks for a serial mode, has F7 too; in Part 8 only F3, 9E and 8.3.3 to 8.3.7 ask for one",
-        "F7 is accepted in every mode",
-        "each section of Part 8 that needs a mode says so itself",
+        "F7 needs a serial mode, as the native command (mks-rs485-33)",
+        "it is one command of one drive; yet each section of Part 8 that needs a mode says so itself",
         _OPEN,
     ),
     Erratum(
-        "mks-modbus-20", "8.2.19, 8.3", "SR_VFOC",
+        "mks-modbus-20", "8.2.19, 8.3.3 to 8.3.7", "SR_VFOC",
         "8.2.5 has SR_vFOC",
         "SR_vFOC",
         "the spelling of the list that gives the modes their numbers",
@@ -175,7 +183,7 @@ ERRATA = (
         _OPEN,
     ),
     Erratum(
-        "mks-modbus-24", "8.3.4, 8.3.5", "acc (uint8_t) in FD, acc (uint16_t) in FE, F4 and F5",
+        "mks-modbus-24", "8.3.4 to 8.3.7", "acc (uint8_t) in FD, acc (uint16_t) in FE, F4 and F5",
         "one quantity has two widths within the chapter, and 0 - 255 fits either",
         "each as printed; above 255 is out of range",
         "without a direction the wider field fills the register, and the byte counts fit",
@@ -193,6 +201,13 @@ ERRATA = (
         "the responses of FD, F4 and F5 have theirs",
         "01 10 00 FE 00 04 A0 3A",
         "computed",
+        _CERTAIN,
+    ),
+    Erratum(
+        "mks-modbus-32", "8.3.6", "relative motion; to the specified axis",
+        "a relative move goes by a distance, not to a place",
+        "by the counts that are sent, from where the shaft is",
+        "the heading; 6.8 has the same sentence and examples of a distance",
         _CERTAIN,
     ),
     Erratum(

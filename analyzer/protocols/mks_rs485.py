@@ -226,7 +226,7 @@ _PARAMETERS = (
     ),
     _do(
         Verb.SET_NO_LIMIT_HOME, 0x94, "5.3.4", "Set homing without an end stop: way back, method and current.",
-        mks.RETURN_ANGLE, mks.HOME_MODE, mks.HOME_CURRENT, printed="Hm_Mode, Hm_Ma",
+        mks.RETURN_ANGLE, mks.HOME_MODE, mks.HOME_CURRENT, risk=mks.TORQUE_RISK, printed="Hm_Mode, Hm_Ma",
         notes=("the shaft runs at this current into an obstacle, goes back by the angle, and that point is zero",),
     ),
     _do(

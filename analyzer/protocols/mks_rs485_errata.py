@@ -1,6 +1,7 @@
 """Where the RS485 manual V1.0.5 of the MKS SERVO42D/57D contradicts itself, outside its Modbus chapter (Part 8).
 
-In the manual's order. `certain` and `likely` readings refute a drive that differs; an `open` one is only observed.
+In the manual's order; a number stays with its entry, so later entries have higher ones. `certain` and `likely` readings
+refute a drive that differs; an `open` one is only observed.
 Damage of the scan is told from errors of the authors where the text allows it.
 
 Not known here: what the figures show; they are not in the text.
@@ -9,6 +10,7 @@ Not known here: what the figures show; they are not in the text.
 from __future__ import annotations
 
 from analyzer.catalogue import Certainty, Damage, Erratum
+from analyzer.protocols.mks_shared import RUNS, STOPS
 
 _CERTAIN, _LIKELY, _OPEN = Certainty.CERTAIN, Certainty.LIKELY, Certainty.OPEN
 
@@ -36,10 +38,10 @@ ERRATA = (
         _LIKELY, Damage.SCAN,
     ),
     Erratum(
-        "mks-rs485-04", "title", "SERVO42D/57D",
-        "the title names two drives; 3.3, 3.23, 5.2.3 and 5.3.5 give figures for 28D and 35D too",
+        "mks-rs485-04", "title, 3.3, 3.23, 5.2.3, 5.3.5", "SERVO42D/57D",
+        "the title names two drives; 3.3, 3.23 and 5.2.3 give currents of 28D and 35D too, and 5.3.5 names them",
         "four models: 42D, 57D, 28D, 35D",
-        "the figures of the smaller drives differ from those of the 42D, so they are not slips",
+        "the default currents of the smaller drives differ from those of the 42D, so they are not slips",
         _CERTAIN,
     ),
     Erratum(
@@ -47,10 +49,11 @@ ERRATA = (
         "two work modes have two spellings each",
         "SR_CLOSE and SR_vFOC",
         "5.2.2 numbers six modes, three of them serial; no other reading leaves six",
-        _CERTAIN,
+        _CERTAIN, commands=("set_work_mode",),
     ),
     Erratum(
-        "mks-rs485-06", "3, 5.2", "MPlyer/Mplyer, UartAddr/UautAddr, Mb_RTU/MB_RTU, Hm_Trig/HmTrig, Hm_Dir/HmDir",
+        "mks-rs485-06", "3, 5.2.10, 5.2.12, 5.2.14, 5.3.1",
+        "MPlyer/Mplyer, UartAddr/UautAddr, Mb_RTU/MB_RTU, Hm_Trig/HmTrig, Hm_Dir/HmDir",
         "menu options are spelt one way in the menu chapter and another way beside their commands",
         "the spelling of Part 3",
         "each pair is named by the same function; the command says that it is the same as the option",
@@ -71,7 +74,7 @@ ERRATA = (
         _LIKELY, Damage.SCAN,
     ),
     Erratum(
-        "mks-rs485-09", "2.6", "right limit: only for 57D",
+        "mks-rs485-09", "2.6, 5.3.5", "right limit: only for 57D",
         "2.6 (5) and 5.3.5 give the other drives a right limit too",
         "a drive of another model has a right limit once En and Dir serve as limits",
         "5.3.5 names the 28D, 35D and 42D as the drives that gain by it",
@@ -86,24 +89,24 @@ ERRATA = (
     ),
     Erratum(
         "mks-rs485-11", "3.12, 4", "menu addresses 01..16; 01~10 can be set in the menu",
-        "sixteen addresses in one place, ten in the other if the numbers are decimal",
-        "sixteen: 10 is hexadecimal",
-        "the release notes of V1.0.3 say that the menu now has 16, and Part 4 has no other decimal example",
-        _LIKELY,
+        "the menu chapter has sixteen addresses, the chapter on frames ten",
+        "sixteen",
+        "by the release notes V1.0.3 raised the number in the menu to 16; Part 4 kept the older text",
+        _LIKELY, commands=("set_address",),
     ),
     Erratum(
         "mks-rs485-12", "3.20", "Hm_Dir: CW, clockwise rotation is positive",
         "the option sets the way of homing, not which way counts as positive",
         "CW: homing turns clockwise",
         "5.3.1 describes the same option as the direction of homing; the wording is that of option 7",
-        _CERTAIN,
+        _CERTAIN, commands=("set_home",),
     ),
     Erratum(
         "mks-rs485-13", "3.23", "Hm_Ma default: 42D 800 mA, 57D 400 mA",
         "the larger drive has half the default of the smaller one, although its range is larger",
         "as printed",
         "nothing else in the manual names the default",
-        _OPEN,
+        _OPEN, commands=("set_no_limit_home",),
     ),
     Erratum(
         "mks-rs485-14", "3.25, 5.3.2", "go home needs an end stop and runs until it hits one",
@@ -157,11 +160,18 @@ ERRATA = (
         _CERTAIN,
     ),
     Erratum(
-        "mks-rs485-21", "5.1", "Command6, Command5, Command6, ..., Command9 as items 5 to 10",
+        "mks-rs485-21", "5.1.5 to 5.1.10", "Command6, Command5, Command6, ..., Command9 as items 5 to 10",
         "Command6 stands twice, Command5 after it, and the numbers lag the items",
         "the numbers of the items",
         "34 was put in with V1.0.3 and took a number that was in use",
         _CERTAIN,
+    ),
+    Erratum(
+        "mks-rs485-53", "2.5, 5.1.5, 5.1.10", "OUT_2: reserved, and bit 3; OUT_1 0: protected; 3E 1: protected",
+        "a port without a function has a bit, and one state is told by 0 on a port and by 1 in a status",
+        "OUT_2 is read and means nothing; OUT_1 is the level of the port, 3E the state",
+        "5.1.5 lists the ports, not what they tell; the two senses stand in two places that do not meet",
+        _LIKELY,
     ),
     Erratum(
         "mks-rs485-22", "5.1.6", "an error of 1 degree is returned as 142.222",
@@ -185,6 +195,13 @@ ERRATA = (
         _CERTAIN,
     ),
     Erratum(
+        "mks-rs485-54", "5.2.1, 5.3.2, 5.3.3, 5.5, 5.6, 6.2.1, 6.3", "data: NULL (91, 92, 3F, 41), a dash (F1, F7), 00 (80)",
+        "NULL and a dash could each be a byte 00, as 80 has one, or nothing",
+        "no byte where NULL or a dash stands; 80 has its 00",
+        "reads without data have no such byte in print, 2.4 has NULL for nothing, and the sum of 80 in Part 4 lists its 00",
+        _LIKELY,
+    ),
+    Erratum(
         "mks-rs485-25", "5.2.4", "holdMa(01~08)",
         "the list below begins with 00 for 10 %",
         "0..8",
@@ -192,18 +209,18 @@ ERRATA = (
         _CERTAIN,
     ),
     Erratum(
-        "mks-rs485-26", "5.2.7, 6.5.1", "dir 00 CW, 01 CCW; dir 0/1 (CCW/CW)",
+        "mks-rs485-26", "5.2.7, 5.3.1, 5.4.1, 6.5.1, 6.6.1", "dir 00 CW, 01 CCW; dir 0/1 (CCW/CW)",
         "settings and motion commands number the directions the other way round, and 0 is called forward in 6.5",
         "both as printed",
         "each is printed several times alike; which way a real shaft turns is observed, not judged",
         _OPEN,
     ),
     Erratum(
-        "mks-rs485-27", "5.2.13, 3.13", "respond 0: the slave does not return any information",
+        "mks-rs485-27", "5.2.13, 3.13", "respond 0: no information at all is returned",
         "the note just above has F1 answered while respond is 0, and 3.13 speaks of speed and position mode only",
         "respond 0 silences the replies of F6, FD, FE, F4 and F5",
         "exactly these carry the note that their replies can be switched off",
-        _LIKELY,
+        _LIKELY, commands=(*RUNS, *STOPS),
     ),
     Erratum(
         "mks-rs485-28", "5.3.4", "94: no limit of ma is printed",
@@ -243,13 +260,13 @@ ERRATA = (
     # Part 6
     Erratum(
         "mks-rs485-33", "6", "Part 6 needs a serial work mode",
-        "the note covers F1, F3 and F7 too; of these Part 8 asks it of F3 alone",
-        "F1 is answered in every mode; F3, F7, FF and motion need a serial one",
-        "F1 names the calibration as a state, which every mode has",
+        "the note covers F1, F3 and F7 too; of these Part 8 asks it of F3 alone (mks-modbus-19)",
+        "F1 is answered in every mode; F3, F7, FF and motion need a serial one, under Modbus too",
+        "F1 names the calibration as a state, which every mode has; for F7 nothing takes the note back",
         _OPEN,
     ),
     Erratum(
-        "mks-rs485-34", "6, 6.8, 6.9", "SR_OPEN runs without an encoder; Part 6 is for SR_OPEN too",
+        "mks-rs485-34", "1.4, 6.8, 6.9", "SR_OPEN runs without an encoder; Part 6 is for SR_OPEN too",
         "F4 and F5 go by the encoder, which an open loop need not have",
         "F4 and F5 are accepted in SR_OPEN",
         "Part 6 makes no exception for them, and 6.8 and 6.9 name no mode",
@@ -260,28 +277,28 @@ ERRATA = (
         "reckoned from 16, 32 and 64 would be slower; 64 keeps 1200 rpm and 128 drops to an eighth of it",
         "at 16, 32 and 64 the speed as sent; else speed x 16 / subdivision",
         "the three worked values (8: 2400, 16/32/64: 1200, 128: 150) fit it",
-        _LIKELY,
+        _LIKELY, commands=("set_subdivision", *RUNS),
     ),
     Erratum(
         "mks-rs485-36", "6.1", "speed 0 to 3000; more than the mode's maximum runs at that maximum",
         "below 16 subdivisions a speed within the range turns the shaft faster than the maximum (3000 at 8: 6000)",
         "the limit is that of the speed as sent",
         "the text compares the set speed with the maximum",
-        _OPEN,
+        _OPEN, commands=RUNS,
     ),
     Erratum(
         "mks-rs485-37", "6.1, 6.5.1", "value range 0-3000; greater speeds run at the maximum",
         "a value outside its range is elsewhere refused, here it is said to be cut",
         "the drive runs at the maximum of its mode and answers success",
         "6.1 says what happens to a greater speed, and 12 bits hold up to 4095",
-        _LIKELY,
+        _LIKELY, commands=RUNS,
     ),
     Erratum(
         "mks-rs485-38", "6.1", "acc 0: no acceleration; (256 - acc) x 50 us",
         "the formula makes 0 the slowest ramp, the text the steepest",
         "0 changes the speed at once; the formula holds from 1 on",
         "the stop commands say so again: acc 0 stops at once",
-        _CERTAIN,
+        _CERTAIN, commands=(*RUNS, *STOPS),
     ),
     Erratum(
         "mks-rs485-39", "6.2.1", "status 5 homing, status 5 Cal...",
@@ -291,11 +308,11 @@ ERRATA = (
         _CERTAIN,
     ),
     Erratum(
-        "mks-rs485-40", "6.5.1, 6.6.1", "one cell for b3-b0, none for b7-b0",
-        "the columns of bytes 4 and 5 are shifted; the tables of the stops have all of them",
+        "mks-rs485-40", "6.5.1", "one cell for b3-b0, none for b7-b0",
+        "byte 5 has no cell of its own, and the heads above it are shifted",
         "byte 4: dir, three reserved bits, speed bits 11-8; byte 5: speed bits 7-0",
-        "the tables of 6.5.2 and 6.6.2 and the examples (01 40: 320 rpm)",
-        _CERTAIN,
+        "6.5.2, 6.6.1 and 6.6.2 have the cell, and the examples fit (01 40: 320 rpm); the scan is likely to have lost it",
+        _CERTAIN, Damage.SCAN,
     ),
     Erratum(
         "mks-rs485-41", "6.5.1, 6.6.1", "the lower 4 bits of byte 5 and byte 4 are the speed",
@@ -331,6 +348,13 @@ ERRATA = (
         "both as printed; the count wraps",
         "nothing says what the count does at its end, or that a move may not be longer",
         _OPEN,
+    ),
+    Erratum(
+        "mks-rs485-55", "6.6, 6.8", "relative motion; to the specified position, to the specified axis",
+        "a relative move goes by a distance, not to a place",
+        "by the pulses or counts that are sent, from where the shaft is",
+        "the examples: 20 turns for 64000 pulses, and 0x8000 + 0x4000 = 0xC000",
+        _CERTAIN,
     ),
     Erratum(
         "mks-rs485-46", "6.7", "column: absolute axis; field: absPulses",
@@ -369,16 +393,19 @@ ERRATA = (
     ),
     # Part 7
     Erratum(
-        "mks-rs485-51", "7.2, 7.3", "append CHECKSUM-8; send FA 01 30 2B",
+        "mks-rs485-51", "7.2 to 7.5", "append CHECKSUM-8; send FA 01 30 2B",
         "with the tool set to append the sum, 7.4 and 7.5 print frames without it, 7.3 one with it",
         "the frame of 7.3 is complete, those of 7.4 and 7.5 lack their sums",
         "2B is the sum of FA 01 30",
         _CERTAIN,
+        commands=(
+            "read_encoder_carry", "run_speed", "stop_speed", "save_speed", "move_relative_pulses", "stop_relative_pulses",
+        ),
     ),
     Erratum(
-        "mks-rs485-52", "5, 6", "respon, sucess, Currnet, vaule, uS",
+        "mks-rs485-52", "5.1.1, 5.2.13, 5.3.2, 5.3.3, 6.1", "vaule, respon, sucess, Currnet, uS",
         "misspelt words and units",
-        "respond, success, current, value, microseconds",
+        "value, respond, success, current, microseconds",
         "the words stand right elsewhere",
         _CERTAIN,
     ),

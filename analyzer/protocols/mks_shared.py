@@ -45,6 +45,10 @@ MODE_MAXIMUM_SPEEDS: Mapping[str, int] = {
 #: Bits per second of each member of `BaudRate`.
 BAUD_RATES: Mapping[int, int] = {1: 9600, 2: 19200, 3: 25000, 4: 38400, 5: 57600, 6: 115200, 7: 256000}
 
+#: The names of the commands that run at a speed or to a position, and of those that stop such a run.
+RUNS = ("run_speed", "move_relative_pulses", "move_absolute_pulses", "move_relative_axis", "move_absolute_axis")
+STOPS = ("stop_speed", "stop_relative_pulses", "stop_absolute_pulses", "stop_relative_axis", "stop_absolute_axis")
+
 
 # ---- What the numbers of a field mean
 
@@ -417,7 +421,7 @@ CALIBRATION_RISK: Rules = (always(Risk.MOTION, Risk.UNBOUNDED, Risk.TORQUE),)
 SET_HOME_RISK: Rules = (always(Risk.SETTING), when("end_limit", 1, 0xFF, Risk.TORQUE))
 HOME_RISK: Rules = (always(Risk.MOTION, Risk.UNBOUNDED, Risk.TORQUE),)
 ZERO_MODE_RISK: Rules = (always(Risk.SETTING), when("zero_mode", 1, 0xFF, Risk.POWER_ON))
-RESTORE_RISK: Rules = (always(Risk.DESTRUCTIVE, Risk.LINK, Risk.TORQUE),)
+RESTORE_RISK: Rules = (always(Risk.DESTRUCTIVE, Risk.LINK, Risk.TORQUE, Risk.POWER_ON),)
 RESTART_RISK: Rules = (always(Risk.TORQUE, Risk.POWER_ON),)
 RUN_SPEED_RISK: Rules = (always(Risk.MOTION), when("speed", 1, 0xFFFF, Risk.UNBOUNDED))
 ENABLE_RISK: Rules = (

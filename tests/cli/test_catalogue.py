@@ -66,10 +66,25 @@ def test_a_page(catalogue):
     direction  0 ccw, 1 cw
 """
     assert expected in out
-    assert "motion; unbounded where speed is 1..65535" in out
+    assert "motion; unbounded where speed is 1..4095" in out
     assert "FA 01 F6 | 00 00 00 | F1" in out
     assert "sr_open, sr_close, sr_vfoc" in out
     assert "direction 1 cw, speed 320 rpm, acceleration 2" in out
+
+
+def test_a_risk_shows_only_values_that_its_field_can_hold(catalogue):
+    assert "unbounded where speed is 1..65535" in catalogue("--dialect", "mks-modbus", "run_speed")
+    assert "unbounded where speed is 1..4095" in catalogue("--dialect", "mks-can", "run_speed")
+    assert "torque where parameter is 10..12, 30 torque_limit" in catalogue("--dialect", "lk-rs485", "write_parameter")
+    rules = json.loads(catalogue("--json", "--dialect", "mks-rs485", "run_speed"))["dialects"][0]["commands"][0]["risk_rules"]
+    assert rules[1] == {"risks": ["unbounded"], "field": "speed", "low": 1, "high": 4095}
+
+
+def test_a_page_tells_an_echo_from_a_reply_of_like_layout(catalogue):
+    assert "\n  the same as the request\n" in catalogue("--dialect", "lk-rs485", "set_position")
+    written = catalogue("--dialect", "lk-rs485", "write_parameter")
+    assert "\n  the layouts of the request\n" in written
+    assert "the same as the request" not in written
 
 
 def test_every_page_is_complete_and_narrow(catalogue):
@@ -166,6 +181,35 @@ def test_the_errata_of_a_command(catalogue):
     out = catalogue("--errata", "--dialect", "mks-rs485", "move_relative_axis")
     assert "mks-rs485-48" in out
     assert "mks-rs485-01" not in out
+
+
+@pytest.mark.parametrize(
+    ("dialect", "command", "ids"),
+    [
+        ("mks-rs485", "move_absolute_pulses", ("mks-rs485-46",)),
+        ("mks-modbus", "move_absolute_pulses", ("mks-modbus-21", "mks-modbus-25", "mks-modbus-26")),
+        ("mks-can", "stop_absolute_pulses", ("mks-can-68", "mks-can-69")),
+        ("mks-can", "run_speed", ("mks-can-73",)),
+        ("lk-rs485", "write_parameter", ("lk-rs485-48", "lk-rs485-49", "lk-rs485-50")),
+    ],
+)
+def test_errata_of_wider_places_are_on_the_page_too(catalogue, dialect, command, ids):
+    page = catalogue("--dialect", dialect, command)
+    listed = catalogue("--errata", "--dialect", dialect, command)
+    told = json.loads(catalogue("--json", "--dialect", dialect, command))["dialects"][0]["errata"]
+    for one in ids:
+        assert f"\n  {one}  " in page
+        assert f"\n{one}  " in listed
+        assert one in {e["id"] for e in told}
+
+
+def test_an_erratum_names_the_commands_that_its_sections_do_not(catalogue):
+    listed = catalogue("--errata", "--dialect", "mks-can").split("\n\n")
+    assert next(e for e in listed if e.startswith("mks-can-73  ")).endswith("\n  commands  run_speed")
+    told = json.loads(catalogue("--json", "--errata", "--dialect", "mks-can"))["dialects"][0]["errata"]
+    named = {e["id"]: e.get("commands") for e in told}
+    assert named["mks-can-73"] == ["run_speed"]
+    assert named["mks-can-72"] is None
 
 
 # --- JSON -------------------------------------------------------------------------------------------------------------
