@@ -56,15 +56,11 @@ class _Building:
         self.index: dict[int, array[int]] = {}
 
 
-def _ended(builder: RecordBuilder) -> bytes:
-    data: bytes = builder.end()  # type: ignore[no-untyped-call]
-    return data
-
-
 def _record_bytes(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
-    return _ended(builder)
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return data
 
 
 def _compress(data: bytes) -> tuple[bytes, int]:
@@ -82,7 +78,8 @@ class McapFile:
         self._channels: list[Channel] = []
         self._schemas: list[Schema] = []
         self._counts: dict[int, int] = {}
-        self._chunk_indexes: list[ChunkIndex] = []
+        # As bytes: there is one for each MiB, and as objects they would be ten times as large.
+        self._chunk_indexes: list[bytes] = []
         self._metadata_indexes: list[MetadataIndex] = []
         self._first_ns = 0
         self._last_ns = 0
@@ -205,30 +202,28 @@ class McapFile:
         length = self._position - start
         offsets = {}
         index_start = self._position
-        for channel_id, index in building.index.items():
+        for channel_id, places in building.index.items():
             offsets[channel_id] = self._position
-            entries = index.tobytes()
+            entries = places.tobytes()
             self._put(_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel_id, len(entries)))
             self._put(entries)
-        self._chunk_indexes.append(
-            ChunkIndex(
-                chunk_length=length,
-                chunk_start_offset=start,
-                compression="zstd",
-                compressed_size=len(compressed),
-                message_end_time=building.last_ns,
-                message_index_length=self._position - index_start,
-                message_index_offsets=offsets,
-                message_start_time=building.first_ns,
-                uncompressed_size=size,
-            )
+        index = ChunkIndex(
+            chunk_length=length,
+            chunk_start_offset=start,
+            compression="zstd",
+            compressed_size=len(compressed),
+            message_end_time=building.last_ns,
+            message_index_length=self._position - index_start,
+            message_index_offsets=offsets,
+            message_start_time=building.first_ns,
+            uncompressed_size=size,
         )
+        self._chunk_indexes.append(_record_bytes(index))
 
     # --- the end --------------------------------------------------------------------------------------------------
 
     def _summary(self) -> None:
         start = self._position
-        builder = RecordBuilder()
         offsets = []
         statistics = Statistics(
             attachment_count=0,
@@ -241,23 +236,23 @@ class McapFile:
             metadata_count=len(self._metadata_indexes),
             schema_count=len(self._schemas),
         )
-        groups = (
-            (Opcode.SCHEMA, self._schemas),
-            (Opcode.CHANNEL, self._channels),
-            (Opcode.STATISTICS, [statistics]),
+        groups: tuple[tuple[Opcode, list[bytes]], ...] = (
+            (Opcode.SCHEMA, [_record_bytes(r) for r in self._schemas]),
+            (Opcode.CHANNEL, [_record_bytes(r) for r in self._channels]),
+            (Opcode.STATISTICS, [_record_bytes(statistics)]),
             (Opcode.CHUNK_INDEX, self._chunk_indexes),
-            (Opcode.METADATA_INDEX, self._metadata_indexes),
+            (Opcode.METADATA_INDEX, [_record_bytes(r) for r in self._metadata_indexes]),
         )
+        parts: list[bytes] = []
+        size = 0
         for opcode, records in groups:
-            group_start = builder.count
-            for record in records:
-                record.write(builder)
-            if builder.count > group_start:
-                offsets.append(SummaryOffset(opcode, start + group_start, builder.count - group_start))
-        offset_start = start + builder.count
-        for offset in offsets:
-            offset.write(builder)
-        data = _ended(builder)
+            length = sum(len(r) for r in records)
+            if length:
+                offsets.append(SummaryOffset(opcode, start + size, length))
+            parts += records
+            size += length
+        offset_start = start + size
+        data = b"".join(parts + [_record_bytes(offset) for offset in offsets])
         crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start), zlib.crc32(data))
         self._put(data)
         self._record(Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=crc))
