@@ -43,6 +43,8 @@ from analyzer.records import Chunk, Frame, Junk, JunkReason
 JUNK_PIECE = 4096
 #: A pause that no adapter puts inside a frame: USB adapters hold bytes back for up to 16 ms.
 SILENCE_NS = 25_000_000
+#: Times that go back further than this begin anew; less is jitter and is smoothed.
+JUMP_BACK_NS = 1_000_000_000
 #: Characters of pause that end a burst.
 BURST_CHARACTERS = 4
 #: One byte at 9600 baud: where the speed of the line is unknown, the bytes of a chunk may have taken that long.
@@ -128,11 +130,14 @@ class Framer:
         if chunk.t_ns is not None:
             slowest_ns = self._byte_ns or SLOWEST_BYTE_NS
             pause = chunk.t_ns - before_ns - size * slowest_ns if self._timed else 0
-            if pause > self._silence_ns:
+            if pause > self._silence_ns or chunk.t_ns < before_ns - JUMP_BACK_NS:
                 yield from self.silence()
             elif pause >= BURST_CHARACTERS * slowest_ns:
                 self._add_burst(end)
             self._timed = True
+            if chunk.t_ns < before_ns - JUMP_BACK_NS:
+                # The clock was set, or two captures were glued: go on from there, or all that follows is one instant.
+                before_ns = chunk.t_ns
             self._last_ns = max(before_ns, chunk.t_ns)
         if chunk.direction is not self._direction:
             yield from self.silence()

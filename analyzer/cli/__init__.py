@@ -56,6 +56,29 @@ def _overview(commands: dict[str, tuple[str, str]]) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status: 0 well, 1 findings, 2 wrong use or an unreadable input."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        status = _main(words)
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:
+        # The reader of our output has gone (`| head`): leave without a word.
+        _drop_output()
+        return 0
+    except KeyboardInterrupt:
+        print("servotap: stopped; nothing more was written", file=sys.stderr)
+        return 130
+    except OSError as error:
+        _drop_output()
+        print(f"servotap: cannot write the output: {error.strerror or error}", file=sys.stderr)
+        return 2
+
+
+def _drop_output() -> None:
+    """Send what is still buffered nowhere, so that there is no second error at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _main(words: list[str]) -> int:
     if not words or words[0] in ("-h", "--help", "help"):
         commands = COMMANDS | {n: (m, _help_of(n)) for n, (m, _) in _added().items()}
         print(_overview(commands))
@@ -101,10 +124,3 @@ def _run(name: str, module: ModuleType, words: Sequence[str]) -> int:
     except ServotapError as error:
         print(f"servotap {name}: {error}", file=sys.stderr)
         return 2
-    except BrokenPipeError:
-        # The reader of our output has gone (`| head`): leave without a word, and without a second error at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except KeyboardInterrupt:
-        print(f"servotap {name}: stopped", file=sys.stderr)
-        return 130

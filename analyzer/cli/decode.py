@@ -74,10 +74,14 @@ def _target(path: str, arguments: argparse.Namespace) -> Path:
         target = Path(path + ".mcap") if not path.endswith(".mcap") else Path(path[: -len(".mcap")] + ".decoded.mcap")
     else:
         target = Path(arguments.output)
+        if target.is_symlink():
+            target = target.resolve()
         if target.is_dir():
             target = target / (Path("standard_input" if path == "-" else path).name + ".mcap")
         elif len(arguments.files) > 1:
             raise UsageError(f"-o {arguments.output} is one file for {len(arguments.files)} captures; give a folder")
+    if target.exists() and not target.is_file():
+        raise UsageError(f"{target} is no regular file, and a log cannot be written there")
     if path != "-" and target.exists() and Path(path).exists() and target.samefile(path):
         raise UsageError(f"{target} is the capture itself; give another name with -o")
     if target.exists() and not arguments.force:
@@ -88,8 +92,9 @@ def _target(path: str, arguments: argparse.Namespace) -> Path:
 class _Output:
     """The log under construction: a file beside the target that takes its name only when it is whole."""
 
-    def __init__(self, target: Path) -> None:
+    def __init__(self, target: Path, replace: bool) -> None:
         self.target = target
+        self._replace = replace
         try:
             handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent)
         except OSError as error:
@@ -103,7 +108,18 @@ class _Output:
         umask = os.umask(0)
         os.umask(umask)
         self.part.chmod(0o666 & ~umask)
-        self.part.replace(self.target)
+        if self._replace:
+            self.part.replace(self.target)
+            return
+        try:
+            # A link, unlike a rename, fails where somebody else made the file meanwhile.
+            os.link(self.part, self.target)
+        except FileExistsError:
+            raise UsageError(f"{self.target} was made by somebody else meanwhile; --force replaces it") from None
+        except OSError:
+            self.part.replace(self.target)  # a file system without links
+            return
+        self.part.unlink()
 
     def drop(self) -> None:
         """Leave no log."""
@@ -169,7 +185,7 @@ def decode(path: str, target: Path, arguments: argparse.Namespace) -> Summary:
 
 def _decode(path: str, target: Path, reading: Reading, arguments: argparse.Namespace) -> Summary:
     with contextlib.closing(reading.source):
-        output = _Output(target)
+        output = _Output(target, arguments.force)
         options = reading.options
         sinks = _Sinks(reading, output)
         pipeline = Pipeline(reading.dialects, sinks.given, options)
@@ -180,7 +196,7 @@ def _decode(path: str, target: Path, reading: Reading, arguments: argparse.Names
                     for item in interrupt.items(reading):
                         pipeline.feed(item)
                 if interrupt.asked:
-                    stopped = "stopped by Ctrl-C"
+                    stopped = f"stopped by {interrupt.asked}"
             except UnreadableError as error:
                 if not pipeline.sequence:
                     raise

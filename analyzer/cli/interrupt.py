@@ -1,7 +1,8 @@
-"""Ctrl-C between items: whatever has been read is decoded to its end, and nothing is cut in the middle."""
+"""Ctrl-C and other ends from outside, between items: what has been read is decoded to its end, nothing is cut in two."""
 
 from __future__ import annotations
 
+import contextlib
 import signal
 from collections.abc import Iterable, Iterator
 from types import FrameType
@@ -14,34 +15,40 @@ class _Stop(Exception):
     """Ctrl-C while waiting for input."""
 
 
+#: What ends the work, in the words that are shown. Not every system has all of them.
+_SIGNALS = {
+    number: text
+    for name, text in (("SIGINT", "Ctrl-C"), ("SIGTERM", "SIGTERM"), ("SIGHUP", "a terminal that closed (SIGHUP)"))
+    if (number := getattr(signal, name, None)) is not None
+}
+
+
 class Interrupt:
-    """While this is entered, Ctrl-C ends `items` instead of raising; `asked` says that it came.
+    """While this is entered, Ctrl-C (and SIGTERM, SIGHUP) end `items` instead of raising; `asked` says which came.
 
     Works in the main thread; elsewhere signals do not arrive and nothing changes.
     """
 
     def __init__(self) -> None:
-        self.asked = False
+        self.asked = ""
         self._reading = False
-        self._before: Any = None
-        self._set = False
+        self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Interrupt:
-        """Take Ctrl-C over."""
-        try:
-            self._before = signal.signal(signal.SIGINT, self._arrived)
-            self._set = True
-        except ValueError:  # not the main thread
-            self._set = False
+        """Take the signals over."""
+        # Elsewhere than in the main thread signals cannot be taken over, and do not arrive.
+        with contextlib.suppress(ValueError):
+            for number in _SIGNALS:
+                self._before[number] = signal.signal(number, self._arrived)
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Give Ctrl-C back."""
-        if self._set:
-            signal.signal(signal.SIGINT, self._before)
+        """Give the signals back."""
+        for number, before in self._before.items():
+            signal.signal(number, before)
 
     def _arrived(self, number: int, frame: FrameType | None) -> None:
-        self.asked = True
+        self.asked = _SIGNALS[number]
         if self._reading:
             # A read that waits would go on waiting: only there the signal has to break in.
             raise _Stop

@@ -108,7 +108,7 @@ class Table:
     def comment(self, comment: Comment) -> None:
         """Print a comment of the capture."""
         if self._wanted is None and not self._json:
-            print(f"{'':>15}  # {clean(comment.text)}")
+            print(f"{'':>15}  # {clean(comment.text).lstrip('# ')}")
 
     def _line(self, text: str) -> None:
         if self._left is not None:

@@ -10,7 +10,6 @@ from rich.table import Table
 from rich.text import Text
 
 from analyzer.cli.reading import Reading, clean
-from analyzer.findings import RULES
 from analyzer.records import Severity
 from analyzer.sinks.summary import Summary
 
@@ -79,7 +78,7 @@ def _findings(summary: Summary) -> Table:
     table.add_column("count", justify="right")
     table.add_column("the first few", overflow="fold")
     for rule, count in summary.findings.most_common():
-        severity = RULES[rule].severity
+        severity = summary.worst[rule]
         first = "\n".join(f"{f.topic} #{f.sequence} byte {f.offset}: {clean(f.text)}" for f in summary.first[rule])
         table.add_row(rule, Text(severity.value, style=_STYLES[severity]), str(count), Text(first))
     return table

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from analyzer.catalogue import Role
-from analyzer.findings import RULES
 from analyzer.pipeline import Entry
 from analyzer.records import Comment, Finding, Frame, Junk, Lane, Severity
 
+_GRAVITY = (Severity.INFO, Severity.WARNING, Severity.ERROR)
 #: Findings of each rule that are kept to be shown.
 FIRST_FEW = 3
 
@@ -78,6 +78,8 @@ class Summary:
         self.junk_pieces: Counter[str] = Counter()
         self.findings: Counter[str] = Counter()
         self.severities: Counter[Severity] = Counter()
+        #: The worst severity that a rule's findings had: it can be milder than the rule's own.
+        self.worst: dict[str, Severity] = {}
         self.first: dict[str, list[Finding]] = {}
         self.comments = 0
         self.first_ns: int | None = None
@@ -157,6 +159,9 @@ class Summary:
         """Count a finding."""
         self.findings[found.rule] += 1
         self.severities[found.severity] += 1
+        worst = self.worst.get(found.rule)
+        if worst is None or _GRAVITY.index(found.severity) > _GRAVITY.index(worst):
+            self.worst[found.rule] = found.severity
         kept = self.first.setdefault(found.rule, [])
         if len(kept) < FIRST_FEW:
             kept.append(found)
@@ -191,7 +196,7 @@ class Summary:
             "findings": [
                 {
                     "rule": rule,
-                    "severity": RULES[rule].severity.value,
+                    "severity": self.worst[rule].value,
                     "count": count,
                     "first": [
                         {"time": f.first_ns / 1e9, "topic": f.topic, "sequence": f.sequence, "offset": f.offset}

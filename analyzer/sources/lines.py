@@ -105,6 +105,8 @@ def encoding_of(head: bytes) -> str:
 @lru_cache(maxsize=4)
 def is_text(head: bytes) -> bool:
     """Say whether bytes look like text: no control characters to speak of, and not mostly foreign bytes."""
+    # A file system that lost its power leaves zeros at the end of what was being written.
+    head = head.rstrip(b"\0")
     if not head:
         return False
     if head.count(0) > len(head) // 1000 or len(head.translate(None, _CONTROLS)) < 0.95 * len(head):

@@ -117,7 +117,7 @@ class _File:
         data = self._source.stream.exactly(count)
         self.offset += len(data)
         if len(data) < count:
-            raise EOFError("the log breaks off; servotap recover can finish it")
+            raise EOFError("the log breaks off; what came before is read (decode it again to have a whole one)")
         return data
 
 

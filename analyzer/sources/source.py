@@ -246,8 +246,8 @@ class Source:
 
 
 def clean_port(name: str) -> str:
-    """Return a capture's name of a line as a port: letters, digits, `_`, `.`, `-`; a path is cut to its last part."""
-    last = name.replace("\\", "/").rstrip("/").rpartition("/")[2]
+    """Return a capture's name of a line as a port: letters, digits, `_`, `.`, `-`; a device is cut to its last part."""
+    last = name[len("/dev/") :] if name.startswith("/dev/") else name
     return _UNFIT.sub("_", last).strip("_.")[:40]
 
 

@@ -181,3 +181,58 @@ def test_memory_does_not_grow_with_the_file(tmp_path):
         done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
         peaks.append(int(done.stdout.split()[-1]))
     assert peaks[1] < peaks[0] * 1.25, peaks
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_other_ends_leave_a_whole_log_too(tmp_path, number):
+    log = tmp_path / "out.mcap"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "analyzer", "decode", "-", "-o", str(log)],
+        cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    process.stdin.write((CAPTURES / "mks_can.candump.log").read_bytes())
+    process.stdin.flush()
+    deadline = time.monotonic() + 20
+    while not list(tmp_path.glob(".out.mcap.*.part")) and time.monotonic() < deadline:
+        os.sched_yield()
+    process.send_signal(number)
+    process.communicate(timeout=20)
+    assert os.listdir(tmp_path) == ["out.mcap"]
+    with log.open("rb") as stream:
+        assert make_reader(stream).get_summary() is not None
+
+
+def test_only_regular_files_are_replaced(tmp_path, capsys):
+    os.mkfifo(tmp_path / "fifo")
+    assert main(["decode", str(BENCH), "-o", str(tmp_path / "fifo"), "--force"]) == 2
+    assert "no regular file" in capsys.readouterr().err
+    (tmp_path / "real.mcap").write_text("old")
+    (tmp_path / "link").symlink_to("real.mcap")
+    assert main(["decode", str(BENCH), "-o", str(tmp_path / "link"), "--force"]) == 0
+    assert (tmp_path / "link").is_symlink()
+    assert metadata(tmp_path / "real.mcap")["frames"] == "39"
+
+
+def test_the_summary_says_the_severity_that_counts(tmp_path, capsys):
+    cut = tmp_path / "cut.bin"
+    cut.write_bytes((CAPTURES / "mks_rs485.bin").read_bytes()[:4])
+    assert main(["decode", str(cut), "--dialect", "mks-rs485", "--strict", "--json"]) == 0
+    assert [f["severity"] for f in json.loads(capsys.readouterr().out)["findings"]] == ["info"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="no /dev/full on this machine")
+def test_an_output_that_is_full_is_a_message():
+    command = [sys.executable, "-m", "analyzer", "show", str(BENCH)]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(command, cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 2
+    assert "cannot write the output" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_glued_captures_begin_anew_where_time_goes_back(tmp_path, capsys):
+    glued = tmp_path / "glued.log"
+    glued.write_bytes(BENCH.read_bytes() * 2)
+    assert main(["decode", str(glued), "--json"]) == 0
+    rows = {(r["address"], r["command"]): r for r in json.loads(capsys.readouterr().out)["commands"]}
+    assert rows["1", "read_speed"]["latency"]["median"] == pytest.approx(0.003, rel=0.05)

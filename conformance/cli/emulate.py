@@ -1,0 +1,273 @@
+"""Emulate drives on a serial port (a pseudo-terminal), a TCP port or a CAN bus, until Ctrl-C.
+
+A drive is DIALECT@ADDRESS, with model, quirks, faults, speed and settings behind it. One line is printed when all is
+ready: "listening on" and what clients open.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import gc
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from analyzer import dialects as registry
+from analyzer.catalogue import Dialect
+from analyzer.errors import UsageError
+from conformance.drives import make
+from conformance.drives.bus import Bus
+from conformance.drives.can_bus import CanBus
+from conformance.drives.drive import Drive
+from conformance.drives.make import Specification
+from conformance.drives.serial_bus import SerialBus
+from conformance.drives.wire_faults import WireFaults, parse_rates
+from conformance.serve.clock import Clock
+from conformance.serve.stop import Stop, on_signals
+
+if TYPE_CHECKING:
+    from conformance.serve.can import CanPort
+    from conformance.serve.serial_server import SerialPort
+
+EXAMPLES = """\
+examples:
+  servotap emulate mks-rs485@1 --pty                          prints the terminal to open, as /dev/pts/5
+  servotap emulate mks-rs485@1 mks-rs485@2,model=57D --pty /tmp/servo --set work_mode=sr_vfoc
+  servotap emulate mks-modbus@1,baud=115200 --pty --state drive.json --log bus.mcap
+  servotap emulate lk-rs485@3,fault=late-reply --tcp :5000    for pyserial's socket://127.0.0.1:5000
+  servotap emulate mks-can@1 mks-can@2 --can udp_multicast:239.74.163.2,bitrate=500000
+  servotap emulate --list-faults
+"""
+SECOND_NS = 1_000_000_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument(
+        "drives", nargs="*", metavar="DRIVE",
+        help="DIALECT@ADDRESS[,model=M][,quirk=NAME][,fault=NAME][,baud=N][,SETTING=VALUE]",
+    )  # fmt: skip
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--pty", nargs="?", const="", metavar="LINK", help="a pseudo-terminal; LINK: a link to it")
+    where.add_argument("--tcp", metavar="HOST:PORT", help="a TCP port; without HOST, loopback; port 0: a free one")
+    where.add_argument("--can", metavar="INTERFACE:CHANNEL[,bitrate=N]", help="a python-can interface")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of measured noise and wire faults (default 0)")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", dest="settings",
+        help="a start setting of all drives that have it, named as its command without set_: work_mode=5",
+    )  # fmt: skip
+    parser.add_argument("--state", metavar="FILE", help="keep settings over runs in FILE; --set wins over what it holds")
+    parser.add_argument("--log", metavar="OUT.mcap", help="log what goes over the bus, decoded")
+    parser.add_argument("--force", action="store_true", help="replace a log that exists")
+    parser.add_argument("--no-wire-time", action="store_true", help="bytes and frames take no time on the wire")
+    parser.add_argument("--reply-delay", type=_milliseconds, metavar="MS", help="what a drive takes to answer")
+    parser.add_argument("--echo", action="store_true", help="echo what the host sends, as some adapters do")
+    parser.add_argument(
+        "--wire-fault", action="append", default=[], metavar="KIND=RATE,...",
+        help="faults of the wire: flip, drop, insert, pause for each byte; cut, collision for each sending",
+    )  # fmt: skip
+    parser.add_argument("--duration", type=_seconds, metavar="S", help="end after S seconds")
+    parser.add_argument("--list-quirks", action="store_true", help="list the quirks of real drives and where they were seen")
+    parser.add_argument("--list-faults", action="store_true", help="list the faults a drive can be given")
+
+
+def _milliseconds(text: str) -> float:
+    value = float(text)
+    if not 0 <= value < 60_000:
+        raise argparse.ArgumentTypeError(f"expected milliseconds from 0 to 60000, got {text}")
+    return value
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"expected seconds above 0, got {text}")
+    return value
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the drives until they are told to end; return 0."""
+    if arguments.list_quirks or arguments.list_faults:
+        if arguments.list_quirks:
+            _print_changes(make.every_quirk(), lambda quirk: f"seen: {quirk.source}")
+        if arguments.list_faults:
+            _print_changes(make.every_fault(), lambda fault: f"breaks: {fault.breaks}")
+        return 0
+    _untangle(arguments)
+    specifications = [make.parse(text) for text in arguments.drives]
+    _check(specifications, arguments)
+    with contextlib.ExitStack() as stack:
+        _emulate(specifications, arguments, stack)
+    return 0
+
+
+def _print_changes(changes: Sequence[Any], last: Callable[[Any], str]) -> None:
+    for change in changes:
+        print(f"{change.name}  ({', '.join(change.dialects)})\n    {change.text}\n    {last(change)}")
+
+
+def _untangle(arguments: argparse.Namespace) -> None:
+    """Take a drive that stands where --pty could have its link for the drive that it is."""
+    link = arguments.pty
+    if link and "@" in link and link.partition("@")[0] in registry.names():
+        arguments.drives.append(link)
+        arguments.pty = ""
+
+
+def _check(specifications: Sequence[Specification], arguments: argparse.Namespace) -> None:
+    if not specifications:
+        raise UsageError("expected at least one DRIVE, as in mks-rs485@1")
+    if arguments.pty is None and arguments.tcp is None and arguments.can is None:
+        raise UsageError("where? expected --pty, --tcp HOST:PORT or --can INTERFACE:CHANNEL")
+    kind = "can" if arguments.can is not None else "serial"
+    for specification in specifications:
+        if specification.dialect.bus != kind:
+            option = "--can" if kind == "can" else "--pty" if arguments.pty is not None else "--tcp"
+            raise UsageError(f"{specification.name} is a drive on {specification.dialect.bus}, which {option} is not")
+    if arguments.echo and kind == "can":
+        raise UsageError("--echo is of serial adapters; on CAN a host's controller decides that")
+
+
+def _emulate(specifications: Sequence[Specification], arguments: argparse.Namespace, stack: contextlib.ExitStack) -> None:
+    from conformance.serve.log import BusLog
+    from conformance.serve.state import StateFile, load
+
+    kept = load(arguments.state) if arguments.state else {}
+    drives = _drives(specifications, arguments, kept)
+    faults = _wire_faults(arguments)
+    bus: SerialBus | CanBus
+    wire_time = not arguments.no_wire_time
+    if arguments.can is not None:
+        bus = CanBus(list(drives.values()), wire_time=wire_time, faults=faults)
+    else:
+        bus = SerialBus(list(drives.values()), wire_time=wire_time, echo=arguments.echo, faults=faults)
+    # The signals are taken over before anything is opened, so that all of it is closed again.
+    stop = Stop()
+    stack.callback(stop.close)
+    stack.enter_context(on_signals(stop))
+    place = _open(bus, arguments)
+    stack.callback(place.port.close)
+    clock = Clock()
+    ticks: list[Callable[[int], None]] = []
+    if arguments.log:
+        log = BusLog(bus, arguments.log, _dialects(specifications), anchor_ns=clock.anchor_ns, force=arguments.force)
+        about = {"source": "emulated drives: " + " ".join(arguments.drives), "seed": str(arguments.seed)}
+        stack.callback(log.finish, about)
+        ticks.append(log.tick)
+    if arguments.state:
+        state = StateFile(arguments.state, drives, kept)
+        state.save()
+        stack.callback(state.save)
+        ticks.append(lambda now_ns: state.save())
+
+    def tick(now_ns: int) -> None:
+        for each in ticks:
+            each(now_ns)
+
+    _say_speeds(bus, arguments)
+    # What is there now stays: a full collection over the catalogues would delay a reply by milliseconds.
+    gc.collect()
+    gc.freeze()
+    print(f"listening on {place.port.name}", flush=True)
+    until_ns = None if arguments.duration is None else int(arguments.duration * SECOND_NS)
+    place.serve(clock, stop, until_ns=until_ns, tick=tick)
+    _say_end(bus, faults, place.port.lost)
+
+
+def _drives(
+    specifications: Sequence[Specification], arguments: argparse.Namespace, kept: Mapping[str, Mapping[str, int]]
+) -> dict[str, Drive]:
+    """Return the drives by the names under which they are kept; a second one of a name gets a number."""
+    given = make.start_settings(specifications, make.parse_settings(arguments.settings))
+    delay_ns = None if arguments.reply_delay is None else int(arguments.reply_delay * 1e6)
+    drives: dict[str, Drive] = {}
+    for specification, settings in zip(specifications, given, strict=True):
+        name, number = specification.name, 2
+        while name in drives:
+            name, number = f"{specification.name}#{number}", number + 1
+        whole = dict(kept.get(name, {})) | settings
+        try:
+            drives[name] = make.make(specification, settings=whole, seed=arguments.seed, reply_delay_ns=delay_ns)
+        except UsageError as error:
+            if name in kept:
+                raise UsageError(f"{name}, as {arguments.state} keeps it: {error}") from None
+            raise
+    return drives
+
+
+def _wire_faults(arguments: argparse.Namespace) -> WireFaults | None:
+    rates: dict[str, float] = {}
+    for text in arguments.wire_fault:
+        rates |= parse_rates(text)
+    return WireFaults(rates, arguments.seed) if rates else None
+
+
+def _dialects(specifications: Sequence[Specification]) -> list[Dialect]:
+    """Return what may be spoken on the bus, as the drives' model speaks it where all of a dialect are of one."""
+    names = list(dict.fromkeys(s.dialect.name for s in specifications))
+    # A drive on RS485 can be told to speak the other one.
+    for name, other in (("mks-rs485", "mks-modbus"), ("mks-modbus", "mks-rs485")):
+        if name in names and other not in names:
+            names.append(other)
+    models = {s.model for s in specifications}
+    model = models.pop() if len(models) == 1 else ""
+    found = [registry.get(name) for name in names]
+    return [d.for_model(model) if model in d.models else d for d in found]
+
+
+class _Place(NamedTuple):
+    """A port that is open, and what runs a bus on it."""
+
+    port: SerialPort | CanPort
+    serve: Callable[..., None]
+
+
+def _open(bus: SerialBus | CanBus, arguments: argparse.Namespace) -> _Place:
+    if isinstance(bus, CanBus):
+        from conformance.serve import can
+
+        interface, channel, options = can.parse_endpoint(arguments.can)
+        on_can = can.CanPort(interface, channel, **options)
+        bus.speed = on_can.bitrate
+        return _Place(on_can, partial(can.serve, bus, on_can))
+    from conformance.serve import serial_server
+
+    port = _serial_port(bus, arguments)
+    return _Place(port, partial(serial_server.serve, bus, port))
+
+
+def _serial_port(bus: SerialBus, arguments: argparse.Namespace) -> SerialPort:
+    if arguments.tcp is not None:
+        from conformance.serve.tcp import TcpPort, parse_endpoint
+
+        return TcpPort(*parse_endpoint(arguments.tcp))
+    try:
+        from conformance.serve.pty import PtyPort
+    except ImportError:
+        raise UsageError("this system has no pseudo-terminals; use --tcp HOST:PORT") from None
+    return PtyPort(arguments.pty, speed=bus.stations[0].speed)
+
+
+def _say_speeds(bus: Bus, arguments: argparse.Namespace) -> None:
+    """Say so on standard error where a host cannot reach all drives at one speed."""
+    speeds = {station.name: station.speed for station in bus.stations}
+    listed = ", ".join(f"{name} at {speed}" for name, speed in speeds.items())
+    if arguments.pty is not None and len(set(speeds.values())) > 1:
+        print(f"servotap emulate: drives at different speeds: {listed} (baud=N sets one)", file=sys.stderr)
+    if bus.speed is not None and set(speeds.values()) != {bus.speed}:
+        print(f"servotap emulate: the bus is at {bus.speed}, {listed} (bitrate=N sets one)", file=sys.stderr)
+
+
+def _say_end(bus: Bus, faults: WireFaults | None, lost: int) -> None:
+    """Say on standard error what a user should know of the run."""
+    told = []
+    if bus.collisions:
+        told.append(f"{bus.collisions} collisions")
+    if lost:
+        told.append(f"{lost} bytes or frames that nobody took")
+    if faults is not None:
+        told += [f"{count} x {kind}" for kind, count in faults.struck.items() if count]
+    if told:
+        print(f"servotap emulate: {', '.join(told)}", file=sys.stderr)

@@ -1,0 +1,167 @@
+"""The receiver: what a drive's UART and its firmware do with bytes until a frame is there.
+
+It is eager where the analyzer's framer is careful: a drive acts when the last byte of a frame has arrived, it does not
+wait for what follows. Bytes and times in, frames out; no I/O, no clock.
+
+Rules:
+
+1. Every byte on the line is heard: frames of the host for other drives, replies of other drives, the FC package. Each is
+   stepped over as a whole, so that start bytes inside it are data.
+2. A frame is given on at the time of its last byte.
+3. A known frame whose check does not fit is given on with `checksum_ok` False, unless a frame begins inside it: then that
+   one counts. Where one may still be arriving, the pause decides.
+4. What begins no frame costs one byte. Where two lengths check, one byte apart, the longer one counts.
+5. A pause ends every wait: what is incomplete is dropped, and what is behind it looked at again. Under Modbus it is 3.5
+   characters (1.75 ms above 19200 baud), elsewhere `PAUSE_NS`, the silence that no adapter puts inside a frame.
+6. Bytes that are no known frame are given on at the pause if they are a frame of unknown code: they fill the stretch
+   between two pauses or frames, and head and check fit.
+
+Every frame is given on as a request unless its head says otherwise: a drive does not know who sent it.
+"""
+
+from __future__ import annotations
+
+from analyzer.catalogue import Dialect, Role
+from analyzer.framer import SILENCE_NS
+from analyzer.link import MORE, TIE, ModbusLink
+from analyzer.records import Frame
+
+#: The pause that ends a frame of a dialect without a silence of its own.
+PAUSE_NS = SILENCE_NS
+#: Modbus: characters of silence between frames, and the silence above 19200 baud.
+MODBUS_CHARACTERS = 3.5
+MODBUS_FAST_BAUD = 19200
+MODBUS_FAST_NS = 1_750_000
+#: Bytes that begin no frame and are kept until the pause.
+_KEPT = 512
+
+
+def pause_of(dialect: Dialect, byte_ns: int) -> int:
+    """Return the pause that ends a frame, for bytes of `byte_ns` on the line."""
+    if not isinstance(dialect.link, ModbusLink):
+        return PAUSE_NS
+    fast = byte_ns < 10_000_000_000 // MODBUS_FAST_BAUD
+    return MODBUS_FAST_NS if fast else int(MODBUS_CHARACTERS * byte_ns)
+
+
+class Receiver:
+    """Finds the frames of one dialect in what a drive hears.
+
+    `byte_ns`: the time of a byte at the drive's own speed. `pause_ns`: another pause than the dialect's.
+    """
+
+    def __init__(self, dialect: Dialect, port: str = "bus", *, byte_ns: int, pause_ns: int | None = None) -> None:
+        self.dialect = dialect
+        self.port = port
+        self.byte_ns = byte_ns
+        self.pause_ns = pause_of(dialect, byte_ns) if pause_ns is None else pause_ns
+        self._slicer = dialect.link.slicer(dialect, _expect_nothing)
+        self._buffer = b""  # what has come since the last frame or pause
+        self._times: list[int] = []  # when each byte of the buffer was complete
+        self._at = 0  # what is before it begins no frame
+        self._cut = False  # bytes were dropped from the buffer's beginning
+        self._offset = 0  # bytes heard before the buffer
+        self._last_ns = 0
+
+    def next_ns(self) -> int | None:
+        """Return when a pause will end the wait for more bytes, or None while there is none."""
+        return self._last_ns + self.byte_ns + self.pause_ns if self._buffer else None
+
+    def feed(self, data: bytes, first_ns: int, step_ns: int) -> list[Frame]:
+        """Take bytes, the first complete at `first_ns`, each other one `step_ns` later; return the frames they end."""
+        frames: list[Frame] = []
+        deadline = self.next_ns()
+        if deadline is not None and first_ns > deadline:
+            frames = self.expire(deadline)
+        size = len(data)
+        self._last_ns = first_ns + (size - 1) * step_ns
+        if not self._buffer and self._slicer.look(data, 0, size, False) == size:
+            frames.append(self._frame(data, first_ns, self._last_ns, True))
+            self._offset += size
+            return frames
+        self._buffer += data
+        self._times.extend(range(first_ns, self._last_ns + 1, step_ns) if step_ns else [first_ns] * size)
+        self._scan(frames, False)
+        return frames
+
+    def expire(self, t_ns: int) -> list[Frame]:
+        """Say that nothing came until `t_ns`; return the frames of which that makes an end."""
+        deadline = self.next_ns()
+        frames: list[Frame] = []
+        if deadline is None or t_ns < deadline:
+            return frames
+        buffer = self._buffer
+        if not self._cut and not self._slicer.look(buffer, 0, len(buffer), True) and self._slicer.whole(buffer):
+            self._take(frames, 0, len(buffer), True, deadline)
+        else:
+            self._scan(frames, True, deadline)
+        self.reset()
+        return frames
+
+    def reset(self) -> None:
+        """Forget what is incomplete."""
+        self._offset += len(self._buffer)
+        self._buffer = b""
+        self._times = []
+        self._at = 0
+        self._cut = False
+
+    # --- where frames are -----------------------------------------------------------------------------------------
+
+    def _scan(self, frames: list[Frame], closed: bool, ended_ns: int | None = None) -> None:
+        slicer = self._slicer
+        while self._at < len(self._buffer):
+            at, buffer, end = self._at, self._buffer, len(self._buffer)
+            length = slicer.look(buffer, at, end, closed)
+            if length == TIE:
+                length = slicer.lengths(buffer, at, end)[1]
+            if length > 0:
+                self._take(frames, at, length, True, ended_ns)
+                continue
+            if length == MORE:
+                return
+            damaged = self._damaged(at, closed)
+            if damaged == MORE:
+                return
+            if damaged:
+                self._take(frames, at, damaged, False, ended_ns)
+                continue
+            self._at += 1
+            if self._at > _KEPT:
+                self._drop(self._at)
+                self._cut = True
+
+    def _damaged(self, at: int, closed: bool) -> int:
+        """Return the length of a known frame at `at` whose check does not fit, 0 for none, MORE if that is open."""
+        slicer, buffer, end = self._slicer, self._buffer, len(self._buffer)
+        if not slicer.strong_head and (at or self._cut):
+            return 0
+        length = max((n for n in slicer.damaged(buffer, at, end) if n != MORE), default=0)
+        for start in range(at + 1, at + length):
+            inner = slicer.look(buffer, start, end, closed)
+            if inner:
+                return MORE if inner == MORE else 0
+        return length
+
+    def _take(self, frames: list[Frame], at: int, length: int, good: bool, ended_ns: int | None) -> None:
+        stop = at + length
+        last_ns = self._times[stop - 1] if ended_ns is None else ended_ns
+        first_ns = self._times[at]
+        self._drop(at)
+        frames.append(self._frame(self._buffer[:length], first_ns, last_ns, good))
+        self._drop(length)
+        self._cut = False
+
+    def _drop(self, count: int) -> None:
+        self._buffer = self._buffer[count:]
+        del self._times[:count]
+        self._offset += count
+        self._at = 0
+
+    def _frame(self, data: bytes, first_ns: int, last_ns: int, good: bool) -> Frame:
+        start_ns = first_ns - self.byte_ns
+        return Frame(self.port, start_ns, last_ns, self._offset, data, self.dialect, Role.REQUEST, good)
+
+
+def _expect_nothing(address: int, function: int) -> int:
+    return 0

@@ -1,0 +1,107 @@
+"""The log of an emulated bus: what went over the wire, through the analyzer's own pipeline, into an MCAP file.
+
+The file is complete up to the last second while it is written, and whole after `finish`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import IO
+
+from msgspec.structs import replace
+
+from analyzer import __version__
+from analyzer.catalogue import Dialect
+from analyzer.errors import UsageError
+from analyzer.framer import SILENCE_NS
+from analyzer.pipeline import Options, Pipeline
+from analyzer.sinks.mcap_log import McapLog
+from analyzer.sinks.summary import Summary
+from conformance.drives.bus import Bus, Traffic
+from conformance.drives.uart import BITS, SECOND_NS
+
+_FLUSH_NS = SECOND_NS
+
+
+class BusLog:
+    """Writes what goes over a bus to a file. `anchor_ns`: UTC at the bus's time 0.
+
+    Raises UsageError where the file cannot be written.
+    """
+
+    def __init__(self, bus: Bus, path: str, dialects: Sequence[Dialect], *, anchor_ns: int, force: bool = False) -> None:
+        self.path = Path(path)
+        if self.path.exists() and not force:
+            raise UsageError(f"{path} exists; --force replaces it")
+        try:
+            self._stream: IO[bytes] = self.path.open("wb")
+        except OSError as error:
+            raise UsageError(f"cannot write {path}: {error.strerror}") from None
+        self._bus = bus.name
+        self._dialects = tuple(dialects)
+        self._anchor_ns = anchor_ns
+        speed = bus.stations[0].speed
+        self._speed = speed
+        serial = dialects[0].bus == "serial"
+        options = Options(byte_ns=BITS * SECOND_NS // speed if serial and bus.wire_time else 0)
+        self.summary = Summary()
+        self._log = McapLog(self._stream, byte_ns=options.byte_ns, bit_ns=0 if serial else SECOND_NS // speed)
+        self._pipeline = Pipeline(self._dialects, (self._log, self.summary), options)
+        self._heard_ns = 0
+        self._flushed_ns = 0
+        self._quiet = True
+        self._broken = False
+        bus.watch(self._take)
+
+    def _take(self, traffic: Traffic) -> None:
+        t_ns = traffic.t_ns or 0
+        self._heard_ns = t_ns
+        self._quiet = False
+        with self._writing():
+            self._pipeline.feed(replace(traffic, t_ns=t_ns + self._anchor_ns))
+
+    def tick(self, now_ns: int) -> None:
+        """Write what there is to the file, once a second; end waits for more bytes when the line has been silent."""
+        with self._writing():
+            if not self._quiet and now_ns - self._heard_ns > SILENCE_NS:
+                self._quiet = True
+                self._pipeline.silence(self._bus)
+            if now_ns - self._flushed_ns >= _FLUSH_NS:
+                self._flushed_ns = now_ns
+                self._log.flush()
+
+    def finish(self, about: Mapping[str, str]) -> None:
+        """Write what is left and the metadata, and close the file; it is whole after this."""
+        if self._broken:
+            return
+        with self._writing():
+            self._pipeline.close()
+            speed = {"bit_rate" if self._dialects[0].bus == "can" else "baud": str(self._speed)}
+            self._log.finish(
+                {
+                    "format": "emulated bus",
+                    "dialect": ",".join(d.name for d in self._dialects),
+                    "manual": "; ".join(d.manual for d in self._dialects),
+                    "time_source": "the bus, on a monotonic clock anchored to UTC at the start",
+                    "version": __version__,
+                    "bytes_total": str(sum(port.bytes_in for port in self._pipeline.ports.values())),
+                    "bytes_in_frames": str(self.summary.frame_bytes),
+                    "bytes_junk": str(sum(self.summary.junk_bytes.values())),
+                    "frames": str(self.summary.frames),
+                    "findings": str(sum(self.summary.findings.values())),
+                    **speed,
+                    **about,
+                }
+            )
+            self._stream.close()
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self._broken = True
+            self._log.abandon()
+            raise UsageError(f"cannot write {self.path}: {error.strerror or error}") from None

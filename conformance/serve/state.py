@@ -1,0 +1,85 @@
+"""What drives keep over runs: their settings, as JSON.
+
+    {"servotap": "drives", "version": 1, "drives": {"mks-rs485@1": {"settings": {"work_mode": 5, ...}}}}
+
+A drive is known by how it was named on the command line. The file is replaced as a whole, so that it is never half
+written.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from analyzer.errors import UsageError
+from conformance.drives.drive import Drive
+
+_KIND = "drives"
+_VERSION = 1
+
+
+#: Settings of one drive as sent, by name.
+Settings = Mapping[str, int]
+
+
+def load(path: str) -> dict[str, Settings]:
+    """Return what a file keeps, by the drives' names; nothing where there is no file yet.
+
+    Raises UsageError for a file that is not one of these.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return {}
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"cannot read {path}: {error}") from None
+    try:
+        return _drives(json.loads(text))
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UsageError(f"{path} does not hold the state of drives: {type(error).__name__}: {error}") from None
+
+
+def _drives(whole: Any) -> dict[str, Settings]:
+    if whole["servotap"] != _KIND or whole["version"] != _VERSION:
+        raise ValueError(f"expected servotap {_KIND!r} of version {_VERSION}")
+    return {str(name): {str(n): int(v) for n, v in drive["settings"].items()} for name, drive in whole["drives"].items()}
+
+
+class StateFile:
+    """Keeps the state of drives in a file, whenever it has changed. `drives`: by their names."""
+
+    def __init__(self, path: str, drives: Mapping[str, Drive], others: Mapping[str, Settings]) -> None:
+        self.path = Path(path)
+        self._drives = dict(drives)
+        # Drives that the file knows and this run does not have stay in it.
+        self._others = {name: dict(kept) for name, kept in others.items() if name not in self._drives}
+        self._written = ""
+
+    def save(self) -> None:
+        """Write the file if anything has changed.
+
+        Raises UsageError where it cannot be written.
+        """
+        text = self._text()
+        if text == self._written:
+            return
+        try:
+            handle, name = tempfile.mkstemp(prefix=f".{self.path.name}.", dir=self.path.parent)
+            with os.fdopen(handle, "w", encoding="utf-8") as stream:
+                stream.write(text)
+            umask = os.umask(0)
+            os.umask(umask)
+            os.chmod(name, 0o666 & ~umask)
+            os.replace(name, self.path)
+        except OSError as error:
+            raise UsageError(f"cannot write {self.path}: {error.strerror}") from None
+        self._written = text
+
+    def _text(self) -> str:
+        kept = self._others | {name: dict(drive.settings) for name, drive in self._drives.items()}
+        drives = {name: {"settings": settings} for name, settings in sorted(kept.items())}
+        return json.dumps({"servotap": _KIND, "version": _VERSION, "drives": drives}, indent=2) + "\n"

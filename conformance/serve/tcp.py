@@ -1,0 +1,101 @@
+"""A TCP port as the serial port of emulated drives, for pyserial's `socket://HOST:PORT` and for terminal servers.
+
+Clients come and go; several at once share the line as several hosts would: each hears everything that drives send. There
+is no line speed: it is always right.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import socket
+from collections.abc import Sequence
+
+from analyzer.errors import UsageError
+from analyzer.values import quote
+
+LOOPBACK = "127.0.0.1"
+_ENDPOINT = re.compile(r"(?:(?P<host>\[[0-9A-Fa-f:.%]+\]|[^:\[\]]*):)?(?P<port>\d{1,5})")
+_READ_SIZE = 4096
+
+
+def parse_endpoint(text: str) -> tuple[str, int]:
+    """Return host and port of `HOST:PORT`, `:PORT` or `PORT`; without a host, loopback.
+
+    Raises UsageError for anything else.
+    """
+    match = _ENDPOINT.fullmatch(text.strip())
+    if match is None or int(match["port"]) > 0xFFFF:
+        raise UsageError(f"got {quote(text)}, expected HOST:PORT with a port 0..65535")
+    return (match["host"] or "").strip("[]") or LOOPBACK, int(match["port"])
+
+
+class TcpPort:
+    """A listening TCP port; port 0 takes a free one. Raises UsageError where it cannot listen."""
+
+    def __init__(self, host: str, port: int) -> None:
+        try:
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+            self._listener = socket.create_server(found[4][:2], family=found[0], backlog=8)
+        except OSError as error:
+            raise UsageError(f"cannot listen on {host}:{port}: {error.strerror or error}") from None
+        self._listener.setblocking(False)
+        self.host, self.port = self._listener.getsockname()[:2]
+        self.name = f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
+        self.lost = 0
+        self._clients: dict[int, socket.socket] = {}
+
+    def descriptors(self) -> Sequence[int]:
+        """Return the descriptors of the listener and of each client."""
+        return [self._listener.fileno(), *self._clients]
+
+    def read(self, ready: Sequence[int]) -> bytes:
+        """Take new clients, let go those that have left, and return what the others sent."""
+        data = b""
+        for descriptor in ready:
+            if descriptor == self._listener.fileno():
+                self._accept()
+            elif descriptor in self._clients:
+                data += self._read(descriptor)
+        return data
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            client, _ = self._listener.accept()
+            client.setblocking(False)
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._clients[client.fileno()] = client
+
+    def _read(self, descriptor: int) -> bytes:
+        try:
+            data = self._clients[descriptor].recv(_READ_SIZE)
+        except (BlockingIOError, InterruptedError):
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._clients.pop(descriptor).close()
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send to every client; one that does not read loses what does not fit."""
+        for client in self._clients.values():
+            try:
+                self.lost += len(data) - client.send(data)
+            except OSError:
+                # A client that has gone is noticed when it is read.
+                self.lost += len(data)
+
+    def speed(self) -> int | None:
+        """Return None: there is no line speed, every drive's is right."""
+        return None
+
+    def idle(self) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Close the listener and all clients."""
+        for client in self._clients.values():
+            client.close()
+        self._clients.clear()
+        self._listener.close()
