@@ -90,6 +90,8 @@ class Context:
         self.open: dict[int, list[Request]] = {}
         #: Requests given up without a reply, for replies that come after all.
         self.unanswered: deque[Request] = deque(maxlen=16)
+        #: Moves that a newer one took the place of; if that one was refused, they end after all.
+        self.superseded: deque[Request] = deque(maxlen=8)
         #: Requests to all, newest last.
         self.broadcasts: deque[Request] = deque(maxlen=8)
         self.last_request: Request | None = None

@@ -383,6 +383,7 @@ class ModbusLink(Link):
 
     def parse(self, frame: bytes, can_id: int | None = None) -> Head:
         """Return the head; a read's role is told from its length, since a reply's byte count fills it exactly."""
+        frame = frame or b"\0"
         address, function = frame[0], frame[1] if len(frame) > 1 else 0
         size = len(frame)
         end = max(2, size - 2)

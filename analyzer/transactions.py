@@ -182,6 +182,7 @@ class Transactions:
             for older in list(running):
                 if older.state is State.RUNNING:
                     self._end(older, Outcome.SUPERSEDED)
+                    context.superseded.append(older)
         if not self._expects(message):
             request.outcome = Outcome.SILENT
             if self._is_to_many(message):
@@ -279,6 +280,12 @@ class Transactions:
         """Judge a reply that no open request asked for: late, to a broadcast, a duplicate, or out of the blue."""
         context, frame = self.context, message.frame
         head = frame.dialect.link.parse(frame.data, frame.can.id if frame.can else None)
+        for request in reversed(context.superseded):
+            if request.address == message.address and answers(request, head.function, head.code, message.data):
+                context.superseded.remove(request)
+                latency = max(0, frame.first_ns - request.t_ns) if self._timed else None
+                problem = meaning_of(message, request.command)[1]
+                return Paired(request, latency, issues=(problem,) if problem else ())
         # A duplicate is the very bytes of the last reply; a later one must not be taken for the reply to an older request.
         for request in reversed(context.unanswered):
             if request.address == message.address and answers(request, head.function, head.code, message.data):

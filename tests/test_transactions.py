@@ -60,6 +60,13 @@ def test_a_newer_motion_command_supersedes_without_a_finding():
     assert [e.request_sequence for e in sink.entries] == [None, 1, None, 3, 3]
 
 
+def test_a_move_ends_after_all_where_the_newer_one_was_refused():
+    release, released = sum8("FA 01 3D"), sum8("FB 01 3D 01")
+    sink = serial("mks-rs485", (0, MOVE), (2, MOVE_STARTED), (100, release), (102, released), (500, MOVE_DONE))
+    assert sink.rules == []
+    assert sink.entries[-1].request_sequence == 1
+
+
 def test_a_stop_ends_a_move_with_its_own_replies():
     stop = sum8("FA 01 FD 00 00 02 00 00 00 00")
     sink = serial("mks-rs485", (0, MOVE), (2, MOVE_STARTED), (100, stop), (102, MOVE_STARTED), (300, MOVE_DONE))
