@@ -393,6 +393,10 @@ class Dialect:
         if len(set(names)) != len(names):
             raise ValueError(f"{self.name}: two commands of one name")
 
+    def __repr__(self) -> str:
+        """Return the name: the whole of a dialect fills pages."""
+        return f"Dialect({self.name!r}{f', model={self.model!r}' if self.model else ''})"
+
     @cached_property
     def by_name(self) -> dict[str, Command]:
         """Commands by name."""

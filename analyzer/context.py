@@ -103,7 +103,8 @@ class Context:
         """Return the data bytes of the Modbus read reply that an open request awaits, 0 for none."""
         if function not in READS:
             return 0
-        for request in self.open.get(address, ()):
+        # The newest: an earlier one that still waits was not answered.
+        for request in reversed(self.open.get(address, [])):
             command = request.command
             if command is not None and command.function == function and request.state is State.WAITING:
                 return 2 * (request.message.values.get("quantity", command.quantity) or command.quantity)

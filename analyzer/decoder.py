@@ -37,7 +37,7 @@ class Decoder:
         self._link = dialect.link
         self._head_bytes = dialect.link.deciding_bytes
         #: By head and length; None: such frames have no lane.
-        self._lanes: dict[tuple[bytes | int, int, int], Lane | None] = {}
+        self._lanes: dict[tuple[bytes | int, int, int], Lane | tuple[Lane, Lane] | None] = {}
         self._requests: dict[tuple[int | None, int], list[_Entry]] = {}
         self._replies: dict[tuple[int | None, int], list[_Entry]] = {}
         for command in dialect.commands:
@@ -63,21 +63,22 @@ class Decoder:
             return self._reply(frame, head, data, context)
         return self._request(frame, role, head, data), None
 
-    def lane(self, frame: Frame) -> Lane | None:
-        """Return the lane of a frame, or None if its bytes alone do not decide what it is.
+    def lane(self, frame: Frame, context: Context) -> Lane | None:
+        """Return the lane of a frame, or None if it must be looked at more closely.
 
-        On a bus where a request is open whose reply carries another command's code, the caller must not use it.
+        While a request is open whose reply carries another command's code, the caller must not use it.
         """
         data, can = frame.data, frame.can
         size = len(data)
         key = (data[: self._head_bytes], size, 0) if can is None else (can.id, size, data[0])
         try:
-            return self._lanes[key]
+            lane = self._lanes[key]
         except KeyError:
             lane = self._lanes[key] = self._new_lane(frame) if self._head_bytes else None
-            return lane
+        return _chosen(lane, data, context) if isinstance(lane, tuple) else lane
 
-    def _new_lane(self, frame: Frame) -> Lane | None:
+    def _new_lane(self, frame: Frame) -> Lane | tuple[Lane, Lane] | None:
+        """Return the lane of frames like this; a request's and its reply's, where the two look alike; or None."""
         head = self._link.parse(frame.data, frame.can.id if frame.can is not None else None)
         if head.code is None or head.exception is not None or head.quantity is not None:
             return None
@@ -90,12 +91,15 @@ class Decoder:
             for entry in table.get((head.function, head.code), ())
             if entry[1].layout.fits(size) and not (entry[1].needs_request and entry[1].code is not None)
         ]
-        if len(fitting) != 1:
-            return None
-        role, (command, form, coder) = fitting[0]
-        if command.slots is not None or coder.fixed or form.needs_request or form.layout.open_ended:
-            return None
-        return Lane(self.dialect, role, head.address, command, form, head.start, head.stop)
+        lanes = []
+        for role, (command, form, coder) in fitting:
+            if command.slots is not None or coder.fixed or form.needs_request or form.layout.open_ended:
+                return None
+            lanes.append(Lane(self.dialect, role, head.address, command, form, head.start, head.stop))
+        if len(lanes) == 1:
+            return lanes[0]
+        alike = len(lanes) == 2 and lanes[0].is_request and not lanes[1].is_request
+        return (lanes[0], lanes[1]) if alike and lanes[0].command is lanes[1].command else None
 
     # --- who sent it ----------------------------------------------------------------------------------------------
 
@@ -308,6 +312,18 @@ def slot_fields(slot: Slot) -> dict[str, Any]:
     else:
         shown["raw"] = slot.data.hex(" ").upper()
     return shown
+
+
+def _chosen(lanes: tuple[Lane, Lane], data: bytes, context: Context) -> Lane | None:
+    """Tell a request from its reply where the two look alike, as far as it is plain: by the one open request."""
+    request, reply = lanes
+    own = data[request.start : request.stop]
+    waiting = context.open.get(request.address)
+    if not waiting:
+        return request if request.sound is None or request.sound(own) else None
+    if len(waiting) == 1 and waiting[0].command is reply.command and (reply.sound is None or reply.sound(own)):
+        return reply
+    return None
 
 
 def _first(entries: list[_Entry] | tuple[_Entry, ...], data: bytes) -> _Entry | None:

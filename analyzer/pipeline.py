@@ -9,7 +9,7 @@ not grow with the input.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
@@ -169,15 +169,13 @@ class Pipeline:
         """Say that nothing more belongs to what came on a port so far."""
         port = self.ports.get(name)
         if port is not None and port.framer is not None:
-            for event in port.framer.silence():
-                self._event(port, event)
+            self._take(port, port.framer.silence())
 
     def close(self) -> None:
         """End the input: what waits is decided, open requests are given up."""
         for port in self.ports.values():
             if port.framer is not None:
-                for event in port.framer.close():
-                    self._event(port, event)
+                self._take(port, port.framer.close())
             for late in port.transactions.close():
                 self._late(port, late)
 
@@ -189,17 +187,15 @@ class Pipeline:
         if chunk.t_ns is None:
             port.clock_ns += len(chunk.data) * self.options.synthetic_byte_ns
             chunk = Chunk(port.clock_ns, chunk.port, chunk.data, chunk.direction, chunk.burst)
-        for event in port.framer.feed(chunk):
+        self._take(port, port.framer.feed(chunk))
+
+    def _take(self, port: Port, events: Iterator[Frame | Junk]) -> None:
+        """Take the framer's events one at a time: each may change what it makes of the next."""
+        for event in events:
             if isinstance(event, Frame):
                 self._frame(port, event)
             else:
                 self._junk(port, event)
-
-    def _event(self, port: Port, event: Frame | Junk) -> None:
-        if isinstance(event, Frame):
-            self._frame(port, event)
-        else:
-            self._junk(port, event)
 
     # --- CAN ------------------------------------------------------------------------------------------------------
 
@@ -230,7 +226,7 @@ class Pipeline:
         context = port.context
         decoder = port.decoders[frame.dialect.name]
         if frame.checksum_ok and not context.borrowed:
-            lane = decoder.lane(frame)
+            lane = decoder.lane(frame, context)
             if (
                 lane is not None
                 and (lane.sound is None or lane.sound(frame.data[lane.start : lane.stop]))
@@ -259,8 +255,10 @@ class Pipeline:
         latency_ns = asked_by = None
         if not lane.topic:
             lane.topic = port.topic(lane.message(frame))
+        if frame.role is not Role.UNKNOWN and frame.role is not lane.role:
+            return False
         if lane.is_request:
-            if frame.role is Role.REPLY or not port.transactions.plain_request(lane, frame, sequence):
+            if not port.transactions.plain_request(lane, frame, sequence):
                 return False
         else:
             request = port.transactions.plain_reply(lane, frame)

@@ -184,7 +184,8 @@ def decode(path: str, target: Path, arguments: argparse.Namespace) -> Summary:
 
 
 def _decode(path: str, target: Path, reading: Reading, arguments: argparse.Namespace) -> Summary:
-    with contextlib.closing(reading.source):
+    # From before the log exists to when it is whole, Ctrl-C ends the reading and nothing else.
+    with contextlib.closing(reading.source), Interrupt() as interrupt:
         output = _Output(target, arguments.force)
         options = reading.options
         sinks = _Sinks(reading, output)
@@ -192,7 +193,7 @@ def _decode(path: str, target: Path, reading: Reading, arguments: argparse.Names
         stopped = ""
         try:
             try:
-                with progress(reading.source, f"decoding {reading.source.name}"), Interrupt() as interrupt:
+                with progress(reading.source, f"decoding {reading.source.name}"):
                     for item in interrupt.items(reading):
                         pipeline.feed(item)
                 if interrupt.asked:
