@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from analyzer.catalogue import Command, Form, Role
@@ -20,7 +20,7 @@ from tests.drives.lk_bench import Bench
 
 ADDRESS = 3
 READ = bytes.fromhex("3E 9C 03 00 DD")
-EXAMPLES = settings(max_examples=300, deadline=None)
+EXAMPLES = settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
 
 
 @st.composite
@@ -66,7 +66,8 @@ def sequences(draw: st.DrawFn) -> tuple[str, list[Any]]:
     )
     spoil = st.none() | st.integers(0, 17)
     step = st.one_of(st.tuples(requests(model), spoil), st.tuples(requests(model), st.none()), wait, scenario)
-    return model, draw(st.lists(step, max_size=25))
+    # 300 examples, about half of their steps requests: more than ten thousand.
+    return model, draw(st.lists(step, min_size=70, max_size=90))
 
 
 @EXAMPLES

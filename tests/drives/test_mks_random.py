@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from analyzer import dialects
@@ -89,14 +89,15 @@ def forbidden(dialect, data, address, can_id):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_random_requests(name, data):
     model = data.draw(st.sampled_from(["", *dialects.get(name).models]))
     mode = data.draw(st.sampled_from([5, 5, 4, 3, 2]))
     rig = Rig(name, model=model, mode=mode, group_address=80)
     rig.drive.place_switch("left", -3000)
-    for _ in range(data.draw(st.integers(1, 8))):
+    # 300 examples of 34 requests at least: more than ten thousand a dialect.
+    for _ in range(data.draw(st.integers(34, 40))):
         drive = rig.drive
         dialect = drive.dialect
         if data.draw(st.integers(0, 3)) == 0:
