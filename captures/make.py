@@ -248,6 +248,10 @@ def by_library(name: str, ending: str, target: Path) -> None:
                 timestamp=t / 1e9, arbitration_id=identifier, data=data, is_extended_id=False, channel=0, is_rx=True
             )
             writer(message)
+    if ending == ".trc":
+        # The writer puts the whole path of this machine into the head of the file.
+        path = target.with_suffix(ending)
+        path.write_bytes(path.read_bytes().replace(str(path.resolve()).encode(), path.name.encode()))
 
 
 # --- everything ---------------------------------------------------------------------------------------------------
