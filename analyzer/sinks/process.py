@@ -2,7 +2,7 @@
 
     pipeline -> SinkProcess | pipe | worker -> sinks
 
-What goes through the pipe is a stream of records, each a tag byte first:
+What goes through the pipe are batches, each its length first; a batch is a row of records, each a tag byte first:
 
     P  a frame of a lane: a fixed head, then the frame's bytes
     O  anything else: a length, then a pickle in which dialects, commands and forms are numbers of a table that both
@@ -188,7 +188,8 @@ class SinkProcess:
             self._flush()
 
     def _flush(self) -> None:
-        view = memoryview(b"".join(self._parts))
+        batch = b"".join(self._parts)
+        view = memoryview(len(batch).to_bytes(4, "little") + batch)
         self._parts.clear()
         self._size = 0
         try:
@@ -222,25 +223,33 @@ def _serve(stream: IO[bytes], answers: int, table: _Table, sinks: Sequence[Sink]
     plain_sinks = [s.plain for s in sinks if isinstance(s, PlainSink)]
     others = [s for s in sinks if not isinstance(s, PlainSink)]
     lanes: list[tuple[Lane, Dialect, str, CanFrame | None]] = []
-    read = stream.read
-    rest = _HEAD.size - 1
-    unpack = struct.Struct("<HQqqQqqH").unpack
-    while True:
-        tag = read(1)
-        if tag == _PLAIN:
-            number, sequence, first_ns, last_ns, offset, latency, asked_by, size = unpack(read(rest))
-            lane, dialect, port, can = lanes[number]
-            role = Role.UNKNOWN
-            frame = Frame(port, first_ns, last_ns, offset, read(size), dialect, role, True, can)
-            latency_ns = None if latency < 0 else latency
-            request = None if asked_by < 0 else asked_by
-            for plain in plain_sinks:
-                plain(lane, frame, sequence, latency_ns, request)
-            for sink in others:
-                first = not lane.is_request
-                sink.entry(Entry(lane.message(frame), sequence, lane.topic, (), latency_ns, request, first))
-        elif tag == _OTHER:
-            what, arguments = _Unpickler(io.BytesIO(read(int.from_bytes(read(4), "little"))), table).load()
+    head, plain_tag, other_tag = _HEAD.size, _PLAIN[0], _OTHER[0]
+    unpack = struct.Struct("<xHQqqQqqH").unpack_from
+    role = Role.UNKNOWN
+    while size := stream.read(4):
+        batch = stream.read(int.from_bytes(size, "little"))
+        at, end = 0, len(batch)
+        while at < end:
+            if batch[at] == plain_tag:
+                number, sequence, first_ns, last_ns, offset, latency, asked_by, length = unpack(batch, at)
+                lane, dialect, port, can = lanes[number]
+                at += head
+                data = batch[at : at + length]
+                at += length
+                frame = Frame(port, first_ns, last_ns, offset, data, dialect, role, True, can)
+                latency_ns = None if latency < 0 else latency
+                request = None if asked_by < 0 else asked_by
+                for plain in plain_sinks:
+                    plain(lane, frame, sequence, latency_ns, request)
+                for sink in others:
+                    first = not lane.is_request
+                    sink.entry(Entry(lane.message(frame), sequence, lane.topic, (), latency_ns, request, first))
+                continue
+            assert batch[at] == other_tag  # there are no others
+            length = int.from_bytes(batch[at + 1 : at + 5], "little")
+            at += 5
+            what, arguments = _Unpickler(io.BytesIO(batch[at : at + length]), table).load()
+            at += length
             if what == "lane":
                 lanes.append(_lane(*arguments))
             elif what == "call":
@@ -249,8 +258,6 @@ def _serve(stream: IO[bytes], answers: int, table: _Table, sinks: Sequence[Sink]
             else:
                 for sink in sinks:
                     getattr(sink, what)(*arguments)
-        else:
-            return
 
 
 def _lane(about: tuple[Any, ...], port: str, can_id: int | None) -> tuple[Lane, Dialect, str, CanFrame | None]:
