@@ -25,6 +25,7 @@ Not known here: whether bytes that check are a frame. Where that is doubtful, `a
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
@@ -89,7 +90,7 @@ class Part(NamedTuple):
     text: str
 
 
-class Slicer:
+class Slicer(ABC):
     """Finds the frames of one dialect in a stream of bytes. One instance per port.
 
     `heads`: values of the first byte of a frame. `starts`: a regular expression for places where a frame may begin.
@@ -103,16 +104,16 @@ class Slicer:
     strong_check = False
     longest = 64
 
+    @abstractmethod
     def look(self, buffer: bytes, at: int, end: int, closed: bool) -> int:
         """Return the length of the frame at `at` whose check fits, 0 for none, `MORE` if bytes are wanting, or `TIE`.
 
         `end`: where the bytes end; `closed`: no more will follow.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def lengths(self, buffer: bytes, at: int, end: int) -> list[int]:
         """Return all lengths at which a frame at `at` checks, in ascending order, then `MORE` if bytes are wanting."""
-        raise NotImplementedError
 
     def preferred(self, buffer: bytes, at: int, lengths: Sequence[int]) -> int:
         """Return which of several lengths that check an open request awaits, 0 if none does."""
@@ -135,43 +136,43 @@ class Slicer:
         return []
 
 
-class Link:
+class Link(ABC):
     """How frames of a dialect are delimited and checked. Subclasses are immutable."""
 
     kind = "serial"
     #: Bytes at the beginning that, with the length, tell address and code; 0 where the bytes alone never do.
     deciding_bytes = 0
 
+    @abstractmethod
     def slicer(self, dialect: Dialect, expects: Callable[[int, int], int]) -> Slicer:
         """Return a slicer for the commands of `dialect`.
 
         `expects(address, function)`: data bytes of the reply that an open request awaits, 0 for none.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def parse(self, frame: bytes, can_id: int | None = None) -> Head:
         """Return the head of a complete frame."""
-        raise NotImplementedError
 
+    @abstractmethod
     def checks(self, frame: bytes, can_id: int | None = None) -> tuple[Check, ...]:
         """Return the checks of a complete frame, in the order in which they stand."""
-        raise NotImplementedError
 
     def fits(self, frame: bytes, can_id: int | None = None) -> bool:
         """Say whether every check of a complete frame fits."""
         return all(check.ok for check in self.checks(frame, can_id))
 
+    @abstractmethod
     def build(self, command: Command, form: Form, address: int, data: bytes, role: Role) -> bytes:
         """Return the bytes of a frame; on CAN its data bytes."""
-        raise NotImplementedError
 
+    @abstractmethod
     def parts(self, frame: bytes, can_id: int | None = None) -> tuple[Part, ...]:
         """Return what the bytes of the head are."""
-        raise NotImplementedError
 
+    @abstractmethod
     def completed(self, body: bytes, can_id: int | None = None) -> bytes:
         """Return a frame that lacks its last check with that check added."""
-        raise NotImplementedError
 
 
 def _codes(dialect: Dialect, role: Role) -> dict[int, set[int]]:

@@ -15,6 +15,7 @@ Quirks and faults change a drive at named places, and nowhere else; see `Hooks`.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -93,7 +94,7 @@ class Fault:
     install: Callable[[Hooks], None]
 
 
-class Drive:
+class Drive(ABC):
     """The base of all emulated drives: what does not depend on the dialect.
 
     `settings`: what is stored, by the setting command's field names, integers as sent (`work_mode`, `current`, ...).
@@ -125,18 +126,18 @@ class Drive:
         for change in changes:
             change.install(self.hooks)
 
+    @abstractmethod
     def receive(self, frame: Frame, t_ns: int) -> list[Outgoing]:
         """Take a frame that is complete at `t_ns`, also one that is damaged or not for this drive; return replies."""
-        raise NotImplementedError
 
+    @abstractmethod
     def advance(self, t_ns: int) -> list[Outgoing]:
         """Let time pass until `t_ns`; return what the drive sends by itself (completion replies)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def next_ns(self) -> int | None:
         """Return when the drive will do something by itself, or None while nothing is under way."""
-        raise NotImplementedError
 
+    @abstractmethod
     def power_cycle(self, t_ns: int) -> None:
         """Switch the drive off and on: what is in RAM is gone, what happens at power-on happens."""
-        raise NotImplementedError
