@@ -416,14 +416,17 @@ class Dialect:
         return result
 
     def for_model(self, model: str) -> Dialect:
-        """Return this dialect as one model speaks it.
+        """Return this dialect as one model speaks it, the same object each time.
 
         Raises ValueError for a model the dialect does not have.
         """
         if model not in self.models:
             raise ValueError(f"{self.name} has no model {model!r}; it has {', '.join(self.models) or 'none'}")
-        commands = tuple(c.for_model(model) for c in self.commands if not c.models or model in c.models)
-        return replace(self, commands=commands, model=model)
+        made: dict[str, Dialect] = self.__dict__.setdefault("_made", {})
+        if model not in made:
+            commands = tuple(c.for_model(model) for c in self.commands if not c.models or model in c.models)
+            made[model] = replace(self, commands=commands, model=model)
+        return made[model]
 
 
 def all_fields(forms: tuple[Form, ...]) -> dict[str, Field]:

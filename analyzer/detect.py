@@ -83,6 +83,18 @@ def _try(dialects: Sequence[Dialect], sample: Sequence[Chunk | CanFrame]) -> _Ta
     return tally
 
 
+def weigh(dialect: Dialect, sample: Sequence[Chunk | CanFrame]) -> Evidence:
+    """Return what one dialect explains of a sample."""
+    tally = _try([dialect], sample)
+    return Evidence(
+        dialect,
+        tally.frames.get(dialect.name, 0),
+        tally.good_bytes.get(dialect.name, 0),
+        sum(len(item.data) for item in sample),
+        tally.findings,
+    )
+
+
 def choose(candidates: Sequence[Dialect], items: Sequence[Chunk | CanFrame | Comment]) -> Choice:
     """Return the dialects that a sample is in; without any evidence, all candidates of its kind of bus."""
     sample = [item for item in items if not isinstance(item, Comment)]
@@ -91,18 +103,7 @@ def choose(candidates: Sequence[Dialect], items: Sequence[Chunk | CanFrame | Com
     total = sum(len(item.data) for item in sample)
     if len(fitting) == 1:
         return Choice(tuple(fitting), (), f"the only dialect for {kind} buses")
-    evidence = []
-    for dialect in fitting:
-        tally = _try([dialect], sample)
-        evidence.append(
-            Evidence(
-                dialect,
-                tally.frames.get(dialect.name, 0),
-                tally.good_bytes.get(dialect.name, 0),
-                total,
-                tally.findings,
-            )
-        )
+    evidence = [weigh(dialect, sample) for dialect in fitting]
     # A stable sort: of dialects that explain the same, the one listed first wins.
     evidence.sort(key=lambda e: -e.good_bytes)
     if not evidence or evidence[0].share < _LEAST:

@@ -31,7 +31,7 @@ DEFAULT_BITRATE = 500_000
 PARITIES: Mapping[str, str] = {"none": "N", "even": "E", "odd": "O", "N": "N", "E": "E", "O": "O"}
 _NAMED = re.compile(r"(?P<name>[A-Za-z0-9_.-]+)=(?P<rest>(?:serial|tcp|can):.*)", re.DOTALL)
 _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
-_HOST_PORT = re.compile(r"(?P<host>\[[0-9A-Fa-f:.%]+\]|[^:\[\]]+)?:?(?P<port>\d{1,5})")
+_HOST_PORT = re.compile(r"(?:(?P<host>\[[0-9A-Fa-f:.%]+\]|[^:\[\]]*):)?(?P<port>[0-9]{1,5})")
 _EXPECTED = (
     "expected serial:PORT,baud=N, tcp:HOST:PORT or can:INTERFACE:CHANNEL,bitrate=N, "
     "as in serial:/dev/ttyUSB0,baud=38400"
@@ -169,7 +169,7 @@ def _serial(text: str, place: str, options: dict[str, str]) -> Endpoint:
         raise UsageError(f"{quote(text)}: direction: got {quote(direction)}, expected request or reply")
     baud = options.pop("baud", None)
     auto = baud == "auto"
-    speed = None if auto or baud is None else _speed(text, "baud", baud)
+    speed = None if auto or baud is None else _speed(text, "baud", baud, "bits per second or auto")
     _refuse_rest(text, options, ("baud", "parity", "stop", "serial", "direction"))
     return Endpoint(
         text, "serial", place, "", speed, auto, PARITIES[parity], int(stop), adapter, Role(direction)
@@ -194,6 +194,9 @@ def _can(text: str, place: str, options: dict[str, str]) -> Endpoint:
     interface, colon, channel = place.partition(":")
     if not colon or not interface or not channel:
         raise UsageError(f"{quote(text)}: got {quote(place)}, expected can:INTERFACE:CHANNEL, as in can:socketcan:can0")
+    for taken in ("interface", "channel"):
+        if taken in options:
+            raise UsageError(f"{quote(text)}: {taken} stands before the options, expected can:INTERFACE:CHANNEL")
     rate = options.pop("bitrate", None)
     speed = None if rate is None else _speed(text, "bitrate", rate)
     rest = {key: _value(value) for key, value in options.items()}
@@ -203,13 +206,12 @@ def _can(text: str, place: str, options: dict[str, str]) -> Endpoint:
 _KINDS = {"serial": _serial, "tcp": _tcp, "can": _can}
 
 
-def _speed(text: str, name: str, value: str) -> int:
+def _speed(text: str, name: str, value: str, wanted: str = "bits per second") -> int:
     try:
         speed = int(value)
     except ValueError:
         speed = 0
     if not 0 < speed <= 100_000_000:
-        wanted = "bits per second or auto" if name == "baud" else "bits per second"
         raise UsageError(f"{quote(text)}: {name}: got {quote(value)}, expected {wanted}")
     return speed
 

@@ -1,9 +1,9 @@
 """Rules: what can be wrong on a bus, each with an id, a severity and what it means.
 
 A rule is a row here, and a small condition where the fact is at hand: what the bytes of one frame break stands in the
-catalogue (`analyzer.codec`, `analyzer.decoder`), what the course of an exchange breaks in `analyzer.transactions`, and
-what a frame is as such in `of_frame` below. All speak in the ids of this table, so that reports, filters and the
-conformance suite have one list.
+catalogue (`analyzer.codec`, `analyzer.decoder`), what the course of an exchange breaks in `analyzer.transactions`, what
+happened to a recording in `analyzer.events`, and what a message is as such in `of_message` below. All speak in the ids of
+this table, so that reports, filters and the conformance suite have one list.
 """
 
 from __future__ import annotations
@@ -59,6 +59,16 @@ RULES: dict[str, Rule] = {
         Rule("host_echo", _I, "the host's own bytes once more: an adapter or a wiring that echoes"),
         Rule("can_error_frame", _E, "a CAN error frame"),
         Rule("foreign_can_frame", _W, "a CAN frame that cannot be of the dialect: its identifier, type or length"),
+        Rule("port_lost", _W, "a port was gone while it was recorded: what passes from here on is not in the log"),
+        Rule("port_back", _W, "a port was taken up again: the gap, with its times"),
+        Rule("overrun", _W, "counters of the serial driver rose: bytes came faster than they were taken, or were damaged"),
+        Rule("dropped", _E, "bytes or frames came in and are not in the log: no room in the kernel, in memory, on the disk"),
+        Rule("bus_error", _W, "trouble of a CAN bus as a whole; bus off counts as error"),
+        Rule("clock_step", _I, "the wall clock was set, or the machine slept; the log's times do not follow"),
+        Rule("restarted", _W, "a process of the recording died and was started again"),
+        Rule("log_stalled", _W, "the log could not be written for a time, as on a full disk; nothing of it is lost by that"),
+        Rule("spool_damaged", _E, "what a reader had stored beside the log cannot be read"),
+        Rule("decoder_fault", _E, "the decoder failed on some bytes: a fault of this program; the bytes are in /<bus>/raw"),
     )
 }
 

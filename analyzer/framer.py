@@ -29,9 +29,9 @@ from __future__ import annotations
 
 import re
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from analyzer.catalogue import Command, Dialect, Role
 from analyzer.codec import Codec, codec
@@ -55,6 +55,11 @@ GLITCHES = frozenset((0x00, 0x80, 0xC0, 0xE0, 0xF0, 0xF8, 0xFC, 0xFE, 0xFF))
 BOUNDARY = 1
 
 _Look = Callable[[bytes, int, int, bool], int]
+#: What of a framer is not given by its dialects.
+_STATE = (
+    "_buffer", "_base", "_at", "_junk_from", "_known", "_step", "_bursts", "_firm", "_marks", "_direction", "_last_ns",
+    "_timed",
+)  # fmt: skip
 
 
 class _Mark(NamedTuple):
@@ -69,7 +74,8 @@ class Framer:
     """Frames the bytes of one port.
 
     `dialects`: all that may be on the wire. `byte_ns`: time of one byte on the wire, 0 where the speed is unknown (then
-    all bytes of a chunk have its time). `silence_ns`: a pause longer than this ends every wait.
+    all bytes of a chunk have its time). `silence_ns`: a pause longer than this ends every wait. `offset`: bytes of the port
+    that came before the first one here.
     """
 
     def __init__(
@@ -80,6 +86,7 @@ class Framer:
         *,
         byte_ns: int = 0,
         silence_ns: int = SILENCE_NS,
+        offset: int = 0,
     ) -> None:
         self.port = port
         self.dialects = tuple(dialects)
@@ -100,13 +107,13 @@ class Framer:
         self._byte_ns = byte_ns
         self._silence_ns = silence_ns
         self._buffer = b""
-        self._base = 0  # offset of the buffer's first byte on the port
+        self._base = offset  # offset of the buffer's first byte on the port
         self._at = 0  # where the framer stands in the buffer
         self._junk_from = 0  # junk is buffer[_junk_from:_at]
         self._known = 0  # length of the frame at _at, 0 if not asked yet
-        self._step = 0  # offset on the port where the last frame ends, or a boundary behind it
-        self._bursts: deque[int] = deque((0,))  # offsets on the port where a burst begins or ends, ascending
-        self._firm: set[int] = {0}  # those of them that are no mere pause
+        self._step = offset  # offset on the port where the last frame ends, or a boundary behind it
+        self._bursts: deque[int] = deque((offset,))  # offsets on the port where a burst begins or ends, ascending
+        self._firm: set[int] = {offset}  # those of them that are no mere pause
         self._marks: deque[_Mark] = deque()
         self._direction = Role.UNKNOWN
         self._last_ns = 0
@@ -116,6 +123,18 @@ class Framer:
     def waiting(self) -> int:
         """Bytes that are held back because what follows could change what they are."""
         return len(self._buffer) - self._junk_from
+
+    @property
+    def pending(self) -> bytes:
+        """The bytes that are held back."""
+        return self._buffer[self._junk_from :]
+
+    @property
+    def between(self) -> bool:
+        """No frame is half-way: nothing is held back, or whole frames alone, for what follows them."""
+        if not self.waiting:
+            return True
+        return self._junk_from == self._at and self._known > BOUNDARY and self._at + self._known == len(self._buffer)
 
     def feed(self, chunk: Chunk) -> Iterator[Frame | Junk]:
         """Take a chunk; yield the frames and the junk that are certain by now.
@@ -165,6 +184,15 @@ class Framer:
         self._firm = {self._base}
 
     close = silence
+
+    def state(self) -> dict[str, Any]:
+        """Return what was seen so far, as plain values and records, for `restore`."""
+        return {name: getattr(self, name) for name in _STATE}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on where another framer of the same dialects stood. Raises KeyError for a state that is not whole."""
+        for name in _STATE:
+            setattr(self, name, state[name])
 
     def _add_burst(self, offset: int) -> None:
         """Note a boundary; offsets come in ascending order."""

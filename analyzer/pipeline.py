@@ -1,28 +1,37 @@
-"""The pipeline: chunks and CAN frames in, entries, junk and findings out to the sinks.
+"""The pipeline: chunks, CAN frames and events in, entries, junk and findings out to the sinks.
 
     source -> framer -> decoder -> transactions -> findings -> sinks
 
 One `Port` per bus holds its framer, context and transactions; the pipeline numbers what comes out (one count for the
 whole log) and hands it on in order. It does no I/O: sinks do. Nothing is kept but the state of each port, so memory does
 not grow with the input.
+
+What comes out depends on what is fed alone, never on when: a recording that is decoded while it runs and its log that is
+decoded again give the same.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, Protocol, runtime_checkable
 
 import msgspec
 
+from analyzer import events
 from analyzer.catalogue import Dialect, Role
-from analyzer.context import Context
-from analyzer.decoder import Decoder
 from analyzer.errors import UsageError
 from analyzer.findings import Issue, finding, is_plain, of_junk, of_message
-from analyzer.framer import SILENCE_NS, Framer
-from analyzer.records import CanFrame, Chunk, Comment, Finding, Frame, Junk, Lane, Message
-from analyzer.transactions import Late, Transactions
+from analyzer.port import Options, Port, PortSetup, topic_name, usual_setup
+from analyzer.records import CanFrame, Chunk, Comment, Event, Finding, Frame, Junk, Lane, Message, Silence
+from analyzer.transactions import Late
+
+__all__ = [
+    "CAN_ID_LIMIT", "CAN_OVERHEAD_BITS", "Entry", "EventSink", "Item", "Options", "Pipeline", "PlainSink", "Port",
+    "PortSetup", "Sink", "topic_name",
+]  # fmt: skip
+
+#: What can be fed.
+Item = Chunk | CanFrame | Comment | Silence | Event
 
 #: Data bits of a CAN frame besides its payload, for made-up times: standard frame with its gap.
 CAN_OVERHEAD_BITS = 47
@@ -68,91 +77,58 @@ class PlainSink(Protocol):
         """Take a frame; a reply is its request's first and has that request's sequence."""
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
-    """What a user can choose.
+@runtime_checkable
+class EventSink(Protocol):
+    """A sink that takes events, too; a finding about one follows."""
 
-    `byte_ns`: time of one byte on the line, 0 if unknown; `synthetic_byte_ns` and `synthetic_bit_ns` make up the times of
-    a capture that has none (serial bytes, CAN bits), and with `timed` False no latency is told from them.
-    """
-
-    byte_ns: int = 0
-    synthetic_byte_ns: int = 10_000_000_000 // 38400
-    synthetic_bit_ns: int = 2000
-    timed: bool = True
-    late_ns: int = 1_000_000_000
-    silence_ns: int = SILENCE_NS
-    groups: frozenset[int] = field(default_factory=frozenset)
-
-
-def topic_name(text: str) -> str:
-    """Return a text as one part of a topic: letters, digits, `_`, `-` and `.`; anything else becomes `_`."""
-    cleaned = "".join(c if (c.isascii() and c.isalnum()) or c in "_-." else "_" for c in text.strip())
-    return cleaned or "bus"
-
-
-class Port:
-    """One bus: its framer (serial), decoders, context and transactions."""
-
-    def __init__(self, name: str, dialects: Sequence[Dialect], options: Options) -> None:
-        self.name = name
-        self.bus = topic_name(name)
-        self.context = Context(options.groups)
-        self.decoders = {d.name: Decoder(d) for d in dialects}
-        serial = [d for d in dialects if d.bus == "serial"]
-        self.can = [d for d in dialects if d.bus == "can"]
-        self.framer = (
-            Framer(name, serial, self.context, byte_ns=options.byte_ns, silence_ns=options.silence_ns)
-            if serial
-            else None
-        )
-        self.transactions = Transactions(
-            self.context, late_ns=options.late_ns, half_duplex=bool(serial), timed=options.timed
-        )
-        self.clock_ns = 0
-        self.bytes_in = 0
-        self._request_topics: dict[tuple[int, str], str] = {}
-        self._reply_topics: dict[tuple[int, str], str] = {}
-
-    def topic(self, message: Message) -> str:
-        """Return the topic of a message."""
-        command, role = message.command, message.role
-        if command is None or role is Role.UNKNOWN:
-            return f"/{self.bus}/unknown"
-        topics = self._request_topics if role is Role.REQUEST else self._reply_topics
-        key = (message.address, command.name)
-        known = topics.get(key)
-        if known is None:
-            who = "all" if command.slots is not None else str(message.address)
-            known = topics[key] = f"/{self.bus}/{who}/{command.name}/{role}"
-        return known
+    def happened(self, event: Event, sequence: int) -> None:
+        """Take an event."""
 
 
 class Pipeline:
-    """Decodes what it is fed and passes it to `sinks`. `dialects`: all that may be on the buses."""
+    """Decodes what it is fed and passes it to `sinks`.
 
-    def __init__(self, dialects: Sequence[Dialect], sinks: Sequence[Sink], options: Options | None = None) -> None:
+    `dialects`: all that may be on the buses. `ports`: buses of which more is known. `on_setup`: asked what a bus is set up
+    for when an event says how it is to be read; None where events say nothing.
+    """
+
+    def __init__(
+        self,
+        dialects: Sequence[Dialect],
+        sinks: Sequence[Sink],
+        options: Options | None = None,
+        *,
+        ports: Mapping[str, PortSetup] | None = None,
+        on_setup: Callable[[Event], PortSetup | None] | None = None,
+    ) -> None:
         self.dialects = tuple(dialects)
         self.sinks = tuple(sinks)
         self.options = options or Options()
         # A sink may take frames that are in order as they are, without an entry being built for it.
         self._plain_sinks = [s.plain for s in self.sinks if isinstance(s, PlainSink)]
         self._entry_sinks = [s for s in self.sinks if not isinstance(s, PlainSink)]
+        self._event_sinks = [s for s in self.sinks if isinstance(s, EventSink)]
+        self._setups = dict(ports or {})
+        self._on_setup = on_setup
         self.ports: dict[str, Port] = {}
         self.sequence = 0
 
-    def run(self, items: Iterable[Chunk | CanFrame | Comment]) -> None:
+    def run(self, items: Iterable[Item]) -> None:
         """Feed all items, then close."""
         for item in items:
             self.feed(item)
         self.close()
 
-    def feed(self, item: Chunk | CanFrame | Comment) -> None:
+    def feed(self, item: Item) -> None:
         """Take the next item of the source."""
-        if isinstance(item, CanFrame):
-            self._feed_can(self._port(item), item)
-        elif isinstance(item, Chunk):
+        if isinstance(item, Chunk):
             self._feed_chunk(self._port(item), item)
+        elif isinstance(item, CanFrame):
+            self._feed_can(self._port(item), item)
+        elif isinstance(item, Silence):
+            self.silence(item.port)
+        elif isinstance(item, Event):
+            self._feed_event(item)
         else:
             for sink in self.sinks:
                 sink.comment(item)
@@ -161,9 +137,18 @@ class Pipeline:
         """Return the port of an item, its bytes counted."""
         port = self.ports.get(item.port)
         if port is None:
-            port = self.ports[item.port] = Port(item.port, self.dialects, self.options)
+            setup = self._setups.get(item.port) or usual_setup(self.dialects)
+            port = self.ports[item.port] = Port(item.port, setup, self.options)
         port.bytes_in += len(item.data)
         return port
+
+    def set_up(self, name: str, setup: PortSetup) -> None:
+        """Say what a bus is to be read as from here on; what waits on it is decided first."""
+        port = self.ports.get(name)
+        if port is None:
+            self.ports[name] = Port(name, setup, self.options)
+        elif port.setup.dialects != setup.dialects or port.setup.byte_ns != setup.byte_ns:
+            self._take(port, port.change(setup))
 
     def silence(self, name: str) -> None:
         """Say that nothing more belongs to what came on a port so far."""
@@ -178,6 +163,48 @@ class Pipeline:
                 self._take(port, port.framer.close())
             for late in port.transactions.close():
                 self._late(port, late)
+
+    def state(self) -> dict[str, Any]:
+        """Return what was seen so far, for `restore`."""
+        return {"sequence": self.sequence, "ports": {name: port.state() for name, port in self.ports.items()}}
+
+    def restore(self, state: Mapping[str, Any], setups: Mapping[str, PortSetup]) -> None:
+        """Go on where another pipeline stood, its buses set up as they were there."""
+        self.sequence = state["sequence"]
+        for name, each in state["ports"].items():
+            port = self.ports[name] = Port(name, setups.get(name) or usual_setup(self.dialects), self.options)
+            port.restore(each)
+
+    # --- events ---------------------------------------------------------------------------------------------------
+
+    def _feed_event(self, event: Event) -> None:
+        if events.cuts(event):
+            for name in (event.port,) if event.port else tuple(self.ports):
+                self.silence(name)
+        setup = self._on_setup(event) if event.name in events.SETUPS and self._on_setup is not None else None
+        if setup is not None:
+            self.set_up(event.port, setup)
+        self.sequence += 1
+        for taker in self._event_sinks:
+            taker.happened(event, self.sequence)
+        issue = events.issue_of(event)
+        if issue is None:
+            return
+        first_ns, last_ns = events.span_ns(event)
+        port = self.ports.get(event.port)
+        found = finding(
+            issue,
+            port=event.port,
+            address=None,
+            first_ns=first_ns,
+            last_ns=last_ns,
+            section="",
+            offset=0 if port is None else port.bytes_in,
+            topic=events.TOPIC,
+            sequence=self.sequence,
+        )
+        for sink in self.sinks:
+            sink.finding(found)
 
     # --- serial ---------------------------------------------------------------------------------------------------
 

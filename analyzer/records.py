@@ -1,4 +1,4 @@
-"""What flows through the pipeline: chunks and CAN frames in, frames and junk, messages, transactions, findings out.
+"""What flows through the pipeline: chunks, CAN frames and events in; frames and junk, messages, transactions, findings out.
 
 All times are integer nanoseconds; the times of a capture without any are made up from the line speed and marked as such
 in the log's metadata. Records are immutable and hold no resources.
@@ -68,6 +68,26 @@ class Comment(msgspec.Struct, frozen=True, gc=False):
     t_ns: int | None
     port: str
     text: str
+
+
+class Silence(msgspec.Struct, frozen=True, gc=False):
+    """A pause on a serial line that was watched: nothing more belongs to what came on the port up to `t_ns`."""
+
+    t_ns: int
+    port: str
+
+
+class Event(msgspec.Struct, frozen=True, gc=False):
+    """What happened to a recording beside its traffic: a port was lost, bytes were dropped, a dialect was found.
+
+    `port`: empty where it is about all of them. `name`: a row of `analyzer.events`, or a word that is not known there.
+    `values`: numbers, texts and lists of texts; times of day as text, durations in seconds.
+    """
+
+    t_ns: int
+    port: str
+    name: str
+    values: dict[str, Any] = {}
 
 
 class Frame(msgspec.Struct, frozen=True, gc=False):
@@ -147,8 +167,8 @@ class Lane:
         self.json = self.codec.json
         self.start = start
         self.stop = stop
-        #: A request that one drive answers, whatever was set before.
-        self.plain = bool(command.reply_forms) and not command.silenced and address != dialect.broadcast
+        #: A request that one drive answers, if that was not changed by a setting.
+        self.plain = bool(command.reply_forms) and address != dialect.broadcast
         #: Data of a status reply -> what it means, as far as seen.
         self.meanings: dict[bytes, str] = {}
         self.topic = ""

@@ -59,6 +59,9 @@ class Paired(msgspec.Struct, gc=False):
 class Transactions:
     """Pairs the messages of one port. `late_ns`: a first reply later than this is late; `timed` False: times say nothing."""
 
+    #: What it knows of the traffic beside its context.
+    STATE = ("_answers_motion", "_check_ns", "_last", "_last_is_reply", "_last_reply", "_told_silent")
+
     def __init__(
         self, context: Context, *, late_ns: int = 1_000_000_000, half_duplex: bool = True, timed: bool = True
     ) -> None:
@@ -111,6 +114,7 @@ class Transactions:
             or frame.last_ns >= self._check_ns
             or (last is not None and last.data == frame.data)
             or address in context.groups
+            or (lane.command.silenced and address in context.silenced)
             or context.speaks.get(address, lane.dialect) != lane.dialect
         ):
             return False
@@ -143,7 +147,6 @@ class Transactions:
             or context.echoes
             or frame.first_ns - request.t_ns > self.late_ns
             or command.verb in _LEARN
-            or command.silenced
         ):
             return None
         if command.judged:
@@ -158,6 +161,8 @@ class Transactions:
         del context.open[address]
         if command.borrows:
             context.borrowed -= 1
+        if command.silenced:
+            self._answers_motion.add(address)
         context.speaks[address] = lane.dialect
         self._last_reply[address] = frame.data
         self._last = frame

@@ -21,7 +21,9 @@ RUNS = (
     ("decode_peers.py", ("--frames", "300000"), ("--frames", "30000", "--rounds", "1")),
     ("framing_noise.py", ("--frames", "100000"), ("--frames", "5000")),
     ("drive_replies.py", (), ()),
+    ("replay_drift.py", (), ("--seconds", "2")),
     ("drive_soak.py", ("--seconds", "120"), ("--seconds", "5")),
+    ("tap_delay.py", (), ("--count", "200")),
 )
 
 

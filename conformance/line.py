@@ -11,7 +11,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 from analyzer.endpoint import Endpoint
+from analyzer.errors import ServotapError
 from analyzer.records import CanFrame, Chunk
+
+
+class LineLost(ServotapError):
+    """The port has gone: unplugged, closed by the other end, or failing."""
 
 
 class Line(ABC):
@@ -28,6 +33,11 @@ class Line(ABC):
     def is_can(self) -> bool:
         """Whether frames of CAN are sent, else bytes of a serial line."""
         return self.endpoint.bus_kind == "can"
+
+    @property
+    def byte_ns(self) -> int:
+        """Time of one byte on a serial line; 0 on CAN, and where no line speed is known."""
+        return self.endpoint.byte_ns
 
     @abstractmethod
     def now_ns(self) -> int:

@@ -15,10 +15,17 @@ from importlib import import_module
 from types import ModuleType
 
 COMMANDS: dict[str, tuple[str, str]] = {
+    "record": ("analyzer.cli.record", "record serial ports and CAN buses into one crash-safe, decoded MCAP log"),
     "decode": ("analyzer.cli.decode", "decode a capture into an annotated MCAP log, with a summary"),
     "show": ("analyzer.cli.show", "show the decoded frames of a capture or a log as a table"),
+    "view": ("analyzer.cli.view", "view a capture or a log in the terminal: frames, counts, findings, a plot"),
+    "recover": ("analyzer.cli.recover", "make a log whole whose recording was killed"),
+    "cut": ("analyzer.cli.cut", "make a smaller log of a stretch of time, of some buses"),
+    "merge": ("analyzer.cli.merge", "make one log of several"),
     "explain": ("analyzer.cli.explain", "explain a frame byte by byte"),
     "frame": ("analyzer.cli.frame", "print the bytes of a frame"),
+    "ports": ("analyzer.cli.ports", "list serial ports and CAN interfaces, with the endpoints to record them"),
+    "export": ("analyzer.cli.export", "the raw bytes of a capture or log as candump, pcapng or hex text"),
     "catalogue": ("analyzer.cli.catalogue", "reference pages of the dialects, and the errata of their manuals"),
 }
 GROUP = "servotap.commands"

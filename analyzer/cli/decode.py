@@ -9,15 +9,14 @@ from __future__ import annotations
 import argparse
 import contextlib
 import gc
-import os
 import sys
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from analyzer import __version__
 from analyzer.cli.interrupt import Interrupt
+from analyzer.cli.output import Output
 from analyzer.cli.reading import Reading, add_reading_arguments, clean, now_text, open_reading, progress
 from analyzer.errors import ServotapError, UnreadableError, UsageError
 from analyzer.pipeline import Pipeline, Sink
@@ -89,50 +88,10 @@ def _target(path: str, arguments: argparse.Namespace) -> Path:
     return target
 
 
-class _Output:
-    """The log under construction: a file beside the target that takes its name only when it is whole."""
-
-    def __init__(self, target: Path, replace: bool) -> None:
-        self.target = target
-        self._replace = replace
-        try:
-            handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent)
-        except OSError as error:
-            raise UsageError(f"cannot write {target}: {error.strerror}") from None
-        self.part = Path(name)
-        self.stream: IO[bytes] = os.fdopen(handle, "wb", buffering=1 << 20)
-
-    def keep(self) -> None:
-        """Give the log its name."""
-        self.stream.close()
-        umask = os.umask(0)
-        os.umask(umask)
-        self.part.chmod(0o666 & ~umask)
-        if self._replace:
-            self.part.replace(self.target)
-            return
-        try:
-            # A link, unlike a rename, fails where somebody else made the file meanwhile.
-            os.link(self.part, self.target)
-        except FileExistsError:
-            raise UsageError(f"{self.target} was made by somebody else meanwhile; --force replaces it") from None
-        except OSError:
-            self.part.replace(self.target)  # a file system without links
-            return
-        self.part.unlink()
-
-    def drop(self) -> None:
-        """Leave no log."""
-        # On a full disk closing fails too; the file is removed all the same.
-        with contextlib.suppress(OSError):
-            self.stream.close()
-        self.part.unlink(missing_ok=True)
-
-
 class _Sinks:
     """The log and the summary: in a process of their own for a long capture, else here."""
 
-    def __init__(self, reading: Reading, output: _Output) -> None:
+    def __init__(self, reading: Reading, output: Output) -> None:
         options = reading.options
 
         def make() -> tuple[McapLog, Summary]:
@@ -142,7 +101,7 @@ class _Sinks:
         size = reading.source.size
         self.given: tuple[Sink, ...]
         if available() and size is not None and size >= LONG_CAPTURE:
-            self._process = SinkProcess(reading.dialects, make)
+            self._process = SinkProcess(reading.possible, make)
             self.given = (self._process,)
         else:
             self._log, self._summary = make()
@@ -186,10 +145,9 @@ def decode(path: str, target: Path, arguments: argparse.Namespace) -> Summary:
 def _decode(path: str, target: Path, reading: Reading, arguments: argparse.Namespace) -> Summary:
     # From before the log exists to when it is whole, Ctrl-C ends the reading and nothing else.
     with contextlib.closing(reading.source), Interrupt() as interrupt:
-        output = _Output(target, arguments.force)
-        options = reading.options
+        output = Output(target, arguments.force)
         sinks = _Sinks(reading, output)
-        pipeline = Pipeline(reading.dialects, sinks.given, options)
+        pipeline = reading.pipeline(sinks.given)
         stopped = ""
         try:
             try:
@@ -224,7 +182,7 @@ def _metadata(
     reading: Reading, pipeline: Pipeline, summary: Summary, arguments: argparse.Namespace, stopped: str
 ) -> dict[str, str]:
     source = reading.source
-    total = sum(port.bytes_in for port in pipeline.ports.values())
+    total = sum(port.bytes_in - port.start for port in pipeline.ports.values()) - reading.stretch.unseen_bytes
     _account(total, summary)
     values = {
         "source": source.name,
@@ -244,8 +202,9 @@ def _metadata(
     }
     if source.sha256:
         values["source_sha256"] = source.sha256
-    if arguments.model:
-        values["model"] = arguments.model
+    if reading.model:
+        values["model"] = reading.model
+    values |= reading.stretch.about()
     if arguments.baud:
         values["bit_rate" if reading.dialects[0].bus == "can" else "baud"] = str(arguments.baud)
     if stopped:

@@ -52,12 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the frame; return 0."""
-    dialect, address = _target(arguments.target, arguments.model)
+    dialect, address = parse_target(arguments.target, arguments.model)
     if arguments.candump and dialect.link.kind != "can":
         raise UsageError(f"--candump is for CAN, got {dialect.name}")
     command = find_one(dialect, arguments.command)
     role = Role.REPLY if arguments.reply else Role.REQUEST
-    values = _values(arguments.values)
+    values = parse_values(arguments.values)
     built = assemble(dialect, command, address, values, role, arguments.form, physical=not arguments.wire)
     if built.refusals and not arguments.force:
         raise UsageError("; ".join(built.refusals))
@@ -81,8 +81,11 @@ def _object(dialect: Dialect, built: Built, text: str) -> dict[str, Any]:
     }
 
 
-def _target(text: str, model: str | None) -> tuple[Dialect, int]:
-    """Return dialect and address of `DIALECT@ADDRESS`."""
+def parse_target(text: str, model: str | None) -> tuple[Dialect, int]:
+    """Return dialect and address of `DIALECT@ADDRESS`, as a model speaks it.
+
+    Raises UsageError for anything else.
+    """
     name, separator, where = text.partition("@")
     dialect = registry.get(name)
     if not separator or not where:
@@ -102,8 +105,11 @@ def _address(text: str) -> int:
         raise UsageError(f"address: got {quote(text)}, expected a number as 1 or 0x10, or all") from None
 
 
-def _values(words: Sequence[str]) -> Mapping[str, Any]:
-    """Return the values by field name; the slots of a package as a list."""
+def parse_values(words: Sequence[str]) -> Mapping[str, Any]:
+    """Return the values of `FIELD=VALUE` words by field name, as texts; the slots of a package as a list.
+
+    Raises UsageError for a word that is none.
+    """
     values: dict[str, Any] = {}
     for word in words:
         name, separator, value = word.partition("=")
@@ -127,7 +133,7 @@ def _slot(text: str, number: int) -> Mapping[str, Any]:
         raise UsageError(f"slot {number}: {error} in {quote(text)}") from None
     if len(words) < 2:
         raise UsageError(f'slot {number}: expected "ADDRESS COMMAND FIELD=VALUE ...", got {quote(text)}')
-    fields = _values(words[2:])
+    fields = parse_values(words[2:])
     if SLOTS in fields:
         raise UsageError(f"slot {number}: a slot cannot hold slots")
     return {**fields, "address": _address(words[0]), "command": words[1]}

@@ -5,29 +5,37 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from analyzer import dialects as registry
+from analyzer.catalogue import Dialect
+from analyzer.cli.stretch import Stretch, add_stretch_arguments
 from analyzer.detect import Choice, choose
 from analyzer.errors import UnreadableError, UsageError
+from analyzer.events import SETUPS
 from analyzer.framer import SILENCE_NS
-from analyzer.pipeline import Options
-from analyzer.records import CanFrame, Chunk, Comment
+from analyzer.pipeline import Item, Options, Pipeline, PortSetup, Sink
+from analyzer.records import CanFrame, Chunk, Event
+from analyzer.setups import Setups, as_model
 
 if TYPE_CHECKING:
     from analyzer.sources import Source
+    from analyzer.sources.tail import Follow
+
+__all__ = ["Item", "Reading", "add_reading_arguments", "clean", "now_text", "open_reading", "progress", "require_file"]
 
 #: How much of a capture the choice of dialects looks at; of standard input less, so that a live pipe shows at once.
 SAMPLE_BYTES = 256 * 1024
 SAMPLE_ITEMS = 20_000
 PIPE_SAMPLE_BYTES = 256
 BITS_PER_BYTE = 10
-
-Item = Chunk | CanFrame | Comment
+_RECORDED = "as the recording has it"
+#: Milliseconds after which a reply is late, where neither the user nor the recording says otherwise.
+LATE_MS = 1000.0
 
 
 def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,9 +48,8 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
         "--group", action="append", type=_address, default=[], metavar="ADDRESS",
         help="an address that several drives listen to and none answers; may be repeated",
     )  # fmt: skip
-    parser.add_argument(
-        "--late", type=_milliseconds, default=1000.0, metavar="MS", help="replies later than this are late (default 1000)"
-    )
+    parser.add_argument("--late", type=_milliseconds, metavar="MS", help="replies later than this are late (default 1000)")
+    add_stretch_arguments(parser)
 
 
 def _positive(text: str) -> int:
@@ -67,57 +74,148 @@ def _milliseconds(text: str) -> float:
 
 
 class Reading:
-    """A capture that is open, with its dialects chosen. Iterate it once for its items."""
+    """A capture that is open, with its dialects chosen. Iterate it once for its items.
+
+    `dialects`: those that were chosen, for all buses together. What a recording says of its buses counts, unless the user
+    says otherwise.
+    """
 
     def __init__(self, source: Source, arguments: argparse.Namespace) -> None:
         self.source = source
-        self._iterator = iter(source)
-        sample = self._sample(PIPE_SAMPLE_BYTES if source.path == "-" else SAMPLE_BYTES, arguments)
+        self._arguments = arguments
+        since, until = getattr(arguments, "since", None), getattr(arguments, "until", None)
+        self.stretch = Stretch(source, since, until)
+        self._iterator = self.stretch.items(source)
+        brief = source.path == "-" or source.follow is not None
+        sample = self._sample(PIPE_SAMPLE_BYTES if brief else SAMPLE_BYTES)
         self._items = chain(sample, self._iterator)
-        traffic = [item for item in sample if not isinstance(item, Comment)]
-        self.has_times = any(item.t_ns is not None for item in traffic)
-        self.choice = self._choose(sample, arguments)
-        chosen = registry.for_model(self.choice.dialects, arguments.model)
-        self.dialects = tuple(chosen)
-        self.options = self._options(arguments)
+        traffic = [item for item in sample if isinstance(item, (Chunk, CanFrame))]
+        self.has_times = any(item.t_ns is not None for item in traffic) or source.kind == "log"
+        self._said = _Said(sample)
+        self.model: str = arguments.model or self._said.model
+        self._given = self._given_dialects(traffic)
+        self._known: dict[str, Dialect] = {}
+        #: Buses whose dialects were chosen apart.
+        self.ports: dict[str, PortSetup] = {}
+        self._reasons: dict[str, str] = {}
+        if self._said.buses or len({type(item) for item in traffic}) > 1:
+            self.choice = self._choose_by_bus(traffic)
+            self.dialects = self.choice.dialects
+        else:
+            self.choice = Choice(self._given, (), "as given") if self._given else choose(registry.every(), traffic)
+            self.dialects = tuple(registry.for_model(self.choice.dialects, self.model or None))
+        self.options = self._options()
 
     def __iter__(self) -> Iterator[Item]:
         """Yield all items of the capture."""
         return self._items
 
-    def _sample(self, most_bytes: int, arguments: argparse.Namespace) -> list[Item]:
+    def pipeline(self, sinks: Sequence[Sink]) -> Pipeline:
+        """Return the pipeline that decodes this capture into sinks."""
+        on_setup: Callable[[Event], PortSetup | None] | None = self._set_up if self._known else None
+        return Pipeline(self.dialects, self.stretch.sinks(sinks), self.options, ports=self.ports, on_setup=on_setup)
+
+    @property
+    def possible(self) -> tuple[Dialect, ...]:
+        """All dialects that may come up: a recording can say later that another has joined."""
+        return tuple(self._known.values()) or self.dialects
+
+    # --- the choice of dialects -----------------------------------------------------------------------------------
+
+    def _sample(self, most_bytes: int) -> list[Item]:
+        given = self._arguments.dialect != "auto"
         sample: list[Item] = []
         size = 0
+        #: Buses of which a recording says what they are in, and of which it does not.
+        told: set[str] = set()
+        untold: set[str] = set()
         for item in self._iterator:
             sample.append(item)
-            size += 0 if isinstance(item, Comment) else len(item.data)
-            decided = arguments.dialect != "auto" or isinstance(item, CanFrame)
-            if (decided and size) or size >= most_bytes or len(sample) >= SAMPLE_ITEMS:
+            if isinstance(item, Event) and item.name in SETUPS:
+                (told.add if item.values.get("dialects") else untold.add)(item.port)
+            if isinstance(item, (Chunk, CanFrame)):
+                size += len(item.data)
+                decided = given or isinstance(item, CanFrame) or item.port in told
+                if decided and size and told >= untold:
+                    break
+            if size >= most_bytes or len(sample) >= SAMPLE_ITEMS:
                 break
         return sample
 
-    def _choose(self, sample: list[Item], arguments: argparse.Namespace) -> Choice:
-        if arguments.dialect != "auto":
-            chosen = tuple(registry.get(name.strip()) for name in arguments.dialect.split(","))
-            kind = next((("can" if isinstance(i, CanFrame) else "serial") for i in sample if not isinstance(i, Comment)), "")
-            wrong = [d for d in chosen if kind and d.bus != kind]
-            if wrong:
-                raise UsageError(f"{self.source.name} is of a {kind} bus, and {wrong[0].name} is a dialect of {wrong[0].bus}")
-            return Choice(chosen, (), "as given")
-        return choose(registry.every(), sample)
+    def _given_dialects(self, traffic: Sequence[Chunk | CanFrame]) -> tuple[Dialect, ...]:
+        """Return the dialects that the user named. Raises UsageError where they cannot be those of the capture."""
+        if self._arguments.dialect == "auto":
+            return ()
+        chosen = tuple(registry.get(name.strip()) for name in self._arguments.dialect.split(","))
+        kind = next((_kind(item) for item in traffic), "")
+        wrong = [d for d in chosen if kind and d.bus != kind]
+        if wrong and not self._said.buses:
+            raise UsageError(f"{self.source.name} is of a {kind} bus, and {wrong[0].name} is a dialect of {wrong[0].bus}")
+        return chosen
 
-    def _options(self, arguments: argparse.Namespace) -> Options:
+    def _choose_by_bus(self, traffic: Sequence[Chunk | CanFrame]) -> Choice:
+        """Choose for each bus by itself: as the user says, as the recording found it, or by its traffic."""
+        known = self._known = as_model(self.model)
+        kinds = {**{item.port: _kind(item) for item in traffic}, **self._said.kinds}
+        for bus, kind in kinds.items():
+            given = [known.get(d.name, d) for d in self._given if d.bus == kind]
+            said = [known[name] for name in self._said.buses.get(bus, ()) if name in known]
+            if given:
+                chosen, self._reasons[bus] = tuple(given), "as given"
+            elif said:
+                chosen, self._reasons[bus] = tuple(said), _RECORDED
+            else:
+                own = [item for item in traffic if item.port == bus]
+                choice = choose(list(known.values()), own) if own else Choice(_of_kind(known, kind), (), "no traffic yet")
+                chosen, self._reasons[bus] = choice.dialects, choice.reason
+            self.ports[bus] = PortSetup(chosen, self._byte_ns(self._said.values.get(bus, {})))
+        return self._all_chosen()
+
+    def _all_chosen(self) -> Choice:
+        """Return the choices of all buses as one."""
+        used = {d.name: d for setup in self.ports.values() for d in setup.dialects}
+        reason = "; ".join(
+            f"{bus}: {', '.join(d.name for d in self.ports[bus].dialects)}, {why}" for bus, why in self._reasons.items()
+        )
+        return Choice(tuple(used.values()) or tuple(self._known.values()), (), reason or "no traffic")
+
+    def _set_up(self, event: Event) -> PortSetup | None:
+        """Return what a bus is from an event on."""
+        kind = str(event.values.get("kind", "serial"))
+        said = Setups(self._known)(event)
+        given = tuple(self._known.get(d.name, d) for d in self._given if d.bus == kind)
+        before = self.ports.get(event.port)
+        dialects = given or (said.dialects if said is not None else ())
+        dialects = dialects or (before.dialects if before is not None else _of_kind(self._known, kind))
+        offset = event.values.get("offset", 0)
+        setup = PortSetup(dialects, self._byte_ns(event.values), offset if isinstance(offset, int) else 0)
+        if not given and said is not None:
+            self._reasons[event.port] = _RECORDED
+        self.ports[event.port] = setup
+        self.choice = self._all_chosen()
+        self.dialects = self.choice.dialects
+        return setup
+
+    def _byte_ns(self, values: dict[str, Any]) -> int | None:
+        said = values.get("byte_ns")
+        return None if self._arguments.baud or not isinstance(said, int) else said
+
+    # --- options --------------------------------------------------------------------------------------------------
+
+    def _options(self) -> Options:
+        arguments = self._arguments
         first = self.dialects[0]
         speed = arguments.baud or (first.baud_rates[0] if first.baud_rates else 115200)
         made_up = BITS_PER_BYTE * 1_000_000_000 // speed
+        late_ms = arguments.late if arguments.late is not None else self._said.late_ms
         return Options(
             byte_ns=made_up if arguments.baud or not self.has_times else 0,
             synthetic_byte_ns=made_up,
             synthetic_bit_ns=1_000_000_000 // speed,
             timed=self.has_times,
-            late_ns=int(arguments.late * 1e6),
+            late_ns=int(late_ms * 1e6),
             silence_ns=SILENCE_NS,
-            groups=frozenset(arguments.group),
+            groups=frozenset((*arguments.group, *self._said.groups)),
         )
 
     @property
@@ -129,8 +227,42 @@ class Reading:
         return f"made up from the {unit}: the capture has no times"
 
 
-def open_reading(path: str, arguments: argparse.Namespace) -> Reading:
-    """Open a capture and choose its dialects.
+class _Said:
+    """What a recording says of itself at its beginning: the dialects of its buses, the options it was decoded with."""
+
+    def __init__(self, sample: Sequence[Item]) -> None:
+        #: Bus -> dialects, as the first traffic of it had them; kinds of the buses; all that was said of them.
+        self.buses: dict[str, list[str]] = {}
+        self.kinds: dict[str, str] = {}
+        self.values: dict[str, dict[str, Any]] = {}
+        self.model = ""
+        self.late_ms = LATE_MS
+        self.groups: list[int] = []
+        for item in sample:
+            if not isinstance(item, Event):
+                continue
+            values = item.values
+            if item.name in SETUPS:
+                self.buses[item.port] = [str(name) for name in values.get("dialects") or ()]
+                self.kinds[item.port] = str(values.get("kind", "serial"))
+                self.values[item.port] = values
+            elif item.name == "part":
+                self.model = str(values.get("model", ""))
+                late, groups = values.get("late"), values.get("groups")
+                self.late_ms = late * 1e3 if isinstance(late, (int, float)) and late > 0 else LATE_MS
+                self.groups = [g for g in groups if isinstance(g, int)] if isinstance(groups, (list, tuple)) else []
+
+
+def _kind(item: Chunk | CanFrame) -> str:
+    return "can" if isinstance(item, CanFrame) else "serial"
+
+
+def _of_kind(known: dict[str, Dialect], kind: str) -> tuple[Dialect, ...]:
+    return tuple(d for d in known.values() if d.bus == kind)
+
+
+def open_reading(path: str, arguments: argparse.Namespace, follow: Follow | None = None) -> Reading:
+    """Open a capture and choose its dialects. `follow`: the capture is a log that is still being written.
 
     Raises UnreadableError for what cannot be read, UsageError for options that do not fit it.
     """
@@ -138,6 +270,9 @@ def open_reading(path: str, arguments: argparse.Namespace) -> Reading:
 
     source = open_source(path, format=arguments.format, baud=arguments.baud)
     try:
+        if follow is not None and source.kind != "log":
+            raise UsageError(f"--follow: {source.name} is {source.title}, and only a log (MCAP) can be followed")
+        source.follow = follow
         return Reading(source, arguments)
     except BaseException:
         source.close()
@@ -150,6 +285,13 @@ def progress(source: Source, what: str) -> Iterator[None]:
     if not sys.stderr.isatty() or source.size is None:
         yield
         return
+    with showing_progress(what, source.size, source.position):
+        yield
+
+
+@contextmanager
+def showing_progress(what: str, total: int, position: Callable[[], int]) -> Iterator[None]:
+    """Show how far something has come, on a terminal, once it takes longer than a second; both counts are bytes."""
     import threading
 
     done = threading.Event()
@@ -163,10 +305,13 @@ def progress(source: Source, what: str) -> Iterator[None]:
 
         columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
         with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task(escape(what), total=source.size)
+            task = bar.add_task(escape(what), total=total)
             while not done.wait(0.2):
-                bar.update(task, completed=source.position())
+                bar.update(task, completed=position())
 
+    if not sys.stderr.isatty():
+        yield
+        return
     watcher = threading.Thread(target=show, daemon=True)
     watcher.start()
     try:

@@ -11,30 +11,41 @@ import contextlib
 import sys
 import time
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from analyzer.cli.reading import add_reading_arguments, clean, open_reading, progress
 from analyzer.decoder import physical
+from analyzer.events import text_of
 from analyzer.filter import Filter
-from analyzer.pipeline import Entry, Pipeline
-from analyzer.records import Comment, Finding, Junk
+from analyzer.live.lock import running
+from analyzer.live.spool import spool_folder
+from analyzer.parts import base_of
+from analyzer.pipeline import Entry
+from analyzer.records import Comment, Event, Finding, Junk
+from analyzer.sources.tail import Follow
 
 EXAMPLES = """\
 examples:
   servotap show capture.log
   servotap show capture.log --filter 'address == 1 and command == "read_speed" and speed > 300'
   servotap show capture.log.mcap --filter '"bad_checksum" in findings'
+  servotap show week.mcap --since +10min --until +11min
+  servotap show --follow week.mcap --since=-10s
   candump -L can0 | servotap show -
 """
 
+#: Events that say nothing to somebody who watches the traffic.
+_UNSHOWN = frozenset(("part", "resumed", "clock_drift"))
 _COLORS = {"request": "36", "reply": "32", "unknown": "33"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("file", metavar="FILE", help="a capture or an MCAP log; - reads standard input")
+    parser.add_argument("file", metavar="FILE", help="a capture, an MCAP log, or a folder of its parts; - reads standard input")
+    parser.add_argument("--follow", action="store_true", help="go on while the log is being recorded, until Ctrl-C or its end")
     parser.add_argument("--filter", metavar="EXPRESSION", help="show only messages for which this holds")
     parser.add_argument("--limit", type=int, metavar="N", help="stop after N lines")
     parser.add_argument("--json", action="store_true", help="a JSON object a line")
@@ -55,6 +66,7 @@ class Table:
         self._bytes: bool = arguments.bytes
         self._left: int | None = arguments.limit
         self._color = sys.stdout.isatty()
+        self._flush: bool = self._color or arguments.follow
         self._shown: set[int] = set()
         self._first_ns: int | None = None
         if not self._json:
@@ -72,7 +84,7 @@ class Table:
             self._line(msgspec.json.encode({**names, **({"slots": fields["slots"]} if "slots" in fields else {})}).decode())
             return
         role = message.role.value
-        shown = _fields_text(fields)
+        shown = fields_text(fields)
         if entry.latency_ns is not None and entry.request_sequence is not None:
             shown += f"  ({entry.latency_ns / 1e6:.3f} ms)"
         if self._bytes or message.form is None:
@@ -105,6 +117,14 @@ class Table:
         text = f"{'':>15}  ! {found.severity.value} {found.rule}: {clean(found.text)}{section}{about}"
         print(f"\x1b[31m{text}\x1b[0m" if self._color else text)
 
+    def happened(self, event: Event, sequence: int) -> None:
+        """Print what happened to the recording."""
+        if self._wanted is not None or self._json or event.name in _UNSHOWN:
+            return
+        who = f"{clean(event.port)}: " if event.port else ""
+        text = f"{self._time(event.t_ns)}  # {who}{event.name}: {clean(text_of(event))}"
+        print(f"\x1b[2m{text}\x1b[0m" if self._color else text, flush=self._flush)
+
     def comment(self, comment: Comment) -> None:
         """Print a comment of the capture."""
         if self._wanted is None and not self._json:
@@ -115,7 +135,7 @@ class Table:
             if self._left <= 0:
                 raise _Enough
             self._left -= 1
-        print(text, flush=self._color)
+        print(text, flush=self._flush)
 
     def _time(self, t_ns: int) -> str:
         """Return a time of day for times since the epoch, seconds for others."""
@@ -154,9 +174,10 @@ def _bytes_text(entry: Entry) -> str:
     return f"{frame.can.id:02X} {text}".rstrip() if frame.can is not None else text
 
 
-def _fields_text(fields: Mapping[str, Any]) -> str:
+def fields_text(fields: Mapping[str, Any]) -> str:
+    """Return fields, in their units, as one line: a choice by its name."""
     if "slots" in fields:
-        return "; ".join(_fields_text(slot) for slot in fields["slots"])
+        return "; ".join(fields_text(slot) for slot in fields["slots"])
     parts = []
     for name, value in fields.items():
         if name.endswith("_name") and name[:-5] in fields:
@@ -168,24 +189,35 @@ def _fields_text(fields: Mapping[str, Any]) -> str:
 
 def run(arguments: argparse.Namespace) -> int:
     """Show the frames; return 0."""
-    reading = open_reading(arguments.file, arguments)
+    try:
+        return _show(arguments)
+    except KeyboardInterrupt:
+        if not arguments.follow:
+            raise
+        # The usual end of following.
+        return 0
+
+
+def _show(arguments: argparse.Namespace) -> int:
+    follow = Follow(_alive) if arguments.follow else None
+    reading = open_reading(arguments.file, arguments, follow)
     with contextlib.closing(reading.source):
         wanted = None
         if arguments.filter:
             known = {
                 n
-                for d in reading.dialects
+                for d in reading.possible
                 for c in (*d.commands, *d.fallbacks.values())
                 for f in (*c.request_forms, *c.reply_forms)
                 for name, field in f.layout.named.items()
                 for n in ((name, name + "_name") if field.choices is not None else (name,))
             }
-            if any(d.exception for d in reading.dialects):
+            if any(d.exception for d in reading.possible):
                 known |= {"exception", "exception_name"}
             wanted = Filter(arguments.filter, frozenset(known))
-        pipeline = Pipeline(reading.dialects, (Table(arguments, wanted),), reading.options)
+        pipeline = reading.pipeline((Table(arguments, wanted),))
         with contextlib.suppress(_Enough):
-            if wanted is not None:
+            if wanted is not None and not arguments.follow:
                 with progress(reading.source, f"reading {reading.source.name}"):
                     pipeline.run(reading)
             else:
@@ -193,3 +225,9 @@ def run(arguments: argparse.Namespace) -> int:
         for note in reading.source.notes:
             print(f"note: {clean(note)}", file=sys.stderr)
     return 0
+
+
+def _alive(path: Path) -> bool | None:
+    """Say whether a log is being recorded; None where there is nothing beside it that tells."""
+    folder = spool_folder(base_of(path))
+    return running(folder) if folder.is_dir() else None

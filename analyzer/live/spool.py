@@ -4,13 +4,41 @@
 
     record:  magic 0x5A | kind u8 | length u32 | t_ns u64 | before u64 | data      (little endian)
 
-One reader writes one spool, one record a write, so a killed reader leaves whole records but perhaps the last; one consumer
-follows it. A segment is closed when it has grown to `SEGMENT_SIZE`; a consumer deletes the segments that it needs no more.
-Times are `CLOCK_MONOTONIC` nanoseconds. `before`: bytes (serial) or frames (CAN) of the port before this record, so that
-what is missing can be counted.
+One reader writes one spool, whole records only, so a killed reader leaves whole ones but perhaps the last; one consumer
+follows it. A segment is closed when it has grown to `SEGMENT_SIZE`; a consumer deletes the segments that it needs no more,
+but never the last one: a reader that is started again counts on from there. Times are `CLOCK_MONOTONIC` nanoseconds and
+never go back within a spool. `before`: bytes (serial) or frames (CAN) of the port before this record, with those that had
+to be dropped, so that what is missing can be counted.
 
 Kinds: DATA (bytes of a serial line, t_ns: arrival of the last one), CAN (one frame: id u32, flags u8, payload), EVENT
-(JSON object with "event": what happened to the port), IDLE (nothing came up to t_ns: later records begin after it).
+(JSON object with "event": what happened), IDLE (nothing came up to t_ns: the bytes of later records came after it, and the
+pause before them is longer than the framer's silence, also as the framer reckons it from the stored times alone).
+
+Events of a port, with what they hold:
+
+    open      notes [text], precision text      the port was taken up; notes: what cannot be guaranteed
+    note      text                              something that became known later; with `kept`, from_ns, gap_ns: another
+                                                reader has taken over from one that died, and nothing is missing
+    speed     speed, byte_ns, text              the line runs at another speed from here on (a tap follows its program)
+    lost      reason                            the port is gone
+    back      gap_ns, from_ns, reason, notes    it is taken up again; what came meanwhile is missing
+    overrun   from_ns, and those of overrun, buf_overrun, frame, parity, brk that rose: the kernel's counters
+    kernel_dropped  frames, from_ns             the kernel had no room for frames (CAN)
+    bus_error reason, from_ns, count            trouble of a CAN bus: bus off, error states, an adapter that talks nonsense
+    dropped   bytes or frames, from_ns, to_ns, reason   came in and could not be stored
+    closed    reason                            the reader has ended; nothing follows but what another reader stores
+
+Events of the recording, in the spool `config.CONTROL`:
+
+    begin        host, version, system          first of all
+    clock_step   step_ns, cause                 the wall clock was set, or the machine slept; times here do not follow
+    clock_drift  offset_ns                      wall clock minus this clock since the start, once a minute
+    mark         text                           a note of the user
+    restarted    what (reader, decoding), stem, reason      a process that had died was started again
+    end          reason                         last of all: every reader has ended
+
+A supervisor that is killed writes no `end`. Readers and the decoding process hold a pipe from it as standard input, and its
+end tells them: each reader ends with `closed`, and the decoding process ends when it has read what there is.
 """
 
 from __future__ import annotations
@@ -69,6 +97,11 @@ class Record(NamedTuple):
         return decoded
 
     @property
+    def units(self) -> int:
+        """How far this record moves `before` on: its bytes, or one frame."""
+        return len(self.data) if self.kind == Kind.DATA else int(self.kind == Kind.CAN)
+
+    @property
     def can(self) -> tuple[int, int, bytes]:
         """Identifier, flags and payload of a CAN record."""
         can_id, flags = _CAN_HEAD.unpack_from(self.data)
@@ -111,10 +144,11 @@ class SpoolWriter:
         if file is None or self._size >= self._segment_size:
             file = self._next()
         at = self._size
+        rest = memoryview(record)
         try:
-            written = file.write(record)
-            if written != len(record):
-                raise OSError(28, "No space left on device")
+            while rest:
+                # A part is what there was room for; why not for more says the next attempt.
+                rest = rest[file.write(rest) or 0 :]
         except OSError:
             # Half a record would hide all that follows it.
             file.truncate(at)
@@ -165,25 +199,37 @@ class SpoolReader:
         return self._segment, self._place
 
     def read(self, most: int = 1 << 20) -> Iterator[Record]:
-        """Yield the whole records that are there now, of about `most` bytes."""
-        taken = 0
-        while taken < most:
-            if self._file is None and not self._open():
-                return
-            assert self._file is not None
-            data = self._file.read(min(1 << 18, most - taken + HEAD.size))
+        """Yield the whole records that are there now, of about `most` bytes; none only if there is none."""
+        taken = given = 0
+        # What a consumer left that stopped in the midst stands here still.
+        for record in self._split():
+            given += 1
+            yield record
+        while taken < most or not given:
+            data = self._more(max(HEAD.size, min(1 << 18, most - taken)))
             if not data:
-                # Only when a younger segment exists is nothing more to come in this one; look once more after seeing it.
-                if not self._has_next():
-                    return
-                data = self._file.read(1 << 18)
+                return
+            taken += len(data)
+            self._rest += data
+            for record in self._split():
+                given += 1
+                yield record
+
+    def _more(self, size: int) -> bytes:
+        """Return further bytes, of the next segment where this one has no more; nothing if there are none."""
+        while True:
+            if self._file is None and not self._open():
+                return b""
+            assert self._file is not None
+            data = self._file.read(size)
+            # Only when a younger segment exists is nothing more to come in this one; look once more after seeing it.
+            if not data and self._has_next():
+                data = self._file.read(size)
                 if not data:
                     self.damaged += len(self._rest)
                     self._advance()
                     continue
-            taken += len(data)
-            self._rest += data
-            yield from self._split()
+            return data
 
     def _split(self) -> Iterator[Record]:
         rest, at, limit = self._rest, 0, len(self._rest)
@@ -243,6 +289,21 @@ class SpoolReader:
         if self._file is not None:
             self._file.close()
             self._file = None
+
+
+def last_record(folder: Path, stem: str) -> Record | None:
+    """Return the last whole record of a spool, None of one that is empty: where a reader that is started again goes on."""
+    for number, _ in reversed(segments(folder, stem)):
+        reader = SpoolReader(folder, stem, (number, 0))
+        last = None
+        for record in reader.read(SEGMENT_SIZE + 2 * DATA_LIMIT):
+            if record.segment != number:
+                break
+            last = record
+        reader.close()
+        if last is not None:
+            return last
+    return None
 
 
 def spool_folder(log: Path) -> Path:

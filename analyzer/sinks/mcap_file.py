@@ -4,20 +4,23 @@ The library's writer builds each message field by field (about 3 us); a log has 
 cost more than framing and decoding. Here a message is one packed header beside its data, an index is an array, and
 chunks are compressed on a thread while the next one fills. Everything else is written by the library's own record classes.
 
-Rules: nothing is written twice; a file is whole after `finish`; after `flush` everything so far can be recovered.
+Rules: nothing is written twice; a file is whole after `finish`; after `flush` everything so far can be recovered. A chunk
+and its indexes go out in one write: where it raises (a full disk) nothing is lost, and `flush` or `finish` may be called
+again.
 """
 
 from __future__ import annotations
 
+import io
 import struct
 import zlib
 from array import array
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import IO
+from typing import Any, Protocol, runtime_checkable
 
 import zstandard
-from mcap.data_stream import RecordBuilder
+from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
@@ -35,13 +38,58 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
+from analyzer.sinks.mcap_index import Index, MemoryIndex
+
 #: Uncompressed bytes of a chunk.
 CHUNK_SIZE = 1 << 20
 _MESSAGE = struct.Struct("<BQHIQQ")
-_INDEX_HEAD = struct.Struct("<BQHI")
+#: Of the index of a channel's messages in a chunk: opcode, length, channel, bytes of its entries.
+INDEX_HEAD = struct.Struct("<BQHI")
 _LEVEL = 1
 #: Chunks that may wait for the compressor.
 _AHEAD = 2
+#: What of a file under way is kept besides its index, for a process that goes on with it.
+_STATE = ("_position", "_counts", "_first_ns", "_last_ns", "_messages", "_chunks", "_metadata", "_schemas", "_channels")
+
+
+class Writable(Protocol):
+    """Where a file goes."""
+
+    def write(self, data: bytes, /) -> int:
+        """Write all of it."""
+
+    def flush(self) -> None:
+        """Hold nothing back."""
+
+
+@runtime_checkable
+class LogFile(Protocol):
+    """What a log is written to: a file, or something that passes the same on to others beside one."""
+
+    @property
+    def messages(self) -> int:
+        """Messages added so far."""
+
+    def add_schema(self, name: str, data: bytes) -> int:
+        """Register a JSON Schema and return its id."""
+
+    def add_channel(self, topic: str, schema_id: int, metadata: Mapping[str, str]) -> int:
+        """Register a channel of JSON messages and return its id."""
+
+    def add_message(self, channel_id: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> None:
+        """Add a message; `log_ns` must not be smaller than the one before."""
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a metadata record."""
+
+    def flush(self) -> None:
+        """Write everything so far. Raises OSError with nothing lost."""
+
+    def finish(self) -> None:
+        """Write what is left, the summary and the footer. Raises OSError with nothing lost."""
+
+    def abandon(self) -> None:
+        """Give the file up."""
 
 
 class _Building:
@@ -56,7 +104,8 @@ class _Building:
         self.index: dict[int, array[int]] = {}
 
 
-def _record_bytes(record: McapRecord) -> bytes:
+def record_bytes(record: McapRecord) -> bytes:
+    """Return a record as it stands in a file, its opcode first."""
     builder = RecordBuilder()
     record.write(builder)
     data: bytes = builder.end()  # type: ignore[no-untyped-call]
@@ -68,55 +117,108 @@ def _compress(data: bytes) -> tuple[bytes, int]:
 
 
 class McapFile:
-    """Writes an MCAP file to a stream open for binary writing. Not safe to use from several threads."""
+    """Writes an MCAP file to a stream open for binary writing. Not safe to use from several threads.
 
-    def __init__(self, stream: IO[bytes], *, profile: str, library: str, chunk_size: int = CHUNK_SIZE) -> None:
+    `index`: what the summary will hold, in memory unless said otherwise. `patient`: where a message fills a chunk that
+    cannot be written, nothing is raised but `stalled` set; the next `flush` tries again.
+    """
+
+    def __init__(
+        self,
+        stream: Writable,
+        *,
+        profile: str,
+        library: str,
+        chunk_size: int = CHUNK_SIZE,
+        index: Index | None = None,
+        patient: bool = False,
+    ) -> None:
+        self._begin(stream, chunk_size, index or MemoryIndex(), patient)
+        self._put(MCAP0_MAGIC + record_bytes(Header(profile, library)))
+
+    def _begin(self, stream: Writable, chunk_size: int, index: Index, patient: bool) -> None:
         self._stream = stream
+        self._patient = patient
+        #: A chunk could not be written and waits.
+        self.stalled = False
         self._chunk_size = chunk_size
-        self._position = 0
+        self._index = index
         self._building = _Building()
-        self._channels: list[Channel] = []
-        self._schemas: list[Schema] = []
+        self._position = self._first_ns = self._last_ns = self._messages = 0
+        self._chunks = self._metadata = self._schemas = self._channels = self._attachments = 0
         self._counts: dict[int, int] = {}
-        # As bytes: there is one for each MiB, and as objects they would be ten times as large.
-        self._chunk_indexes: list[bytes] = []
-        self._metadata_indexes: list[MetadataIndex] = []
-        self._first_ns = 0
-        self._last_ns = 0
-        self._messages = 0
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="servotap-compress")
         self._waiting: list[tuple[_Building, int, Future[tuple[bytes, int]]]] = []
-        self._put(MCAP0_MAGIC)
-        self._record(Header(profile, library))
+
+    @classmethod
+    def resume(
+        cls,
+        stream: Writable,
+        state: Mapping[str, Any],
+        index: Index,
+        *,
+        chunk_size: int = CHUNK_SIZE,
+        patient: bool = False,
+    ) -> McapFile:
+        """Go on with a file that another left after a `flush`.
+
+        `state`: what it returned as such; `stream`: stands at that place; `index`: holds what it held.
+        """
+        file = cls.__new__(cls)
+        file._begin(stream, chunk_size, index, patient)
+        for name in _STATE:
+            setattr(file, name, state[name])
+        return file
+
+    def state(self) -> dict[str, Any]:
+        """Return what `resume` needs, right after a `flush`."""
+        return {name: getattr(self, name) for name in _STATE}
 
     @property
     def messages(self) -> int:
         """Messages added so far."""
         return self._messages
 
+    @property
+    def position(self) -> int:
+        """Bytes written so far."""
+        return self._position
+
+    def schemas(self) -> Iterator[Schema]:
+        """Yield the schemas registered so far."""
+        return self._indexed(Opcode.SCHEMA, Schema.read)
+
+    def channels(self) -> Iterator[Channel]:
+        """Yield the channels registered so far."""
+        return self._indexed(Opcode.CHANNEL, Channel.read)
+
+    def _indexed(self, opcode: Opcode, read: Callable[[ReadDataStream], Any]) -> Iterator[Any]:
+        for record in self._index.records(opcode):
+            yield read(ReadDataStream(io.BytesIO(record[9:])))
+
     def add_schema(self, name: str, data: bytes) -> int:
         """Register a JSON Schema and return its id."""
-        schema = Schema(id=len(self._schemas) + 1, data=data, encoding="jsonschema", name=name)
-        self._schemas.append(schema)
-        self._in_chunk(schema)
-        return schema.id
+        self._schemas += 1
+        self._in_chunk(Schema(id=self._schemas, data=data, encoding="jsonschema", name=name))
+        return self._schemas
 
     def add_channel(self, topic: str, schema_id: int, metadata: Mapping[str, str]) -> int:
         """Register a channel of JSON messages and return its id."""
+        self._channels += 1
         channel = Channel(
-            id=len(self._channels) + 1,
+            id=self._channels,
             topic=topic,
             message_encoding="json",
             metadata=dict(metadata),
             schema_id=schema_id,
         )
-        self._channels.append(channel)
         self._counts[channel.id] = 0
         self._in_chunk(channel)
         return channel.id
 
     def _in_chunk(self, record: McapRecord) -> None:
-        data = _record_bytes(record)
+        data = record_bytes(record)
+        self._index.add(data)
         self._building.parts.append(data)
         self._building.size += len(data)
 
@@ -143,22 +245,33 @@ class McapFile:
         self._end_chunk()
         while self._waiting:
             self._write_oldest()
+        self._index.flush()
         self._stream.flush()
+        self.stalled = False
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write a metadata record; everything before it is written first."""
         self.flush()
         start = self._position
-        self._record(Metadata(name=name, metadata=dict(values)))
-        self._metadata_indexes.append(MetadataIndex(offset=start, length=self._position - start, name=name))
+        self._put(record_bytes(Metadata(name=name, metadata=dict(values))))
+        self._metadata += 1
+        self._index.add(record_bytes(MetadataIndex(offset=start, length=self._position - start, name=name)))
 
     def finish(self) -> None:
         """Write what is left, the summary and the footer. The stream stays open."""
         self.flush()
+        start = self._position
+        try:
+            self._put(record_bytes(DataEnd(0)))
+            self._summary()
+            self._stream.flush()
+        except OSError:
+            self._position = start
+            rewind = getattr(self._stream, "rewind", None)
+            if rewind is not None:
+                rewind(start)
+            raise
         self._pool.shutdown()
-        self._record(DataEnd(0))
-        self._summary()
-        self._stream.flush()
 
     def abandon(self) -> None:
         """Give the file up: stop the compressor and write nothing more."""
@@ -183,13 +296,19 @@ class McapFile:
         building.parts = []
         self._waiting.append((building, len(data), self._pool.submit(_compress, data)))
         while len(self._waiting) > _AHEAD:
-            self._write_oldest()
+            try:
+                self._write_oldest()
+            except OSError:
+                if not self._patient:
+                    raise
+                self.stalled = True
+                return
 
     def _write_oldest(self) -> None:
-        building, size, future = self._waiting.pop(0)
+        building, size, future = self._waiting[0]
         compressed, crc = future.result()
         start = self._position
-        self._record(
+        chunk = record_bytes(
             Chunk(
                 compression="zstd",
                 data=compressed,
@@ -199,67 +318,75 @@ class McapFile:
                 uncompressed_size=size,
             )
         )
-        length = self._position - start
+        parts = [chunk]
         offsets = {}
-        index_start = self._position
+        index_start = place = start + len(chunk)
         for channel_id, places in building.index.items():
-            offsets[channel_id] = self._position
+            offsets[channel_id] = place
             entries = places.tobytes()
-            self._put(_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel_id, len(entries)))
-            self._put(entries)
+            parts += (INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel_id, len(entries)), entries)
+            place += INDEX_HEAD.size + len(entries)
         index = ChunkIndex(
-            chunk_length=length,
+            chunk_length=len(chunk),
             chunk_start_offset=start,
             compression="zstd",
             compressed_size=len(compressed),
             message_end_time=building.last_ns,
-            message_index_length=self._position - index_start,
+            message_index_length=place - index_start,
             message_index_offsets=offsets,
             message_start_time=building.first_ns,
             uncompressed_size=size,
         )
-        self._chunk_indexes.append(_record_bytes(index))
+        self._put(b"".join(parts))
+        # Only now is it gone from memory: the write may have failed.
+        del self._waiting[0]
+        self._chunks += 1
+        self._index.add(record_bytes(index))
 
     # --- the end --------------------------------------------------------------------------------------------------
 
     def _summary(self) -> None:
-        start = self._position
-        offsets = []
+        start = place = self._position
         statistics = Statistics(
-            attachment_count=0,
-            channel_count=len(self._channels),
+            attachment_count=self._attachments,
+            channel_count=self._channels,
             channel_message_counts=self._counts,
-            chunk_count=len(self._chunk_indexes),
+            chunk_count=self._chunks,
             message_count=self._messages,
             message_end_time=self._last_ns,
             message_start_time=self._first_ns,
-            metadata_count=len(self._metadata_indexes),
-            schema_count=len(self._schemas),
+            metadata_count=self._metadata,
+            schema_count=self._schemas,
         )
-        groups: tuple[tuple[Opcode, list[bytes]], ...] = (
-            (Opcode.SCHEMA, [_record_bytes(r) for r in self._schemas]),
-            (Opcode.CHANNEL, [_record_bytes(r) for r in self._channels]),
-            (Opcode.STATISTICS, [_record_bytes(statistics)]),
-            (Opcode.CHUNK_INDEX, self._chunk_indexes),
-            (Opcode.METADATA_INDEX, [_record_bytes(r) for r in self._metadata_indexes]),
+        groups: tuple[tuple[Opcode, Iterator[bytes]], ...] = (
+            (Opcode.SCHEMA, self._index.records(Opcode.SCHEMA)),
+            (Opcode.CHANNEL, self._index.records(Opcode.CHANNEL)),
+            (Opcode.STATISTICS, iter((record_bytes(statistics),))),
+            (Opcode.CHUNK_INDEX, self._index.records(Opcode.CHUNK_INDEX)),
+            (Opcode.ATTACHMENT_INDEX, self._index.records(Opcode.ATTACHMENT_INDEX)),
+            (Opcode.METADATA_INDEX, self._index.records(Opcode.METADATA_INDEX)),
         )
-        parts: list[bytes] = []
-        size = 0
+        offsets = []
+        batch: list[bytes] = []
+        size = crc = 0
         for opcode, records in groups:
-            length = sum(len(r) for r in records)
-            if length:
-                offsets.append(SummaryOffset(opcode, start + size, length))
-            parts += records
-            size += length
-        offset_start = start + size
-        data = b"".join(parts + [_record_bytes(offset) for offset in offsets])
-        crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start), zlib.crc32(data))
-        self._put(data)
-        self._record(Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=crc))
-        self._put(MCAP0_MAGIC)
-
-    def _record(self, record: McapRecord) -> None:
-        self._put(_record_bytes(record))
+            first = place
+            for record in records:
+                batch.append(record)
+                size += len(record)
+                place += len(record)
+                crc = zlib.crc32(record, crc)
+                if size >= CHUNK_SIZE:
+                    self._put(b"".join(batch))
+                    batch.clear()
+                    size = 0
+            if place > first:
+                offsets.append(record_bytes(SummaryOffset(opcode, first, place - first)))
+        self._put(b"".join(batch))
+        data = b"".join(offsets)
+        crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, start, place), zlib.crc32(data, crc))
+        footer = Footer(summary_start=start, summary_offset_start=place, summary_crc=crc)
+        self._put(data + record_bytes(footer) + MCAP0_MAGIC)
 
     def _put(self, data: bytes) -> None:
         self._stream.write(data)

@@ -2,7 +2,7 @@
 
     /<bus>/<address>/<command>/<request|reply>   the decoded fields, flat, with reserved keys that begin with _
     /<bus>/<address>/state                       position, speed, current ... from whichever reply carried them
-    /<bus>/unknown  /<bus>/junk  /<bus>/stats    /findings  /comments
+    /<bus>/unknown  /<bus>/junk  /<bus>/stats    /findings  /comments  /recording
 
 `log_time` is the time of the last byte and never decreases; `publish_time` is the estimated start on the wire.
 """
@@ -11,18 +11,18 @@ from __future__ import annotations
 
 from binascii import hexlify
 from collections.abc import Callable, Mapping
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import msgspec
 
-from analyzer import __version__
+from analyzer import __version__, events
 from analyzer.catalogue import Role
 from analyzer.codec import codec
 from analyzer.decoder import physical
 from analyzer.pipeline import CAN_OVERHEAD_BITS, Entry, topic_name
-from analyzer.records import Comment, Finding, Frame, Junk, Lane, Message, Severity
+from analyzer.records import CanFrame, Comment, Event, Finding, Frame, Junk, Lane, Message, Severity
 from analyzer.sinks import schemas
-from analyzer.sinks.mcap_file import McapFile
+from analyzer.sinks.mcap_file import LogFile, McapFile
 
 PROFILE = "servotap"
 LIBRARY = f"servotap {__version__}"
@@ -44,30 +44,49 @@ class _Topic:
         self.state_lane: _Topic | None = None
 
 
-class _Second:
+class Speed(NamedTuple):
+    """How long things take on a bus, in nanoseconds, 0 where it is not known: a byte on a serial line, a bit on CAN."""
+
+    byte_ns: int = 0
+    bit_ns: int = 0
+
+
+class Second:
     """Counts of one second of a bus."""
 
-    __slots__ = ("bytes", "end_ns", "errors", "frames", "junk_bytes", "warnings", "wire_ns")
+    __slots__ = ("bytes", "end_ns", "errors", "frames", "junk_bytes", "speed", "warnings", "wire_ns")
 
-    def __init__(self, end_ns: int) -> None:
+    def __init__(self, end_ns: int, speed: Speed) -> None:
         self.end_ns = end_ns
+        self.speed = speed
         self.frames = self.bytes = self.junk_bytes = self.errors = self.warnings = self.wire_ns = 0
 
 
 class McapLog:
-    """A sink that writes the log to a stream open for binary writing.
+    """A sink that writes the log to a file, or to a stream open for binary writing.
 
-    `byte_ns`: time of a byte on the wire for the bus load, 0 where it is not known.
+    `byte_ns`, `bit_ns`: time of a byte and of a bit for the bus load, 0 where it is not known; `speeds`: by bus, where
+    they differ.
     """
 
-    def __init__(self, stream: IO[bytes], *, byte_ns: int = 0, bit_ns: int = 0) -> None:
-        self._file = McapFile(stream, profile=PROFILE, library=LIBRARY)
+    def __init__(
+        self,
+        target: IO[bytes] | LogFile,
+        *,
+        byte_ns: int = 0,
+        bit_ns: int = 0,
+        speeds: Mapping[str, Speed] | None = None,
+    ) -> None:
+        self._file: LogFile
+        self._file = target if isinstance(target, LogFile) else McapFile(target, profile=PROFILE, library=LIBRARY)
         self._lanes: dict[str, _Topic] = {}
         self._schemas: dict[str, int] = {}
+        #: Channels that the file has and no lane was opened for yet: of a file that another left.
+        self._channels: dict[str, int] = {}
         self._last_ns = 0
-        self._seconds: dict[str, _Second] = {}
-        self._byte_ns = byte_ns
-        self._bit_ns = bit_ns
+        self._seconds: dict[str, Second] = {}
+        self._speed = Speed(byte_ns, bit_ns)
+        self._speeds = dict(speeds or {})
 
     @property
     def messages(self) -> int:
@@ -106,7 +125,10 @@ class McapLog:
             )  # fmt: skip
         can = frame.can
         if can is not None:
-            text = b'%b,"_can_id":%d}' % (text[:-1], can.id)
+            if frame.role is Role.UNKNOWN:
+                text = b'%b,"_can_id":%d}' % (text[:-1], can.id)
+            else:
+                text = b'%b,"_can_id":%d,"_direction":"%b"}' % (text[:-1], can.id, frame.role.encode())
         publish_ns = frame.first_ns
         self._file.add_message(kept.channel, sequence, log_ns, publish_ns if publish_ns > 0 else 0, text)
         if not lane.is_request:
@@ -121,7 +143,8 @@ class McapLog:
         size = len(data)
         second.frames += 1
         second.bytes += size
-        second.wire_ns += size * self._byte_ns if can is None else (CAN_OVERHEAD_BITS + 8 * size) * self._bit_ns
+        byte_ns, bit_ns = second.speed
+        second.wire_ns += size * byte_ns if can is None else (CAN_OVERHEAD_BITS + 8 * size) * bit_ns
 
     def entry(self, entry: Entry) -> None:
         """Write a decoded frame, and the state it carries."""
@@ -168,7 +191,8 @@ class McapLog:
         size = len(frame.data)
         second.frames += 1
         second.bytes += size
-        second.wire_ns += size * self._byte_ns if frame.can is None else (CAN_OVERHEAD_BITS + 8 * size) * self._bit_ns
+        byte_ns, bit_ns = second.speed
+        second.wire_ns += size * byte_ns if frame.can is None else (CAN_OVERHEAD_BITS + 8 * size) * bit_ns
 
     def _odd(self, entry: Entry, lane: _Topic) -> bytes:
         """Return the JSON of a message that is more than its fields: unknown, with findings, a package, on CAN."""
@@ -193,7 +217,9 @@ class McapLog:
         can = frame.can
         if can is not None:
             shown["_can_id"] = can.id
-            flags = [n for n in ("extended", "remote", "error", "fd") if getattr(can, n)]
+            if frame.role is not Role.UNKNOWN:
+                shown["_direction"] = frame.role.value
+            flags = can_flags(can)
             if flags:
                 shown["_can_flags"] = flags
         return _encode(shown)
@@ -214,7 +240,7 @@ class McapLog:
         second = self._second(junk.port, log_ns)
         second.junk_bytes += len(junk.data)
         second.bytes += len(junk.data)
-        second.wire_ns += len(junk.data) * self._byte_ns
+        second.wire_ns += len(junk.data) * second.speed.byte_ns
 
     def finding(self, found: Finding) -> None:
         """Write a finding."""
@@ -230,7 +256,7 @@ class McapLog:
             "file": found.topic,
             "line": found.sequence,
             "section": found.section,
-            "bus": topic_name(found.port),
+            "bus": topic_name(found.port) if found.port else "",
             "offset": found.offset,
         }
         if found.address is not None:
@@ -245,16 +271,40 @@ class McapLog:
             "level": 2,
             "message": comment.text,
             "name": "comment",
-            "bus": topic_name(comment.port),
+            "bus": topic_name(comment.port) if comment.port else "",
         }
         self._log("/comments", data, 0, t_ns)
 
+    def happened(self, event: Event, sequence: int) -> None:
+        """Write an event."""
+        lane = self._lanes.get(events.TOPIC)
+        if lane is None:
+            lane = self._add_lane(events.TOPIC, "servotap.recording", schemas.event_schema, {})
+        bus = topic_name(event.port) if event.port else ""
+        if event.name in events.SETUPS:
+            self._learn_speed(event)
+        data = {"event": event.name, "bus": bus, "text": events.text_of(event), **schemas.event_values(event.values)}
+        log_ns = self._clock(event.t_ns)
+        self._file.add_message(lane.channel, sequence, log_ns, log_ns, _encode(data))
+
+    def _learn_speed(self, event: Event) -> None:
+        values = event.values
+        byte_ns, speed = values.get("byte_ns"), values.get("speed")
+        if values.get("kind") == "can" and isinstance(speed, int) and speed > 0:
+            self._speeds[event.port] = Speed(0, SECOND // speed)
+        elif isinstance(byte_ns, int) and byte_ns > 0:
+            self._speeds[event.port] = Speed(byte_ns, 0)
+
     def finish(self, metadata: Mapping[str, str]) -> None:
         """Write the last counts, the metadata and the summary; the file is whole after this."""
-        for bus, second in self._seconds.items():
-            self._write_second(bus, second)
+        self._end_seconds()
         self._file.add_metadata("servotap", metadata)
         self._file.finish()
+
+    def _end_seconds(self) -> None:
+        for bus, second in self._seconds.items():
+            self._write_second(bus, second)
+        self._seconds.clear()
 
     def flush(self) -> None:
         """Write everything so far to the stream."""
@@ -282,10 +332,13 @@ class McapLog:
         return lane
 
     def _add_lane(self, topic: str, name: str, schema: Callable[[], bytes], about: Mapping[str, str]) -> _Topic:
-        schema_id = self._schemas.get(name)
-        if schema_id is None:
-            schema_id = self._schemas[name] = self._file.add_schema(name, schema())
-        lane = self._lanes[topic] = _Topic(self._file.add_channel(topic, schema_id, about))
+        channel = self._channels.get(topic)
+        if channel is None:
+            schema_id = self._schemas.get(name)
+            if schema_id is None:
+                schema_id = self._schemas[name] = self._file.add_schema(name, schema())
+            channel = self._file.add_channel(topic, schema_id, about)
+        lane = self._lanes[topic] = _Topic(channel)
         return lane
 
     def _log(self, topic: str, data: dict[str, Any], sequence: int, t_ns: int) -> None:
@@ -329,21 +382,22 @@ class McapLog:
             data = _encode(state)
         self._file.add_message(target.channel, sequence, log_ns, max(0, frame.first_ns), data)
 
-    def _second(self, port: str, log_ns: int) -> _Second:
+    def _second(self, port: str, log_ns: int) -> Second:
         second = self._seconds.get(port)
         if second is None or log_ns >= second.end_ns:
             if second is not None:
                 self._write_second(port, second)
-            second = self._seconds[port] = _Second((log_ns // SECOND + 1) * SECOND)
+            speed = self._speeds.get(port, self._speed)
+            second = self._seconds[port] = Second((log_ns // SECOND + 1) * SECOND, speed)
         return second
 
-    def _write_second(self, port: str, second: _Second) -> None:
+    def _write_second(self, port: str, second: Second) -> None:
         topic = f"/{topic_name(port)}/stats"
         lane = self._lanes.get(topic) or self._add_lane(topic, "servotap.stats", schemas.stats_schema, {})
         data: dict[str, Any] = {
             name: getattr(second, name) for name in ("frames", "bytes", "junk_bytes", "errors", "warnings")
         }
-        if self._byte_ns or self._bit_ns:
+        if any(second.speed):
             data["load"] = second.wire_ns / SECOND
         log_ns = self._clock(self._last_ns)
         self._file.add_message(lane.channel, 0, log_ns, log_ns, _encode(data))
@@ -355,3 +409,6 @@ class McapLog:
         return self._last_ns
 
 
+def can_flags(can: CanFrame) -> list[str]:
+    """Return what is special about a CAN frame, by name."""
+    return [name for name in ("extended", "remote", "error", "fd") if getattr(can, name)]

@@ -23,9 +23,10 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import IO, Any
 
-from analyzer.catalogue import Command, Dialect, Form, Role
-from analyzer.pipeline import Entry, PlainSink, Sink
-from analyzer.records import CanFrame, Comment, Finding, Frame, Junk, Lane
+from analyzer.catalogue import Dialect, Role
+from analyzer.pipeline import Entry, EventSink, PlainSink, Sink
+from analyzer.records import CanFrame, Comment, Event, Finding, Frame, Junk, Lane
+from analyzer.sinks.object_table import Table, TablePickler, TableUnpickler
 
 _PLAIN, _OTHER = b"P", b"O"
 #: tag, lane, sequence, first_ns, last_ns, offset, latency_ns or -1, request sequence or -1, length
@@ -40,40 +41,6 @@ def available() -> bool:
     return hasattr(os, "fork") and (os.cpu_count() or 1) > 1
 
 
-class _Table:
-    """Numbers for the objects of the catalogue that both processes have."""
-
-    def __init__(self, dialects: Sequence[Dialect]) -> None:
-        self.objects: list[Dialect | Command | Form] = []
-        for dialect in dialects:
-            self.objects.append(dialect)
-            if dialect.exception is not None:
-                self.objects.append(dialect.exception)
-            for command in (*dialect.commands, *dialect.fallbacks.values()):
-                self.objects += [command, *command.request_forms, *command.reply_forms]
-        self.numbers = {id(each): number for number, each in enumerate(self.objects)}
-
-
-class _Pickler(pickle.Pickler):
-    def __init__(self, stream: io.BytesIO, table: _Table) -> None:
-        super().__init__(stream, pickle.HIGHEST_PROTOCOL)
-        self._numbers = table.numbers
-
-    def persistent_id(self, obj: Any) -> int | None:
-        """Return the number of an object of the catalogue."""
-        return self._numbers.get(id(obj)) if isinstance(obj, (Dialect, Command, Form)) else None
-
-
-class _Unpickler(pickle.Unpickler):
-    def __init__(self, stream: io.BytesIO, table: _Table) -> None:
-        super().__init__(stream)
-        self._objects = table.objects
-
-    def persistent_load(self, pid: Any) -> Any:
-        """Return an object of the catalogue by its number."""
-        return self._objects[pid]
-
-
 class SinkProcess:
     """A sink that passes everything on to sinks in another process.
 
@@ -81,8 +48,9 @@ class SinkProcess:
     """
 
     def __init__(self, dialects: Sequence[Dialect], make: Callable[[], Sequence[Sink]]) -> None:
-        self._table = _Table(dialects)
-        self._lanes: dict[int, int] = {}
+        self._table = Table(dialects)
+        #: By lane, and by who sent it where the capture marks that.
+        self._lanes: dict[object, int] = {}
         self._parts: list[bytes] = []
         self._size = 0
         read, write = os.pipe()
@@ -102,7 +70,7 @@ class SinkProcess:
         self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None
     ) -> None:
         """Pass a frame on that is in order."""
-        number = self._lanes.get(id(lane))
+        number = self._lanes.get(id(lane) if frame.role is Role.UNKNOWN else (id(lane), frame.role))
         if number is None:
             number = self._add_lane(lane, frame)
         data = frame.data
@@ -132,6 +100,10 @@ class SinkProcess:
     def comment(self, comment: Comment) -> None:
         """Pass a comment on."""
         self._other(("comment", (comment,)))
+
+    def happened(self, event: Event, sequence: int) -> None:
+        """Pass an event on to the sinks that take them."""
+        self._other(("happened", (event, sequence)))
 
     # --- calls ----------------------------------------------------------------------------------------------------
 
@@ -171,16 +143,17 @@ class SinkProcess:
         return result
 
     def _add_lane(self, lane: Lane, frame: Frame) -> int:
-        number = self._lanes[id(lane)] = len(self._lanes)
+        number = len(self._lanes)
+        self._lanes[id(lane) if frame.role is Role.UNKNOWN else (id(lane), frame.role)] = number
         numbers = self._table.numbers
         about = (frame.dialect, lane.role, lane.address, lane.command, lane.form, lane.start, lane.stop, lane.topic)
         assert id(lane.command) in numbers  # lanes are of the dialects that the pipeline was made with
-        self._other(("lane", (about, frame.port, None if frame.can is None else frame.can.id)))
+        self._other(("lane", (about, frame.port, frame.role, None if frame.can is None else frame.can.id)))
         return number
 
     def _other(self, what: tuple[str, tuple[Any, ...]]) -> None:
         stream = io.BytesIO()
-        _Pickler(stream, self._table).dump(what)
+        TablePickler(stream, self._table).dump(what)
         data = stream.getvalue()
         self._parts += (_LENGTH.pack(_OTHER, len(data)), data)
         self._size += len(data)
@@ -204,7 +177,7 @@ class SinkProcess:
 # --- the worker ---------------------------------------------------------------------------------------------------
 
 
-def _work(pipe: int, answers: int, table: _Table, make: Callable[[], Sequence[Sink]]) -> None:
+def _work(pipe: int, answers: int, table: Table, make: Callable[[], Sequence[Sink]]) -> None:
     """Run the sinks until the pipe ends; never return."""
     # Ctrl-C reaches both processes; only the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -219,20 +192,20 @@ def _work(pipe: int, answers: int, table: _Table, make: Callable[[], Sequence[Si
         os._exit(0)
 
 
-def _serve(stream: IO[bytes], answers: int, table: _Table, sinks: Sequence[Sink]) -> None:
+def _serve(stream: IO[bytes], answers: int, table: Table, sinks: Sequence[Sink]) -> None:
     plain_sinks = [s.plain for s in sinks if isinstance(s, PlainSink)]
     others = [s for s in sinks if not isinstance(s, PlainSink)]
-    lanes: list[tuple[Lane, Dialect, str, CanFrame | None]] = []
+    event_sinks: list[Any] = [s for s in sinks if isinstance(s, EventSink)]
+    lanes: list[tuple[Lane, Dialect, str, Role, CanFrame | None]] = []
     head, plain_tag, other_tag = _HEAD.size, _PLAIN[0], _OTHER[0]
     unpack = struct.Struct("<xHQqqQqqH").unpack_from
-    role = Role.UNKNOWN
     while size := stream.read(4):
         batch = stream.read(int.from_bytes(size, "little"))
         at, end = 0, len(batch)
         while at < end:
             if batch[at] == plain_tag:
                 number, sequence, first_ns, last_ns, offset, latency, asked_by, length = unpack(batch, at)
-                lane, dialect, port, can = lanes[number]
+                lane, dialect, port, role, can = lanes[number]
                 at += head
                 data = batch[at : at + length]
                 at += length
@@ -248,7 +221,7 @@ def _serve(stream: IO[bytes], answers: int, table: _Table, sinks: Sequence[Sink]
             assert batch[at] == other_tag  # there are no others
             length = int.from_bytes(batch[at + 1 : at + 5], "little")
             at += 5
-            what, arguments = _Unpickler(io.BytesIO(batch[at : at + length]), table).load()
+            what, arguments = TableUnpickler(io.BytesIO(batch[at : at + length]), table).load()
             at += length
             if what == "lane":
                 lanes.append(_lane(*arguments))
@@ -256,17 +229,19 @@ def _serve(stream: IO[bytes], answers: int, table: _Table, sinks: Sequence[Sink]
                 index, method, rest_of = arguments
                 _say(answers, (True, getattr(sinks[index], method)(*rest_of) if method else sinks[index]))
             else:
-                for sink in sinks:
+                for sink in event_sinks if what == "happened" else sinks:
                     getattr(sink, what)(*arguments)
 
 
-def _lane(about: tuple[Any, ...], port: str, can_id: int | None) -> tuple[Lane, Dialect, str, CanFrame | None]:
+def _lane(
+    about: tuple[Any, ...], port: str, marked: Role, can_id: int | None
+) -> tuple[Lane, Dialect, str, Role, CanFrame | None]:
     dialect, role, address, command, form, start, stop, topic = about
     lane = Lane(dialect, role, address, command, form, start, stop)
     lane.topic = topic
     # All frames of a lane have the same identifier, so one CAN frame stands for them all.
     can = None if can_id is None else CanFrame(None, port, can_id, b"")
-    return lane, dialect, port, can
+    return lane, dialect, port, marked, can
 
 
 def _say(answers: int, what: tuple[bool, Any]) -> None:

@@ -6,6 +6,7 @@ required. A choice is two fields, the number and its name. Reserved keys begin w
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -27,6 +28,7 @@ _REPLY: dict[str, dict[str, Any]] = {
 _CAN: dict[str, dict[str, Any]] = {
     "_can_id": {"type": "integer"},
     "_can_flags": {"type": "array", "items": {"type": "string"}},
+    "_direction": {"type": "string", "description": "who sent it, where that was marked"},
 }
 
 
@@ -129,6 +131,58 @@ def stats_schema() -> bytes:
         {"frames": whole, "bytes": whole, "junk_bytes": whole, "errors": whole, "warnings": whole}
         | {"load": {"type": "number", "description": "share of the second in which bytes were on the wire"}},
     )
+
+
+def raw_schema() -> bytes:
+    """Return the schema of what came, as it came."""
+    return _object(
+        "Bytes as they came, or a CAN frame",
+        {"_raw": _RESERVED["_raw"], "_offset": _RESERVED["_offset"], **_CAN}
+        | {"_silence": {"type": "boolean", "description": "no bytes: nothing more belongs to what came before"}},
+    )
+
+
+_SECONDS = {"type": "number", "unit": "s", "description": "unit s"}
+_UTC = {"type": "string", "description": "UTC"}
+_TEXTS = {"type": "array", "items": {"type": "string"}}
+_NAMED: tuple[tuple[dict[str, Any], str], ...] = (
+    ({"type": "string"}, "endpoint kind direction reason cause what stem precision"),
+    ({"type": "string"}, "host system version recording previous model"),
+    ({"type": "integer"}, "speed byte_ns offset bytes frames count overrun buf_overrun frame parity brk part records"),
+    (_SECONDS, "gap step drift late"),
+    (_UTC, "from to"),
+    (_TEXTS, "dialects notes"),
+    ({"type": "array", "items": {"type": "integer"}}, "groups"),
+)
+#: What an event can hold beside its name, bus and text. Counters of a driver are those that rose.
+_EVENT: dict[str, dict[str, Any]] = {name: kind for kind, names in _NAMED for name in names.split()}
+_KINDS: dict[str, type | tuple[type, ...]] = {
+    "string": str, "integer": int, "number": (int, float), "array": (list, tuple),
+}  # fmt: skip
+
+
+def event_schema() -> bytes:
+    """Return the schema of what happened to a recording."""
+    text = {"type": "string"}
+    details = {"type": "string", "description": "further values, as JSON"}
+    return _object(
+        "What happened to the recording", {"event": text, "bus": text, "text": text, **_EVENT, "details": details}
+    )
+
+
+def event_values(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of an event as its schema has them; those that do not fit it as one text."""
+    known: dict[str, Any] = {}
+    others: dict[str, Any] = {}
+    for name, value in values.items():
+        if name == "text":
+            continue  # it stands beside them
+        wanted = _EVENT.get(name)
+        fits = wanted is not None and isinstance(value, _KINDS[wanted["type"]]) and not isinstance(value, bool)
+        (known if fits else others)[name] = value
+    if others:
+        known["details"] = msgspec.json.encode(others).decode()
+    return known
 
 
 def log_schema() -> bytes:

@@ -78,7 +78,7 @@ _OTHERS: tuple[tuple[bytes, str], ...] = (
 def open_source(
     path: str | Path, *, format: str | None = None, baud: int | None = None, bus: str | None = None
 ) -> Source:
-    """Open a capture; `-` is standard input.
+    """Open a capture; `-` is standard input. A folder, or the name that has none but numbered parts, is a log in parts.
 
     `format`: a name in `FORMATS`, found by content if None. `baud`: the line speed, for formats that count samples.
     `bus`: the name of the capture's (first) line. Raises UsageError for wrong arguments and UnreadableError, which says
@@ -90,7 +90,13 @@ def open_source(
         raise UsageError(f"unknown format {format!r}, expected one of {', '.join(FORMATS)}{hint}")
     if baud is not None and baud <= 0:
         raise UsageError(f"baud: expected a number above 0, got {baud}")
-    source = Source(str(path), baud=baud, bus=bus)
+    files, notes = _files(str(path))
+    source = Source(files[0], baud=baud, bus=bus)
+    for note in notes:
+        source.note(note)
+    if len(files) > 1 or files[0] != str(path):
+        source.name = Path(path).name or str(path)
+        source.continues_with([Path(file) for file in files[1:]])
     try:
         name = _find(source) if format is None else _forced(source, format)
         entry = FORMATS[name]
@@ -101,6 +107,27 @@ def open_source(
         source.close()
         raise
     return source
+
+
+def _files(path: str) -> tuple[list[str], list[str]]:
+    """Return the files of a capture, most often itself, and notes on what is missing."""
+    given = Path(path)
+    try:
+        is_folder, there = given.is_dir(), path == "-" or given.exists()
+    except (OSError, ValueError):
+        return [path], []
+    if there and not is_folder:
+        return [path], []
+    # Only now: it brings the library for logs with it.
+    from analyzer import parts
+
+    if is_folder:
+        found, notes = parts.in_folder(given)
+    else:
+        found, notes = parts.ordered([parts.look(each) for each in parts.parts_named(given)]), []
+    if not found:
+        return [path], []
+    return [str(part.path) for part in found], [*notes, *parts.gaps(found)]
 
 
 def _module(name: str) -> ModuleType:

@@ -37,6 +37,8 @@ _HEX_LETTER = re.compile(r"[A-Fa-f]|0x|\\x")
 _BUS_NAME = re.compile(
     r"(?:bus|com|port|can|tty|uart|usart|rs-?485|rs-?232|usb|serial|line|ch|channel|axis)\W?\w*", re.I
 )
+#: A name as this program exports it: a bus, and not a number of one.
+_EXPORTED_NAME = re.compile(r"bus:(?!\d+$)([\w.-]+)")
 
 _CLOCK = re.compile(r"(\d{1,2}):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?")
 _DATED = re.compile(
@@ -185,6 +187,9 @@ class _Reader:
 
     def _chunk(self, t_ns: int | None, line: HexLine, data: bytes) -> Chunk:
         name = line.name if line.name and _BUS_NAME.fullmatch(line.name) else None
+        exported = _EXPORTED_NAME.fullmatch(line.name)
+        if exported is not None:
+            name = exported[1]
         return Chunk(t_ns, self._source.port(name), data, Role.UNKNOWN if self._deaf else line.role, True)
 
     def _end_header(self) -> Iterator[Chunk | Comment]:

@@ -7,7 +7,7 @@
     250  RTAC serial      4 s, 4 us, event, control lines, 2 footer, then serial bytes
 
 Who sent a record: the host if the capture says "outgoing" or "transmitted". Received serial bytes are a reply only once
-something was transmitted: a listener receives everything.
+something was transmitted: a listener receives everything. A file that says who sent is believed from its first record.
 """
 
 from __future__ import annotations
@@ -41,13 +41,18 @@ _RTAC_EVENTS = {
 
 @dataclass
 class Line:
-    """One interface of a capture. `order`: byte order of the file. `sent`: a record of the host was seen."""
+    """One interface of a capture.
+
+    `order`: byte order of the file. `sent`: a record of the host was seen. `told`: the flags say who sent, not what a
+    listener received.
+    """
 
     source: Source
     link: int
     port: str
     order: str
     sent: bool = False
+    told: bool = False
 
     def serial_role(self, outgoing: bool | None) -> Role:
         """Return who sent serial bytes, from whether the capture calls them outgoing."""
@@ -56,7 +61,13 @@ class Line:
         if outgoing:
             self.sent = True
             return Role.REQUEST
-        return Role.REPLY if self.sent else Role.UNKNOWN
+        return Role.REPLY if self.sent or self.told else Role.UNKNOWN
+
+    def can_role(self, outgoing: bool | None) -> Role:
+        """Return who sent a CAN frame, likewise."""
+        if outgoing:
+            return Role.REQUEST
+        return Role.REPLY if self.told and outgoing is False else Role.UNKNOWN
 
 
 Taken = CanFrame | Chunk | Comment | None
@@ -76,7 +87,7 @@ def _can(line: Line, t_ns: int | None, data: bytes, outgoing: bool | None, order
         line.port,
         bits & (0x1FFF_FFFF if extended or bits & _ERROR else 0x7FF),
         b"" if bits & _REMOTE else data[_CAN_HEADER : _CAN_HEADER + length],
-        Role.REQUEST if outgoing else Role.UNKNOWN,
+        line.can_role(outgoing),
         extended,
         bool(bits & _REMOTE),
         bool(bits & _ERROR),
@@ -105,7 +116,8 @@ def _rtac(line: Line, t_ns: int | None, data: bytes, outgoing: bool | None) -> T
         return None
     event, body = data[8], data[_RTAC_HEADER:]
     if body:
-        return Chunk(t_ns, line.port, body, line.serial_role(_RTAC_DATA.get(event, outgoing)), True)
+        sent = outgoing if line.told else _RTAC_DATA.get(event, outgoing)
+        return Chunk(t_ns, line.port, body, line.serial_role(sent), True)
     text = _RTAC_EVENTS.get(event)
     return Comment(t_ns, line.port, text) if text is not None else None
 

@@ -70,10 +70,10 @@ class Heard:
     """Holds back "received" until something was sent: a listener receives everything, whoever sent it."""
 
     def __init__(self, sent: bool = False) -> None:
-        self._sent = sent
+        self.sent = sent
 
     def __call__(self, role: Role) -> Role:
         """Return the role that a mark stands for."""
         if role is Role.REQUEST:
-            self._sent = True
-        return Role.UNKNOWN if role is Role.REPLY and not self._sent else role
+            self.sent = True
+        return Role.UNKNOWN if role is Role.REPLY and not self.sent else role

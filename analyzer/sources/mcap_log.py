@@ -1,36 +1,34 @@
 """A log of this program, given back as the traffic it was made of, to be decoded again.
 
 Each message that has `_raw` (decoded frames, `/<bus>/unknown`, `/<bus>/junk`, `/<bus>/raw`) becomes a chunk or a CAN
-frame with its exact bytes and time; `/comments` become comments. What the log said a frame means is not given on, so
-that another dialect starts afresh.
+frame with its exact bytes and time; `/comments` become comments, `/recording` events. What the log said a frame means is not
+given on, so that another dialect starts afresh.
 
-Rules: each byte of a bus is given once, found by `_offset`, although `/<bus>/raw` repeats what the frames hold. A log
-that was not finished is read as far as it goes. Chunks are unpacked here, within bounds, for the library trusts the
-size a chunk claims.
+Rules: each byte of a bus is given once, found by `_offset`, although `/<bus>/raw` repeats what the frames hold. Where a
+raw topic says that it is complete it alone is read, with the pauses that it notes: so the log of a live recording is
+decoded as it was while it ran. If frames are asked for instead (`Source.framed`), raw bytes are given only where there are
+none. A log that was not finished is read as far as it goes.
 """
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator
-from typing import IO, cast
+from typing import Any
 
 import msgspec
 
 from analyzer.catalogue import Role
-from analyzer.errors import ServotapError, UnreadableError
-from analyzer.records import CanFrame, Chunk, Comment
+from analyzer.errors import UnreadableError
+from analyzer.events import RESUMED, SETUPS, TOPIC
+from analyzer.records import CanFrame, Chunk, Event, Silence
+from analyzer.sources.coverage import GAP_LIMIT, Coverage, Raw, Waiting
+from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.source import Record, Source, describe
 
 _MAGIC = b"\x89MCAP0\r\n"
 _PROFILE = "servotap"
 _COMMENTS = "/comments"
 _RAW = "raw"
-#: Bytes of one record, and of one chunk unpacked; this program writes chunks of 1 MiB.
-_RECORD_LIMIT = 64 << 20
-_UNPACKED_LIMIT = 64 << 20
-#: Stretches of a bus that may be missing for a time: messages out of order.
-_GAP_LIMIT = 1000
 _ROLES = {role.value: role for role in Role}
 
 
@@ -42,7 +40,10 @@ class _Logged(msgspec.Struct):
     can_id: int | None = msgspec.field(name="_can_id", default=None)
     can_flags: list[str] = msgspec.field(name="_can_flags", default_factory=list)
     direction: str = msgspec.field(name="_direction", default="")
+    silence: bool = msgspec.field(name="_silence", default=False)
+    findings: list[str] = msgspec.field(name="_findings", default_factory=list)
     message: str = ""
+    bus: str | None = None
 
 
 class _Lane:
@@ -54,40 +55,11 @@ class _Lane:
         self.bus = parts[1] if len(parts) > 1 else ""
         self.last = parts[-1]
         self.can = metadata.get("bus_kind") == "can"
-
-
-class _Coverage:
-    """Which bytes of a bus were given: all below `_end` but the gaps."""
-
-    def __init__(self) -> None:
-        self._end = 0
-        self._gaps: list[tuple[int, int]] = []
-        self.late = 0
-
-    def fresh(self, offset: int, size: int) -> tuple[int, int]:
-        """Return the part of a message's bytes that was not given yet, as first and last+1 of its own bytes."""
-        stop = offset + size
-        if offset >= self._end:
-            if offset > self._end and len(self._gaps) < _GAP_LIMIT:
-                self._gaps.append((self._end, offset))
-            self._end = stop
-            return 0, size
-        for at, (low, high) in enumerate(self._gaps):
-            if low <= offset < high:
-                self.late += 1
-                stop = min(stop, high)
-                self._gaps[at : at + 1] = [gap for gap in ((low, offset), (stop, high)) if gap[0] < gap[1]]
-                return 0, stop - offset
-        if stop > self._end:
-            first = self._end - offset
-            self._end = stop
-            return first, size
-        return 0, 0
-
-    @property
-    def missing(self) -> int:
-        """Bytes that never came."""
-        return sum(high - low for low, high in self._gaps)
+        self.is_raw = self.last == _RAW and len(parts) == 3
+        #: All that came stands in this topic; or, of any other topic, in the raw one of its bus.
+        self.complete = self.is_raw and metadata.get("complete") == "true"
+        #: Nothing of it is wanted: no traffic, or traffic that stands elsewhere, too.
+        self.idle = (len(parts), self.last) in ((4, "state"), (3, "stats")) or topic == "/findings"
 
 
 def score(head: bytes) -> float:
@@ -100,157 +72,169 @@ def read(source: Source) -> Iterator[Record]:
     if not source.head.startswith(_MAGIC):
         raise UnreadableError(f"{source.name}: expected an MCAP log (89 4D 43 41 50 ...), got another beginning")
     source.time_source = "log: times of the log that was read, exact to 1 ns"
-    return _records(source)
+    return _Log(source).records()
 
 
-class _File:
-    """The stream as a file for the library, which reads without bounds of its own."""
+class _Log:
+    """A log that is being read."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
-        self.offset = 0
+        self._lanes: dict[int, _Lane] = {}
+        self._covered: dict[str, Coverage] = {}
+        #: Buses whose raw topic holds all, and those whose raw topic was declared at all.
+        self._complete: set[str] = set()
+        self._waiting: Waiting | None = None
+        self._decode = msgspec.json.Decoder(_Logged).decode
+        #: What was said last of how each bus is to be read; and those that have begun.
+        self._setups: dict[str, Event] = {}
+        self._begun: set[str] = set()
+        self._sequence = 0
 
-    def read(self, count: int) -> bytes:
-        """Return `count` bytes. Raises ValueError where none can be meant, EOFError where the log breaks off."""
-        if not 0 <= count <= _RECORD_LIMIT:
-            raise ValueError(f"a record of {count} bytes, expected at most {_RECORD_LIMIT}")
-        data = self._source.stream.exactly(count)
-        self.offset += len(data)
-        if len(data) < count:
-            raise EOFError("the log breaks off; what came before is read (decode it again to have a whole one)")
-        return data
+    def records(self) -> Iterator[Record]:
+        """Yield what the log holds."""
+        # Only now: every format is asked whether a capture is its own, and most captures are not.
+        from mcap.records import Channel, Header, Metadata
 
+        from analyzer.sources.mcap_records import records
 
-def _records(source: Source) -> Iterator[Record]:
-    from mcap.records import Channel, Header, Message, Metadata
-
-    lanes: dict[int, _Lane] = {}
-    covered: dict[str, _Coverage] = {}
-    decode = msgspec.json.Decoder(_Logged).decode
-    profile = None
-    traffic = False
-    for record in _unpacked(source):
-        if isinstance(record, Message):
-            lane = lanes.get(record.channel_id)
-            if lane is None:
-                # The chunk that declared it is damaged; its bytes are still good.
-                source.note("some topics' declarations are lost: their bytes are taken as of one bus")
-                lane = lanes[record.channel_id] = _Lane("", {})
-            try:
-                logged = decode(record.data)
-                taken = _traffic(source, lane, record.log_time, logged, covered)
-            except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-                source.problem(f"a message of {lane.topic}: {describe(error)}")
-                continue
-            if taken is not None:
+        source = self._source
+        self._waiting = Waiting() if source.framed else None
+        profile = None
+        traffic = False
+        for record in records(source):
+            if isinstance(record, LogMessage):
+                for taken in self._message(record):
+                    traffic = True
+                    yield taken
+            elif isinstance(record, Channel):
+                self._declare(record.id, _Lane(record.topic, record.metadata))
+            elif isinstance(record, Header):
+                profile = record.profile
+                # Another part has channels of its own.
+                self._lanes.clear()
+            elif isinstance(record, Metadata) and record.name.startswith(_PROFILE) and record.metadata.get("time_source"):
+                source.time_source = f"log: {record.metadata['time_source']}"
+        if self._waiting is not None:
+            for chunk in self._waiting.rest():
                 traffic = True
-                yield taken
-        elif isinstance(record, Channel):
-            lanes[record.id] = _Lane(record.topic, record.metadata)
-        elif isinstance(record, Header):
-            profile = record.profile
-        elif isinstance(record, Metadata) and record.name == _PROFILE and record.metadata.get("time_source"):
-            source.time_source = f"log: {record.metadata['time_source']}"
-    if not traffic and profile != _PROFILE:
-        raise UnreadableError(
-            f"{source.name}: expected an MCAP log of servotap, got one of profile {profile!r} without raw bytes"
-        )
-    for bus, coverage in covered.items():
-        if coverage.missing:
-            source.note(f"{coverage.missing} bytes of {bus} are not in the log")
-        if coverage.late:
-            source.note(f"{coverage.late} messages of {bus} stand out of order in the log")
+                yield chunk
+        if not traffic and profile != _PROFILE:
+            raise UnreadableError(
+                f"{source.name}: expected an MCAP log of servotap, got one of profile {profile!r} without raw bytes"
+            )
+        for bus, coverage in self._covered.items():
+            if coverage.missing:
+                source.note(f"{coverage.missing} bytes of {bus} are not in the log")
+            if coverage.late:
+                source.note(f"{coverage.late} messages of {bus} stand out of order in the log")
 
+    def _declare(self, number: int, lane: _Lane) -> None:
+        self._lanes[number] = lane
+        if lane.complete and self._waiting is None:
+            self._complete.add(lane.bus)
 
-def _traffic(
-    source: Source, lane: _Lane, t_ns: int, logged: _Logged, covered: dict[str, _Coverage]
-) -> Chunk | CanFrame | Comment | None:
-    if logged.raw is None:
-        return source.comment(t_ns, logged.message) if lane.topic == _COMMENTS and logged.message else None
-    data = bytes.fromhex(logged.raw)
-    direction = _ROLES.get(logged.direction, Role.UNKNOWN)
-    if logged.can_id is not None:
-        flags = logged.can_flags
-        return CanFrame(
-            t_ns,
-            source.port(lane.bus or None),
-            logged.can_id,
-            data,
-            direction,
-            "extended" in flags,
-            "remote" in flags,
-            "error" in flags,
-            "fd" in flags,
-        )
-    if lane.can:
-        return None
-    if logged.offset is not None and lane.bus:
-        coverage = covered.setdefault(lane.bus, _Coverage()) if len(covered) < _GAP_LIMIT else _Coverage()
-        first, stop = coverage.fresh(logged.offset, len(data))
-        data = data[first:stop]
-    return Chunk(t_ns, source.port(lane.bus or None), data, direction) if data else None
+    def _message(self, record: LogMessage) -> Iterator[Record]:
+        source = self._source
+        lane = self._lanes.get(record.channel_id)
+        if lane is None:
+            # The chunk that declared it is damaged; its bytes are still good.
+            source.note("some topics' declarations are lost: their bytes are taken as of one bus")
+            lane = self._lanes[record.channel_id] = _Lane("", {})
+        if lane.idle or (lane.bus in self._complete and not lane.is_raw):
+            return
+        if source.skip_before_ns is not None and record.log_ns < source.skip_before_ns and lane.topic != TOPIC:
+            return
+        if source.rewound and 0 < record.sequence <= self._sequence:
+            return
+        self._sequence = max(self._sequence, record.sequence)
+        try:
+            if lane.topic == TOPIC:
+                yield from self._event(record)
+                return
+            logged = self._decode(record.data)
+            taken = self._traffic(lane, record.log_ns, logged)
+        except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+            source.problem(f"a message of {lane.topic}: {describe(error)}")
+            return
+        if self._waiting is not None:
+            yield from self._waiting.due(record.log_ns)
+        if taken is not None:
+            if lane.is_raw and lane.bus not in self._begun and logged.offset is not None:
+                yield from self._begin(lane, record.log_ns, logged.offset)
+            yield taken
 
+    def _traffic(self, lane: _Lane, t_ns: int, logged: _Logged) -> Record | None:
+        source, waiting = self._source, self._waiting
+        if logged.raw is None:
+            if lane.topic != _COMMENTS or not logged.message:
+                return None
+            comment = source.comment(t_ns, logged.message)
+            # A mark is about all buses.
+            return comment if logged.bus is None else msgspec.structs.replace(comment, port=logged.bus)
+        if logged.silence:
+            return Silence(t_ns, source.port(lane.bus or None)) if waiting is None else None
+        data = bytes.fromhex(logged.raw)
+        direction = _ROLES.get(logged.direction, Role.UNKNOWN)
+        if waiting is not None and not logged.direction and not logged.findings and logged.can_id is None:
+            direction = _ROLES.get(lane.last, Role.UNKNOWN)
+        if logged.can_id is not None:
+            flags = logged.can_flags
+            return CanFrame(
+                t_ns,
+                source.port(lane.bus or None),
+                logged.can_id,
+                data,
+                direction,
+                "extended" in flags,
+                "remote" in flags,
+                "error" in flags,
+                "fd" in flags,
+            )
+        if lane.can:
+            return None
+        if logged.offset is not None and lane.bus:
+            coverage = self._coverage(lane.bus, logged.offset)
+            if waiting is not None and lane.is_raw:
+                waiting.add(Raw(coverage, logged.offset, Chunk(t_ns, source.port(lane.bus), data, direction)))
+                return None
+            first, stop = coverage.fresh(logged.offset, len(data))
+            data = data[first:stop]
+        return Chunk(t_ns, source.port(lane.bus or None), data, direction) if data else None
 
-def _unpacked(source: Source) -> Iterator[object]:
-    """Yield the log's records, those of chunks too, as far as they go."""
-    from mcap.records import Chunk as Packed
-    from mcap.stream_reader import StreamReader
+    def _coverage(self, bus: str, offset: int) -> Coverage:
+        """Return what was given of a bus."""
+        known = self._covered.get(bus)
+        if known is None:
+            # Of a bus that begins in the midst, what was before is not missed; where nothing was said of it, all is.
+            known = Coverage(offset if bus in self._setups else 0)
+            if len(self._covered) < GAP_LIMIT:
+                self._covered[bus] = known
+        return known
 
-    file = _File(source)
-    reader = StreamReader(cast(IO[bytes], file), emit_chunks=True, record_size_limit=_RECORD_LIMIT)
-    try:
-        for record in reader.records:
-            if isinstance(record, Packed):
-                yield from _chunk(source, record, file.offset)
-            else:
-                yield record
-    except (ServotapError, GeneratorExit):
-        raise
-    # The library raises whatever a damaged record makes it stumble over.
-    except Exception as error:
-        source.problem(f"the log is not whole: {describe(error)}", offset=file.offset)
+    # --- events ---------------------------------------------------------------------------------------------------
 
+    def _event(self, record: LogMessage) -> Iterator[Record]:
+        values: dict[str, Any] = msgspec.json.decode(record.data, type=dict[str, Any])
+        name, bus, text = (str(values.pop(key, "")) for key in ("event", "bus", "text"))
+        details = values.pop("details", None)
+        if isinstance(details, str):
+            values |= msgspec.json.decode(details, type=dict[str, Any])
+        values["text"] = text
+        port = self._source.port(bus) if bus else ""
+        event = Event(record.log_ns, port, name, values)
+        if name in SETUPS and bus:
+            self._setups[bus] = event
+        skipped = self._source.skip_before_ns is not None and record.log_ns < self._source.skip_before_ns
+        if not skipped or name in SETUPS or name == "part":
+            yield event
 
-def _chunk(source: Source, packed: object, offset: int) -> Iterator[object]:
-    """Yield the records of a chunk."""
-    from mcap.records import Chunk as Packed
-    from mcap.stream_reader import breakup_chunk
-
-    assert isinstance(packed, Packed)
-    try:
-        data = _unpack(packed.compression, packed.data)
-        plain = Packed(
-            compression="",
-            data=data,
-            message_end_time=packed.message_end_time,
-            message_start_time=packed.message_start_time,
-            uncompressed_crc=packed.uncompressed_crc,
-            uncompressed_size=len(data),
-        )
-        records = breakup_chunk(plain, validate_crc=True)
-    # As above: zstandard, lz4 and the library each have errors of their own.
-    except Exception as error:
-        source.problem(f"a chunk of the log cannot be read: {describe(error)}", offset=offset)
-        return
-    yield from records
-
-
-def _unpack(compression: str, data: bytes) -> bytes:
-    """Return a chunk's data. Raises ValueError for one that grows beyond bounds or is packed in an unknown way."""
-    if not compression:
-        return data
-    opened: IO[bytes]
-    if compression == "zstd":
-        import zstandard
-
-        opened = cast(IO[bytes], zstandard.ZstdDecompressor().stream_reader(io.BytesIO(data)))
-    elif compression == "lz4":
-        import lz4.frame  # type: ignore[import-untyped]
-
-        opened = lz4.frame.open(io.BytesIO(data))
-    else:
-        raise ValueError(f"expected compression zstd or lz4, got {compression[:40]!r}")
-    unpacked = opened.read(_UNPACKED_LIMIT + 1)
-    if len(unpacked) > _UNPACKED_LIMIT:
-        raise ValueError(f"{len(data)} bytes unpack to more than {_UNPACKED_LIMIT >> 20} MiB")
-    return unpacked
+    def _begin(self, lane: _Lane, t_ns: int, offset: int) -> Iterator[Record]:
+        """Say where a bus begins, if that is not where it was said to: a log of a stretch, or one read from the midst."""
+        self._begun.add(lane.bus)
+        said = self._setups.get(lane.bus)
+        if said is None or said.values.get("offset", 0) == offset:
+            return
+        if self._source.skip_before_ns is None:
+            self._source.note(f"{lane.bus} begins at byte {offset}: what came before is not in the log")
+        yield Event(t_ns, self._source.port(lane.bus or None), RESUMED, {**said.values, "offset": offset})

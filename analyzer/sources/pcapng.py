@@ -4,7 +4,8 @@
     section header: byte order      interface: link type, name, resolution      enhanced, simple, old packet blocks
 
 Times are exact. An interface's name becomes the port; comments of records and sections are given on; who sent a record
-comes from its flags. Blocks of other types are passed over.
+comes from its flags. A section that this program exported says who sent as it is, where others only say what came in.
+Blocks of other types are passed over.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ _ENHANCED = 6
 _BLOCK_LIMIT = 16 << 20
 _LEAST_BLOCK = 12
 _COMMENT = 1
+_APPLICATION = 4
+_OWN = b"servotap "
 _NAME = 2
 _RESOLUTION = 9
 _OFFSET = 14
@@ -55,6 +58,7 @@ class _Interface:
 class _Section:
     order: str = "<"
     interfaces: list[_Interface] = field(default_factory=list)
+    own: bool = False
 
     def interface(self, number: int) -> _Interface | None:
         """Return an interface by number, None if the section does not declare it."""
@@ -119,14 +123,18 @@ def _blocks(source: Source, section: _Section) -> Iterator[tuple[int, bytes]]:
 
 
 def _options(section: _Section, data: bytes) -> dict[int, bytes]:
-    """Return a block's options, the first of each code."""
+    """Return a block's options, the first of each code; of comments, which may be several, all of them in lines."""
     found: dict[int, bytes] = {}
     at = 0
     while at + 4 <= len(data):
         code, length = struct.unpack_from(section.order + "HH", data, at)
         if code == 0:
             break
-        found.setdefault(code, data[at + 4 : at + 4 + length])
+        value = data[at + 4 : at + 4 + length]
+        if code == _COMMENT and code in found:
+            found[code] += b"\n" + value
+        else:
+            found.setdefault(code, value)
         at += 4 + length + -length % 4
     return found
 
@@ -145,7 +153,9 @@ def _records(source: Source) -> Iterator[Record]:
 
 def _begin_section(source: Source, section: _Section, body: bytes) -> Iterator[Record]:
     section.interfaces.clear()
-    text = _options(section, body[16:]).get(_COMMENT)
+    options = _options(section, body[16:])
+    section.own = options.get(_APPLICATION, b"").startswith(_OWN)
+    text = options.get(_COMMENT)
     if text:
         yield source.comment(None, text.decode("utf-8", "replace"))
 
@@ -161,7 +171,8 @@ def _begin_interface(source: Source, section: _Section, body: bytes) -> Iterator
     name = options.get(_NAME, b"").decode("utf-8", "replace").strip("\0 ")
     if not name and section.interfaces:
         name = f"{kind}{len(section.interfaces)}"
-    line = Line(source, link, source.port(name or None), "little" if section.order == "<" else "big")
+    order = "little" if section.order == "<" else "big"
+    line = Line(source, link, source.port(name or None), order, told=section.own)
     resolution = options.get(_RESOLUTION, b"\x06")[:1] or b"\x06"
     base, exponent = (2 if resolution[0] & 0x80 else 10), min(resolution[0] & 0x7F, _FINEST)
     seconds = int.from_bytes(options.get(_OFFSET, b""), "little" if section.order == "<" else "big", signed=True)

@@ -16,16 +16,18 @@ Rules:
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from types import TracebackType
 
 import msgspec
 
 from analyzer.errors import ServotapError, UnreadableError
-from analyzer.records import CanFrame, Chunk, Comment
+from analyzer.records import CanFrame, Chunk, Comment, Event, Silence
 from analyzer.sources.stream import Stream
+from analyzer.sources.tail import Follow
 
-Record = Chunk | CanFrame | Comment
+Record = Chunk | CanFrame | Comment | Silence | Event
 
 #: Problems kept in full; the others are counted.
 KEPT_PROBLEMS = 20
@@ -86,6 +88,16 @@ class Source:
         self.title = ""
         self.kind = "serial"
         self.time_source = "none"
+        #: Of a decoded log: give each frame as one piece with the role it was found to have, and raw bytes only where
+        #: they were never decoded. Set before the first record is taken.
+        self.framed = False
+        #: Of a log: what lies before this time is passed over, but what was said of the buses. Set likewise.
+        self.skip_before_ns: int | None = None
+        #: Of a log that is still being written: how to wait for more. Set likewise. `rewound`: some of it came twice.
+        self.follow: Follow | None = None
+        self.rewound = False
+        self._parts: list[Path] = []
+        self._passed = 0
         self.head = b""
         self._records: Iterator[Record] = iter(())
         self._ports: dict[str | None, str] = {}
@@ -103,12 +115,38 @@ class Source:
 
     def position(self) -> int:
         """Return how many bytes of the file have been read; it never goes back."""
-        return self.stream.position
+        return self._passed + self.stream.position
 
     @property
     def sha256(self) -> str | None:
-        """SHA-256 of the whole file in hex; None before all of it was read."""
-        return self.stream.sha256
+        """SHA-256 of the whole file in hex; None before all of it was read, and for a capture of several files."""
+        return self.stream.sha256 if not self._passed and not self._parts else None
+
+    def continues_with(self, parts: Sequence[Path]) -> None:
+        """Say which files follow the first one: parts of one log."""
+        self._parts = list(parts)
+        if self.size is not None:
+            self.size += sum(path.stat().st_size for path in parts)
+
+    @property
+    def files(self) -> list[Path]:
+        """The files that are to be read, the present one first."""
+        return [Path(self.stream.path), *self._parts]
+
+    def next_part(self) -> bool:
+        """Go over to the next file; say whether there was one."""
+        if not self._parts:
+            return False
+        self.stream.drain()
+        self._passed += self.stream.position
+        self.stream.close()
+        self.stream = Stream(str(self._parts.pop(0)), self.problem)
+        return True
+
+    def take_parts(self) -> list[Path]:
+        """Return the files that follow, for whoever reads them in another way."""
+        taken, self._parts = self._parts, []
+        return taken
 
     @property
     def notes(self) -> list[str]:
@@ -181,7 +219,7 @@ class Source:
                 t_ns = record.t_ns
                 if t_ns is None:
                     if last_ns is not None:
-                        self._untimed += not isinstance(record, Comment)
+                        self._untimed += isinstance(record, (Chunk, CanFrame))
                         record = msgspec.structs.replace(record, t_ns=last_ns)
                 elif last_ns is None or last_ns <= t_ns < FAR_NS:
                     if not 0 <= t_ns < FAR_NS:

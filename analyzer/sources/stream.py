@@ -56,7 +56,7 @@ class Stream:
         self._fd, self.size = _open(path)
         self._closable = path != "-"
         self._hash = hashlib.sha256()
-        self._ended = False
+        self._ended = self._skipped = False
         self.position = 0
         self.unpacked = 0
         self.compression = ""
@@ -96,6 +96,17 @@ class Stream:
             return joined[:count]
         return joined
 
+    def skip(self, count: int) -> None:
+        """Pass bytes over without reading them where that can be; the hash of the file is not known then."""
+        held = len(self._held)
+        if self.compression or self.size is None or count <= held:
+            self.exactly(count)
+            return
+        self._held = b""
+        os.lseek(self._fd, count - held, os.SEEK_CUR)
+        self.position += count - held
+        self._skipped = True
+
     def unread(self, data: bytes) -> None:
         """Put bytes back: they come again before all others."""
         self._held = data + self._held
@@ -108,7 +119,7 @@ class Stream:
     @property
     def sha256(self) -> str | None:
         """SHA-256 of the file as it lies, in hex; None before its end was read."""
-        return self._hash.hexdigest() if self._ended else None
+        return self._hash.hexdigest() if self._ended and not self._skipped else None
 
     def close(self) -> None:
         """Close the file. Closing twice is fine."""

@@ -5,4 +5,11 @@ from __future__ import annotations
 #: What each command does, in one line. It stands here and not beside the command, so that listing them imports nothing.
 HELP: dict[str, str] = {
     "emulate": "emulated drives on a serial port, a TCP port or a CAN bus",
+    "send": "send one frame to a drive, and show the reply decoded",
+    "scan": "find what answers on a bus: rates, dialects, addresses; reads only",
+    "replay": "send the requests of a recording again, at their times",
+    "tap": "record what a program and its serial adapter say to each other",
+    "test": "drives, real or emulated, against their manual",
+    "rerun": "the claim of a stored failure again: fixed, failing or flaky",
+    "restore": "put back what a broken-off run changed, from its journal",
 }

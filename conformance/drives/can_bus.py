@@ -104,6 +104,11 @@ class CanBus(Bus):
         self._inbox.clear()
         return frames
 
+    @property
+    def busy_ns(self) -> int:
+        """For how long the frame that is on the wire will keep it busy."""
+        return 0 if self._carried is None else max(0, self._free_ns - self.now_ns)
+
     # --- drives ---------------------------------------------------------------------------------------------------
 
     def _on_bus(self, speed: int) -> bool:

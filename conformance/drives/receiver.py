@@ -10,6 +10,7 @@ Rules:
 2. A frame is given on at the time of its last byte.
 3. A known frame whose check does not fit is given on with `checksum_ok` False, unless a frame begins inside it: then that
    one counts. Where one may still be arriving, the pause decides.
+   A Modbus write of several registers whose byte count is not its registers' is a frame by that count.
 4. What begins no frame costs one byte. Where two lengths check, one byte apart, the longer one counts.
 5. A pause ends every wait: what is incomplete is dropped, and what is behind it looked at again. Under Modbus it is 3.5
    characters (1.75 ms above 19200 baud), elsewhere `PAUSE_NS`, the silence that no adapter puts inside a frame.
@@ -23,7 +24,7 @@ from __future__ import annotations
 
 from analyzer.catalogue import Dialect, Role
 from analyzer.framer import SILENCE_NS
-from analyzer.link import MORE, TIE, ModbusLink
+from analyzer.link import MORE, TIE, WRITE_MANY, ModbusLink, modbus_crc
 from analyzer.records import Frame
 
 #: The pause that ends a frame of a dialect without a silence of its own.
@@ -32,6 +33,8 @@ PAUSE_NS = SILENCE_NS
 MODBUS_CHARACTERS = 3.5
 MODBUS_FAST_BAUD = 19200
 MODBUS_FAST_NS = 1_750_000
+#: A Modbus write of several registers: bytes before its data, the most registers, how far off a byte count may be.
+_MANY_HEAD, _MOST_WRITTEN, _BESIDE = 7, 123, 8
 #: Bytes that begin no frame and are kept until the pause.
 _KEPT = 512
 
@@ -118,6 +121,11 @@ class Receiver:
             if length > 0:
                 self._take(frames, at, length, True, ended_ns)
                 continue
+            if length == 0 and not at and not self._cut and isinstance(self.dialect.link, ModbusLink):
+                length = _counted(buffer, closed)
+            if length > 0:
+                self._take(frames, at, length, True, ended_ns)
+                continue
             if length == MORE:
                 return
             damaged = self._damaged(at, closed)
@@ -161,6 +169,22 @@ class Receiver:
     def _frame(self, data: bytes, first_ns: int, last_ns: int, good: bool) -> Frame:
         start_ns = first_ns - self.byte_ns
         return Frame(self.port, start_ns, last_ns, self._offset, data, self.dialect, Role.REQUEST, good)
+
+
+def _counted(buffer: bytes, closed: bool) -> int:
+    """Return the length of a Modbus write of several registers by its own byte count, where that is not its registers'.
+
+    0: it is none, or its CRC does not fit; `MORE`: it may still be arriving. A drive answers it by an exception.
+    """
+    if len(buffer) < _MANY_HEAD:
+        return 0
+    quantity, count = int.from_bytes(buffer[4:6], "big"), buffer[6]
+    if buffer[1] not in WRITE_MANY or not 0 < quantity <= _MOST_WRITTEN or count > 2 * quantity + _BESIDE:
+        return 0
+    length = _MANY_HEAD + count + 2
+    if len(buffer) < length:
+        return 0 if closed else MORE
+    return length if modbus_crc(buffer[:length]) == 0 else 0
 
 
 def _expect_nothing(address: int, function: int) -> int:

@@ -4,8 +4,7 @@
 
 Rules:
 
-1. The drives' own frames are never taken for requests. An interface that hands them back (`HANDS_BACK`) returns each of
-   them once and in order, so what comes back is told from the host's frames by what was sent and has not returned yet.
+1. The drives' own frames are never taken for requests (`conformance.can_port`).
 2. Frames that are no CAN 2.0 data frames with 11 bits are logged and reach no drive.
 3. With `bitrate` drives at another rate are not there; without it each drive's rate is right.
 """
@@ -13,32 +12,23 @@ Rules:
 from __future__ import annotations
 
 import contextlib
-import time
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-import can
-
-from analyzer.catalogue import Role
-from analyzer.errors import ServotapError, UsageError
-from analyzer.records import CanFrame
+from analyzer.errors import UsageError
 from analyzer.values import quote
+from conformance.can_port import CanPort
 from conformance.drives.can_bus import CanBus
 from conformance.serve.clock import Clock
 from conformance.serve.stop import Stop
 
-#: Interfaces of python-can that hand a sender its own frames back, whatever they are told.
-HANDS_BACK = frozenset({"udp_multicast"})
-#: How long a frame that was sent may take to return.
-_RETURN_NS = 500_000_000
+__all__ = ["CanPort", "parse_endpoint", "serve"]
+
 #: The longest wait for a frame: how late the wish to end is noticed.
 _WAIT_NS = 100_000_000
 _IDLE_NS = 200_000_000
 #: Frames taken before the bus gets its turn.
 _AT_ONCE = 64
-#: Failures to receive in a row after which the interface is taken to be gone.
-_FAILURES = 20
 
 
 def parse_endpoint(text: str) -> tuple[str, str, dict[str, Any]]:
@@ -67,84 +57,6 @@ def _value(text: str) -> int | float | str:
         with contextlib.suppress(ValueError):
             return kind(text)
     return text
-
-
-class CanPort:
-    """A python-can bus. Raises UsageError where it cannot be opened."""
-
-    def __init__(self, interface: str, channel: str, **options: Any) -> None:
-        self.name = f"{interface}:{channel}"
-        self.bitrate: int | None = options.get("bitrate")
-        known = can.VALID_INTERFACES
-        if interface not in known:
-            raise UsageError(f"no CAN interface {quote(interface)} (python-can has {', '.join(sorted(known))})")
-        try:
-            self._bus = can.Bus(interface=interface, channel=channel, **options)
-        # Each interface raises what its library raises.
-        except Exception as error:
-            raise UsageError(f"cannot open {self.name}: {type(error).__name__}: {error}") from None
-        self._own: deque[tuple[int, int, bytes]] = deque()
-        self._hands_back = interface in HANDS_BACK or bool(options.get("receive_own_messages"))
-        self._failures = 0
-        self.lost = 0
-
-    def receive(self, timeout_ns: int) -> CanFrame | None:
-        """Return the next frame of the others, None after the timeout.
-
-        Raises ServotapError when the interface is gone.
-        """
-        try:
-            message = self._bus.recv(timeout_ns / 1e9)
-        # A line of garbage on an adapter's port raises from deep inside.
-        except Exception as error:
-            self._failures += 1
-            if self._failures >= _FAILURES:
-                raise ServotapError(f"{self.name} is gone: {type(error).__name__}: {error}") from None
-            time.sleep(0.01)
-            return None
-        self._failures = 0
-        if message is None:
-            return None
-        frame = CanFrame(
-            None,
-            self.name,
-            message.arbitration_id,
-            bytes(message.data or b""),
-            Role.REQUEST,
-            bool(message.is_extended_id),
-            bool(message.is_remote_frame),
-            bool(message.is_error_frame),
-            bool(message.is_fd),
-        )
-        return None if not message.is_rx or (self._hands_back and self._returned(frame)) else frame
-
-    def _returned(self, frame: CanFrame) -> bool:
-        """Say whether a frame is one of ours that has come back."""
-        now_ns = time.monotonic_ns()
-        while self._own and now_ns - self._own[0][0] > _RETURN_NS:
-            self._own.popleft()
-        for index, (_, can_id, data) in enumerate(self._own):
-            if can_id == frame.id and data == frame.data:
-                del self._own[index]
-                return True
-        return False
-
-    def send(self, frame: CanFrame) -> None:
-        """Send a frame of a drive; one that the interface does not take is lost."""
-        message = can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=frame.extended)
-        if self._hands_back:
-            self._own.append((time.monotonic_ns(), frame.id, frame.data))
-        try:
-            self._bus.send(message)
-        except Exception:
-            self.lost += 1
-            if self._hands_back:
-                self._own.pop()
-
-    def close(self) -> None:
-        """Close the interface."""
-        with contextlib.suppress(Exception):
-            self._bus.shutdown()
 
 
 def serve(

@@ -64,6 +64,11 @@ class PtyPort:
         """Return the master's descriptor."""
         return (self._master,)
 
+    @property
+    def slave(self) -> int:
+        """The descriptor of the clients' end that is held here."""
+        return self._slave
+
     def read(self, ready: Sequence[int]) -> bytes:
         """Return what the client has written."""
         try:

@@ -1,0 +1,160 @@
+"""Make a smaller log of a stretch of a log, or of some of its buses: complete by itself, nothing decoded anew.
+
+What was said of the buses before the stretch (endpoints, dialects) stands at its beginning, so the cut can be decoded again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import IO, Any
+
+import msgspec
+from mcap.records import Channel
+
+from analyzer.cli.interrupt import Interrupt
+from analyzer.cli.log_copy import Copy, Log, Taken, write_or_drop
+from analyzer.cli.reading import clean, showing_progress
+from analyzer.cli.stretch import add_stretch_arguments
+from analyzer.errors import UsageError
+from analyzer.events import SETUPS, TOPIC
+from analyzer.moments import iso
+from analyzer.parts import METADATA
+from analyzer.sources.mcap_scan import LogMessage
+
+EXAMPLES = """\
+examples:
+  servotap cut week.mcap --since 2026-11-21T16:20:00Z --until 2026-11-21T16:25:00Z -o crash.mcap
+  servotap cut logs/ --since=-5min -o end.mcap
+  servotap cut week.mcap --since +1h --until +2h --bus left -o left.mcap
+"""
+#: Topics of all buses, whose messages say which bus they are of.
+_SHARED = frozenset((TOPIC, "/findings", "/comments"))
+_EVERYTHING = -1, 1 << 64
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("file", metavar="FILE", help="a log (MCAP), or a folder of its parts")
+    add_stretch_arguments(parser)
+    parser.add_argument("--bus", action="append", default=[], metavar="NAME", help="only this bus; may be repeated")
+    parser.add_argument("-o", "--output", required=True, metavar="OUT.mcap", help="the smaller log")
+    parser.add_argument("--force", action="store_true", help="replace a log that exists")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Cut the log; return 0."""
+    log = Log(arguments.file)
+    try:
+        target = Path(arguments.output)
+        if target.exists() and any(target.samefile(file) for file in log.files):
+            raise UsageError(f"{target} is the log itself; give another name with -o")
+        cut = _Cut(log, arguments)
+        write_or_drop(target, arguments.force, cut.write)
+        print(f"wrote {target}: {cut.said}")
+        for note in log.notes:
+            print(f"note: {clean(note)}", file=sys.stderr)
+    finally:
+        log.close()
+    return 0
+
+
+class _Cut:
+    """One cut. `said`: what it holds, in words, when it is written."""
+
+    def __init__(self, log: Log, arguments: argparse.Namespace) -> None:
+        self._log = log
+        self._buses = set(arguments.bus)
+        start_ns, end_ns = log.bounds()
+        since, until = arguments.since, arguments.until
+        self._since_ns = since.resolve(start_ns, end_ns) if since is not None else start_ns
+        self._until_ns = until.resolve(start_ns, end_ns) if until is not None else end_ns
+        if self._until_ns < self._since_ns:
+            raise UsageError(f"--until {iso(self._until_ns)} lies before --since {iso(self._since_ns)}")
+        if self._since_ns > end_ns or self._until_ns < start_ns:
+            raise UsageError(f"nothing of {log.name} lies there: it goes from {iso(start_ns)} to {iso(end_ns)}")
+        self.said = ""
+
+    def write(self, stream: IO[bytes]) -> None:
+        """Write the cut."""
+        log = self._log
+        found: dict[str, None] = {}
+
+        def wanted(channel: Channel) -> bool:
+            bus = channel.topic.split("/")[1] if channel.topic.startswith("/") else ""
+            if channel.topic not in _SHARED:
+                found[bus] = None
+            return not self._buses or channel.topic in _SHARED or bus in self._buses
+
+        copy: Copy | None = None
+        with Interrupt() as interrupt, showing_progress(f"cutting {log.name}", log.size, lambda: log.read):
+            before = self._before(wanted)
+            for taken in interrupt.items(log.messages(self._since_ns, self._until_ns, wanted)):
+                if copy is None:
+                    copy = Copy(stream, log.header)
+                    self._begin(copy, before, taken)
+                if self._is_ours(taken):
+                    copy.add(copy.declare(taken.schema, taken.channel), taken.message)
+            if interrupt.asked:
+                raise KeyboardInterrupt
+        missing = self._buses - set(found)
+        if missing:
+            raise UsageError(f"no bus {', '.join(sorted(missing))} in {log.name}; there are {', '.join(found) or 'none'}")
+        if copy is None or not copy.messages:
+            raise UsageError(f"nothing of {log.name} lies between {iso(self._since_ns)} and {iso(self._until_ns)}")
+        self._describe(copy)
+        copy.finish()
+
+    # --- what was said before -------------------------------------------------------------------------------------
+
+    def _before(self, wanted: Any) -> list[Taken]:
+        """Return what was said of the buses before the stretch: the last of each, and how the log was decoded."""
+        kept: dict[tuple[str, str], Taken] = {}
+        for taken in self._log.messages(*_EVERYTHING, lambda channel: channel.topic == TOPIC and wanted(channel)):
+            if taken.message.log_ns >= self._since_ns:
+                break
+            said = msgspec.json.decode(taken.message.data, type=dict[str, Any])
+            name, bus = said.get("event", ""), said.get("bus", "")
+            if name in SETUPS or name == "part":
+                # What is said of a bus is whole each time it is said.
+                kept["" if name == "part" else "setup", bus] = taken
+        self._log.read = 0
+        return [taken for taken in kept.values() if self._is_ours(taken)]
+
+    def _begin(self, copy: Copy, before: list[Taken], first: Taken) -> None:
+        """Declare what stands at the beginning of a log and say what was said before."""
+        for schema, channel in self._log.declared():
+            parts = channel.topic.split("/")
+            # A log is read by whether its raw topics are declared before anything else of their bus.
+            if len(parts) == 3 and parts[2] == "raw" and (not self._buses or parts[1] in self._buses):
+                copy.declare(schema, channel)
+        for schema, channel, message in before:
+            copy.add(copy.declare(schema, channel), message._replace(log_ns=first.message.log_ns))
+
+    def _is_ours(self, taken: Taken) -> bool:
+        """Say whether a message of a topic of all buses is of a wanted one."""
+        if not self._buses or taken.channel.topic not in _SHARED:
+            return True
+        bus = _bus_of(taken.message)
+        return bus == "" or bus in self._buses
+
+    def _describe(self, copy: Copy) -> None:
+        values = dict(self._log.metadata.get("servotap") or self._log.metadata.get(METADATA) or {})
+        for name in ("part", "previous", "next", "bytes_total", "bytes_in_frames", "bytes_junk", "frames", "findings"):
+            # They are of the whole.
+            values.pop(name, None)
+        first_ns = copy.first_ns or 0
+        values |= {"cut_of": self._log.name, "since": iso(self._since_ns), "until": iso(self._until_ns)}
+        if self._buses:
+            values["buses"] = ",".join(sorted(self._buses))
+        copy.describe("servotap", values)
+        self.said = f"{copy.messages} messages from {iso(first_ns)} to {iso(copy.last_ns)}"
+
+
+def _bus_of(message: LogMessage) -> str:
+    try:
+        said = msgspec.json.decode(message.data, type=dict[str, Any])
+    except msgspec.MsgspecError:
+        return ""
+    return str(said.get("bus", ""))

@@ -1,0 +1,239 @@
+"""What `cut` and `merge` share: the messages of a log in its order, and a log that takes over messages of others.
+
+Whole logs are read through their index, so only what is wanted is unpacked; others as far as they go. Written is by the
+`mcap` library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import IO, NamedTuple
+
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Header, Message, Metadata, Schema
+from mcap.writer import CompressionType, Writer
+
+from analyzer import __version__
+from analyzer.cli.output import Output
+from analyzer.errors import UnreadableError, UsageError
+from analyzer.sources import Source, open_source
+from analyzer.sources import mcap_scan as scan
+from analyzer.sources.mcap_records import bounds, outline, records
+from analyzer.sources.mcap_scan import LogMessage
+
+CHUNK_SIZE = 1 << 20
+#: Messages after which it is told how far reading has come, for a person who waits.
+_TELL_EVERY = 4096
+#: Messages of a log that is not whole that are passed over in search of what it declares.
+_FIRST_MESSAGES = 1000
+
+
+class Taken(NamedTuple):
+    """A message with what its log declares of it. `schema` None: it has none."""
+
+    schema: Schema | None
+    channel: Channel
+    message: LogMessage
+
+
+class Log:
+    """A log, in one file or in parts, to be copied from. Raises UnreadableError for what is none."""
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+        self.source = _opened(path)
+        self.files = self.source.files
+        self.name = self.source.name
+        self.size = self.source.size or 0
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.header = Header("", "")
+        self._whole = [outline(file, 0) is not None for file in self.files]
+        self.read = 0
+        for file, whole in zip(self.files, self._whole, strict=True):
+            if not whole:
+                self.source.note(f"{file.name} is not whole: it is read as far as it goes (servotap recover makes it whole)")
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """What a person should know of it."""
+        return self.source.notes
+
+    def bounds(self) -> tuple[int, int]:
+        """Return the first and last time. Raises UnreadableError for a log without messages."""
+        found = [each for file in self.files if (each := bounds(file)) is not None]
+        if not found:
+            raise UnreadableError(f"{self.name} holds no messages")
+        return min(first for first, _ in found), max(last for _, last in found)
+
+    def declared(self) -> list[tuple[Schema | None, Channel]]:
+        """Return what the log declares; of one that is not whole, what it declares before its first messages."""
+        found: dict[str, tuple[Schema | None, Channel]] = {}
+        for file, whole in zip(self.files, self._whole, strict=True):
+            for schema, channel in _summarised(file) if whole else _first_declared(file):
+                found.setdefault(channel.topic, (schema, channel))
+        return list(found.values())
+
+    def messages(
+        self, since_ns: int, until_ns: int, wanted: Callable[[Channel], bool] = lambda channel: True
+    ) -> Iterator[Taken]:
+        """Yield the messages of a stretch, both ends included, in the order of the log."""
+        for file, whole in zip(self.files, self._whole, strict=True):
+            yield from (self._indexed if whole else self._scanned)(file, since_ns, until_ns, wanted)
+            self.read += file.stat().st_size
+
+    def _indexed(
+        self, file: Path, since_ns: int, until_ns: int, wanted: Callable[[Channel], bool]
+    ) -> Iterator[Taken]:
+        with file.open("rb") as stream:
+            reader = SeekingReader(stream, record_size_limit=scan.RECORD_LIMIT)
+            self.header = reader.get_header()
+            for metadata in reader.iter_metadata():
+                self.metadata[metadata.name] = dict(metadata.metadata)
+            summary = reader.get_summary()
+            channels = summary.channels.values() if summary is not None else ()
+            topics = [channel.topic for channel in channels if wanted(channel)]
+            if not topics:
+                return
+            found = reader.iter_messages(
+                topics=topics, start_time=max(0, since_ns), end_time=min(until_ns + 1, (1 << 64) - 1), log_time_order=False
+            )
+            statistics = summary.statistics if summary is not None else None
+            first_ns = statistics.message_start_time if statistics is not None else 0
+            span_ns = max(1, statistics.message_end_time - first_ns if statistics is not None else 1)
+            begun, size = self.read, file.stat().st_size
+            for count, (schema, channel, message) in enumerate(found):
+                if not count % _TELL_EVERY:
+                    self.read = begun + size * min(span_ns, message.log_time - first_ns) // span_ns
+                yield Taken(schema, channel, _message(message))
+            self.read = begun
+
+    def _scanned(
+        self, file: Path, since_ns: int, until_ns: int, wanted: Callable[[Channel], bool]
+    ) -> Iterator[Taken]:
+        schemas: dict[int, Schema] = {}
+        channels: dict[int, Channel | None] = {}
+        with Source(str(file)) as source:
+            for record in records(source):
+                if isinstance(record, LogMessage):
+                    channel = channels.get(record.channel_id)
+                    if channel is not None and since_ns <= record.log_ns <= until_ns:
+                        yield Taken(schemas.get(channel.schema_id), channel, record)
+                elif isinstance(record, Schema):
+                    schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    channels[record.id] = record if wanted(record) else None
+                elif isinstance(record, Metadata):
+                    self.metadata[record.name] = dict(record.metadata)
+                else:
+                    self.header = record
+
+    def close(self) -> None:
+        """Close it."""
+        self.source.close()
+
+
+def _opened(path: str) -> Source:
+    if path == "-":
+        raise UsageError("standard input cannot be read twice: give a log by its name")
+    source = open_source(path)
+    if source.format != "mcap":
+        source.close()
+        raise UsageError(f"{path} is {source.title}, expected an MCAP log (servotap decode makes one of it)")
+    return source
+
+
+def _summarised(file: Path) -> list[tuple[Schema | None, Channel]]:
+    with file.open("rb") as stream:
+        summary = SeekingReader(stream, record_size_limit=scan.RECORD_LIMIT).get_summary()
+    if summary is None:
+        return []
+    return [(summary.schemas.get(channel.schema_id), channel) for channel in summary.channels.values()]
+
+
+def _first_declared(file: Path) -> list[tuple[Schema | None, Channel]]:
+    schemas: dict[int, Schema] = {}
+    found: list[tuple[Schema | None, Channel]] = []
+    with Source(str(file)) as source:
+        count = 0
+        for record in records(source):
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                found.append((schemas.get(record.schema_id), record))
+            elif isinstance(record, LogMessage):
+                count += 1
+                if count > _FIRST_MESSAGES:
+                    break
+    return found
+
+
+def _message(message: Message) -> LogMessage:
+    return LogMessage(message.channel_id, message.sequence, message.log_time, message.publish_time, message.data)
+
+
+class Copy:
+    """A log under construction that takes over messages of others. `stream`: where it goes."""
+
+    def __init__(self, stream: IO[bytes], header: Header) -> None:
+        self._writer = Writer(stream, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
+        library = header.library if header.profile != "servotap" else f"servotap {__version__}"
+        self._writer.start(profile=header.profile, library=library)
+        self._schemas: dict[tuple[str, str, bytes], int] = {}
+        self._channels: dict[tuple[str, int, str], int] = {}
+        self.messages = 0
+        self.first_ns: int | None = None
+        self.last_ns = 0
+
+    def declare(self, schema: Schema | None, channel: Channel, topic: str = "") -> int:
+        """Declare a channel, maybe under another topic, and return its id; the same once."""
+        schema_id = 0
+        if schema is not None:
+            key = schema.name, schema.encoding, schema.data
+            if key not in self._schemas:
+                self._schemas[key] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
+            schema_id = self._schemas[key]
+        topic = topic or channel.topic
+        wanted = topic, schema_id, channel.message_encoding
+        if wanted not in self._channels:
+            self._channels[wanted] = self._writer.register_channel(
+                topic, channel.message_encoding, schema_id, dict(channel.metadata)
+            )
+        return self._channels[wanted]
+
+    def add(self, channel_id: int, message: LogMessage) -> None:
+        """Add a message."""
+        self._writer.add_message(
+            channel_id, message.log_ns, message.data, publish_time=message.publish_ns, sequence=message.sequence
+        )
+        self.messages += 1
+        if self.first_ns is None:
+            self.first_ns = message.log_ns
+        self.last_ns = max(self.last_ns, message.log_ns)
+
+    def describe(self, name: str, values: Mapping[str, str]) -> None:
+        """Add a metadata record."""
+        self._writer.add_metadata(name, {key: value for key, value in values.items() if value})
+
+    def finish(self) -> None:
+        """Make it whole."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
+
+
+def write_or_drop(target: Path, replace: bool, write: Callable[[IO[bytes]], None]) -> None:
+    """Write a file that takes its name only when it is whole. Raises UsageError where it cannot be written."""
+    if target.exists() and not target.is_file():
+        raise UsageError(f"{target} is no regular file, and a log cannot be written there")
+    if target.exists() and not replace:
+        raise UsageError(f"{target} exists; --force replaces it")
+    output = Output(target, replace)
+    try:
+        write(output.stream)
+        output.stream.flush()
+        output.keep()
+    except OSError as error:
+        output.drop()
+        raise UsageError(f"cannot write {target}: {error.strerror or error}; no log was left") from None
+    except BaseException:
+        output.drop()
+        raise

@@ -1,0 +1,55 @@
+"""Files that commands write: under their names they are whole, or not there at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from pathlib import Path
+from typing import IO
+
+from analyzer.errors import UsageError
+
+
+class Output:
+    """A file under construction: it stands beside the target and takes its name only when it is whole.
+
+    `target`: the name it is to have; `replace`: whether a file of that name may be replaced. Raises UsageError where no
+    file can be made.
+    """
+
+    def __init__(self, target: Path, replace: bool) -> None:
+        self.target = target
+        self._replace = replace
+        try:
+            handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent)
+        except OSError as error:
+            raise UsageError(f"cannot write {target}: {error.strerror}") from None
+        self.part = Path(name)
+        self.stream: IO[bytes] = os.fdopen(handle, "wb", buffering=1 << 20)
+
+    def keep(self) -> None:
+        """Give the file its name. Raises UsageError if somebody else made one of that name meanwhile."""
+        self.stream.close()
+        umask = os.umask(0)
+        os.umask(umask)
+        self.part.chmod(0o666 & ~umask)
+        if self._replace:
+            self.part.replace(self.target)
+            return
+        try:
+            # A link, unlike a rename, fails where somebody else made the file meanwhile.
+            os.link(self.part, self.target)
+        except FileExistsError:
+            raise UsageError(f"{self.target} was made by somebody else meanwhile; --force replaces it") from None
+        except OSError:
+            self.part.replace(self.target)  # a file system without links
+            return
+        self.part.unlink()
+
+    def drop(self) -> None:
+        """Leave no file."""
+        # On a full disk closing fails too; the file is removed all the same.
+        with contextlib.suppress(OSError):
+            self.stream.close()
+        self.part.unlink(missing_ok=True)

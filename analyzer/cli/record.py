@@ -1,0 +1,296 @@
+"""Record serial ports and CAN buses into one MCAP log: decoded, paired, with findings, while it runs. It only listens.
+
+Any number of buses go into one file on one clock. The log is readable while it grows and after a crash; what is lost
+(a port unplugged, a full disk) is marked with its times, and the port is taken up again. Ctrl-C ends the recording.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import shlex
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from analyzer import dialects as registry
+from analyzer.cli.amounts import duration_ns, is_size, size_bytes
+from analyzer.endpoint import Endpoint, parse, parse_all
+from analyzer.errors import UsageError
+
+if TYPE_CHECKING:
+    from analyzer.catalogue import Dialect
+    from analyzer.cli.record_display import Display
+    from analyzer.live.config import PortConfig, RecordingConfig
+    from analyzer.live.supervisor import ReaderMaker
+
+FOXGLOVE = "127.0.0.1:8765"
+
+EXAMPLES = """\
+endpoints:
+  [NAME=]serial:PORT,baud=N[,parity=even|odd][,stop=2][,direction=request|reply]     baud=auto listens at each rate
+  [NAME=]serial:,serial=NUMBER,baud=N              a USB adapter by its serial number, whichever port it gets
+  [NAME=]tcp:HOST:PORT[,baud=N]                    a serial line behind a terminal server
+  [NAME=]can:INTERFACE:CHANNEL[,bitrate=N]         python-can's interfaces; the option names are python-can's
+
+examples:
+  servotap record serial:/dev/ttyUSB0,baud=38400
+  servotap record left=serial:/dev/ttyUSB0,baud=38400 arm=can:slcan:/dev/ttyACM0,bitrate=500000 -o week.mcap
+  servotap record serial:/dev/ttyUSB0,baud=auto --duration 10min --dialect mks-rs485
+  servotap record left=serial:/dev/ttyUSB0,baud=115200,direction=request left=serial:/dev/ttyUSB1,baud=115200,direction=reply
+  servotap record can:socketcan:can0 --rotate 100MB --keep 20 -o log.mcap
+  servotap record tcp:192.168.0.7:5000 --json --raw-only --max-total 200GB
+  servotap record serial:/dev/ttyUSB0,baud=38400 --view
+
+exit status: 0 all that came is in the log, 1 something was lost (the end says what), 2 wrong use
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("endpoints", nargs="*", metavar="[NAME=]ENDPOINT", help="what to listen to, see below")
+    add_recording_arguments(parser)
+
+
+def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of every command that records."""
+    parser.add_argument("-o", "--output", metavar="OUT.mcap", help="the log, or a folder (default recording-DATE-TIME.mcap)")
+    parser.add_argument("--dialect", default="auto", metavar="D", help="auto (default), or those on the buses: D,D")
+    parser.add_argument("--model", default="", metavar="M", help="42D 57D 28D 35D 42E 57E MF MG MH MS: limits and units")
+    parser.add_argument(
+        "--group", action="append", type=_address, default=[], metavar="ADDRESS",
+        help="an address that several drives listen to and none answers; may be repeated",
+    )  # fmt: skip
+    parser.add_argument("--late", type=_milliseconds, default=1000.0, metavar="MS", help="a reply is late after (default 1000)")
+    parser.add_argument("--duration", metavar="TIME", help="end after 10s, 5min, 2h")
+    parser.add_argument("--rotate", metavar="SIZE|TIME", help="a new file every 100MB or 10min, or both: 100MB,10min")
+    parser.add_argument("--keep", type=_positive, default=0, metavar="N", help="with --rotate: keep the last N files")
+    parser.add_argument("--max-total", metavar="SIZE", help="drop the oldest files beyond 200GB in all")
+    parser.add_argument("--raw-only", action="store_true", help="store what comes, and leave decoding for later")
+    parser.add_argument("--force", action="store_true", help="replace a log that exists")
+    parser.add_argument("--json", action="store_true", help="a line of JSON a second, and the end as one")
+    parser.add_argument("--view", action="store_true", help="watch in the terminal: frames, counts, findings, plot")
+    parser.add_argument(
+        "--foxglove", nargs="?", const=FOXGLOVE, default="", metavar="HOST:PORT", help=f"live to Foxglove (default {FOXGLOVE})"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Record until the end is asked for; return 0, or 1 if something was lost."""
+    display = display_of(arguments, "record")
+    endpoints = _endpoints(arguments)
+    target = target_of(arguments)
+    notes: list[str] = []
+    if arguments.foxglove:
+        from analyzer.sinks.foxglove_live import read_place, require_foxglove
+
+        place = read_place(arguments.foxglove)
+        require_foxglove()
+        if not place.loopback:
+            notes.append(f"foxglove: whoever can reach {place} can watch")
+    endpoints = [_at_its_speed(e, notes, quiet=arguments.json) for e in endpoints]
+    config = configure(arguments, endpoints, target, notes)
+    return record(config, display, duration_ns=asked_duration_ns(arguments))
+
+
+def display_of(arguments: argparse.Namespace, command: str) -> Display:
+    """Return how the recording is to be shown. Raises UsageError where that cannot be."""
+    from analyzer.cli.record_display import make_display
+
+    if arguments.view and arguments.json:
+        raise UsageError("--view shows what --json prints: one of them")
+    if arguments.view:
+        from analyzer.view import require_terminal
+
+        require_terminal(f"servotap {command} --view")
+    return make_display(json=arguments.json, view=arguments.view)
+
+
+def asked_duration_ns(arguments: argparse.Namespace) -> int:
+    """Return how long to record, 0 without an end."""
+    return duration_ns(arguments.duration) if arguments.duration else 0
+
+
+def record(
+    config: RecordingConfig,
+    display: Display,
+    *,
+    duration_ns: int = 0,
+    plain: bool = False,
+    readers: ReaderMaker | None = None,
+) -> int:
+    """Record as configured; return the exit status. Signals end it in order. `readers`: see `Supervisor`."""
+    from analyzer.cli.record_report import summarize
+    from analyzer.cli.record_signals import Signals
+    from analyzer.live.supervisor import Supervisor
+
+    supervisor = Supervisor(
+        config,
+        duration_ns=duration_ns,
+        on_note=display.note,
+        on_snapshot=display.snapshot,
+        plain=plain,
+        readers=readers,
+    )
+    with Signals(supervisor, display.say):
+        supervisor.start()
+        display.begin(supervisor)
+        thread = threading.Thread(target=supervisor.run, name="supervisor")
+        thread.start()
+        try:
+            display.watch(supervisor, thread)
+        finally:
+            supervisor.stop("the display broke off")
+            thread.join()
+    summary = summarize(supervisor)
+    display.end(summary)
+    return 1 if summary.lost else 0
+
+
+# --- what was asked for ---------------------------------------------------------------------------------------------------
+
+
+def _endpoints(arguments: argparse.Namespace) -> list[Endpoint]:
+    texts = list(arguments.endpoints)
+    if arguments.foxglove:
+        # `--foxglove serial:...`: the endpoint is none of Foxglove's.
+        with contextlib.suppress(UsageError):
+            parse(arguments.foxglove)
+            texts.append(arguments.foxglove)
+            arguments.foxglove = FOXGLOVE
+    return parse_all(texts)
+
+
+def target_of(arguments: argparse.Namespace) -> Path:
+    """Return the log to write. Raises UsageError where something is in the way."""
+    from analyzer.live.supervisor import check_target
+
+    name = time.strftime("recording-%Y%m%d-%H%M%S.mcap")
+    target = Path(arguments.output or name)
+    if target.is_dir():
+        target = target / name
+    if target.suffix != ".mcap" and (target.is_file() or not target.exists()):
+        raise UsageError(f"got {str(target)!r}, expected a name that ends in .mcap, by which logs are known")
+    check_target(target, arguments.force, parts=bool(arguments.rotate or arguments.max_total))
+    return target
+
+
+def _at_its_speed(
+    endpoint: Endpoint, dialects: Sequence[Dialect], notes: list[str], *, quiet: bool
+) -> Endpoint:
+    """Return an endpoint with its rate found out, where it says `auto`."""
+    if not endpoint.auto:
+        if endpoint.kind == "serial" and endpoint.speed is None:
+            notes.append(f"{endpoint.name}: no baud given: {endpoint.bits_per_second}")
+        return endpoint
+    from analyzer.live.autobaud import find
+
+    def say(text: str) -> None:
+        notes.append(f"{endpoint.name}: {text}")
+        if not quiet:
+            print(f"{endpoint.name}: {text}", file=sys.stderr, flush=True)
+
+    serial = [dialect for dialect in dialects if dialect.bus == "serial"]
+    return find(endpoint, say=say, candidates=serial or None)
+
+
+def configure(
+    arguments: argparse.Namespace, endpoints: Sequence[Endpoint], target: Path, notes: Sequence[str]
+) -> RecordingConfig:
+    """Return what the recording of endpoints is told; it begins now. `notes`: what the log is to say of it."""
+    from analyzer.live.clock import now
+    from analyzer.live.config import RecordingConfig
+
+    dialects = _dialects(arguments.dialect, endpoints)
+    if arguments.model:
+        registry.for_model(dialects or registry.every(), arguments.model)
+    rotate_bytes, rotate_ns = _rotation(arguments)
+    anchor = now()
+    return RecordingConfig(
+        log=str(target.absolute()),
+        ports=tuple(_port(number, e, dialects) for number, e in enumerate(endpoints, 1)),
+        anchor_monotonic_ns=anchor.monotonic_ns,
+        anchor_utc_ns=anchor.wall_ns,
+        model=arguments.model,
+        groups=tuple(arguments.group),
+        late_ns=int(arguments.late * 1e6),
+        raw_only=arguments.raw_only,
+        rotate_bytes=rotate_bytes,
+        rotate_ns=rotate_ns,
+        keep=arguments.keep,
+        max_total=size_bytes(arguments.max_total) if arguments.max_total else 0,
+        foxglove=arguments.foxglove,
+        command=shlex.join(["servotap", *sys.argv[1:]]),
+        notes=tuple(notes),
+    )
+
+
+def _port(number: int, endpoint: Endpoint, dialects: Sequence[Dialect]) -> PortConfig:
+    from analyzer.live.config import PortConfig
+    from analyzer.live.reader_can import NO_BITRATE
+
+    direction = endpoint.direction.value
+    speed: int | None = endpoint.bits_per_second
+    if endpoint.kind == "tcp" or (endpoint.kind == "can" and endpoint.interface[0] in NO_BITRATE):
+        speed = endpoint.speed
+    return PortConfig(
+        stem=f"{number}-{endpoint.name}" + (f"-{direction}" if direction != "unknown" else ""),
+        bus=endpoint.name,
+        endpoint=endpoint.text.replace("baud=auto", f"baud={endpoint.bits_per_second}"),
+        kind=endpoint.bus_kind,
+        direction=direction,
+        speed=speed,
+        byte_ns=endpoint.byte_ns,
+        dialects=tuple(d.name for d in dialects if d.bus == endpoint.bus_kind),
+    )
+
+
+def _dialects(text: str, endpoints: Sequence[Endpoint]) -> list[Dialect]:
+    if text == "auto":
+        return []
+    chosen = [registry.get(name.strip()) for name in text.split(",")]
+    kinds = {e.bus_kind for e in endpoints}
+    for dialect in chosen:
+        if dialect.bus not in kinds:
+            raise UsageError(f"{dialect.name} is a dialect of {dialect.bus} buses, and none is recorded")
+    return chosen
+
+
+def _rotation(arguments: argparse.Namespace) -> tuple[int, int]:
+    size = time_ns = 0
+    for part in arguments.rotate.split(",") if arguments.rotate else ():
+        if is_size(part):
+            size = size_bytes(part)
+        else:
+            try:
+                time_ns = duration_ns(part)
+            except UsageError:
+                raise UsageError(f"--rotate: got {part!r}, expected a size as 100MB or a time as 10min") from None
+    if arguments.keep and not arguments.rotate:
+        raise UsageError("--keep says how many files of --rotate are kept: --rotate is missing")
+    return size, time_ns
+
+
+def _address(text: str) -> int:
+    value = int(text, 0)
+    if not 0 <= value <= 0x7FF:
+        raise argparse.ArgumentTypeError(f"expected an address 0..0x7FF, got {text}")
+    return value
+
+
+def _milliseconds(text: str) -> float:
+    value = float(text)
+    if not 0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"expected milliseconds above 0, got {text}")
+    return value
+
+
+def _positive(text: str) -> int:
+    value = int(text)
+    if value <= 0:
+        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text}")
+    return value
+

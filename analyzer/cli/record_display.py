@@ -1,0 +1,296 @@
+"""What a recording shows while it runs: a live table, a line a second, JSON lines, or the terminal view."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from typing import TYPE_CHECKING, Any, Protocol
+
+import msgspec
+
+from analyzer.cli.amounts import duration_text, size_text
+from analyzer.cli.reading import clean
+from analyzer.cli.record_report import Summary, as_text
+from analyzer.live.snapshot import BusCounts, Snapshot
+from analyzer.live.supervisor import Supervisor
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+_SECOND_S = 1.0
+#: How often the live table is drawn.
+_TABLE_S = 0.25
+
+
+class Display(Protocol):
+    """Shows a recording. `note` and `snapshot` are called from the supervisor's thread, the others from the main one."""
+
+    def note(self, bus: str, text: str) -> None:
+        """Tell what happened."""
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        """Take a snapshot of the decoding process."""
+
+    def say(self, text: str) -> None:
+        """Tell something about the program itself; called from a signal handler, too."""
+
+    def begin(self, supervisor: Supervisor) -> None:
+        """Tell that it records."""
+
+    def watch(self, supervisor: Supervisor, thread: threading.Thread) -> None:
+        """Show how it goes until the thread has ended."""
+
+    def end(self, summary: Summary) -> None:
+        """Tell how it ended."""
+
+
+def make_display(*, json: bool = False, view: bool = False) -> Display:
+    """Return what fits the options and where the output goes."""
+    if view:
+        return ViewDisplay()
+    if json:
+        return JsonDisplay()
+    return TableDisplay() if sys.stdout.isatty() else LineDisplay()
+
+
+def counts(supervisor: Supervisor) -> list[tuple[str, str, BusCounts]]:
+    """Return the buses with the state of their ports and their counts."""
+    snapshot = supervisor.snapshot
+    known = {} if snapshot is None else {bus.bus: bus for bus in snapshot.buses}
+    states: dict[str, str] = {}
+    for port in supervisor.tallies.values():
+        # Of two directions of a bus, the one that is in trouble.
+        if states.get(port.bus) != "lost":
+            states[port.bus] = port.state
+    return [(bus, state, known.get(bus, BusCounts(bus))) for bus, state in states.items()]
+
+
+def _stored(supervisor: Supervisor, bus: str) -> str:
+    """Return what the readers of a bus have stored, about a second ago."""
+    ports = [port for port in supervisor.tallies.values() if port.bus == bus]
+    return f"{sum(port.count or 0 for port in ports)} {ports[0].unit}"
+
+
+def seconds_of(supervisor: Supervisor) -> float:
+    """Return how long it has been recording."""
+    until_ns = supervisor.ended_ns or time.monotonic_ns()
+    return (until_ns - supervisor.began_ns) / 1e9 if supervisor.began_ns else 0.0
+
+
+class LineDisplay:
+    """A line a second on standard output; notes on standard error."""
+
+    def note(self, bus: str, text: str) -> None:
+        """Print a note."""
+        print(clean(f"{bus}: {text}" if bus else text), file=sys.stderr, flush=True)
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        """Do nothing: the supervisor keeps the newest."""
+
+    def say(self, text: str) -> None:
+        """Print a line."""
+        # Not `print`: the signal may have come in the middle of one.
+        sys.stderr.flush()
+        with open(2, "wb", buffering=0, closefd=False) as stderr:
+            stderr.write(f"servotap record: {text}\n".encode())
+
+    def begin(self, supervisor: Supervisor) -> None:
+        """Print what is recorded."""
+        buses = ", ".join(dict.fromkeys(p.bus for p in supervisor.tallies.values()))
+        print(f"recording {clean(buses)} to {clean(supervisor.config.log)}; Ctrl-C ends it", flush=True)
+
+    def watch(self, supervisor: Supervisor, thread: threading.Thread) -> None:
+        """Print a line a second."""
+        due = time.monotonic() + _SECOND_S
+        while thread.is_alive():
+            thread.join(max(0.0, due - time.monotonic()))
+            if time.monotonic() >= due and thread.is_alive():
+                due = max(due + _SECOND_S, time.monotonic())
+                self.line(supervisor)
+
+    def line(self, supervisor: Supervisor) -> None:
+        """Print one line."""
+        parts = [f"{seconds_of(supervisor):.0f} s"]
+        for bus, state, count in counts(supervisor):
+            trouble = f", {state}" if state != "listening" else ""
+            junk = f", {count.junk_bytes} junk" if count.junk_bytes else ""
+            found = count.errors + count.warnings
+            findings = f", {found} findings" if found else ""
+            if supervisor.config.raw_only:
+                parts.append(f"{bus} {_stored(supervisor, bus)}{trouble}")
+            else:
+                parts.append(f"{bus} {count.frames} frames, {count.frame_rate:.0f}/s{junk}{findings}{trouble}")
+        snapshot = supervisor.snapshot
+        if snapshot is not None:
+            parts.append(size_text(snapshot.log_bytes))
+            if snapshot.behind_ns > 1_000_000_000:
+                parts.append(f"decoding {duration_text(snapshot.behind_ns)} behind")
+        if supervisor.phase in ("ending", "finishing"):
+            parts.append("finishing the log")
+        print(clean("  ".join(parts)), flush=True)
+
+    def end(self, summary: Summary) -> None:
+        """Print how it ended."""
+        print("\n".join(as_text(summary)), flush=True)
+
+
+class JsonDisplay(LineDisplay):
+    """The same as lines of JSON, each with an "event": begin, counts, note, end."""
+
+    @staticmethod
+    def _print(event: str, **about: Any) -> None:
+        print(msgspec.json.encode({"event": event, **about}).decode(), flush=True)
+
+    def note(self, bus: str, text: str) -> None:
+        """Print a note."""
+        self._print("note", bus=bus, text=text)
+
+    def begin(self, supervisor: Supervisor) -> None:
+        """Print what is recorded."""
+        ports = [
+            {"bus": p.bus, "endpoint": p.endpoint, "precision": p.precision, "notes": p.notes}
+            for p in supervisor.tallies.values()
+        ]
+        self._print("begin", log=supervisor.config.log, ports=ports)
+
+    def line(self, supervisor: Supervisor) -> None:
+        """Print the counts."""
+        snapshot = supervisor.snapshot
+        buses = [{"state": state, **msgspec.structs.asdict(count)} for _, state, count in counts(supervisor)]
+        ports = [{"bus": p.bus, "endpoint": p.endpoint, p.unit: p.count or 0} for p in supervisor.tallies.values()]
+        self._print(
+            "counts",
+            seconds=round(seconds_of(supervisor), 1),
+            phase=supervisor.phase,
+            buses=buses,
+            ports=ports,
+            log=supervisor.config.log if snapshot is None else snapshot.log,
+            log_bytes=0 if snapshot is None else snapshot.log_bytes,
+            behind=0.0 if snapshot is None else snapshot.behind_ns / 1e9,
+            rules={} if snapshot is None else snapshot.rules,
+        )
+
+    def end(self, summary: Summary) -> None:
+        """Print how it ended."""
+        self._print("end", **msgspec.to_builtins(summary))
+
+
+class TableDisplay(LineDisplay):
+    """A table that is drawn again and again, with the notes above it."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+
+        self._console = Console(highlight=False)
+
+    def note(self, bus: str, text: str) -> None:
+        """Print a note above the table."""
+        from rich.text import Text
+
+        self._console.print(Text(clean(f"{bus}: {text}" if bus else text), style="yellow"))
+
+    def watch(self, supervisor: Supervisor, thread: threading.Thread) -> None:
+        """Draw the table."""
+        from rich.live import Live
+
+        with Live(console=self._console, auto_refresh=False, transient=True) as live:
+            while thread.is_alive():
+                live.update(self._table(supervisor), refresh=True)
+                thread.join(_TABLE_S)
+
+    def _table(self, supervisor: Supervisor) -> Table:
+        from rich.table import Table
+        from rich.text import Text
+
+        snapshot = supervisor.snapshot
+        table = Table(box=None, pad_edge=False, header_style="bold", title_justify="left", caption_justify="left")
+        table.add_column("bus")
+        table.add_column("")
+        for name in ("stored", "frames", "/s", "bytes/s", "load", "junk", "findings"):
+            table.add_column(name, justify="right")
+        for bus, state, count in counts(supervisor):
+            table.add_row(
+                Text(clean(bus)),
+                Text(state, style="" if state == "listening" else "red"),
+                _stored(supervisor, bus),
+                str(count.frames),
+                f"{count.frame_rate:.0f}",
+                f"{count.byte_rate:.0f}",
+                "" if count.load is None else f"{100 * count.load:.0f} %",
+                str(count.junk_bytes or ""),
+                Text(str((count.errors + count.warnings) or ""), style="red" if count.errors else "yellow"),
+            )
+        size = size_text(snapshot.log_bytes) if snapshot is not None else "0 B"
+        behind = ""
+        if snapshot is not None and snapshot.behind_ns > 1_000_000_000:
+            behind = f", decoding {duration_text(snapshot.behind_ns)} behind"
+        doing = "finishing the log" if supervisor.phase in ("ending", "finishing") else "Ctrl-C ends it"
+        table.caption = Text(f"{duration_text(int(seconds_of(supervisor) * 1e9))}, {size}{behind}; {doing}")
+        return table
+
+
+class ViewDisplay(LineDisplay):
+    """The terminal view; what is to be told waits until it is closed."""
+
+    def __init__(self) -> None:
+        from analyzer.live.snapshot_pipe import SnapshotWriter
+
+        self._read_fd, write_fd = os.pipe()
+        self._writer = SnapshotWriter(write_fd)
+        self._lock = threading.Lock()
+        self._notes: list[tuple[str, str]] = []
+        self._open = True
+
+    def note(self, bus: str, text: str) -> None:
+        """Keep a note for later; the view shows events by itself."""
+        with self._lock:
+            if self._open:
+                self._notes.append((bus, text))
+                return
+        super().note(bus, text)
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        """Pass it on."""
+        with self._lock:
+            if self._open:
+                self._writer.offer(snapshot)
+
+    def say(self, text: str) -> None:
+        """Say it unless the view has the terminal."""
+        if not self._open:
+            super().say(text)
+
+    def watch(self, supervisor: Supervisor, thread: threading.Thread) -> None:
+        """Show the view until the user quits or the recording ends."""
+        from analyzer.view import run_live
+
+        ender = threading.Thread(target=self._end_with, args=(thread,), daemon=True)
+        ender.start()
+
+        def mark(text: str) -> str:
+            supervisor.mark(text)
+            return ""
+
+        config = supervisor.config
+        why = run_live(self._read_fd, mark=mark, log=config.log, model=config.model)
+        self._shut()
+        for bus, text in self._notes:
+            super().note(bus, text)
+        if why not in ("quit", "ended"):
+            self.note("", f"the view broke off ({why}); the recording goes on, Ctrl-C ends it")
+        elif thread.is_alive():
+            supervisor.stop("the view was closed")
+        super().watch(supervisor, thread)
+
+    def _end_with(self, thread: threading.Thread) -> None:
+        """Close the pipe when the recording is over, which ends the view."""
+        thread.join()
+        self._shut()
+
+    def _shut(self) -> None:
+        with self._lock:
+            if self._open:
+                self._open = False
+                self._writer.close()

@@ -1,0 +1,125 @@
+"""How a recording ended: what was recorded, what was lost, where it is. As an object, and as text."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from analyzer.cli.amounts import duration_text, size_text
+from analyzer.cli.columns import columns
+from analyzer.cli.reading import clean
+from analyzer.live.losses import LOSING, PortTally
+from analyzer.live.supervisor import Supervisor
+
+#: Gaps of a port that the text names; the object has them all.
+_GAPS_NAMED = 10
+
+
+class Summary(msgspec.Struct, kw_only=True):
+    """The end of a recording. `buses`: counts of the decoding by bus; `lost`: whether anything was."""
+
+    reason: str
+    seconds: float
+    ports: list[PortTally]
+    buses: dict[str, dict[str, Any]]
+    rules: dict[str, int]
+    files: list[str]
+    bytes: int
+    decoder_restarts: int
+    unfinished: str
+    lost: bool
+    #: UTC of monotonic 0, for the times of gaps.
+    utc_ns: int
+
+
+def summarize(supervisor: Supervisor) -> Summary:
+    """Return how a recording ended."""
+    config, snapshot = supervisor.config, supervisor.snapshot
+    files = [name for name in supervisor.logs if Path(name).exists()]
+    if not files and Path(config.log).exists():
+        files = [config.log]
+    ports = list(supervisor.tallies.values())
+    return Summary(
+        reason=supervisor.reason,
+        seconds=(supervisor.ended_ns - supervisor.began_ns) / 1e9,
+        ports=ports,
+        buses={} if snapshot is None else {b.bus: msgspec.to_builtins(b) for b in snapshot.buses},
+        rules={} if snapshot is None else dict(sorted(snapshot.rules.items(), key=lambda item: -item[1])),
+        files=files,
+        bytes=sum(Path(name).stat().st_size for name in files),
+        decoder_restarts=supervisor.decoder_restarts,
+        unfinished=supervisor.unfinished,
+        lost=bool(supervisor.unfinished) or any(port.lost for port in ports),
+        utc_ns=config.utc_ns(0),
+    )
+
+
+def as_text(summary: Summary) -> list[str]:
+    """Return the lines that tell the end."""
+    lines = [f"recorded {duration_text(int(summary.seconds * 1e9))} ({summary.reason})"]
+    rows = [("bus", "", "in", "frames", "junk", "lost", "")]
+    for port in summary.ports:
+        counts = summary.buses.get(port.bus, {})
+        count = "?" if port.count is None else f"{port.count} {port.unit}"
+        rows.append(
+            (
+                port.bus, port.endpoint, count, str(counts.get("frames", "")), str(counts.get("junk_bytes", 0) or ""),
+                _lost(port), _garbled(port),
+            )
+        )  # fmt: skip
+    lines += [clean(line) for line in columns(rows)]
+    for port in summary.ports:
+        lines += _gaps(port, summary.utc_ns)
+    if summary.rules:
+        lines.append("findings: " + ", ".join(f"{count} {rule}" for rule, count in summary.rules.items()))
+    elif any(summary.buses.values()):
+        lines.append("no findings")
+    if summary.decoder_restarts:
+        lines.append(f"the decoding process was started again {summary.decoder_restarts} times; nothing is lost by that")
+    for name in summary.files:
+        lines.append(f"wrote {clean(name)}, {size_text(Path(name).stat().st_size)}")
+    if summary.unfinished:
+        lines.append(summary.unfinished)
+    return lines
+
+
+def _lost(port: PortTally) -> str:
+    parts = []
+    gaps = [gap for gap in port.gaps if not gap.kept]
+    if gaps:
+        parts.append(f"{port.gap_count - len(port.gaps) + len(gaps)} gaps")
+    parts += [f"{n} {name}" for name, n in port.counters.items() if name in LOSING]
+    if port.dropped:
+        parts.append(f"{port.dropped} {port.unit} dropped")
+    if port.kernel_dropped:
+        parts.append(f"{port.kernel_dropped} frames in the kernel")
+    return ", ".join(parts) or "nothing"
+
+
+def _garbled(port: PortTally) -> str:
+    parts = [f"{n} {name}" for name, n in port.counters.items() if name not in LOSING]
+    parts += [f"{reason} ({n})" for reason, n in port.bus_errors.items()]
+    return ", ".join(parts)
+
+
+def _gaps(port: PortTally, utc_ns: int) -> list[str]:
+    lines = []
+    for gap in port.gaps[:_GAPS_NAMED]:
+        start = clock_text(gap.from_ns + utc_ns)
+        if gap.to_ns is None:
+            span = f"from {start} to the end"
+        else:
+            span = f"{start}, for {(gap.to_ns - gap.from_ns) / 1e9:.3f} s"
+        kept = " (nothing is missing: it waited in the kernel)" if gap.kept else ""
+        lines.append(f"  {port.bus}: gap {span}: {gap.reason}{kept}")
+    more = port.gap_count - min(len(port.gaps), _GAPS_NAMED)
+    return lines + ([f"  {port.bus}: and {more} more gaps"] if more > 0 else [])
+
+
+def clock_text(utc_ns: int) -> str:
+    """Return a moment as UTC to the millisecond."""
+    seconds, rest = divmod(utc_ns, 1_000_000_000)
+    return time.strftime("%H:%M:%S", time.gmtime(seconds)) + f".{rest // 1_000_000:03d} UTC"

@@ -1,0 +1,195 @@
+"""Make a log whole whose recording was killed: what its spools still hold goes in, and it gets its end.
+
+Without -o it happens in place. Where the folder FILE.spool of the recording is still there, not even the last second is lost;
+without it the log is copied as far as it can be read, also behind damaged places, and takes the place of the old one.
+Works on logs of other programs, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+import msgspec
+
+from analyzer.cli.interrupt import Interrupt
+from analyzer.cli.output import Output
+from analyzer.cli.reading import clean, showing_progress
+from analyzer.errors import UnreadableError, UsageError
+from analyzer.live import checkpoint, config
+from analyzer.live.lock import RUNNING, Lock
+from analyzer.live.log_parts import log_of
+from analyzer.live.recorder import Recorder
+from analyzer.live.recording import load_start
+from analyzer.live.spool import segments, spool_folder, stems
+from analyzer.moments import iso
+from analyzer.parts import base_of, parts_named
+from analyzer.sinks.mcap_repair import Outcome, is_whole, repair
+
+EXAMPLES = """\
+examples:
+  servotap recover week.mcap                    makes week.mcap whole
+  servotap recover week.mcap -o whole.mcap      leaves week.mcap as it is
+  servotap recover week-0007.mcap               the last part of a recording in parts
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("file", metavar="FILE", help="the log, or its folder of spools")
+    parser.add_argument("-o", "--output", metavar="WHOLE", help="write the whole log here and leave FILE as it is")
+    parser.add_argument("--force", action="store_true", help="replace WHOLE if it exists")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Make the log whole; return 0."""
+    path = Path(arguments.file)
+    target = _target(arguments)
+    folder = path if path.is_dir() and path.name.endswith(".spool") else spool_folder(base_of(path))
+    if (folder / config.NAME).exists():
+        if target is None:
+            _finish(folder)
+        else:
+            _finish_copy(folder, target, arguments.force)
+        return 0
+    if not path.exists() and parts_named(path):
+        path = parts_named(path)[-1]
+    if path.is_dir():
+        raise UsageError(f"{path} is a folder, expected a log, or a folder of spools (*.spool) with its {config.NAME}")
+    if not path.exists():
+        raise UnreadableError(f"{path} does not exist, and neither does {folder}")
+    _repair(path, target, arguments.force)
+    return 0
+
+
+def _target(arguments: argparse.Namespace) -> Path | None:
+    if arguments.output is None:
+        return None
+    target = Path(arguments.output)
+    if target.is_dir():
+        target = target / Path(arguments.file).name
+    if target.exists() and target.resolve() == Path(arguments.file).resolve():
+        return None
+    if target.exists() and not arguments.force:
+        raise UsageError(f"{target} exists; --force replaces it")
+    return target
+
+
+# --- with the spools ------------------------------------------------------------------------------------------------
+
+
+def _finish(folder: Path) -> list[Path]:
+    """Go on with a recording to the end of its spools; return its logs."""
+    log = log_of(folder, config.load(folder))
+    load_start(folder)
+    taken = f"{log} is being recorded; stop the recording, then recover what is left to be recovered"
+    with Lock(folder, RUNNING, taken=taken), Interrupt() as interrupt:
+        before = _spooled(folder)
+        recorder = Recorder(folder, final=True, asked=lambda: interrupt.asked, say=_say)
+        try:
+            with showing_progress(f"recovering {log.name}", before, lambda: before - _spooled(folder)):
+                finished = recorder.run(until=lambda: bool(interrupt.asked))
+        finally:
+            recorder.close()
+        if not finished:
+            raise KeyboardInterrupt
+    paths = parts_named(log) if recorder.parts.rotating else [log]
+    last = paths[-1]
+    print(f"{clean(last.name)}: whole; went on where the recording had stopped, with {before} bytes of its spools")
+    return paths
+
+
+def _finish_copy(folder: Path, target: Path, replace: bool) -> None:
+    """Make a whole log of a recording and leave all of it as it is: on copies."""
+    told = config.load(folder)
+    if told.rotate_bytes or told.rotate_ns or told.max_total:
+        raise UsageError(
+            f"the recording is in parts, of which only the last is to be made whole: leave -o away, or copy "
+            f"{folder} and the parts and recover the copy"
+        )
+    log = log_of(folder, told)
+    taken = f"{log} is being recorded; stop the recording, then recover what is left to be recovered"
+    with Lock(folder, RUNNING, taken=taken):
+        work = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".recover", dir=target.parent))
+        try:
+            copied = work / log.name
+            spools = spool_folder(copied)
+            spools.mkdir()
+            for source in folder.iterdir():
+                if source.is_file():
+                    shutil.copyfile(source, spools / source.name)
+            if log.exists():
+                shutil.copyfile(log, copied)
+            _finish(spools)
+            if target.exists() and not replace:
+                raise UsageError(f"{target} was made by somebody else meanwhile; --force replaces it")
+            copied.replace(target)
+        finally:
+            shutil.rmtree(work, ignore_errors=True)
+    print(f"wrote {target}; {log} and {folder} are as they were")
+
+
+def _spooled(folder: Path) -> int:
+    """Return how many bytes the spools hold that are not in the log yet."""
+    size = 0
+    with contextlib.suppress(OSError, msgspec.MsgspecError):
+        start = checkpoint.load(folder)
+        done = {stem: (s.segment, s.place) for stem, s in start.spools.items()} if start is not None else {}
+        for stem in stems(folder):
+            at, place = done.get(stem, (-1, 0))
+            for number, path in segments(folder, stem):
+                if number >= at:
+                    size += path.stat().st_size - (place if number == at else 0)
+    return size
+
+
+def _say(text: str) -> None:
+    print(f"servotap recover: {clean(text)}", file=sys.stderr)
+
+
+# --- without them ---------------------------------------------------------------------------------------------------
+
+
+def _repair(path: Path, target: Path | None, replace: bool) -> None:
+    """Copy what can be read of a log into a whole one."""
+    if is_whole(path) and target is None:
+        print(f"{clean(path.name)} is whole: nothing was changed")
+        return
+    into = target or path
+    with Interrupt() as interrupt:
+        output = Output(into, replace or target is None)
+        place = 0
+
+        def told(at: int) -> None:
+            nonlocal place
+            place = at
+            if interrupt.asked:
+                raise KeyboardInterrupt
+
+        try:
+            with showing_progress(f"recovering {path.name}", path.stat().st_size, lambda: place):
+                outcome = repair(path, output.stream, told)
+            output.stream.flush()
+            output.keep()
+        except OSError as error:
+            output.drop()
+            raise UsageError(f"cannot write {into}: {error.strerror or error}; {path.name} is as it was") from None
+        except BaseException:
+            output.drop()
+            raise
+    _report(path, into, outcome)
+
+
+def _report(path: Path, into: Path, outcome: Outcome) -> None:
+    span = f", from {iso(outcome.first_ns)} to {iso(outcome.last_ns)}" if outcome.messages else ""
+    print(f"{clean(into.name)}: whole; {outcome.messages} messages in {outcome.chunks} chunks{span}")
+    lost = 0
+    for fault in outcome.faults:
+        lost += fault.size
+        print(f"  {clean(str(fault))}")
+    if lost:
+        print(f"  {lost} bytes of {clean(path.name)} in all are no whole records")

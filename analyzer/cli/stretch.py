@@ -1,0 +1,174 @@
+"""The stretch of a capture that is wanted: `--since` and `--until`.
+
+Decoding begins some seconds before the stretch, unseen, so that half frames and open requests at its beginning are what
+they are in the whole; what was learnt of the drives long before (groups, drives told to be silent) is not known.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from analyzer.errors import UsageError
+from analyzer.events import SETUPS
+from analyzer.moments import Moment, iso, parse
+from analyzer.pipeline import Entry, EventSink, Sink
+from analyzer.records import CanFrame, Chunk, Comment, Event, Finding, Junk
+
+if TYPE_CHECKING:
+    from analyzer.sources import Source
+    from analyzer.sources.source import Record
+
+#: How long before the stretch decoding begins: longer than a request waits for its reply.
+WARM_NS = 5_500_000_000
+_BEFORE_ALL_NS = -(1 << 63)
+_AFTER_ALL_NS = 1 << 63
+
+T = TypeVar("T")
+
+
+def add_stretch_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of every command that can read a stretch."""
+    moment = "2026-11-21T16:22:11Z, +10s (from the start) or -5min (from the end)"
+    parser.add_argument("--since", type=_moment, metavar="T", help=f"only what came from then on: {moment}")
+    parser.add_argument("--until", type=_moment, metavar="T", help="only what came until then, written likewise")
+
+
+def _moment(text: str) -> Moment:
+    try:
+        return parse(text)
+    except UsageError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+class Stretch:
+    """The stretch of one source. `since_ns`, `until_ns` are known as soon as the first item is, or before."""
+
+    def __init__(self, source: Source, since: Moment | None, until: Moment | None) -> None:
+        self._source = source
+        self._since, self._until = since, until
+        self.since_ns, self.until_ns = _BEFORE_ALL_NS, _AFTER_ALL_NS
+        #: Bytes that were decoded unseen.
+        self.unseen_bytes = 0
+        self._resolved = not self.wanted
+        if self.wanted and (source.kind == "log" or "end" in self._anchors()):
+            bounds = _log_bounds(source) if source.kind == "log" else _bounds(source)
+            if bounds is not None:
+                self._resolve(*bounds)
+                if since is not None and source.kind == "log":
+                    source.skip_before_ns = self.since_ns - WARM_NS
+
+    @property
+    def wanted(self) -> bool:
+        """Whether it is not the whole."""
+        return self._since is not None or self._until is not None
+
+    def _anchors(self) -> set[str]:
+        return {moment.anchor for moment in (self._since, self._until) if moment is not None}
+
+    def _resolve(self, start_ns: int, end_ns: int) -> None:
+        self._resolved = True
+        if self._since is not None:
+            self.since_ns = self._since.resolve(start_ns, end_ns)
+        if self._until is not None:
+            self.until_ns = self._until.resolve(start_ns, end_ns)
+        if self.until_ns < self.since_ns:
+            raise UsageError(f"--until {iso(self.until_ns)} lies before --since {iso(self.since_ns)}")
+
+    def items(self, records: Iterable[Record]) -> Iterator[Record]:
+        """Yield what is to be decoded: the stretch, and some seconds before it."""
+        if not self.wanted:
+            yield from records
+            return
+        for record in records:
+            t_ns = record.t_ns
+            if t_ns is not None:
+                if not self._resolved:
+                    self._resolve(t_ns, t_ns)
+                if t_ns > self.until_ns:
+                    return
+                said = isinstance(record, Event) and (record.name in SETUPS or record.name == "part")
+                if t_ns < self.since_ns - WARM_NS and not said:
+                    continue
+            elif not isinstance(record, Comment):
+                raise UsageError(f"{self._source.name} has no times, so no stretch of it can be told by them")
+            yield record
+
+    def sinks(self, sinks: Sequence[Sink]) -> Sequence[Sink]:
+        """Return sinks that see the stretch alone."""
+        return [_Within(sink, self) for sink in sinks] if self._since is not None else sinks
+
+    def about(self) -> dict[str, str]:
+        """Return what a log's metadata says of it."""
+        values = {}
+        if self._since is not None:
+            values["since"] = iso(self.since_ns)
+        if self._until is not None:
+            values["until"] = iso(self.until_ns)
+        return values
+
+
+class _Within:
+    """A sink before a sink: it lets pass what is not before the stretch."""
+
+    def __init__(self, sink: Sink, stretch: Stretch) -> None:
+        self._sink = sink
+        self._stretch = stretch
+        self._happened = sink.happened if isinstance(sink, EventSink) else None
+
+    def entry(self, entry: Entry) -> None:
+        """Pass a frame on."""
+        if entry.message.frame.last_ns >= self._stretch.since_ns:
+            self._sink.entry(entry)
+        else:
+            self._stretch.unseen_bytes += len(entry.message.frame.data)
+
+    def junk(self, junk: Junk, sequence: int, topic: str) -> None:
+        """Pass junk on."""
+        if junk.last_ns >= self._stretch.since_ns:
+            self._sink.junk(junk, sequence, topic)
+        else:
+            self._stretch.unseen_bytes += len(junk.data)
+
+    def finding(self, found: Finding) -> None:
+        """Pass a finding on."""
+        if found.last_ns >= self._stretch.since_ns:
+            self._sink.finding(found)
+
+    def comment(self, comment: Comment) -> None:
+        """Pass a comment on."""
+        if comment.t_ns is None or comment.t_ns >= self._stretch.since_ns:
+            self._sink.comment(comment)
+
+    def happened(self, event: Event, sequence: int) -> None:
+        """Pass an event on; what was said of the buses counts for all that follows."""
+        if self._happened is not None and (event.t_ns >= self._stretch.since_ns or event.name in SETUPS):
+            self._happened(event, sequence)
+
+
+def _log_bounds(source: Source) -> tuple[int, int] | None:
+    """Return the first and last time of a log, all its parts together."""
+    from analyzer.sources.mcap_records import bounds
+
+    if source.size is None or source.stream.compression:
+        return None
+    found = [each for path in source.files if (each := bounds(path)) is not None]
+    return (min(first for first, _ in found), max(last for _, last in found)) if found else None
+
+
+def _bounds(source: Source) -> tuple[int, int] | None:
+    """Return the first and last time of a capture, by reading it once before."""
+    from analyzer.sources import open_source
+
+    if source.size is None:
+        raise UsageError("a moment counted from the end needs a file: standard input has no end yet")
+    first: int | None = None
+    last = 0
+    with open_source(Path(source.path), format=source.format, baud=source.baud) as before:
+        for record in before:
+            if isinstance(record, (Chunk, CanFrame)) and record.t_ns is not None:
+                first = record.t_ns if first is None else first
+                last = max(last, record.t_ns)
+    return None if first is None else (first, last)

@@ -1,0 +1,64 @@
+"""View a capture or a log in the terminal: frames, counts, findings, a plot, each frame byte by byte.
+
+The file is read once, from its beginning, while it is shown already; ? shows the keys. Frames are kept compressed, beyond
+64 MB of them in a temporary file, and decoded again when they are looked at. A recording is watched with
+'servotap record --view', or with --follow from elsewhere.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+from pathlib import Path
+
+from analyzer.cli.reading import add_reading_arguments, clean, open_reading
+from analyzer.errors import UsageError
+from analyzer.live.lock import running
+from analyzer.live.spool import spool_folder
+from analyzer.parts import base_of
+from analyzer.sources.tail import Follow
+from analyzer.view import require_terminal, run_capture
+
+EXAMPLES = """\
+examples:
+  servotap view capture.log
+  servotap view capture.log.mcap --filter '"bad_checksum" in findings'
+  servotap view week.mcap --since +10min --until +20min
+  servotap view --follow week.mcap                 while it is recorded, from another terminal
+  servotap view wire.bin --dialect mks-rs485 --baud 38400
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("file", metavar="FILE", help="a capture, an MCAP log, or a folder of its parts")
+    parser.add_argument("--follow", action="store_true", help="go on while the log is being recorded")
+    parser.add_argument("--filter", default="", metavar="EXPRESSION", help="begin with only the frames for which this holds")
+    add_reading_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """View the capture; return 0."""
+    if arguments.file == "-":
+        raise UsageError("standard input is the keyboard here: write it into a file first, or use servotap show -")
+    require_terminal()
+    reading = open_reading(arguments.file, arguments, Follow(_alive) if arguments.follow else None)
+    with contextlib.closing(reading.source):
+        if arguments.filter:
+            from analyzer.filter import Filter
+            from analyzer.view.source import field_names
+
+            Filter(arguments.filter, field_names(reading.possible))
+        why = run_capture(reading, filter_text=arguments.filter)
+        for note in reading.source.notes:
+            print(f"note: {clean(note)}", file=sys.stderr)
+    if why != "quit":
+        raise UsageError(why)
+    return 0
+
+
+def _alive(path: Path) -> bool | None:
+    """Say whether a log is being recorded; None where there is nothing beside it that tells."""
+    folder = spool_folder(base_of(path))
+    return running(folder) if folder.is_dir() else None

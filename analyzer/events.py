@@ -1,0 +1,197 @@
+"""Events: what can happen to a recording, what each means for the traffic, and which become findings.
+
+An event is a row here. `cuts`: what waits on its port ends there, for bytes are missing or the line was not watched. Texts
+are made from the values alone, so that a log that is decoded again says the same.
+
+Not known here: who notices these things, and how they are stored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from analyzer.findings import Issue
+from analyzer.records import Event, Severity
+
+#: Topic of the events in a log.
+TOPIC = "/recording"
+#: How a bus is to be read from here on: dialects, offset, time of a byte.
+PORT = "port"
+DIALECT = "dialect"
+#: The line runs at another speed from here on.
+SPEED = "speed"
+#: Of a log that is read from the midst on: where a bus goes on.
+RESUMED = "resumed"
+SETUPS = frozenset((PORT, DIALECT, SPEED, RESUMED))
+SECOND = 1_000_000_000
+
+Values = Mapping[str, Any]
+
+
+class Kind(NamedTuple):
+    """One kind of event: its text, the rule of its finding (empty: none), and whether waits end at it."""
+
+    text: Callable[[Values], str]
+    rule: str = ""
+    cuts: bool = False
+
+
+def _of(*names: str) -> Callable[[Values], str]:
+    """Return a text that names these values as far as they are there."""
+
+    def text(values: Values) -> str:
+        parts = []
+        for name in names:
+            value = values.get(name)
+            if value not in (None, "", [], ()):
+                shown = ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+                parts.append(shown if name in _SELF_EVIDENT else f"{name.replace('_', ' ')} {shown}")
+        return ", ".join(parts)
+
+    return text
+
+
+#: Values that need no word before them.
+_SELF_EVIDENT = frozenset(("text", "reason", "cause", "what", "endpoint", "dialects", "precision", "notes", "kind"))
+#: Counters of the kernel and what each counts.
+_COUNTERS = {
+    "overrun": "overruns of the hardware's buffer",
+    "buf_overrun": "overruns of the kernel's buffer",
+    "frame": "framing errors",
+    "parity": "parity errors",
+    "brk": "breaks",
+}
+
+
+def _port(values: Values) -> str:
+    named = ", ".join(values.get("dialects") or ()) or "dialect to be found out"
+    speed = f", {values['speed']} bit/s" if values.get("speed") else ""
+    direction = values.get("direction", "unknown")
+    heard = f", {direction} direction" if direction not in ("unknown", "") else ""
+    return f"{values.get('endpoint', '')}{speed}{heard}, {named}"
+
+
+def _dialect(values: Values) -> str:
+    return f"{', '.join(values.get('dialects') or ())} ({values.get('reason', '')})"
+
+
+def _resumed(values: Values) -> str:
+    return f"read from byte {values.get('offset', 0)} on"
+
+
+def _speed(values: Values) -> str:
+    return f"{values.get('speed', '?')} bit/s from here on"
+
+
+def _back(values: Values) -> str:
+    why = f" ({values['reason']})" if values.get("reason") else ""
+    return f"gone for {values.get('gap', 0.0):.3f} s, from {values.get('from', '?')} on{why}"
+
+
+def _counted(values: Values) -> str:
+    rose = [f"{values[name]} {what}" for name, what in _COUNTERS.items() if values.get(name)]
+    since = f", since {values['from']}" if values.get("from") else ""
+    return f"{', '.join(rose) or 'the counters rose'}{since}"
+
+
+def _amount(values: Values) -> str:
+    return next((f"{values[unit]} {unit}" for unit in ("bytes", "frames") if unit in values), "an unknown amount")
+
+
+def _dropped(values: Values) -> str:
+    span = f", from {values['from']} to {values['to']}" if values.get("from") and values.get("to") else ""
+    return f"{_amount(values)} came in and could not be kept{span}" + (f" ({values['reason']})" if values.get("reason") else "")
+
+
+def _kernel_dropped(values: Values) -> str:
+    return f"{_amount(values)} dropped by the kernel" + (f" since {values['from']}" if values.get("from") else "")
+
+
+def _missing(values: Values) -> str:
+    return f"{_amount(values)} are missing in what was stored"
+
+
+def _bus_error(values: Values) -> str:
+    count = values.get("count", 1)
+    return f"{values.get('reason', 'trouble')}" + (f", {count} times" if count not in (0, 1) else "")
+
+
+def _step(values: Values) -> str:
+    return f"the wall clock went {values.get('step', 0.0):+.3f} s: {values.get('cause', '')}; times here do not follow"
+
+
+def _drift(values: Values) -> str:
+    return f"wall clock minus the clock of the recording: {1000 * values.get('drift', 0.0):+.3f} ms"
+
+
+def _stalled(values: Values) -> str:
+    span = f" from {values.get('from', '?')} to {values.get('to', '?')}"
+    return f"the log could not be written{span} ({values.get('reason', '')}); what came meanwhile was kept beside it"
+
+
+def _restarted(values: Values) -> str:
+    who = f" of {values['stem']}" if values.get("stem") else ""
+    return f"the {values.get('what', 'process')} process{who} died and was started again ({values.get('reason', '')})"
+
+
+def _damaged(values: Values) -> str:
+    return f"{_amount(values)} of what was stored beside the log are damaged"
+
+
+def _part(values: Values) -> str:
+    return f"part {values.get('part', '?')}" + (f", after {values['previous']}" if values.get("previous") else "")
+
+
+KINDS: dict[str, Kind] = {
+    RESUMED: Kind(_resumed),
+    SPEED: Kind(_speed),
+    "begin": Kind(_of("host", "system", "version")),
+    "part": Kind(_part),
+    PORT: Kind(_port),
+    DIALECT: Kind(_dialect),
+    "open": Kind(_of("precision", "notes")),
+    "note": Kind(_of("text")),
+    "lost": Kind(_of("reason"), "port_lost", cuts=True),
+    "back": Kind(_back, "port_back", cuts=True),
+    "overrun": Kind(_counted, "overrun"),
+    "kernel_dropped": Kind(_kernel_dropped, "dropped", cuts=True),
+    "dropped": Kind(_dropped, "dropped", cuts=True),
+    "missing": Kind(_missing, "dropped", cuts=True),
+    "bus_error": Kind(_bus_error, "bus_error"),
+    "clock_step": Kind(_step, "clock_step"),
+    "clock_drift": Kind(_drift),
+    "restarted": Kind(_restarted, "restarted"),
+    "stalled": Kind(_stalled, "log_stalled"),
+    "damaged": Kind(_damaged, "spool_damaged", cuts=True),
+    "fault": Kind(_of("text"), "decoder_fault", cuts=True),
+    "closed": Kind(_of("reason")),
+    "end": Kind(_of("reason")),
+}
+_UNKNOWN = Kind(_of("text", "reason"))
+
+
+def text_of(event: Event) -> str:
+    """Return what happened in words."""
+    return KINDS.get(event.name, _UNKNOWN).text(event.values)
+
+
+def cuts(event: Event) -> bool:
+    """Say whether what waits on the port ends at this event."""
+    return KINDS.get(event.name, _UNKNOWN).cuts
+
+
+def issue_of(event: Event) -> Issue | None:
+    """Return the issue of an event, None for one that is nothing to worry about."""
+    kind = KINDS.get(event.name, _UNKNOWN)
+    if not kind.rule:
+        return None
+    text = text_of(event)
+    severe = kind.rule == "bus_error" and "bus off" in text.lower()
+    return Issue(kind.rule, text, Severity.ERROR if severe else None)
+
+
+def span_ns(event: Event) -> tuple[int, int]:
+    """Return the times that an event is about."""
+    gap = event.values.get("gap", 0.0)
+    return event.t_ns - (int(gap * SECOND) if isinstance(gap, (int, float)) and gap > 0 else 0), event.t_ns

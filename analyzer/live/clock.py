@@ -1,0 +1,84 @@
+"""Clocks of a recording: one that all times are told on, and the others that are watched and never followed.
+
+    monotonic   CLOCK_MONOTONIC: the one that counts; every process of this machine reads the same value
+    wall        UTC as the machine believes it: anchors a recording once, at its start
+    boot        CLOCK_BOOTTIME where there is one: goes on while the machine sleeps, so it tells a sleep from a set clock
+
+Rules: the anchor is one moment on both clocks, taken as tightly as the machine allows. A wall clock that is set or slewed
+afterwards changes no time in a log; it is reported (`WallClock`). No I/O, and no clock is read but by `now` and `anchor`.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+#: A wall clock that has moved by more than this within one look, against the monotonic one, was set.
+STEP_NS = 10_000_000
+#: How often drift is told.
+DRIFT_EVERY_NS = 60_000_000_000
+#: Pairs read for an anchor; the one that was read fastest is taken.
+_TRIES = 16
+
+
+class Now(NamedTuple):
+    """One moment on each clock, in nanoseconds; `boot_ns` equals `monotonic_ns` where there is no such clock."""
+
+    monotonic_ns: int
+    wall_ns: int
+    boot_ns: int
+
+
+class Change(NamedTuple):
+    """What the wall clock did: an event of the recording. `event`: `clock_step` or `clock_drift`."""
+
+    event: str
+    about: dict[str, int | str]
+
+
+def now() -> Now:
+    """Return this moment: the tightest of several readings, so that being interrupted between two clocks does not count."""
+    best: tuple[int, Now] | None = None
+    for _ in range(_TRIES):
+        first = time.monotonic_ns()
+        wall = time.time_ns()
+        boot = _boot_ns()
+        last = time.monotonic_ns()
+        if best is None or last - first < best[0]:
+            middle = first + (last - first) // 2
+            best = (last - first, Now(middle, wall, middle if boot is None else boot))
+    assert best is not None
+    return best[1]
+
+
+def _boot_ns() -> int | None:
+    number = getattr(time, "CLOCK_BOOTTIME", None)
+    return None if number is None else time.clock_gettime_ns(number)
+
+
+class WallClock:
+    """Watches the wall clock from `start` on. `look` says what it has done since the look before."""
+
+    def __init__(self, start: Now) -> None:
+        self._start = start
+        self._last = start
+        self._told_ns = start.monotonic_ns
+        #: Sum of the steps seen, in nanoseconds.
+        self.stepped_ns = 0
+
+    def look(self, at: Now) -> list[Change]:
+        """Return the changes since the last look, which was about a second ago: steps, and the drift once a minute."""
+        changes = []
+        last, self._last = self._last, at
+        span = at.monotonic_ns - last.monotonic_ns
+        step = at.wall_ns - last.wall_ns - span
+        if abs(step) > STEP_NS:
+            slept = at.boot_ns - last.boot_ns - span
+            cause = "the machine slept" if abs(step - slept) <= STEP_NS else "the wall clock was set"
+            changes.append(Change("clock_step", {"step_ns": step, "cause": cause}))
+            self.stepped_ns += step
+        if at.monotonic_ns - self._told_ns >= DRIFT_EVERY_NS:
+            self._told_ns = at.monotonic_ns
+            offset = at.wall_ns - self._start.wall_ns - (at.monotonic_ns - self._start.monotonic_ns)
+            changes.append(Change("clock_drift", {"offset_ns": offset}))
+        return changes

@@ -1,0 +1,230 @@
+"""The files of a recording's log: begun, gone on with, ended, and dropped when there are too many.
+
+Without rotation there is one, called as the log. With it there are parts (`analyzer.parts`), each a complete log by itself.
+What a part's summary will hold stands in the folder of the spools until it is written.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+from analyzer import __version__, parts
+from analyzer.errors import UnreadableError, UsageError
+from analyzer.live.checkpoint import Checkpoint
+from analyzer.live.config import RecordingConfig
+from analyzer.moments import iso
+from analyzer.sinks.mcap_file import LogFile, McapFile
+from analyzer.sinks.mcap_index import FileIndex, WholeWrites
+from analyzer.sinks.mcap_log import LIBRARY, PROFILE
+
+#: Where only the sum of all parts is bounded, a part has this share of it, and at least so many bytes.
+_SHARE = 10
+_LEAST_PART = 1 << 20
+_SPOOL = ".spool"
+TIME_SOURCE = "clock of the host: when the last byte had arrived; monotonic, anchored to UTC once at the start"
+
+#: Puts something between a log and its file, such as a live view of it; called for each part.
+Wrap = Callable[[McapFile], LogFile]
+
+
+def log_of(folder: Path, config: RecordingConfig) -> Path:
+    """Return the log of a folder of spools: it stands beside the folder, wherever both were moved to."""
+    return folder.with_name(folder.name[: -len(_SPOOL)]) if folder.name.endswith(_SPOOL) else Path(config.log)
+
+
+class LogParts:
+    """The parts of one recording. `number`, `path`: of the part that is being written."""
+
+    METADATA = parts.METADATA
+
+    def __init__(self, folder: Path, config: RecordingConfig, wrap: Wrap | None = None) -> None:
+        self._folder = folder
+        self._config = config
+        self._wrap = wrap
+        self.log = log_of(folder, config)
+        self.rotate_bytes = config.rotate_bytes
+        if config.max_total and not (config.rotate_bytes or config.rotate_ns):
+            self.rotate_bytes = max(config.max_total // _SHARE, _LEAST_PART)
+        self.rotating = bool(self.rotate_bytes or config.rotate_ns)
+        #: The same for all parts, and for whoever goes on after a kill.
+        self.recording = f"{config.anchor_utc_ns:016x}-{config.anchor_monotonic_ns:016x}"
+        self.number = 1
+        self.path = self.log
+        self.previous = ""
+        self._begun_ns: int | None = None
+        self._stream: WholeWrites | None = None
+        self._index: FileIndex | None = None
+        self.file: McapFile
+
+    # --- begin, go on, end ----------------------------------------------------------------------------------------
+
+    def begin(self, number: int, before: Callable[[], None] | None = None, *, mine: bool = False) -> LogFile:
+        """Begin a part. `before` is called when it is known which it will be, and nothing is there yet.
+
+        `mine`: what stands under the name was begun by a process that was killed. Without `before` the next number is
+        taken where somebody else has a file of that name. Raises OSError with nothing left, UsageError where the first
+        one exists.
+        """
+        previous = self.path.name if before is None else ""
+        path = self._path(number)
+        if before is None:
+            while path.exists():
+                number += 1
+                path = self._path(number)
+        elif path.exists() and not mine:
+            raise UsageError(f"{path} exists, and a recording replaces nothing")
+        was = self.number, self.path
+        self.close()
+        self.number, self.path = number, path
+        if before is not None:
+            before()
+        stream: IO[bytes] | None = None
+        try:
+            # Read, too: what stands there is looked at when a process goes on with it.
+            stream = open(path, "w+b", buffering=0)  # noqa: SIM115
+            index = FileIndex(self._index_path(number))
+            whole = WholeWrites(stream)
+            file = McapFile(whole, profile=PROFILE, library=LIBRARY, index=index, patient=True)
+        except OSError:
+            if stream is not None:
+                stream.close()
+                path.unlink(missing_ok=True)
+            self.number, self.path = was
+            raise
+        self._stream, self._index, self.file = whole, index, file
+        self.previous = previous
+        self._begun_ns = None
+        return self._wrap(file) if self._wrap is not None else file
+
+    def resume(self, start: Checkpoint) -> LogFile:
+        """Go on with the part of a checkpoint, behind what was flushed of it. Raises UnreadableError if it is not there."""
+        self.number = start.part
+        self.path = self.log.with_name(start.path)
+        self.previous = start.previous
+        try:
+            size = self.path.stat().st_size
+            if size < start.position:
+                raise UnreadableError(
+                    f"{self.path} has {size} bytes, and {start.position} had been written: it was cut or replaced; move "
+                    f"{self._folder} away to keep what it holds, then servotap recover {self.path} makes the rest whole"
+                )
+            self._drop_later()
+            stream = open(self.path, "r+b", buffering=0)  # noqa: SIM115
+            self._stream = WholeWrites(stream, start.position)
+            self._index = FileIndex(self._index_path(self.number), start.index_length)
+        except OSError as error:
+            raise UnreadableError(f"{self.path} cannot be gone on with: {error.strerror or error}") from None
+        self.file = McapFile.resume(self._stream, start.file, self._index, patient=True)
+        self._begun_ns = start.begun_ns
+        return self._wrap(self.file) if self._wrap is not None else self.file
+
+    def state(self) -> dict[str, Any]:
+        """Return what a checkpoint says of the part, right after a flush."""
+        assert self._index is not None  # a part was begun
+        return {
+            "part": self.number,
+            "path": self.path.name,
+            "previous": self.previous,
+            "begun_ns": self._begun_ns,
+            "position": self.file.position,
+            "index_length": self._index.length,
+            "file": self.file.state(),
+        }
+
+    def sync(self) -> None:
+        """Bring the part onto the disk."""
+        if self._stream is not None:
+            os.fsync(self._stream.fileno())
+
+    def close(self) -> None:
+        """Close the files of the part."""
+        if self._stream is not None:
+            self._stream.close()
+        if self._index is not None:
+            self._index.close()
+        self._stream = self._index = None
+
+    # --- rotation -------------------------------------------------------------------------------------------------
+
+    @property
+    def next_name(self) -> str:
+        """What the part after this one will be called."""
+        return self._path(self.number + 1).name
+
+    def full(self, clock_ns: int) -> bool:
+        """Say whether the part is to end, at a time of the recording."""
+        if not self.rotating:
+            return False
+        if self._begun_ns is None:
+            self._begun_ns = clock_ns
+        config = self._config
+        too_long = bool(config.rotate_ns) and clock_ns - self._begun_ns >= config.rotate_ns
+        return too_long or bool(self.rotate_bytes and self.file.position >= self.rotate_bytes)
+
+    def drop_old(self) -> list[Path]:
+        """Delete the oldest parts where there are too many, or too much in all; return which.
+
+        Called when a checkpoint says that the present part was begun: what was kept for the ones before is needed no more.
+        """
+        for path in self._folder.glob("index.*"):
+            if self._index is None or path != self._index.path:
+                path.unlink(missing_ok=True)
+        config = self._config
+        if not (self.rotating and (config.keep or config.max_total)):
+            return []
+        older = [path for path in parts.parts_named(self.log) if path != self.path and self._is_own(path)]
+        sizes = {path: path.stat().st_size for path in older}
+        total = sum(sizes.values()) + self.file.position
+        dropped = []
+        for at, path in enumerate(older):
+            too_many = config.keep and len(older) - at + 1 > config.keep
+            too_much = config.max_total and total > config.max_total
+            if not too_many and not too_much:
+                break
+            path.unlink(missing_ok=True)
+            total -= sizes[path]
+            dropped.append(path)
+        return dropped
+
+    def about(self) -> dict[str, str]:
+        """Return what the metadata of a part says of it as such."""
+        config = self._config
+        values = {
+            "source": "recording",
+            "format": "live",
+            "recording": self.recording,
+            "part": str(self.number),
+            "previous": self.previous,
+            "version": __version__,
+            "time_source": TIME_SOURCE,
+            "anchor_utc": iso(config.anchor_utc_ns),
+            "anchor_monotonic_ns": str(config.anchor_monotonic_ns),
+            "command": config.command,
+            "model": config.model,
+            "raw_only": "true" if config.raw_only else "",
+        }
+        return {name: value for name, value in values.items() if value}
+
+    # --- names ----------------------------------------------------------------------------------------------------
+
+    def _path(self, number: int) -> Path:
+        return parts.part_path(self.log, number) if self.rotating else self.log
+
+    def _index_path(self, number: int) -> Path:
+        return self._folder / f"index.{number:04d}"
+
+    def _is_own(self, path: Path) -> bool:
+        """Say whether a log is of this recording, or was begun and never written to."""
+        return path.stat().st_size == 0 or parts.look(path).recording == self.recording
+
+    def _drop_later(self) -> None:
+        """Delete what a process began behind the checkpoint: all of it is still in the spools."""
+        if self.rotating:
+            named = parts.parts_named(self.log)
+            later = named[named.index(self.path) + 1 :] if self.path in named else []
+            for path in later:
+                if self._is_own(path):
+                    path.unlink()

@@ -1,0 +1,98 @@
+"""Several spools as one row of records in the order of time, as far as that is certain.
+
+A record is given when every spool has gone beyond its time: with a later record, with an IDLE, or because the spool was
+read to its end at a moment that is `PATIENCE_NS` later. So a silent port holds the others up for that long and no longer;
+what a reader stores even later is given late (the recording counts it).
+
+Memory is bounded: a spool that is ahead is not read on until the others have come after it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from analyzer.live.spool import Record, SpoolReader
+
+#: The longest that a silent spool is waited for.
+PATIENCE_NS = 200_000_000
+#: Records of a spool that wait at most before it is not read on, and bytes read at a time.
+WAITING_LIMIT = 20_000
+READ_SIZE = 1 << 18
+#: Beyond every time.
+NEVER_NS = 1 << 63
+
+
+class Spool:
+    """One spool that is followed. `position`: after the last record that was dealt with, for whoever deals with them."""
+
+    def __init__(self, folder: Path, stem: str, start: tuple[int, int] | None) -> None:
+        self.stem = stem
+        self.reader = SpoolReader(folder, stem, start)
+        self.position = start or (-1, 0)
+        self.waiting: deque[Record] = deque()
+        #: Nothing that comes later is earlier than this.
+        self.watermark_ns = 0
+        #: Bytes that were no record, as far as told.
+        self.damaged = 0
+
+    def read(self, now_ns: int | None) -> None:
+        """Take what is there; `now_ns`: a moment before this call, None when nobody writes any more."""
+        if len(self.waiting) >= WAITING_LIMIT:
+            return
+        before = len(self.waiting)
+        self.waiting.extend(self.reader.read(READ_SIZE))
+        if len(self.waiting) > before:
+            self.watermark_ns = max(self.watermark_ns, self.waiting[-1].t_ns)
+        else:
+            self.watermark_ns = max(self.watermark_ns, NEVER_NS if now_ns is None else now_ns - PATIENCE_NS)
+
+
+class Merger:
+    """Follows the spools of a folder. `starts`: where to go on in each, by stem."""
+
+    def __init__(self, folder: Path, stems: Sequence[str], starts: Mapping[str, tuple[int, int]] | None = None) -> None:
+        self.spools = [Spool(folder, stem, (starts or {}).get(stem)) for stem in stems]
+        #: Everything before this time has been given.
+        self.horizon_ns = 0
+
+    def take(self, now_ns: int | None) -> Iterator[tuple[Spool, Record]]:
+        """Yield what is certain by now, in order; `now_ns` as in `Spool.read`, None gives everything in the end."""
+        for spool in self.spools:
+            spool.read(now_ns)
+        self.horizon_ns = max(self.horizon_ns, min(spool.watermark_ns for spool in self.spools))
+        yield from self._certain(self.horizon_ns)
+
+    @property
+    def drained(self) -> bool:
+        """All that was there when nobody wrote any more has been given."""
+        return self.horizon_ns >= NEVER_NS and not any(spool.waiting for spool in self.spools)
+
+    @property
+    def behind(self) -> int:
+        """Records that wait."""
+        return sum(len(spool.waiting) for spool in self.spools)
+
+    def _certain(self, horizon_ns: int) -> Iterator[tuple[Spool, Record]]:
+        while True:
+            first: Spool | None = None
+            first_ns = limit_ns = NEVER_NS + 1
+            for spool in self.spools:
+                if spool.waiting:
+                    t_ns = spool.waiting[0].t_ns
+                    if t_ns < first_ns:
+                        first, first_ns, limit_ns = spool, t_ns, first_ns
+                    elif t_ns < limit_ns:
+                        limit_ns = t_ns
+            if first is None or first_ns > horizon_ns:
+                return
+            limit_ns = min(limit_ns, horizon_ns)
+            waiting = first.waiting
+            while waiting and waiting[0].t_ns <= limit_ns:
+                yield first, waiting.popleft()
+
+    def close(self) -> None:
+        """Close the files."""
+        for spool in self.spools:
+            spool.reader.close()

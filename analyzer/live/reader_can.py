@@ -1,0 +1,118 @@
+"""CAN buses: which interface can listen without taking part, and what is to be told of one that cannot.
+
+A CAN controller that only listens sends no acknowledgement, no error frame, nothing. Whether it can be told so is a matter
+of the interface, in this table (python-can's interfaces, by their names there):
+
+    LISTEN_ONLY   what python-can is given, over whatever the user said
+    HARMLESS      there is no bus that could be disturbed
+    all others    python-can cannot tell them; they are opened as they are, and it is told that they take part
+
+SocketCAN is a setting of the kernel (`ip link set can0 type can ... listen-only on`) and is looked up, not set.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from analyzer.endpoint import DEFAULT_BITRATE, Endpoint
+from analyzer.errors import UsageError
+
+
+class Listening(NamedTuple):
+    """How an interface is kept silent. `options`: for python-can; `doubt`: what is not certain even so."""
+
+    options: Mapping[str, Any] = {}
+    doubt: str = ""
+
+
+#: Interfaces that can be told to listen only. `passive` stands for python-can's `BusState.PASSIVE`.
+LISTEN_ONLY: Mapping[str, Listening] = {
+    "slcan": Listening({"listen_only": True}, "it was told to listen only (L); an adapter that does not know that refuses it"),
+    "vector": Listening({"listen_only": True}, "it only listens if no other program holds the channel's init access"),
+    "nixnet": Listening({"listen_only": True}),
+    "cantact": Listening({"monitor": True}),
+    # `False` is python-can's DRIVER_MODE_SILENT; not every Kvaser device knows it.
+    "kvaser": Listening({"driver_mode": False}, "a Kvaser device without silent mode takes part all the same"),
+    "pcan": Listening({"state": "passive"}),
+    "systec": Listening({"state": "passive"}),
+    "seeedstudio": Listening({"operation_mode": "silent"}),
+}
+#: Interfaces without a bus that a listener could disturb.
+HARMLESS = frozenset({"virtual", "udp_multicast"})
+#: Interfaces whose bit rate is not this end's to set.
+NO_BITRATE = frozenset({"virtual", "udp_multicast", "socketcan", "socketcand"})
+_TAKES_PART = (
+    "python-can cannot tell {} to listen only: it acknowledges frames like any station, and disturbs a bus that runs at "
+    "another bit rate"
+)
+
+
+def options_for(endpoint: Endpoint) -> tuple[dict[str, Any], list[str]]:
+    """Return what python-can is given for an endpoint, and what is to be told.
+
+    Raises UsageError where a wrong bit rate would disturb the bus and none is given.
+    """
+    interface, channel = endpoint.interface
+    listening = LISTEN_ONLY.get(interface)
+    notes = []
+    options: dict[str, Any] = {**endpoint.options}
+    if listening is not None:
+        overruled = [f"{k}={options[k]}" for k, v in listening.options.items() if k in options and options[k] != v]
+        if overruled:
+            notes.append(f"{', '.join(overruled)} does not count: a recording only listens")
+        options |= listening.options
+        if listening.doubt:
+            notes.append(listening.doubt)
+    elif interface not in HARMLESS:
+        notes.append(_TAKES_PART.format(interface))
+    if interface not in NO_BITRATE:
+        if endpoint.speed is None and listening is None:
+            raise UsageError(f"{endpoint}: {interface} takes part in the bus, so it has to be told the rate: bitrate=N")
+        if endpoint.speed is None:
+            notes.append(f"no bitrate given: {DEFAULT_BITRATE}")
+        options["bitrate"] = endpoint.bits_per_second
+    options |= {"interface": interface, "channel": int(channel) if channel.isdigit() else channel}
+    return options, notes
+
+
+def kernel_notes(channel: str, speed: int | None) -> list[str]:
+    """Return what the kernel's settings of a SocketCAN interface are worth telling. `speed`: what the user said it runs at."""
+    return notes_of_link(_link(channel), channel, speed)
+
+
+def notes_of_link(link: Mapping[str, Any] | None, channel: str, speed: int | None) -> list[str]:
+    """Return what is worth telling of an interface as `ip -details -json link` shows it; None where it could not be asked."""
+    if link is None:
+        return [f"whether {channel} only listens is not known here (ip -details link show {channel} tells)"]
+    info = link.get("linkinfo", {})
+    if info.get("info_kind") != "can":
+        # A virtual interface (vcan, vxcan): no wire.
+        return []
+    data = info.get("info_data", {})
+    notes = []
+    if "LISTEN-ONLY" not in data.get("ctrlmode", ()):
+        notes.append(
+            f"{channel} does not listen only, it acknowledges frames; to change it: ip link set {channel} down; "
+            f"ip link set {channel} type can listen-only on; ip link set {channel} up"
+        )
+    actual = data.get("bittiming", {}).get("bitrate")
+    if speed is not None and actual and actual != speed:
+        notes.append(f"{channel} runs at {actual} bit/s instead of {speed}")
+    return notes
+
+
+def _link(channel: str) -> Mapping[str, Any] | None:
+    tool = shutil.which("ip", path="/usr/sbin:/sbin:/usr/bin:/bin")
+    if tool is None:
+        return None
+    words = [tool, "-details", "-json", "link", "show", channel]
+    try:
+        done = subprocess.run(words, capture_output=True, timeout=2, check=True)
+        found = json.loads(done.stdout)
+    except (OSError, subprocess.SubprocessError, ValueError):
+        return None
+    return found[0] if isinstance(found, list) and found and isinstance(found[0], dict) else None

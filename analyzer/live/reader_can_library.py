@@ -1,0 +1,133 @@
+"""Listening to a CAN bus through python-can, whichever interface it is.
+
+A frame is stamped when python-can hands it over, on the clock of the recording: the clocks of adapters differ from it and
+from each other. An adapter that talks nonsense is told and listened to again; one that fails again and again is lost.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from typing import Any
+
+from analyzer.endpoint import Endpoint
+from analyzer.errors import UsageError
+from analyzer.live.reader_can import options_for
+from analyzer.live.reader_port import IDLE_NS, Lost, Opened, Stop, Ticks, Unopened
+from analyzer.live.reader_store import Store
+from analyzer.live.spool import CanFlag
+
+#: Failures to receive in a row after which the interface is taken to be gone.
+FAILURES = 20
+#: The longest wait for a frame: how late the wish to end is noticed.
+_WAIT_S = 0.05
+#: Frames taken in a row before they are stored.
+_AT_ONCE = 256
+_FLAGS = (
+    ("is_extended_id", CanFlag.EXTENDED),
+    ("is_remote_frame", CanFlag.REMOTE),
+    ("is_error_frame", CanFlag.ERROR),
+    ("is_fd", CanFlag.FD),
+)
+
+
+class CanLibraryPort:
+    """A python-can bus of which nothing is kept but the ways to receive and to close."""
+
+    unit = "frames"
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self._endpoint = endpoint
+        self._receive: Any = None
+        self._shut: Any = None
+
+    def open(self, stop: Stop) -> Opened:
+        """Open the interface, listening only where it can."""
+        import can
+
+        options, notes = options_for(self._endpoint)
+        interface = options["interface"]
+        if interface not in can.VALID_INTERFACES:
+            raise UsageError(f"no CAN interface {interface!r} (python-can has {', '.join(sorted(can.VALID_INTERFACES))})")
+        if options.get("state") == "passive":
+            options["state"] = can.BusState.PASSIVE
+        try:
+            bus = can.Bus(**options)
+        # Each interface raises what its library raises.
+        except Exception as error:
+            raise Unopened(f"cannot open {self._endpoint.place}: {error or type(error).__name__}") from None
+        self._receive, self._shut = bus.recv, bus.shutdown
+        return Opened("stamped as python-can hands a frame over; what adapter and driver hold back comes on top", tuple(notes))
+
+    def adopt(self, fd: int) -> Opened:
+        """Refuse: a bus of python-can is more than a descriptor."""
+        raise Unopened("python-can's buses cannot be handed over")
+
+    def descriptor(self) -> int | None:
+        """Return None."""
+        return None
+
+    def listen(self, store: Store, stop: Stop) -> None:
+        """Store what comes. Raises Lost when receiving fails again and again."""
+        ticks = Ticks()
+        quiet_since_ns = told_ns = time.monotonic_ns()
+        failures = bad = 0
+        reason = ""
+        while not stop.asked:
+            seen_ns = time.monotonic_ns()
+            try:
+                last_ns = self._take(store, _WAIT_S)
+                failures = 0
+                if last_ns:
+                    quiet_since_ns = last_ns
+                elif seen_ns - quiet_since_ns >= IDLE_NS:
+                    store.quiet(seen_ns)
+            # Garbage on an adapter's port raises from deep inside its driver.
+            except Exception as error:
+                failures += 1
+                bad += 1
+                reason = str(error) or type(error).__name__
+                if failures >= FAILURES:
+                    raise Lost(reason) from None
+                stop.wait(0.01)
+            store.flush()
+            if ticks.due(seen_ns):
+                store.tick()
+                if bad:
+                    store.event("bus_error", reason=reason, from_ns=told_ns, count=bad)
+                bad, told_ns = 0, seen_ns
+        # What had come before the end; a bus that fails now has no more.
+        with contextlib.suppress(Exception):
+            self._take(store, 0.0)
+        store.flush()
+
+    def _take(self, store: Store, wait_s: float) -> int:
+        """Store what is there, or comes within `wait_s`; return the time of the last frame, 0 if there was none."""
+        last_ns = 0
+        for _ in range(_AT_ONCE):
+            message = self._receive(wait_s)
+            if message is None:
+                break
+            wait_s = 0.0
+            last_ns = time.monotonic_ns()
+            keep(store, last_ns, message)
+        return last_ns
+
+    def close(self) -> None:
+        """Close the interface."""
+        shut, self._shut, self._receive = self._shut, None, None
+        if shut is not None:
+            # It may be gone already.
+            with contextlib.suppress(Exception):
+                shut()
+
+
+def keep(store: Store, t_ns: int, message: Any) -> None:
+    """Store a message of python-can."""
+    flags = 0
+    for name, flag in _FLAGS:
+        if getattr(message, name):
+            flags |= flag
+    if not message.is_rx:
+        flags |= CanFlag.TX
+    store.can(t_ns, message.arbitration_id, flags, bytes(message.data or b""))

@@ -1,0 +1,124 @@
+"""Listening to a stream of bytes behind a descriptor: a serial port of Linux, or a TCP connection.
+
+    poll -> read, stamp, read, stamp ... until nothing is left -> times settled -> stored -> poll
+
+Times. A read is stamped right after it, so its last byte had arrived by then. Where several reads in a row were needed,
+their bytes had been waiting: each byte takes `byte_ns` on the line, so what stands before n others cannot have ended later
+than n byte times before they did, and its stamp is set back to that (`settle`), but never before what was stored already.
+
+Pauses. When nothing has come for 50 ms this is stored once (IDLE), with a time at which the port was seen empty. What comes
+later begins after that, also as the framer reckons: it takes the bytes of a chunk to have come one after the other up to the
+chunk's time, so the first chunk after a pause is cut behind its first byte where it would reach back into the pause.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import time
+from collections.abc import Callable, Sequence
+
+from analyzer.framer import SLOWEST_BYTE_NS
+from analyzer.live.reader_port import IDLE_NS, Lost, Stop, Ticks
+from analyzer.live.reader_store import Store
+
+READ_SIZE = 1 << 16
+#: Bytes read in a row before they are stored; what a tty of Linux holds at most.
+DRAIN_LIMIT = 1 << 17
+#: How long a reader that is to end goes on reading what keeps coming.
+LAST_READS_NS = 200_000_000
+
+Piece = tuple[int, bytes]
+
+
+def settle(pieces: Sequence[Piece], byte_ns: int, floor_ns: int, *, after_idle: bool = False) -> list[Piece]:
+    """Return reads (stamp, bytes) in a row with the times at which their last bytes can have arrived at the latest.
+
+    `byte_ns`: 0 unknown. `floor_ns`: time of what was stored before them, `after_idle`: that was an IDLE.
+    """
+    settled: list[Piece] = []
+    limit_ns: int | None = None
+    for stamp_ns, data in reversed(pieces):
+        t_ns = stamp_ns if limit_ns is None else min(stamp_ns, limit_ns)
+        t_ns = max(t_ns, floor_ns)
+        settled.append((t_ns, data))
+        limit_ns = t_ns - len(data) * byte_ns
+    settled.reverse()
+    if after_idle and settled:
+        t_ns, data = settled[0]
+        if len(data) > 1 and t_ns - len(data) * (byte_ns or SLOWEST_BYTE_NS) <= floor_ns:
+            first_ns = max(t_ns - (len(data) - 1) * byte_ns, floor_ns)
+            settled[:1] = [(first_ns, data[:1]), (t_ns, data[1:])]
+    return settled
+
+
+def drain(fd: int) -> tuple[list[Piece], str | None]:
+    """Return what is there now, read by read with stamps, and why the port is gone, `None` if it is not."""
+    pieces: list[Piece] = []
+    size = 0
+    while size < DRAIN_LIMIT:
+        try:
+            data = os.read(fd, READ_SIZE)
+        except BlockingIOError:
+            return pieces, None
+        except OSError as error:
+            return pieces, error.strerror or str(error)
+        stamp_ns = time.monotonic_ns()
+        if not data:
+            return pieces, ""
+        pieces.append((stamp_ns, data))
+        size += len(data)
+    return pieces, None
+
+
+def listen(
+    fd: int, store: Store, stop: Stop, *, byte_ns: int, ended: str, tick: Callable[[int], None] | None = None
+) -> None:
+    """Store what comes from `fd` until the end is wished.
+
+    `ended`: what the end of the stream means, in words. `tick` is called about once a second. Raises Lost.
+    """
+    idle_after_ns = IDLE_NS + 2 * byte_ns
+    waiting = select.poll()
+    waiting.register(fd, select.POLLIN)
+    waiting.register(stop.fileno(), select.POLLIN)
+    ticks = Ticks()
+    quiet_since_ns = time.monotonic_ns()
+    while not stop.asked:
+        now_ns = time.monotonic_ns()
+        left_ns = 1_000_000_000 if store.idle else quiet_since_ns + idle_after_ns - now_ns
+        ready = waiting.poll(max(0, -(-left_ns // 1_000_000)))
+        # Before the look: nothing that comes later can bear an earlier time.
+        seen_ns = time.monotonic_ns()
+        pieces, gone = drain(fd) if ready or not store.idle else ([], None)
+        if pieces:
+            _store(store, pieces, byte_ns)
+            quiet_since_ns = pieces[-1][0]
+        elif not store.idle and seen_ns - quiet_since_ns >= idle_after_ns:
+            store.quiet(seen_ns)
+        if gone is not None:
+            raise Lost(gone or ended)
+        if ticks.due(seen_ns):
+            store.tick()
+            if tick is not None:
+                tick(seen_ns)
+    _last_reads(fd, store, byte_ns, tick)
+
+
+def _store(store: Store, pieces: Sequence[Piece], byte_ns: int) -> None:
+    for t_ns, data in settle(pieces, byte_ns, store.last_ns, after_idle=store.idle):
+        store.chunk(t_ns, data)
+    store.flush()
+
+
+def _last_reads(fd: int, store: Store, byte_ns: int, tick: Callable[[int], None] | None) -> None:
+    """Take what had come before the end."""
+    until_ns = time.monotonic_ns() + LAST_READS_NS
+    while True:
+        pieces, gone = drain(fd)
+        if pieces:
+            _store(store, pieces, byte_ns)
+        if not pieces or gone is not None or time.monotonic_ns() > until_ns:
+            break
+    if tick is not None:
+        tick(time.monotonic_ns())

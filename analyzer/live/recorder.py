@@ -1,0 +1,289 @@
+"""The decoding process of a recording: it follows the spools of a folder and writes the log.
+
+    python -m analyzer.live.recorder FOLDER [--feed FD]
+
+It looks at the spools about sixty times a second, flushes the log and stores a checkpoint once a second, and ends when the
+spool of the recording holds its end and everything is read; the folder is then removed. `--feed`: snapshots for whoever
+watches go into this descriptor. Standard input is the leash: when its other end is gone, what there is is read and the log
+is made whole, as after SIGTERM.
+
+Rules: it can be killed at any moment and started again. While the log cannot be written (a full disk) nothing is read, so
+the spools keep it; it is tried again until there is room. What nobody can mend is one line on standard error.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import gc
+import os
+import signal
+import stat
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from analyzer.errors import ServotapError, UsageError
+from analyzer.live import config as settings
+from analyzer.live.config import RecordingConfig
+from analyzer.live.feed import Feed
+from analyzer.live.lock import DECODING, RUNNING, Lock
+from analyzer.live.log_parts import LogParts, Wrap
+from analyzer.live.recording import Recording
+from analyzer.live.snapshot_pipe import SnapshotWriter
+from analyzer.records import Event
+
+#: Time between two looks at the spools, two flushes, two snapshots.
+LOOK_NS = 15_000_000
+FLUSH_NS = 1_000_000_000
+SNAPSHOT_NS = 100_000_000
+#: Between two attempts to write on a full disk; how long it is tried when nothing more comes.
+RETRY_S = 0.25
+LAST_TRIES_NS = 10_000_000_000
+#: Without leash and without anything new for this long, no reader is left.
+QUIET_NS = 2_000_000_000
+_FILES = ("*.raw", "checkpoint*", "index.*", settings.NAME + "*", DECODING, RUNNING)
+
+
+class Stalled(ServotapError):
+    """The log cannot be written, and nothing more comes that could be waited for."""
+
+
+class Recorder:
+    """Follows the spools of a folder into its log.
+
+    `feed_fd`: where snapshots go. `final`: nobody writes the spools any more. `asked`: says from time to time why to end
+    early, empty for not; `say` takes what a person should read.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        feed_fd: int | None = None,
+        final: bool = False,
+        asked: Callable[[], str] = lambda: "",
+        say: Callable[[str], None] = lambda text: print(f"servotap record: {text}", file=sys.stderr, flush=True),
+    ) -> None:
+        self.folder = folder
+        self.config = settings.load(folder)
+        self._say = say
+        self._asked = asked
+        self._final = final
+        self._ending = ""
+        self._new_ns = 0
+        self._snapshot_ns = 0
+        self._feed: Feed | None = None
+        self._writer: SnapshotWriter | None = None
+        self._lock = Lock(folder, DECODING, taken=f"{folder}: another process decodes this recording")
+        self._running = None if final else Lock(folder, RUNNING, shared=True)
+        self.parts = LogParts(folder, self.config, wrap_of(self.config, say) if not final else None)
+        if feed_fd is not None:
+            self._writer = SnapshotWriter(feed_fd)
+            self._feed = _feed_of(self.config)
+        watch = () if self._feed is None else (self._feed,)
+        self._open: Recording | None = None
+        self._open = self._opened(watch)
+
+    @property
+    def recording(self) -> Recording:
+        """The recording."""
+        assert self._open is not None  # only while it is being opened
+        return self._open
+
+    def _opened(self, watch: Sequence[Feed]) -> Recording:
+        """Open the recording, as soon as there is room for its beginning."""
+        opened: list[Recording] = []
+        self._patiently(
+            lambda: opened.append(Recording(self.folder, self.config, self.parts, watch=watch)),
+            note=lambda name, **about: opened[0].happened(name, **about),
+        )
+        return opened[0]
+
+    def run(self, until: Callable[[], bool] = lambda: False) -> bool:
+        """Follow until the end; the log is whole then and the folder gone. Raises Stalled where it cannot be written.
+
+        Where `until` comes true before, all is left so that it can be gone on with, and False is returned.
+        """
+        recording, merger = self.recording, self.recording.merger
+        flushed_ns = self._new_ns = time.monotonic_ns()
+        self._patiently(recording.flush)
+        while True:
+            now_ns = time.monotonic_ns()
+            if recording.take(merger.take(None if self._final else now_ns)):
+                self._new_ns = now_ns
+            recording.settle(merger.horizon_ns)
+            if recording.parts.file.stalled:
+                self._patiently(recording.flush)
+            if recording.rotation_due:
+                recording.rotate(self._patiently)
+                flushed_ns = now_ns
+            if now_ns - flushed_ns >= FLUSH_NS:
+                flushed_ns = now_ns
+                self._patiently(recording.flush)
+            self._show(now_ns)
+            if until():
+                self._patiently(recording.flush)
+                return False
+            if merger.drained:
+                break
+            self._final = self._final or self._is_over(now_ns)
+            left_ns = LOOK_NS - (time.monotonic_ns() - now_ns)
+            if left_ns > 0 and not self._final:
+                time.sleep(left_ns / 1e9)
+        self._finish()
+        return True
+
+    def _is_over(self, now_ns: int) -> bool:
+        """Say whether nobody writes the spools any more."""
+        if self.recording.ended:
+            return True
+        self._ending = self._ending or self._asked()
+        return bool(self._ending) and (self.recording.readers_ended or now_ns - self._new_ns > QUIET_NS)
+
+    def _finish(self) -> None:
+        recording = self.recording
+        if not recording.ended:
+            recording.happened("end", reason=self._ending or "the recording was killed; what it left was made whole later")
+            recording.ended = self._ending or "killed"
+            recording.settle(recording.merger.horizon_ns)
+        recording.finish(self._patiently)
+        self._show(time.monotonic_ns(), ended=True)
+        remove(self.folder)
+        self.close()
+
+    def close(self) -> None:
+        """Give back what is held; without `run` having ended, all is left as it is."""
+        self.recording.abandon()
+        self._lock.close()
+        if self._running is not None:
+            self._running.close()
+        if self._writer is not None:
+            self._writer.close()
+
+    # --- writing on a full disk -----------------------------------------------------------------------------------
+
+    def _patiently(self, step: Callable[[], None], note: Callable[..., None] | None = None) -> None:
+        """Run a step again and again until it can write."""
+        begun_ns: int | None = None
+        while True:
+            try:
+                step()
+                break
+            except OSError as error:
+                reason = error.strerror or str(error)
+                now_ns = time.monotonic_ns()
+                if begun_ns is None:
+                    begun_ns = now_ns
+                    self._say(f"cannot write {self.parts.path}: {reason}; what comes is kept beside it and tried again")
+                    if self._feed is not None:
+                        text = f"cannot write the log: {reason}; what comes is kept beside it"
+                        self._feed.happened(Event(self.config.utc_ns(now_ns), "", "note", {"text": text}), 0)
+                if self._final and now_ns - begun_ns > LAST_TRIES_NS:
+                    raise Stalled(
+                        f"{self.parts.path} cannot be written: {reason}. Make room; then "
+                        f"servotap recover {self.parts.path} goes on where it stopped"
+                    ) from None
+            self._show(now_ns)
+            time.sleep(RETRY_S)
+        if begun_ns is not None:
+            now_ns = time.monotonic_ns()
+            self._say(f"{self.parts.path} is written again after {(now_ns - begun_ns) / 1e9:.1f} s")
+            (note or self.recording.happened)("stalled", from_ns=begun_ns, to_ns=now_ns, reason=reason)
+
+    # --- for whoever watches --------------------------------------------------------------------------------------
+
+    def _show(self, now_ns: int, *, ended: bool = False) -> None:
+        if self._feed is None or self._writer is None or self._open is None:
+            return
+        if now_ns - self._snapshot_ns < SNAPSHOT_NS and not ended:
+            return
+        self._snapshot_ns = now_ns
+        t_ns = self.config.utc_ns(now_ns)
+        self._feed.log = str(self.parts.path)
+        self._feed.log_bytes = self.parts.file.position
+        self._feed.behind_ns = max(0, t_ns - self.recording.clock_ns) if self.recording.merger.behind else 0
+        self._writer.offer(self._feed.snapshot(t_ns, ended=ended))
+
+
+def _feed_of(config: RecordingConfig) -> Feed:
+    byte_ns = {p.bus: p.byte_ns for p in config.ports if p.byte_ns and p.kind == "serial"}
+    bit_ns = {p.bus: 1_000_000_000 // p.speed for p in config.ports if p.kind == "can" and p.speed}
+    return Feed(byte_ns=byte_ns, bit_ns=bit_ns)
+
+
+def wrap_of(config: RecordingConfig, say: Callable[[str], None]) -> Wrap | None:
+    """Return what is put between the log and its file: nothing, or a live view over Foxglove's WebSocket."""
+    if not config.foxglove:
+        return None
+    from analyzer.sinks.foxglove_live import FoxgloveServer, read_place
+
+    try:
+        server = FoxgloveServer(read_place(config.foxglove))
+    except UsageError as error:
+        # Watching is not worth a recording.
+        say(f"{error}; the recording goes on without it")
+        return None
+    say(f"foxglove: open {server.address} there")
+    return server.beside
+
+
+def remove(folder: Path) -> None:
+    """Delete a folder of spools; what is not of a recording stays, and the folder with it."""
+    for pattern in _FILES:
+        for path in folder.glob(pattern):
+            path.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):
+        folder.rmdir()
+
+
+class _Leash:
+    """Says why to end: SIGTERM, or the end of standard input where somebody holds it."""
+
+    def __init__(self) -> None:
+        self.why = ""
+        for name in ("SIGINT", "SIGHUP"):
+            # They are for the supervisor.
+            if hasattr(signal, name):
+                signal.signal(getattr(signal, name), signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, lambda number, frame: self._end("asked to end"))
+        mode = os.fstat(0).st_mode
+        if stat.S_ISSOCK(mode) or stat.S_ISFIFO(mode):
+            threading.Thread(target=self._hold, daemon=True).start()
+
+    def _hold(self) -> None:
+        with contextlib.suppress(OSError):
+            while os.read(0, 64):
+                pass
+        self._end("the process that had started the recording died")
+
+    def _end(self, why: str) -> None:
+        self.why = self.why or why
+
+    def __call__(self) -> str:
+        return self.why
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the process; return its exit status: 0 when the log is whole, 1 when something is left to be mended."""
+    parser = argparse.ArgumentParser(prog="analyzer.live.recorder", description=(__doc__ or "").split("\n\n")[0])
+    parser.add_argument("folder", type=Path, help="the folder of the spools")
+    parser.add_argument("--feed", type=int, metavar="FD", help="descriptor for snapshots")
+    arguments = parser.parse_args(words)
+    leash = _Leash()
+    try:
+        recorder = Recorder(arguments.folder, feed_fd=arguments.feed, asked=leash)
+        # What is loaded by now stays; the collector need not look at it while records come and go.
+        gc.collect()
+        gc.freeze()
+        recorder.run()
+    except ServotapError as error:
+        print(f"servotap record: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,562 @@
+"""A recording under way: records of the spools in, in order of time; the log out.
+
+    record -> (held back until the dialect is known) -> pipeline -> log
+           `-> /<bus>/raw
+
+Rules: what comes out depends on the records alone, never on when they are dealt with, so that the log of a run and the log
+of `decode` over its raw bytes are the same; times never go back; what goes wrong in decoding costs no byte. Writing can
+fail (a full disk): `flush`, `rotate` and `finish` raise OSError with nothing lost and may be called again.
+
+Not known here: processes, clocks, when to flush.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from analyzer import events
+from analyzer.catalogue import Role
+from analyzer.detect import Choice
+from analyzer.errors import UnreadableError
+from analyzer.framer import SILENCE_NS
+from analyzer.live import checkpoint
+from analyzer.live.bus import Bus, buses_of
+from analyzer.live.checkpoint import Checkpoint, SpoolState
+from analyzer.live.config import CONTROL, PortConfig, RecordingConfig
+from analyzer.live.happening import values_of
+from analyzer.live.log_parts import LogParts
+from analyzer.live.merge import NEVER_NS, Merger, Spool
+from analyzer.live.spool import CanFlag, Kind, Record
+from analyzer.live.tally import Tally
+from analyzer.pipeline import Options, Pipeline, Sink
+from analyzer.records import CanFrame, Chunk, Comment, Event
+from analyzer.setups import Setups, as_model, names
+from analyzer.sinks.object_table import Table
+from analyzer.sinks.recording_log import RecordingLog
+
+#: A part is rotated in the midst of a frame when there was no better place for this long.
+SEAM_NS = 1_000_000_000
+#: What a new dialect waits for at most: a pause on its bus.
+CHANGE_NS = 2_000_000_000
+
+
+class _Follow:
+    """What is known of one spool beside its records."""
+
+    def __init__(self, bus: Bus | None, port: PortConfig | None) -> None:
+        self.bus = bus
+        self.role = Role(port.direction) if port is not None else Role.UNKNOWN
+        self.byte_ns = port.byte_ns if port is not None else 0
+        #: `before` of the next record.
+        self.expected: int | None = None
+        #: Its reader has ended.
+        self.ended = False
+
+
+class Recording:
+    """One recording, begun, or gone on with where its folder holds a checkpoint.
+
+    `parts`: the files of its log. `watch`: further sinks.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        config: RecordingConfig,
+        parts: LogParts,
+        *,
+        watch: Sequence[Sink] = (),
+    ) -> None:
+        self.folder = folder
+        self.config = config
+        self.parts = parts
+        known = as_model(config.model)
+        self._known = known
+        self._table = Table(list(known.values()))
+        self.buses = buses_of(config, known)
+        self._follows: dict[str, _Follow] = {CONTROL: _Follow(None, None)}
+        for port in config.ports:
+            self._follows[port.stem] = _Follow(self.buses[port.bus], port)
+        self._shift_ns = config.anchor_utc_ns - config.anchor_monotonic_ns
+        self.clock_ns = config.anchor_utc_ns
+        #: Records that came too late for their place, and by how much at most.
+        self.moved = self.moved_ns = 0
+        #: Why the recording ended, empty until then.
+        self.ended = ""
+        self._drift_ns = 0
+        self._held: list[tuple[Spool, Record]] | None = None
+        self._held_bus: Bus | None = None
+        self._held_ns = 0
+        #: Dialects that were found later and wait for a pause: since when, and which.
+        self._wanted: dict[str, tuple[int, Choice]] = {}
+        self._looked_ns = 0
+        self._due_ns: int | None = None
+        #: Events of this process that wait for a place between records.
+        self._own: list[tuple[str, dict[str, Any]]] = []
+        self.tally = Tally(self._junk)
+        speeds = {bus.name: bus.load for bus in self.buses.values()}
+        start = checkpoint.load(folder)
+        fresh = start is None or not start.position
+        self.merger = Merger(
+            folder,
+            list(self._follows),
+            {} if start is None or fresh else {stem: (s.segment, s.place) for stem, s in start.spools.items()},
+        )
+        self.spools = {spool.stem: spool for spool in self.merger.spools}
+        if start is None or fresh:
+            file = parts.begin(1, lambda: self._checkpoint(empty=True), mine=start is not None)
+        else:
+            file = parts.resume(start)
+        self.log = RecordingLog(file, speeds=speeds)
+        sinks: tuple[Sink, ...] = (self.log, self.tally, *watch)
+        options = Options(late_ns=config.late_ns, groups=frozenset(config.groups))
+        self.pipeline = Pipeline(list(known.values()), sinks, options, on_setup=Setups(known))
+        if start is None or fresh:
+            self._open_part()
+        else:
+            self._resume(start)
+
+    # --- parts of the log -----------------------------------------------------------------------------------------
+
+    def _open_part(self) -> None:
+        """Say at the beginning of a part all that is needed to read it by itself."""
+        self._declare()
+        part, previous = self.parts.number, self.parts.previous
+        self._feed_event("", "part", {"part": part, **({"previous": previous} if previous else {}), **self._choices()})
+        for bus in self.buses.values():
+            self._feed_event(bus.name, events.PORT, bus.setup())
+        self.log.describe(self.parts.METADATA, self._about())
+
+    def _declare(self) -> None:
+        """Declare the raw topics. Of a CAN bus the decoded frames are all that came, so it needs none beside them."""
+        for bus in self.buses.values():
+            if bus.kind == "serial" or self.config.raw_only:
+                self.log.declare(bus.name, bus.kind)
+
+    def _choices(self) -> dict[str, Any]:
+        """Return what decoding was told, for whoever decodes the log again."""
+        config = self.config
+        values: dict[str, Any] = {"recording": self.parts.recording, "late": config.late_ns / 1e9}
+        if config.model:
+            values["model"] = config.model
+        if config.groups:
+            values["groups"] = list(config.groups)
+        return values
+
+    def _about(self) -> dict[str, str]:
+        values = {**self.parts.about(), **self.tally.about(), "drift_ns": str(self._drift_ns)}
+        used = {name: self._known[name] for bus in self.buses.values() for name in names(bus.dialects)}
+        values["dialect"] = ",".join(used)
+        values["manual"] = "; ".join(d.manual for d in used.values())
+        values["dialect_reason"] = "; ".join(f"{bus.name}: {bus.reason}" for bus in self.buses.values() if bus.reason)
+        for bus in self.buses.values():
+            values |= bus.about()
+        notes = [f"{bus.name}: {note}" for bus in self.buses.values() for note in bus.notes]
+        notes += list(self.config.notes)
+        if self.moved:
+            notes.append(
+                f"{self.moved} records came up to {self.moved_ns / 1e6:.0f} ms too late to stand in their place; "
+                "their times were moved on"
+            )
+        if notes:
+            values["notes"] = "; ".join(notes)
+        return values
+
+    @property
+    def rotation_due(self) -> bool:
+        """It is time for another part, and here no frame is cut in two (or that was waited for long enough)."""
+        if not self.parts.full(self.clock_ns) or not self.tally.part_bytes:
+            return False
+        if self._due_ns is None:
+            self._due_ns = self.clock_ns
+        ports = self.pipeline.ports.values()
+        return self.clock_ns - self._due_ns > SEAM_NS or all(p.framer is None or p.framer.between for p in ports)
+
+    def rotate(self, patiently: Callable[[Callable[[], None]], None]) -> None:
+        """End this part and begin another. `patiently` runs a step again until it succeeds."""
+        self.log.tick(NEVER_NS)
+        patiently(self.flush)
+        metadata = {**self._about(), "next": self.parts.next_name}
+        patiently(lambda: self.log.finish(metadata))
+        patiently(self.parts.sync)
+        patiently(lambda: self.log.go_over(self.parts.begin(self.parts.number + 1)))
+        self.tally.begin_part()
+        self._due_ns = None
+        patiently(self._begun_part())
+        patiently(self.flush)
+        self.parts.drop_old()
+
+    def _begun_part(self) -> Callable[[], None]:
+        """Return the step that opens a part; its events are fed once, though it may be tried again."""
+        fed = False
+
+        def step() -> None:
+            nonlocal fed
+            if not fed:
+                fed = True
+                self._open_part()
+            else:
+                self.log.describe(self.parts.METADATA, self._about())
+
+        return step
+
+    def flush(self) -> None:
+        """Bring everything so far into the log and note where it stands. Raises OSError; then call it again."""
+        self.log.tick(self.clock_ns)
+        self.log.flush()
+        self._checkpoint()
+        for spool in self.spools.values():
+            spool.reader.drop_before(spool.position[0])
+
+    def finish(self, patiently: Callable[[Callable[[], None]], None]) -> None:
+        """Make the log whole: nothing more comes."""
+        self._release(final=True)
+        self.pipeline.close()
+        patiently(self.log.flush)
+        metadata = {**self._about(), "ended": self.ended or "broke off"}
+        patiently(lambda: self.log.finish(metadata))
+        patiently(self.parts.sync)
+        self.merger.close()
+        self.parts.close()
+
+    def abandon(self) -> None:
+        """Stop writing and leave all as it is."""
+        self.log.abandon()
+        self.merger.close()
+
+    @property
+    def readers_ended(self) -> bool:
+        """Every reader has said that it ends."""
+        return all(follow.ended for follow in self._follows.values() if follow.bus is not None)
+
+    # --- records --------------------------------------------------------------------------------------------------
+
+    def take(self, records: Iterable[tuple[Spool, Record]]) -> int:
+        """Deal with records; return how many there were."""
+        count = 0
+        for spool, record in records:
+            count += 1
+            self._take(spool, record)
+        return count
+
+    def _take(self, spool: Spool, record: Record) -> None:
+        if self._held is not None:
+            self._hold(spool, record)
+            return
+        kind = record.kind
+        follow = self._follows[spool.stem]
+        if kind == Kind.DATA or kind == Kind.CAN:
+            detection = follow.bus.detection if follow.bus is not None else None
+            if detection is not None and not detection.dialects and not self.config.raw_only:
+                self._held, self._held_bus, self._held_ns = [], follow.bus, record.t_ns
+                self._hold(spool, record)
+                return
+        if follow.expected is not None and record.before > follow.expected:
+            self._missing(follow, record)
+        if kind == Kind.DATA:
+            self._data(follow, record)
+        elif kind == Kind.CAN:
+            self._can(follow, record)
+        elif kind == Kind.IDLE:
+            self._idle(follow, self._now(record.t_ns))
+        else:
+            self._event(follow, record)
+        follow.expected = record.before + (len(record.data) if kind == Kind.DATA else kind == Kind.CAN)
+        if spool.reader.damaged > spool.damaged:
+            damaged = spool.reader.damaged - spool.damaged
+            self._own.append((follow.bus.name if follow.bus else "", {"event": "damaged", "bytes": damaged}))
+            spool.damaged = spool.reader.damaged
+        spool.position = record.segment, record.end
+
+    def _now(self, t_ns: int) -> int:
+        """Return the log's time of a record, which never goes back."""
+        utc_ns = t_ns + self._shift_ns
+        if utc_ns < self.clock_ns:
+            if utc_ns < self.clock_ns - 1_000_000:
+                self.moved += 1
+                self.moved_ns = max(self.moved_ns, self.clock_ns - utc_ns)
+            return self.clock_ns
+        self.clock_ns = utc_ns
+        return utc_ns
+
+    def _data(self, follow: _Follow, record: Record) -> None:
+        bus = follow.bus
+        assert bus is not None  # the spool of the recording itself has none
+        t_ns, data = self._now(record.t_ns), record.data
+        chunk = Chunk(t_ns, bus.name, data, follow.role)
+        offset = bus.offset
+        size = len(data)
+        bus.offset = offset + size
+        bus.last_ns = t_ns
+        bus.sounded = True
+        if not self.config.raw_only:
+            if bus.detection is not None:
+                bus.detection.add(chunk)
+            self._decode(bus, chunk)
+        self.tally.bytes += size
+        self.log.raw(chunk, offset, t_ns - size * follow.byte_ns)
+
+    def _can(self, follow: _Follow, record: Record) -> None:
+        bus = follow.bus
+        assert bus is not None  # as above
+        t_ns = self._now(record.t_ns)
+        can_id, flags, data = record.can
+        frame = CanFrame(
+            t_ns,
+            bus.name,
+            can_id,
+            data,
+            bus.heard(Role.REQUEST if flags & CanFlag.TX else Role.REPLY),
+            bool(flags & CanFlag.EXTENDED),
+            bool(flags & CanFlag.REMOTE),
+            bool(flags & CanFlag.ERROR),
+            bool(flags & CanFlag.FD),
+        )
+        offset = bus.offset
+        bus.offset = offset + len(data)
+        bus.last_ns = t_ns
+        self.tally.bytes += len(data)
+        if self.config.raw_only:
+            self.log.raw_can(frame, offset)
+            return
+        if bus.detection is not None:
+            bus.detection.add(frame)
+        self._decode(bus, frame)
+
+    def _decode(self, bus: Bus, item: Chunk | CanFrame) -> None:
+        try:
+            self.pipeline.feed(item)
+        # Nothing that comes over a wire may end a recording; that it happened stands in the log.
+        except Exception as error:
+            port = self.pipeline.ports.get(bus.name)
+            if port is not None:
+                port.bytes_in = bus.offset
+                port.renew()
+            text = f"{type(error).__name__}: {error} at byte {bus.offset - len(item.data)}: {item.data[:64].hex(' ').upper()}"
+            self._own.append((bus.name, {"event": "fault", "text": text}))
+
+    def _idle(self, follow: _Follow, t_ns: int) -> None:
+        """End what waits on a bus that was quiet long enough, and note that so that it can be done again."""
+        bus = follow.bus
+        if bus is None or bus.kind != "serial" or not bus.sounded or t_ns - bus.last_ns <= SILENCE_NS:
+            return
+        bus.sounded = False
+        if not self.config.raw_only:
+            self.pipeline.silence(bus.name)
+        self.log.silence(t_ns, bus.name, bus.offset)
+
+    def _missing(self, follow: _Follow, record: Record) -> None:
+        """Tell what its reader counted and did not store, unless this is the record that says so."""
+        bus = follow.bus
+        if bus is None or (record.kind == Kind.EVENT and record.event.get("event") == "dropped"):
+            return
+        unit = "frames" if bus.kind == "can" else "bytes"
+        missing = record.before - (follow.expected or 0)
+        bus.lose(unit, missing)
+        self._now(record.t_ns)
+        self._feed_event(bus.name, "missing", {unit: missing})
+
+    # --- events ---------------------------------------------------------------------------------------------------
+
+    def _event(self, follow: _Follow, record: Record) -> None:
+        noted = record.event
+        name = str(noted.get("event", ""))
+        t_ns = self._now(record.t_ns)
+        bus = follow.bus
+        if bus is None and name == "mark":
+            self.pipeline.feed(Comment(t_ns, "", str(noted.get("text", ""))))
+            return
+        values = values_of(noted, self.config.utc_ns)
+        if bus is not None:
+            follow.ended = name == "closed"
+            for note in values.get("notes", ()):
+                bus.note(note)
+            if name == "note":
+                bus.note(str(values.get("text", "")))
+            if name in ("dropped", "kernel_dropped"):
+                for unit in ("bytes", "frames"):
+                    if isinstance(values.get(unit), int):
+                        bus.lose(unit, values[unit])
+            if name == events.SPEED:
+                values = self._new_speed(bus, values)
+            if events.KINDS.get(name, events.KINDS["end"]).cuts:
+                bus.sounded = False
+        elif name == "clock_drift":
+            self._drift_ns = int(noted.get("offset_ns", 0))
+        elif name == "end":
+            self.ended = str(noted.get("reason", "")) or "ended"
+        self._feed_event("" if bus is None else bus.name, name, values)
+
+    def _set_speed(self, bus: Bus, speed: int | None, byte_ns: int) -> None:
+        bus.speed, bus.byte_ns = speed, byte_ns
+        for follow in self._follows.values():
+            if follow.bus is bus:
+                follow.byte_ns = byte_ns
+
+    def _new_speed(self, bus: Bus, values: dict[str, Any]) -> dict[str, Any]:
+        """Take over the speed that a line has from here on; return all that is known of it."""
+        speed, byte_ns = values.get("speed"), values.get("byte_ns")
+        self._set_speed(
+            bus, speed if isinstance(speed, int) else bus.speed, byte_ns if isinstance(byte_ns, int) else bus.byte_ns
+        )
+        return {**bus.setup(), **values}
+
+    def _feed_event(self, bus: str, name: str, values: Mapping[str, Any]) -> None:
+        self.pipeline.feed(Event(self.clock_ns, bus, name, dict(values)))
+
+    def happened(self, name: str, **noted: Any) -> None:
+        """Note what this process itself met, as a reader would; it goes into the log at the next `settle`."""
+        self._own.append(("", {"event": name, **noted}))
+
+    def settle(self, horizon_ns: int) -> None:
+        """Do what waits for a place between records, everything before `horizon_ns` (monotonic) being dealt with."""
+        if self._held is not None:
+            self._release(horizon_ns=horizon_ns)
+        if self._held is None:
+            own, self._own = self._own, []
+            for bus, noted in own:
+                self._feed_event(bus, noted["event"], values_of(noted, self.config.utc_ns))
+            self._look_again()
+
+    # --- dialects -------------------------------------------------------------------------------------------------
+
+    def _hold(self, spool: Spool, record: Record) -> None:
+        """Keep a record back, for the dialect of a bus is not known yet; release all when it is."""
+        assert self._held is not None
+        self._held.append((spool, record))
+        bus = self._held_bus
+        follow = self._follows[spool.stem]
+        if bus is None or bus.detection is None:
+            return
+        if follow.bus is bus and record.kind == Kind.DATA:
+            bus.detection.add(Chunk(record.t_ns, bus.name, record.data, follow.role))
+        elif follow.bus is bus and record.kind == Kind.CAN:
+            can_id, flags, data = record.can
+            bus.detection.add(CanFrame(record.t_ns, bus.name, can_id, data, extended=bool(flags & CanFlag.EXTENDED)))
+        self._release(horizon_ns=record.t_ns)
+
+    def _release(self, horizon_ns: int = 0, *, final: bool = False) -> None:
+        """Decide on the dialect of a bus if that can be, or has to be, and deal with what was held back."""
+        while self._held is not None:
+            bus = self._held_bus
+            assert bus is not None
+            assert bus.detection is not None
+            choice = bus.detection.first(horizon_ns, final=final)
+            if choice is None:
+                return
+            held, self._held = self._held, None
+            self._now(self._held_ns)
+            self._change(bus, choice)
+            for spool, record in held:
+                self._take(spool, record)
+
+    def _look_again(self) -> None:
+        """Once a second: whether what a bus is in has changed. The change waits for a pause, or for `CHANGE_NS`."""
+        for name, (since_ns, choice) in list(self._wanted.items()):
+            bus = self.buses[name]
+            if not bus.sounded or self.clock_ns - since_ns > CHANGE_NS:
+                del self._wanted[name]
+                self._change(bus, choice)
+        if self.clock_ns - self._looked_ns < 1_000_000_000:
+            return
+        self._looked_ns = self.clock_ns
+        for name, bus in self.buses.items():
+            detection = bus.detection
+            if detection is not None and detection.dialects and name not in self._wanted:
+                found = detection.again(self.clock_ns - self._shift_ns)
+                if found is not None:
+                    self._wanted[name] = self.clock_ns, found
+
+    def _change(self, bus: Bus, choice: Choice) -> None:
+        bus.dialects, bus.reason = choice.dialects, choice.reason
+        self._feed_event(bus.name, events.DIALECT, {**bus.setup(), "reason": choice.reason})
+
+    def _junk(self, port: str, size: int) -> None:
+        bus = self.buses.get(port)
+        if bus is not None and bus.detection is not None:
+            bus.detection.junk(size)
+
+    # --- going on after a kill ------------------------------------------------------------------------------------
+
+    def _checkpoint(self, *, empty: bool = False) -> None:
+        if empty:
+            Checkpoint(part=self.parts.number, path=self.parts.path.name, position=0).save(self.folder)
+            return
+        buses = {}
+        for name, bus in self.buses.items():
+            state = buses[name] = bus.state()
+            port = self.pipeline.ports.get(name)
+            if port is not None and port.framer is not None:
+                state.pending, state.pending_ns = port.framer.pending, bus.last_ns
+        Checkpoint(
+            **self.parts.state(),
+            log=self.log.state(),
+            spools={
+                stem: SpoolState(
+                    segment=spool.position[0],
+                    place=spool.position[1],
+                    expected=self._follows[stem].expected,
+                    ended=self._follows[stem].ended,
+                )
+                for stem, spool in self.spools.items()
+            },
+            buses=buses,
+            counts=self.tally.state(),
+            clock_ns=self.clock_ns,
+            sequence=self.pipeline.sequence,
+            digest=self._table.digest,
+            decoding=checkpoint.dump_state(self.pipeline.state(), self._table),
+            ended=self.ended,
+            drift_ns=self._drift_ns,
+            moved=(self.moved, self.moved_ns),
+        ).save(self.folder)
+
+    def _resume(self, start: Checkpoint) -> None:
+        self.log.restore(start.log, self.parts.file)
+        for name, state in start.buses.items():
+            if name in self.buses:
+                self.buses[name].restore(state, self._known)
+                if state.byte_ns is not None:
+                    self._set_speed(self.buses[name], state.speed, state.byte_ns)
+        for stem, spool_state in start.spools.items():
+            if stem in self._follows:
+                self._follows[stem].expected = spool_state.expected
+                self._follows[stem].ended = spool_state.ended
+        self.tally.restore(start.counts)
+        self.clock_ns = start.clock_ns
+        self.ended, self._drift_ns = start.ended, start.drift_ns
+        self.moved, self.moved_ns = start.moved
+        setups = Setups(self._known)
+        values = {name: setups(Event(0, name, events.PORT, bus.setup())) for name, bus in self.buses.items()}
+        known = {name: setup for name, setup in values.items() if setup is not None}
+        self._declare()
+        if start.digest == self._table.digest:
+            with contextlib.suppress(ValueError, KeyError):
+                self.pipeline.restore(checkpoint.load_state(start.decoding, self._table), known)
+                return
+        self._resume_by_bytes(start, known)
+
+    def _resume_by_bytes(self, start: Checkpoint, setups: Mapping[str, Any]) -> None:
+        """Go on without the state of decoding: half frames anew from their bytes, with no request open."""
+        self.pipeline.ports.clear()
+        self.pipeline.sequence = start.sequence
+        for name, setup in setups.items():
+            state = start.buses.get(name)
+            if state is None:
+                continue
+            begin = state.offset - len(state.pending)
+            self.pipeline.set_up(name, type(setup)(setup.dialects, setup.byte_ns, begin))
+            if state.pending:
+                self._decode(self.buses[name], Chunk(state.pending_ns, name, state.pending))
+        self.happened("note", text="another version of servotap goes on with this recording: open requests were given up")
+
+
+def load_start(folder: Path) -> Checkpoint | None:
+    """Return where a recording stands. Raises UnreadableError where that cannot be told."""
+    try:
+        return checkpoint.load(folder)
+    except Exception as error:
+        raise UnreadableError(f"{folder / checkpoint.NAME} cannot be read: {error}") from None

@@ -1,0 +1,349 @@
+"""The supervisor of a recording: starts a reader for each port and one decoding process, and sees that they keep running.
+
+    reader, reader, ...  ->  spools  ->  decoding process  ->  log
+          ^                    ^                ^
+          '------- supervisor: CONTROL ---------'      only files connect them; each can die and is started again
+
+It writes the spool CONTROL: the beginning, what the wall clock does, marks, restarts, the end. It ends in order: the readers
+first, then `end` in CONTROL, then it waits for the decoding process to have finished the log. Nothing here touches a port.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import queue
+import shutil
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from analyzer import __version__
+from analyzer.errors import ServotapError, UsageError
+from analyzer.live import clock
+from analyzer.live.children import SAYS, Child, DecoderChild, Heard, ReaderChild
+from analyzer.live.config import CONTROL, RecordingConfig
+from analyzer.live.lock import RUNNING, Lock, running
+from analyzer.live.losses import PortTally, take
+from analyzer.live.reader_store import Store
+from analyzer.live.snapshot import Snapshot
+from analyzer.live.spool import SpoolWriter, spool_folder
+from analyzer.parts import parts_named
+
+#: How long a port may take to open at the start (an Arduino behind slcan needs two seconds).
+OPEN_S = 15.0
+#: How long a reader may take to end; it tries three seconds to store what it holds when a disk is full.
+END_S = 10.0
+#: Deaths of the decoding process after the end, after which its work is left to `servotap recover`.
+LAST_DEATHS = 3
+#: The longest sleep of the loop: how late the clock is looked at and what is due is started.
+_TURN_S = 0.25
+_SECOND_NS = 1_000_000_000
+
+
+#: Makes the readers of a recording from the folder of its spools and where they are heard: by one of the stems of each.
+ReaderMaker = Callable[[Path, Heard], Mapping[str, Child]]
+
+
+def nobody(*_: object) -> None:
+    """Hear and do nothing."""
+
+
+class Supervisor:
+    """One recording. `run` returns when it is over; `stop` and `mark` may be called from any thread.
+
+    `on_note(bus, text)`: what a user should know, as it happens; bus is empty where it is about all. `on_snapshot`: what the
+    decoding process tells. Both are called from the thread of `run`. `decoder`: another command for the decoding process;
+    `plain`: readers as where there is no Linux; `readers`: other readers, one of which may store several spools.
+    """
+
+    def __init__(
+        self,
+        config: RecordingConfig,
+        *,
+        duration_ns: int = 0,
+        on_note: Callable[[str, str], None] = nobody,
+        on_snapshot: Callable[[Snapshot], None] = nobody,
+        decoder: Sequence[str] = (),
+        plain: bool = False,
+        readers: ReaderMaker | None = None,
+    ) -> None:
+        self.config = config
+        self.folder = spool_folder(Path(config.log))
+        self.tallies = {
+            p.stem: PortTally(bus=p.bus, endpoint=p.endpoint, unit="frames" if p.kind == "can" else "bytes")
+            for p in config.ports
+        }
+        self.snapshot: Snapshot | None = None
+        #: Files that were written, in order, as far as they were told.
+        self.logs: list[str] = []
+        #: Why it ended; empty while it runs.
+        self.reason = ""
+        #: `starting`, `recording`, `ending`, `finishing`, `over`.
+        self.phase = "starting"
+        #: What went wrong with the log itself, for the end; empty if nothing.
+        self.unfinished = ""
+        self.decoder_restarts = 0
+        self.began_ns = self.ended_ns = 0
+        self._duration_ns = duration_ns
+        self._on_note = on_note
+        self._on_snapshot = on_snapshot
+        self._heard: Heard = queue.SimpleQueue()
+        self._readers: dict[str, Child] = (
+            {p.stem: ReaderChild(self.folder, p.stem, self._heard, plain=plain) for p in config.ports}
+            if readers is None
+            else dict(readers(self.folder, self._heard))
+        )
+        self._decoder: Child = DecoderChild(self.folder, self._heard, decoder)
+        self._control: Store | None = None
+        self._control_lock = threading.Lock()
+        self._stopping = threading.Event()
+        #: Readers that have ended, once they were asked to; whether the log is finished; deaths while it was to be.
+        self._gone: set[str] = set()
+        self._decoded = False
+        self._deaths = 0
+        self._given_up = False
+        self._lock: Lock | None = None
+
+    # --- from outside ---------------------------------------------------------------------------------------------
+
+    def stop(self, reason: str) -> None:
+        """End the recording; `reason` stands in the log."""
+        self.reason = self.reason or reason
+        self._stopping.set()
+        self._heard.put(("wake", "", None))
+
+    def give_up(self) -> None:
+        """Wait no more for the log to be finished: `servotap recover` can do that."""
+        self._given_up = True
+        self._heard.put(("wake", "", None))
+
+    def mark(self, text: str) -> None:
+        """Put a note into the log, at this moment."""
+        self._note_event("mark", text=text)
+
+    @property
+    def processes(self) -> Mapping[str, int]:
+        """Process ids by stem; `decoding` is the decoding process."""
+        return {name: child.pid for name, child in {**self._readers, "decoding": self._decoder}.items()}
+
+    # --- the run --------------------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Open all ports and begin. Raises UsageError when one cannot be opened; then nothing is left behind."""
+        try:
+            self.folder.mkdir(parents=True)
+        except OSError as error:
+            raise UsageError(f"cannot write {self.folder}: {error.strerror}") from None
+        try:
+            self.config.save(self.folder)
+            self._lock = Lock(self.folder, RUNNING, shared=True)
+            self._control = Store(SpoolWriter(self.folder, CONTROL), nobody)
+            self._note_event(
+                "begin", host=platform.node(), version=__version__, system=f"{platform.system()} {platform.release()}"
+            )
+            for child in self._readers.values():
+                child.start()
+            self._await_open()
+            self._decoder.start()
+        except OSError as error:
+            self._abandon()
+            raise UsageError(f"cannot write {self.folder}: {error.strerror or error}") from None
+        except BaseException:
+            self._abandon()
+            raise
+        self.began_ns = time.monotonic_ns()
+        self.phase = "recording"
+
+    def _await_open(self) -> None:
+        until = time.monotonic() + OPEN_S
+        waiting = set(self._readers)
+        while waiting and not self._stopping.is_set():
+            try:
+                kind, name, what = self._heard.get(timeout=max(0.0, until - time.monotonic()))
+            except queue.Empty:
+                buses = ", ".join(self.tallies[name].endpoint for name in sorted(waiting))
+                raise UsageError(f"{buses} did not open within {OPEN_S:.0f} s") from None
+            if kind == "event" and what.get("event") == "failed":
+                raise UsageError(f"{self.tallies[name].endpoint}: {what['reason']}")
+            if kind == "exit":
+                raise ServotapError(f"{self.tallies[name].endpoint}: the reader process ended: {self._words(name, what)}")
+            if kind == "event":
+                self._hear_event(name, what)
+                if what.get("event") == "open":
+                    waiting.discard(name)
+
+    def _words(self, name: str, status: int) -> str:
+        return self._readers[name].died(status)
+
+    def _abandon(self) -> None:
+        """Leave nothing behind of a recording that did not begin."""
+        for child in self._readers.values():
+            child.kill()
+        for child in self._readers.values():
+            child.wait(END_S)
+            child.close()
+        shutil.rmtree(self.folder, ignore_errors=True)
+        self.phase = "over"
+
+    def run(self) -> None:
+        """Record until `stop`, or for the duration; then end in order."""
+        wall = clock.WallClock(clock.now())
+        looked_ns = time.monotonic_ns()
+        try:
+            while not self._stopping.is_set():
+                left_ns = self.began_ns + self._duration_ns - time.monotonic_ns() if self._duration_ns else _SECOND_NS
+                self._turn(min(_TURN_S, max(0, left_ns) / _SECOND_NS))
+                now_ns = time.monotonic_ns()
+                if self._duration_ns and now_ns - self.began_ns >= self._duration_ns:
+                    self.stop("the duration is over")
+                if now_ns - looked_ns >= _SECOND_NS:
+                    looked_ns = now_ns
+                    for change in wall.look(clock.now()):
+                        self._note_event(change.event, **change.about)
+                        if change.event == "clock_step":
+                            seconds = int(change.about["step_ns"]) / 1e9
+                            self._on_note("", f"{change.about['cause']} ({seconds:+.3f} s); times in the log do not follow")
+        finally:
+            self._end()
+
+    def _turn(self, seconds: float) -> None:
+        """Wait for something to happen and take it; start what is due."""
+        try:
+            kind, name, what = self._heard.get(timeout=seconds)
+        except queue.Empty:
+            kind, name, what = "wake", "", None
+        if kind == "event":
+            self._hear_event(name, what)
+        elif kind == "snapshot":
+            self.snapshot = what
+            if what.log and (not self.logs or self.logs[-1] != what.log):
+                self.logs.append(what.log)
+            self._on_snapshot(what)
+        elif kind == "said":
+            self._on_note(self.tallies[name].bus if name in self.tallies else "", what)
+        elif kind == "exit":
+            self._hear_exit(name, what)
+        now = time.monotonic()
+        for child in (*self._readers.values(), self._decoder):
+            if child.due is not None and child.due <= now:
+                try:
+                    child.start()
+                except OSError as error:
+                    # Out of memory or of processes: perhaps not for long.
+                    child.died(1)
+                    self._on_note("", f"cannot start a process: {error.strerror or error}; it is tried again")
+
+    def _hear_event(self, name: str, event: Mapping[str, Any]) -> None:
+        port = self.tallies[name]
+        text = take(port, event)
+        if text:
+            self._on_note(port.bus, text)
+
+    def _hear_exit(self, name: str, status: int) -> None:
+        """Take the death of a process, the last that is heard of it: it is started again, unless it had been asked to end."""
+        reader = name in self._readers
+        if reader and self.phase == "ending":
+            self._gone.add(name)
+            return
+        if not reader and self.phase == "finishing":
+            if status == 0 or self._given_up:
+                self._decoded = True
+                return
+            if self._decoder.last_words().startswith(SAYS):
+                # It has given up, and said why; that is no accident.
+                self.unfinished = self._decoder.last_words().removeprefix(SAYS)
+                self._given_up = True
+                return
+            self._deaths += 1
+        child = self._readers[name] if reader else self._decoder
+        reason = child.died(status)
+        bus = self.tallies[name].bus if reader else ""
+        what = "reader" if reader else "decoding"
+        if reader:
+            self.tallies[name].restarts += 1
+        else:
+            self.decoder_restarts += 1
+        self._note_event("restarted", what=what, stem=name if reader else "", reason=reason)
+        again = "it is started again" + ("" if reader else "; nothing is lost by that, the readers go on")
+        self._on_note(bus, f"the {what} process ended ({reason}); {again}")
+
+    def _note_event(self, event: str, **about: Any) -> None:
+        """Write an event of the recording."""
+        with self._control_lock:
+            if self._control is not None:
+                self._control.event(event, **about)
+
+    # --- the end --------------------------------------------------------------------------------------------------
+
+    def _end(self) -> None:
+        self.phase = "ending"
+        self.ended_ns = time.monotonic_ns()
+        for name, child in self._readers.items():
+            if child.due is not None:
+                # It has died, and nobody starts it again.
+                self._gone.add(name)
+            child.end()
+        until = time.monotonic() + END_S
+        while self._gone < self._readers.keys() and time.monotonic() < until:
+            self._turn(0.05)
+        for name in self._readers.keys() - self._gone:
+            self._on_note(self.tallies[name].bus, f"the reader process did not end within {END_S:.0f} s and was killed")
+            self._readers[name].kill()
+            self._readers[name].wait(1.0)
+        self._finish()
+        for child in (*self._readers.values(), self._decoder):
+            child.close()
+        if self._lock is not None:
+            self._lock.close()
+        self.phase = "over"
+
+    def _finish(self) -> None:
+        """Say the end, and wait for the decoding process to have finished the log."""
+        self.phase = "finishing"
+        self._note_event("end", reason=self.reason)
+        with self._control_lock:
+            assert self._control is not None
+            stored = self._control.finish()
+            self._control = None
+        if not stored:
+            # It cannot be told in a file: it is told as the death of a supervisor is.
+            self._decoder.slip()
+        while not self._decoded and self._deaths < LAST_DEATHS:
+            if self._given_up:
+                self._decoder.kill()
+                self._decoder.wait(1.0)
+                break
+            self._turn(_TURN_S)
+        if self.folder.exists() and not self.unfinished:
+            self.unfinished = f"the log is not finished; servotap recover {self.config.log} does that"
+
+
+def check_target(log: Path, force: bool, *, parts: bool = False) -> None:
+    """See that a log may be written. Raises UsageError where something is in the way; `force` removes it.
+
+    What is in the way: the log itself, with `parts` those that go by its name, or spools of a recording that was not finished.
+    """
+    if log.exists() and not log.is_file():
+        raise UsageError(f"{log} is no regular file, and a log cannot be written there")
+    if not log.parent.is_dir():
+        raise UsageError(f"{log.parent} is no folder")
+    if not os.access(log.parent, os.W_OK):
+        raise UsageError(f"{log.parent}: no permission to write there")
+    folder = spool_folder(log)
+    if folder.exists():
+        if running(folder):
+            raise UsageError(f"a recording to {log} is running")
+        if not force:
+            raise UsageError(
+                f"{folder} exists: a recording to {log} was not finished; servotap recover {log} does that, --force throws it "
+                "away"
+            )
+        shutil.rmtree(folder)
+    for path in parts_named(log) if parts else [log]:
+        if path.exists():
+            if not force:
+                raise UsageError(f"{path} exists; --force replaces it")
+            path.unlink()

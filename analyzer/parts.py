@@ -1,0 +1,124 @@
+"""The parts of a log that is written in several files: what they are called, which there are, and what each says of itself.
+
+    week.mcap                                    a recording in one file
+    week-0001.mcap week-0002.mcap ...            one in parts, which goes by the name of week.mcap
+
+Each part holds, right behind its header, a metadata record `servotap.recording` with the recording's id, its own number and
+the names of its neighbours; that and not the name says what belongs together.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+from analyzer.errors import UnreadableError
+
+#: Name of the metadata record.
+METADATA = "servotap.recording"
+_NUMBERED = re.compile(r"(?P<stem>.+)-(?P<number>\d{4,})\.mcap")
+_MAGIC = b"\x89MCAP0\r\n"
+#: Records that may stand before the one that is looked for.
+_FIRST_FEW = 4
+
+
+class Part(NamedTuple):
+    """One log. `recording`: the id of what it is a part of, empty where it is none of this program's recordings."""
+
+    path: Path
+    recording: str = ""
+    number: int = 0
+
+
+def part_path(log: Path, number: int) -> Path:
+    """Return what a part of a log is called; numbers count from 1."""
+    stem = log.name[: -len(log.suffix)] if log.suffix else log.name
+    return log.with_name(f"{stem}-{number:04d}{log.suffix or '.mcap'}")
+
+
+def base_of(part: Path) -> Path:
+    """Return the name by which the parts of a log go, from that of one part; other names as they are."""
+    match = _NUMBERED.fullmatch(part.name)
+    return part if match is None else part.with_name(match["stem"] + ".mcap")
+
+
+def parts_named(log: Path) -> list[Path]:
+    """Return the parts that a log has by their names, in order."""
+    stem = log.name[: -len(log.suffix)] if log.suffix else log.name
+    found = []
+    for path in log.parent.glob("*.mcap"):
+        match = _NUMBERED.fullmatch(path.name)
+        if match is not None and match["stem"] == stem:
+            found.append((int(match["number"]), path))
+    return [path for _, path in sorted(found)]
+
+
+def look(path: Path) -> Part:
+    """Return what a log says of itself; a file that is no log, or not readable, is a part of nothing."""
+    from mcap.records import Metadata
+    from mcap.stream_reader import StreamReader
+
+    try:
+        with path.open("rb") as stream:
+            for count, record in enumerate(StreamReader(stream, emit_chunks=True, record_size_limit=1 << 20).records):
+                if isinstance(record, Metadata) and record.name == METADATA:
+                    number = record.metadata.get("part", "")
+                    return Part(path, record.metadata.get("recording", ""), int(number) if number.isdigit() else 0)
+                if count >= _FIRST_FEW:
+                    break
+    # The library raises whatever a file that is no log makes it stumble over.
+    except Exception:
+        return Part(path)
+    return Part(path)
+
+
+def in_folder(folder: Path) -> tuple[list[Part], list[str]]:
+    """Return the parts of the one recording in a folder, in order, and notes on what is missing or left out.
+
+    Without any recording all logs are given, by name. Raises UnreadableError for a folder without logs, and for one with
+    several recordings.
+    """
+    logs = [look(path) for path in sorted(folder.glob("*.mcap"))]
+    if not logs:
+        raise UnreadableError(
+            f"{folder} is a directory, expected a capture file, or a folder with the parts of a recording (*.mcap)"
+        )
+    recordings: dict[str, list[Part]] = {}
+    for part in logs:
+        if part.recording:
+            recordings.setdefault(part.recording, []).append(part)
+    if len(recordings) > 1:
+        each = "; ".join(f"{base_of(parts[0].path)} ({_counted(len(parts))})" for parts in recordings.values())
+        raise UnreadableError(f"{folder} holds {len(recordings)} recordings, name one of them: {each}")
+    if not recordings:
+        return logs, []
+    (parts,) = recordings.values()
+    notes = []
+    if len(logs) > len(parts):
+        others = ", ".join(p.path.name for p in logs if not p.recording)
+        notes.append(f"left out, for they are no parts of the recording: {others}")
+    return ordered(parts), notes
+
+
+def ordered(parts: Sequence[Part]) -> list[Part]:
+    """Return parts in order of their numbers."""
+    return sorted(parts, key=lambda part: (part.number, part.path.name))
+
+
+def gaps(parts: Sequence[Part]) -> list[str]:
+    """Return notes on parts that are not there."""
+    numbers = [part.number for part in parts if part.number]
+    notes = []
+    if numbers and numbers[0] > 1:
+        notes.append(f"the first {_counted(numbers[0] - 1)} of the recording are not there any more")
+    for before, after in pairwise(numbers):
+        if after > before + 1:
+            notes.append(f"{_counted(after - before - 1)} between part {before} and part {after} are missing")
+    return notes
+
+
+def _counted(count: int) -> str:
+    return "1 part" if count == 1 else f"{count} parts"

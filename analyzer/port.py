@@ -1,0 +1,154 @@
+"""One bus of the pipeline: its framer (serial), decoders, context and transactions, and what it is set up for.
+
+The dialects of a bus can change while it is read: when they were found out from the traffic, or when a log says so. What
+waits is decided first; open requests and what was learnt of the drives stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from analyzer.catalogue import Dialect, Role
+from analyzer.context import Context
+from analyzer.decoder import Decoder
+from analyzer.framer import SILENCE_NS, Framer
+from analyzer.records import Frame, Junk, Message
+from analyzer.transactions import Transactions
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What a user can choose.
+
+    `byte_ns`: time of one byte on the line, 0 if unknown; `synthetic_byte_ns` and `synthetic_bit_ns` make up the times of
+    a capture that has none (serial bytes, CAN bits), and with `timed` False no latency is told from them.
+    """
+
+    byte_ns: int = 0
+    synthetic_byte_ns: int = 10_000_000_000 // 38400
+    synthetic_bit_ns: int = 2000
+    timed: bool = True
+    late_ns: int = 1_000_000_000
+    silence_ns: int = SILENCE_NS
+    groups: frozenset[int] = field(default_factory=frozenset)
+
+
+@dataclass(frozen=True, slots=True)
+class PortSetup:
+    """What differs from bus to bus.
+
+    `dialects`: all that may be on it. `byte_ns`: None: as `Options` has it. `offset`: bytes of the bus that came before the
+    first one here; it counts only for a bus that is new.
+    """
+
+    dialects: tuple[Dialect, ...]
+    byte_ns: int | None = None
+    offset: int = 0
+
+
+def topic_name(text: str) -> str:
+    """Return a text as one part of a topic: letters, digits, `_`, `-` and `.`; anything else becomes `_`."""
+    cleaned = "".join(c if (c.isascii() and c.isalnum()) or c in "_-." else "_" for c in text.strip())
+    return cleaned or "bus"
+
+
+class Port:
+    """One bus."""
+
+    def __init__(self, name: str, setup: PortSetup, options: Options) -> None:
+        self.name = name
+        self.bus = topic_name(name)
+        self.setup = setup
+        self._options = options
+        self.context = Context(options.groups)
+        self.decoders: dict[str, Decoder] = {}
+        self.framer: Framer | None = None
+        self.can: list[Dialect] = []
+        self.clock_ns = 0
+        #: Place of the first byte here, and of the next one.
+        self.start = self.bytes_in = setup.offset
+        self._request_topics: dict[tuple[int, str], str] = {}
+        self._reply_topics: dict[tuple[int, str], str] = {}
+        self._build(setup)
+        self.transactions = Transactions(
+            self.context, late_ns=options.late_ns, half_duplex=self.framer is not None, timed=options.timed
+        )
+
+    def _build(self, setup: PortSetup) -> None:
+        self.setup = setup
+        # Decoders of dialects that are left stay, for what has waited until now.
+        for dialect in setup.dialects:
+            known = self.decoders.get(dialect.name)
+            if known is None or known.dialect is not dialect:
+                self.decoders[dialect.name] = Decoder(dialect)
+        serial = [d for d in setup.dialects if d.bus == "serial"]
+        self.can = [d for d in setup.dialects if d.bus == "can"]
+        byte_ns = self._options.byte_ns if setup.byte_ns is None else setup.byte_ns
+        self.framer = (
+            Framer(
+                self.name, serial, self.context, byte_ns=byte_ns, silence_ns=self._options.silence_ns, offset=self.bytes_in
+            )
+            if serial
+            else None
+        )
+
+    def change(self, setup: PortSetup) -> Iterator[Frame | Junk]:
+        """Go over to another setup; yield what waited until now, then the change is made. Use all of it up."""
+        if self.framer is not None:
+            yield from self.framer.silence()
+        before = self.framer.state() if self.framer is not None else None
+        self._build(setup)
+        if before is not None and self.framer is not None:
+            # All bytes are given away: what is left are the clock and the place on the line.
+            self.framer.restore(before)
+
+    def renew(self) -> None:
+        """Begin anew behind all that has come, with nothing open: after a fault in decoding."""
+        self.context = Context(self._options.groups)
+        self._build(self.setup)
+        self.transactions = Transactions(
+            self.context,
+            late_ns=self._options.late_ns,
+            half_duplex=self.framer is not None,
+            timed=self._options.timed,
+        )
+
+    def topic(self, message: Message) -> str:
+        """Return the topic of a message."""
+        command, role = message.command, message.role
+        if command is None or role is Role.UNKNOWN:
+            return f"/{self.bus}/unknown"
+        topics = self._request_topics if role is Role.REQUEST else self._reply_topics
+        key = (message.address, command.name)
+        known = topics.get(key)
+        if known is None:
+            who = "all" if command.slots is not None else str(message.address)
+            known = topics[key] = f"/{self.bus}/{who}/{command.name}/{role}"
+        return known
+
+    def state(self) -> dict[str, Any]:
+        """Return what was seen so far, for `restore`."""
+        return {
+            "start": self.start,
+            "bytes_in": self.bytes_in,
+            "clock_ns": self.clock_ns,
+            "framer": None if self.framer is None else self.framer.state(),
+            "context": vars(self.context),
+            "transactions": {name: getattr(self.transactions, name) for name in Transactions.STATE},
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on where another port of the same setup stood. Raises KeyError for a state that is not whole."""
+        self.start, self.bytes_in, self.clock_ns = state["start"], state["bytes_in"], state["clock_ns"]
+        vars(self.context).update(state["context"])
+        for name in Transactions.STATE:
+            setattr(self.transactions, name, state["transactions"][name])
+        if self.framer is not None and state["framer"] is not None:
+            self.framer.restore(state["framer"])
+
+
+def usual_setup(dialects: Sequence[Dialect]) -> PortSetup:
+    """Return the setup of a bus of which nothing else is known."""
+    return PortSetup(tuple(dialects))

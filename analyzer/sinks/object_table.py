@@ -1,0 +1,61 @@
+"""Numbers for the objects of the catalogue, so that records that hold them can go to another process.
+
+Both sides have the very same dialects; what goes over are their numbers. `digest` tells whether that is so where the other
+process may be another version of this program.
+"""
+
+from __future__ import annotations
+
+import io
+import pickle
+import zlib
+from collections.abc import Sequence
+from typing import Any
+
+from analyzer import __version__
+from analyzer.catalogue import Command, Dialect, Form
+
+
+class Table:
+    """The objects of some dialects, numbered."""
+
+    def __init__(self, dialects: Sequence[Dialect]) -> None:
+        self.dialects = tuple(dialects)
+        self.objects: list[Dialect | Command | Form] = []
+        for dialect in dialects:
+            self.objects.append(dialect)
+            if dialect.exception is not None:
+                self.objects.append(dialect.exception)
+            for command in (*dialect.commands, *dialect.fallbacks.values()):
+                self.objects += [command, *command.request_forms, *command.reply_forms]
+        self.numbers = {id(each): number for number, each in enumerate(self.objects)}
+
+    @property
+    def digest(self) -> str:
+        """What is the same only where the numbers mean the same."""
+        names = "\n".join(f"{type(each).__name__} {each.name}" for each in self.objects)
+        return f"{__version__} {len(self.objects)} {zlib.crc32(names.encode()):08x}"
+
+
+class TablePickler(pickle.Pickler):
+    """Writes objects of the table as their numbers."""
+
+    def __init__(self, stream: io.BytesIO, table: Table) -> None:
+        super().__init__(stream, pickle.HIGHEST_PROTOCOL)
+        self._numbers = table.numbers
+
+    def persistent_id(self, obj: Any) -> int | None:
+        """Return the number of an object of the catalogue."""
+        return self._numbers.get(id(obj)) if isinstance(obj, (Dialect, Command, Form)) else None
+
+
+class TableUnpickler(pickle.Unpickler):
+    """Reads what `TablePickler` wrote."""
+
+    def __init__(self, stream: io.BytesIO, table: Table) -> None:
+        super().__init__(stream)
+        self._objects = table.objects
+
+    def persistent_load(self, pid: Any) -> Any:
+        """Return an object of the catalogue by its number."""
+        return self._objects[pid]

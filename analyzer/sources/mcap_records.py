@@ -1,0 +1,241 @@
+"""The records of a log in order, over all its parts, as far as they go.
+
+    parts -> records -> chunks unpacked -> Header, Schema, Channel, Metadata, LogMessage
+
+Rules: what is damaged becomes a problem, and what stands behind a damaged chunk is read on. Of a log that is whole, chunks
+that lie before the wanted stretch are not even read. A log that is still being written is followed (`tail`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+from mcap.records import Channel, Header, Metadata, Schema
+
+from analyzer.errors import ServotapError
+from analyzer.events import TOPIC
+from analyzer.sources import mcap_scan as scan
+from analyzer.sources.mcap_scan import LogMessage
+from analyzer.sources.source import Source, describe
+from analyzer.sources.tail import Rewound, Tail
+
+LogRecord = Header | Schema | Channel | Metadata | LogMessage
+_READ = {scan.HEADER: Header.read, scan.SCHEMA: Schema.read, scan.CHANNEL: Channel.read, scan.METADATA: Metadata.read}
+#: What ends the reading of a part.
+UNFINISHED = "the log is not whole, it breaks off here; what came before is read (servotap recover makes it whole)"
+
+
+class Reader(Protocol):
+    """The bytes of one part in order."""
+
+    offset: int
+
+    def read(self, count: int) -> bytes:
+        """Return `count` bytes. Raises EOFError where the log breaks off."""
+
+
+class _Sequential:
+    """The source's stream. `skips`: places where a record begins that is not wanted, and how many bytes to go on."""
+
+    def __init__(self, source: Source, skips: Mapping[int, int]) -> None:
+        self._stream = source.stream
+        self._skips = skips
+        self.offset = 0
+
+    def read(self, count: int) -> bytes:
+        """Return `count` bytes."""
+        while self._skips and self.offset in self._skips:
+            length = self._skips[self.offset]
+            self._stream.skip(length)
+            self.offset += length
+        data = self._stream.exactly(count)
+        self.offset += len(data)
+        if len(data) < count:
+            raise EOFError(UNFINISHED)
+        return data
+
+
+def records(source: Source) -> Iterator[LogRecord]:
+    """Yield the records of all parts."""
+    if source.follow is not None:
+        yield from _followed(source)
+        return
+    while True:
+        outline = outline_of(source) if source.skip_before_ns is not None else None
+        if outline is not None:
+            # The chunks that declared them may not be read.
+            yield from outline.channels
+        yield from _part(source, _Sequential(source, outline.skips if outline is not None else {}))
+        if not source.next_part():
+            return
+
+
+def _part(source: Source, reader: Reader) -> Iterator[LogRecord]:
+    """Yield the records of one part."""
+    try:
+        yield from _top(source, reader)
+    except (ServotapError, GeneratorExit, Rewound):
+        raise
+    # The library raises whatever a damaged record makes it stumble over.
+    except Exception as error:
+        text = str(error) if isinstance(error, EOFError) else f"the log is not whole: {describe(error)}"
+        source.problem(text, offset=reader.offset)
+
+
+def _top(source: Source, reader: Reader, *, magic: bool = True) -> Iterator[LogRecord]:
+    if magic and reader.read(len(scan.MAGIC)) != scan.MAGIC:
+        raise ValueError("it does not begin as an MCAP file")
+    while True:
+        opcode, length = scan.HEAD.unpack(reader.read(scan.HEAD.size))
+        if length > scan.RECORD_LIMIT:
+            raise ValueError(f"a record of {length} bytes, expected at most {scan.RECORD_LIMIT}")
+        body = reader.read(length) if length else b""
+        if opcode == scan.CHUNK:
+            yield from _chunk(source, body, reader.offset)
+        elif opcode == scan.MESSAGE:
+            yield scan.message(body)
+        elif opcode in _READ:
+            yield scan.parsed(body, _READ[opcode])
+        elif opcode == scan.DATA_END:
+            return
+        elif not opcode:
+            raise ValueError("a record of kind 0")
+
+
+def _chunk(source: Source, body: bytes, offset: int) -> Iterator[LogRecord]:
+    """Yield the records of a chunk."""
+    try:
+        data = scan.unpack(scan.packed(body))
+        places = list(scan.walk(data))
+    # As above: zstandard, lz4 and the library each have errors of their own.
+    except Exception as error:
+        source.problem(f"a chunk of the log cannot be read: {describe(error)}", offset=offset)
+        return
+    for opcode, first, stop in places:
+        if opcode == scan.MESSAGE:
+            yield scan.message(data[first:stop])
+        elif opcode in _READ:
+            yield scan.parsed(data[first:stop], _READ[opcode])
+
+
+# --- what a whole log says of itself --------------------------------------------------------------------------------
+
+
+class Outline(NamedTuple):
+    """What stands in a log's summary. `skips`: as in `_Sequential`."""
+
+    channels: list[Channel]
+    skips: dict[int, int]
+    start_ns: int
+    end_ns: int
+
+
+def outline_of(source: Source) -> Outline | None:
+    """Return what the part that is to be read says of itself; None for one that is not whole, or no plain file."""
+    if source.stream.compression or source.size is None:
+        return None
+    return outline(Path(source.stream.path), source.skip_before_ns or 0)
+
+
+def outline(path: Path, before_ns: int) -> Outline | None:
+    """Return what a log says of itself, with what lies before a time as `skips`; None where it is not whole."""
+    from mcap.reader import SeekingReader
+
+    try:
+        with path.open("rb") as stream:
+            summary = SeekingReader(stream, record_size_limit=scan.RECORD_LIMIT).get_summary()
+    # As above.
+    except Exception:
+        return None
+    if summary is None or summary.statistics is None:
+        return None
+    # What was said of the buses counts for all that follows, wherever it stands.
+    kept = {c.id for c in summary.channels.values() if c.topic == TOPIC}
+    skips = {}
+    for index in summary.chunk_indexes:
+        if index.message_end_time < before_ns and not kept & set(index.message_index_offsets):
+            skips[index.chunk_start_offset] = index.chunk_length + index.message_index_length
+    statistics = summary.statistics
+    return Outline(list(summary.channels.values()), skips, statistics.message_start_time, statistics.message_end_time)
+
+
+def bounds(path: Path) -> tuple[int, int] | None:
+    """Return the first and the last time of a log, also of one that breaks off; None for one without messages."""
+    whole = outline(path, 0)
+    if whole is not None:
+        return (whole.start_ns, whole.end_ns) if whole.end_ns else None
+    first_ns: int | None = None
+    last_ns = 0
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        at = len(scan.MAGIC)
+        while at + scan.HEAD.size <= size:
+            stream.seek(at)
+            opcode, length = scan.HEAD.unpack(stream.read(scan.HEAD.size))
+            if length > scan.RECORD_LIMIT or at + scan.HEAD.size + length > size:
+                break
+            times = stream.read(24)
+            if opcode == scan.CHUNK and len(times) == 24 and int.from_bytes(times[16:24], "little"):
+                start_ns, end_ns = int.from_bytes(times[:8], "little"), int.from_bytes(times[8:16], "little")
+                if end_ns:
+                    first_ns = start_ns if first_ns is None else min(first_ns, start_ns)
+                    last_ns = max(last_ns, end_ns)
+            at += scan.HEAD.size + length
+    return None if first_ns is None else (first_ns, last_ns)
+
+
+# --- one that is being written --------------------------------------------------------------------------------------
+
+
+def _followed(source: Source) -> Iterator[LogRecord]:
+    """Yield the records of parts as they are written, until the recording ends or nobody writes it any more."""
+    assert source.follow is not None
+    path: Path | None = Path(source.stream.path)
+    rest = source.take_parts()
+    while path is not None:
+        following = ""
+        with Tail(path, source.follow, finished=bool(rest)) as tail:
+            places = [0]
+            while True:
+                try:
+                    for record in _marked(source, tail, places):
+                        if isinstance(record, Metadata) and record.metadata.get("next"):
+                            following = record.metadata["next"]
+                        yield record
+                    break
+                except Rewound:
+                    tail.offset = max(place for place in places if place <= tail.size)
+                    source.rewound = True
+        if tail.why:
+            source.note(tail.why)
+        path = rest.pop(0) if rest else tail.wait_for(path.with_name(following)) if following else None
+
+
+def _marked(source: Source, tail: Tail, places: list[int]) -> Iterator[LogRecord]:
+    """Yield the records of a part, noting where each of the last ones began."""
+
+    class Marking:
+        """Notes where records begin: they are read head first."""
+
+        offset = 0
+
+        def read(self, count: int) -> bytes:
+            if count == scan.HEAD.size:
+                places.append(tail.offset)
+                del places[1:-1000]
+            data = tail.read(count)
+            self.offset = tail.offset
+            return data
+
+    try:
+        yield from _top(source, Marking(), magic=tail.offset == 0)
+    except (ServotapError, GeneratorExit, Rewound):
+        raise
+    except EOFError as error:
+        if not tail.why:
+            source.problem(str(error), offset=tail.offset)
+    # As above.
+    except Exception as error:
+        source.problem(f"the log is not whole: {describe(error)}", offset=tail.offset)

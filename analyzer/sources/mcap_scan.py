@@ -1,0 +1,125 @@
+"""The records of an MCAP file as bytes, within bounds: what the library trusts is checked here.
+
+    record:  opcode u8 | length u64 | body        chunk:  start u64 | end u64 | size u64 | crc u32 | compression | data
+
+Nothing is interpreted but heads, chunks and messages; for the rest the library's record classes read a body.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from typing import IO, Any, NamedTuple, TypeVar, cast
+
+MAGIC = b"\x89MCAP0\r\n"
+HEAD = struct.Struct("<BQ")
+#: Opcodes.
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 1, 2, 3, 4, 5, 6, 7
+METADATA, DATA_END = 12, 15
+#: Bytes of one record, and of one chunk unpacked; this program writes chunks of 1 MiB.
+RECORD_LIMIT = 64 << 20
+UNPACKED_LIMIT = 64 << 20
+_MESSAGE = struct.Struct("<HIQQ")
+_CHUNK = struct.Struct("<QQQII")
+_LENGTH = struct.Struct("<Q")
+_COMPRESSIONS = ("", "zstd", "lz4")
+_LONGEST_NAME = 16
+
+T = TypeVar("T")
+
+
+class LogMessage(NamedTuple):
+    """A message."""
+
+    channel_id: int
+    sequence: int
+    log_ns: int
+    publish_ns: int
+    data: bytes
+
+
+class Packed(NamedTuple):
+    """A chunk as it lies in the file."""
+
+    start_ns: int
+    end_ns: int
+    size: int
+    crc: int
+    compression: str
+    data: bytes
+
+
+def message(body: bytes) -> LogMessage:
+    """Return the message of a record. Raises ValueError for one that is too short."""
+    if len(body) < _MESSAGE.size:
+        raise ValueError(f"a message of {len(body)} bytes, expected at least {_MESSAGE.size}")
+    channel_id, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(body)
+    return LogMessage(channel_id, sequence, log_ns, publish_ns, body[_MESSAGE.size :])
+
+
+def packed(body: bytes) -> Packed:
+    """Return the chunk of a record. Raises ValueError for one that is none."""
+    if len(body) < _CHUNK.size:
+        raise ValueError(f"a chunk of {len(body)} bytes, expected at least {_CHUNK.size}")
+    start_ns, end_ns, size, crc, name_size = _CHUNK.unpack_from(body)
+    if name_size > _LONGEST_NAME:
+        raise ValueError(f"a chunk whose compression has a name of {name_size} bytes")
+    at = _CHUNK.size + name_size
+    name = body[_CHUNK.size : at]
+    if name.decode("ascii", "replace") not in _COMPRESSIONS:
+        raise ValueError(f"expected compression zstd or lz4, got {name[:40]!r}")
+    if at + _LENGTH.size > len(body):
+        raise ValueError("a chunk that breaks off")
+    (length,) = _LENGTH.unpack_from(body, at)
+    data = body[at + _LENGTH.size :]
+    if length != len(data):
+        raise ValueError(f"a chunk of {length} bytes, got {len(data)}")
+    return Packed(start_ns, end_ns, size, crc, name.decode("ascii"), data)
+
+
+def unpack(chunk: Packed, *, check: bool = True) -> bytes:
+    """Return a chunk's records.
+
+    Raises ValueError for one that grows beyond bounds or whose check does not fit, and what the decompressors raise.
+    """
+    data = chunk.data
+    if chunk.compression:
+        opened: IO[bytes]
+        if chunk.compression == "zstd":
+            import zstandard
+
+            opened = cast(IO[bytes], zstandard.ZstdDecompressor().stream_reader(io.BytesIO(data)))
+        else:
+            import lz4.frame  # type: ignore[import-untyped]
+
+            opened = lz4.frame.open(io.BytesIO(data))
+        data = opened.read(UNPACKED_LIMIT + 1)
+        if len(data) > UNPACKED_LIMIT:
+            raise ValueError(f"{len(chunk.data)} bytes unpack to more than {UNPACKED_LIMIT >> 20} MiB")
+    if check and chunk.crc and zlib.crc32(data) != chunk.crc:
+        raise ValueError(f"the check of a chunk does not fit: expected {chunk.crc:08x}, got {zlib.crc32(data):08x}")
+    return data
+
+
+def walk(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, begin and end of the body of each record in a chunk's data. Raises ValueError where one breaks off."""
+    at, end = 0, len(data)
+    unpack_from, size = HEAD.unpack_from, HEAD.size
+    while at < end:
+        if at + size > end:
+            raise ValueError(f"{end - at} bytes at the end of a chunk are no record")
+        opcode, length = unpack_from(data, at)
+        at += size
+        if length > end - at:
+            raise ValueError(f"a record of {length} bytes in a chunk with {end - at} left")
+        yield opcode, at, at + length
+        at += length
+
+
+def parsed(body: bytes, read: Callable[[Any], T]) -> T:
+    """Return a record by the library's reader of its kind, such as `Channel.read`. Raises what that raises."""
+    from mcap.data_stream import ReadDataStream
+
+    return read(ReadDataStream(io.BytesIO(body)))

@@ -1,0 +1,75 @@
+"""The terminal view: frames as they come, counts, bus load, findings, a plot, and the bytes of a frame explained.
+
+    run_live(fd, mark=...)       a recording, from the snapshots that its decoding process writes into a pipe
+    run_capture(reading, ...)    a capture or a log
+
+For those who supervise a recording:
+
+    read, write = os.pipe()
+    # give `write` to the decoding process: SnapshotWriter(write).offer(feed.snapshot(now_ns)) ten times a second
+    # close `write` here; run the supervision in another thread
+    why = run_live(read, mark=mark, log="week.mcap", model="")
+    # "quit": the user has ended it; "ended": the pipe was closed; anything else: why the view could not go on.
+    # Whatever it is, the recording itself goes on until its supervisor ends it.
+
+`run_live` blocks and wants the main thread and the terminal (nothing else may print to it meanwhile). To end it from
+outside, close the writing end of the pipe (or send a snapshot with `ended`). `mark(text)` is called in the main thread when
+the user makes a mark: it writes the note into the log and returns what to tell the user ("" for nothing more than that it
+is done), or raises ServotapError.
+
+Nothing here can slow a recording: what the view does not take in time is dropped by the writer, and said.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from analyzer.errors import UsageError
+
+if TYPE_CHECKING:
+    from analyzer.cli.reading import Reading
+
+
+def require_terminal(command: str = "servotap view") -> None:
+    """Raise UsageError where there is no terminal to show on, or textual is not installed."""
+    # The view is drawn on standard error, for that is what textual does.
+    streams = {"standard input": sys.stdin, "standard output": sys.stdout, "standard error": sys.stderr}
+    others = [name for name, stream in streams.items() if stream is None or not stream.isatty()]
+    if others:
+        raise UsageError(
+            f"{command} needs a terminal, and {' and '.join(others)} {'is' if len(others) == 1 else 'are'} none; "
+            "servotap show prints the same frames as text"
+        )
+    try:
+        import textual  # noqa: F401
+    except ImportError:
+        raise UsageError(f"{command} needs the package textual: pip install textual") from None
+
+
+def run_live(snapshots: int, *, mark: Callable[[str], str], log: str = "", model: str = "") -> str:
+    """Show a recording until the user quits or the pipe is closed; return `quit`, `ended`, or why it broke off.
+
+    `snapshots`: descriptor of the reading end, which is closed at the end; `log`: the file to name; `model`: of the drives.
+    """
+    from analyzer.view.live import LiveSource
+    from analyzer.view.run import run
+
+    source = LiveSource(snapshots, mark=mark, log=log, model=model)
+    try:
+        return run(source)
+    finally:
+        source.close()
+
+
+def run_capture(reading: Reading, *, filter_text: str = "") -> str:
+    """Show a capture that is open until the user quits; return `quit`, or why it broke off."""
+    from analyzer.view.capture import CaptureSource
+    from analyzer.view.run import run
+
+    source = CaptureSource(reading)
+    try:
+        return run(source, filter_text=filter_text)
+    finally:
+        source.close()

@@ -1,0 +1,63 @@
+"""A filter on lines that are looked at: which names it uses, so that only those are made, and only where they can matter.
+
+Of a long capture most frames are of a few lanes (one head and length); where a filter asks for nothing but what all frames of
+a lane share, one of them answers for all.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Collection
+from typing import Any
+
+from analyzer.filter import Filter
+from analyzer.live.snapshot import FrameLine
+from analyzer.view.lines import SECOND, bytes_text
+
+#: Name in a filter -> how it is made of a line; None: the line has no such thing.
+_NAMES: dict[str, Callable[[FrameLine], Any]] = {
+    "time": lambda line: line.t_ns / SECOND,
+    "bus": lambda line: line.bus,
+    "dialect": lambda line: line.dialect,
+    "address": lambda line: line.address,
+    "role": lambda line: line.role,
+    "command": lambda line: "unknown" if line.command.startswith("unknown") else line.command,
+    "checksum_ok": lambda line: line.checksum_ok,
+    "findings": lambda line: list(line.rules),
+    "raw": bytes_text,
+    "offset": lambda line: line.offset,
+    "sequence": lambda line: line.sequence,
+    "section": lambda line: line.section,
+    "latency": lambda line: None if line.latency_ns is None else line.latency_ns / SECOND,
+}
+#: Those that differ from frame to frame of one lane.
+_OWN = frozenset(("time", "findings", "raw", "offset", "sequence", "latency"))
+
+
+class Condition:
+    """A filter, to be called with a line. Raises UsageError as `Filter` does."""
+
+    def __init__(self, text: str, known: frozenset[str]) -> None:
+        self._filter = Filter(text, known)
+        self.text = text
+        tree = ast.parse(text.strip(), mode="eval")
+        self._used = frozenset(node.id for node in ast.walk(tree) if isinstance(node, ast.Name))
+        self._made = tuple((name, _NAMES[name]) for name in self._used if name in _NAMES)
+        self._fields = tuple(name for name in self._used if name not in _NAMES)
+
+    def __call__(self, line: FrameLine) -> bool:
+        """Say whether a line is wanted."""
+        names: dict[str, Any] = {}
+        for name, make in self._made:
+            value = make(line)
+            if value is not None:
+                names[name] = value
+        values = line.values
+        for name in self._fields:
+            if name in values:
+                names[name] = values[name]
+        return self._filter(names)
+
+    def same_for(self, fields: Collection[str]) -> bool:
+        """Say whether the answer is the same for all frames of a lane that has these fields."""
+        return not self._used & _OWN and not any(name in fields for name in self._fields)

@@ -1,0 +1,105 @@
+"""The findings, newest last, with their counts by rule above."""
+
+from __future__ import annotations
+
+from rich.text import Text
+from textual.app import ComposeResult
+from textual.containers import Vertical
+from textual.widgets import Static
+
+from analyzer.live.snapshot import FindingLine
+from analyzer.view.lines import SEVERITIES, clean, time_text
+from analyzer.view.rows import Rows
+from analyzer.view.watch import Watch
+
+
+class FindingRows(Rows):
+    """Rows of findings."""
+
+    follows = True
+
+    def __init__(self, watch: Watch, live: bool) -> None:
+        super().__init__(id="finding_rows")
+        self._watch = watch
+        self.following = self.follows = live
+
+    @property
+    def chosen(self) -> FindingLine | None:
+        """The finding under the cursor."""
+        kept = self._watch.findings
+        return kept.item(self.cursor) if kept.first <= self.cursor < kept.stop else None
+
+    def bounds(self) -> tuple[int, int]:
+        """Return the numbers of the findings."""
+        return self._watch.findings.first, self._watch.findings.stop
+
+    def heading(self, width: int) -> Text:
+        """Return the names of the columns."""
+        return Text(f"  {'time UTC':>15} {'bus':<8} {'addr':>4} finding", style="bold", no_wrap=True)
+
+    def row(self, number: int, width: int) -> Text:
+        """Return a finding as a row."""
+        found = self._watch.findings.item(number)
+        letter, colour = SEVERITIES.get(found.severity, (" ", ""))
+        address = "" if found.address < 0 else str(found.address)
+        text = Text(no_wrap=True)
+        text.append(f"{letter} ", colour)
+        text.append(f"{time_text(found.t_ns):>15} {clean(found.bus)[:8]:<8} {address:>4} ")
+        text.append(f"{clean(found.rule)}: ", colour)
+        text.append(clean(found.text))
+        return text
+
+
+def finding_text(found: FindingLine) -> Text:
+    """Return a finding in full."""
+    letter, colour = SEVERITIES.get(found.severity, (" ", ""))
+    text = Text()
+    text.append(f"{letter} {clean(found.rule)}: {clean(found.text)}", colour)
+    if found.section:
+        text.append(f" (section {clean(found.section)})")
+    if found.sequence:
+        text.append(f"  frame {found.sequence}, {clean(found.topic)}, offset {found.offset}", "dim")
+    return text
+
+
+class FindingsPanel(Vertical):
+    """Counts by rule, the findings, and below them the one under the cursor in full."""
+
+    def __init__(self, watch: Watch, live: bool) -> None:
+        super().__init__(id="findings")
+        self._watch = watch
+        self._live = live
+        self.rows = FindingRows(watch, live)
+        self._counts = Static(id="rules", markup=False)
+        self._text = Static(markup=False)
+
+    def compose(self) -> ComposeResult:
+        """Put the counts above the rows."""
+        yield self._counts
+        yield self.rows
+        yield self._text
+
+    def on_rows_moved(self) -> None:
+        """Show the whole text of another finding."""
+        self._whole()
+
+    def _whole(self) -> None:
+        found = self.rows.chosen
+        self._text.update("" if found is None else finding_text(found))
+
+    def sync(self) -> None:
+        """Take over what has changed."""
+        self._counts.update(self._rules())
+        self.rows.sync()
+        self._whole()
+
+    def _rules(self) -> Text:
+        rules = sorted(self._watch.rules.items(), key=lambda item: -item[1])
+        if not rules:
+            return Text("no findings")
+        text = "  ".join(f"{clean(rule)} {count}" for rule, count in rules)
+        listed = self._watch.findings.stop - self._watch.findings.first
+        total = sum(self._watch.rules.values())
+        if listed < total:
+            text += f"   ({listed} of {total} are listed: {'the newest that were shown' if self._live else 'the first'})"
+        return Text(text)

@@ -1,0 +1,170 @@
+"""Lines of text for frames: cells that stand in columns, and the names that a filter can use.
+
+Everything that comes from a capture goes through `clean` and is never read as markup, so nothing in it steers the terminal.
+What a colour says, a letter says too: E W i for the severity, > < ? ~ * for who speaks.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from rich.text import Text
+
+from analyzer.live.snapshot import EVENT, JUNK, FrameLine
+
+#: Role -> its sign and its colour.
+ROLES = {
+    "request": (">", "cyan"),
+    "reply": ("<", "green"),
+    "unknown": ("?", "yellow"),
+    JUNK: ("~", "magenta"),
+    EVENT: ("*", "bold blue"),
+}
+#: Severity -> its letter and its colour.
+SEVERITIES = {"error": ("E", "bold red"), "warning": ("W", "bold yellow"), "info": ("i", "cyan"), "": (" ", "")}
+#: How times are shown: of day (UTC), since the first frame, since the line above.
+CLOCK, ELAPSED, STEP = "clock", "elapsed", "step"
+TIMES = (CLOCK, ELAPSED, STEP)
+#: What a row shows of the frame: its fields, its bytes, or both side by side.
+FIELDS, BYTES, BOTH = "fields", "bytes", "both"
+SECOND = 1_000_000_000
+#: Times between these are of the epoch; others count from a beginning of their own.
+_EPOCH_FROM_NS = 86_400 * SECOND * 365
+_EPOCH_TO_NS = 7 * 10**18
+_TIME_WIDTH = 15
+_COMMAND_WIDTHS = (18, 22)
+_NARROW = 100
+
+
+def clean(text: str) -> str:
+    """Return a text with control characters made visible."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text)
+
+
+def time_text(t_ns: int, mode: str = CLOCK, *, first_ns: int = 0, before_ns: int | None = None) -> str:
+    """Return a time in 15 characters or less: of day, or seconds since the first frame or the line above."""
+    if mode == ELAPSED:
+        return f"{(t_ns - first_ns) / SECOND:.6f}"
+    if mode == STEP:
+        return "" if before_ns is None else f"{(t_ns - before_ns) / SECOND:+.6f}"
+    if _EPOCH_FROM_NS < t_ns < _EPOCH_TO_NS:
+        return time.strftime("%H:%M:%S", time.gmtime(t_ns // SECOND)) + f".{t_ns % SECOND // 1000:06d}"
+    return f"{t_ns / SECOND:.6f}"
+
+
+def fields_text(values: Mapping[str, Any]) -> str:
+    """Return fields as `name=value`, choices by their names."""
+    if "slots" in values:
+        return "; ".join(fields_text(slot) for slot in values["slots"])
+    parts = []
+    for name, value in values.items():
+        if (name.endswith("_name") and name[:-5] in values) or (name.endswith("_text") and name[:-5] in values):
+            continue
+        shown = values.get(name + "_name", value)
+        parts.append(f"{name}={shown:.9g}" if isinstance(shown, float) else f"{name}={shown}")
+    return " ".join(parts)
+
+
+def bytes_text(line: FrameLine) -> str:
+    """Return a frame's bytes as hex; on CAN its identifier first."""
+    if line.can_id is None:
+        return line.raw
+    return f"{line.can_id:02X} {line.raw}".rstrip()
+
+
+def said_text(line: FrameLine) -> str:
+    """Return what a frame says: its fields, and a reply's latency."""
+    if line.role == EVENT:
+        return clean(line.text)
+    said = clean(fields_text(line.values)) if line.values else ""
+    if line.latency_ns is not None:
+        said += f"  ({line.latency_ns / 1e6:.3f} ms)"
+    return said
+
+
+def search_text(line: FrameLine) -> str:
+    """Return everything of a line that a search looks through, in lower case."""
+    parts = (line.bus, line.who, line.role, line.command, " ".join(line.rules), said_text(line), bytes_text(line))
+    return " ".join(parts).lower()
+
+
+class Columns:
+    """How frames stand in columns: which time, fields or bytes, how wide the bus. It makes rows of a given width."""
+
+    def __init__(self) -> None:
+        self.time = CLOCK
+        #: None: both where there is room for both, else the fields.
+        self.shows: str | None = None
+        self.bus_width = 3
+        self.first_ns = 0
+
+    def next_time(self) -> str:
+        """Show the next kind of time; return its name."""
+        self.time = TIMES[(TIMES.index(self.time) + 1) % len(TIMES)]
+        return self.time
+
+    def next_shows(self, width: int) -> str:
+        """Show fields, bytes or both, the one after what is shown now; return its name."""
+        order = (FIELDS, BYTES, BOTH)
+        self.shows = order[(order.index(self._shows(width)) + 1) % 3]
+        return self.shows
+
+    def _shows(self, width: int) -> str:
+        return self.shows or (BOTH if width >= 120 else FIELDS)
+
+    def _room(self, width: int) -> tuple[int, int]:
+        """Return the columns for fields and for bytes."""
+        left = max(10, width - (2 + _TIME_WIDTH + 1 + self.bus_width + 1 + 4 + 3 + _command_width(width) + 1))
+        shows = self._shows(width)
+        if shows == FIELDS:
+            return left, 0
+        if shows == BYTES:
+            return 0, left
+        size = min(left // 2, 36)
+        return left - size - 1, size
+
+    def heading(self, width: int) -> Text:
+        """Return the row above the frames."""
+        fields, size = self._room(width)
+        which = {CLOCK: "time UTC", ELAPSED: "seconds", STEP: "since above"}[self.time]
+        text = f"  {which:>{_TIME_WIDTH}} {'bus':<{self.bus_width}} {'addr':>4}   {'command':<{_command_width(width)}} "
+        text += (f"{'fields':<{fields}} " if fields and size else "fields" if fields else "") + ("bytes" if size else "")
+        return Text(text[:width].ljust(width), style="bold", no_wrap=True)
+
+    def row(self, line: FrameLine, width: int, before_ns: int | None = None) -> Text:
+        """Return a frame as a row; `before_ns`: time of the line above it."""
+        sign, colour = ROLES.get(line.role, ("?", ""))
+        letter, alarm = SEVERITIES.get(line.severity, (" ", ""))
+        fields, size = self._room(width)
+        when = time_text(line.t_ns, self.time, first_ns=self.first_ns, before_ns=before_ns)
+        if line.t_ns == 0 and line.role == EVENT:
+            when = ""
+        bus = clean(line.bus)[: self.bus_width]
+        row = Text(no_wrap=True)
+        row.append(letter + " ", alarm)
+        row.append(f"{when:>{_TIME_WIDTH}} {bus:<{self.bus_width}} {clean(line.who):>4} ", "")
+        room = _command_width(width)
+        row.append(f"{sign} {cut(clean(line.command), room):<{room}} ", colour)
+        if fields:
+            start = row.cell_len
+            if line.rules:
+                row.append("!" + clean(",".join(line.rules)) + " ", alarm)
+            row.append(said_text(line) or ("" if size else bytes_text(line)), colour)
+            if size:
+                row.truncate(start + fields, pad=True)
+                row.append(" ")
+        if size:
+            row.append(bytes_text(line), "dim" if fields else colour)
+        row.truncate(width, pad=True)
+        return row
+
+
+def _command_width(width: int) -> int:
+    return _COMMAND_WIDTHS[width >= _NARROW]
+
+
+def cut(text: str, width: int) -> str:
+    """Return a text in at most `width` characters."""
+    return text if len(text) <= width else text[: width - 1] + "…"

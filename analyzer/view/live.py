@@ -1,0 +1,148 @@
+"""A recording that is watched: snapshots from a pipe become counts, lines and series, in bounded memory.
+
+What a full bus brings is more than anyone can read: a snapshot holds some of its frames, of these the newest are kept, and
+the view says how many it did not show. Pausing keeps the lines as they are; those that come meanwhile wait, the newest of them.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+
+import msgspec
+
+from analyzer import dialects as registry
+from analyzer.live.snapshot import FrameLine, Snapshot
+from analyzer.live.snapshot_pipe import SnapshotReader
+from analyzer.view.condition import Condition
+from analyzer.view.kept import KeptLines, Wanted, WantedKept
+from analyzer.view.series import Plotted, Point
+from analyzer.view.watch import Watch
+
+#: Lines that are kept, of all and of those that a filter lets through.
+LINES = 20_000
+
+
+class LivePlot:
+    """Points of what was shown so far."""
+
+    def __init__(self, plotted: Plotted, span: tuple[int, int]) -> None:
+        self._plotted = plotted
+        self._span = span
+
+    @property
+    def done(self) -> bool:
+        """They are all here."""
+        return True
+
+    def look(self, seconds: float) -> None:
+        """Do nothing: they are all here."""
+
+    def points(self, name: str) -> list[Point]:
+        """Return the points of a series."""
+        series = self._plotted.series.get(name)
+        return series.points(*self._span) if series is not None else []
+
+
+class LiveSource:
+    """Snapshots from a pipe, which it owns. `mark`: see `run_live`."""
+
+    live = True
+    growing = True
+    broken = ""
+    note = ""
+
+    def __init__(self, snapshots: int, *, mark: Callable[[str], str], log: str = "", model: str = "") -> None:
+        self._reader = SnapshotReader(snapshots)
+        self._mark = mark
+        self.watch = Watch(log)
+        self.lines = KeptLines(LINES)
+        self.dialects = tuple(registry.for_model(registry.every(), model or None))
+        self._plotted = Plotted()
+        self._paused = False
+        self._waiting: deque[FrameLine] = deque(maxlen=LINES)
+        self._waited = 0
+        self._received = 0
+
+    @property
+    def state(self) -> str:
+        """How the recording is doing."""
+        if self.done:
+            return "ENDED"
+        behind = self.watch.behind_ns
+        return f"LIVE, decoding {behind / 1e9:.1f} s behind" if behind > 500_000_000 else "LIVE"
+
+    @property
+    def not_shown(self) -> int:
+        """Frames and junk that were counted but never came as lines."""
+        return max(0, self.watch.things - self._received)
+
+    @property
+    def done(self) -> bool:
+        """Whether the recording has ended."""
+        return self._reader.ended or self.watch.ended
+
+    def take(self) -> bool:
+        """Take the snapshots that have come."""
+        was_done = self.done
+        snapshots = self._reader.read()
+        for snapshot in snapshots:
+            self._snapshot(snapshot)
+        return bool(snapshots) or self.done != was_done
+
+    def _snapshot(self, snapshot: Snapshot) -> None:
+        self.watch.take(snapshot)
+        for line in snapshot.frames:
+            self._received += line.sequence != 0
+            self._plotted.add(line)
+            if self._paused:
+                self._waited += 1
+                self._waiting.append(line)
+            else:
+                self.lines.append(line)
+        for found in snapshot.findings:
+            number = self.lines.number_of(found.sequence) if found.sequence else None
+            if number is not None and found.rule not in self.lines.line(number).rules:
+                line = self.lines.line(number)
+                changed = msgspec.structs.replace(
+                    line, rules=(*line.rules, found.rule), severity=line.severity or found.severity
+                )
+                self.lines.put(number, changed)
+
+    def pause(self, paused: bool) -> int:
+        """Stop or go on adding to the lines; return how many wait."""
+        if not paused:
+            for line in self._waiting:
+                self.lines.append(line)
+            self._waiting.clear()
+            self._waited = 0
+        self._paused = paused
+        return self._waited
+
+    def wanted(self, condition: Condition) -> Wanted:
+        """Return those lines for which a condition holds."""
+        return WantedKept(self.lines, condition, LINES)
+
+    def hop(self, number: int, step: int) -> int:
+        """Return the number itself: any line may have findings."""
+        return number
+
+    def series(self) -> list[str]:
+        """Return the names of the series so far."""
+        return list(self._plotted.series)
+
+    def span(self) -> tuple[int, int]:
+        """Return the times of the first frame that was shown, and of now."""
+        return self._plotted.first_ns, max(self._plotted.last_ns, self.watch.t_ns)
+
+    def plot(self, names: Sequence[str], low_ns: int, high_ns: int) -> LivePlot:
+        """Return the points of series over a time."""
+        return LivePlot(self._plotted, (low_ns, high_ns))
+
+    def mark(self, text: str) -> str:
+        """Write a note into the log."""
+        return self._mark(text)
+
+    def close(self) -> None:
+        """Close the pipe."""
+        self._reader.close()

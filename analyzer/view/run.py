@@ -1,0 +1,17 @@
+"""Running the view of a source on the terminal until it ends."""
+
+from __future__ import annotations
+
+from analyzer.view.app import ViewApp
+from analyzer.view.source import ViewSource
+from analyzer.view.terminal import forgiving_terminal
+
+
+def run(source: ViewSource, *, filter_text: str = "") -> str:
+    """Run the view until it ends; return `quit`, `ended`, or why it could not go on."""
+    with forgiving_terminal():
+        app = ViewApp(source, filter_text=filter_text)
+        result = app.run()
+    if app.return_code:
+        return "the view has broken off (a fault of this program: please report it)"
+    return result or "quit"

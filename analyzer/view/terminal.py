@@ -1,0 +1,80 @@
+"""The terminal under the view, and what becomes of the view when it goes (a window closed, a connection lost).
+
+textual writes in a thread of its own; if writing fails there, that thread dies and the program waits for it for ever. So
+writing to a terminal that has gone fails silently here, and the view looks, each time before it draws, whether it has gone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any, TextIO, cast
+
+
+class _Forgiving:
+    """A stream to which writing never fails; all else is as with the stream itself."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Write a text, if that can be."""
+        with contextlib.suppress(OSError):
+            return self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush, if that can be."""
+        with contextlib.suppress(OSError):
+            self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+@contextlib.contextmanager
+def forgiving_terminal() -> Iterator[None]:
+    """While this is entered, what textual writes to its terminal may fail without harm."""
+    before = sys.__stderr__
+    if before is None:
+        yield
+        return
+    sys.__stderr__ = cast(TextIO, _Forgiving(before))  # type: ignore[assignment,misc]
+    try:
+        yield
+    finally:
+        sys.__stderr__ = before  # type: ignore[misc]
+
+
+def end_on_signals(end: Callable[[], None]) -> None:
+    """Call `end` in the running loop when somebody asks this process to end, or its terminal goes."""
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        # Elsewhere than in the main thread of a Unix a loop takes no signals.
+        with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):
+            if number is not None:
+                asyncio.get_running_loop().add_signal_handler(number, end)
+
+
+def terminal_watch() -> Callable[[], bool]:
+    """Return a function that says whether the terminal of standard error has gone; where there is none it never has."""
+    try:
+        import termios
+    except ImportError:  # not a Unix
+        return lambda: False
+    stream = sys.__stderr__
+    if stream is None or not stream.isatty():
+        return lambda: False
+    number = stream.fileno()
+
+    def gone() -> bool:
+        try:
+            termios.tcgetattr(number)
+        except termios.error:
+            return True
+        return False
+
+    return gone

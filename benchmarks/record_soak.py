@@ -1,0 +1,171 @@
+#!/usr/bin/env python3
+"""A long recording at full rates: three serial ports and a CAN bus, checked frame by frame against what was sent.
+
+    python benchmarks/record_soak.py [--seconds S] [--folder F] [--faults]
+
+    left    mks-rs485    256000 baud      25.6 kB/s     pseudo-terminals
+    right   mks-modbus   256000 baud      25.6 kB/s
+    axis    lk-rs485    2000000 baud       200 kB/s
+    arm     mks-can     1 Mbit/s         16000 frames/s udp_multicast
+
+With --faults a reader and the decoding process are killed now and then. It ends well if all bytes and frames that were sent
+are in the log, in order, each decoded once, with no finding; and if the memory of no process has grown by more than 20 %
+(and 4 MiB) from the second quarter of the time to the last.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import signal
+import sys
+import tempfile
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import msgspec
+from mcap.reader import make_reader
+from record_traffic import Cycle, Recording, Sender, pty_pair
+
+GROUP, PORT = "239.74.163.67", 43114
+#: Bus: dialect, baud, bytes (or frames) a second.
+BUSES = {
+    "left": ("mks-rs485", 256_000, 25_600),
+    "right": ("mks-modbus", 256_000, 25_600),
+    "axis": ("lk-rs485", 2_000_000, 200_000),
+    "arm": ("mks-can", 1_000_000, 16_000),
+}
+#: Time between two kills with --faults, in seconds.
+KILL_EVERY = 7.0
+#: From this long on the memory has to be flat, in seconds.
+STEADY = 60.0
+
+
+class Body(msgspec.Struct):
+    """What is read of a decoded message."""
+
+    raw: str = msgspec.field(name="_raw", default="")
+
+
+def start(stack, seconds):
+    """The endpoints, and what begins to send."""
+    endpoints, senders = [], {}
+    for bus, (dialect, baud, rate) in BUSES.items():
+        if dialect == "mks-can":
+            endpoints.append(f"{bus}=can:udp_multicast:{GROUP},port={PORT},bitrate={baud}")
+            words = ("can", "--group", GROUP, "--port", PORT, "--rate", rate, "--seconds", seconds)
+            senders[bus] = (words, ())
+        else:
+            master, path = stack.enter_context(pty_pair())
+            endpoints.append(f"{bus}=serial:{path},baud={baud}")
+            words = ("serial", "--fd", master, "--dialect", dialect, "--rate", rate, "--seconds", seconds)
+            senders[bus] = (words, (master,))
+    return endpoints, senders
+
+
+def kill_one(recording):
+    """Kill a reader or the decoding process."""
+    recording.processes = recording._children()
+    name = random.choice([n for n in recording.processes if n != "supervisor"])
+    os.kill(recording.processes[name], signal.SIGKILL)
+    return name
+
+
+def check(log, sent):
+    """Compare the log with what was sent; return what is wrong."""
+    cycles = {bus: Cycle(dialect) for bus, (dialect, _, _) in BUSES.items()}
+    seen = dict.fromkeys(BUSES, 0)
+    size = dict.fromkeys(BUSES, 0)
+    wrong = []
+    decode = msgspec.json.Decoder(Body).decode
+    with open(log, "rb") as stream:
+        for _, channel, message in make_reader(stream).iter_messages(log_time_order=False):
+            parts = channel.topic.split("/")
+            bus, last = parts[1], parts[-1]
+            if bus not in cycles or last not in ("request", "reply", "junk", "unknown"):
+                continue
+            frame = bytes.fromhex(decode(message.data).raw)
+            expected = cycles[bus].frame(seen[bus])
+            if frame != expected and len(wrong) < 20:
+                wrong.append(f"{channel.topic}: frame {seen[bus]} is {frame.hex(' ')}, sent {expected.hex(' ')}")
+            seen[bus] += 1
+            size[bus] += len(frame)
+    for bus, result in sent.items():
+        found = seen[bus] if bus == "arm" else size[bus]
+        if found != result["sent"]:
+            wrong.append(f"{bus}: {found} in the log, {result['sent']} sent")
+    return wrong, seen
+
+
+def growth(memory):
+    """Growth of the memory of a process from the second quarter of the time to the last, in bytes and as a share."""
+    quarter = len(memory) // 4
+    if quarter < 2:
+        return 0, 0.0
+    before, after = max(memory[quarter : 2 * quarter]), max(memory[-quarter:])
+    return after - before, (after - before) / before
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=600.0)
+    parser.add_argument("--folder", type=Path, help="where the log goes; about 1 MB a second")
+    parser.add_argument("--faults", action="store_true")
+    arguments = parser.parse_args()
+    with ExitStack() as stack:
+        folder = arguments.folder or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        endpoints, waiting = start(stack, arguments.seconds)
+        dialects = ",".join(dialect for dialect, _, _ in BUSES.values())
+        recording = Recording(folder / "soak.mcap", *endpoints, "--dialect", dialects)
+        time.sleep(0.5)
+        senders = {bus: Sender(*words, pass_fds=fds) for bus, (words, fds) in waiting.items()}
+        killed, due = [], time.monotonic() + KILL_EVERY
+
+        def ended():
+            nonlocal due
+            if arguments.faults and time.monotonic() > due:
+                killed.append(kill_one(recording))
+                due = time.monotonic() + KILL_EVERY
+            return all(sender.process.poll() is not None for sender in senders.values())
+
+        recording.watch(ended, 1.0)
+        sent = {bus: sender.wait() for bus, sender in senders.items()}
+        processor = dict(recording.cpu)
+        memory = {name: list(seen) for name, seen in recording.memory.items()}
+        took = recording.finish()
+        wrong = report(recording, sent, processor, memory, took, killed, arguments.seconds)
+    for text in wrong:
+        print(f"WRONG: {text}")
+    print("every frame is there, in order, once" if not wrong else "NOT AS SENT")
+    return 1 if wrong else 0
+
+
+def report(recording, sent, processor, memory, took, killed, seconds):
+    """Print the figures; return what is wrong."""
+    end = recording.end
+    for bus, result in sent.items():
+        late_ms = 1e3 * result["late_most"]
+        print(f"{bus}: sent {result['sent']} in {result['seconds']:.1f} s, its sender late by {late_ms:.1f} ms")
+    for name, used in processor.items():
+        more, share = growth(memory[name])
+        now = memory[name][-1] / (1 << 20)
+        print(f"{name}: {used / seconds:.2f} of a core, {now:.1f} MiB, grown by {more >> 10} KiB ({100 * share:.1f} %)")
+    behind = max((count["behind"] for count in recording.counts), default=0.0)
+    print(f"decoding behind {behind:.1f} s at most; finished {took:.1f} s after the end")
+    print(f"killed {len(killed)}: {', '.join(killed) or 'none'}")
+    print(f"findings {end['rules'] or 'none'}; lost: {end['lost']}; {end['bytes'] / 1e6:.1f} MB")
+    wrong, seen = check(recording.log, sent)
+    print(f"decoded {sum(seen.values())} frames: {seen}")
+    # A short run is all beginning.
+    if not killed and seconds >= STEADY:
+        grown = [n for n, m in memory.items() if growth(m)[0] > 4 << 20 and growth(m)[1] > 0.2]
+        wrong += [f"the memory of {name} has grown" for name in grown]
+    if end["lost"]:
+        wrong.append(f"lost: {end['ports']}")
+    return wrong + [f"finding {rule}" for rule in end["rules"] if rule != "restarted"]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,126 @@
+"""A python-can interface, for emulated drives and for those who send to real ones.
+
+Rule: what this end sent never comes back as somebody else's. An interface that hands a sender its own frames back
+(`HANDS_BACK`) returns each of them once and in order, so what comes back is told from the others' frames by what was sent
+and has not returned yet: MKS replies have the identifier of their request, and may have its very bytes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections import deque
+from typing import Any
+
+import can
+
+from analyzer.catalogue import Role
+from analyzer.errors import ServotapError, UsageError
+from analyzer.records import CanFrame
+from analyzer.values import quote
+
+#: Interfaces of python-can that hand a sender its own frames back, whatever they are told.
+HANDS_BACK = frozenset({"udp_multicast"})
+#: How long a frame that was sent may take to return.
+_RETURN_NS = 500_000_000
+#: Failures to receive in a row after which the interface is taken to be gone.
+_FAILURES = 20
+
+
+class CanPort:
+    """A python-can bus. `heard_as`: the role of those on the other end. Raises UsageError where it cannot be opened."""
+
+    def __init__(self, interface: str, channel: str, *, heard_as: Role = Role.REQUEST, **options: Any) -> None:
+        self._heard_as = heard_as
+        self.name = f"{interface}:{channel}"
+        self.bitrate: int | None = options.get("bitrate")
+        known = can.VALID_INTERFACES
+        if interface not in known:
+            raise UsageError(f"no CAN interface {quote(interface)} (python-can has {', '.join(sorted(known))})")
+        try:
+            self._bus = can.Bus(interface=interface, channel=channel, **options)
+        # Each interface raises what its library raises.
+        except Exception as error:
+            raise UsageError(f"cannot open {self.name}: {type(error).__name__}: {error}") from None
+        self._own: deque[tuple[int, int, bytes]] = deque()
+        self._hands_back = interface in HANDS_BACK or bool(options.get("receive_own_messages"))
+        self._failures = 0
+        self.lost = 0
+
+    def receive(self, timeout_ns: int) -> CanFrame | None:
+        """Return the next frame of the others, None after the timeout.
+
+        Raises ServotapError when the interface is gone.
+        """
+        try:
+            message = self._bus.recv(timeout_ns / 1e9)
+        # A line of garbage on an adapter's port raises from deep inside.
+        except Exception as error:
+            self._failures += 1
+            if self._failures >= _FAILURES:
+                raise ServotapError(f"{self.name} is gone: {type(error).__name__}: {error}") from None
+            time.sleep(0.01)
+            return None
+        self._failures = 0
+        if message is None:
+            return None
+        frame = CanFrame(
+            None,
+            self.name,
+            message.arbitration_id,
+            bytes(message.data or b""),
+            self._heard_as,
+            bool(message.is_extended_id),
+            bool(message.is_remote_frame),
+            bool(message.is_error_frame),
+            bool(message.is_fd),
+        )
+        # Some interfaces mark what is handed back, others do not; either way it has come back once.
+        returned = self._hands_back and self._returned(frame)
+        return None if returned or not message.is_rx else frame
+
+    def _returned(self, frame: CanFrame) -> bool:
+        """Say whether a frame is one of ours that has come back."""
+        now_ns = time.monotonic_ns()
+        while self._own and now_ns - self._own[0][0] > _RETURN_NS:
+            self._own.popleft()
+        for index, (_, can_id, data) in enumerate(self._own):
+            if can_id == frame.id and data == frame.data:
+                del self._own[index]
+                return True
+        return False
+
+    def send(self, frame: CanFrame) -> None:
+        """Send a frame of a drive; one that the interface does not take is lost."""
+        try:
+            self.put(frame)
+        except ServotapError:
+            self.lost += 1
+
+    def put(self, frame: CanFrame) -> None:
+        """Send a frame of any kind.
+
+        Raises ServotapError for one that the interface does not take.
+        """
+        message = can.Message(
+            arbitration_id=frame.id,
+            data=frame.data,
+            is_extended_id=frame.extended,
+            is_remote_frame=frame.remote,
+            is_error_frame=frame.error,
+            is_fd=frame.fd,
+        )
+        if self._hands_back:
+            self._own.append((time.monotonic_ns(), frame.id, frame.data))
+        try:
+            self._bus.send(message)
+        # Each interface raises what its library raises.
+        except Exception as error:
+            if self._hands_back:
+                self._own.pop()
+            raise ServotapError(f"{self.name} does not send: {type(error).__name__}: {error}") from None
+
+    def close(self) -> None:
+        """Close the interface."""
+        with contextlib.suppress(Exception):
+            self._bus.shutdown()

@@ -1,0 +1,168 @@
+"""Claims and verdicts: what the manual says of a drive, each as one small function that can be wrong about it.
+
+    Claim -> check(probe) -> Verdict
+
+A check returns when the drive did as the claim says, and raises otherwise:
+
+    Refuted         the drive did something else: what was expected, what was got, and the exchange that shows it
+    Inconclusive    nothing can be said: what it rests on did not work (another claim judges that)
+    Observed        the manual leaves it open: what the drive did
+
+A claim whose certainty is open never refutes: what it would have said is what was observed. A claim may name quirks: what
+real drives were seen to do beside the manual. When it meets one, it says so (`Probe.meets`), and its verdict is observed.
+
+Rules: a claim sends nothing that its `risks` do not name; it needs no other claim to have run; it leaves nothing behind
+that the probe does not know of. A check that cannot refute is no claim.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+from analyzer.catalogue import Certainty, Risk
+
+if TYPE_CHECKING:
+    from analyzer.records import CanFrame, Chunk
+    from conformance.exchange import Exchange
+    from conformance.probe import Probe
+
+
+class Theme(StrEnum):
+    """What a claim is about."""
+
+    EXAMPLES = "examples"
+    SHAPE = "shape"
+    RANGES = "ranges"
+    FRAMING = "framing"
+    ADDRESSING = "addressing"
+    READ_BACK = "read-back"
+    STATE = "state"
+    MOTION = "motion"
+    TIMING = "timing"
+    MODBUS = "modbus"
+    RESILIENCE = "resilience"
+    TRAFFIC = "traffic"
+
+
+class Outcome(StrEnum):
+    """What came of a claim."""
+
+    CONFIRMED = "confirmed"
+    REFUTED = "refuted"
+    INCONCLUSIVE = "inconclusive"
+    OBSERVED = "observed"
+    NOT_RUN = "not run"
+
+
+class Aspect(StrEnum):
+    """What of a command a claim covers: a column of the coverage matrix."""
+
+    EXAMPLE = "example"
+    SHAPE = "shape"
+    RANGE = "range"
+    BOUNDARY = "boundary"
+    STATE = "state"
+    MOTION = "motion"
+
+
+class Refuted(AssertionError):
+    """The drive did not do what the claim says.
+
+    `expected` and `got` in words or hex; `exchange` shows it. `key`: a few words by which two failures of one kind are
+    known as one.
+    """
+
+    def __init__(
+        self, text: str, *, expected: str = "", got: str = "", exchange: Exchange | None = None, key: str = ""
+    ) -> None:
+        super().__init__(text)
+        self.text = text
+        self.expected = expected
+        self.got = got
+        self.exchange = exchange
+        self.key = key or text
+        #: What led there, where the claim was a sequence of steps (`conformance.session`).
+        self.steps: tuple[Any, ...] = ()
+
+
+class Inconclusive(Exception):
+    """Nothing can be said, and why."""
+
+
+class Observed(Exception):
+    """The manual leaves it open: what the drive did."""
+
+
+class NotRun(Exception):
+    """The claim cannot run here, and why."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One thing that the manual says of a drive.
+
+    `id`: dialect, theme and name with slashes, e.g. `mks-rs485/ranges/set_current/above`. `statement`: what holds, as a
+    sentence. `section`: of the manual. `certainty`: how sure the reading of the manual is (an erratum's, where one is
+    concerned). `refuted_by`: what would refute it. `risks`: what it may send, beside reads. `models`: those that have it;
+    empty: all. `alone`: it sends to other addresses than the target's, or changes the link. `by_name`: it wears or wipes
+    the drive and runs only when its id is named. `emulated`: it needs to act on the drive itself (block the shaft, close a
+    switch, cut power), which only an emulated one lets it. `settings`: fields of settings that it changes (they are put
+    back). `covers`: command and aspect pairs. `quirks`: those that it tolerates, by name. `parameters`: what tells it
+    from its siblings. `commands`: those that it is about.
+    """
+
+    id: str
+    theme: Theme
+    dialect: str
+    statement: str
+    section: str
+    refuted_by: str
+    check: Callable[[Probe], None]
+    certainty: Certainty = Certainty.CERTAIN
+    risks: frozenset[Risk] = frozenset()
+    models: tuple[str, ...] = ()
+    alone: bool = False
+    by_name: bool = False
+    emulated: bool = False
+    settings: tuple[str, ...] = ()
+    covers: tuple[tuple[str, Aspect], ...] = ()
+    fields: tuple[str, ...] = ()
+    quirks: tuple[str, ...] = ()
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    commands: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.id.split("/", 2)[:2] != [self.dialect, self.theme.value]:
+            raise ValueError(f"claim id {self.id!r}, expected {self.dialect}/{self.theme.value}/...")
+        if not (self.statement and self.refuted_by):
+            raise ValueError(f"claim {self.id}: a claim says what holds and what would refute it")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What came of a claim on a drive.
+
+    `reason`: why it is inconclusive or did not run, what was observed, or what refuted it. `expected`, `got`: of a
+    refutation. `exchange`: the one that shows it. `traffic`: what went over the line, as it was. `first_ns`, `last_ns`: on the
+    line's clock. `notes`: what else was seen, quirks by name. `measured`: figures by name (latencies, ramp times);
+    `series`: curves by name; `latencies`: command and ns, of its exchanges. `steps`: that led to a refutation.
+    """
+
+    claim: Claim
+    outcome: Outcome
+    reason: str = ""
+    expected: str = ""
+    got: str = ""
+    key: str = ""
+    exchange: Exchange | None = None
+    traffic: tuple[Chunk | CanFrame, ...] = ()
+    quirks: tuple[str, ...] = ()
+    first_ns: int = 0
+    last_ns: int = 0
+    measured: Mapping[str, float] = field(default_factory=dict)
+    series: Mapping[str, Sequence[tuple[float, float]]] = field(default_factory=dict)
+    latencies: tuple[tuple[str, int], ...] = ()
+    steps: tuple[Any, ...] = ()

@@ -1,0 +1,62 @@
+"""The claims, by theme: one module each, every one made from the catalogue wherever it can be.
+
+A theme module offers `claims(dialect) -> Iterator[Claim]`. Other packages add theirs by entry points of the group
+`servotap.claims`, each naming such a function.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from importlib import import_module
+from importlib.metadata import entry_points
+
+from analyzer.catalogue import Dialect
+from analyzer.errors import UsageError
+from conformance.claim import Claim
+
+GROUP = "servotap.claims"
+#: Theme modules, in the order in which they run: what is quick and harmless first.
+MODULES = (
+    "shape",
+    "examples",
+    "ranges",
+    "read_back",
+    "addressing",
+    "framing",
+    "modbus",
+    "resilience",
+    "timing",
+    "motion",
+    "state",
+)
+Source = Callable[[Dialect], Iterable[Claim]]
+
+
+def every(dialect: Dialect) -> tuple[Claim, ...]:
+    """Return all claims about a dialect (as one model speaks it, where it was made for a model), in order.
+
+    They are made once, and kept with the dialect. Raises UsageError for an added source that gives two claims of one id
+    or something that is no claim.
+    """
+    kept: tuple[Claim, ...] | None = dialect.__dict__.get("_claims")
+    if kept is None:
+        kept = dialect.__dict__["_claims"] = _made(dialect)
+    return kept
+
+
+def _made(dialect: Dialect) -> tuple[Claim, ...]:
+    found: dict[str, Claim] = {}
+    for claims in _sources():
+        for claim in claims(dialect):
+            if not isinstance(claim, Claim):
+                raise UsageError(f"{claims.__module__}: expected claims, got {type(claim).__name__}")
+            if claim.id in found:
+                raise UsageError(f"two claims of the id {claim.id}")
+            if not claim.models or not dialect.model or dialect.model in claim.models:
+                found[claim.id] = claim
+    return tuple(found.values())
+
+
+def _sources() -> list[Source]:
+    own: list[Source] = [import_module(f"{__name__}.{name}").claims for name in MODULES]
+    return own + [point.load() for point in entry_points(group=GROUP)]

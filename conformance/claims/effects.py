@@ -1,0 +1,360 @@
+"""Effects: what a drive shows of a setting, so that it can be said whether a value is stored.
+
+    effect = of(dialect, command)
+    effect.see(probe)      what the drive does now, in words and numbers that can be compared
+
+A dialect that reads its settings back (CAN: 00, LK: 0xC0) shows the values themselves. The others show them by what they
+do: a work mode by whether the motor can be enabled, a subdivision by how far 200 pulses go, `respond` by which replies a
+move gets, homing by its speed and way, a group by who hears it.
+
+Rules kept here:
+- Seeing changes nothing that is stored and moves the shaft a turn at most, 200 rpm at most, and leaves it standing.
+- What does not work on the way raises Inconclusive.
+- A setting that nothing shows (screen, keys, currents of a native drive) has no effect here: nobody can say whether it was
+  stored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from analyzer.catalogue import Command, Dialect, Form, Risk, Verb
+from analyzer.layout import Field
+from analyzer.protocols.mks_shared import COUNTS_PER_TURN
+from conformance import limits, moving
+from conformance.claim import Inconclusive
+from conformance.claims.answers import Taken, judged, plain_read
+from conformance.probe import Until
+
+if TYPE_CHECKING:
+    from conformance.probe import Probe
+
+MS = 1_000_000
+#: Where subdivision and speed are plain.
+PLAIN_SUBDIVISION = 16
+#: Pulses of the move that shows a subdivision: a turn at 1, a 256th at 256.
+PULSES = 200
+#: Homing is watched for so long.
+_WATCH_NS = 100 * MS
+#: Right after a move a real shaft may still settle.
+SETTLING_NS = 150 * MS
+#: Positions that are one, in counts: a motor holds so well.
+_COUNTS = 24
+#: Speeds that are one.
+_SPEED_SHARE = 0.1
+
+#: Settings that change where and how a drive answers.
+LINK_FIELDS = frozenset({"baud_rate", "bit_rate", "new_address", "modbus"})
+
+Seen = Any
+
+
+def _equal(one: Seen, other: Seen) -> bool:
+    return bool(one == other)
+
+
+def _words(seen: Seen) -> str:
+    return " ".join(f"{k}={v}" for k, v in seen.items()) if isinstance(seen, Mapping) else str(seen)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """How a setting shows.
+
+    `see`: what the drive does now. `values`: sets of values that show differently, the first one not the default.
+    `ready`: what must be done first. `same`: whether two things seen are one. `sends`: verbs that it sends, with values;
+    their risks are the claim's. `expected(values)`: what is seen after these values, None where only differences count.
+    `set_first` False: what the drive has already is what is to stay.
+    """
+
+    see: Callable[[Probe], Seen]
+    values: tuple[Mapping[str, int], ...] = ()
+    ready: Callable[[Probe], None] = lambda probe: None
+    same: Callable[[Seen, Seen], bool] = _equal
+    words: Callable[[Seen], str] = _words
+    expected: Callable[[Dialect, Mapping[str, int]], Seen] | None = None
+    sends: tuple[tuple[Verb, Mapping[str, int]], ...] = ()
+    moves: bool = False
+    alone: bool = False
+    emulated: bool = False
+    quirks: tuple[str, ...] = ()
+    changes: tuple[str, ...] = ()
+    set_first: bool = True
+
+    def pair(self, form: Form) -> tuple[dict[str, int], dict[str, int]]:
+        """Return two sets of values of a form that show differently, neither of them the default where that can be."""
+        if not self.set_first:
+            return {}, {}
+        if len(self.values) > 1:
+            return dict(self.values[0]), dict(self.values[1])
+        return differing(form)
+
+    def risks(self, dialect: Dialect) -> frozenset[Risk]:
+        """Return the risks of what `ready` and `see` send, beside reads."""
+        found: set[Risk] = set(moving.risks(dialect)) if self.moves else set()
+        for verb, values in self.sends:
+            found |= dialect.by_verb[verb].risks(values)
+        return frozenset(found) - {Risk.READ}
+
+    def settings(self, dialect: Dialect) -> tuple[str, ...]:
+        """Return the settings that `ready` and `see` may change."""
+        return (*self.changes, *(moving.settings(dialect) if self.moves else ()))
+
+
+def differing(form: Form) -> tuple[dict[str, int], dict[str, int]]:
+    """Return two sets of allowed values of a form that differ in every field, from each other and from the defaults."""
+    one: dict[str, int] = {}
+    two: dict[str, int] = {}
+    for name, declared in form.layout.named.items():
+        if declared.fixed is not None:
+            one[name] = two[name] = declared.fixed
+            continue
+        others = [v for v in _telling(declared) if v != declared.default]
+        one[name] = others[0]
+        two[name] = others[1] if len(others) > 1 else int(declared.default if declared.default is not None else others[0])
+    return one, two
+
+
+def _telling(declared: Field) -> list[int]:
+    """Return allowed values that tell a mistake: no two bytes alike, none 0, the middle of a list."""
+    choices = limits.listed(declared)
+    if choices is not None:
+        return list(reversed(choices))
+    marks = (0x0102_0304_0506_0708 >> (64 - declared.bit_width), 0x0A0B_0C0D_0E0F_1011 >> (64 - declared.bit_width))
+    spans = declared.high - declared.low
+    inner = [declared.low + spans * n // 7 for n in (2, 5)]
+    return [v for v in (*marks, *inner, declared.high, declared.low) if declared.allows(v)]
+
+
+def of(dialect: Dialect, command: Command) -> Effect | None:
+    """Return how a setting of a dialect shows, None where it does not."""
+    if set(command.request_forms[0].layout.named) & LINK_FIELDS:
+        return _LINK
+    if command.readable:
+        return _read_back(command)
+    return BY_VERB.get(command.verb) if command.verb in _needs_met(dialect) else None
+
+
+def _needs_met(dialect: Dialect) -> set[Verb]:
+    """Return the verbs of `BY_VERB` all of whose verbs a dialect has."""
+    return {v for v, e in BY_VERB.items() if all(sent in dialect.by_verb for sent, _ in e.sends)}
+
+
+# --- read back --------------------------------------------------------------------------------------------------------
+
+
+def parameter(probe: Probe, command: Command) -> dict[str, int]:
+    """Return the stored values of a setting by the parameter read.
+
+    Raises Inconclusive where it cannot be read or the answer is of another layout.
+    """
+    exchange = probe.ask(Verb.READ_PARAMETER, {"parameter": command.code})
+    answer = probe.reply(exchange)
+    if probe.refused(exchange):
+        raise Inconclusive(f"{command.name} cannot be read back ({answer.data.hex(' ').upper()})")
+    names = command.request_forms[0].layout.named.keys()
+    if not names & answer.values.keys():
+        raise Inconclusive(f"the read of {command.name} was answered {answer.data.hex(' ').upper()}")
+    return {name: value for name, value in answer.values.items() if name in names}
+
+
+def _read_back(command: Command) -> Effect:
+    return Effect(
+        see=lambda probe: parameter(probe, command),
+        expected=lambda dialect, values: {n: values[n] for n in command.request_forms[0].layout.named if n in values},
+    )
+
+
+def _answers(probe: Probe) -> str:
+    exchange = probe.ask(plain_read(probe.dialect))
+    return "an answer at its address" if exchange.answers else "silence at its address"
+
+
+#: A setting of the link shows by where the drive answers. It is not tried out here: that would lead the drive away.
+_LINK = Effect(see=_answers, set_first=False)
+
+# --- by what it does --------------------------------------------------------------------------------------------------
+
+
+def _can_be_enabled(probe: Probe) -> str:
+    exchange = probe.ask(Verb.ENABLE, {"enabled": 1})
+    return "pulses" if judged(probe, exchange) is Taken.REFUSED else "bus"
+
+
+def _who_controls(dialect: Dialect, values: Mapping[str, int]) -> str:
+    names = dialect.by_verb[Verb.SET_WORK_MODE].request_forms[0].layout.named["work_mode"].choice_names
+    return "bus" if names[values["work_mode"]] in moving.bus_modes(dialect) else "pulses"
+
+
+def _enabled(probe: Probe) -> int:
+    return probe.read(Verb.READ_ENABLED)
+
+
+def counts(probe: Probe) -> int:
+    """Return where a standing shaft is by the encoder, in counts.
+
+    Raises Inconclusive where the two reads of it differ: other claims are about what they answer.
+    """
+    position = probe.read(Verb.READ_POSITION, "position")
+    parts = probe.reply(probe.ask(Verb.READ_ENCODER_CARRY)).values
+    whole = parts.get("carry", 0) * COUNTS_PER_TURN + parts.get("encoder", 0)
+    if abs(whole - position) > _COUNTS:
+        raise Inconclusive(f"31 reads {position} and 30 {whole}")
+    return position
+
+
+def steady_speed(probe: Probe) -> float:
+    """Return the rpm at which the shaft turns, signed, as it is read and as two positions have it.
+
+    Raises Inconclusive where the two differ: other claims are about what is read.
+    """
+    before = moving.position(probe)
+    probe.wait(100 * MS)
+    read = moving.speed(probe).value
+    rpm, uncertain = moving.speed_between(before, moving.position(probe))
+    if abs(abs(rpm) - abs(read)) > uncertain + max(2.0, 0.02 * abs(read)):
+        raise Inconclusive(f"the speed reads {read:.0f} rpm, and two positions say {rpm:.0f}")
+    return read
+
+
+def shift(probe: Probe, verb: Verb, values: Mapping[str, Any], *, until: Until = Until.REPLY) -> tuple[int, list[int]]:
+    """Do a move and return how far the encoder went, and the statuses that were answered.
+
+    Raises Inconclusive where the drive refuses it or does not come to rest.
+    """
+    start = counts(probe)
+    exchange = probe.ask(verb, values, until=until)
+    if exchange.answers and probe.refused(exchange):
+        raise Inconclusive(f"{probe.command(verb).name} was refused")
+    moving.wait_standing(probe)
+    probe.wait(SETTLING_NS)
+    return counts(probe) - start, exchange.status()
+
+
+def _distance(probe: Probe) -> int:
+    values = {"direction": 0, "speed": 10, "acceleration": 250, "pulses": PULSES}
+    return shift(probe, Verb.MOVE_RELATIVE_PULSES, values)[0]
+
+
+def pulse_counts(pulses: int, subdivision: int) -> int:
+    """Return the encoder counts of pulses at a subdivision as sent (0 is 256), without a sign."""
+    return round(pulses * COUNTS_PER_TURN / (200 * (subdivision or 256)))
+
+
+def _far(dialect: Dialect, values: Mapping[str, int]) -> int:
+    return pulse_counts(PULSES, values["subdivision"])
+
+
+def near(one: int, other: int) -> bool:
+    """Say whether two distances in counts are one but for a motor's play; the direction is another claim's."""
+    return abs(abs(one) - abs(other)) <= min(_COUNTS, max(3, abs(one) // 8))
+
+
+def _replies(probe: Probe) -> str:
+    """Return the statuses that a small move is answered with, until the shaft stands and half a second longer."""
+    values = {"direction": 0, "speed": 60, "acceleration": 250, "pulses": PULSES}
+    exchange = probe.ask(Verb.MOVE_RELATIVE_PULSES, values, until=Until.TIMEOUT, timeout_ns=1500 * MS)
+    moving.wait_standing(probe)
+    return " then ".join(str(s) for s in exchange.status()) or "silence"
+
+
+def _told(dialect: Dialect, values: Mapping[str, int]) -> str:
+    if not values["respond"]:
+        return "silence"
+    return "1 then 2" if values["active"] else "1"
+
+
+def _plain_subdivision(probe: Probe) -> None:
+    moving.ready_to_move(probe, subdivision=PLAIN_SUBDIVISION)
+
+
+@dataclass(frozen=True)
+class Homing:
+    """How homing begins: speed (rpm) and way (1 raises the encoder)."""
+
+    rpm: float
+    way: int
+
+    def __str__(self) -> str:
+        """Return it for people."""
+        return f"homing at {self.rpm:.0f} rpm, the encoder {'rising' if self.way > 0 else 'falling'}"
+
+
+def homing(probe: Probe) -> Homing:
+    """Begin homing, look, and stop at once. Raises Inconclusive where it does not begin."""
+    exchange = probe.ask(Verb.HOME)
+    probe.reply(exchange)
+    if probe.refused(exchange):
+        raise Inconclusive("homing does not begin")
+    probe.wait(_WATCH_NS)
+    rpm = steady_speed(probe)
+    probe.ask(Verb.EMERGENCY_STOP)
+    moving.wait_standing(probe)
+    if abs(rpm) < 1:
+        raise Inconclusive("homing does not turn the shaft")
+    return Homing(abs(rpm), 1 if rpm > 0 else -1)
+
+
+def _same_homing(one: Homing, other: Homing) -> bool:
+    return one.way == other.way and abs(one.rpm - other.rpm) <= max(2.0, _SPEED_SHARE * max(one.rpm, other.rpm))
+
+
+def hears(probe: Probe, address: int) -> bool:
+    """Say whether the drive executes what is sent to an address that does not answer: it is enabled, and disabled again."""
+    seen = []
+    for wanted in (0, 1):
+        probe.ask(Verb.ENABLE, {"enabled": wanted}, address=address, until=Until.TIMEOUT, timeout_ns=100 * MS)
+        seen.append(_enabled(probe) == wanted)
+    return all(seen)
+
+
+GROUP, OTHER_GROUP = 0x50, 0x51
+
+
+def _group(probe: Probe) -> str:
+    heard = [f"{a:#x}" for a in (GROUP, OTHER_GROUP) if hears(probe, a)]
+    probe.ask(Verb.ENABLE, {"enabled": 1})
+    return f"hears {' and '.join(heard) or 'neither'} of the groups {GROUP:#x} and {OTHER_GROUP:#x}"
+
+
+def _member(dialect: Dialect, values: Mapping[str, int]) -> str:
+    return f"hears {values['group_address']:#x} of the groups {GROUP:#x} and {OTHER_GROUP:#x}"
+
+
+_MOVE = (Verb.MOVE_RELATIVE_PULSES, {"direction": 0, "speed": 60, "acceleration": 250, "pulses": PULSES})
+_ON, _OFF = (Verb.ENABLE, {"enabled": 1}), (Verb.ENABLE, {"enabled": 0})
+
+#: What a setting shows by, where it cannot be read.
+BY_VERB: Mapping[Verb, Effect] = {
+    Verb.SET_WORK_MODE: Effect(
+        see=_can_be_enabled, values=({"work_mode": 5}, {"work_mode": 0}), expected=_who_controls, sends=(_ON,),
+    ),
+    Verb.SET_SUBDIVISION: Effect(
+        see=_distance, ready=moving.ready_to_move, same=near, expected=_far, sends=(_MOVE,), moves=True,
+        values=tuple({"subdivision": n} for n in (32, 8, 1, 64, 128, 200)),
+        words=lambda seen: f"{PULSES} pulses turn the shaft by {abs(seen)} counts",
+    ),
+    Verb.SET_RESPOND: Effect(
+        see=_replies, ready=_plain_subdivision, expected=_told, sends=(_MOVE,), moves=True,
+        values=tuple({"respond": r, "active": a} for r, a in ((1, 0), (0, 1), (0, 0), (1, 1))),
+        words=lambda seen: f"a move is answered by {seen}",
+    ),
+    Verb.SET_HOME: Effect(
+        see=homing, ready=_plain_subdivision, same=_same_homing, moves=True, sends=((Verb.HOME, {}), (Verb.EMERGENCY_STOP, {})),
+        values=(
+            {"home_trigger": 0, "home_direction": 1, "home_speed": 90, "end_limit": 0},
+            {"home_trigger": 1, "home_direction": 0, "home_speed": 180, "end_limit": 0},
+        ),
+    ),
+    Verb.SET_GROUP_ADDRESS: Effect(
+        see=_group, ready=moving.ready_to_move, expected=_member, moves=True, alone=True, sends=(_ON, _OFF),
+        values=({"group_address": GROUP}, {"group_address": OTHER_GROUP}),
+    ),
+    Verb.ENABLE: Effect(
+        see=_enabled, ready=moving.ready_to_move, moves=True, values=({"enabled": 0}, {"enabled": 1}),
+        expected=lambda dialect, values: values["enabled"], sends=(_ON, _OFF),
+        words=lambda seen: f"enabled reads {seen}",
+    ),
+}  # fmt: skip

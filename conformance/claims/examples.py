@@ -1,0 +1,255 @@
+"""Worked examples: every request that the manual prints, sent to the drive under test, and its reply to the byte.
+
+    printed   FA 01 30 2B    ->  FB 01 30 FF FF FF FF 22 69 B3
+    sent      FA 07 30 31        to a drive whose address is 7
+    expected  FB 07 30 .. .. .. .. .. .. sum       measured values aside
+
+Rules kept here:
+- A frame that does not hold is sent as its erratum corrects it, and the claim is as sure as the erratum.
+- A frame without a printed reply must be answered by a reply that does not refuse it.
+- What a reply measures is taken from what came; everything else, statuses and what repeats the request, must be what is
+  printed.
+- Of a command with only a reply in print, a plain request is sent.
+- Examples to all drives or to a group are executed and not answered; a package stands among them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from analyzer import encoder
+from analyzer.catalogue import Command, Dialect, Role, Vector, Verb
+from analyzer.codec import codec
+from conformance import moving
+from conformance.anatomy import Reading, replies
+from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
+from conformance.claims import examples_many
+from conformance.claims.declare import declare
+from conformance.claims.hearing import came
+from conformance.claims.known_quirks import known
+from conformance.claims.requests import demands, needs_motion, put_to_rest, values_for
+from conformance.exchange import Exchange, hex_of
+from conformance.probe import Until
+
+if TYPE_CHECKING:
+    from conformance.probe import Probe
+
+OTHER_FIRMWARE, NO_CHECKSUM, SLOW_REPLIES = "lk-firmware-235", "no-checksum", "slow-replies-in-motion"
+#: How late a reply of a drive with slow replies can be.
+_SLOWEST_NS = 1_000_000_000
+#: Errata of an example that does not name them itself.
+_ERRATA: Mapping[str, tuple[str, ...]] = {
+    "save_speed": ("mks-rs485-44",),
+    "brake": ("lk-rs485-25",),
+    "write_parameter": ("lk-rs485-36",),
+}
+#: What stands before a stop, so that there is something to stop: the run of each stop.
+_RUNS: Mapping[Verb, Verb] = {
+    Verb.STOP_SPEED: Verb.RUN_SPEED,
+    Verb.STOP_RELATIVE_PULSES: Verb.MOVE_RELATIVE_PULSES,
+    Verb.STOP_ABSOLUTE_PULSES: Verb.MOVE_ABSOLUTE_PULSES,
+    Verb.STOP_RELATIVE_AXIS: Verb.MOVE_RELATIVE_AXIS,
+    Verb.STOP_ABSOLUTE_AXIS: Verb.MOVE_ABSOLUTE_AXIS,
+}
+
+
+@dataclass
+class Example:
+    """A request as printed, and the replies that are printed with it. `request` None: only replies are."""
+
+    command: Command
+    request: Vector | None
+    replies: list[Vector] = field(default_factory=list)
+
+    @property
+    def section(self) -> str:
+        """Where it is printed."""
+        shown = self.request or self.replies[0]
+        return shown.section or self.command.section
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The request's values as sent; of a command with only a reply in print there are none."""
+        return {} if self.request is None else dict(self.request.values)
+
+
+def claims(dialect: Dialect) -> Iterator[Claim]:
+    """Make the claims of this theme for a dialect."""
+    for command in dialect.commands:
+        if command.slots is None:
+            seen: set[bytes] = set()
+            number = 0
+            for example in examples(dialect, command):
+                frame = _frame(dialect, example)
+                if frame not in seen or example.replies:
+                    seen.add(frame)
+                    number += 1
+                    yield _claim(dialect, example, number)
+    yield from examples_many.claims(dialect)
+
+
+def examples(dialect: Dialect, command: Command) -> list[Example]:
+    """Return the examples of a command that are addressed to one drive, in the manual's order."""
+    found: list[Example] = []
+    for vector in command.vectors:
+        if vector.models and dialect.model and dialect.model not in vector.models:
+            continue
+        if vector.role is Role.REQUEST:
+            if not examples_many.is_to_many(dialect, command, vector):
+                found.append(Example(command, vector))
+        elif found and found[-1].section == (vector.section or command.section):
+            found[-1].replies.append(vector)
+        else:
+            found.append(Example(command, None, [vector]))
+    return found
+
+
+def _frame(dialect: Dialect, example: Example) -> bytes:
+    return encoder.build(dialect, example.command, 1, example.values) if example.request is not None else b""
+
+
+# --- one example ------------------------------------------------------------------------------------------------------
+
+
+def _claim(dialect: Dialect, example: Example, number: int) -> Claim:
+    command = example.command
+    shown = example.request or example.replies[0]
+    errata = {v.erratum for v in (shown, *example.replies) if v.erratum}
+    required = demands(dialect, command)
+    if example.request is not None:
+        risks = set(encoder.assemble(dialect, command, 1, example.values).risks)
+        required["risks"] = risks | (moving.risks(dialect) if needs_motion(command) else set())
+    quirks = _quirks(dialect, example)
+
+    def check(probe: Probe) -> None:
+        _prepare(probe, command)
+        values = example.values if example.request is not None else values_for(probe, command)
+        until = Until.DONE if len(example.replies) > 1 else Until.REPLY
+        exchange = probe.ask(command, values, until=until)
+        try:
+            if exchange.silent and OTHER_FIRMWARE in quirks:
+                probe.meets(OTHER_FIRMWARE)
+                return
+            _judge(probe, example, exchange)
+        finally:
+            _rest(probe, command)
+
+    return declare(
+        dialect,
+        Theme.EXAMPLES,
+        f"{command.name}/{number}",
+        f"{_statement(example)} ({_printed(shown)})",
+        "another reply, or none",
+        check,
+        command=command,
+        section=example.section,
+        aspect=Aspect.EXAMPLE,
+        errata=(*errata, *_ERRATA.get(command.name, ())),
+        quirks=quirks,
+        parameters={"printed": shown.printed},
+        **required,
+    )
+
+
+def _quirks(dialect: Dialect, example: Example) -> tuple[str, ...]:
+    """Return the quirks that an example can meet."""
+    parameter = example.command.verb in (Verb.READ_PARAMETER, Verb.WRITE_PARAMETER)
+    concerned = {
+        OTHER_FIRMWARE: parameter,
+        NO_CHECKSUM: bool(example.replies),
+        SLOW_REPLIES: len(example.replies) > 1,
+    }
+    return known(dialect, *(name for name, is_so in concerned.items() if is_so))
+
+
+def _statement(example: Example) -> str:
+    name = example.command.name
+    if example.request is None:
+        return f"{name} is answered by the printed frame"
+    if example.replies:
+        listed = " and ".join(reply.printed for reply in example.replies)
+        return f"The printed request {name} is answered by {listed}, measured values aside"
+    return f"The printed request {name} is answered, and not refused"
+
+
+def _printed(vector: Vector) -> str:
+    how = "computed from the manual's tables" if vector.computed else "printed"
+    fixed = f", corrected to {vector.corrected}" if vector.corrected else ""
+    return f"{how}: {vector.printed}{fixed}"
+
+
+def _prepare(probe: Probe, command: Command) -> None:
+    if not needs_motion(command):
+        return
+    moving.ready_to_move(probe)
+    run = _RUNS.get(command.verb)
+    if run is not None and run in probe.dialect.by_verb:
+        begun = probe.command(run)
+        probe.do(begun, values_for(probe, begun))
+
+
+def _rest(probe: Probe, command: Command) -> None:
+    try:
+        put_to_rest(probe, command)
+    except Inconclusive:
+        # That the drive does not come to rest is for claims about motion, and for the rig.
+        return
+
+
+def _judge(probe: Probe, example: Example, exchange: Exchange) -> None:
+    got = replies(exchange, probe.dialect).readings
+    name = example.command.name
+    if not got:
+        raise _refuted(exchange, f"the example of {name} is not answered", "a reply", came(exchange))
+    if not example.replies:
+        if probe.refused(exchange):
+            raise _refuted(exchange, f"the example of {name} is refused", "a reply that it is done", came(exchange))
+        return
+    for number, printed in enumerate(example.replies):
+        if number >= len(got):
+            what = f"reply {number + 1} to the example of {name} does not come"
+            raise _refuted(exchange, what, printed.printed, came(exchange))
+        expected = _expected(probe, example, got[number], printed)
+        if got[number].lacks_check and NO_CHECKSUM in probe.claim.quirks:
+            probe.meets(NO_CHECKSUM)
+            continue
+        if expected != got[number].data:
+            if _overtaken(probe, example, got):
+                probe.meets(SLOW_REPLIES)
+                return
+            what = f"reply {number + 1} to the example of {name} is another"
+            raise _refuted(exchange, what, expected.hex(" ").upper(), got[number].data.hex(" ").upper())
+
+
+def _overtaken(probe: Probe, example: Example, got: Sequence[Reading]) -> bool:
+    """Say whether a slow first reply was overtaken by the last one, and comes after it."""
+    if SLOW_REPLIES not in probe.claim.quirks:
+        return False
+    first, last = (_expected(probe, example, got[0], printed) for printed in (example.replies[0], example.replies[-1]))
+    later = [reading.data for reading in got[1:]] + [a.data for a in probe.listen(_SLOWEST_NS).answers]
+    return got[0].data == last and first in later
+
+
+def _refuted(exchange: Exchange, what: str, expected: str, got: str) -> Refuted:
+    return Refuted(what, expected=f"{expected} to {hex_of(exchange.sent or b'')}", got=got, exchange=exchange, key=what)
+
+
+def _expected(probe: Probe, example: Example, reading: Reading, printed: Vector) -> bytes:
+    """Return the printed reply as this drive must send it: its address, and what it measures as it came."""
+    command, form = example.command, reading.template.form
+    layout = form.layout
+    if printed.values.keys() != layout.named.keys():
+        # Another model's reply is printed; the drive's own has nothing but measured values to compare.
+        return reading.data
+    measured = codec(layout).wire(reading.own) if layout.fits(len(reading.own)) else {}
+    # A field of the reply repeats one of the request where both are the same field, not only of one name.
+    asked = [f for form in command.request_forms for n, f in form.layout.named.items() if n in example.values]
+    told = {command.replies.status, *(n for n, f in layout.named.items() if f in asked)}
+    values = {
+        name: measured[name] if name in measured and name not in told and declared.fixed is None else printed.values[name]
+        for name, declared in layout.named.items()
+    }
+    return probe.dialect.link.build(command, form, probe.address, codec(layout).encode(values), Role.REPLY)
+

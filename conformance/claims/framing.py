@@ -1,0 +1,216 @@
+"""Framing: what is no good request is not answered, and the next good one always is.
+
+Each kind of damage makes two claims: `ignored` (no answer to any variant of it) and `next` (the good read behind it is
+answered). What is damaged is a read (`conformance.garbling`), so that nothing a drive makes of it can move a motor.
+
+Rules kept here:
+- A good read is asked first: a drive that does not answer it is judged elsewhere.
+- Behind each damaged frame the line is quiet for a while before the next good one: nothing printed says how long a drive
+  waits for the rest of a frame. What happens without that pause is open, and observed (`conformance.claims.framing_open`).
+- The manuals say how a frame is checked; that a drive stays silent on one that does not check is certain by that. What
+  no manual speaks of (frames of other lengths, unknown codes) is likely.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+from analyzer.catalogue import Certainty, Dialect, Risk
+from analyzer.link import CanLink, HeadLink, Link, LkLink, ModbusLink
+from analyzer.records import CanFrame
+from conformance import garbling
+from conformance.claim import Claim, Refuted, Theme
+from conformance.claims import framing_effects, framing_open
+from conformance.claims.declare import declare
+from conformance.claims.hearing import PAUSE_NS, ask_first, came, garblers, judge_next, plain_read, section
+from conformance.claims.known_quirks import known
+from conformance.exchange import hex_of
+from conformance.garbling import Garbler, Variant
+
+if TYPE_CHECKING:
+    from conformance.probe import Probe
+
+Makes = Callable[["Probe"], Iterable[Variant]]
+
+#: The most variants of one kind: enough to see each bit of a short frame, few enough for a real line.
+_MOST = 24
+OTHER_FIRMWARE, FRAGMENTS = "lk-firmware-235", "other-dialect-fragments"
+_CHECK_ERRATA = ("mks-rs485-15", "mks-modbus-01", "mks-can-15", "lk-rs485-08", "lk-rs485-09")
+#: First bytes that begin no request, by link.
+_OTHER_HEADS: Mapping[type[Link], tuple[int, ...]] = {
+    HeadLink: (0xFB, 0xF9, 0x3E, 0xFD, 0xFE, 0x7A, 0x00, 0xFF),
+    LkLink: (0x3D, 0x3F, 0xFA, 0xFB, 0xBE, 0x00, 0xFF),
+}
+
+def claims(dialect: Dialect) -> Iterator[Claim]:
+    """Make the claims of this theme for a dialect."""
+    for kind in _KINDS:
+        if kind.links is None or isinstance(dialect.link, kind.links):
+            yield _ignored(dialect, kind)
+            yield _next(dialect, kind)
+    yield from framing_open.claims(dialect)
+    yield from framing_effects.claims(dialect)
+
+
+# --- kinds of damage --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """One kind of damage. `ignored`, `following`: how sure the two claims are. `links`: None for every link."""
+
+    name: str
+    what: str
+    variants: Makes
+    ignored: Certainty = Certainty.CERTAIN
+    following: Certainty = Certainty.LIKELY
+    links: tuple[type[Link], ...] | None = None
+    risks: frozenset[Risk] = frozenset()
+    errata: tuple[str, ...] = ()
+    quirks: tuple[str, ...] = ()
+
+
+def _each(make: Callable[[Garbler], Iterable[Variant]]) -> Makes:
+    return lambda probe: [v for g in garblers(probe) for v in _some(list(make(g)))]
+
+
+def _some(variants: list[Variant]) -> list[Variant]:
+    """Return so many of the variants as are enough, evenly spread."""
+    step = -(-len(variants) // _MOST) or 1
+    return variants[::step]
+
+
+def _noise(probe: Probe) -> Iterator[Variant]:
+    for data in garbling.NOISE:
+        yield f"noise {data[:4].hex(' ').upper()}{' ...' if len(data) > 4 else ''}", data
+
+
+def _other_heads(probe: Probe) -> Iterable[Variant]:
+    return garblers(probe)[0].other_heads(_OTHER_HEADS[type(probe.dialect.link)])
+
+
+def _other_dialects(probe: Probe) -> Iterable[Variant]:
+    return garbling.reads_of_others(probe.dialect, probe.address)
+
+
+def _unknown_codes(dialect: Dialect) -> list[int]:
+    """Return codes that no command has, beside those that one has."""
+    known = {c.code for c in dialect.commands}
+    beside = {code for k in known for code in (k - 1, k + 1, k ^ 0x80, k ^ 0x40)}
+    # A head in the place of a code would be the next frame's.
+    fit = sorted(c for c in beside - known - _UNWANTED - _HEADS if 0 < c <= 0xFF)
+    step = -(-len(fit) // _MOST) or 1
+    return fit[::step]
+
+
+def _with_unknown_codes(probe: Probe) -> Iterator[Variant]:
+    dialect, read = probe.dialect, probe.build(plain_read(probe.dialect))
+    for code in (*_unknown_codes(dialect), *_FIRMWARE_CODES.get(dialect.name, ())):
+        frame = _recoded(dialect, read.frame, code, probe.address)
+        yield _coded(code), garbling.item_of(dialect, probe.address, frame)
+
+
+def _coded(code: int) -> str:
+    return f"the unknown code {code:02X}"
+
+
+def _recoded(dialect: Dialect, frame: bytes, code: int, address: int) -> bytes:
+    """Return a frame without data with another code, its check fitting."""
+    parts = dialect.link.parts(frame, address if dialect.link.kind == "can" else None)
+    place = next(p.start for p in parts if p.name == "code")
+    body = frame[:place] + bytes((code,)) + frame[place + 1 : -1]
+    return dialect.link.completed(body, address if dialect.link.kind == "can" else None)
+
+
+def _strange_frames(probe: Probe) -> Iterator[Variant]:
+    read = probe.build(plain_read(probe.dialect))
+    for what, extended, remote in (("an identifier of 29 bits", True, False), ("a remote frame", False, True)):
+        data = b"" if remote else read.frame
+        yield what, CanFrame(None, "bus", probe.address, data, extended=extended, remote=remote)
+
+
+#: Codes that other firmware was seen to have: one that it answers, and some that do what nobody wants.
+_UNWANTED = frozenset({0x07, 0x40, 0x42})
+_HEADS = frozenset({0xFA, 0xFB, 0xFC, 0x3E})
+_FIRMWARE_CODES: Mapping[str, tuple[int, ...]] = {"lk-rs485": (0x12,)}
+
+_KINDS = (
+    _Kind("checksum_bit", "a request with one bit of its checksum flipped", _each(Garbler.check_bits), errata=_CHECK_ERRATA),
+    _Kind("checksum_value", "a request whose checksum is reckoned otherwise", _each(Garbler.wrong_checks),
+          errata=(*_CHECK_ERRATA, "mks-can-16")),
+    _Kind("flipped_bit", "a request with one bit flipped before its checksum", _each(Garbler.body_bits)),
+    _Kind("truncated", "a request that breaks off", _each(Garbler.truncated)),
+    _Kind("overlong", "a request with data that its command does not have", _each(Garbler.overlong),
+          ignored=Certainty.LIKELY, errata=("lk-rs485-06", "lk-rs485-07")),
+    _Kind("noise", "noise", _noise, links=(HeadLink, LkLink, ModbusLink)),
+    _Kind("head", "a frame with another head than a request's", _other_heads, links=(HeadLink, LkLink)),
+    _Kind("other_dialect", "a good request in another dialect", _other_dialects, ignored=Certainty.LIKELY,
+          links=(HeadLink, LkLink, ModbusLink), quirks=(FRAGMENTS,)),
+    _Kind("unknown_code", "a good frame of a code that the manual does not list", _with_unknown_codes,
+          ignored=Certainty.LIKELY, links=(HeadLink, LkLink, CanLink), risks=frozenset({Risk.UNKNOWN}),
+          quirks=(OTHER_FIRMWARE,)),
+    _Kind("frame_type", "a frame that is no data frame of 11 bits", _strange_frames, ignored=Certainty.LIKELY,
+          links=(CanLink,), risks=frozenset({Risk.UNKNOWN})),
+)  # fmt: skip
+
+def _tolerated(dialect: Dialect, kind: _Kind, what: str) -> bool:
+    """Say whether a quirk explains the answer to a variant: other firmware has codes of its own, and no more."""
+    return OTHER_FIRMWARE not in kind.quirks or what in map(_coded, _FIRMWARE_CODES[dialect.name])
+
+
+def _ignored(dialect: Dialect, kind: _Kind) -> Claim:
+    quirks = known(dialect, *kind.quirks)
+
+    def check(probe: Probe) -> None:
+        ask_first(probe)
+        for what, item in kind.variants(probe):
+            exchange = probe.send(item)
+            if exchange.silent:
+                continue
+            if quirks and _tolerated(dialect, kind, what):
+                probe.meets(quirks[0])
+                continue
+            raise Refuted(
+                f"{what}: answered",
+                expected=f"silence after {hex_of(item)}",
+                got=came(exchange),
+                exchange=exchange,
+                key=f"{kind.name}: answered",
+            )
+
+    return declare(
+        dialect,
+        Theme.FRAMING,
+        f"{kind.name}/ignored",
+        f"{kind.what[0].upper()}{kind.what[1:]} is not answered.",
+        "any answer",
+        check,
+        section=section(dialect),
+        errata=kind.errata,
+        at_best=kind.ignored,
+        risks=kind.risks,
+        quirks=quirks,
+    )
+
+
+def _next(dialect: Dialect, kind: _Kind) -> Claim:
+    def check(probe: Probe) -> None:
+        ask_first(probe)
+        for what, item in kind.variants(probe):
+            judge_next(probe, f"a damaged one ({what})", partial(probe.send, item, timeout_ns=PAUSE_NS))
+
+    return declare(
+        dialect,
+        Theme.FRAMING,
+        f"{kind.name}/next",
+        f"The next good request behind {kind.what} is answered.",
+        "silence, or another answer than the request's",
+        check,
+        section=section(dialect),
+        at_best=kind.following,
+        risks=kind.risks,
+    )
+

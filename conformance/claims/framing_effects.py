@@ -1,0 +1,198 @@
+"""Framing and what a drive does: start bytes in data are data, and what does not check is not executed.
+
+That a damaged request has no effect can be seen only with a request that has one. Those are sent to emulated drives alone:
+on a real line what is garbled is a read (`conformance.garbling`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from analyzer.catalogue import Command, Dialect, Risk, Verb
+from analyzer.link import HeadLink
+from conformance import garbling, witness
+from conformance.claim import Claim, Inconclusive, Refuted, Theme
+from conformance.claims.declare import declare
+from conformance.claims.hearing import came, section
+from conformance.exchange import Exchange, hex_of
+from conformance.witness import Order, Witness
+
+if TYPE_CHECKING:
+    from conformance.probe import Probe
+
+
+def claims(dialect: Dialect) -> Iterator[Claim]:
+    """Make the claims about start bytes in data, and about what damaged requests do."""
+    if "set_position" in dialect.by_name:
+        yield _start_bytes(dialect, dialect.by_name["set_position"], "position", _LK_POSITIONS, Verb.READ_POSITION)
+    elif isinstance(dialect.link, HeadLink):
+        one = dialect.by_verb.get(Verb.SET_SUBDIVISION)
+        if one is not None:
+            yield _start_bytes(dialect, one, "subdivision", _SUBDIVISIONS, None)
+    shown = witness.chosen(dialect)
+    if shown is not None:
+        for damage in _DAMAGES:
+            if not damage.head or isinstance(dialect.link, HeadLink):
+                yield _not_executed(dialect, shown, damage)
+
+
+# --- start bytes in data ----------------------------------------------------------------------------------------------
+
+#: A value without a start byte in it, for comparison.
+_PLAIN = 16
+#: Any byte is a subdivision: the heads of requests, replies and packages.
+_SUBDIVISIONS = (0xFA, 0xFB, 0xFC, 0x3E)
+#: Positions whose bytes, low byte first, are heads and the beginning of a good read.
+_LK_POSITIONS = (0x3E, 0x3E3E, 0x3E3E_3E3E, 0x0001_923E, 0x3E00)
+
+
+def _good_answers(probe: Probe, command: Command, exchange: Exchange) -> int:
+    """Return how many good replies there are, 0 where there is anything else, or a refusal."""
+    good = [a for a in exchange.answers if a.command is command and a.message.frame.checksum_ok]
+    return 0 if exchange.junk or probe.refused(exchange) or len(good) != len(exchange.answers) else len(good)
+
+
+def _start_bytes(
+    dialect: Dialect, command: Command, field: str, values: tuple[int, ...], read: Verb | None
+) -> Claim:
+    def check(probe: Probe) -> None:
+        usual = _good_answers(probe, command, probe.ask(command, {field: _PLAIN}))
+        if not usual:
+            raise Inconclusive(f"{command.name} is not answered by a good reply that it is done")
+        for value in values:
+            # Twice: a line that loses a reply now and then is another matter.
+            exchanges = [probe.ask(command, {field: value}) for _ in range(2)]
+            exchange = exchanges[-1]
+            if all(_good_answers(probe, command, e) != usual for e in exchanges):
+                raise Refuted(
+                    f"{command.name} with {value:X}h in its data is not answered as any other",
+                    expected=f"a reply that it is done, to {hex_of(exchange.sent or b'')}",
+                    got=came(exchange),
+                    exchange=exchange,
+                    key="start bytes in data",
+                )
+            if read is None:
+                continue
+            got = probe.read(read, field)
+            if got != value:
+                raise Refuted(
+                    f"{command.name} with {value:X}h in its data is not taken as it was sent",
+                    expected=f"{field} {value}",
+                    got=f"{field} {got}",
+                    exchange=exchange,
+                    key="start bytes in data",
+                )
+
+    return declare(
+        dialect,
+        Theme.FRAMING,
+        "start_bytes",
+        "A byte in the data of a request that could begin a frame is data.",
+        "silence, a second answer, or another value",
+        check,
+        command=command,
+        section=section(dialect),
+        risks=command.all_risks,
+        settings=(field,),
+        fields=(field,),
+    )
+
+
+# --- what does not check is not executed ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Damage:
+    """One way to damage a request. `make(dialect, frame, address)` yields what it is and the bytes; `head`: by its head."""
+
+    name: str
+    what: str
+    make: Callable[[Dialect, bytes, int], Iterator[tuple[str, bytes]]]
+    head: bool = False
+
+
+def _wrong_checks(dialect: Dialect, frame: bytes, address: int) -> Iterator[tuple[str, bytes]]:
+    for check in dialect.link.checks(frame, address):
+        for bit in (0, 7):
+            changed = bytearray(frame)
+            changed[check.start + len(check.expected) - 1] ^= 1 << bit
+            yield f"bit {bit} of the {check.name} flipped", bytes(changed)
+
+
+def _flipped_data(dialect: Dialect, frame: bytes, address: int) -> Iterator[tuple[str, bytes]]:
+    head = dialect.link.parse(frame, address)
+    for at in range(head.start, head.stop):
+        changed = bytearray(frame)
+        changed[at] ^= 1
+        yield f"bit 0 of byte {at + 1} flipped", bytes(changed)
+
+
+def _reply_heads(dialect: Dialect, frame: bytes, address: int) -> Iterator[tuple[str, bytes]]:
+    for head in (0xFB, 0xF9):
+        yield f"{head:02X} for its head", dialect.link.completed(bytes((head,)) + frame[1:-1], address)
+
+
+def _cut(dialect: Dialect, frame: bytes, address: int) -> Iterator[tuple[str, bytes]]:
+    for size in (len(frame) - 1, len(frame) - 2):
+        yield f"{size} of {len(frame)} bytes", frame[:size]
+
+
+_DAMAGES = (
+    _Damage("checksum_bit", "whose checksum does not fit", _wrong_checks),
+    _Damage("flipped_bit", "with a flipped bit in its data", _flipped_data),
+    _Damage("truncated", "that breaks off", _cut),
+    _Damage("head", "with another head than a request's", _reply_heads, head=True),
+)
+
+
+def _not_executed(dialect: Dialect, shown: Witness, damage: _Damage) -> Claim:
+    def check(probe: Probe) -> None:
+        shown.prepare(probe)
+        order = shown.order(probe)
+        built = probe.build(order.command, order.values)
+        for what, frame in damage.make(dialect, built.frame, probe.address):
+            sent = probe.send(garbling.item_of(dialect, probe.address, frame), timeout_ns=_LISTEN_NS)
+            shown.settle(probe)
+            got = shown.read(probe)
+            if not shown.is_done(got, _undone(order)):
+                raise Refuted(
+                    f"{order.command.name} is executed with {what}",
+                    expected=f"nothing: {order.before} still to be read after {hex_of(sent.sent or b'')}",
+                    got=f"{got} is read",
+                    exchange=sent,
+                    key=f"{damage.name}: executed",
+                )
+        shown.control(probe)
+
+    return declare(
+        dialect,
+        Theme.FRAMING,
+        f"{damage.name}/not_executed",
+        f"A request {damage.what} is not executed.",
+        "an effect of it",
+        check,
+        section=section(dialect),
+        risks=shown.risks | _more_risks(dialect),
+        settings=shown.settings,
+        emulated=True,
+    )
+
+
+#: How long is listened to a damaged request before its effect is looked for.
+_LISTEN_NS = 300_000_000
+
+
+def _undone(order: Order) -> Order:
+    """Return the order that leads to where nothing was done."""
+    return Order(order.command, order.values, order.after, order.before)
+
+
+def _more_risks(dialect: Dialect) -> frozenset[Risk]:
+    """Return what damaged requests could be read as, beside what they were built from."""
+    return _READ_AS.get(type(dialect.link), frozenset())
+
+
+_READ_AS: Mapping[type, frozenset[Risk]] = {HeadLink: frozenset({Risk.UNKNOWN})}
+

@@ -1,0 +1,120 @@
+"""Whether a drive hears: good reads, and what a claim about bad frames rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+from analyzer.catalogue import Command, Dialect, Risk, Verb
+from conformance import samples
+from conformance.anatomy import heard, in_order
+from conformance.claim import Inconclusive, Refuted
+from conformance.exchange import Exchange, hex_of
+from conformance.garbling import Garbler
+
+if TYPE_CHECKING:
+    from conformance.probe import Probe
+
+#: How long nothing is sent behind a damaged frame before the next good one, where its silence is not what is judged.
+PAUSE_NS = 60_000_000
+#: How long is listened to what was sent as bytes.
+LISTEN_NS = 300_000_000
+#: Good reads with nothing before them that must be answered before a drive is called deaf.
+_CONTROLS = 6
+#: Where the manuals say what a frame is, and who answers whom.
+SECTIONS: Mapping[str, str] = {
+    "mks-rs485": "4",
+    "mks-modbus": "8",
+    "mks-can": "3",
+    "lk-rs485": "Single motor command",
+}
+#: Reads that carry data, by verb: what a drive must check beside a head.
+_WITH_DATA: tuple[Verb, ...] = (Verb.READ_PARAMETER, Verb.BRAKE)
+
+
+def section(dialect: Dialect) -> str:
+    """Return where a dialect's manual says what a frame is."""
+    return SECTIONS.get(dialect.name, dialect.commands[0].section)
+
+
+def plain_read(dialect: Dialect) -> Command:
+    """Return the read by which a drive is asked whether it hears: of the position, or the first that needs no data."""
+    position = dialect.by_verb.get(Verb.READ_POSITION)
+    if position is not None:
+        return position
+    return next(c for c in dialect.commands if c.all_risks == {Risk.READ} and not c.request_forms[0].layout.fields)
+
+
+def garblers(probe: Probe) -> list[Garbler]:
+    """Return what makes variants: of a read without data, and of each kind of read with data that the dialect has."""
+    dialect = probe.dialect
+    found = [Garbler(dialect, probe.build(plain_read(dialect)))]
+    for verb in _WITH_DATA:
+        command = dialect.by_verb.get(verb)
+        if command is not None:
+            found.append(Garbler(dialect, probe.build(command, samples.sample(dialect, command, address=probe.address))))
+    return found
+
+
+def came(exchange: Exchange) -> str:
+    """Return what came back, as hex, for people."""
+    return heard(exchange).hex(" ").upper() or ("silence" if exchange.silent else "a frame without data")
+
+
+def is_answered(exchange: Exchange) -> bool:
+    """Say whether a request was answered by a frame of its command, from its address, that checks."""
+    good = (a for a in exchange.answers if a.command is exchange.command and a.message.address == exchange.address)
+    return any(a.message.frame.checksum_ok for a in good)
+
+
+def ask_first(probe: Probe) -> None:
+    """Ask a good read. Raises Inconclusive where the drive does not answer it."""
+    exchange = probe.ask(plain_read(probe.dialect))
+    probe.reply(exchange)
+    if not is_answered(exchange):
+        raise Inconclusive(f"a good request is answered {came(exchange)}, which another claim judges")
+
+
+def answered_by(probe: Probe, sent: Exchange, *commands: Command) -> bool:
+    """Say whether a good reply to each of these commands came back, in this order, and nothing else."""
+    return in_order(sent, probe.dialect, commands, probe.address)
+
+
+def ask_cleanly(probe: Probe) -> None:
+    """Send a good read by itself. Raises Inconclusive where it is not answered by one good reply and nothing else."""
+    read = plain_read(probe.dialect)
+    sent = probe.send(probe.item(probe.build(read).frame), timeout_ns=LISTEN_NS)
+    if not answered_by(probe, sent, read):
+        raise Inconclusive(f"a good request by itself is answered {came(sent)}, which another claim judges")
+
+
+def _is_heard(probe: Probe) -> tuple[bool, Exchange]:
+    exchange = probe.ask(plain_read(probe.dialect), quiet_ns=0)
+    return is_answered(exchange), exchange
+
+
+def judge_next(probe: Probe, what: str, send: Callable[[], Exchange]) -> None:
+    """Send something, then a good read that must be answered. `what` names what was sent, for people.
+
+    Raises Refuted where the read is not answered, and that again; Inconclusive where reads without anything before them
+    are lost too.
+    """
+    for last in (False, True):
+        sent = send()
+        is_heard, exchange = _is_heard(probe)
+        if is_heard:
+            if last:
+                raise Inconclusive(f"the good request behind {what} was not answered, and when sent again it was")
+            return
+        if last:
+            break
+        if not all(_is_heard(probe)[0] for _ in range(_CONTROLS)):
+            raise Inconclusive("good requests are not always answered, whatever is before them")
+    before = f", sent behind {hex_of(sent.sent)}" if sent.sent is not None else ""
+    raise Refuted(
+        f"the good request behind {what} is not answered",
+        expected=f"a reply to {hex_of(exchange.sent or b'')}{before}",
+        got=came(exchange),
+        exchange=exchange,
+        key="the next good request is not answered",
+    )

@@ -1,0 +1,23 @@
+"""Which quirks a claim may meet: those that drives of its dialect were seen to have.
+
+    quirks=known(dialect, "settling")      ("settling",) on CAN, () elsewhere
+
+The quirks, with where each was seen, stand beside the emulated drives (`servotap emulate --list-quirks`).
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+from analyzer.catalogue import Dialect
+from conformance.drives.make import every_quirk
+
+
+@cache
+def _dialects() -> dict[str, tuple[str, ...]]:
+    return {quirk.name: quirk.dialects for quirk in every_quirk()}
+
+
+def known(dialect: Dialect, *names: str) -> tuple[str, ...]:
+    """Return those of these quirks that drives of a dialect were seen to have. Raises KeyError for a name that is none."""
+    return tuple(name for name in names if dialect.name in _dialects()[name])

@@ -1,0 +1,213 @@
+"""Modbus: functions, registers, quantities, byte counts, refused writes, exceptions, addresses.
+
+    01 04 00 31 00 03  ->  01 04 06 ..          a register with its own quantity
+    01 03 00 31 00 03  ->  01 83 01             a function that the drive does not have
+    01 04 00 35 00 01  ->  01 84 02             a register that no command has
+    01 04 00 31 00 02  ->  01 84 03             a quantity that is not the register's
+    01 06 00 82 00 09  ->  01 06 00 82 FF FF    a value that the manual does not allow
+
+Rules kept here:
+- The manual says that the drive speaks Modbus-RTU and what its registers are; what it leaves to the standard (Modbus
+  Application Protocol V1.1b3) is likely, not certain: silence on what calls for an exception is refuted all the same.
+- Where the standard and the registers leave room (a read of a register that is written, one register by the function of
+  several) the claim is open.
+- What writes something that no command has needs `unknown`, even though the drive is to refuse it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from analyzer.catalogue import Certainty, Command, Dialect, Risk
+from analyzer.link import READS, WRITE_MANY, WRITE_ONE, ModbusLink
+from analyzer.protocols.modbus import ModbusException
+from conformance.claim import Claim, Refuted, Theme
+from conformance.claims import modbus_writes
+from conformance.claims.declare import declare
+from conformance.claims.hearing import ask_cleanly, came, plain_read, section
+from conformance.claims.modbus_frames import ask, exception, judge, request
+from conformance.exchange import hex_of
+
+if TYPE_CHECKING:
+    from conformance.probe import Probe
+
+FUNCTION, ADDRESS, VALUE = (
+    ModbusException.ILLEGAL_FUNCTION,
+    ModbusException.ILLEGAL_DATA_ADDRESS,
+    ModbusException.ILLEGAL_DATA_VALUE,
+)
+#: Other functions of the standard, and codes that it leaves to the user.
+_OTHER_FUNCTIONS = (0x07, 0x08, 0x0B, 0x11, 0x14, 0x16, 0x17, 0x18, 0x2B, 0x41, 0x64, 0x7F)
+_LONGEST_READ = 125
+#: Addresses that the standard keeps back, as far as no other dialect begins its frames with them.
+_RESERVED = (248, 249, 252, 254, 255)
+
+
+def claims(dialect: Dialect) -> Iterator[Claim]:
+    """Make the claims of this theme for a dialect on Modbus, none for another."""
+    if not isinstance(dialect.link, ModbusLink):
+        return
+    for kind in _KINDS:
+        yield _refused(dialect, kind)
+    yield _reserved_addresses(dialect)
+    yield from modbus_writes.claims(dialect)
+
+
+# --- what calls for an exception --------------------------------------------------------------------------------------
+
+#: What is asked (in words), the function, the frame.
+Asked = Iterator[tuple[str, int, bytes]]
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """Requests that an exception answers. `make(probe)` yields them."""
+
+    name: str
+    statement: str
+    code: int
+    make: Callable[[Probe], Asked]
+    sure: Certainty = Certainty.LIKELY
+    risks: frozenset[Risk] = frozenset()
+
+
+def _reads(dialect: Dialect) -> list[Command]:
+    return [c for c in dialect.commands if c.function in READS]
+
+
+def _registers(dialect: Dialect, functions: frozenset[int]) -> set[int]:
+    return {c.code for c in dialect.commands if c.function in functions}
+
+
+def _other_reads(probe: Probe) -> Asked:
+    """Ask for known registers by the other functions that read."""
+    own = {c.function for c in probe.dialect.commands}
+    for function in sorted(READS - own):
+        for command in _reads(probe.dialect)[:3]:
+            yield f"function {function:02X}h", function, request(probe, function, command.code, command.quantity)
+
+
+def _other_writes(probe: Probe) -> Asked:
+    """Write by the functions for coils."""
+    yield "function 05h", 0x05, request(probe, 0x05, 0x00F7, 0xFF00)
+    yield "function 0Fh", 0x0F, request(probe, 0x0F, 0x00F7, 8, data=b"\x01\x01")
+
+
+def _unknown_functions(probe: Probe) -> Asked:
+    for function in _OTHER_FUNCTIONS:
+        yield f"function {function:02X}h", function, request(probe, function, 0x0000, 0x0001)
+
+
+def _between(probe: Probe) -> Asked:
+    """Read registers between, below and above those that are there, with a quantity that some register has."""
+    dialect = probe.dialect
+    known = _registers(dialect, READS)
+    function = _reads(dialect)[0].function or 0
+    beside = {r for k in known for r in (k - 1, k + 1)} | {0x0000, 0x00FF, 0x7FFF, 0xFFFF}
+    everything = {c.code for c in dialect.commands}
+    for register in sorted(beside - everything):
+        for quantity in (1, 3):
+            yield f"register {register:04X}h", function, request(probe, function, register, quantity)
+
+
+def _high_byte(probe: Probe) -> Asked:
+    """Read registers whose low byte is that of one that is there."""
+    for command in _reads(probe.dialect):
+        function = command.function or 0
+        for high in (0x01, 0x80, 0xFF):
+            register = command.code | high << 8
+            yield f"register {register:04X}h", function, request(probe, function, register, command.quantity)
+
+
+def _written(probe: Probe) -> Asked:
+    """Read registers that are written."""
+    reads = _registers(probe.dialect, READS)
+    function = _reads(probe.dialect)[0].function or 0
+    for register in sorted(_registers(probe.dialect, WRITE_ONE | WRITE_MANY) - reads)[::4]:
+        yield f"register {register:04X}h, which is written", function, request(probe, function, register, 1)
+
+
+def _quantities(probe: Probe) -> Asked:
+    """Read registers with other quantities than their own."""
+    for command in _reads(probe.dialect):
+        function, own = command.function or 0, command.quantity
+        for quantity in sorted({0, 1, own - 1, own + 1, own + 3, 125} - {own}):
+            what = f"{quantity} registers from {command.code:04X}h, which has {own}"
+            yield what, function, request(probe, function, command.code, quantity)
+
+
+def _too_many(probe: Probe) -> Asked:
+    """Read more registers than the standard allows."""
+    for command in _reads(probe.dialect)[:2]:
+        function = command.function or 0
+        for quantity in (_LONGEST_READ + 1, 0x0100 + command.quantity, 0xFFFF):
+            yield f"{quantity} registers", function, request(probe, function, command.code, quantity)
+
+
+_KINDS = (
+    _Kind("function/other_reads", "Registers are read by function 04h alone; 01h, 02h and 03h are refused by exception 01.",
+          FUNCTION, _other_reads),
+    _Kind("function/coils", "There are no coils: functions 05h and 0Fh are refused by exception 01.", FUNCTION, _other_writes,
+          risks=frozenset({Risk.UNKNOWN})),
+    _Kind("function/unknown", "A function that the drive does not have is refused by exception 01.", FUNCTION,
+          _unknown_functions, risks=frozenset({Risk.UNKNOWN})),
+    _Kind("register/between", "A read of a register that no command has is refused by exception 02.", ADDRESS, _between),
+    _Kind("register/high_byte", "Both bytes of a register count: one more high byte is another register (exception 02).",
+          ADDRESS, _high_byte),
+    _Kind("register/written", "A read of a register that is only written is refused by exception 02.", ADDRESS, _written,
+          sure=Certainty.OPEN),
+    _Kind("quantity/others", "A register is read with its own quantity and no other (exception 03).", VALUE, _quantities),
+    _Kind("quantity/too_many", "A read of more than 125 registers is refused by exception 03.", VALUE, _too_many),
+)  # fmt: skip
+
+
+def _refused(dialect: Dialect, kind: _Kind) -> Claim:
+    def check(probe: Probe) -> None:
+        ask_cleanly(probe)
+        for what, function, frame in kind.make(probe):
+            judge(probe, ask(probe, frame), exception(probe, function, kind.code), what)
+
+    return declare(
+        dialect,
+        Theme.MODBUS,
+        kind.name,
+        kind.statement,
+        "silence, another exception, or an answer that is none",
+        check,
+        section=f"{section(dialect)}; Modbus V1.1b3, 7",
+        at_best=kind.sure,
+        risks=kind.risks,
+    )
+
+
+# --- addresses --------------------------------------------------------------------------------------------------------
+
+
+def _reserved_addresses(dialect: Dialect) -> Claim:
+    def check(probe: Probe) -> None:
+        ask_cleanly(probe)
+        read = plain_read(dialect)
+        for address in _RESERVED:
+            sent = probe.send(request(probe, read.function or 0, read.code, read.quantity, address=address))
+            if not sent.silent:
+                raise Refuted(
+                    f"the reserved address {address} is answered",
+                    expected=f"silence after {hex_of(sent.sent or b'')}",
+                    got=came(sent),
+                    exchange=sent,
+                )
+
+    return declare(
+        dialect,
+        Theme.MODBUS,
+        "address/reserved",
+        "A request to an address above 247, which Modbus keeps back, is not answered.",
+        "any answer",
+        check,
+        section="8.2.15; Modbus over Serial Line V1.02, 2.2",
+        alone=True,
+        errata=("mks-modbus-14",),
+    )
+

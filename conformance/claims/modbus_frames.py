@@ -1,0 +1,49 @@
+"""Modbus frames as claims send them, and what must come back to the byte."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from conformance.anatomy import heard
+from conformance.claim import Refuted
+from conformance.claims.hearing import came
+from conformance.exchange import Exchange, hex_of
+from conformance.probe import Until
+
+if TYPE_CHECKING:
+    from conformance.probe import Probe
+
+
+def request(probe: Probe, function: int, *words: int, data: bytes = b"", address: int | None = None) -> bytes:
+    """Return a request of any function with 16-bit words and bytes behind it, and its CRC."""
+    to = probe.address if address is None else address
+    body = bytes((to, function)) + b"".join(w.to_bytes(2, "big") for w in words) + data
+    return probe.dialect.link.completed(body)
+
+
+def exception(probe: Probe, function: int, code: int) -> bytes:
+    """Return the exception by which a request is refused."""
+    return probe.dialect.link.completed(bytes((probe.address, function | 0x80, code)))
+
+
+def ask(probe: Probe, frame: bytes) -> Exchange:
+    """Send a request as bytes and return what came back."""
+    return probe.send(frame, until=Until.REPLY, timeout_ns=probe.rig.late_ns)
+
+
+def judge(probe: Probe, sent: Exchange, expected: bytes, what: str) -> None:
+    """Refute a drive that does not answer what was sent with these bytes and nothing else."""
+    got = heard(sent)
+    if got == expected:
+        return
+    # Once more: a line that loses or garbles a reply now and then is another matter.
+    again = ask(probe, sent.data)
+    if heard(again) == expected:
+        return
+    raise Refuted(
+        f"{what} is answered otherwise",
+        expected=f"{hex_of(expected)} to {hex_of(sent.sent or b'')}",
+        got=came(again),
+        exchange=again,
+        key=what,
+    )

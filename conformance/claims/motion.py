@@ -1,0 +1,56 @@
+"""Motion: what a drive does when it is told to move, and what it says about it. The parts stand in files of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from analyzer.catalogue import Dialect, Verb
+from conformance import journey
+from conformance.claim import Claim, Theme
+from conformance.claims import (
+    calibrating,
+    end_limits,
+    homing,
+    motion_lk,
+    motion_lk_limits,
+    motion_lk_reads,
+    motion_lk_states,
+    motion_moves,
+    motion_reads,
+    motion_runs,
+    motion_states,
+    motion_stops,
+    motion_updates,
+    power_on,
+    protection,
+    responding,
+)
+
+_MKS = (
+    motion_moves,
+    motion_runs,
+    motion_stops,
+    motion_updates,
+    motion_states,
+    motion_reads,
+    responding,
+    homing,
+    end_limits,
+    protection,
+    power_on,
+    calibrating,
+)
+_LK = (motion_lk, motion_lk_states, motion_lk_reads, motion_lk_limits)
+
+
+def claims(dialect: Dialect) -> Iterator[Claim]:
+    """Make the claims of this theme for a dialect."""
+    for part in _MKS if journey.is_mks(dialect) else _LK if is_lk(dialect) else ():
+        for claim in part.claims(dialect):
+            if claim.theme is Theme.MOTION:
+                yield claim
+
+
+def is_lk(dialect: Dialect) -> bool:
+    """Say whether a dialect has the moves of the LK motors."""
+    return Verb.MOVE_SINGLE_TURN in dialect.by_verb and Verb.MOTOR_ON in dialect.by_verb

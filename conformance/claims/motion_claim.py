@@ -1,0 +1,79 @@
+"""Declaring claims about motion: what those that move a motor have in common.
+
+    motion_claim(dialect, command, "distance", "It moves ...", "another distance", check)
+
+A check gets the probe and the command as the drive's model has it. The risks and settings of making a drive ready are
+named for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any
+
+from analyzer.catalogue import Command, Dialect, Risk
+from conformance import moving
+from conformance.claim import Aspect, Claim, Refuted, Theme
+from conformance.claims.declare import declare
+from conformance.exchange import Exchange
+from conformance.moving import SAME, Sample
+from conformance.probe import Probe
+
+Check = Callable[[Probe, Command], None]
+
+
+def motion_claim(
+    dialect: Dialect,
+    command: Command,
+    what: str,
+    statement: str,
+    refuted_by: str,
+    check: Check,
+    *,
+    theme: Theme = Theme.MOTION,
+    risks: Iterable[Risk] = (),
+    settings: Iterable[str] = (),
+    **more: Any,
+) -> Claim:
+    """Return a claim about a command that moves, or about one that a moving drive is asked.
+
+    `risks`, `settings`: beside those of making a drive ready; the command's own are always among them.
+    """
+    return declare(
+        dialect,
+        theme,
+        f"{command.name}/{what}",
+        statement,
+        refuted_by,
+        partial(_run, check, command.name),
+        command=command,
+        aspect=Aspect.MOTION,
+        risks=moving.risks(dialect, *risks, *command.all_risks),
+        settings=moving.settings(dialect, *settings),
+        **more,
+    )
+
+
+def _run(check: Check, name: str, probe: Probe) -> None:
+    check(probe, probe.command(name))
+
+
+def refute(
+    exchange: Exchange | None, text: str, *, expected: str, got: str, key: str = ""
+) -> Refuted:
+    """Return a refutation. `key`: what makes two failures one, `text` where none is given."""
+    return Refuted(text, expected=expected, got=got, exchange=exchange, key=key)
+
+
+def expect_stays(before: Sample, after: Sample, exchange: Exchange | None, text: str) -> None:
+    """Refute unless the shaft is where it was."""
+    moved = after.value - before.value
+    if abs(moved) > SAME:
+        raise refute(exchange, text, expected="no motion", got=f"the shaft moved by {moved:+.2f} degrees")
+
+
+def expect_speed(seen: Sample, rpm: float, exchange: Exchange | None, text: str, share: float = 0.01) -> None:
+    """Refute unless a speed is near `rpm`, whichever way the shaft turns."""
+    if abs(abs(seen.value) - abs(rpm)) > 1 + abs(rpm) * share:
+        raise refute(exchange, text, expected=f"{abs(rpm):g} rpm", got=f"{abs(seen.value):g} rpm")

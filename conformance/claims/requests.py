@@ -1,0 +1,153 @@
+"""Plain requests as a claim sends them to the drive under test: values, what must be done before, what after.
+
+    exchange = plain_exchange(probe, command)
+
+Values are those of `conformance.samples`, except where the drive itself has to be asked: a move to a place goes to where
+the shaft is, a change of the line's speed keeps the one that the line has.
+
+Rules kept here:
+- A command that needs a bus mode or a motor that is on gets it first; what turned stands still afterwards.
+- A command that restarts the drive is waited for.
+- What cannot be made ready, or read, does not stop a claim that is about the exchange alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from analyzer.catalogue import Command, Dialect, Risk, Verb
+from conformance import moving, samples
+from conformance.claim import Inconclusive
+from conformance.drives.speed import SPEEDS
+from conformance.exchange import Exchange
+
+if TYPE_CHECKING:
+    from conformance.probe import Probe
+
+SECOND_NS = 1_000_000_000
+#: How long a restarted drive may take until it hears again; real ones take two seconds.
+RESTART_NS = 4 * SECOND_NS
+_BITS = 10
+
+#: Moves to a place, and the read that tells where in its own unit the shaft is: verb -> (read, field, field of the move).
+_PLACES: Mapping[Verb, tuple[Verb, str, str]] = {
+    Verb.MOVE_ABSOLUTE_PULSES: (Verb.READ_PULSES, "pulses", "position"),
+    Verb.MOVE_ABSOLUTE_AXIS: (Verb.READ_POSITION, "position", "position"),
+    Verb.MOVE_SINGLE_TURN: (Verb.READ_SINGLE_TURN, "angle", "angle"),
+}
+#: Commands that turn a motor which no bus command can be refused for: they need no preparation and leave it turning.
+_TURNING = frozenset({Verb.HOME, Verb.CALIBRATE})
+_RESTARTING = frozenset({Verb.RESTART, Verb.RESTORE})
+
+
+def needs_motion(command: Command) -> bool:
+    """Say whether a command needs a drive that is ready to move."""
+    return bool(command.modes) or (command.moves and command.verb in (*_MOVING, *_TURNING))
+
+
+_MOVING = frozenset(
+    {
+        Verb.RUN_SPEED, Verb.RUN_TORQUE, Verb.RUN_OPEN_LOOP, Verb.MOVE_RELATIVE_PULSES, Verb.MOVE_ABSOLUTE_PULSES,
+        Verb.MOVE_RELATIVE_AXIS, Verb.MOVE_ABSOLUTE_AXIS, Verb.MOVE_SINGLE_TURN,
+    }
+)  # fmt: skip
+
+
+def is_motion(command: Command) -> bool:
+    """Say whether a command sets the shaft in motion."""
+    return command.verb in _MOVING or command.verb in _TURNING
+
+
+def values_for(probe: Probe, command: Command) -> dict[str, Any]:
+    """Return plain values of a request to this drive; those of any drive where this one cannot be asked."""
+    values = samples.sample(probe.dialect, command, address=probe.address)
+    place = _PLACES.get(command.verb)
+    if place is not None and place[0] in probe.dialect.by_verb:
+        with contextlib.suppress(Inconclusive):
+            values[place[2]] = _within(command, place[2], probe.read(place[0], place[1]))
+    for name in values.keys() & SPEEDS.keys():
+        values[name] = _line_speed(probe, name, values[name])
+    if "modbus" in values:
+        values["modbus"] = int(probe.dialect.name.endswith("modbus"))
+    return values
+
+
+def _within(command: Command, name: str, value: int) -> int:
+    field = command.request_forms[0].layout.named[name]
+    return min(max(value, field.low), field.high)
+
+
+def _line_speed(probe: Probe, name: str, otherwise: int) -> int:
+    """Return the value of a speed setting that leaves the line at the speed that it has."""
+    rates = {rate: code for code, rate in SPEEDS[name].items()}
+    speed = probe.gate.line.endpoint.speed
+    return rates.get(speed, otherwise) if speed is not None else otherwise
+
+
+def plain_exchange(probe: Probe, command: Command) -> Exchange:
+    """Ask for a command plainly, made ready before and put to rest after it; return what came back."""
+    # A drive that cannot be made ready refuses: that has the shape of a reply too.
+    if needs_motion(command):
+        with contextlib.suppress(Inconclusive):
+            moving.ready_to_move(probe)
+    exchange = probe.ask(command, values_for(probe, command))
+    with contextlib.suppress(Inconclusive):
+        put_to_rest(probe, command)
+    return exchange
+
+
+def put_to_rest(probe: Probe, command: Command) -> None:
+    """Bring the drive to rest behind a command: stop what turns, wait for what restarts.
+
+    Raises Inconclusive where it does not come to rest.
+    """
+    after = _AFTER.get(command.verb)
+    if after is not None:
+        after(probe)
+    elif is_motion(command):
+        _rest(probe)
+
+
+def _rest(probe: Probe) -> None:
+    """Stop by a ramp. The end of the stop is told by a reply of its own, which a read at once would run into."""
+    moving.stop(probe)
+    probe.wait(SECOND_NS)
+    moving.wait_standing(probe)
+
+
+def _wait_for_restart(probe: Probe) -> None:
+    probe.wait(RESTART_NS)
+
+
+def _end_homing(probe: Probe) -> None:
+    if Verb.EMERGENCY_STOP in probe.dialect.by_verb:
+        probe.ask(Verb.EMERGENCY_STOP)
+
+
+def _wait_for_calibration(probe: Probe) -> None:
+    probe.wait(probe.rig.done_ns)
+
+
+_AFTER: Mapping[Verb, Callable[[Probe], None]] = {
+    Verb.RESTART: _wait_for_restart,
+    Verb.RESTORE: _wait_for_restart,
+    Verb.HOME: _end_homing,
+    Verb.CALIBRATE: _wait_for_calibration,
+}
+
+
+def demands(dialect: Dialect, command: Command) -> dict[str, Any]:
+    """Return what a claim must declare that asks for a command plainly: its risks, settings and who may run it."""
+    risks = set(command.risks(samples.sample(dialect, command))) if command.slots is None else set(command.all_risks)
+    settings = [name for form in command.request_forms for name in form.layout.named] if Risk.SETTING in risks else []
+    if needs_motion(command):
+        risks |= moving.risks(dialect)
+        settings += moving.settings(dialect)
+    return {
+        "risks": frozenset(risks) - {Risk.READ},
+        "settings": tuple(dict.fromkeys(settings)),
+        "alone": bool(risks & {Risk.LINK}),
+        "by_name": Risk.DESTRUCTIVE in risks or command.verb is Verb.CALIBRATE,
+    }

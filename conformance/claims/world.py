@@ -1,0 +1,88 @@
+"""What a claim does to an emulated MKS drive from outside: end stops, obstacles, power. For claims of emulated drives.
+
+    left_switch(probe, -3000)       an end stop 3000 counts below where the shaft stands, closed there and beyond
+    wall(probe, 3000)               something that the shaft cannot pass, 3000 counts above
+    power_cycle(probe)              off, and on again
+    shaft(probe)                    where the shaft really is, in counts of its own
+
+Rules kept here:
+- The world has its own senses: counts rise counter-clockwise, whatever a drive has stored. So a drive that turns the wrong
+  way does not find its switch.
+- Places are given from where the shaft stands.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from conformance.claim import NotRun
+from conformance.drives.mks import MksDrive
+from conformance.drives.motor import Switch
+
+if TYPE_CHECKING:
+    from conformance.probe import Probe
+
+
+def drive_of(probe: Probe) -> MksDrive:
+    """Return the emulated drive. Raises NotRun for a real one, or one of another make."""
+    if not isinstance(probe.drive, MksDrive):
+        raise NotRun("it needs to act on an emulated MKS drive")
+    return probe.drive
+
+
+def shaft(probe: Probe) -> float:
+    """Return where the shaft is, in counts from where it stood when the drive was made."""
+    drive = drive_of(probe)
+    return float(drive.motor.position(drive.now_ns))
+
+
+def left_switch(probe: Probe, counts: int) -> None:
+    """Mount the left end stop `counts` from the shaft: closed from there on, on the side of the sign."""
+    _mount(probe, "left", counts)
+
+
+def right_switch(probe: Probe, counts: int) -> None:
+    """Mount the right end stop `counts` from the shaft: closed from there on, on the side of the sign."""
+    _mount(probe, "right", counts)
+
+
+def _mount(probe: Probe, side: str, counts: int) -> None:
+    drive = drive_of(probe)
+    drive.switches[side] = Switch(1 if counts > 0 else -1, round(shaft(probe)) + counts)
+    drive.changed()
+
+
+def switch_here(probe: Probe, way: int, counts: int) -> None:
+    """Mount the left end stop so that it is closed where the shaft stands, and opens `counts` behind it.
+
+    `way`: the side on which it lies, 1 where counts rise.
+    """
+    drive = drive_of(probe)
+    drive.switches["left"] = Switch(way, round(shaft(probe)) - way * counts)
+    drive.changed()
+
+
+def press(probe: Probe, pressed: bool = True) -> None:
+    """Press the left end stop by hand, or let it go."""
+    drive_of(probe).limit_switch("left", pressed)
+
+
+def wall(probe: Probe, counts: int | None) -> None:
+    """Put something that the shaft cannot pass `counts` from it, on the side of the sign; None: take all away."""
+    drive = drive_of(probe)
+    if counts is None:
+        for way in (1, -1):
+            drive.motor.obstruct(drive.now_ns, way, None)
+    else:
+        drive.motor.obstruct(drive.now_ns, 1 if counts > 0 else -1, round(shaft(probe)) + counts)
+    drive.changed()
+
+
+def hold(probe: Probe, held: bool = True) -> None:
+    """Hold the shaft where it is, or let it go."""
+    drive_of(probe).block(held)
+
+
+def power_cycle(probe: Probe) -> None:
+    """Switch the drive off and on. It hears nothing while it starts."""
+    drive_of(probe).power_cycle(probe.gate.now_ns())

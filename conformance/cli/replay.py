@@ -1,0 +1,258 @@
+"""Send the requests of a recording again, at their times, through the gate, and compare the replies with those of then.
+
+A file brings no permission: all of it is judged by --allow before its first byte is sent. Times do not drift: each request
+has its own from the start. Ctrl-C stops, by a ramp, what the replay set in motion, and so does its end a run that the
+recording left running.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from analyzer import endpoint as endpoints
+from analyzer.catalogue import Dialect
+from analyzer.cli.reading import Reading, add_reading_arguments, clean, open_reading, progress
+from analyzer.errors import UsageError
+from conformance.acquaint import acquaint
+from conformance.cli.scan import parse_addresses
+from conformance.dialogue import Dialogue
+from conformance.ends import as_interrupt
+from conformance.gate import Gate, Judge, add_gate_arguments, allowance_from, shown
+from conformance.lines import open_line
+from conformance.replay import Rehearsal, Replay, rehearse
+from conformance.replay_plan import Plan, Step, make_plan
+from conformance.replay_result import DEVIATIONS, Match, Result, Sent
+
+EXAMPLES = """\
+exit status: 0 answered as then, 1 otherwise (or something may still move), 2 wrong use or not allowed.
+
+examples:
+  servotap replay week.mcap --on serial:/dev/ttyUSB0,baud=38400 --dry-run
+  servotap replay poll.log --on tcp:127.0.0.1:5000 --speed 2 --loop 10
+  servotap replay job.mcap --bus left --on serial:/dev/ttyUSB0 --allow motion,unbounded --max-speed 300 --subdivision 16
+  servotap replay can.log --on can:socketcan:can0 --address 1,2 --skip-refused
+"""
+_LISTED = 12
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("file", metavar="FILE", help="a capture or an MCAP log")
+    parser.add_argument("--on", metavar="ENDPOINT", help="serial:PORT,baud=N, tcp:HOST:PORT or can:INTERFACE:CHANNEL,bitrate=N")
+    parser.add_argument("--speed", type=_factor, default=1.0, metavar="X", help="2 is twice as fast (default 1)")
+    parser.add_argument("--loop", type=_loops, default=1, metavar="N", help="N times over; 0: until Ctrl-C")
+    parser.add_argument("--bus", default="", metavar="NAME", help="of this bus alone, where the file has several")
+    parser.add_argument("--address", metavar="LIST", help="requests to these addresses alone, as 1,2 or 1-4")
+    parser.add_argument("--skip-refused", action="store_true", help="leave out what is not allowed, and send the rest")
+    parser.add_argument("--dry-run", action="store_true", help="say what would be sent and what would be refused; open nothing")
+    parser.add_argument("--json", action="store_true", help="the result as one JSON object")
+    add_reading_arguments(parser)
+    add_gate_arguments(parser)
+
+
+def _factor(text: str) -> float:
+    value = float(text)
+    if not 0 < value <= 1e6:
+        raise argparse.ArgumentTypeError(f"expected a factor above 0, got {text}")
+    return value
+
+
+def _loops(text: str) -> int:
+    value = int(text)
+    if not 0 <= value <= 1_000_000_000:
+        raise argparse.ArgumentTypeError(f"expected a number from 0 on, got {text}")
+    return value
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Replay; return 0 if the drives answered as they did then."""
+    if arguments.on is None and not arguments.dry_run:
+        raise UsageError("where? expected --on ENDPOINT, as in --on serial:/dev/ttyUSB0,baud=38400 (or --dry-run)")
+    addresses = None if arguments.address is None else frozenset(parse_addresses(arguments.address))
+    allowance = allowance_from(arguments, addresses=addresses)
+    reading = open_reading(arguments.file, arguments)
+    with contextlib.closing(reading.source):
+        with progress(reading.source, f"reading {reading.source.name}"):
+            plan = make_plan(reading, reading.pipeline, bus=arguments.bus, addresses=addresses)
+        _check(plan, arguments)
+        if arguments.dry_run:
+            rehearsal = _rehearse(Judge(allowance, _every(reading)).rehearsal(), plan, arguments)
+            _show_plan(plan, rehearsal, reading, arguments)
+            return 2 if rehearsal.refused and not arguments.skip_refused else 0
+        endpoint = endpoints.parse(arguments.on)
+        if endpoint.bus_kind != plan.steps[0].dialect.bus:
+            raise UsageError(f"{reading.source.name} is of a {plan.steps[0].dialect.bus} bus, {endpoint.text} is another kind")
+        with contextlib.closing(open_line(endpoint)) as line:
+            gate = Gate(line, allowance, dialects=_every(reading))
+            _acquaint(gate, plan)
+            rehearsal = _rehearse(gate.rehearsal(), plan, arguments)
+            if rehearsal.refused and not arguments.skip_refused:
+                _refuse(rehearsal, len(plan.steps))
+            result = _replay(gate, plan, rehearsal, reading, arguments)
+    if arguments.json:
+        print(json.dumps(_object(result, plan, rehearsal)))
+    else:
+        _show(result, plan, rehearsal)
+    if result.stopped == "Ctrl-C" and not result.left_moving:
+        raise KeyboardInterrupt
+    return 1 if result.deviations or result.stopped or result.left_moving else 0
+
+
+def _check(plan: Plan, arguments: argparse.Namespace) -> None:
+    """Raise UsageError where there is nothing to send, or several buses to choose from."""
+    if len(plan.buses) > 1 and not arguments.bus:
+        names = ", ".join(f"{name} ({count} requests)" for name, count in plan.buses.most_common())
+        raise UsageError(f"{arguments.file} has several buses: {clean(names)}; choose one with --bus NAME")
+    if arguments.bus and arguments.bus not in plan.buses:
+        raise UsageError(f"{arguments.file} has no bus {arguments.bus!r}; it has {clean(', '.join(plan.buses)) or 'none'}")
+    if not plan.steps:
+        left = ", ".join(f"{count} {reason}" for reason, count in plan.left_out.items())
+        raise UsageError(f"{arguments.file} has no request to send{f' ({left})' if left else ''}")
+
+
+def _every(reading: Reading) -> list[Dialect]:
+    """Return all dialects; those of the recording as its model speaks them."""
+    from analyzer import dialects as registry
+
+    chosen = {d.name: d for d in reading.possible}
+    return [chosen.get(d.name, d) for d in registry.every()]
+
+
+def _acquaint(gate: Gate, plan: Plan) -> None:
+    """Ask each drive that is to move what the gate has to know for its bounds."""
+    drives = {(s.dialect.name, s.address): s.dialect for s in plan.steps if s.message.command and s.message.command.moves}
+    if not drives or not gate.allowance.bounds.given:
+        return
+    dialogue = Dialogue(gate, list({d.name: d for d in drives.values()}.values()))
+    for (_, address), dialect in drives.items():
+        acquaint(dialogue, dialect, address)
+
+
+def _rehearse(judge: Judge, plan: Plan, arguments: argparse.Namespace) -> Rehearsal:
+    found = rehearse(judge, plan, arguments.speed)
+    loops = arguments.loop if judge.allowance.budget.described() else min(arguments.loop, 2)
+    for _ in range(1, loops):
+        # Again behind itself: the end of one round and the beginning of the next are one stream too.
+        more = rehearse(judge, Plan(found.allowed), arguments.speed)
+        if more.refused:
+            found.refused += more.refused[:1]
+            break
+    return found
+
+
+def _refuse(rehearsal: Rehearsal, total: int) -> None:
+    rows = [f"  {count} x {name}: {objection}" for name, count, objection in rehearsal.by_command()[:_LISTED]]
+    more = len(rehearsal.by_command()) - _LISTED
+    rows += [f"  and {more} commands more"] * (more > 0)
+    count = len(rehearsal.refused)
+    raise UsageError(
+        f"nothing was sent: {count} of {total} requests are not allowed (--skip-refused sends the others)\n" + "\n".join(rows)
+    )
+
+
+def _replay(gate: Gate, plan: Plan, rehearsal: Rehearsal, reading: Reading, arguments: argparse.Namespace) -> Result:
+    kind = gate.line.endpoint.bus_kind
+    replay = Replay(gate, [d for d in reading.possible if d.bus == kind], speed=arguments.speed)
+    with as_interrupt(), _bar(len(rehearsal.allowed) * arguments.loop, arguments.json) as advance:
+        return replay.run(rehearsal.allowed, plan.period_ns, arguments.loop, advance)
+
+
+@contextlib.contextmanager
+def _bar(total: int, quiet: bool) -> Iterator[Callable[[Sent], None] | None]:
+    """Show how far it is, twice a second, from a thread: between two requests there is no time to draw."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    import threading
+
+    done, count = threading.Event(), [0]
+
+    def show() -> None:
+        while not done.wait(0.5):
+            of = f" of {total}" if total else ""
+            print(f"\r{count[0]}{of} requests sent", end="", file=sys.stderr, flush=True)
+        print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+    def advance(sent: Sent) -> None:
+        count[0] += 1
+
+    watcher = threading.Thread(target=show, daemon=True)
+    watcher.start()
+    try:
+        yield advance
+    finally:
+        done.set()
+        watcher.join()
+
+
+# --- what is shown ------------------------------------------------------------------------------------------------
+
+
+def _show_plan(plan: Plan, rehearsal: Rehearsal, reading: Reading, arguments: argparse.Namespace) -> None:
+    refused = {name: (count, objection) for name, count, objection in rehearsal.by_command()}
+    counts = _counts(plan.steps)
+    print(f"{len(plan.steps)} requests over {plan.duration_ns / arguments.speed / 1e9:.1f} s, times: {reading.time_source}")
+    for name, count in counts.most_common():
+        text = f"  {count:>7} x {name}"
+        if name in refused:
+            text += f"   not allowed: {refused[name][1]}"
+        print(text)
+    for reason, count in plan.left_out.items():
+        print(f"  {count:>7} {reason}: left out")
+
+
+def _counts(steps: Sequence[Step]) -> Counter[str]:
+    return Counter(f"{s.dialect.name}@{s.address} {s.name}" for s in steps)
+
+
+def _show(result: Result, plan: Plan, rehearsal: Rehearsal) -> None:
+    late = ", ".join(f"{name} {ns / 1e6:.3f}" for name, ns in _lateness(result).items())
+    print(f"{result.sent} requests sent, late by {late} ms" + (f"; {result.held} waited for a reply" if result.held else ""))
+    if rehearsal.refused:
+        print(f"{len(rehearsal.refused)} were left out as not allowed")
+    for reason, count in plan.left_out.items():
+        print(f"{count} {reason}: left out")
+    names = list(dict.fromkeys(name for name, _ in result.matches))
+    for name in names:
+        told = ", ".join(f"{n} {match.value}" for match in Match if (n := result.matches[name, match]))
+        print(f"  {name:<26} {told}")
+    for (name, match), sent in result.examples.items():
+        then = " | ".join(t.data.hex(" ").upper() for t in sent.step.replies) or "nothing"
+        now = " | ".join(t.data.hex(" ").upper() for t in sent.replies) or "nothing"
+        print(f"  {name} {match.value}: {shown(sent.step.item)}\n    then {then}\n    now  {now}")
+    if result.junk or result.others:
+        print(f"besides: {result.others} frames that answer nothing, {result.junk} pieces of junk")
+    if result.stopped:
+        print(f"stopped: {clean(result.stopped)}")
+    for drive in result.left_moving:
+        print(f"NOT KNOWN TO STAND: {clean(drive)}")
+
+
+def _lateness(result: Result) -> dict[str, int]:
+    return {"p50": result.lateness_ns(0.5), "p99": result.lateness_ns(0.99), "max": result.lateness_ns(1.0)}
+
+
+def _object(result: Result, plan: Plan, rehearsal: Rehearsal) -> dict[str, Any]:
+    matches: dict[str, dict[str, int]] = {}
+    for (name, match), count in result.matches.items():
+        matches.setdefault(name, {})[match.value] = count
+    return {
+        "sent": result.sent,
+        "held": result.held,
+        "refused": len(rehearsal.refused),
+        "left_out": dict(plan.left_out),
+        "late": {name: ns / 1e9 for name, ns in _lateness(result).items()},
+        "matches": matches,
+        "deviations": result.deviations,
+        "deviating": sorted({match.value for _, match in result.matches if match in DEVIATIONS}),
+        "junk": result.junk,
+        "others": result.others,
+        "stopped": result.stopped,
+        "left_moving": result.left_moving,
+    }

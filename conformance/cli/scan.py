@@ -1,0 +1,202 @@
+"""Look for drives on a bus, by reads alone: over rates, dialects and addresses; and say what answered, or was heard.
+
+Without --rates a serial line is tried at every rate of the manuals, the endpoint's own first (and alone, where it was given).
+Ctrl-C ends the search and shows what was found so far.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from analyzer import dialects as registry
+from analyzer import endpoint as endpoints
+from analyzer.catalogue import Dialect
+from analyzer.endpoint import Endpoint
+from analyzer.errors import UsageError
+from analyzer.values import quote
+from conformance.allowance import Allowance
+from conformance.gate import Gate
+from conformance.lines import open_line
+from conformance.scan import PATIENCE_NS, Found, Heard, Progress, Report, scan
+
+EXAMPLES = """\
+exit status: 0 a drive was found, 1 none was, 2 wrong use.
+
+examples:
+  servotap scan serial:/dev/ttyUSB0
+  servotap scan serial:/dev/ttyUSB0,baud=38400 --addresses 1-255 --dialects mks-rs485,mks-modbus
+  servotap scan tcp:192.168.0.7:5000 --addresses 1,2,0x10-0x1F
+  servotap scan can:slcan:/dev/ttyACM0 --rates 500000,1000000
+  servotap scan can:socketcan:can0 --addresses 1-2047 --json
+"""
+_DEFAULT_ADDRESSES = "1-32"
+_HIGHEST = 0x7FF
+_SHOWN = 24
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("endpoint", metavar="ENDPOINT", help="serial:PORT[,baud=N], tcp:HOST:PORT or can:INTERFACE:CHANNEL")
+    parser.add_argument("--addresses", default=_DEFAULT_ADDRESSES, metavar="LIST", help="as 1-32 (default) or 1,2,0x10-0x1F")
+    parser.add_argument("--rates", metavar="LIST", help="bits per second, as 38400,115200, or all")
+    parser.add_argument("--dialects", metavar="LIST", help="as mks-rs485,lk-rs485; default: all of the bus")
+    parser.add_argument("--timeout", type=float, default=PATIENCE_NS / 1e6, metavar="MS", help="patience (default 40 ms)")
+    parser.add_argument("--busy", action="store_true", help="ask although others speak on the bus")
+    parser.add_argument("--json", action="store_true", help="one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Scan; return 0 if a drive was found."""
+    endpoint = endpoints.parse(arguments.endpoint)
+    addresses = parse_addresses(arguments.addresses)
+    dialects = _dialects(arguments.dialects, endpoint)
+    rates = _rates(arguments.rates, endpoint, dialects)
+    if not 0 < arguments.timeout <= 60_000:
+        raise UsageError(f"--timeout: got {arguments.timeout:g}, expected milliseconds above 0, at most 60000")
+    report = Report()
+    opened = endpoint.at(rates[0]) if endpoint.auto or endpoint.kind == "serial" else endpoint
+    with contextlib.closing(open_line(opened)) as line, _progress(arguments.json) as progress:
+        gate = Gate(line, Allowance())
+        try:
+            scan(
+                gate, dialects, addresses=addresses, rates=rates, patience_ns=int(arguments.timeout * 1e6),
+                busy=arguments.busy, progress=progress, report=report,
+            )  # fmt: skip
+        except KeyboardInterrupt:
+            report.stopped = "stopped by Ctrl-C"
+    if arguments.json:
+        print(json.dumps(_object(report)))
+    else:
+        _show(report, arguments.endpoint)
+    return 0 if report.found else 1
+
+
+# --- what is asked for --------------------------------------------------------------------------------------------
+
+
+def parse_addresses(text: str) -> list[int]:
+    """Return the addresses of `1-32` or `1,2,0x10-0x1F`, each once, in order.
+
+    Raises UsageError for what is none.
+    """
+    found: dict[int, None] = {}
+    for part in text.split(","):
+        first, dash, last = part.strip().partition("-")
+        try:
+            low = int(first, 0)
+            high = int(last, 0) if dash else low
+        except ValueError:
+            low = high = -1
+        if not 0 < low <= high <= _HIGHEST:
+            raise UsageError(f"--addresses: got {quote(part)}, expected addresses from 1 to {_HIGHEST}, as 1-32 or 1,2,7")
+        found |= dict.fromkeys(range(low, high + 1))
+    return list(found)
+
+
+def _dialects(text: str | None, endpoint: Endpoint) -> list[Dialect]:
+    every = [d for d in registry.every() if d.bus == endpoint.bus_kind]
+    if text is None:
+        return every
+    chosen = [registry.get(name.strip()) for name in text.split(",")]
+    for dialect in chosen:
+        if dialect.bus != endpoint.bus_kind:
+            raise UsageError(f"{dialect.name} is a dialect of {dialect.bus}, and {endpoint.text} is a {endpoint.bus_kind} bus")
+    return chosen
+
+
+def _rates(text: str | None, endpoint: Endpoint, dialects: Sequence[Dialect]) -> list[int]:
+    """Return the rates to try: those asked for; the endpoint's own; those of the manuals, where a line has its own rate."""
+    known = list(dict.fromkeys(r for d in dialects for r in d.baud_rates))
+    if text is None:
+        settable = endpoint.kind == "serial" and endpoint.speed is None
+        return known if settable else [endpoint.bits_per_second]
+    if text.strip() == "all":
+        return [endpoint.speed, *(r for r in known if r != endpoint.speed)] if endpoint.speed else known
+    rates = []
+    for word in text.split(","):
+        if not word.strip().isdecimal() or not 0 < int(word) <= 100_000_000:
+            raise UsageError(f"--rates: got {quote(word)}, expected bits per second, as 38400,115200, or all")
+        rates.append(int(word))
+    return rates
+
+
+# --- what is shown ------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _progress(quiet: bool) -> Iterator[Progress | None]:
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("listening", total=None)
+
+        def show(done: int, total: int, where: str) -> None:
+            bar.update(task, completed=done, total=total, description=where)
+
+        yield show
+
+
+def _show(report: Report, place: str) -> None:
+    for found in report.found:
+        print(_found_line(found))
+    if not report.found:
+        rates = ", ".join(str(r) for r in report.rates)
+        print(f"no drive answered on {place}: {report.asked} questions ({', '.join(report.dialects)}; at {rates} bit/s)")
+    for heard in report.heard[:_SHOWN]:
+        print(_heard_line(heard))
+    if len(report.heard) > _SHOWN:
+        print(f"  and {len(report.heard) - _SHOWN} times more")
+    if report.stopped:
+        print(f"not looked everywhere: {report.stopped}")
+    for hint in report.hints:
+        print(f"  - {hint}")
+
+
+def _found_line(found: Found) -> str:
+    details = f"  {found.identity}" if found.identity else ""
+    wrong = f"  ({found.wrong})" if found.wrong else ""
+    return f"{found.name:<16} {found.speed:>8} bit/s  {found.latency_ns / 1e6:6.2f} ms{details}{wrong}"
+
+
+def _heard_line(heard: Heard) -> str:
+    data = heard.data[:16].hex(" ").upper() + (" ..." if len(heard.data) > 16 else "")
+    when = f"when {heard.asked} was asked" if heard.asked else "before anything was asked"
+    return f"heard at {heard.speed} bit/s {when}: {data}  ({heard.look.value})"
+
+
+def _object(report: Report) -> dict[str, Any]:
+    def of(found: Found) -> dict[str, Any]:
+        shown: dict[str, Any] = {
+            "dialect": found.dialect.name,
+            "address": found.address,
+            "speed": found.speed,
+            "latency": found.latency_ns / 1e9,
+            "raw": found.reply.hex(" ").upper(),
+            "said": dict(found.said),
+        }
+        return shown | ({"wrong": found.wrong} if found.wrong else {})
+
+    return {
+        "found": [of(f) for f in report.found],
+        "heard": [
+            {"speed": h.speed, "asked": h.asked, "raw": h.data.hex(" ").upper(), "look": h.look.value} for h in report.heard
+        ],
+        "asked": report.asked,
+        "rates": report.rates,
+        "dialects": list(report.dialects),
+        "stopped": report.stopped,
+        "hints": report.hints,
+    }
+
+

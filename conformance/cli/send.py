@@ -1,0 +1,272 @@
+"""Send one frame to a drive, through the gate, and show the reply decoded.
+
+Reads are sent as they are; anything else needs --allow with every risk it has. Bytes are judged as they leave: whatever
+could be read in them has to be allowed. Values are written as for 'servotap frame'.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from analyzer import dialects as registry
+from analyzer import endpoint as endpoints
+from analyzer.catalogue import Command, Dialect
+from analyzer.cli.frame import parse_target, parse_values
+from analyzer.cli.reading import clean
+from analyzer.cli.show import fields_text, names_of
+from analyzer.decoder import physical
+from analyzer.encoder import assemble
+from analyzer.errors import UsageError
+from analyzer.hextext import read_frame
+from analyzer.lookup import find_one
+from analyzer.pipeline import Entry
+from analyzer.records import CanFrame, Message
+from conformance.acquaint import acquaint, item_of
+from conformance.dialogue import MS, Dialogue, Outcome, Talk
+from conformance.gate import (
+    Allowance,
+    Gate,
+    Item,
+    Judge,
+    Refused,
+    add_gate_arguments,
+    allowance_from,
+    shown,
+)
+from conformance.lines import open_line
+
+EXAMPLES = """\
+exit status: 0 answered (or nothing answers it), 1 no answer or a refusal by the drive, 2 wrong use or not allowed.
+
+examples:
+  servotap send mks-rs485@1 read_speed --on serial:/dev/ttyUSB0,baud=38400
+  servotap send mks-can@1 read_parameter parameter=current --on can:socketcan:can0
+  servotap send mks-rs485@1 run_speed speed=60 acceleration=200 --on tcp:127.0.0.1:5000 --allow motion,unbounded
+  servotap send mks-rs485@1 stop_speed acceleration=200 --on tcp:127.0.0.1:5000 --allow motion --wait
+  servotap send --hex "FA 01 31 2C" --on serial:/dev/ttyUSB0,baud=38400
+  servotap send lk-rs485@1 move_increment position=90 --dry-run
+"""
+_DEFAULT_TIMEOUT = 1000.0
+_DONE_NS = 120_000 * MS
+#: How long is listened where nothing answers, and behind an answer for another one.
+_QUIET_NS = 60 * MS
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("target", nargs="?", metavar="DIALECT@ADDRESS", help="whom it is for: mks-rs485@1, mks-rs485@all")
+    parser.add_argument("command", nargs="?", metavar="COMMAND", help="its name, or a code that only one command has")
+    parser.add_argument("values", nargs="*", metavar="FIELD=VALUE", help="values of its fields")
+    parser.add_argument("--on", metavar="ENDPOINT", help="serial:PORT,baud=N, tcp:HOST:PORT or can:INTERFACE:CHANNEL,bitrate=N")
+    parser.add_argument("--hex", metavar="BYTES", help="these bytes instead of a command (CAN: 001#F60140023A)")
+    parser.add_argument("--form", metavar="NAME", help="the form, where the fields do not tell it")
+    parser.add_argument("--model", metavar="M", help="limits and units of a model: 42D 57D 28D 35D 42E 57E MF MG MH MS")
+    parser.add_argument("--wire", action="store_true", help="numbers are integers as sent")
+    parser.add_argument("--force", action="store_true", help="send also what the manual forbids, if its bits hold it")
+    parser.add_argument("--timeout", type=_milliseconds, default=_DEFAULT_TIMEOUT, metavar="MS", help="default 1000")
+    parser.add_argument("--wait", action="store_true", help="wait for the reply that says it is done, two minutes at most")
+    parser.add_argument("--dry-run", action="store_true", help="show the bytes and what can be read in them; open nothing")
+    parser.add_argument("--json", action="store_true", help="one JSON object")
+    add_gate_arguments(parser)
+
+
+def _milliseconds(text: str) -> float:
+    value = float(text)
+    if not 0 < value <= 600_000:
+        raise argparse.ArgumentTypeError(f"expected milliseconds above 0, at most 600000, got {text}")
+    return value
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Send; return 0 if it was answered well, 1 if not."""
+    given = _hex(arguments) if arguments.hex is not None else _command(arguments)
+    allowance = allowance_from(arguments, addresses=given.addresses)
+    if arguments.dry_run:
+        return _dry_run(given, allowance, arguments)
+    if arguments.on is None:
+        raise UsageError("where? expected --on ENDPOINT, as in --on serial:/dev/ttyUSB0,baud=38400 (or --dry-run)")
+    endpoint = endpoints.parse(arguments.on)
+    if endpoint.bus_kind != ("can" if isinstance(given.item, CanFrame) else "serial"):
+        raise UsageError(f"{shown(given.item)} is a frame of another kind of bus than {endpoint.text}")
+    # What cannot be allowed is said before a port is opened; what depends on where the drive is, after it was asked.
+    _first_look(given, allowance, _every(arguments))
+    with contextlib.closing(open_line(endpoint)) as line:
+        gate = Gate(line, allowance, dialects=_every(arguments))
+        dialogue = Dialogue(gate, given.dialects)
+        if given.dialect is not None and given.address is not None and given.acts:
+            acquaint(dialogue, given.dialect, given.address)
+        talk = _ask(dialogue, given, arguments)
+        echoes = getattr(line, "echo", None)
+    if arguments.json:
+        print(json.dumps(_object(given, talk)))
+    else:
+        _show(given, talk, bool(echoes and echoes.dropped))
+    return 0 if _well(given, talk, arguments.wait) else 1
+
+
+class _Given:
+    """What is to be sent. `addresses` None: whichever they are; `dialect` and `command` None: bytes as they are."""
+
+    def __init__(
+        self,
+        item: Item,
+        dialects: Sequence[Dialect],
+        addresses: frozenset[int] | None,
+        command: Command | None = None,
+        address: int | None = None,
+    ) -> None:
+        self.item = item
+        self.dialects = tuple(dialects)
+        self.addresses = addresses
+        self.command = command
+        self.address = address
+        self.dialect = self.dialects[0] if command is not None else None
+        #: Whether anything but a read can be meant.
+        self.acts = any(not r.reads_only for r in Judge(Allowance(), registry.every()).read(item))
+        many = self.dialect is not None and address == self.dialect.broadcast
+        self.answered = command is None or (bool(command.reply_forms) and not many and command.slots is None)
+
+
+def _command(arguments: argparse.Namespace) -> _Given:
+    if arguments.target is None or arguments.command is None:
+        raise UsageError('what? expected DIALECT@ADDRESS COMMAND FIELD=VALUE..., or --hex "FA 01 31 2C"')
+    dialect, address = parse_target(arguments.target, arguments.model)
+    command = find_one(dialect, arguments.command)
+    values = parse_values(arguments.values)
+    built = assemble(dialect, command, address, values, form=arguments.form, physical=not arguments.wire)
+    if built.refusals and not arguments.force:
+        raise UsageError("; ".join(built.refusals))
+    item = item_of(dialect, built.frame, address)
+    others = [d for d in registry.every() if d.bus == dialect.bus and d.name != dialect.name]
+    return _Given(item, [dialect, *others], frozenset({address}), command, address)
+
+
+def _hex(arguments: argparse.Namespace) -> _Given:
+    if arguments.target is not None:
+        raise UsageError(f"--hex: expected the bytes alone, got {arguments.target} beside them")
+    frame = read_frame(arguments.hex)
+    on_can = arguments.on is not None and endpoints.parse(arguments.on).bus_kind == "can"
+    can_id, data = frame.can_id, frame.data
+    if on_can and can_id is None:
+        if not data:
+            raise UsageError("--hex: expected an identifier and data bytes, as 001#F60140023A")
+        can_id, data = data[0], data[1:]
+    item: Item = data if can_id is None else CanFrame(None, "host", can_id, data)
+    kind = "serial" if can_id is None else "can"
+    dialects = registry.for_model([d for d in registry.every() if d.bus == kind], arguments.model)
+    return _Given(item, dialects, None)
+
+
+def _every(arguments: argparse.Namespace) -> list[Dialect]:
+    """Return all dialects, those that know the model as it speaks them: some units are known only so."""
+    return registry.for_model(registry.every(), arguments.model)
+
+
+def _first_look(given: _Given, allowance: Allowance, dialects: Sequence[Dialect]) -> None:
+    """Raise Refused for what no drive's answer could make allowed."""
+    found = Judge(replace(allowance, turns=None, speed=None), dialects).objections(given.item)
+    if found:
+        raise Refused(given.item, found)
+
+
+def _dry_run(given: _Given, allowance: Allowance, arguments: argparse.Namespace) -> int:
+    judge = Judge(replace(allowance, budget=allowance.budget.rehearsal()), _every(arguments))
+    readings, objections = judge.read(given.item), judge.objections(given.item)
+    if arguments.json:
+        listed = [{"reading": str(r), "risk": sorted(r.risks)} for r in readings]
+        refused = [{"reading": str(o.reading), "reasons": list(o.reasons), "hint": o.hint} for o in objections]
+        print(json.dumps({"sent": shown(given.item), "readings": listed, "refused": refused}))
+    else:
+        print(shown(given.item))
+        for reading in readings:
+            print(f"  {reading}: {', '.join(sorted(reading.risks))}")
+        for objection in objections:
+            print(f"  not allowed: {objection}")
+        if not objections:
+            print("  it may be sent")
+    return 2 if objections else 0
+
+
+def _ask(dialogue: Dialogue, given: _Given, arguments: argparse.Namespace) -> Talk:
+    timeout_ns = int(arguments.timeout * MS)
+    if not given.answered:
+        return dialogue.ask(given.item, _QUIET_NS, quiet_ns=_QUIET_NS)
+    done_ns = _DONE_NS if arguments.wait else 0
+    try:
+        return dialogue.ask(given.item, timeout_ns, whole=arguments.wait, done_ns=done_ns, quiet_ns=_QUIET_NS)
+    except KeyboardInterrupt:
+        if given.acts:
+            print("servotap send: no longer waiting; the drive goes on with what it was told", file=sys.stderr)
+        raise
+
+
+def _well(given: _Given, talk: Talk, wait: bool) -> bool:
+    if not given.answered:
+        return not talk.heard
+    if given.command is None and not talk.replies:
+        return bool(talk.others)
+    if talk.outcome is Outcome.RUNNING:
+        return not wait
+    return talk.outcome is Outcome.DONE
+
+
+# --- what is shown ------------------------------------------------------------------------------------------------
+
+
+def _show(given: _Given, talk: Talk, echoed: bool) -> None:
+    requests = [e.message for e in talk.requests]
+    told = [_text(m) for m in requests] or ["bytes that are no frame"]
+    print(f"> {shown(given.item)}   {'; '.join(told)}")
+    parts = [(e.message.frame.first_ns, _line(talk, e)) for e in talk.entries]
+    parts += [(j.first_ns, f"! {j.data.hex(' ').upper()}   {j.reason.value}: no frame") for j in talk.junk]
+    for _, line in sorted(parts, key=lambda part: part[0]):
+        print(line)
+    if not parts:
+        waited = (talk.until_ns - talk.sent_ns) / 1e6
+        if given.answered:
+            print(f"  nothing came within {waited:.0f} ms (servotap scan finds what is there)")
+        else:
+            print("  nothing answers it, and nothing came")
+    if echoed:
+        print("  (the adapter hands back what it sends; that is left out)")
+    if talk.outcome is Outcome.RUNNING:
+        print("  it has begun; its end was not waited for (--wait)" if not given.command else _running(given.command))
+
+
+def _running(command: Command) -> str:
+    return f"  {command.name} has begun; the reply that says it is done has not come"
+
+
+def _line(talk: Talk, entry: Entry) -> str:
+    frame = entry.message.frame
+    item: Item = frame.can if frame.can is not None else frame.data
+    text = f"< {shown(item)}   {_text(entry.message)}   after {talk.latency_ns(entry) / 1e6:.2f} ms"
+    notes = [f"{f.rule}: {clean(f.text)}" for f in entry.findings]
+    return "\n    ".join([text, *notes])
+
+
+def _text(message: Message) -> str:
+    name = message.command.name if message.command is not None else "unknown"
+    return f"{name} {fields_text(physical(message))}".rstrip()
+
+
+def _object(given: _Given, talk: Talk) -> dict[str, Any]:
+    def named(entry: Entry) -> dict[str, Any]:
+        return names_of(entry, physical(entry.message))
+
+    answers = [{**named(e), "latency": talk.latency_ns(e) / 1e9, "meaning": talk.meaning(e)} for e in talk.replies]
+    return {
+        "sent": shown(given.item),
+        "outcome": talk.outcome.value,
+        "requests": [named(e) for e in talk.requests],
+        "replies": answers,
+        "others": [named(e) for e in talk.others],
+        "junk": [{"raw": j.data.hex(" ").upper(), "reason": j.reason.value} for j in talk.junk],
+        "findings": [{"rule": f.rule, "severity": f.severity.value, "text": f.text} for f in talk.findings],
+    }

@@ -1,0 +1,108 @@
+"""Stand between a program and its serial adapter, and record both directions.
+
+The program opens the link instead of the adapter; bytes pass both ways unchanged, at the speed that the program sets. It
+sends only what the program sends, so nothing is asked or allowed here. Ctrl-C ends it, and the program's port with it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from analyzer.catalogue import Role
+from analyzer.cli.record import add_recording_arguments, asked_duration_ns, configure, display_of, record, target_of
+from analyzer.endpoint import Endpoint, parse
+from analyzer.errors import UsageError
+
+if TYPE_CHECKING:
+    from analyzer.live.children import Child, Heard
+    from conformance.serve.pty import PtyPort
+
+EXAMPLES = """\
+endpoints:
+  [NAME=]serial:PORT[,baud=N][,parity=even]        baud is the speed until the program sets one
+  [NAME=]serial:,serial=NUMBER                     a USB adapter by its serial number
+  [NAME=]tcp:HOST:PORT                             a serial server
+
+examples:
+  servotap tap serial:/dev/ttyUSB0 --link /tmp/ttyDRIVE
+  servotap tap left=serial:/dev/ttyUSB0,baud=115200 --link ~/ttyLEFT -o left.mcap --view
+  servotap tap serial:/dev/ttyUSB0 --link /tmp/ttyDRIVE --rs485      RTS keys the transmitter
+  then, in another terminal:  python my_program.py --port /tmp/ttyDRIVE
+
+what passes, and what cannot: speed, stop bits and odd parity are followed; a pseudo-terminal does not tell even parity,
+so that has to stand in the endpoint (parity=even). RTS, DTR, breaks and modem lines do not pass: --rts, --dtr, --rs485.
+
+exit status: 0 all that came is in the log, 1 something was lost (the end says what), 2 wrong use
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("endpoint", metavar="[NAME=]ENDPOINT", help="the adapter, see below")
+    parser.add_argument("--link", required=True, metavar="PATH", help="where the program finds its port: a link to it is made")
+    for line in ("rts", "dtr"):
+        parser.add_argument(
+            f"--{line}", choices=("on", "off", "leave"), default="leave",
+            help=f"{line.upper()} of the adapter (default leave: as the kernel sets it at opening)",
+        )  # fmt: skip
+    parser.add_argument("--rs485", action="store_true", help="the driver raises RTS while it sends, where it can")
+    add_recording_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Pass and record until the end is asked for; return 0, or 1 if something was lost."""
+    display = display_of(arguments, "tap")
+    endpoint = _endpoint(arguments.endpoint)
+    target = target_of(arguments)
+    notes = [] if endpoint.speed else [f"{endpoint.name}: {endpoint.bits_per_second} baud until the program sets a speed"]
+    directions = [replace(endpoint, direction=role) for role in (Role.REQUEST, Role.REPLY)]
+    config = configure(arguments, directions, target, [*notes, f"tapped: the program's port was {arguments.link}"])
+    stems = (config.ports[0].stem, config.ports[1].stem)
+    with _terminal(arguments.link, endpoint) as port:
+        ends = (port.descriptors()[0], port.slave)
+        print(f"servotap tap: {port.name} is the program's port (it leads to {port.path})", file=sys.stderr, flush=True)
+
+        def readers(folder: Path, heard: Heard) -> Mapping[str, Child]:
+            from conformance.tap.child import TapChild
+
+            return {stems[1]: TapChild(folder, stems, heard, ends, _options(arguments))}
+
+        return record(config, display, duration_ns=asked_duration_ns(arguments), readers=readers)
+
+
+def _endpoint(text: str) -> Endpoint:
+    endpoint = parse(text)
+    if endpoint.kind == "can":
+        raise UsageError("a tap is for serial lines; on CAN several can listen: servotap record")
+    if endpoint.direction is not Role.UNKNOWN:
+        raise UsageError(f"{text}: a tap knows both directions; direction= is for servotap record")
+    # The program sets the speed.
+    return replace(endpoint, auto=False)
+
+
+@contextlib.contextmanager
+def _terminal(link: str, endpoint: Endpoint) -> Iterator[PtyPort]:
+    """Offer a pseudo-terminal that is set up as the endpoint says, for the time of this."""
+    if os.name != "posix":
+        raise UsageError("this system has no pseudo-terminals to put between a program and its adapter")
+    from conformance.serve.pty import PtyPort
+    from conformance.tap.settings import of_endpoint, set_terminal
+
+    port = PtyPort(link)
+    try:
+        set_terminal(port.slave, of_endpoint(endpoint))
+        yield port
+    finally:
+        port.close()
+
+
+def _options(arguments: argparse.Namespace) -> Sequence[str]:
+    words = ["--link", os.path.abspath(arguments.link), "--rts", arguments.rts, "--dtr", arguments.dtr]
+    return [*words, "--rs485"] if arguments.rs485 else words

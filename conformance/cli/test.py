@@ -1,0 +1,287 @@
+"""Test drives against their manual: every claim that can be tested, on real or emulated drives.
+
+Without a drive, emulated drives of all dialects are tested. On hardware only reads are sent unless --allow opens more.
+Exit status: 0 nothing refuted, 1 refuted, 2 wrong use, 10 a fault of the rig (port lost, no verdict), 20 not stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from analyzer import __version__
+from analyzer.cli.reading import now_text
+from analyzer.errors import ServotapError
+from conformance import suite, target
+from conformance.allowance import add_gate_arguments, allowance_from
+from conformance.claim import Outcome
+from conformance.line import LineLost
+from conformance.report.record import RunRecord, VerdictRecord
+from conformance.rig import NotStopped, RigFault
+
+if TYPE_CHECKING:
+    from conformance.suite import Plan
+
+EXAMPLES = """\
+examples:
+  servotap test                                            all dialects, emulated
+  servotap test mks-rs485@1 --on serial:/dev/ttyUSB0,baud=38400            reads only
+  servotap test mks-can@1,model=57E --on can:socketcan:can0 --allow setting,motion --max-speed 300 --max-turns 2
+  servotap test mks-rs485@1,fault=late-reply --theme timing --theme shape
+  servotap test --claim 'mks-rs485/shape/*' --report out.html --log out.mcap
+  servotap test lk-rs485@1 --on tcp:192.168.0.7:5000 --dry-run
+  servotap test --list --theme motion
+"""
+REFUTED, RIG_FAULT, NOT_STOPPED = 1, 10, 20
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("drives", nargs="*", metavar="DRIVE", help="DIALECT@ADDRESS[,model=M]; emulated ones take quirks, faults")
+    parser.add_argument(
+        "--on", action="append", default=[], metavar="ENDPOINT",
+        help="where: serial:PORT,baud=N, tcp:HOST:PORT, can:INTERFACE:CHANNEL,bitrate=N, or emulated (default)",
+    )  # fmt: skip
+    add_gate_arguments(parser)
+    parser.add_argument("--theme", action="append", default=[], metavar="T", help="only this theme; may be repeated")
+    parser.add_argument("--claim", action="append", default=[], metavar="ID", help="only these claims; * and ? are patterns")
+    parser.add_argument("--short", action="store_true", help="one claim for each theme and command")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn at random (default 0)")
+    parser.add_argument("--jobs", type=_jobs, default=0, metavar="N", help="processes for emulated drives (default: all cores)")
+    parser.add_argument("--settings", metavar="FILE", help="JSON: what to put back where the drive cannot be asked")
+    parser.add_argument("--journal", metavar="FILE", help="where changes are written down before they are made")
+    parser.add_argument("--cut-power", default="", metavar="COMMAND", help="runs when no stop can be verified")
+    parser.add_argument("--dry-run", action="store_true", help="print all that would be sent, and send nothing")
+    parser.add_argument("--list", action="store_true", help="list the claims and what they need")
+    parser.add_argument("--mutants", action="store_true", help="run against every named fault: which claim refutes which")
+    parser.add_argument("--report", metavar="OUT.html", help="one self-contained page")
+    parser.add_argument("--junitxml", metavar="OUT.xml", help="verdicts for CI")
+    parser.add_argument("--log", metavar="OUT.mcap", help="all traffic, with a /tests topic")
+    parser.add_argument("--failures", metavar="FOLDER", help="a small log of each refuted claim, for servotap rerun")
+    parser.add_argument("--baseline", metavar="FILE", help="accept the deviations listed there")
+    parser.add_argument("--write-baseline", metavar="FILE", help="write what is refuted as the baseline")
+    parser.add_argument("--json", action="store_true", help="one JSON object a verdict, then one of the run")
+
+
+def _jobs(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"expected processes from 1 on, got {text}")
+    return value
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Test; return the exit status."""
+    plan = plan_of(arguments)
+    if arguments.list:
+        return _list(plan)
+    if arguments.mutants:
+        from conformance.mutants import run_mutants
+
+        return run_mutants(plan, jobs=arguments.jobs or os.cpu_count() or 1, as_json=arguments.json)
+    if arguments.dry_run:
+        from conformance.safety.dry_run import dry_run
+
+        return dry_run(plan)
+    return _test(plan, arguments)
+
+
+def plan_of(arguments: argparse.Namespace) -> Plan:
+    """Return what the command line asks for. Raises UsageError for what does not fit together."""
+    targets = target.parse_all(arguments.drives, arguments.on)
+    given = allowance_from(arguments)
+    # Nothing can break on an emulated drive, so all is allowed there where nothing was said.
+    allowance = None if all(t.emulated for t in targets) and not arguments.allow else given
+    plan = suite.Plan(
+        tuple(targets),
+        allowance,
+        tuple(arguments.claim),
+        tuple(arguments.theme),
+        arguments.seed,
+        settings=_settings(arguments.settings),
+        journal=arguments.journal or "",
+        cut_power=arguments.cut_power,
+        dry_run=arguments.dry_run,
+        traffic=bool(arguments.log),
+        short=arguments.short,
+    )
+    plan.check()
+    return plan
+
+
+def _settings(path: str | None) -> dict[str, dict[str, str]]:
+    if path is None:
+        return {}
+    from conformance.safety.settings import load
+
+    return load(Path(path))
+
+
+def _list(plan: Plan) -> int:
+    for each in plan.targets:
+        for claim in plan.selected(each):
+            needs = ",".join(sorted(risk.value for risk in claim.risks)) or "read"
+            more = " alone" * claim.alone + " by-name" * claim.by_name + " emulated" * claim.emulated
+            print(f"{claim.id}\n    {claim.statement}  [{claim.section}, {claim.certainty}]  needs {needs}{more}")
+    return 0
+
+
+def _test(plan: Plan, arguments: argparse.Namespace) -> int:
+    started = time.monotonic()
+    jobs = arguments.jobs or os.cpu_count() or 1
+    records: list[VerdictRecord] = []
+    trouble: ServotapError | None = None
+    stopped = False
+    total = sum(len(plan.selected(each)) for each in plan.targets)
+    began = now_text()
+    with _progress(total) as advance:
+        try:
+            for each in suite.run(plan, jobs):
+                records.append(each)
+                advance(each)
+                if arguments.json:
+                    _print_json(each)
+        except (LineLost, NotStopped, RigFault) as error:
+            trouble = error
+        except KeyboardInterrupt:
+            stopped = True
+    run_record = _run_record(plan, began, time.monotonic() - started, stopped, trouble)
+    status = _status(records, arguments, trouble)
+    _write(records, run_record, arguments)
+    if arguments.json:
+        _print_json(run_record)
+    else:
+        _show(records, run_record, total)
+    status = max(status, _baseline(records, arguments)) if arguments.baseline else status
+    if arguments.write_baseline:
+        from conformance.report import baseline
+
+        count = baseline.save(Path(arguments.write_baseline), records)
+        print(f"{arguments.write_baseline}: {count} deviations", file=sys.stderr)
+    if trouble is not None:
+        print(f"servotap test: {trouble}", file=sys.stderr)
+    if stopped:
+        print(f"servotap test: stopped after {len(records)} of {total} claims", file=sys.stderr)
+        return status or 130
+    return status
+
+
+def _status(records: Sequence[VerdictRecord], arguments: argparse.Namespace, trouble: ServotapError | None) -> int:
+    if isinstance(trouble, NotStopped):
+        return NOT_STOPPED
+    if trouble is not None:
+        return RIG_FAULT
+    if any(r.refuted for r in records) and not arguments.baseline:
+        return REFUTED
+    judged = (Outcome.CONFIRMED, Outcome.REFUTED, Outcome.OBSERVED)
+    return 0 if any(r.outcome in judged for r in records) else RIG_FAULT
+
+
+def _baseline(records: Sequence[VerdictRecord], arguments: argparse.Namespace) -> int:
+    from conformance.report import baseline
+
+    compared = baseline.compare(records, baseline.load(Path(arguments.baseline)))
+    for new in compared.new:
+        print(f"new: {new.id}: {new.reason}", file=sys.stderr)
+    for fixed in compared.fixed:
+        print(f"fixed: {fixed.claim} ({fixed.target}) holds now: take it out of {arguments.baseline}", file=sys.stderr)
+    for missing in compared.missing:
+        print(f"not looked at: {missing.claim} ({missing.target}) has no verdict in this run", file=sys.stderr)
+    print(
+        f"baseline: {len(compared.known)} known, {len(compared.new)} new, {len(compared.fixed)} fixed, "
+        f"{len(compared.missing)} not looked at",
+        file=sys.stderr,
+    )
+    return REFUTED if compared.fails else 0
+
+
+def _run_record(
+    plan: Plan, began: str, seconds: float, stopped: bool, trouble: ServotapError | None
+) -> RunRecord:
+    allowance = plan.allowance
+    notes = ["stopped by the user"] * stopped + [str(trouble)] * (trouble is not None)
+    return RunRecord(
+        targets=tuple(t.text for t in plan.targets),
+        on=tuple(t.on for t in plan.targets),
+        version=__version__,
+        started_at=began,
+        seconds=round(seconds, 3),
+        seed=plan.seed,
+        allowed=() if allowance is None else tuple(sorted(risk.value for risk in allowance.risks)),
+        bounds={} if allowance is None else allowance.described(),
+        command=shlex.join(["servotap", *sys.argv[1:]]),
+        notes=tuple(notes),
+    )
+
+
+def _write(records: Sequence[VerdictRecord], run_record: RunRecord, arguments: argparse.Namespace) -> None:
+    if arguments.report:
+        from conformance.report.html import write_html
+
+        write_html(Path(arguments.report), records, run_record)
+    if arguments.junitxml:
+        from conformance.report.junit import write_junit
+
+        write_junit(Path(arguments.junitxml), records, run_record)
+    if arguments.log:
+        from conformance.report.log import write_log
+
+        write_log(Path(arguments.log), records, run_record)
+    if arguments.failures:
+        from conformance.report.log import write_failures
+
+        write_failures(Path(arguments.failures), records, run_record)
+
+
+def _print_json(each: VerdictRecord | RunRecord) -> None:
+    import msgspec
+
+    shown = msgspec.to_builtins(each)
+    shown.pop("traffic", None)
+    print(msgspec.json.encode(shown).decode(), flush=True)
+
+
+def _show(records: Sequence[VerdictRecord], run_record: RunRecord, total: int) -> None:
+    from rich.console import Console
+
+    from conformance.report import terminal
+
+    if not records:
+        return
+    width = None if sys.stdout.isatty() else 160
+    terminal.show(records, run_record, Console(width=width))
+    print(f"{len(records)} of {total} claims in {run_record.seconds:.1f} s")
+
+
+class _Advance:
+    """What is called for each verdict; does nothing where nobody looks."""
+
+    def __call__(self, each: VerdictRecord) -> None:
+        """Take a verdict."""
+
+
+@contextmanager
+def _progress(total: int) -> Iterator[_Advance]:
+    if not sys.stderr.isatty():
+        yield _Advance()
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("testing", total=total)
+
+        class Shown(_Advance):
+            def __call__(self, each: VerdictRecord) -> None:
+                bar.update(task, advance=1, description=f"{each.dialect} {each.theme}")
+
+        yield Shown()
+

@@ -1,0 +1,140 @@
+"""Records of verdicts: what came of each claim, as plain data that passes between processes and into files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import msgspec
+
+from analyzer.catalogue import Role
+from analyzer.records import CanFrame, Chunk
+from conformance.claim import Outcome, Verdict
+from conformance.exchange import Exchange
+
+
+class Traffic(msgspec.Struct, frozen=True, array_like=True):
+    """Bytes that went over the line: `t_ns` on the line's clock, who sent them, and on CAN the identifier."""
+
+    t_ns: int
+    sent: bool
+    data: bytes
+    can_id: int | None = None
+    extended: bool = False
+
+
+class VerdictRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """A verdict as data. `target`: the drive as the user named it; `lines`: the exchange that shows it, for people.
+
+    `duration_ns` on the line's clock (virtual for an emulated drive). `traffic` only where somebody wants it.
+    """
+
+    id: str
+    target: str
+    theme: str
+    dialect: str
+    statement: str
+    section: str
+    certainty: str
+    refuted_by: str
+    outcome: str
+    firmware: str = ""
+    reason: str = ""
+    expected: str = ""
+    got: str = ""
+    key: str = ""
+    lines: tuple[str, ...] = ()
+    quirks: tuple[str, ...] = ()
+    covers: tuple[tuple[str, str], ...] = ()
+    fields: tuple[str, ...] = ()
+    commands: tuple[str, ...] = ()
+    parameters: dict[str, Any] = {}
+    measured: dict[str, float] = {}
+    series: dict[str, tuple[tuple[float, float], ...]] = {}
+    latencies: tuple[tuple[str, int], ...] = ()
+    first_ns: int = 0
+    last_ns: int = 0
+    traffic: tuple[Traffic, ...] = ()
+
+    @property
+    def refuted(self) -> bool:
+        """Whether the drive is at fault."""
+        return self.outcome == Outcome.REFUTED
+
+
+class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """What a run was: drives, where, seed, what was allowed, when, how long.
+
+    `seconds`: of the wall clock.
+    """
+
+    targets: tuple[str, ...]
+    on: tuple[str, ...]
+    version: str
+    started_at: str
+    seconds: float = 0.0
+    seed: int = 0
+    allowed: tuple[str, ...] = ()
+    bounds: dict[str, str] = {}
+    command: str = ""
+    notes: tuple[str, ...] = ()
+
+
+def record(verdict: Verdict, target: str, *, firmware: str = "", traffic: bool = False) -> VerdictRecord:
+    """Return a verdict as data; with `traffic` also what went over the line (always, where it is refuted)."""
+    claim = verdict.claim
+    keep = traffic or verdict.outcome is Outcome.REFUTED
+    return VerdictRecord(
+        id=claim.id,
+        target=target,
+        theme=claim.theme.value,
+        dialect=claim.dialect,
+        statement=claim.statement,
+        section=claim.section,
+        certainty=claim.certainty.value,
+        refuted_by=claim.refuted_by,
+        outcome=verdict.outcome.value,
+        firmware=firmware,
+        reason=verdict.reason,
+        expected=verdict.expected,
+        got=verdict.got,
+        key=verdict.key,
+        lines=tuple(verdict.exchange.lines()) if verdict.exchange is not None else (),
+        quirks=verdict.quirks,
+        covers=tuple((command, aspect.value) for command, aspect in claim.covers),
+        fields=claim.fields,
+        commands=claim.commands,
+        parameters=dict(claim.parameters),
+        measured=dict(verdict.measured),
+        series={name: tuple(points) for name, points in verdict.series.items()},
+        latencies=verdict.latencies,
+        first_ns=verdict.first_ns,
+        last_ns=verdict.last_ns,
+        traffic=(tuple(_traffic(verdict.traffic)) or tuple(_of_exchange(verdict.exchange))) if keep else (),
+    )
+
+
+def _traffic(items: Iterable[Chunk | CanFrame]) -> Iterable[Traffic]:
+    for item in items:
+        sent = item.direction is Role.REQUEST
+        if isinstance(item, CanFrame):
+            yield Traffic(item.t_ns or 0, sent, item.data, item.id, item.extended)
+        else:
+            yield Traffic(item.t_ns or 0, sent, item.data)
+
+
+def _of_exchange(exchange: Exchange | None) -> Iterable[Traffic]:
+    """Return what an exchange shows, for a claim that judged what another one had asked."""
+    if exchange is None:
+        return
+    if exchange.sent is not None:
+        yield Traffic(exchange.sent_ns, True, exchange.data, getattr(exchange.sent, "id", None))
+    parts = [(a.last_ns, a.data, a.message.frame.can) for a in exchange.answers]
+    parts += [(j.last_ns, j.data, None) for j in exchange.junk]
+    for t_ns, data, can in sorted(parts, key=lambda part: part[0]):
+        yield Traffic(t_ns, False, data, None if can is None else can.id)
+
+
+def firmware_of(records: Iterable[VerdictRecord]) -> dict[str, str]:
+    """Return what each drive told of its firmware."""
+    return {r.target: r.firmware for r in records if r.firmware}

@@ -1,0 +1,99 @@
+"""The journal: what is about to be changed on a drive is written down, and safe on the disk, before it is changed.
+
+One JSON object a line. `change`: a command and the values that its settings had; `back`: it was put back; `end`: all of it
+was. What was changed and not put back is open: `servotap restore` puts it back after a crash.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import IO
+
+import msgspec
+
+from analyzer.errors import UnreadableError, UsageError
+
+
+class Entry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One line. `values`: integers as sent, by field, as they were before."""
+
+    event: str
+    at: str = ""
+    target: str = ""
+    on: str = ""
+    command: str = ""
+    address: int = 0
+    values: dict[str, int] = {}
+    text: str = ""
+
+
+class Journal:
+    """Writes a journal. Raises UsageError where the file cannot be made or is there already."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._file: IO[bytes] = path.open("xb", buffering=0)
+        except FileExistsError:
+            raise UsageError(
+                f"{path} is there already, perhaps of a run that broke off: servotap restore {path} --on ... puts back "
+                "what it changed; or give another name with --journal"
+            ) from None
+        except OSError as error:
+            raise UsageError(f"cannot write the journal {path}: {error.strerror or error}") from None
+
+    def write(self, entry: Entry) -> None:
+        """Write a line; it is on the disk when this returns. Raises UsageError where it cannot be written."""
+        stamped = msgspec.structs.replace(entry, at=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()))
+        try:
+            self._file.write(msgspec.json.encode(stamped) + b"\n")
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise UsageError(f"cannot write the journal {self.path}: {error.strerror or error}; nothing was changed") from None
+
+    def close(self, *, remove: bool) -> None:
+        """Close the file; with `remove` (all is put back) it goes."""
+        self._file.close()
+        if remove:
+            self.path.unlink(missing_ok=True)
+
+
+def read(path: Path) -> list[Entry]:
+    """Return the lines of a journal; a last line that was torn off is left out. Raises UnreadableError."""
+    try:
+        lines = path.read_bytes().split(b"\n")
+    except OSError as error:
+        raise UnreadableError(f"{path}: {error.strerror or error}") from None
+    entries = []
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
+        try:
+            entries.append(msgspec.json.decode(line, type=Entry))
+        except msgspec.MsgspecError as error:
+            if number == len(lines):
+                break
+            raise UnreadableError(f"{path}: line {number}: expected a line of a journal, got: {error}") from None
+    return entries
+
+
+def open_changes(entries: list[Entry]) -> list[Entry]:
+    """Return the changes that were not put back, the last one first."""
+    left: dict[tuple[str, int, str], Entry] = {}
+    for entry in entries:
+        key = (entry.target, entry.address, entry.command)
+        if entry.event == "change":
+            left.setdefault(key, entry)
+        elif entry.event == "back":
+            left.pop(key, None)
+        elif entry.event == "end":
+            left.clear()
+    return list(reversed(left.values()))
+
+
+def values_text(values: Mapping[str, int]) -> str:
+    """Return values for people."""
+    return " ".join(f"{name}={value}" for name, value in values.items())

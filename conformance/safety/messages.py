@@ -1,0 +1,146 @@
+"""What passes between a suite and its guard: one request, one answer, over pipes. Length first, then MessagePack."""
+
+from __future__ import annotations
+
+import struct
+from typing import IO
+
+import msgspec
+
+from analyzer.records import CanFrame, Chunk
+
+_LENGTH = struct.Struct("<I")
+_LIMIT = 64 << 20
+
+
+class Wire(msgspec.Struct, frozen=True, array_like=True):
+    """An item as it passes the pipe: bytes, and on CAN the identifier and flags; `t_ns` of what was received."""
+
+    data: bytes
+    can_id: int | None = None
+    extended: bool = False
+    remote: bool = False
+    error: bool = False
+    fd: bool = False
+    t_ns: int | None = None
+
+
+class Drive(msgspec.Struct, frozen=True):
+    """A drive that the guard looks after: what it has to know to stop it."""
+
+    dialect: str
+    model: str
+    address: int
+
+
+class Begin(msgspec.Struct, frozen=True, tag="begin"):
+    """The first request: open the port. `risks` and bounds as in an allowance; `longest_run_ns` of motion without an end."""
+
+    endpoint: str
+    drives: tuple[Drive, ...]
+    risks: tuple[str, ...]
+    speed: float | None = None
+    turns: float | None = None
+    acceleration: float | None = None
+    current: float | None = None
+    subdivision: int | None = None
+    alone: bool = False
+    longest_run_ns: int = 30_000_000_000
+    journal: str = ""
+    cut_power: str = ""
+
+
+class Send(msgspec.Struct, frozen=True, tag="send"):
+    """Judge and write an item."""
+
+    item: Wire
+
+
+class Receive(msgspec.Struct, frozen=True, tag="receive"):
+    """Wait for what comes next."""
+
+    timeout_ns: int
+
+
+class Speed(msgspec.Struct, frozen=True, tag="speed"):
+    """Change the host's speed."""
+
+    bits_per_second: int
+
+
+class End(msgspec.Struct, frozen=True, tag="end"):
+    """The suite is done and has stopped and put back everything itself: close the port and end."""
+
+
+class Done(msgspec.Struct, frozen=True, tag="done"):
+    """It was done; `t_ns` on the line's clock."""
+
+    t_ns: int = 0
+
+
+class Got(msgspec.Struct, frozen=True, tag="got"):
+    """What came, or nothing."""
+
+    item: Wire | None = None
+
+
+class Failed(msgspec.Struct, frozen=True, tag="failed"):
+    """It was not done. `kind`: refused, lost, usage, or stopped (the guard has stopped the motor by itself)."""
+
+    kind: str
+    text: str
+
+
+Request = Begin | Send | Receive | Speed | End
+Answer = Done | Got | Failed
+
+
+def put(stream: IO[bytes], message: Request | Answer) -> None:
+    """Write a message. Raises OSError where nobody reads any more."""
+    data = msgspec.msgpack.encode(message)
+    stream.write(_LENGTH.pack(len(data)) + data)
+    stream.flush()
+
+
+def take(stream: IO[bytes]) -> bytes:
+    """Return the next message as bytes. Raises EOFError when the other end has gone."""
+    head = _exactly(stream, _LENGTH.size)
+    (length,) = _LENGTH.unpack(head)
+    if length > _LIMIT:
+        raise EOFError(f"a message of {length} bytes")
+    return _exactly(stream, length)
+
+
+def _exactly(stream: IO[bytes], count: int) -> bytes:
+    data = b""
+    while len(data) < count:
+        part = stream.read(count - len(data))
+        if not part:
+            raise EOFError("the other end has gone")
+        data += part
+    return data
+
+
+def wire(item: bytes | CanFrame | Chunk) -> Wire:
+    """Return an item as it passes the pipe."""
+    if isinstance(item, CanFrame):
+        return Wire(item.data, item.id, item.extended, item.remote, item.error, item.fd, item.t_ns)
+    if isinstance(item, Chunk):
+        return Wire(item.data, t_ns=item.t_ns)
+    return Wire(item)
+
+
+def sendable(item: Wire, bus: str) -> bytes | CanFrame:
+    """Return an item that is to be sent."""
+    if item.can_id is None:
+        return item.data
+    return CanFrame(None, bus, item.can_id, item.data, extended=item.extended, remote=item.remote, error=item.error, fd=item.fd)
+
+
+def received(item: Wire, bus: str) -> Chunk | CanFrame:
+    """Return an item that has come."""
+    if item.can_id is None:
+        return Chunk(item.t_ns, bus, item.data)
+    return CanFrame(
+        item.t_ns, bus, item.can_id, item.data, extended=item.extended, remote=item.remote, error=item.error, fd=item.fd
+    )

@@ -1,0 +1,101 @@
+"""What a drive's settings were, so that they can be put back: asked of the drive, or told by the user in a file.
+
+The file is JSON: field names and values as people write them, for all drives or under a drive's name:
+
+    {"work_mode": "sr_vfoc", "current": "1600 mA"}      {"mks-rs485@1": {"work_mode": "cr_vfoc", "subdivision": 16}}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from analyzer.catalogue import Command, Dialect, Risk, Verb, all_fields
+from analyzer.errors import UnreadableError, UsageError
+from analyzer.layout import Field
+from analyzer.values import near, parse_value, quote, refusal
+from conformance.probe import Probe
+
+Given = Mapping[str, str]
+
+
+def load(path: Path) -> dict[str, dict[str, str]]:
+    """Return the values of a file by drive (empty name: all drives), as texts. Raises UnreadableError."""
+    try:
+        whole = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+    except OSError as error:
+        raise UnreadableError(f"{path}: {error.strerror or error}") from None
+    except msgspec.MsgspecError as error:
+        raise UnreadableError(f"{path}: expected a JSON object of settings, got: {error}") from None
+    found: dict[str, dict[str, str]] = {}
+    for name, value in whole.items():
+        if isinstance(value, dict):
+            found[name] = {str(n): _text(path, n, v) for n, v in value.items()}
+        else:
+            found.setdefault("", {})[name] = _text(path, name, value)
+    return found
+
+
+def _text(path: Path, name: str, value: object) -> str:
+    if isinstance(value, bool) or not isinstance(value, (str, int, float)):
+        raise UnreadableError(f"{path}: {name}: expected a number or a text, got {value!r}")
+    return str(value)
+
+
+def known(dialect: Dialect, drive: str, given: Mapping[str, Given]) -> dict[str, int]:
+    """Return what the user says that a drive's settings are, as sent, by field.
+
+    `drive`: its name, DIALECT@ADDRESS. Raises UsageError for a name that is no setting and a value that none can have.
+    """
+    texts = {**given.get("", {}), **given.get(drive, {})}
+    fields: dict[str, Field] = {}
+    for command in dialect.commands:
+        if Risk.SETTING in command.all_risks:
+            fields |= {name: f for name, f in all_fields(command.request_forms).items() if f.fixed is None}
+    values = {}
+    for name, text in texts.items():
+        field = fields.get(name)
+        if field is None:
+            if drive in given and name in given[drive]:
+                raise UsageError(f"settings of {drive}: no setting {quote(name)}{near(name, fields)}")
+            continue
+        value = parse_value(field, text)
+        refused = refusal(field, value)
+        if refused is not None or isinstance(value, bytes):
+            raise UsageError(f"settings of {drive}: {refused or name + ': expected a number'}")
+        values[name] = value
+    return values
+
+
+def changes(command: Command) -> bool:
+    """Say whether a command changes a setting that has a value: one that can be put back."""
+    return Risk.SETTING in command.all_risks and any(
+        f.fixed is None for form in command.request_forms for f in form.layout.named.values()
+    )
+
+
+def readable(dialect: Dialect, command: Command) -> bool:
+    """Say whether the drive tells what a command sets."""
+    return Verb.READ_PARAMETER in dialect.by_verb and (command.readable or command.verb is Verb.WRITE_PARAMETER)
+
+
+def selector(command: Command, values: Mapping[str, int]) -> int:
+    """Return what tells the settings of one command apart: the parameter's number, or the command's code."""
+    return int(values.get("parameter", 0)) if command.verb is Verb.WRITE_PARAMETER else command.code
+
+
+def read(probe: Probe, command: Command, values: Mapping[str, int]) -> dict[str, int] | None:
+    """Return what a command sets, as it is now, all fields of its request; None where the drive does not tell."""
+    exchange = probe.ask(Verb.READ_PARAMETER, {"parameter": selector(command, values)})
+    answer = exchange.reply
+    if answer is None or not answer.message.frame.checksum_ok or probe.refused(exchange):
+        return None
+    names = all_fields(command.request_forms).keys()
+    found = {name: int(value) for name, value in answer.values.items() if name in names}
+    if command.verb is Verb.WRITE_PARAMETER:
+        return found if len(found) > 1 else None
+    whole = {name for form in command.request_forms for name in form.layout.named}
+    return found if found.keys() >= whole else None

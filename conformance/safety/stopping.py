@@ -1,0 +1,111 @@
+"""Stopping a motor so that one can say it stands: a stop by a ramp that keeps the torque, and proof.
+
+The proof: three times in a row the speed reads 0 and the position has not moved. Where the ramped stops do not bring that,
+the stop at once is tried (it keeps the torque too); a motor is never disabled, for what hangs on it would fall. Where
+nothing helps, the user's command to cut the power is run, and the run says NOT STOPPED.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+from analyzer.catalogue import Dialect, Verb
+from conformance import moving
+from conformance.claim import Inconclusive
+from conformance.gate import Gate
+from conformance.line import LineLost
+from conformance.probe import Probe
+from conformance.rig import NotStopped
+from conformance.safety.bare import bare_probe
+
+#: The stops of all ways to move, gentlest first. What a dialect does not have is left out.
+RAMPED = (
+    Verb.STOP_SPEED,
+    Verb.STOP,
+    Verb.STOP_RELATIVE_PULSES,
+    Verb.STOP_ABSOLUTE_PULSES,
+    Verb.STOP_RELATIVE_AXIS,
+    Verb.STOP_ABSOLUTE_AXIS,
+)
+AT_ONCE = (Verb.EMERGENCY_STOP,)
+#: How often in a row the shaft must be seen standing.
+PROOFS = 3
+_LOOK_NS = 100_000_000
+#: How long a ramp may take, and how long a stop at once.
+_RAMP_NS = 15_000_000_000
+_AT_ONCE_NS = 3_000_000_000
+_POWER_SECONDS = 20
+
+
+def stop(gate: Gate, dialect: Dialect, address: int) -> str:
+    """Stop a drive by a ramp and prove that it stands; return why that cannot be said, or nothing. Raises LineLost."""
+    probe = bare_probe(dialect, address, gate, "stop")
+    told = ""
+    for verbs, limit_ns in ((RAMPED, _RAMP_NS), (AT_ONCE, _AT_ONCE_NS)):
+        sent = [verb for verb in verbs if verb in dialect.by_verb]
+        for verb in sent:
+            _ask(probe, verb)
+        if sent:
+            told = stands(probe, limit_ns)
+            if not told:
+                return ""
+    return told or f"{dialect.name} has no stop"
+
+
+def _ask(probe: Probe, verb: Verb) -> None:
+    command = probe.command(verb)
+    named = command.request_forms[0].layout.named
+    # Whether it is answered says nothing about the shaft: that is looked at.
+    probe.ask(command, {"acceleration": moving.GENTLE} if "acceleration" in named else None, timeout_ns=_LOOK_NS, quiet_ns=0)
+
+
+def stands(probe: Probe, limit_ns: int) -> str:
+    """Return nothing once the shaft was seen standing three times in a row, else what was seen last. Raises LineLost."""
+    until_ns = probe.gate.now_ns() + limit_ns
+    seen, told = 0, "nothing was read"
+    before: float | None = None
+    while probe.gate.now_ns() < until_ns:
+        try:
+            speed = moving.speed(probe).value
+            position = moving.position(probe).value
+        except Inconclusive as error:
+            seen, before, told = 0, None, str(error)
+            probe.wait(_LOOK_NS)
+            continue
+        still = before is not None and abs(position - before) <= moving.SAME and abs(speed) < 1
+        seen = seen + 1 if still else 0
+        if seen >= PROOFS:
+            return ""
+        told = f"speed {speed:.4g} rpm, position {position:.4f} deg" + ("" if before is None else f" after {before:.4f} deg")
+        before = position
+        probe.wait(_LOOK_NS)
+    return told
+
+
+def cut_power(command: str) -> str:
+    """Run the user's command that cuts the power; return how that went, in words."""
+    if not command:
+        return "no --cut-power command was given"
+    try:
+        done = subprocess.run(command, shell=True, timeout=_POWER_SECONDS, capture_output=True, text=True, check=False)
+    except subprocess.TimeoutExpired:
+        return f"--cut-power {command!r} did not end within {_POWER_SECONDS} s"
+    if done.returncode:
+        return f"--cut-power {command!r} failed with {done.returncode}: {done.stderr.strip() or done.stdout.strip()}"
+    return f"--cut-power {command!r} was run"
+
+
+def stop_or_cut(gate: Gate, dialect: Dialect, address: int, power: str) -> None:
+    """Stop a drive.
+
+    Raises NotStopped, after the power command, where it cannot be said that the motor stands.
+    """
+    try:
+        told = stop(gate, dialect, address)
+    except LineLost as error:
+        told = str(error)
+    if told:
+        text = f"NOT STOPPED: {dialect.name}@{address}: {told}; {cut_power(power)}"
+        print(text, file=sys.stderr, flush=True)
+        raise NotStopped(text)

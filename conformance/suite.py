@@ -1,0 +1,179 @@
+"""A suite run: which claims on which targets, what may be done, and the verdicts as records.
+
+`servotap test` and the pytest plugin both stand on this; neither holds a rule of its own about what runs.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import multiprocessing
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from analyzer.catalogue import Dialect
+from analyzer.errors import UsageError
+from analyzer.values import near, quote
+from conformance import claims as registry
+from conformance import engine
+from conformance.allowance import Allowance
+from conformance.claim import Claim, Theme
+from conformance.report.record import VerdictRecord, record
+from conformance.rig import Rig
+from conformance.target import Target
+
+if TYPE_CHECKING:
+    from multiprocessing.pool import Pool
+
+#: Claims that a worker takes at once.
+_BATCH = 12
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run is to do.
+
+    `allowance`: what may be sent, None: everything for emulated drives, reads alone for others. `claims`: ids or patterns
+    (`*/shape/*`), empty: all. `themes`: empty: all. `seed` of Hypothesis and of emulated drives. `settings`: what to put
+    back where a dialect cannot read it (by drive and field). `traffic`: keep what went over the lines. `short`: one claim
+    for each theme and command, for lines on which time passes.
+    """
+
+    targets: tuple[Target, ...]
+    allowance: Allowance | None = None
+    claims: tuple[str, ...] = ()
+    themes: tuple[str, ...] = ()
+    seed: int = 0
+    settings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    journal: str = ""
+    cut_power: str = ""
+    dry_run: bool = False
+    traffic: bool = False
+    short: bool = False
+
+    def selected(self, target: Target) -> list[Claim]:
+        """Return the claims about a target, in order. Raises UsageError for a theme or an id that there is not."""
+        known = every_claim(target)
+        _check_themes(self.themes)
+        wanted = [c for c in known if self._wants(c)]
+        return shortened(wanted) if self.short else wanted
+
+    def _wants(self, claim: Claim) -> bool:
+        if self.themes and claim.theme.value not in self.themes:
+            return False
+        return not self.claims or any(fnmatch.fnmatchcase(claim.id, pattern) for pattern in self.claims)
+
+    def check(self) -> None:
+        """Raise UsageError for patterns that name no claim of any target."""
+        ids = [c.id for target in self.targets for c in every_claim(target)]
+        for pattern in self.claims:
+            if not any(fnmatch.fnmatchcase(i, pattern) for i in ids):
+                raise UsageError(f"no claim {quote(pattern)}{near(pattern, ids)} (servotap test --list lists all)")
+
+
+def shortened(claims: Sequence[Claim]) -> list[Claim]:
+    """Return one claim for each theme and command, another aspect for each command, in their order."""
+    groups: dict[tuple[str, str], list[Claim]] = {}
+    for claim in claims:
+        about = claim.commands[0] if claim.commands else claim.id.split("/")[2]
+        groups.setdefault((claim.theme.value, about), []).append(claim)
+    chosen = {group[number % len(group)].id for number, group in enumerate(groups.values())}
+    return [claim for claim in claims if claim.id in chosen]
+
+
+def _check_themes(themes: Sequence[str]) -> None:
+    known = [theme.value for theme in Theme]
+    for theme in themes:
+        if theme not in known:
+            raise UsageError(f"no theme {quote(theme)}, expected one of {', '.join(known)}")
+
+
+#: Dialects as their models speak them: claims are kept with the dialect they were made for.
+_dialects: dict[tuple[str, str], Dialect] = {}
+
+
+def _dialect(dialect: Dialect, model: str) -> Dialect:
+    key = (dialect.name, model)
+    if key not in _dialects:
+        _dialects[key] = dialect.for_model(model) if model else dialect
+    return _dialects[key]
+
+
+def every_claim(target: Target) -> tuple[Claim, ...]:
+    """Return all claims about a target's dialect and model, in order."""
+    return registry.every(_dialect(target.dialect, target.model))
+
+
+def open_rig(plan: Plan, target: Target) -> Rig:
+    """Return the rig of a target. Raises UsageError where its line cannot be opened or it cannot be tested as asked."""
+    if target.specification is not None:
+        from conformance.rig_emulated import EmulatedRig
+
+        return EmulatedRig(target.specification, seed=plan.seed, allowance=plan.allowance)
+    from conformance.rig_real import RealRig
+
+    return RealRig(plan, target)
+
+
+def run(plan: Plan, jobs: int = 1) -> Iterator[VerdictRecord]:
+    """Run a plan and yield its verdicts as they come; with several jobs, in any order.
+
+    Emulated drives are spread over `jobs` processes; drives on real lines run here, one after the other, for a line has
+    one owner. Raises LineLost, NotStopped.
+    """
+    emulated = [t for t in plan.targets if t.emulated]
+    real = [t for t in plan.targets if not t.emulated]
+    for target in real:
+        yield from _run_target(plan, target)
+    if jobs > 1:
+        yield from _spread(plan, emulated, jobs)
+        return
+    for target in emulated:
+        yield from _run_target(plan, target)
+
+
+def _run_target(plan: Plan, target: Target) -> Iterator[VerdictRecord]:
+    selected = plan.selected(target)
+    rig = open_rig(plan, target)
+    try:
+        for verdict in engine.run(selected, rig):
+            yield record(verdict, target.text, firmware=rig.firmware, traffic=plan.traffic)
+    finally:
+        rig.close()
+
+
+# --- several processes ------------------------------------------------------------------------------------------------
+
+_plan: Plan | None = None
+
+
+def _begin(plan: Plan) -> None:
+    global _plan
+    _plan = plan
+
+
+def _batch(work: tuple[int, tuple[str, ...]]) -> list[VerdictRecord]:
+    assert _plan is not None  # every worker begins with `_begin`
+    target = _plan.targets[work[0]]
+    wanted = set(work[1])
+    rig = open_rig(_plan, target)
+    try:
+        found = [c for c in every_claim(target) if c.id in wanted]
+        return [record(v, target.text, traffic=_plan.traffic) for v in engine.run(found, rig)]
+    finally:
+        rig.close()
+
+
+def _spread(plan: Plan, targets: Sequence[Target], jobs: int) -> Iterator[VerdictRecord]:
+    work: list[tuple[int, tuple[str, ...]]] = []
+    for index, target in enumerate(plan.targets):
+        if target in targets:
+            ids = [claim.id for claim in plan.selected(target)]
+            work += [(index, tuple(ids[at : at + _BATCH])) for at in range(0, len(ids), _BATCH)]
+    # A forked worker has the claims and the catalogue already; where there is no fork it makes them anew.
+    methods = multiprocessing.get_all_start_methods()
+    context = multiprocessing.get_context("fork" if "fork" in methods else "spawn")
+    pool: Pool
+    with context.Pool(min(jobs, max(1, len(work))), _begin, (plan,)) as pool:
+        for records in pool.imap(_batch, work):
+            yield from records

@@ -1,0 +1,146 @@
+"""What a tap stores, by a thread of its own, so that no disk ever keeps the bytes waiting.
+
+    tap: pass on -> put into a queue -> go on          thread: queue -> Store (spool, memory while the disk is full)
+
+Times. What the adapter brought is stamped as any reader does. What the program wrote is stamped with the end of its
+transmission on the line: reckoned from the speed, but no later than the first byte that the drive answered. Rules: the queue is
+bounded; what does not fit is counted, and told in its place. What happens to the adapter stands with the replies.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from analyzer.live.reader_store import Store
+from analyzer.live.reader_stream import Piece, settle
+
+REQUEST = "request"
+REPLY = "reply"
+#: Bytes that may wait for the thread.
+QUEUE_LIMIT = 64 << 20
+
+
+class Storing:
+    """Stores both directions. `stores`: by direction."""
+
+    def __init__(self, stores: dict[str, Store], *, queue_limit: int = QUEUE_LIMIT) -> None:
+        self._stores = stores
+        self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._limit = queue_limit
+        self._put = self._taken = 0
+        #: What did not fit: bytes and times of the first and the last, by direction.
+        self._left_out: dict[str, tuple[int, int, int]] = {}
+        self._thread = threading.Thread(target=self._run, name="servotap-store", daemon=True)
+        self._thread.start()
+
+    # --- for the one who passes the bytes on ----------------------------------------------------------------------
+
+    def pieces(self, direction: str, pieces: Sequence[Piece], byte_ns: int) -> None:
+        """Take bytes with the times of their last ones."""
+        size = sum(len(data) for _, data in pieces)
+        if self._put - self._taken + size > self._limit:
+            count, from_ns, _ = self._left_out.get(direction, (0, pieces[0][0], 0))
+            self._left_out[direction] = (count + size, from_ns, pieces[-1][0])
+            return
+        self._tell_left_out()
+        self._put += size
+        self._queue.put(lambda: self._store(direction, pieces, byte_ns, size))
+
+    def event(self, direction: str, event: str, t_ns: int | None = None, **about: Any) -> None:
+        """Take an event."""
+        self._queue.put(lambda: self._stores[direction].event(event, t_ns, **about))
+
+    def quiet(self, direction: str, t_ns: int) -> None:
+        """Note that nothing came up to a time."""
+        self._queue.put(lambda: self._stores[direction].quiet(t_ns))
+
+    def still_there(self, t_ns: int) -> None:
+        """Store that nothing came once more: whoever follows the spools sees that somebody writes them."""
+
+        def store() -> None:
+            self._stores[REPLY].idle = False
+            self._stores[REPLY].quiet(t_ns)
+
+        self._queue.put(store)
+
+    def flush(self) -> None:
+        """Try again what could not be stored."""
+        self._tell_left_out()
+        self._queue.put(self._flush)
+
+    def close(self, reason: str) -> None:
+        """Store what is left and the end; returns when it is done."""
+        self._tell_left_out()
+        for direction in self._stores:
+            self._queue.put(lambda store=self._stores[direction]: store.close(reason))  # type: ignore[misc]
+        self._queue.put(None)
+        self._thread.join()
+
+    def _tell_left_out(self) -> None:
+        if not self._left_out:
+            return
+        left_out, self._left_out = self._left_out, {}
+        for direction, (count, from_ns, to_ns) in left_out.items():
+            self._queue.put(lambda d=direction, c=count, a=from_ns, b=to_ns: self._drop(d, c, a, b))  # type: ignore[misc]
+
+    # --- the thread -----------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while (work := self._queue.get()) is not None:
+            work()
+
+    def _store(self, direction: str, pieces: Sequence[Piece], byte_ns: int, size: int) -> None:
+        store = self._stores[direction]
+        for t_ns, data in settle(pieces, byte_ns, store.last_ns, after_idle=store.idle):
+            store.chunk(t_ns, data)
+        store.flush()
+        self._taken += size
+
+    def _drop(self, direction: str, count: int, from_ns: int, to_ns: int) -> None:
+        store = self._stores[direction]
+        store.count += count
+        reason = "the disk did not keep up"
+        store.event("dropped", to_ns, bytes=count, from_ns=from_ns, to_ns=to_ns, reason=reason)
+
+    def _flush(self) -> None:
+        for store in self._stores.values():
+            store.flush()
+
+
+class Sent:
+    """What the program wrote and the line is still sending: held back until its end is certain.
+
+    No clock: times are arguments.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: list[tuple[int, int, bytes]] = []
+        self._free_ns = 0
+
+    def add(self, now_ns: int, data: bytes, byte_ns: int) -> None:
+        """Take bytes that were given to the adapter at `now_ns`."""
+        self._free_ns = max(self._free_ns, now_ns) + len(data) * byte_ns
+        self._waiting.append((now_ns, self._free_ns, data))
+
+    def ended(self, now_ns: int) -> list[Piece]:
+        """Return what has been sent by now, with the times of its ends."""
+        done = [(end_ns, data) for _, end_ns, data in self._waiting if end_ns <= now_ns]
+        if done:
+            self._waiting = [each for each in self._waiting if each[1] > now_ns]
+        return done
+
+    def answered(self, first_ns: int) -> list[Piece]:
+        """Return all that waits: something came in, whose first byte was on the line at `first_ns`."""
+        done = [(max(given_ns, min(end_ns, first_ns)), data) for given_ns, end_ns, data in self._waiting]
+        if done:
+            self._waiting.clear()
+            self._free_ns = min(self._free_ns, max(first_ns, done[-1][0]))
+        return done
+
+    @property
+    def next_ns(self) -> int | None:
+        """When the first of what waits has been sent, None if nothing waits."""
+        return self._waiting[0][1] if self._waiting else None

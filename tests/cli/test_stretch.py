@@ -1,0 +1,341 @@
+"""`--since` and `--until`, `cut` and `merge`: parts of logs and several as one, complete by themselves."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from analyzer.cli import main
+from analyzer.errors import UsageError
+from analyzer.moments import iso, parse
+from analyzer.sources import open_source
+from tests.collect import sum8
+from tests.live.spooled import UTC, Spools, content, metadata, port, raw_of, read
+
+SECOND = 1_000_000_000
+LEFT = port("1-left", "left", byte_ns=260_416, speed=38400)
+ARM = port("2-arm", "arm", "can", ("mks-can",))
+
+
+def log(folder, name="out.mcap", seconds=30, ports=(LEFT, ARM), anchor=0, parts=False):
+    folder.mkdir(exist_ok=True)
+    spools = Spools(folder, *ports, name=name, rotate_ns=8 * SECOND if parts else 0)
+    if anchor:
+        from msgspec.structs import replace
+
+        replace(spools.config, anchor_utc_ns=UTC + anchor).save(spools.folder)
+    for n in range(seconds * 10):
+        for each in ports:
+            if each.kind == "can":
+                spools.can(each.stem, 100 * n, "001#3031")
+                spools.can(each.stem, 100 * n + 2, "001#3000000000123477")
+            else:
+                spools.data(each.stem, 100 * n, sum8("FA 01 32"))
+                spools.data(each.stem, 100 * n + 3, sum8("FB 01 32 FE D4") if n % 50 else "FF")
+    spools.event("0-control", 1000 * seconds - 500, "mark", text="near the end")
+    spools.end(1000 * seconds)
+    if parts:
+        from tests.live.test_rotation import recorded_in_steps
+
+        recorded_in_steps(spools, 1)
+    else:
+        spools.record()
+    return spools.log
+
+
+def decoded(path, *words):
+    out = Path(path).with_name("decoded.mcap")
+    assert main(["decode", str(path), "-o", str(out), "--force", *words]) == 0
+    return out
+
+
+def within(rows, first, last):
+    """Frames and findings of a log between two times in seconds from its start."""
+    return [
+        (t, v) for t, m, v in rows
+        if first * SECOND <= m.log_time - UTC <= last * SECOND and not t.endswith(("/raw", "/stats", "recording"))
+    ]  # fmt: skip
+
+
+def bare(rows):
+    """Rows without sequence numbers: they count from the beginning of what is read."""
+    return [(t, {k: v for k, v in value.items() if k not in ("_request_sequence", "line")}) for t, value in rows]
+
+
+# --- moments --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "anchor", "ns"),
+    [
+        ("+10s", "start", 10 * SECOND), ("+1.5min", "start", 90 * SECOND), ("-5min", "end", -300 * SECOND),
+        ("+250ms", "start", 250_000_000), ("-2h", "end", -7200 * SECOND), ("+3", "start", 3 * SECOND),
+        ("1970-01-01T00:01:00Z", "utc", 60 * SECOND), ("1970-01-01T01:00:00+01:00", "utc", 0),
+        ("1970-01-02", "utc", 86400 * SECOND), ("1970-01-01 00:00:01.000000001", "utc", SECOND + 1),
+    ],
+)  # fmt: skip
+def test_moments(text, anchor, ns):
+    assert parse(text)[:2] == (anchor, ns)
+
+
+@pytest.mark.parametrize("text", ["", "10s", "yesterday", "2026-13-01", "+5y", "2026-11-21T25:00:00Z", "+-3s"])
+def test_no_moments(text):
+    with pytest.raises(UsageError, match="is no moment"):
+        parse(text)
+
+
+def test_a_time_as_text_is_a_moment():
+    assert parse(iso(UTC + 123)).ns == UTC + 123
+
+
+# --- since and until ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--since", "+10s", "--until", "+12s"), ("--since=-20s", "--until=-18s"),
+        ("--since", iso(UTC + 10 * SECOND), "--until", iso(UTC + 12 * SECOND)),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("kind", ["whole", "unfinished", "parts"])
+def test_a_stretch_is_decoded_as_in_the_whole(tmp_path, words, kind):
+    path = log(tmp_path / "logs", parts=kind == "parts")
+    whole = [row for part in sorted(path.parent.glob("*.mcap")) for row in read(part)]
+    if kind == "unfinished":
+        if "-" in words[0][7:]:
+            words = ("--since", "+10s", "--until", "+12s")
+        path.write_bytes(path.read_bytes()[:-60])
+    out = decoded(path.parent if kind == "parts" else path, *words)
+    got = within(read(out), 0, 100)
+    assert bare(got) == bare(within(whole, 10, 12))
+    about = metadata(out)
+    assert (about["since"], about["until"]) == (iso(UTC + 10 * SECOND), iso(UTC + 12 * SECOND))
+
+
+def test_show_a_stretch(tmp_path, capsys):
+    path = log(tmp_path / "logs")
+    assert main(["show", str(path), "--since=-1s", "--json"]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(rows) == 40
+    assert main(["show", str(path), "--since", "+5s", "--until", "+1s"]) == 2
+    assert "lies before" in capsys.readouterr().err
+
+
+def test_of_any_capture(tmp_path, capsys):
+    path = tmp_path / "can.log"
+    path.write_text("".join(f"({100 + n}.000000) can0 001#3031\n" for n in range(100)))
+    assert main(["show", str(path), "--since", "+10s", "--until", "+14s", "--json"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 5
+    assert main(["show", str(path), "--since=-3s", "--json"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 4
+    path.write_text("FA 01 32 2D\n" * 5)
+    assert main(["show", str(path), "--since", "+10s"]) == 2
+    assert "has no times" in capsys.readouterr().err
+
+
+def test_what_lies_before_is_not_read(tmp_path):
+    """Of a whole log only the chunks of the stretch are read, and its hash is not told."""
+    path = log(tmp_path / "logs", seconds=120)
+    with path.open("rb") as stream:
+        assert len(make_reader(stream).get_summary().chunk_indexes) >= 1
+    with open_source(path) as source:
+        source.skip_before_ns = UTC + 100 * SECOND
+        times = [item.t_ns for item in source if hasattr(item, "data")]
+    assert min(times) >= UTC + 100 * SECOND
+
+
+# --- cut ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["whole", "unfinished", "parts"])
+def test_a_cut_is_complete_by_itself(tmp_path, capsys, kind):
+    path = log(tmp_path / "logs", parts=kind == "parts")
+    whole = [row for part in sorted(path.parent.glob("*.mcap")) for row in read(part)]
+    if kind == "unfinished":
+        path.write_bytes(path.read_bytes()[:-60])
+    out = tmp_path / "cut.mcap"
+    given = str(path.parent if kind == "parts" else path)
+    assert main(["cut", given, "--since", "+10s", "--until", "+12s", "-o", str(out)]) == 0
+    said = capsys.readouterr()
+    assert f"from {iso(UTC + 10 * SECOND)}" in said.out
+    assert ("is not whole" in said.err) == (kind == "unfinished")
+    assert bare(within(read(out), 0, 100)) == bare(within(whole, 10, 12))
+    make_reader(io.BytesIO(out.read_bytes()), validate_crcs=True).get_summary()
+    about = metadata(out)
+    assert (about["since"], about["bus.left.endpoint"]) == (iso(UTC + 10 * SECOND), "serial:/dev/ttyUSB0")
+    raw = [v for t, _, v in read(out) if t == "/left/raw"]
+    assert raw[0]["_offset"] > 0
+    again = decoded(out)
+    assert {t for t, _, _ in read(again)} == {t for t, _, _ in read(out) if not t.endswith("/raw")}
+    frames = [v["_offset"] for t, _, v in read(again) if t == "/left/1/read_speed/request"]
+    assert frames == [v["_offset"] for t, _, v in read(out) if t == "/left/1/read_speed/request"]
+    assert metadata(again)["dialect"] == "mks-rs485,mks-can"
+
+
+def test_a_cut_of_one_bus(tmp_path, capsys):
+    path = log(tmp_path / "logs")
+    out = tmp_path / "cut.mcap"
+    assert main(["cut", str(path), "--bus", "arm", "-o", str(out)]) == 0
+    assert {t.split("/")[1] for t, _, _ in read(out)} == {"arm", "recording", "comments"}
+    assert {v["bus"] for t, _, v in read(out) if t == "/recording"} == {"arm", ""}
+    assert main(["cut", str(path), "--bus", "none", "-o", str(tmp_path / "x.mcap")]) == 2
+    assert "no bus none in out.mcap; there are" in capsys.readouterr().err
+    assert not (tmp_path / "x.mcap").exists()
+
+
+def test_wrong_cuts(tmp_path, capsys):
+    path = log(tmp_path / "logs", seconds=2)
+    for words, text in (
+        (("--since", "2020-01-01", "--until", "2020-01-02"), "nothing of out.mcap lies there"),
+        (("--since", "+2s", "--until", "+1s"), "lies before"),
+    ):
+        assert main(["cut", str(path), *words, "-o", str(tmp_path / "x.mcap")]) == 2
+        assert text in capsys.readouterr().err
+    assert main(["cut", str(path), "-o", str(path)]) == 2
+    assert "is the log itself" in capsys.readouterr().err
+    capture = tmp_path / "x.log"
+    capture.write_text("(1.0) can0 001#3031\n")
+    assert main(["cut", str(capture), "-o", str(tmp_path / "x.mcap")]) == 2
+    assert "expected an MCAP log" in capsys.readouterr().err
+
+
+# --- merge ----------------------------------------------------------------------------------------------------------
+
+
+def test_logs_with_buses_of_one_name(tmp_path, capsys):
+    first = log(tmp_path / "a", "a.mcap", seconds=3)
+    second = log(tmp_path / "b", "b.mcap", seconds=3, ports=(LEFT,), anchor=10_000_000)
+    out = tmp_path / "both.mcap"
+    assert main(["merge", str(first), str(second), "-o", str(out)]) == 0
+    assert "renamed: b_left" in capsys.readouterr().out
+    rows = read(out)
+    assert len(rows) == len(read(first)) + len(read(second))
+    times = [m.log_time for _, m, _ in rows]
+    assert times == sorted(times)
+    assert raw_of([out], "left") == raw_of([first], "left")
+    assert raw_of([out], "b_left") == raw_of([second], "left")
+    numbers = {}
+    for topic, message, value in rows:
+        if "_request_sequence" in value:
+            assert numbers[value["_request_sequence"]] == topic.replace("/reply", "/request")
+        if topic not in ("/findings",) and message.sequence and not topic.endswith("/state"):
+            assert message.sequence not in numbers
+            numbers[message.sequence] = topic
+    for topic, _, value in rows:
+        if topic == "/findings":
+            assert numbers[value["line"]] == value["file"]
+            assert value["file"].split("/")[1] in (value["bus"], "recording")
+    again = decoded(out)
+    assert {t for t, _, _ in read(again) if "left" in t} == {t for t, _, _ in rows if "left" in t and not t.endswith("/raw")}
+
+
+def test_parts_become_one(tmp_path):
+    path = log(tmp_path / "logs", parts=True)
+    parts = sorted(path.parent.glob("*.mcap"))
+    out = tmp_path / "week.mcap"
+    assert main(["merge", str(path.parent), "-o", str(out)]) == 0
+    whole = [row for part in parts for row in content(part)]
+    assert content(out) == whole
+    out.unlink()
+    assert main(["merge", *map(str, parts), "-o", str(out)]) == 0
+    assert content(out) == whole
+    assert content(decoded(out)) == whole
+
+
+def test_a_merge_that_fails_leaves_nothing(tmp_path, capsys):
+    first = log(tmp_path / "a", seconds=1)
+    assert main(["merge", str(first), str(tmp_path / "none.mcap"), "-o", str(tmp_path / "x.mcap")]) == 2
+    assert main(["merge", str(first), "-o", str(tmp_path / "no" / "x.mcap")]) == 2
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a"]
+
+
+# --- follow ---------------------------------------------------------------------------------------------------------
+
+
+class Following:
+    """`servotap show --follow` in a process."""
+
+    def __init__(self, path, *words):
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "analyzer", "show", "--follow", "--json", str(path), *words],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        )  # fmt: skip
+
+    def lines(self, count):
+        return [json.loads(self.process.stdout.readline()) for _ in range(count)]
+
+    def end(self, timeout=20):
+        out, err = self.process.communicate(timeout=timeout)
+        return [json.loads(line) for line in out.splitlines()], err.decode()
+
+
+def test_follow_one_that_is_written(tmp_path):
+    """Frames are shown as they are flushed, over a rotation and a process that goes on, up to the end of the recording."""
+    from analyzer.live import config
+    from analyzer.live.lock import RUNNING, Lock
+    from analyzer.live.log_parts import LogParts
+    from analyzer.live.recording import Recording
+
+    spools = Spools(tmp_path, LEFT, rotate_bytes=2500)
+    told = config.load(spools.folder)
+    lock = Lock(spools.folder, RUNNING, shared=True)
+    recording = Recording(spools.folder, told, LogParts(spools.folder, told))
+    following = None
+    shown = []
+    try:
+        for n in range(60):
+            spools.data("1-left", 100 * n, sum8("FA 01 32"))
+            spools.data("1-left", 100 * n + 3, sum8("FB 01 32 FE D4"))
+            spools.idle("1-left", 100 * n + 60)
+            recording.take(recording.merger.take(None))
+            recording.settle(recording.merger.horizon_ns)
+            recording.flush()
+            if recording.rotation_due:
+                recording.rotate(lambda step: step())
+            if n == 5:
+                following = Following(recording.parts.path)
+                shown += following.lines(12)
+            if n == 20:
+                # The pause is in the log, so the reply before it is shown though nothing follows.
+                shown += following.lines(30)
+            if n == 30:
+                recording.abandon()
+                recording = Recording(spools.folder, told, LogParts(spools.folder, told))
+        spools.end(7000)
+        while not recording.merger.drained:
+            recording.take(recording.merger.take(None))
+        recording.finish(lambda step: step())
+        rest, errors = following.end()
+    finally:
+        lock.close()
+        if following is not None and following.process.poll() is None:
+            following.process.kill()
+    shown += rest
+    assert recording.parts.number > 2
+    assert [row["role"] for row in shown] == ["request", "reply"] * 60
+    assert [row["offset"] for row in shown] == sorted(row["offset"] for row in shown)
+    assert "problem" not in errors
+
+
+def test_follow_ends_with_ctrl_c_and_when_nobody_writes(tmp_path):
+    path = log(tmp_path / "logs", seconds=1)
+    path.write_bytes(path.read_bytes()[:-100])
+    following = Following(path)
+    following.lines(20)
+    following.process.send_signal(signal.SIGINT)
+    following.end()
+    assert following.process.returncode == 0
+    path.with_name("out.mcap.spool").mkdir()
+    following = Following(path, "--since=-300ms")
+    rows, errors = following.end()
+    assert 0 < len(rows) < 20
+    assert "nobody writes out.mcap any more; servotap recover makes it whole" in errors

@@ -1,0 +1,53 @@
+"""The wall clock is watched and never followed."""
+
+from __future__ import annotations
+
+import time
+
+from analyzer.live.clock import DRIFT_EVERY_NS, STEP_NS, Now, WallClock, now
+
+START = Now(1_000, 1_700_000_000_000_000_000, 5_000)
+SECOND = 1_000_000_000
+
+
+def at(seconds, *, wall=0, slept=0):
+    """The clocks so much later; `wall`, `slept`: what was added to them, in nanoseconds."""
+    passed = int(seconds * SECOND)
+    return Now(START.monotonic_ns + passed, START.wall_ns + passed + wall + slept, START.boot_ns + passed + slept)
+
+
+def test_a_moment_is_the_same_on_all_clocks():
+    before = time.monotonic_ns(), time.time_ns()
+    moment = now()
+    after = time.monotonic_ns(), time.time_ns()
+    assert before[0] <= moment.monotonic_ns <= after[0]
+    assert before[1] <= moment.wall_ns <= after[1]
+    assert moment.boot_ns >= moment.monotonic_ns - SECOND
+
+
+def test_a_clock_that_runs_is_nothing_to_tell_but_its_drift_once_a_minute():
+    clock = WallClock(START)
+    told = [(second, change) for second in range(1, 131) for change in clock.look(at(second, wall=second * 1000))]
+    assert [(second, c.event, c.about) for second, c in told] == [
+        (60, "clock_drift", {"offset_ns": 60_000}),
+        (120, "clock_drift", {"offset_ns": 120_000}),
+    ]
+    assert DRIFT_EVERY_NS == 60 * SECOND
+
+
+def test_a_clock_that_is_set_is_told_with_how_far():
+    clock = WallClock(START)
+    clock.look(at(1))
+    for step in (3600 * SECOND, -2 * SECOND, STEP_NS + 1):
+        fresh = WallClock(START)
+        assert [(c.event, c.about) for c in fresh.look(at(1, wall=step))] == [
+            ("clock_step", {"step_ns": step, "cause": "the wall clock was set"})
+        ]
+        assert fresh.look(at(2, wall=step)) == [], "told once"
+        assert fresh.stepped_ns == step
+    assert WallClock(START).look(at(1, wall=STEP_NS)) == []
+
+
+def test_a_machine_that_slept_is_told_apart():
+    (change,) = WallClock(START).look(at(1, slept=600 * SECOND))
+    assert change.about == {"step_ns": 600 * SECOND, "cause": "the machine slept"}

@@ -1,0 +1,224 @@
+"""The decoding process: what the spools hold becomes a log that is complete, and the same as `decode` makes of its bytes."""
+
+from __future__ import annotations
+
+import io
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from analyzer.cli import main
+from analyzer.live.config import CONTROL
+from analyzer.live.spool import CanFlag
+from tests.collect import crc, sum8
+from tests.live.spooled import START, UTC, Spools, content, decoded_of, metadata, port, raw_of, read, traffic
+
+LEFT = port("1-left", "left", byte_ns=260_416, speed=38400)
+
+
+def decoded_again(log, *words):
+    out = log.with_name("again.mcap")
+    assert main(["decode", str(log), "-o", str(out), "--force", *words]) == 0
+    return out
+
+
+def test_a_recording_is_a_log_like_any_other(tmp_path):
+    spools = Spools(tmp_path, LEFT, port("2-arm", "arm", "can", ("mks-can",), speed=500_000))
+    spools.event(CONTROL, 0, "begin", host="bench", version="1", system="linux")
+    spools.event("1-left", 0, "open", precision="within 0.1 ms", notes=["RTS could not be held"])
+    spools.data("1-left", 10, sum8("FA 01 32"))
+    spools.can("2-arm", 12, "001#3031")
+    spools.data("1-left", 13, sum8("FB 01 32 FE D4"))
+    spools.can("2-arm", 14, "001#3000000000123477")
+    spools.event(CONTROL, 15, "mark", text="lifted the arm")
+    spools.idle("1-left", 70)
+    spools.end(100)
+    assert spools.record() == []
+    assert not spools.folder.exists()
+    rows = read(spools.log)
+    topics = [topic for topic, _, _ in rows]
+    assert {"/left/1/read_speed/request", "/left/1/read_speed/reply", "/left/1/state"} <= set(topics)
+    assert "/arm/1/read_encoder_carry/reply" in topics
+    reply = next(value for topic, _, value in rows if topic == "/left/1/read_speed/reply")
+    assert (reply["speed"], reply["_offset"]) == (-300, 4)
+    assert reply["_latency"] == pytest.approx(3e-3 - 5 * 260_416e-9)
+    assert next(v["message"] for t, _, v in rows if t == "/comments") == "lifted the arm"
+    assert [m.log_time for t, m, _ in rows if t == "/left/raw"] == [UTC + ms * 1_000_000 for ms in (10, 13, 70)]
+    times = [message.log_time for _, message, _ in rows]
+    assert times == sorted(times)
+    about = metadata(spools.log)
+    assert about["bus.left.endpoint"] == "serial:/dev/ttyUSB0"
+    assert about["bus.left.notes"] == "RTS could not be held"
+    assert about["bus.arm.bit_rate"] == "500000"
+    assert about["ended"] == "Ctrl-C"
+    assert int(about["bytes_total"]) == int(about["bytes_in_frames"]) + int(about["bytes_junk"])
+    assert raw_of([spools.log], "left") == spools.sent["left"]
+    assert not [t for t in topics if t == "/arm/raw"]  # its frames stand in the decoded topics
+    assert content(decoded_again(spools.log)) == content(spools.log)
+
+
+def test_what_happened_to_a_port_stands_in_the_log(tmp_path):
+    spools = Spools(tmp_path, LEFT)
+    spools.data("1-left", 10, sum8("FA 01 32")[:6])
+    spools.event("1-left", 20, "lost", reason="unplugged")
+    spools.event("1-left", 3020, "back", gap_ns=3_000_000_000, from_ns=START + 20_000_000, reason="unplugged", notes=[])
+    spools.data("1-left", 3030, sum8("FA 01 32"))
+    spools.event("1-left", 3040, "overrun", from_ns=START, overrun=2)
+    spools.event("1-left", 3050, "dropped", lost=70, bytes=70, from_ns=START, to_ns=START, reason="disk full")
+    spools.event(CONTROL, 3060, "clock_step", step_ns=-5_000_000_000, cause="the wall clock was set")
+    spools.data("1-left", 3070, sum8("FA 01 32"))
+    spools.end(4000)
+    spools.record()
+    found = {v["name"]: v for t, _, v in read(spools.log) if t == "/findings"}
+    assert {"port_lost", "port_back", "overrun", "dropped", "clock_step", "junk_truncated"} <= set(found)
+    assert "gone for 3.000 s" in found["port_back"]["message"]
+    begun, ended = found["port_back"]["timestamp"], UTC + 20_000_000
+    assert begun["sec"] * 10**9 + begun["nsec"] == ended
+    events = {(v["event"], m.sequence) for t, m, v in read(spools.log) if t == "/recording"}
+    assert ("back", found["port_back"]["line"]) in events
+    assert metadata(spools.log)["bus.left.lost"] == "70 bytes"
+    assert content(decoded_again(spools.log)) == content(spools.log)
+
+
+def test_bytes_that_a_reader_counted_and_nobody_told_of(tmp_path):
+    spools = Spools(tmp_path, LEFT)
+    spools.data("1-left", 10, sum8("FA 01 32"))
+    spools._counts["1-left"] += 9
+    spools.data("1-left", 20, sum8("FB 01 32 FE D4"))
+    spools.end(100)
+    spools.record()
+    assert [v["message"] for t, _, v in read(spools.log) if t == "/findings" and v["name"] == "dropped"] == [
+        "9 bytes are missing in what was stored"
+    ]
+
+
+def test_two_directions_are_one_bus(tmp_path):
+    spools = Spools(tmp_path, port("1-left-a", "left", direction="request"), port("2-left-b", "left", direction="reply"))
+    for n in range(20):
+        spools.data("1-left-a", 10 * n, sum8("FA 01 32"))
+        spools.data("2-left-b", 10 * n + 3, sum8("FB 01 32 FE D4"))
+    spools.end(1000)
+    spools.record()
+    rows = read(spools.log)
+    assert [v["_direction"] for t, _, v in rows if t == "/left/raw"] == ["request", "reply"] * 20
+    assert sum(t == "/left/1/read_speed/reply" and "_latency" in v for t, _, v in rows) == 20
+    assert not [t for t, _, _ in rows if t == "/findings"]
+    assert content(decoded_again(spools.log)) == content(spools.log)
+
+
+def test_can_directions_and_flags_survive(tmp_path):
+    spools = Spools(tmp_path, port("1-arm", "arm", "can", ("mks-can",)))
+    spools.can("1-arm", 1, "001#3031", CanFlag.TX)
+    spools.can("1-arm", 2, "001#3000000000123477")
+    spools.can("1-arm", 3, "18DAF110#0102", CanFlag.EXTENDED)
+    spools.can("1-arm", 4, "20000004#0000000000000000", CanFlag.ERROR)
+    spools.end(100)
+    spools.record()
+    frames = [v for t, _, v in read(spools.log) if "_can_id" in v]
+    assert [v.get("_direction") for v in frames] == ["request", "reply", "reply", "reply"]
+    assert content(decoded_again(spools.log)) == content(spools.log)
+
+
+@pytest.mark.parametrize(("kind", "text"), [("serial", sum8("FA 01 32")), ("can", "001#3031")])
+def test_raw_only_is_decoded_later(tmp_path, kind, text):
+    folders = []
+    for raw_only in (False, True):
+        folder = tmp_path / str(raw_only)
+        folder.mkdir()
+        dialects = ("mks-can",) if kind == "can" else ("mks-rs485",)
+        spools = Spools(folder, port("1-x", "x", kind, dialects), raw_only=raw_only)
+        for n in range(5):
+            (spools.can if kind == "can" else spools.data)("1-x", 100 * n, text)
+            spools.idle("1-x", 100 * n + 50)
+        spools.end(1000)
+        spools.record()
+        folders.append(spools.log)
+    full, raw = folders
+    assert {t for t, _, _ in read(raw)} == {"/recording", "/x/raw"}
+    assert content(decoded_again(raw))[2:] == content(full)[2:]
+
+
+# --- the dialect ----------------------------------------------------------------------------------------------------
+
+
+def modbus(n):
+    return crc(f"01 04 00 32 00 {1 + n % 2:02X}"), crc("01 04 02 00 10" if n % 2 == 0 else "01 04 04 00 10 00 20")
+
+
+def test_the_dialect_is_found_before_anything_is_decoded(tmp_path):
+    spools = Spools(tmp_path, port("1-left", "left", dialects=()), port("2-right", "right", dialects=()))
+    for n in range(30):
+        request, reply = modbus(n)
+        spools.data("1-left", 10 * n, request)
+        spools.data("1-left", 10 * n + 3, reply)
+        spools.data("2-right", 10 * n + 5, sum8("FA 01 32"))
+        spools.data("2-right", 10 * n + 7, sum8("FB 01 32 FE D4"))
+    spools.end(1000)
+    spools.record()
+    assert {t.split("/")[1] for t, _, v in read(spools.log) if "junk" in t} == set()
+    about = metadata(spools.log)
+    assert (about["bus.left.dialect"], about["bus.right.dialect"]) == ("mks-modbus", "mks-rs485")
+    assert "30 good frames" in about["bus.left.dialect_reason"]
+    assert raw_of([spools.log], "left") == decoded_of([spools.log], "left") == spools.sent["left"]
+    assert content(decoded_again(spools.log)) == content(spools.log)
+
+
+def test_noise_is_no_dialect_and_it_is_tried_again(tmp_path):
+    spools = Spools(tmp_path, port("1-left", "left", dialects=()))
+    chance = random.Random(1)
+    for n in range(20):
+        spools.data("1-left", 100 * n, bytes(chance.choice(b"\x00\x55\xaa\x10\x77") for _ in range(20)))
+        spools.idle("1-left", 100 * n + 60)
+    for n in range(200):
+        spools.data("1-left", 3000 + 50 * n, sum8("FA 01 32"))
+        spools.data("1-left", 3003 + 50 * n, sum8("FB 01 32 FE D4"))
+    spools.end(20_000)
+    # In steps: while it comes, as it would be live.
+    spools.record()
+    said = [v for t, _, v in read(spools.log) if t == "/recording" and v["event"] == "dialect"]
+    assert said[0]["dialects"] == ["mks-rs485", "mks-modbus", "lk-rs485"]
+    assert raw_of([spools.log], "left") == decoded_of([spools.log], "left") == spools.sent["left"]
+    assert content(decoded_again(spools.log)) == content(spools.log)
+
+
+# --- however it comes -----------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.data())
+def test_the_log_is_what_decode_makes_of_its_bytes(tmp_path_factory, data):
+    """Random chunks, pauses and idle marks; whatever the times say."""
+    folder = tmp_path_factory.mktemp("equal")
+    auto = data.draw(st.booleans())
+    byte_ns = data.draw(st.sampled_from([0, 260_416, 2_500]))
+    names = () if auto else ("mks-rs485", "mks-modbus")
+    spools = Spools(folder, port("1-left", "left", dialects=names, byte_ns=byte_ns))
+    stream = b"".join(piece for _, piece in traffic(data.draw(st.integers(0, 1000)), data.draw(st.integers(1, 12))))
+    ms, at = 1.0, 0
+    while at < len(stream):
+        size = data.draw(st.integers(1, 12))
+        ms += data.draw(st.sampled_from([0, 0.1, 1, 3, 24, 26, 60, 200, 6000]))
+        if data.draw(st.booleans()):
+            spools.idle("1-left", ms)
+        ms += data.draw(st.sampled_from([0, 0.5, 5]))
+        spools.data("1-left", ms, stream[at : at + size])
+        at += size
+    spools.end(ms + 1)
+    spools.record()
+    assert raw_of([spools.log], "left") == decoded_of([spools.log], "left") == stream
+    assert content(decoded_again(spools.log)) == content(spools.log)
+
+
+def test_the_library_reads_it(tmp_path):
+    spools = Spools(tmp_path, LEFT)
+    for n in range(300):
+        spools.data("1-left", 10 * n, sum8("FA 01 32"))
+    spools.end(5000)
+    spools.record()
+    reader = make_reader(io.BytesIO(spools.log.read_bytes()), validate_crcs=True)
+    summary = reader.get_summary()
+    assert summary.statistics.message_count == sum(1 for _ in reader.iter_messages())
+    assert len(list(reader.iter_messages(topics=["/left/1/read_speed/request"]))) == 300

@@ -1,0 +1,280 @@
+"""Logs made whole: with their spools nothing is lost, without them all that can be read is kept and the rest is told."""
+
+from __future__ import annotations
+
+import io
+import random
+import shutil
+
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from analyzer.cli import main
+from analyzer.live import config
+from analyzer.live.lock import RUNNING, Lock
+from analyzer.live.log_parts import LogParts
+from analyzer.live.recording import Recording
+from analyzer.sinks.mcap_repair import is_whole, repair
+from tests.collect import sum8
+from tests.live.spooled import START, Spools, content, decoded_of, metadata, port, raw_of, read
+from tests.live.test_recorder_killed import ARM, LEFT, RIGHT, fill
+
+
+def killed(tmp_path, steps=300, **about):
+    """A recording that was killed in the midst, with its spools; and the same that ran to its end."""
+    folders = [tmp_path / name for name in ("straight", "killed")]
+    for folder in folders:
+        folder.mkdir(parents=True)
+    straight, broken = (Spools(folder, LEFT, RIGHT, ARM, **about) for folder in folders)
+    for spools in (straight, broken):
+        fill(spools, 11)
+    straight.record()
+    told = config.load(broken.folder)
+    recording = Recording(broken.folder, told, LogParts(broken.folder, told))
+    for number, each in enumerate(recording.merger.take(START + 10**12)):
+        recording.take([each])
+        if number % 100 == 99:
+            recording.flush()
+        if number == steps:
+            break
+    recording.abandon()
+    return straight, broken
+
+
+def test_with_its_spools_nothing_is_lost(tmp_path, capsys):
+    straight, broken = killed(tmp_path)
+    assert not is_whole(broken.log)
+    assert main(["recover", str(broken.log)]) == 0
+    assert "whole; went on where the recording had stopped" in capsys.readouterr().out
+    assert content(broken.log) == content(straight.log)
+    assert not broken.folder.exists()
+    assert main(["recover", str(broken.log)]) == 0
+    assert "nothing was changed" in capsys.readouterr().out
+
+
+def test_on_a_copy_all_stays_as_it_was(tmp_path, capsys):
+    straight, broken = killed(tmp_path)
+    before = broken.log.read_bytes(), sorted(p.name for p in broken.folder.iterdir())
+    out = tmp_path / "whole.mcap"
+    assert main(["recover", str(broken.log), "-o", str(out)]) == 0
+    assert content(out) == content(straight.log)
+    assert (broken.log.read_bytes(), sorted(p.name for p in broken.folder.iterdir() if p.name != RUNNING)) == before
+    assert [p.name for p in tmp_path.iterdir() if p.name.startswith(".")] == []
+    assert main(["recover", str(broken.log), "-o", str(out)]) == 2
+    assert "--force" in capsys.readouterr().err
+
+
+def test_not_while_it_runs(tmp_path, capsys):
+    _, broken = killed(tmp_path)
+    with Lock(broken.folder, RUNNING, shared=True):
+        assert main(["recover", str(broken.log)]) == 2
+    assert "is being recorded" in capsys.readouterr().err
+
+
+def test_a_log_that_was_cut_is_not_gone_on_with(tmp_path, capsys):
+    _, broken = killed(tmp_path)
+    broken.log.write_bytes(broken.log.read_bytes()[:3000])
+    assert main(["recover", str(broken.log)]) == 2
+    assert "it was cut or replaced" in capsys.readouterr().err
+    broken.folder.rename(tmp_path / "away")
+    assert main(["recover", str(broken.log)]) == 0
+    assert is_whole(broken.log)
+
+
+def test_without_its_spools_what_was_flushed_is_kept(tmp_path, capsys):
+    straight, broken = killed(tmp_path)
+    broken.folder.rename(tmp_path / "away")
+    assert main(["recover", str(broken.log)]) == 0
+    said = capsys.readouterr().out
+    assert "whole;" in said
+    assert is_whole(broken.log)
+    whole, saved = content(straight.log), content(broken.log)
+    assert len(saved) > 100
+    assert saved == whole[: len(saved)]
+    about = metadata(broken.log)
+    assert about["incomplete"] == "the recording was killed"
+    assert about["bus.left.endpoint"] == "serial:/dev/ttyUSB0"
+    assert raw_of([broken.log], "left") == straight.sent["left"][: len(raw_of([broken.log], "left"))]
+
+
+def whole_log(tmp_path, count=4000):
+    spools = Spools(tmp_path, port("1-left", "left"))
+    for n in range(count):
+        spools.data("1-left", 5 * n, sum8("FA 01 32") if n % 2 == 0 else sum8(f"FB 01 32 {n % 256:02X} D4"))
+    spools.end(6 * count)
+    told = config.load(spools.folder)
+    recording = Recording(spools.folder, told, LogParts(spools.folder, told))
+    for number, each in enumerate(recording.merger.take(None)):
+        recording.take([each])
+        if number % 200 == 0:
+            recording.flush()
+    while not recording.merger.drained:
+        recording.take(recording.merger.take(None))
+    recording.finish(lambda step: step())
+    shutil.rmtree(spools.folder)
+    return spools
+
+
+def messages(data):
+    reader = make_reader(io.BytesIO(data), validate_crcs=True)
+    return [(c.topic, m.sequence, m.log_time, m.data) for _, c, m in reader.iter_messages(log_time_order=False)]
+
+
+def repaired(path):
+    out = io.BytesIO()
+    outcome = repair(path, out)
+    return outcome, messages(out.getvalue())
+
+
+def test_cut_anywhere(tmp_path):
+    """Whatever is missing at the end: all messages before it are kept, those of a torn chunk as far as it goes."""
+    spools = whole_log(tmp_path)
+    data = spools.log.read_bytes()
+    wanted = messages(data)
+    chance = random.Random(3)
+    kept_before = -1
+    for cut in sorted(chance.sample(range(200, len(data)), 25)):
+        spools.log.write_bytes(data[:cut])
+        outcome, kept = repaired(spools.log)
+        assert kept == wanted[: len(kept)]
+        assert len(kept) >= kept_before
+        assert outcome.faults
+        kept_before = len(kept)
+    assert kept_before > 0.9 * len(wanted)
+
+
+def test_a_torn_chunk_is_read_as_far_as_it_goes(tmp_path):
+    path = tmp_path / "big.mcap"
+    chance = random.Random(1)
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.ZSTD, chunk_size=1 << 22)
+        writer.start()
+        schema = writer.register_schema("x", "jsonschema", b'{"type":"object"}')
+        channel = writer.register_channel("/x", "json", schema)
+        for n in range(20000):
+            writer.add_message(channel, n, b'{"x":"%b"}' % chance.randbytes(20).hex().encode(), n, n)
+        writer.finish()
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    outcome, kept = repaired(path)
+    assert len(kept) > 5000
+    assert "a chunk breaks off" in str(outcome.faults[0])
+
+
+def test_garbage_at_the_end_and_in_the_midst(tmp_path):
+    spools = whole_log(tmp_path)
+    data = spools.log.read_bytes()
+    wanted = messages(data)
+    summary = make_reader(io.BytesIO(data)).get_summary()
+    seam = summary.chunk_indexes[3].chunk_start_offset
+    for garbage in (b"\0" * 500, random.Random(1).randbytes(5000), b"\x06" * 100):
+        spools.log.write_bytes(data[:seam] + garbage + data[seam:])
+        outcome, kept = repaired(spools.log)
+        assert kept == wanted
+        assert [(f.offset, f.size) for f in outcome.faults if f.size] == [(seam, len(garbage))]
+        last = summary.chunk_indexes[-1]
+        end = last.chunk_start_offset + last.chunk_length
+        spools.log.write_bytes(data[:end] + garbage)
+        outcome, kept = repaired(spools.log)
+        assert kept == wanted
+
+
+def test_a_damaged_chunk_costs_that_chunk_and_is_told(tmp_path, capsys):
+    spools = whole_log(tmp_path)
+    data = bytearray(spools.log.read_bytes())
+    wanted = messages(bytes(data))
+    index = make_reader(io.BytesIO(bytes(data))).get_summary().chunk_indexes[10]
+    at = index.chunk_start_offset + 200
+    data[at : at + 8] = bytes(8)
+    spools.log.write_bytes(bytes(data[:-50]))
+    outcome, kept = repaired(spools.log)
+    assert 0 < len(kept) < len(wanted)
+    assert set(kept) < set(wanted)
+    assert "is damaged" in str(outcome.faults[0])
+    assert main(["recover", str(spools.log)]) == 0
+    assert "is damaged" in capsys.readouterr().out
+    assert messages(spools.log.read_bytes()) == kept
+
+
+def test_lost_declarations_do_not_lose_messages(tmp_path):
+    """The first chunk declares the topics; what follows it is still there."""
+    spools = whole_log(tmp_path)
+    data = bytearray(spools.log.read_bytes())
+    chunks = make_reader(io.BytesIO(bytes(data))).get_summary().chunk_indexes
+    first = chunks[0]
+    data[first.chunk_start_offset + 80 : first.chunk_start_offset + 100] = bytes(20)
+    wanted = messages(spools.log.read_bytes())
+    # With the old summary the topics are known; without it they are not, but their messages are kept.
+    spools.log.write_bytes(bytes(data))
+    _, kept = repaired(spools.log)
+    assert set(kept) < set(wanted)
+    spools.log.write_bytes(bytes(data[:-30]))
+    outcome, kept = repaired(spools.log)
+    assert {m[3] for m in kept} < {m[3] for m in wanted}
+    assert any(topic.startswith("/lost/") for topic, *_ in kept)
+    assert any("declaration of channel" in str(f) for f in outcome.faults)
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4, CompressionType.NONE])
+@pytest.mark.parametrize("chunked", [True, False])
+def test_logs_of_other_programs(tmp_path, compression, chunked):
+    path = tmp_path / "other.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=compression, use_chunking=chunked, chunk_size=1000)
+        writer.start("ros2", "other 1.0")
+        schema = writer.register_schema("x", "jsonschema", b'{"type":"object"}')
+        channel = writer.register_channel("/x", "json", schema)
+        writer.add_attachment(1, 1, "a.txt", "text/plain", b"hello")
+        writer.add_metadata("about", {"a": "b"})
+        for n in range(200):
+            writer.add_message(channel, n, b'{"x":%d}' % n, n, n)
+        writer.finish()
+    data = path.read_bytes()
+    wanted = messages(data)
+    path.write_bytes(data[:-100])
+    out = io.BytesIO()
+    outcome = repair(path, out)
+    kept = messages(out.getvalue())
+    assert kept == wanted[: len(kept)]
+    assert len(kept) >= 190
+    reader = make_reader(io.BytesIO(out.getvalue()))
+    assert reader.get_header().profile == "ros2"
+    assert [a.data for a in reader.iter_attachments()] == [b"hello"]
+    assert {m.name for m in reader.iter_metadata()} == {"about", "servotap.recovered"}
+    assert outcome.messages == len(kept)
+
+
+def test_what_is_no_log(tmp_path, capsys):
+    path = tmp_path / "x.mcap"
+    path.write_bytes(b"hello")
+    assert main(["recover", str(path)]) == 2
+    assert "is no MCAP log" in capsys.readouterr().err
+    assert path.read_bytes() == b"hello"
+    assert main(["recover", str(tmp_path / "none.mcap")]) == 2
+
+
+def test_a_recording_in_parts(tmp_path):
+    straight, broken = killed(tmp_path, rotate_bytes=1 << 30)
+    part = broken.log.with_name("out-0001.mcap")
+    assert part.exists()
+    assert main(["recover", str(part)]) == 0
+    assert content(part) == content(straight.log.with_name("out-0001.mcap"))
+    assert decoded_of([part], "left") == broken.sent["left"]
+    assert read(part)
+
+
+def test_killed_when_the_log_was_whole_and_its_spools_still_there(tmp_path):
+    spools = Spools(tmp_path, LEFT, RIGHT, ARM)
+    fill(spools, 2)
+    told = config.load(spools.folder)
+    recording = Recording(spools.folder, told, LogParts(spools.folder, told))
+    while not recording.merger.drained:
+        recording.take(recording.merger.take(None))
+        recording.settle(recording.merger.horizon_ns)
+        recording.flush()
+    recording.finish(lambda step: step())
+    whole = content(spools.log)
+    assert main(["recover", str(spools.log)]) == 0
+    assert content(spools.log) == whole
+    assert not spools.folder.exists()

@@ -1,0 +1,67 @@
+"""Who in conformance can put a byte on a bus, and who may: the gate, drives that are emulated, and a tap for its program."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+MODULES = sorted((ROOT / "conformance").rglob("*.py"))
+
+#: What can write to a port, a connection or a bus -> the calls that make it able to.
+WRITERS = {
+    # The host's end, in the hands of the gate.
+    "conformance/lines/serial.py": {"serial.Serial", "os.write"},
+    "conformance/lines/tcp.py": {"socket.create_connection"},
+    "conformance/can_port.py": {"can.Bus"},
+    # The drives' end.
+    "conformance/serve/pty.py": {"os.write"},
+    "conformance/serve/tcp.py": {"socket.create_server"},
+    # The one exception to the gate: bytes that a user's own program wrote to the port that a tap offers it.
+    "conformance/tap/adapter.py": {"os.open", "socket.socket"},
+    "conformance/tap/passing.py": {"os.write"},
+}
+_CALLS = {
+    "os.write", "os.open", "serial.Serial", "serial.serial_for_url", "can.Bus", "can.ThreadSafeBus", "socket.socket",
+    "socket.create_connection", "socket.create_server",
+}  # fmt: skip
+
+
+def name_of(path):
+    return str(path.relative_to(ROOT))
+
+
+def called(path):
+    return [ast.unparse(node.func) for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_what_can_write_stands_in_the_table(path):
+    found = set(called(path)) & _CALLS
+    # A file that is opened by name for reading, or to be locked, is no port.
+    opens_ports = "O_NOCTTY" in path.read_text()
+    found -= set() if opens_ports else {"os.open"}
+    assert found <= WRITERS.get(name_of(path), set())
+
+
+def test_the_table_names_nothing_that_is_not_there():
+    for name, calls in WRITERS.items():
+        assert calls <= set(called(ROOT / name)), name
+
+
+def test_only_the_gate_writes_to_a_line():
+    users = [name_of(path) for path in MODULES if any(c.endswith("line.write") for c in called(path))]
+    assert users == ["conformance/gate.py"]
+
+
+def test_a_tap_writes_what_it_read_and_nothing_it_made():
+    """Each of its two writes gets the bytes of the one read of the other side, by way of what waits in between."""
+    tree = ast.parse((ROOT / "conformance/tap/passing.py").read_text())
+    writes = [node for node in ast.walk(tree) if isinstance(node, ast.Call) and ast.unparse(node.func) == "os.write"]
+    assert sorted(ast.unparse(node) for node in writes) == ["os.write(fd, data)", "os.write(self._terminal.master, data)"]
+    # No literal bytes but the empty ones, with which what waits is tried again.
+    texts = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, bytes)}
+    assert texts <= {b""}
+    assert not any(c in ("bytes.fromhex", "build", "struct.pack") for c in called(ROOT / "conformance/tap/passing.py"))

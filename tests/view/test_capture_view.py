@@ -1,0 +1,370 @@
+"""The view of a capture, driven by keys; what is checked is what stands on the screen."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from analyzer import dialects
+from analyzer.pipeline import Options, Pipeline
+from analyzer.records import Chunk
+from analyzer.sinks.mcap_log import McapLog
+from analyzer.sources.tail import Follow
+from analyzer.view.capture import CaptureSource
+from tests.collect import sum8
+from tests.view.screen import CAPTURES, capture_of, drive, reading_of
+
+START = 1_700_000_000_000_000_000
+
+LOG = CAPTURES / "mks_rs485.log"
+
+
+def under_cursor(driver):
+    return driver.app.frames.line
+
+
+def test_frames_are_shown_decoded():
+    async def steps(driver):
+        text = driver.text
+        assert "mks_rs485.log  FILE" in text
+        assert "39 frames  3 E" in text
+        assert re.search(r"09:00:01\.040000 serial    1 > run_speed +direction=ccw speed=320", text)
+        assert re.search(r"09:00:01\.143000 serial    1 < read_speed +speed=320  \(3\.000 ms\)", text)
+
+    drive(capture_of(LOG), steps)
+
+
+@pytest.mark.parametrize("path", sorted(CAPTURES.glob("mks_rs485.*")), ids=lambda p: p.name)
+def test_every_format_shows_the_same_commands(path):
+    if path.suffix == ".golden":
+        pytest.skip("no capture")
+    expected = [line.command for line in lines_of(capture_of(LOG)) if line.dialect]
+    assert [line.command for line in lines_of(capture_of(path)) if line.dialect] == expected
+
+
+@pytest.mark.parametrize("name", ["mks_can.candump.log", "lk_rs485.log", "mks_modbus.log"])
+def test_every_dialect_is_explained_byte_by_byte(name):
+    async def steps(driver):
+        for _ in range(6):
+            await driver.press("down")
+        await driver.press("enter")
+        text = driver.text
+        assert re.search(r"^offset +hex", text, re.MULTILINE), text
+        await driver.press("enter")
+        assert "offset  hex" not in driver.text
+
+    drive(capture_of(CAPTURES / name), steps, size=(100, 50))
+
+
+def lines_of(source):
+    return [source.lines.line(n) for n in range(source.lines.first, source.lines.stop)]
+
+
+def test_moving():
+    async def steps(driver):
+        numbers = []
+        for key in ("down", "j", "up", "k", "pagedown", "pageup", "G", "g", "end", "home"):
+            await driver.press(key)
+            numbers.append(driver.app.frames.cursor)
+        last = driver.app.source.lines.stop - 1
+        assert numbers == [1, 2, 1, 0, numbers[4], 0, last, 0, last, 0]
+        assert 10 < numbers[4] < last
+
+    drive(capture_of(LOG), steps)
+
+
+def test_from_finding_to_finding():
+    async def steps(driver):
+        found = []
+        for key in ("e", "e", "e", "e", "E"):
+            await driver.press(key)
+            found.append(under_cursor(driver).rules[0])
+        assert found == ["out_of_range", "failed_status", "bad_checksum", "bad_checksum", "failed_status"]
+        assert "a finding: none" not in driver.text
+        await driver.press("G", "e")
+        assert "a finding: none below" in driver.text
+
+    drive(capture_of(LOG), steps)
+
+
+def test_a_search_goes_through_fields_names_and_bytes():
+    async def steps(driver):
+        await driver.press("slash")
+        await driver.type("full_speed")
+        assert under_cursor(driver).command == "read_status"
+        await driver.press("slash")
+        await driver.type("fa01fd")
+        assert under_cursor(driver).raw.startswith("FA 01 FD")
+        first = driver.app.frames.cursor
+        await driver.press("g", "slash")
+        await driver.type("1600")
+        assert under_cursor(driver).values == {"current": 1600}
+        await driver.press("slash")
+        await driver.type("MOVE_RELATIVE")
+        assert driver.app.frames.cursor == first
+        await driver.press("slash")
+        await driver.type("MOVE_RELATIVE")
+        await driver.press("n")
+        assert driver.app.frames.cursor > first
+        await driver.press("N", "N")
+        assert driver.app.frames.cursor == first
+        await driver.press("slash")
+        await driver.type("not there")
+        assert "'not there': none below" in driver.text
+
+    drive(capture_of(LOG), steps)
+
+
+def test_a_filter_shows_what_it_lets_through_and_says_what_it_does_not_know():
+    async def steps(driver):
+        await driver.press("f")
+        await driver.type("speed > 100")
+        assert "4 frames pass: speed > 100" in driver.text
+        assert [driver.app.frames.lines.line(n).command for n in range(4)] == [
+            "run_speed", "read_speed", "move_relative_pulses", "move_relative_axis",
+        ]  # fmt: skip
+        await driver.press("f")
+        await driver.type("spede > 100")
+        assert "no field 'spede' in any command; did you mean speed?" in driver.text
+        await driver.press("escape")
+        assert "4 frames pass" in driver.text
+        await driver.press("escape")
+        assert "frames pass" not in driver.text
+        assert driver.app.frames.wanted is None
+
+    drive(capture_of(LOG), steps)
+
+
+def test_a_filter_that_is_given_is_set():
+    async def steps(driver):
+        assert '1 frames pass: "bad_checksum" in findings' in driver.text
+
+    drive(capture_of(LOG), steps, filter_text='"bad_checksum" in findings')
+
+
+def test_a_jump_to_a_frame_that_the_filter_hides_clears_the_filter():
+    async def steps(driver):
+        await driver.press("f")
+        await driver.type("speed > 100")
+        await driver.press("3", "down", "enter")
+        assert driver.app.shown == "frames"
+        assert under_cursor(driver).rules == ("failed_status",)
+        assert driver.app.frames.wanted is None
+
+    drive(capture_of(LOG), steps)
+
+
+def test_counts_lead_to_the_frames_of_a_command():
+    async def steps(driver):
+        await driver.press("2")
+        text = driver.text
+        assert re.search(r"^serial +1 set_current +2 +2 +0\.40 +4\.00 +4\.06 +4\.12", text, re.MULTILINE), text
+        assert "by address" in text
+        await driver.press("o")
+        assert "by count" in driver.text
+        rows = [row for row in driver.rows if row.startswith("serial ") and "frames/s" not in row]
+        assert "set_current" in rows[0]
+        await driver.press("enter")
+        assert driver.app.shown == "frames"
+        assert "4 frames pass" in driver.text
+
+    drive(capture_of(LOG), steps)
+
+
+def test_findings_are_listed_with_their_counts():
+    async def steps(driver):
+        await driver.press("3")
+        text = driver.text
+        assert "out_of_range 1  failed_status 1  bad_checksum 1" in text
+        assert "E out_of_range: current: got 6000 mA, expected 0..5200 mA (section 5.2.3)" in text
+        await driver.press("enter")
+        assert under_cursor(driver).command == "set_current"
+
+    drive(capture_of(LOG), steps)
+
+
+def test_fields_are_plotted():
+    async def steps(driver):
+        await driver.press("4")
+        await driver.until(lambda: "last 719.648" in driver.text)
+        text = driver.text
+        assert "[1] serial/1/state.position" in text
+        assert any(0x2800 < ord(c) < 0x2900 for c in text)
+        await driver.press("enter")
+        assert "state.position  last" not in driver.text
+        for _ in range(3):
+            await driver.press("plus")
+        assert "plot: 10 s" in driver.text
+
+    drive(capture_of(LOG), steps)
+
+
+def test_columns_change():
+    async def steps(driver):
+        await driver.press("x")
+        assert re.search(r"> run_speed +FA 01 F6 01 40 02 34", driver.text)
+        await driver.press("t")
+        assert re.search(r"^ +1\.040000 serial", driver.text, re.MULTILINE)
+        await driver.press("t")
+        assert re.search(r"^ +\+0\.003000 serial    1 < run_speed", driver.text, re.MULTILINE)
+
+    drive(capture_of(LOG), steps)
+
+
+def test_a_wide_terminal_shows_fields_and_bytes():
+    async def steps(driver):
+        assert re.search(r"> run_speed +direction=ccw speed=320 acceleration=2 +FA 01 F6 01 40 02 34", driver.text)
+
+    drive(capture_of(LOG), steps, size=(140, 30))
+
+
+def test_the_help_names_every_key():
+    async def steps(driver):
+        await driver.press("question_mark")
+        text = driver.text
+        for words in ("Esc", "the next frame with a finding", "only while recording", "Ctrl-C  end at once"):
+            assert words in text
+        await driver.press("escape")
+        assert "Ctrl-C  end at once" not in driver.text
+
+    drive(capture_of(LOG), steps, size=(110, 40))
+
+
+def test_a_file_takes_no_marks():
+    async def steps(driver):
+        await driver.press("m", "space")
+        assert not driver.app._prompt.asking
+        assert "Mark" not in driver.text
+
+    drive(capture_of(LOG), steps)
+
+
+@pytest.mark.parametrize("key", ["q", "ctrl+c", "ctrl+q"])
+def test_it_ends(key):
+    async def steps(driver):
+        await driver.press(key)
+
+    assert drive(capture_of(LOG), steps) == "quit"
+
+
+def test_a_capture_without_times_says_so_and_makes_up_no_load():
+    async def steps(driver):
+        assert "times are made up from the baud rate" in driver.text
+        assert " % " not in driver.rows[1]
+
+    drive(capture_of(CAPTURES / "mks_rs485.bin"), steps)
+
+
+def test_a_given_speed_gives_a_load():
+    async def steps(driver):
+        assert re.search(r"░ +\d+ % average", driver.rows[1])
+
+    drive(capture_of(LOG, "--baud", "38400"), steps)
+
+
+def test_hostile_text_does_not_steer_the_terminal(tmp_path):
+    path = tmp_path / "hostile.log"
+    comment = "\x1b]0;owned\x07\x1b[2J [red]markup[/red] \u202e\x9b31m"
+    path.write_text(f"# {comment}\n" + LOG.read_text(), encoding="utf-8")
+
+    async def steps(driver):
+        svg = driver.app.export_screenshot()
+        assert "[red]markup" in driver.text
+        for keys in (("enter",), ("down", "enter"), ("2",), ("3",), ("4",)):
+            await driver.press(*keys)
+            svg += driver.app.export_screenshot()
+        assert not set(svg) & set("\x1b\x07\x9b\u202e")
+
+    drive(capture_of(path), steps, size=(160, 30))
+
+
+def test_a_capture_that_breaks_off_is_shown_as_far_as_it_goes(tmp_path: Path):
+    path = tmp_path / "torn.mcap"
+    path.write_bytes((CAPTURES / "mks_rs485.mcap").read_bytes()[:-40])
+
+    async def steps(driver):
+        assert "39 frames" in driver.text
+
+    drive(capture_of(path), steps)
+
+
+@pytest.mark.parametrize("size", [(40, 10), (20, 5), (300, 80)])
+def test_any_size_of_terminal_will_do(size):
+    async def steps(driver):
+        for key in ("enter", "2", "3", "4", "1", "f", "escape", "question_mark", "escape"):
+            await driver.press(key)
+
+    drive(capture_of(LOG), steps, size=size)
+
+
+class Growing:
+    """A log that is being written."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._stream = path.open("wb")
+        self._log = McapLog(self._stream)
+        self._pipeline = Pipeline([dialects.get("mks-rs485")], (self._log,), Options())
+        self._count = 0
+
+    def write(self, count: int) -> None:
+        for _ in range(count):
+            self._count += 1
+            chunk = Chunk(START + self._count * 10**7, "left", bytes.fromhex(sum8("FA 01 32")), burst=True)
+            self._pipeline.feed(chunk)
+        self._pipeline.silence("left")
+        self._log.flush()
+
+    def close(self) -> None:
+        self._pipeline.close()
+        self._log.finish({})
+        self._stream.close()
+
+
+def test_a_log_that_is_written_is_followed(tmp_path):
+    log = Growing(tmp_path / "week.mcap")
+    log.write(300)
+    source = CaptureSource(reading_of(log.path, follow=Follow(lambda path: True)))
+
+    async def steps(driver):
+        # The last one is known to be whole when something else comes.
+        await driver.until(lambda: "299 frames" in driver.text)
+        assert "week.mcap  FOLLOWING" in driver.text
+        assert under_cursor(driver).sequence == 299
+        log.write(5)
+        await driver.until(lambda: under_cursor(driver).sequence == 304)
+        log.close()
+        await driver.until(lambda: "week.mcap  FILE" in driver.text)
+
+    drive(source, steps)
+
+
+def test_following_ends_with_the_view(tmp_path):
+    log = Growing(tmp_path / "week.mcap")
+    log.write(100)
+    source = CaptureSource(reading_of(log.path, follow=Follow(lambda path: True)))
+
+    async def steps(driver):
+        await driver.until(lambda: "99 frames" in driver.text)
+        await driver.press("q")
+
+    assert drive(source, steps) == "quit"
+    assert not source._thread.is_alive()
+    assert not source._reading.source.notes
+    log.close()
+
+
+def test_a_stretch_of_a_log(tmp_path):
+    log = Growing(tmp_path / "week.mcap")
+    log.write(3000)
+    log.close()
+    source = capture_of(log.path, "--since", "+10s", "--until", "+20s")
+    lines = lines_of(source)
+    assert 990 < len(lines) < 1010
+    assert lines[0].sequence > 500
+    for number in (0, 1, 500, len(lines) - 1):
+        assert source.lines.number_of(lines[number].sequence) == number
+    assert source.lines.number_of(lines[-1].sequence + 1) is None
+    source.close()
