@@ -37,7 +37,7 @@ class Decoder:
         self._link = dialect.link
         self._head_bytes = dialect.link.deciding_bytes
         #: By head and length; None: such frames have no lane.
-        self._lanes: dict[tuple[bytes | int, int, int], Lane | tuple[Lane, Lane] | None] = {}
+        self._lanes: dict[tuple[bytes | int, int, int], Lane | tuple[Lane, Lane] | _Several | None] = {}
         self._requests: dict[tuple[int | None, int], list[_Entry]] = {}
         self._replies: dict[tuple[int | None, int], list[_Entry]] = {}
         for command in dialect.commands:
@@ -75,10 +75,15 @@ class Decoder:
             lane = self._lanes[key]
         except KeyError:
             lane = self._lanes[key] = self._new_lane(frame) if self._head_bytes else None
-        return _chosen(lane, data, context) if isinstance(lane, tuple) else lane
+        if lane is None or lane.__class__ is Lane:
+            return lane  # type: ignore[return-value]
+        return lane.choose(data, context) if isinstance(lane, _Several) else _chosen(lane, data, context)  # type: ignore[arg-type]
 
-    def _new_lane(self, frame: Frame) -> Lane | tuple[Lane, Lane] | None:
-        """Return the lane of frames like this; a request's and its reply's, where the two look alike; or None."""
+    def _new_lane(self, frame: Frame) -> Lane | tuple[Lane, Lane] | _Several | None:
+        """Return the lane of frames like this, or those that are chosen from.
+
+        That is a request's and its reply's, where the two look alike; or those of several commands of one code.
+        """
         head = self._link.parse(frame.data, frame.can.id if frame.can is not None else None)
         if head.code is None or head.exception is not None or head.quantity is not None:
             return None
@@ -93,11 +98,16 @@ class Decoder:
         ]
         lanes = []
         for role, (command, form, coder) in fitting:
-            if command.slots is not None or coder.fixed or form.needs_request or form.layout.open_ended:
+            if command.slots is not None or form.needs_request or form.layout.open_ended:
                 return None
             lanes.append(Lane(self.dialect, role, head.address, command, form, head.start, head.stop))
-        if len(lanes) == 1:
+        fixed = any(coder.fixed for _, (_, _, coder) in fitting)
+        if len(lanes) == 1 and not fixed:
             return lanes[0]
+        if lanes and len({role for role, _ in fitting}) == 1:
+            return _Several(lanes)
+        if fixed:
+            return None
         alike = len(lanes) == 2 and lanes[0].is_request and not lanes[1].is_request
         return (lanes[0], lanes[1]) if alike and lanes[0].command is lanes[1].command else None
 
@@ -312,6 +322,26 @@ def slot_fields(slot: Slot) -> dict[str, Any]:
     else:
         shown["raw"] = slot.data.hex(" ").upper()
     return shown
+
+
+class _Several:
+    """Lanes of one role: of commands that share a code (run and stop), or of values that tell them apart."""
+
+    def __init__(self, lanes: list[Lane]) -> None:
+        self._lanes = lanes
+        self._first = lanes[0]
+
+    def choose(self, data: bytes, context: Context) -> Lane | None:
+        """Return the first whose layout has these data; of replies, the one that the only open request of the drive awaits."""
+        first = self._first
+        own = data[first.start : first.stop]
+        if first.is_request:
+            return next((lane for lane in self._lanes if lane.codec.matches(own)), None)
+        waiting = context.open.get(first.address)
+        if waiting is None or len(waiting) != 1:
+            return None
+        command = waiting[0].command
+        return next((lane for lane in self._lanes if lane.command is command and lane.codec.matches(own)), None)
 
 
 def _chosen(lanes: tuple[Lane, Lane], data: bytes, context: Context) -> Lane | None:

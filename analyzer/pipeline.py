@@ -145,7 +145,7 @@ class Pipeline:
     def set_up(self, name: str, setup: PortSetup) -> None:
         """Say what a bus is to be read as from here on; what waits on it is decided first."""
         port = self.ports.get(name)
-        if port is None:
+        if port is None or (port.bytes_in == port.start and setup.offset != port.start):
             self.ports[name] = Port(name, setup, self.options)
         elif port.setup.dialects != setup.dialects or port.setup.byte_ns != setup.byte_ns:
             self._take(port, port.change(setup))

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """How fast `servotap record` records without loss, what it costs, and how late its times are; beside python-can's logger.
 
-    python benchmarks/record_rate.py [--seconds S] [--only serial,raw,can,peer]
+    python benchmarks/record_rate.py [--seconds S] [--only serial,raw,can,peer] [--first]
 
 serial  a pseudo-terminal at 400 kB/s (4 Mbaud), 66 thousand frames/s, decoded; what arrived is compared byte by byte
 raw     the same with --raw-only
@@ -9,9 +9,11 @@ can     udp_multicast at 16 thousand frames/s, decoded
 peer    python-can's own logger (`python -m can.logger`) on the same traffic
 
 A pseudo-terminal loses nothing by itself: it stops the sender. So the sender's longest delay is told: on a real line, more
-than about 160 ms at 400 kB/s would have been lost. Shares are processor time over the time of sending, all of it: also
-what was decoded after the end. Lateness: the time in the log of the last byte of each chunk (of each
-frame on CAN) less the time when its sender had written it.
+than about 160 ms at 400 kB/s would have been lost. Cores: processor time over the time of sending, all of it: also what was
+decoded after the end. Lateness: the time in the log of the last byte of each chunk (of each frame on CAN) less the time when
+its sender had written it.
+
+--first lets all of it go before other processes (root), on a machine that is busy otherwise.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from record_traffic import Cycle, Recording, Sender, cpu_seconds, pty_pair, quantile, stamps_of
+from record_traffic import Cycle, Recording, Sender, cpu_seconds, go_first, pty_pair, quantile, stamps_of
 
 from analyzer.records import CanFrame, Chunk
 from analyzer.sources import open_source
@@ -33,6 +35,8 @@ from analyzer.sources import open_source
 GROUP, PORT = "239.74.163.66", 43113
 SERIAL_RATE = 400_000
 CAN_RATE = 16_000
+#: Whether all of it goes before other processes.
+FIRST = False
 
 
 def lateness(log, stamps, anchor_ns):
@@ -72,7 +76,7 @@ def anchor_of(log):
 def run(name, endpoint, sender, seconds, folder, *words):
     log = folder / f"{name}.mcap"
     times = folder / f"{name}.times"
-    recording = Recording(log, endpoint, *words)
+    recording = Recording(log, endpoint, *words, first=FIRST)
     time.sleep(0.5)
     recording.look()
     before = dict(recording.cpu)
@@ -108,7 +112,7 @@ def serial(seconds, folder, raw):
 
         def sender(times):
             words = ("--fd", master, "--rate", SERIAL_RATE, "--seconds", seconds, "--times", times)
-            return Sender("serial", *words, pass_fds=(master,))
+            return Sender("serial", *words, pass_fds=(master,), first=FIRST)
 
         words = ("--raw-only",) if raw else ("--dialect", "mks-rs485")
         sent, data, _, _ = run(kind, f"left=serial:{path},baud=4000000", sender, seconds, folder, *words)
@@ -123,7 +127,8 @@ def can(seconds, folder):
     print(f"## can: {CAN_RATE} frames/s on udp_multicast, decoded")
 
     def sender(times):
-        return Sender("can", "--group", GROUP, "--port", PORT, "--rate", CAN_RATE, "--seconds", seconds, "--times", times)
+        words = ("--group", GROUP, "--port", PORT, "--rate", CAN_RATE, "--seconds", seconds, "--times", times)
+        return Sender("can", *words, first=FIRST)
 
     endpoint = f"arm=can:udp_multicast:{GROUP},port={PORT}"
     sent, _, frames, _ = run("can", endpoint, sender, seconds, folder, "--dialect", "mks-can")
@@ -137,10 +142,14 @@ def peer(seconds, folder):
     print(f"## peer: python -m can.logger, {CAN_RATE} frames/s on udp_multicast, as they came (BLF)")
     log = folder / "peer.blf"
     words = ["-i", "udp_multicast", "-c", GROUP, "-f", str(log)]
-    logger = subprocess.Popen([sys.executable, "-m", "can.logger", *words], stdout=subprocess.DEVNULL)
+    command = [sys.executable, "-m", "can.logger", *words]
+    logger = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
+    if FIRST:
+        go_first(logger.pid)
     time.sleep(3.0)
     before, began = cpu_seconds(logger.pid), time.monotonic()
-    sent = Sender("can", "--group", GROUP, "--port", PORT, "--rate", CAN_RATE, "--seconds", seconds).wait()
+    words = ("--group", GROUP, "--port", PORT, "--rate", CAN_RATE, "--seconds", seconds)
+    sent = Sender("can", *words, first=FIRST).wait()
     span = time.monotonic() - began
     share = (cpu_seconds(logger.pid) - before) / span
     time.sleep(1.0)
@@ -157,7 +166,10 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--only", default="serial,raw,can,peer")
+    parser.add_argument("--first", action="store_true")
     arguments = parser.parse_args()
+    global FIRST
+    FIRST = arguments.first
     good = True
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -23,6 +23,8 @@ RUNS = (
     ("drive_replies.py", (), ()),
     ("replay_drift.py", (), ("--seconds", "2")),
     ("drive_soak.py", ("--seconds", "120"), ("--seconds", "5")),
+    ("record_rate.py", (), ("--seconds", "2")),
+    ("record_soak.py", (), ("--seconds", "5")),
     ("tap_delay.py", (), ("--count", "200")),
 )
 

@@ -1,18 +1,23 @@
 """A refutation on a real drive is repeated before it is told, and a long one shortened.
 
 First the claim runs once more: a drive that fails once of two times is refuted too, and the reason says so. Where the claim
-was a sequence of steps (a state machine), an emulated drive is given the same steps; where they refute it in the same way,
-they are shortened there, which costs no motion, and what is left is confirmed on the real drive.
+was a sequence of steps (a state machine), emulated drives are given the same steps: one as the manual has it, and one with
+each known fault. Where the steps refute one of them in the same way, they are shortened there, which costs no motion, and
+what is left is confirmed on the real drive.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from conformance.claim import Claim, Inconclusive, Outcome, Refuted, Verdict
 from conformance.drives import make
 from conformance.rig import Rig
+
+#: How long emulated drives are looked for that fail alike.
+_SEARCH_SECONDS = 20.0
 
 Once = Callable[[Claim, Rig], Verdict]
 
@@ -31,12 +36,13 @@ def confirmed(claim: Claim, rig: Rig, verdict: Verdict, once: Once) -> Verdict:
 def _shortened(claim: Claim, rig: Rig, verdict: Verdict) -> Verdict | None:
     """Return the verdict of the shortest steps that refute both drives alike, None where there are none."""
     from conformance import machine
-    from conformance.rig_emulated import EmulatedRig
 
-    model = f",model={rig.model}" if rig.model else ""
-    emulated = EmulatedRig(make.parse(f"{rig.dialect.name}@{rig.address}{model}"))
-    steps, found = machine.shortened(emulated.probe(claim), verdict.steps, verdict.key)
-    if found is None or len(steps) >= len(verdict.steps):
+    steps = list(verdict.steps)
+    for emulated in _alike(rig):
+        steps, found = machine.shortened(emulated.probe(claim), verdict.steps, verdict.key)
+        if found is not None:
+            break
+    if len(steps) >= len(verdict.steps):
         return None
     probe = rig.probe(claim)
     try:
@@ -46,6 +52,21 @@ def _shortened(claim: Claim, rig: Rig, verdict: Verdict) -> Verdict | None:
     finally:
         rig.settle(probe)
     return _of(verdict, error, tuple(steps)) if error is not None and error.key == verdict.key else None
+
+
+def _alike(rig: Rig) -> Iterator[Rig]:
+    """Return emulated drives that may fail as the real one does, for as long as there is time for it."""
+    from conformance.rig_emulated import EmulatedRig
+
+    until = time.monotonic() + _SEARCH_SECONDS
+    model = f",model={rig.model}" if rig.model else ""
+    plain = make.parse(f"{rig.dialect.name}@{rig.address}{model}")
+    yield EmulatedRig(plain)
+    for fault in make.every_fault():
+        if time.monotonic() > until:
+            return
+        if fault.dialects and rig.dialect.name in fault.dialects:
+            yield EmulatedRig(replace(plain, faults=(fault,)))
 
 
 def _of(verdict: Verdict, error: Refuted, steps: tuple[object, ...]) -> Verdict:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from analyzer.catalogue import Certainty
@@ -15,7 +16,7 @@ from conformance.confirming import confirmed
 from conformance.gate import Refused
 from conformance.line import LineLost
 from conformance.probe import Probe
-from conformance.rig import NotStopped, Rig
+from conformance.rig import NotStopped, Rig, RigFault
 
 
 def run_claim(claim: Claim, rig: Rig) -> Verdict:
@@ -37,9 +38,12 @@ def _once(claim: Claim, rig: Rig) -> Verdict:
     try:
         verdict = _judge(claim, probe)
     finally:
+        # Also when a Ctrl-C breaks in: whoever ends the run stops and puts back once more, so a second one does no harm.
         left = rig.settle(probe)
     if left and verdict.outcome is Outcome.CONFIRMED:
         return _verdict(claim, probe, Outcome.INCONCLUSIVE, left)
+    if left:
+        return replace(verdict, reason=f"{verdict.reason} ({left})")
     return verdict
 
 
@@ -63,7 +67,7 @@ def _judge(claim: Claim, probe: Probe) -> Verdict:
         return _verdict(claim, probe, Outcome.NOT_RUN, f"the gate does not let it through: {error}")
     except NotRun as error:
         return _verdict(claim, probe, Outcome.NOT_RUN, str(error))
-    except (LineLost, NotStopped):
+    except (LineLost, NotStopped, RigFault):
         raise
     # A claim is code too, its own or somebody else's, and a drive may answer what it was not written for.
     except Exception as error:

@@ -31,6 +31,8 @@ _BITS = 8
 _BYTE = 0xFF
 _CAN_LONGEST = 8
 _BUS = "bus"
+#: First bytes of frames: of a package, which is long, and of others, whose third byte tells what they are.
+_PACKAGE_HEAD, _HEADS = 0xFC, (0xFA, 0xFB, 0x3E)
 #: Bytes that begin no frame of any dialect.
 NOISE: tuple[bytes, ...] = (b"\0", b"\xff\xff\xff", b"\x55\xaa", bytes(12), b"\xff" * 12)
 
@@ -42,13 +44,24 @@ def check_harmless(built: Built) -> None:
 
 
 @cache
-def _judge(address: int) -> Judge:
-    return Judge(Allowance(addresses=frozenset({address})), registry.every())
+def _judge(address: int, risks: frozenset[Risk] = frozenset()) -> Judge:
+    return Judge(Allowance(risks, addresses=frozenset({address})), registry.every())
 
 
-def harmless(item: Item, address: int) -> bool:
-    """Say whether what is to leave reads as nothing but reads of the drive at `address`, in any dialect."""
-    return not _judge(address).objections(item)
+def harmless(item: Item, address: int, behind: bytes = b"", *, beside: frozenset[Risk] = frozenset()) -> bool:
+    """Say whether what is to leave reads as nothing but reads of the drive at `address`, in any dialect.
+
+    `behind`: what will be sent next; a head at the end of one could take it for its own. `beside`: risks that may be there.
+    """
+    judge = _judge(address, beside)
+    if judge.objections(item) or (isinstance(item, bytes) and _open_ended(item)):
+        return False
+    return not behind or isinstance(item, CanFrame) or not judge.objections(item + behind)
+
+
+def _open_ended(data: bytes) -> bool:
+    """Say whether what follows could be taken for the rest of a frame that begins inside these bytes."""
+    return _PACKAGE_HEAD in data[1:] or any(head in data[max(1, len(data) - 2) :] for head in _HEADS)
 
 
 def risks(items: Iterable[Item]) -> frozenset[Risk]:
@@ -76,17 +89,22 @@ class Garbler:
         link, seen = self.dialect.link, {self.frame}
         for what, frame in variants:
             item = item_of(self.dialect, self.address, frame)
-            if frame not in seen and not link.fits(frame, self.can_id) and harmless(item, self.address):
+            if frame not in seen and not link.fits(frame, self.can_id) and self._harmless(item):
                 seen.add(frame)
                 yield what, item
+
+    def _harmless(self, item: Item) -> bool:
+        return harmless(item, self.address, self.frame if isinstance(item, bytes) else b"")
 
     # --- checks ---------------------------------------------------------------------------------------------------
 
     def check_bits(self) -> Iterator[Variant]:
         """Yield the frame with each single bit of its checks flipped."""
-        places = [(c.name, at) for c in self._checks for at in range(c.start, c.start + len(c.expected))]
         yield from self._kept(
-            (f"bit {bit} of the {name} flipped", self._flipped(at, bit)) for name, at in places for bit in range(_BITS)
+            (f"bit {_BITS * place + bit} of the {check.name} flipped", self._flipped(check.start + place, bit))
+            for check in self._checks
+            for place in range(len(check.expected))
+            for bit in range(_BITS)
         )
 
     def body_bits(self) -> Iterator[Variant]:
@@ -133,7 +151,7 @@ class Garbler:
             item = item_of(self.dialect, self.address, self.frame[:size])
             # Where what is left checks by chance, a drive may take it for a frame.
             fits = size > 1 and self.dialect.link.fits(self.frame[:size], self.can_id)
-            if not fits and harmless(item, self.address):
+            if not fits and self._harmless(item):
                 yield f"{size} of {len(self.frame)} bytes", item
 
     def overlong(self) -> Iterator[Variant]:
@@ -147,8 +165,19 @@ class Garbler:
                 frame = link.completed(self.frame[: self._checks[-1].start] + extra, self.can_id)
             fits = self.can_id is None or len(frame) <= _CAN_LONGEST
             item = item_of(self.dialect, self.address, frame)
-            if fits and harmless(item, self.address):
+            if fits and self._harmless(item):
                 yield f"{extra.hex(' ').upper()} too many before a check that fits", item
+
+    def underlong(self) -> Iterator[Variant]:
+        """Yield the frame with less data than its command has, and checks that fit; nothing for a read without data."""
+        link, form, own = self.dialect.link, self.built.form, self._own()
+        for size in dict.fromkeys((len(own) - 1, len(own) // 2, 0)):
+            if not own or size < 0 or size == len(own):
+                continue
+            frame = link.build(self.built.command, form, self.address, own[:size], Role.REQUEST)
+            item = item_of(self.dialect, self.address, frame)
+            if frame != self.frame and self._harmless(item):
+                yield f"{size} of {len(own)} bytes of data before a check that fits", item
 
     def _own(self) -> bytes:
         head = self.dialect.link.parse(self.frame, self.can_id)
@@ -159,7 +188,7 @@ class Garbler:
         for extra in (b"\0", b"\xff", b"\0" * 4):
             data = self.frame + extra
             item = item_of(self.dialect, self.address, data)
-            if (self.can_id is None or len(data) <= _CAN_LONGEST) and harmless(item, self.address):
+            if (self.can_id is None or len(data) <= _CAN_LONGEST) and self._harmless(item):
                 yield f"{extra.hex(' ').upper()} behind it", item
 
     # --- heads ----------------------------------------------------------------------------------------------------
@@ -174,7 +203,7 @@ class Garbler:
                 body = self._completed(body) if stop <= len(self.frame) else body
                 body += self.frame[stop : next((c.start for c in self._checks if c.start >= stop), len(self.frame))]
             item = item_of(self.dialect, self.address, body)
-            if body != self.frame and harmless(item, self.address):
+            if body != self.frame and self._harmless(item):
                 yield f"{head:02X} in place of the head {self.frame[0]:02X}", item
 
     def _completed(self, body: bytes) -> bytes:

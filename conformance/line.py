@@ -28,6 +28,8 @@ class Line(ABC):
     endpoint: Endpoint
     emulated: bool = False
     anchor_ns: int = 0
+    #: When a setting was last written, on this line's clock; None: none was. Hasty writes are dropped by real drives.
+    setting_ns: int | None = None
 
     @property
     def is_can(self) -> bool:

@@ -203,7 +203,11 @@ def check(probe: Probe, variant: str) -> None:
     if failure is None:
         return
     if isinstance(failure, Refuted) and probe.drive is not None:
-        _, shorter = shortened(probe, recorder.failed, failure.key)
+        steps, shorter = shortened(probe, recorder.failed, failure.key)
         if shorter is not None:
+            shorter.steps = tuple(steps)
             raise shorter from None
+    if isinstance(failure, Refuted):
+        # A real drive is not told the same again and again: whoever has an emulated one shortens it there.
+        failure.steps = tuple(recorder.failed)
     raise failure

@@ -37,6 +37,9 @@ SECOND_NS = 1_000_000_000
 SAME = 2 * 360 / 16384
 #: The acceleration (as sent) of stops that end a claim: 2.8 ms for one rpm.
 GENTLE = 200
+#: The acceleration of motion whose ramps do not matter: 0.4 ms for one rpm. Not 250: FA begins a frame, and a gate would
+#: read one in the middle of a request.
+QUICK = 248
 #: Between two looks at a shaft that may still turn.
 _LOOK_NS = 100 * MS
 #: How long a shaft may take to come to rest.

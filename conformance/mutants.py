@@ -1,6 +1,7 @@
 """Mutants: the suite held against every drive that is known to be wrong, so that the suite itself is proved.
 
-Each named fault is put into an emulated drive of each dialect that can have it; a claim must refute it. A fault that no
+Each named fault is put into an emulated drive of each dialect that can have it (of as few models as have all commands); a claim
+must refute it. A fault that no
 claim refutes has survived: a hole in the suite. Claims that no fault refutes are listed too: perhaps they cannot fail.
 
 In a hurry (`full` False) the claims are tried in an order that puts those first which are about what the fault is
@@ -19,13 +20,14 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
 from conformance import engine, suite
 from conformance.claim import Claim, Outcome
 from conformance.drives import make
 from conformance.drives.drive import Fault
 from conformance.rig_emulated import EmulatedRig
-from conformance.target import EMULATED, Target, parse
+from conformance.target import EMULATED, Target, parse, telling_models
 
 if TYPE_CHECKING:
     from conformance.suite import Plan
@@ -110,19 +112,48 @@ def _begin(targets: tuple[Target, ...], seed: int, full: bool) -> None:
     _work = (targets, seed, full)
 
 
-def _one(task: tuple[int, str]) -> Mutant:
+def _one(task: tuple[str, str]) -> Mutant:
     assert _work is not None  # every worker begins with `_begin`
     targets, seed, full = _work
-    target = targets[task[0]]
-    fault = next(f for f in faults_of(target.dialect) if f.name == task[1])
-    return judge(target, fault, suite.every_claim(target), full=full, seed=seed)
+    found: list[Mutant] = []
+    for target in targets:
+        if target.dialect.name != task[0]:
+            continue
+        fault = next(f for f in faults_of(target.dialect) if f.name == task[1])
+        found.append(judge(target, fault, suite.every_claim(target), full=full, seed=seed))
+        if not full and not found[-1].survived:
+            break
+    return _together(found)
+
+
+def _together(found: Sequence[Mutant]) -> Mutant:
+    """Return what came of a fault on several models as one."""
+    refuted = dict(pair for mutant in reversed(found) for pair in mutant.refuted)
+    return msgspec.structs.replace(
+        found[0],
+        refuted=tuple(refuted.items()),
+        observed=tuple(dict.fromkeys(o for m in found for o in m.observed)),
+        inconclusive=sum(m.inconclusive for m in found),
+        seconds=round(sum(m.seconds for m in found), 3),
+    )
+
+
+def telling_targets(dialects: Iterable[str]) -> list[Target]:
+    """Return a target for each model that is needed to try all commands of some dialects."""
+    found = []
+    for name in dialects:
+        for model in telling_models(registry.get(name)):
+            found.append(parse(f"{name}@1" + (f",model={model}" if model else ""), EMULATED))
+    return found
 
 
 def mutants(
-    targets: Sequence[Target], *, jobs: int = 1, seed: int = 0, full: bool = False, every: int = 1
-) -> Iterator[Mutant]:
-    """Run every `every`-th fault of the targets' dialects and yield what came of each."""
-    tasks = [(i, f.name) for i, target in enumerate(targets) for f in faults_of(target.dialect)][::every]
+    targets: Sequence[Target], *, jobs: int = 1, seed: int = 0, full: bool = False, every: int = 1,
+    only: Sequence[str] = (),
+) -> Iterator[Mutant]:  # fmt: skip
+    """Run every `every`-th fault of the targets' dialects (or `only` some) and yield what came of each."""
+    names = dict.fromkeys(target.dialect.name for target in targets)
+    tasks = [(name, f.name) for name in names for f in faults_of(registry.get(name)) if not only or f.name in only][::every]
     if jobs == 1:
         _begin(tuple(targets), seed, full)
         yield from map(_one, tasks)
@@ -139,9 +170,9 @@ def mutants(
 def run_mutants(plan: Plan, *, jobs: int = 1, as_json: bool = False, full: bool = False) -> int:
     """Run all mutants of a plan's dialects and print the table; return 1 if one survived."""
     dialects = list(dict.fromkeys(t.dialect.name for t in plan.targets))
-    targets = [parse(f"{name}@1", EMULATED) for name in dialects]
-    found = []
-    total = sum(len(faults_of(t.dialect)) for t in targets)
+    targets = telling_targets(dialects)
+    found: list[Mutant] = []
+    total = sum(len(faults_of(registry.get(name))) for name in dialects)
     for mutant in mutants(targets, jobs=jobs, seed=plan.seed, full=full):
         found.append(mutant)
         if as_json:
@@ -149,13 +180,15 @@ def run_mutants(plan: Plan, *, jobs: int = 1, as_json: bool = False, full: bool 
         elif sys.stderr.isatty():
             print(f"\r{len(found)} of {total} mutants", end="", file=sys.stderr, flush=True)
     if not as_json:
-        _print(found, targets, full)
+        _print(found, dialects)
+        if full:
+            _print_idle(found, targets)
     return int(any(m.survived for m in found))
 
 
-def _print(found: Sequence[Mutant], targets: Sequence[Target], full: bool) -> None:
-    for target in targets:
-        own = [m for m in found if m.dialect == target.dialect.name]
+def _print(found: Sequence[Mutant], dialects: Iterable[str]) -> None:
+    for name in dialects:
+        own = [m for m in found if m.dialect == name]
         killed = [m for m in own if not m.survived]
         for mutant in sorted(own, key=lambda m: m.fault):
             first = mutant.refuted[0] if mutant.refuted else None
@@ -163,10 +196,12 @@ def _print(found: Sequence[Mutant], targets: Sequence[Target], full: bool) -> No
             verdict = f"refuted by {first[0]}{more}: {first[1]}" if first else "SURVIVED"
             print(f"{mutant.dialect}  {mutant.fault}: {verdict}")
         percent = 100 * len(killed) / max(1, len(own))
-        print(f"{target.dialect.name}: {len(killed)} of {len(own)} faults refuted ({percent:.1f} %)")
-    if full:
-        counts = Counter(claim for m in found for claim, _ in m.refuted)
-        idle = [c.id for t in targets for c in suite.every_claim(t) if not counts[c.id]]
-        print(f"{len(idle)} claims that no fault refutes:")
-        for claim in idle:
-            print(f"  {claim}")
+        print(f"{name}: {len(killed)} of {len(own)} faults refuted ({percent:.1f} %)")
+
+
+def _print_idle(found: Sequence[Mutant], targets: Sequence[Target]) -> None:
+    counts = Counter(claim for m in found for claim, _ in m.refuted)
+    idle = dict.fromkeys(c.id for t in targets for c in suite.every_claim(t) if not counts[c.id])
+    print(f"{len(idle)} claims that no fault refutes:")
+    for claim in idle:
+        print(f"  {claim}")

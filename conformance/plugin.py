@@ -32,11 +32,12 @@ OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("budget", {"action": "append", "default": [], "metavar": "…", "help": "commands=N,seconds=N,turns=N for the whole run"}),
     ("claim", {"action": "append", "default": [], "metavar": "ID", "help": "only these claims; * and ? are patterns"}),
     ("theme", {"action": "append", "default": [], "metavar": "T", "help": "only this theme"}),
-    ("short", {"action": "store_true", "default": False, "help": "one claim for each theme and command"}),
+    ("short", {"action": "store_true", "default": False, "help": "one claim for each command, two of each theme"}),
     ("servo-seed", {"type": int, "default": 0, "metavar": "N", "help": "of what is drawn at random"}),
     ("settings", {"default": None, "metavar": "FILE", "help": "JSON: what to put back where the drive cannot be asked"}),
     ("journal", {"default": None, "metavar": "FILE", "help": "where changes are written down before they are made"}),
     ("cut-power", {"default": "", "metavar": "COMMAND", "help": "runs when no stop can be verified"}),
+    ("max-run", {"type": float, "default": 30.0, "metavar": "S", "help": "longest run without an end, in seconds"}),
     ("report", {"default": None, "metavar": "OUT.html", "help": "one self-contained page"}),
     ("log", {"default": None, "metavar": "OUT.mcap", "help": "all traffic of the run, with a /tests topic"}),
     ("failures", {"default": None, "metavar": "FOLDER", "help": "a small log of each refuted claim"}),
@@ -44,6 +45,9 @@ OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
 #: Environment of all workers of one run: the file in which the budget is kept.
 BUDGET = "SERVOTAP_BUDGET_FILE"
 RUN: pytest.StashKey[Any] = pytest.StashKey()
+#: Of a run that ended early: 10 a fault of the rig, 20 a motor that was not stopped. From a worker to its controller by name.
+STATUS: pytest.StashKey[int] = pytest.StashKey()
+_STATUS = "servotap_status"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -63,9 +67,9 @@ def pytest_configure(config: pytest.Config) -> None:
     if not config.getoption("servotap_drive") or hasattr(config, "workerinput"):
         return
     real = any(place != "emulated" for place in config.getoption("servotap_on"))
-    if real and getattr(config.option, "dist", "no") in ("load", "worksteal"):
+    if real and getattr(config.option, "dist", "no") not in ("no", "loadgroup"):
         config.option.dist = "loadgroup"
-    if real and config.getoption("servotap_budget"):
+    if real or config.getoption("servotap_budget"):
         handle, path = tempfile.mkstemp(prefix="servotap-budget-")
         os.close(handle)
         os.environ[BUDGET] = path
@@ -98,6 +102,32 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
     from conformance.pytest_reports import summarise
 
     summarise(terminalreporter, config, _verdicts)
+
+
+def end_with(config: pytest.Config, status: int) -> None:
+    """Have the run end with an exit status of its own; of several the highest counts."""
+    config.stash[STATUS] = max(status, config.stash.get(STATUS, 0))
+    output = getattr(config, "workeroutput", None)
+    if output is not None:
+        output[_STATUS] = config.stash[STATUS]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any, error: object) -> None:
+    """Take over what a worker says of its end."""
+    status = getattr(node, "workeroutput", {}).get(_STATUS, 0)
+    if status:
+        end_with(node.config, status)
+        node.config.pluginmanager.getplugin("dsession").shouldstop = "servotap: a worker has given up"
+
+
+@pytest.hookimpl(hookwrapper=True, tryfirst=True)
+def pytest_sessionfinish(session: pytest.Session) -> Any:
+    """Give the run its exit status, after the drives were stopped and put back."""
+    yield
+    status = session.config.stash.get(STATUS, 0)
+    if status:
+        session.exitstatus = status
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

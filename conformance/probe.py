@@ -102,7 +102,6 @@ class Probe:
         #: When chunks came that were given their missing checksum.
         self._completed: set[int] = set()
         self._pipeline = Pipeline((self.dialect,), (self._heard,), Options(byte_ns=rig.byte_ns, late_ns=rig.late_ns))
-        self._written_ns = -rig.write_gap_ns
 
     # --- asking ---------------------------------------------------------------------------------------------------
 
@@ -157,7 +156,7 @@ class Probe:
             self._keep_distance()
         exchange = self._exchange(self.item(built.frame, built.address), until, timeout_ns, built, quiet_ns)
         if Risk.SETTING in built.risks:
-            self._written_ns = self.gate.now_ns()
+            self.gate.line.setting_ns = self.gate.now_ns()
         return exchange
 
     def item(self, frame: bytes, address: int | None = None) -> bytes | CanFrame:
@@ -182,7 +181,9 @@ class Probe:
             self.listen(duration_ns)
 
     def _keep_distance(self) -> None:
-        left_ns = self._written_ns + self.rig.write_gap_ns - self.gate.now_ns()
+        # By the line, not by the probe: what puts settings back, and the next claim, follow closely.
+        before_ns = self.gate.line.setting_ns
+        left_ns = 0 if before_ns is None else before_ns + self.rig.write_gap_ns - self.gate.now_ns()
         if left_ns > 0:
             self.raw += self.gate.wait(left_ns)
 

@@ -12,13 +12,14 @@ import pytest
 from conformance import target as targets
 from conformance.allowance import allowance_from
 from conformance.claim import Verdict
-from conformance.plugin import BUDGET, OPTIONS, RUN
+from conformance.line import LineLost
+from conformance.plugin import BUDGET, OPTIONS, RUN, end_with
 from conformance.report.record import record
-from conformance.rig import NotStopped
+from conformance.rig import NotStopped, RigFault
 from conformance.suite import Plan
 from conformance.target import Target
 
-RIG_FAULT, NOT_STOPPED = 10, 20
+WRONG_USE, RIG_FAULT, NOT_STOPPED = pytest.ExitCode.USAGE_ERROR.value, 10, 20
 
 
 def plan_of(config: pytest.Config) -> Plan:
@@ -54,6 +55,7 @@ def _plan(config: pytest.Config) -> Plan:
         settings=settings,
         journal=arguments.journal or "",
         cut_power=arguments.cut_power,
+        longest_run=arguments.max_run,
         traffic=bool(arguments.log),
         short=arguments.short,
     )
@@ -86,9 +88,18 @@ def keep(item: pytest.Item, verdict: Verdict, target: Target, plan: Plan, firmwa
     return "\n".join([*lines, *kept.lines])
 
 
-def give_up(error: Exception) -> NoReturn:
+def give_up(error: Exception, config: pytest.Config) -> NoReturn:
     """End the whole run: the rig is at fault, or a motor does not stop."""
-    pytest.exit(f"servotap: {error}", returncode=NOT_STOPPED if isinstance(error, NotStopped) else RIG_FAULT)
+    status = note(error, config)
+    pytest.exit(f"servotap: {error}", returncode=status)
 
 
-__all__ = ["BUDGET", "arguments_of", "give_up", "keep", "plan_of"]
+def note(error: Exception, config: pytest.Config) -> int:
+    """Have the run end with what an error means, whatever else comes of it; return that."""
+    kinds = ((NotStopped, NOT_STOPPED), ((LineLost, RigFault), RIG_FAULT))
+    status = next((number for kind, number in kinds if isinstance(error, kind)), WRONG_USE)
+    end_with(config, status)
+    return status
+
+
+__all__ = ["BUDGET", "arguments_of", "give_up", "keep", "note", "plan_of"]

@@ -5,18 +5,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import fnmatch
 import multiprocessing
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+import os
+import tempfile
+from collections import Counter
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+import msgspec
 
 from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
 from analyzer.values import near, quote
 from conformance import claims as registry
 from conformance import engine
-from conformance.allowance import Allowance
+from conformance.allowance import READS, Allowance
 from conformance.claim import Claim, Theme
 from conformance.report.record import VerdictRecord, record
 from conformance.rig import Rig
@@ -27,6 +34,8 @@ if TYPE_CHECKING:
 
 #: Claims that a worker takes at once.
 _BATCH = 12
+#: Claims of each theme that a short run has at least.
+_OF_EACH_THEME = 2
 
 
 @dataclass(frozen=True)
@@ -35,8 +44,8 @@ class Plan:
 
     `allowance`: what may be sent, None: everything for emulated drives, reads alone for others. `claims`: ids or patterns
     (`*/shape/*`), empty: all. `themes`: empty: all. `seed` of Hypothesis and of emulated drives. `settings`: what to put
-    back where a dialect cannot read it (by drive and field). `traffic`: keep what went over the lines. `short`: one claim
-    for each theme and command, for lines on which time passes.
+    back where a dialect cannot read it (by drive and field). `longest_run`: seconds of motion without an end. `traffic`:
+    keep what went over the lines. `short`: one claim for each command, for lines on which time passes.
     """
 
     targets: tuple[Target, ...]
@@ -47,6 +56,7 @@ class Plan:
     settings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     journal: str = ""
     cut_power: str = ""
+    longest_run: float = 30.0
     dry_run: bool = False
     traffic: bool = False
     short: bool = False
@@ -56,7 +66,15 @@ class Plan:
         known = every_claim(target)
         _check_themes(self.themes)
         wanted = [c for c in known if self._wants(c)]
-        return shortened(wanted) if self.short else wanted
+        if not self.short:
+            return wanted
+        return shortened(wanted if target.emulated else [c for c in wanted if self._can_run(c)])
+
+    def _can_run(self, claim: Claim) -> bool:
+        """Say whether a claim can run on a real drive with what is allowed, as far as that is known before."""
+        given = self.allowance or Allowance(READS)
+        named = not claim.by_name or claim.id in self.claims
+        return claim.risks <= given.risks and (given.alone or not claim.alone) and not claim.emulated and named
 
     def _wants(self, claim: Claim) -> bool:
         if self.themes and claim.theme.value not in self.themes:
@@ -72,12 +90,24 @@ class Plan:
 
 
 def shortened(claims: Sequence[Claim]) -> list[Claim]:
-    """Return one claim for each theme and command, another aspect for each command, in their order."""
-    groups: dict[tuple[str, str], list[Claim]] = {}
+    """Return one claim for each command, of another theme for each, and two of each theme; in their order.
+
+    It is for lines on which time passes: a look at everything, in a minute or two.
+    """
+    groups: dict[str, dict[str, list[Claim]]] = {}
     for claim in claims:
         about = claim.commands[0] if claim.commands else claim.id.split("/")[2]
-        groups.setdefault((claim.theme.value, about), []).append(claim)
-    chosen = {group[number % len(group)].id for number, group in enumerate(groups.values())}
+        groups.setdefault(about, {}).setdefault(claim.theme.value, []).append(claim)
+    counts: Counter[str] = Counter()
+    chosen = set()
+    for number, themes in enumerate(groups.values()):
+        theme = min(themes, key=lambda name: counts[name])
+        counts[theme] += 1
+        chosen.add(themes[theme][number % len(themes[theme])].id)
+    for claim in claims:
+        if counts[claim.theme.value] < _OF_EACH_THEME and claim.id not in chosen:
+            counts[claim.theme.value] += 1
+            chosen.add(claim.id)
     return [claim for claim in claims if claim.id in chosen]
 
 
@@ -115,21 +145,39 @@ def open_rig(plan: Plan, target: Target) -> Rig:
     return RealRig(plan, target)
 
 
-def run(plan: Plan, jobs: int = 1) -> Iterator[VerdictRecord]:
+def run(plan: Plan, jobs: int = 1) -> Generator[VerdictRecord]:
     """Run a plan and yield its verdicts as they come; with several jobs, in any order.
 
     Emulated drives are spread over `jobs` processes; drives on real lines run here, one after the other, for a line has
     one owner. Raises LineLost, NotStopped.
     """
     emulated = [t for t in plan.targets if t.emulated]
-    real = [t for t in plan.targets if not t.emulated]
-    for target in real:
-        yield from _run_target(plan, target)
-    if jobs > 1:
-        yield from _spread(plan, emulated, jobs)
+    for target in plan.targets:
+        if not target.emulated:
+            yield from _run_target(plan, target)
+    if jobs > 1 and emulated:
+        with _one_budget(plan) as shared:
+            yield from _spread(shared, emulated, jobs)
         return
     for target in emulated:
         yield from _run_target(plan, target)
+
+
+@contextlib.contextmanager
+def _one_budget(plan: Plan) -> Iterator[Plan]:
+    """Return a plan whose budget several processes spend together, by a file."""
+    allowance = plan.allowance
+    if allowance is None or allowance.budget.path is not None:
+        yield plan
+        return
+    handle, name = tempfile.mkstemp(prefix="servotap-budget-")
+    os.close(handle)
+    path = Path(name)
+    try:
+        path.write_bytes(msgspec.json.encode(allowance.budget.spent))
+        yield replace(plan, allowance=replace(allowance, budget=replace(allowance.budget, path=path)))
+    finally:
+        path.unlink(missing_ok=True)
 
 
 def _run_target(plan: Plan, target: Target) -> Iterator[VerdictRecord]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -33,30 +34,42 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     metafunc.parametrize(("target", "claim"), parameters)
 
 
+Opened = dict[tuple[str, str], Rig]
+
+
 @pytest.fixture(scope="session")
-def rigs(request: pytest.FixtureRequest) -> Iterator[dict[str, Rig]]:
-    """Return the rigs by target; whatever ends the session closes them: everything stopped and put back."""
-    opened: dict[str, Rig] = {}
+def rigs(request: pytest.FixtureRequest) -> Iterator[Opened]:
+    """Return the rigs by port and target; whatever ends the session closes them: everything stopped and put back."""
+    opened: Opened = {}
     try:
         yield opened
     finally:
         for rig in opened.values():
-            rig.close()
+            _close(rig, request.config)
+
+
+def _close(rig: Rig, config: pytest.Config) -> None:
+    """Close a rig; what that tells becomes the exit status, for a failed teardown would only be one more error."""
+    try:
+        rig.close()
+    except ServotapError as error:
+        pytest_plan.note(error, config)
+        print(f"servotap: {error}", file=sys.__stderr__)
 
 
 def test_claim(
     target: Target,
     claim: Claim,
-    rigs: dict[str, Rig],
+    rigs: Opened,
     request: pytest.FixtureRequest,
 ) -> None:
     """Hold a claim against the drive."""
     plan = pytest_plan.plan_of(request.config)
-    rig = _rig_of(target, plan, rigs)
+    rig = _rig_of(target, plan, rigs, request.config)
     try:
         verdict = engine.run_claim(claim, rig)
     except ServotapError as error:
-        pytest_plan.give_up(error)
+        pytest_plan.give_up(error, request.config)
     told = pytest_plan.keep(request.node, verdict, target, plan, rig.firmware)
     if verdict.outcome is Outcome.REFUTED:
         pytest.fail(told, pytrace=False)
@@ -64,15 +77,16 @@ def test_claim(
         pytest.skip(f"{verdict.outcome}: {verdict.reason}")
 
 
-def _rig_of(target: Target, plan: Plan, rigs: dict[str, Rig]) -> Rig:
+def _rig_of(target: Target, plan: Plan, rigs: Opened, config: pytest.Config) -> Rig:
     """Return the rig of a target; a port has one owner, so another drive's rig on it is closed first."""
-    rig = rigs.get(target.port + target.text)
+    key = (target.port, target.text)
+    rig = rigs.get(key)
     if rig is not None:
         return rig
-    for name in [n for n in rigs if n.startswith(target.port) and not target.emulated]:
-        rigs.pop(name).close()
+    for other in [k for k in rigs if k[0] == target.port and not target.emulated]:
+        _close(rigs.pop(other), config)
     try:
-        rig = rigs[target.port + target.text] = suite.open_rig(plan, target)
+        rig = rigs[key] = suite.open_rig(plan, target)
     except ServotapError as error:
-        pytest_plan.give_up(error)
+        pytest_plan.give_up(error, config)
     return rig

@@ -11,6 +11,7 @@ Which one a dialect has: the one that risks least.
     write_user_id     CAN: a number that the drive keeps, read back
     set_position      LK: the present position gets another name, read back
     move              a small, slow move by the encoder, seen in its count
+    set_zero          the present position becomes zero: beside the move, for what is no motion
 
 Rules kept here:
 - An order always changes what is read: what it asks for is not what is there.
@@ -26,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 
 from analyzer.catalogue import Command, Dialect, Risk, Verb
 from conformance import moving
-from conformance.claim import Inconclusive
+from conformance.claim import Inconclusive, Refuted
 
 if TYPE_CHECKING:
     from conformance.probe import Probe
@@ -97,7 +98,7 @@ class Witness(ABC):
     def done(self, probe: Probe, order: Order) -> bool:
         """Wait and say whether the drive has done an order.
 
-        Raises Inconclusive where what is read is neither from before nor from after.
+        Raises Refuted where what is read is neither from before nor from after.
         """
         self.settle(probe)
         got = self.read(probe)
@@ -105,13 +106,18 @@ class Witness(ABC):
             return True
         if self.is_done(got, Order(order.command, order.values, order.after, order.before)):
             return False
-        raise Inconclusive(f"{order.command.name}: expected {order.before} or {order.after} to be read, got {got}")
+        raise Refuted(
+            f"{order.command.name} has another effect than the one that was asked for",
+            expected=f"{order.after} to be read where it is executed, {order.before} where it is not",
+            got=str(got),
+        )
 
     def control(self, probe: Probe) -> None:
         """Send an order to the drive itself. Raises Inconclusive where it is not executed."""
         order = self.order(probe)
         probe.do(order.command, order.values)
-        if not self.done(probe, order):
+        self.settle(probe)
+        if not self.is_done(self.read(probe), order):
             raise Inconclusive(f"{order.command.name} is not executed when it is sent to the drive itself either")
 
 
@@ -184,6 +190,44 @@ class _Move(Witness):
 
     def is_done(self, got: int, order: Order) -> bool:
         return abs(got - order.after) * 4 < STEP
+
+
+class _Zero(Witness):
+    """The position is made zero, from somewhere else."""
+
+    moves = True
+
+    @property
+    def risks(self) -> frozenset[Risk]:
+        return moving.risks(self.dialect, *self.dialect.by_verb[Verb.SET_ZERO].all_risks)
+
+    @property
+    def settings(self) -> tuple[str, ...]:
+        return moving.settings(self.dialect)
+
+    def order(self, probe: Probe, times: int = 1) -> Order:
+        if abs(self.read(probe)) < STEP:
+            away = _Move(self.dialect)
+            order = away.order(probe, 2)
+            probe.do(order.command, order.values)
+            away.settle(probe)
+        return Order(probe.command(Verb.SET_ZERO), {}, self.read(probe), 0)
+
+    def read(self, probe: Probe) -> int:
+        return probe.read(Verb.READ_POSITION, "position")
+
+    def is_done(self, got: int, order: Order) -> bool:
+        return abs(got - order.after) * 4 < STEP
+
+
+def setting(dialect: Dialect) -> Witness | None:
+    """Return a witness that is no motion itself, where the one that is chosen is one; None where there is none."""
+    verbs = dialect.by_verb
+    zero = verbs.get(Verb.SET_ZERO)
+    has_move = Verb.MOVE_RELATIVE_AXIS in verbs and Verb.READ_POSITION in verbs and moving.can_move(dialect)
+    if zero is None or Risk.WEAR in zero.all_risks or not has_move or not isinstance(chosen(dialect), _Move):
+        return None
+    return _Zero(dialect)
 
 
 def chosen(dialect: Dialect) -> Witness | None:

@@ -27,6 +27,16 @@ def commands(text: str) -> list[tuple[str, str]]:
     return result
 
 
+def live(text: str) -> list[tuple[str, str]]:
+    """Return (command, output) of each block whose numbers differ from run to run (`console live`)."""
+    return commands(text.replace("```console\n", "```other\n").replace("```console live\n", "```console\n"))
+
+
+def masked(output: str) -> str:
+    """Return output with its numbers and blanks made alike."""
+    return re.sub(r"[ \t]+", " ", re.sub(r"\d+(?:[.:]\d+)*", "0", output))
+
+
 def run(command: str, folder: Path) -> str:
     """Run a command of the README in a folder that has the captures, and return what it prints."""
     if not (folder / "captures").exists():
@@ -38,7 +48,7 @@ def run(command: str, folder: Path) -> str:
     done = subprocess.run(
         command, shell=True, cwd=folder, capture_output=True, text=True, env={**os.environ, "PATH": search}, timeout=60
     )
-    return done.stdout + done.stderr
+    return (done.stdout + done.stderr).replace(f"{folder}/", "")
 
 
 def tidy(output: str) -> str:
@@ -51,10 +61,13 @@ def filled(text: str, folder: Path) -> str:
     """Return the README with the outputs of real runs."""
 
     def replace(block: re.Match[str]) -> str:
-        command = block.group(1).split("\n")[0]
-        return f"```console\n{command}\n{tidy(run(command.removeprefix('$ '), folder))}```"
+        fence, (command, _, old) = block.group(1), block.group(2).partition("\n")
+        new = tidy(run(command.removeprefix("$ "), folder))
+        if "live" in fence and masked(new) == masked(old):
+            new = old
+        return f"{fence}{command}\n{new}```"
 
-    return re.sub(r"```console\n(.*?)```", replace, text, flags=re.DOTALL)
+    return re.sub(r"(```console(?: live)?\n)(.*?)```", replace, text, flags=re.DOTALL)
 
 
 def picture() -> str:

@@ -67,7 +67,7 @@ LOCKS = "analyzer/live/lock.py"
 IOCTLS = {"TIOCMBIC", "TCGETS2", "TCSETS2", "TIOCGICOUNT"}
 #: What is used of an object that could write: its name in the file -> attributes.
 ONLY = {
-    "analyzer/live/reader_can_library.py": ("bus", {"recv", "shutdown"}),
+    "analyzer/live/reader_can_library.py": ("bus", {"recv", "shutdown", "fileno"}),
     "analyzer/live/reader_pyserial.py": (
         "port",
         {"port", "baudrate", "parity", "stopbits", "timeout", "dtr", "rts", "exclusive", "open", "read", "close", "in_waiting"},
@@ -213,8 +213,8 @@ def test_no_module_can_write_to_a_bus(path):
         ("reader_tcp", "connection.setblocking(False)", "getattr(connection, 'send')(b'x')"),
         ("reader_tcp", "connection.setblocking(False)", "connection.makefile('wb').write(b'x')"),
         ("reader_can_socket", "made.setblocking(False)", "made.sendmsg([b'x'])"),
-        ("reader_can_library", "= bus.recv, bus.shutdown", "= bus.recv, bus.flush_tx_buffer"),
-        ("reader_can_library", "self._receive, self._shut = bus.recv, bus.shutdown", "self._bus = bus"),
+        ("reader_can_library", "= bus.recv, bus.shutdown,", "= bus.recv, bus.flush_tx_buffer,"),
+        ("reader_can_library", "self._shut, self._number = bus.recv,", "self._shut, self._bus = bus,"),
         ("reader_can_library", "bus = can.Bus(**options)", "bus = self._bus = can.Bus(**options)"),
         ("reader_pyserial", "port.open()", "port.write(b'x')"),
         ("reader_pyserial", "port.dtr = port.rts = False", "port.break_condition = True"),

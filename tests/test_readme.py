@@ -22,6 +22,12 @@ def test_a_command_prints_what_stands_below_it(block, tmp_path):
     assert make.tidy(make.run(command, tmp_path)) == output
 
 
+@pytest.mark.parametrize("block", make.live(README), ids=lambda b: b[0][:60])
+def test_a_live_command_prints_what_stands_below_it_but_for_the_numbers(block, tmp_path):
+    command, output = block
+    assert make.masked(make.tidy(make.run(command, tmp_path))) == make.masked(output)
+
+
 def test_the_two_commands_and_the_files_exist():
     makefile = (ROOT / "Makefile").read_text()
     for target in ("demo", "test"):

@@ -105,6 +105,17 @@ def _main(words: list[str]) -> int:
     return _run(name, import_module(entry[0]), rest)
 
 
+def _joined(words: Sequence[str]) -> list[str]:
+    """Return the words with a moment before the end (`--since -5min`) joined to its option: alone it looks like one."""
+    joined: list[str] = []
+    for word in words:
+        if joined and joined[-1] in ("--since", "--until") and word[:1] == "-" and word[1:2].isdigit():
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
+
+
 def _help_of(name: str) -> str:
     """Return the help line of an added command, which stands in a table beside its module to keep the start quick."""
     try:
@@ -125,7 +136,7 @@ def _run(name: str, module: ModuleType, words: Sequence[str]) -> int:
     )
     module.add_arguments(parser)
     # Options may stand among the positional arguments: `frame D@1 run_speed --reply status=1`.
-    parsed = parser.parse_intermixed_args(words)
+    parsed = parser.parse_intermixed_args(_joined(words))
     try:
         return int(module.run(parsed))
     except ServotapError as error:

@@ -26,7 +26,7 @@ from analyzer.sources.mcap_scan import LogMessage
 EXAMPLES = """\
 examples:
   servotap cut week.mcap --since 2026-11-21T16:20:00Z --until 2026-11-21T16:25:00Z -o crash.mcap
-  servotap cut logs/ --since=-5min -o end.mcap
+  servotap cut logs/ --since -5min -o end.mcap
   servotap cut week.mcap --since +1h --until +2h --bus left -o left.mcap
 """
 #: Topics of all buses, whose messages say which bus they are of.

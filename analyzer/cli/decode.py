@@ -35,12 +35,13 @@ examples:
   servotap decode a.log b.pcapng -o logs/             a folder that exists
   candump -L can0 | servotap decode - -o can.mcap
   servotap decode old.mcap -o new.mcap --dialect mks-modbus
+  servotap decode week.mcap --since +10min --until +11min -o minute.mcap
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("files", nargs="+", metavar="FILE", help="capture files; - reads standard input")
+    parser.add_argument("files", nargs="+", metavar="FILE", help="captures, logs, folders of parts; - reads standard input")
     parser.add_argument("-o", "--output", metavar="OUT.mcap", help="the log, or a folder for several")
     add_reading_arguments(parser)
     parser.add_argument("--strict", action="store_true", help="exit with 1 if there are findings of severity error")
@@ -70,7 +71,12 @@ def _target(path: str, arguments: argparse.Namespace) -> Path:
     if arguments.output is None:
         if path == "-":
             raise UsageError("standard input has no name to write beside: give the log's name with -o")
-        target = Path(path + ".mcap") if not path.endswith(".mcap") else Path(path[: -len(".mcap")] + ".decoded.mcap")
+        if Path(path).is_dir():
+            # Beside the folder: in it the log would be taken for one more part.
+            folder = Path(path).resolve()
+            target = folder.with_name(folder.name + ".decoded.mcap")
+        else:
+            target = Path(path + ".mcap") if not path.endswith(".mcap") else Path(path[: -len(".mcap")] + ".decoded.mcap")
     else:
         target = Path(arguments.output)
         if target.is_symlink():

@@ -96,7 +96,7 @@ class Log:
             if not topics:
                 return
             found = reader.iter_messages(
-                topics=topics, start_time=max(0, since_ns), end_time=min(until_ns + 1, (1 << 64) - 1), log_time_order=False
+                topics=topics, starting_at=max(0, since_ns), ending_at=min(until_ns, (1 << 64) - 1), log_time_order=False
             )
             statistics = summary.statistics if summary is not None else None
             first_ns = statistics.message_start_time if statistics is not None else 0

@@ -91,7 +91,8 @@ def run(arguments: argparse.Namespace) -> int:
         require_foxglove()
         if not place.loopback:
             notes.append(f"foxglove: whoever can reach {place} can watch")
-    endpoints = [_at_its_speed(e, notes, quiet=arguments.json) for e in endpoints]
+    dialects = _dialects(arguments.dialect, endpoints)
+    endpoints = [_at_its_speed(e, dialects, notes, quiet=arguments.json) for e in endpoints]
     config = configure(arguments, endpoints, target, notes)
     return record(config, display, duration_ns=asked_duration_ns(arguments))
 
@@ -166,7 +167,7 @@ def _endpoints(arguments: argparse.Namespace) -> list[Endpoint]:
 
 def target_of(arguments: argparse.Namespace) -> Path:
     """Return the log to write. Raises UsageError where something is in the way."""
-    from analyzer.live.supervisor import check_target
+    from analyzer.live.target import check_target
 
     name = time.strftime("recording-%Y%m%d-%H%M%S.mcap")
     target = Path(arguments.output or name)

@@ -117,7 +117,7 @@ class LineDisplay:
             trouble = f", {state}" if state != "listening" else ""
             junk = f", {count.junk_bytes} junk" if count.junk_bytes else ""
             found = count.errors + count.warnings
-            findings = f", {found} findings" if found else ""
+            findings = f", {found} finding{'s' * (found > 1)}" if found else ""
             if supervisor.config.raw_only:
                 parts.append(f"{bus} {_stored(supervisor, bus)}{trouble}")
             else:

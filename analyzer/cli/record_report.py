@@ -38,9 +38,7 @@ class Summary(msgspec.Struct, kw_only=True):
 def summarize(supervisor: Supervisor) -> Summary:
     """Return how a recording ended."""
     config, snapshot = supervisor.config, supervisor.snapshot
-    files = [name for name in supervisor.logs if Path(name).exists()]
-    if not files and Path(config.log).exists():
-        files = [config.log]
+    files = [str(path) for path in supervisor.files]
     ports = list(supervisor.tallies.values())
     return Summary(
         reason=supervisor.reason,

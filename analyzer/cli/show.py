@@ -33,7 +33,7 @@ examples:
   servotap show capture.log --filter 'address == 1 and command == "read_speed" and speed > 300'
   servotap show capture.log.mcap --filter '"bad_checksum" in findings'
   servotap show week.mcap --since +10min --until +11min
-  servotap show --follow week.mcap --since=-10s
+  servotap show --follow week.mcap --since -10s
   candump -L can0 | servotap show -
 """
 

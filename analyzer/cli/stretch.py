@@ -98,7 +98,9 @@ class Stretch:
 
     def sinks(self, sinks: Sequence[Sink]) -> Sequence[Sink]:
         """Return sinks that see the stretch alone."""
-        return [_Within(sink, self) for sink in sinks] if self._since is not None else sinks
+        if self._since is None:
+            return sinks
+        return [_Within(sink, self, counts=not number) for number, sink in enumerate(sinks)]
 
     def about(self) -> dict[str, str]:
         """Return what a log's metadata says of it."""
@@ -111,25 +113,26 @@ class Stretch:
 
 
 class _Within:
-    """A sink before a sink: it lets pass what is not before the stretch."""
+    """A sink before a sink: it lets pass what is not before the stretch. `counts`: it counts the bytes that it does not."""
 
-    def __init__(self, sink: Sink, stretch: Stretch) -> None:
+    def __init__(self, sink: Sink, stretch: Stretch, *, counts: bool) -> None:
         self._sink = sink
         self._stretch = stretch
+        self._counts = counts
         self._happened = sink.happened if isinstance(sink, EventSink) else None
 
     def entry(self, entry: Entry) -> None:
         """Pass a frame on."""
         if entry.message.frame.last_ns >= self._stretch.since_ns:
             self._sink.entry(entry)
-        else:
+        elif self._counts:
             self._stretch.unseen_bytes += len(entry.message.frame.data)
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
         """Pass junk on."""
         if junk.last_ns >= self._stretch.since_ns:
             self._sink.junk(junk, sequence, topic)
-        else:
+        elif self._counts:
             self._stretch.unseen_bytes += len(junk.data)
 
     def finding(self, found: Finding) -> None:

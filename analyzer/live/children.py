@@ -113,10 +113,8 @@ class Child:
         self._started = time.monotonic()
         self._spoke = False
         self.due = None
-        if _UNIX:
-            # A wish; most users may only raise it.
-            with contextlib.suppress(OSError):
-                os.setpriority(os.PRIO_PROCESS, process.pid, self._nice)
+        if _UNIX and self._nice:
+            _set_nice(process.pid, self._nice)
         assert process.stderr is not None
         errors = threading.Thread(target=self._read_words, args=(process.stderr,), daemon=True)
         errors.start()
@@ -248,10 +246,10 @@ class ReaderChild(Child):
 class DecoderChild(Child):
     """The decoding process: it follows the spools and writes the log."""
 
-    def __init__(self, folder: Path, heard: Heard, command: Sequence[str] = ()) -> None:
-        command = command or [*_PYTHON, "-m", "analyzer.live.recorder"]
+    def __init__(self, folder: Path, heard: Heard) -> None:
+        command = [*_PYTHON, "-m", "analyzer.live.recorder", str(folder), "--feed", "1"]
         nice = 0 if _UNIX and os.geteuid() == 0 else DECODER_NICE
-        super().__init__("decoding", [*command, str(folder), "--feed", "1"], heard, nice)
+        super().__init__("decoding", command, heard, nice)
 
     def _hear(self, line: bytes) -> None:
         try:
@@ -268,6 +266,15 @@ def _environment() -> dict[str, str]:
     if (root / "pyproject.toml").exists():
         environment["PYTHONPATH"] = os.pathsep.join(p for p in (str(root), environment.get("PYTHONPATH")) if p)
     return environment
+
+
+def _set_nice(pid: int, nice: int) -> None:
+    """Let a process go before others, or after them: a wish, most users may only lower it."""
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, pid, os.getpriority(os.PRIO_PROCESS, 0) + nice)
+    # Where Linux weighs sessions against each other, that counts within a session alone.
+    with contextlib.suppress(OSError), open(f"/proc/{pid}/autogroup", "wb", buffering=0) as group:
+        group.write(str(nice).encode())
 
 
 def _why(status: int, words: str) -> str:

@@ -70,9 +70,9 @@ class Merger:
         return self.horizon_ns >= NEVER_NS and not any(spool.waiting for spool in self.spools)
 
     @property
-    def behind(self) -> int:
-        """Records that wait."""
-        return sum(len(spool.waiting) for spool in self.spools)
+    def oldest_ns(self) -> int | None:
+        """Time of the first record that waits, None if none does."""
+        return min((spool.waiting[0].t_ns for spool in self.spools if spool.waiting), default=None)
 
     def _certain(self, horizon_ns: int) -> Iterator[tuple[Spool, Record]]:
         while True:

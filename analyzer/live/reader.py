@@ -40,6 +40,7 @@ _KINDS = {
     "plain": ("analyzer.live.reader_pyserial", "PlainPort"),
     "tcp": ("analyzer.live.reader_tcp", "TcpPort"),
     "socket": ("analyzer.live.reader_can_socket", "CanSocketPort"),
+    "slcan": ("analyzer.live.reader_can_slcan", "SlcanPort"),
     "can": ("analyzer.live.reader_can_library", "CanLibraryPort"),
 }
 #: CAN interfaces that are sockets -> the options of an endpoint that their reader understands.
@@ -56,6 +57,8 @@ def make_port(endpoint: Endpoint, plain: bool = False) -> Port:
         known = _SOCKETS.get(endpoint.interface[0])
         if known is not None and not endpoint.options.keys() - known:
             kind = "socket"
+        elif endpoint.interface[0] == "slcan":
+            kind = "slcan"
     module, name = _KINDS[kind]
     make: Callable[[Endpoint], Port] = getattr(import_module(module), name)
     return make(endpoint)
@@ -118,19 +121,22 @@ class Reader:
 
     def _open(self, first: bool) -> Opened | None:
         """Open the port, in as many attempts as it takes; None when the end is wished meanwhile."""
-        wait_s = FIRST_RETRY_S
-        while not first and not self._stop.wait(wait_s):
+        wait_s = 0.0 if first else FIRST_RETRY_S
+        while not self._stop.wait(wait_s):
             try:
                 return self._port.open(self._stop)
             except Unopened as reason:
+                if first:
+                    raise
                 if str(reason) != self._reason:
                     self._store.event("note", text=str(reason))
                 self._reason = str(reason)
                 self._store.flush()
             except Lost:
+                # The end was wished while it waited for an answer.
                 return None
             wait_s = min(wait_s * 2, LAST_RETRY_S)
-        return self._port.open(self._stop) if first else None
+        return None
 
     def _tell(self, opened: Opened, lost_ns: int | None, kept: bool) -> None:
         store = self._store

@@ -40,6 +40,8 @@ class CanLibraryPort:
         self._endpoint = endpoint
         self._receive: Any = None
         self._shut: Any = None
+        #: Returns the descriptor behind the bus, where its interface has one.
+        self._number: Any = None
 
     def open(self, stop: Stop) -> Opened:
         """Open the interface, listening only where it can."""
@@ -56,7 +58,7 @@ class CanLibraryPort:
         # Each interface raises what its library raises.
         except Exception as error:
             raise Unopened(f"cannot open {self._endpoint.place}: {error or type(error).__name__}") from None
-        self._receive, self._shut = bus.recv, bus.shutdown
+        self._receive, self._shut, self._number = bus.recv, bus.shutdown, bus.fileno
         return Opened("stamped as python-can hands a frame over; what adapter and driver hold back comes on top", tuple(notes))
 
     def adopt(self, fd: int) -> Opened:
@@ -115,7 +117,7 @@ class CanLibraryPort:
 
     def close(self) -> None:
         """Close the interface."""
-        shut, self._shut, self._receive = self._shut, None, None
+        shut, self._shut, self._receive, self._number = self._shut, None, None, None
         if shut is not None:
             # It may be gone already.
             with contextlib.suppress(Exception):

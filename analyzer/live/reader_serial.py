@@ -83,15 +83,16 @@ class SerialPort:
         return find_adapter(number) if number else self._endpoint.place
 
     def _set_up(self, fd: int, path: str, before_ns: int) -> Opened:
-        if not os.isatty(fd):
-            raise Unopened(f"{path} is no serial port")
-        device = os.ttyname(fd)
-        emulated = device.startswith("/dev/pts/")
         speed = self._endpoint.bits_per_second
         try:
+            # Before anything is asked: until then what arrives is echoed.
             actual = set_raw(fd, speed, self._endpoint.parity, self._endpoint.stop_bits)
         except OSError as error:
+            if not os.isatty(fd):
+                raise Unopened(f"{path} is no serial port") from None
             raise Unopened(f"{path} does not take {speed} baud: {error.strerror}") from None
+        device = os.ttyname(fd)
+        emulated = device.startswith("/dev/pts/")
         notes = []
         try:
             fcntl.ioctl(fd, termios.TIOCMBIC, _LINES)
@@ -181,9 +182,9 @@ def _set_raw_standard(fd: int, speed: int, control: int) -> int:
     code = getattr(termios, f"B{speed}", None)
     if code is None:
         raise OSError(22, "this machine takes standard rates alone")
-    attributes = termios.tcgetattr(fd)
-    attributes[6][termios.VMIN], attributes[6][termios.VTIME] = 1, 0
     try:
+        attributes = termios.tcgetattr(fd)
+        attributes[6][termios.VMIN], attributes[6][termios.VTIME] = 1, 0
         termios.tcsetattr(fd, termios.TCSANOW, [0, 0, control, 0, code, code, attributes[6]])
     except termios.error as error:
         raise OSError(*error.args) from None

@@ -204,7 +204,8 @@ class Recorder:
         t_ns = self.config.utc_ns(now_ns)
         self._feed.log = str(self.parts.path)
         self._feed.log_bytes = self.parts.file.position
-        self._feed.behind_ns = max(0, t_ns - self.recording.clock_ns) if self.recording.merger.behind else 0
+        oldest_ns = self.recording.merger.oldest_ns
+        self._feed.behind_ns = 0 if oldest_ns is None else max(0, now_ns - oldest_ns)
         self._writer.offer(self._feed.snapshot(t_ns, ended=ended))
 
 

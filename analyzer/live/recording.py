@@ -216,6 +216,8 @@ class Recording:
         self._release(final=True)
         self.pipeline.close()
         patiently(self.log.flush)
+        # Even now the disk may have been full.
+        self._feed_own()
         metadata = {**self._about(), "ended": self.ended or "broke off"}
         patiently(lambda: self.log.finish(metadata))
         patiently(self.parts.sync)
@@ -416,10 +418,13 @@ class Recording:
         if self._held is not None:
             self._release(horizon_ns=horizon_ns)
         if self._held is None:
-            own, self._own = self._own, []
-            for bus, noted in own:
-                self._feed_event(bus, noted["event"], values_of(noted, self.config.utc_ns))
+            self._feed_own()
             self._look_again()
+
+    def _feed_own(self) -> None:
+        own, self._own = self._own, []
+        for bus, noted in own:
+            self._feed_event(bus, noted["event"], values_of(noted, self.config.utc_ns))
 
     # --- dialects -------------------------------------------------------------------------------------------------
 

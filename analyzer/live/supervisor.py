@@ -10,13 +10,12 @@ first, then `end` in CONTROL, then it waits for the decoding process to have fin
 
 from __future__ import annotations
 
-import os
 import platform
 import queue
 import shutil
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ from analyzer.errors import ServotapError, UsageError
 from analyzer.live import clock
 from analyzer.live.children import SAYS, Child, DecoderChild, Heard, ReaderChild
 from analyzer.live.config import CONTROL, RecordingConfig
-from analyzer.live.lock import RUNNING, Lock, running
+from analyzer.live.lock import RUNNING, Lock
 from analyzer.live.losses import PortTally, take
 from analyzer.live.reader_store import Store
 from analyzer.live.snapshot import Snapshot
@@ -55,8 +54,8 @@ class Supervisor:
     """One recording. `run` returns when it is over; `stop` and `mark` may be called from any thread.
 
     `on_note(bus, text)`: what a user should know, as it happens; bus is empty where it is about all. `on_snapshot`: what the
-    decoding process tells. Both are called from the thread of `run`. `decoder`: another command for the decoding process;
-    `plain`: readers as where there is no Linux; `readers`: other readers, one of which may store several spools.
+    decoding process tells. Both are called from the thread of `run`. `plain`: readers as where there is no Linux; `readers`:
+    other readers, one of which may store several spools.
     """
 
     def __init__(
@@ -66,7 +65,6 @@ class Supervisor:
         duration_ns: int = 0,
         on_note: Callable[[str, str], None] = nobody,
         on_snapshot: Callable[[Snapshot], None] = nobody,
-        decoder: Sequence[str] = (),
         plain: bool = False,
         readers: ReaderMaker | None = None,
     ) -> None:
@@ -77,8 +75,6 @@ class Supervisor:
             for p in config.ports
         }
         self.snapshot: Snapshot | None = None
-        #: Files that were written, in order, as far as they were told.
-        self.logs: list[str] = []
         #: Why it ended; empty while it runs.
         self.reason = ""
         #: `starting`, `recording`, `ending`, `finishing`, `over`.
@@ -96,7 +92,7 @@ class Supervisor:
             if readers is None
             else dict(readers(self.folder, self._heard))
         )
-        self._decoder: Child = DecoderChild(self.folder, self._heard, decoder)
+        self._decoder: Child = DecoderChild(self.folder, self._heard)
         self._control: Store | None = None
         self._control_lock = threading.Lock()
         self._stopping = threading.Event()
@@ -123,6 +119,15 @@ class Supervisor:
     def mark(self, text: str) -> None:
         """Put a note into the log, at this moment."""
         self._note_event("mark", text=text)
+
+    @property
+    def files(self) -> list[Path]:
+        """The log, or its parts that are there, in order."""
+        config = self.config
+        log = Path(config.log)
+        if config.rotate_bytes or config.rotate_ns or config.max_total:
+            return parts_named(log)
+        return [log] if log.exists() else []
 
     @property
     def processes(self) -> Mapping[str, int]:
@@ -219,8 +224,6 @@ class Supervisor:
             self._hear_event(name, what)
         elif kind == "snapshot":
             self.snapshot = what
-            if what.log and (not self.logs or self.logs[-1] != what.log):
-                self.logs.append(what.log)
             self._on_snapshot(what)
         elif kind == "said":
             self._on_note(self.tallies[name].bus if name in self.tallies else "", what)
@@ -319,31 +322,3 @@ class Supervisor:
             self._turn(_TURN_S)
         if self.folder.exists() and not self.unfinished:
             self.unfinished = f"the log is not finished; servotap recover {self.config.log} does that"
-
-
-def check_target(log: Path, force: bool, *, parts: bool = False) -> None:
-    """See that a log may be written. Raises UsageError where something is in the way; `force` removes it.
-
-    What is in the way: the log itself, with `parts` those that go by its name, or spools of a recording that was not finished.
-    """
-    if log.exists() and not log.is_file():
-        raise UsageError(f"{log} is no regular file, and a log cannot be written there")
-    if not log.parent.is_dir():
-        raise UsageError(f"{log.parent} is no folder")
-    if not os.access(log.parent, os.W_OK):
-        raise UsageError(f"{log.parent}: no permission to write there")
-    folder = spool_folder(log)
-    if folder.exists():
-        if running(folder):
-            raise UsageError(f"a recording to {log} is running")
-        if not force:
-            raise UsageError(
-                f"{folder} exists: a recording to {log} was not finished; servotap recover {log} does that, --force throws it "
-                "away"
-            )
-        shutil.rmtree(folder)
-    for path in parts_named(log) if parts else [log]:
-        if path.exists():
-            if not force:
-                raise UsageError(f"{path} exists; --force replaces it")
-            path.unlink()

@@ -262,8 +262,7 @@ class McapFile:
         self.flush()
         start = self._position
         try:
-            self._put(record_bytes(DataEnd(0)))
-            self._summary()
+            self._summary(record_bytes(DataEnd(0)))
             self._stream.flush()
         except OSError:
             self._position = start
@@ -345,8 +344,9 @@ class McapFile:
 
     # --- the end --------------------------------------------------------------------------------------------------
 
-    def _summary(self) -> None:
-        start = place = self._position
+    def _summary(self, before: bytes) -> None:
+        """Write the summary, in few writes; `before` stands before it."""
+        start = place = self._position + len(before)
         statistics = Statistics(
             attachment_count=self._attachments,
             channel_count=self._channels,
@@ -367,7 +367,7 @@ class McapFile:
             (Opcode.METADATA_INDEX, self._index.records(Opcode.METADATA_INDEX)),
         )
         offsets = []
-        batch: list[bytes] = []
+        batch = [before]
         size = crc = 0
         for opcode, records in groups:
             first = place
@@ -382,11 +382,10 @@ class McapFile:
                     size = 0
             if place > first:
                 offsets.append(record_bytes(SummaryOffset(opcode, first, place - first)))
-        self._put(b"".join(batch))
         data = b"".join(offsets)
         crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, start, place), zlib.crc32(data, crc))
         footer = Footer(summary_start=start, summary_offset_start=place, summary_crc=crc)
-        self._put(data + record_bytes(footer) + MCAP0_MAGIC)
+        self._put(b"".join((*batch, data, record_bytes(footer), MCAP0_MAGIC)))
 
     def _put(self, data: bytes) -> None:
         self._stream.write(data)

@@ -113,8 +113,7 @@ class RecordingLog(McapLog):
         return {"last_ns": self._last_ns, "seconds": seconds}
 
     def restore(self, state: Mapping[str, Any], file: McapFile) -> None:
-        """Go on where another log stood that wrote to this file."""
-        self._file = file
+        """Go on where another log stood. `file`: what it wrote to, without anything that may stand before it."""
         self._last_ns = state["last_ns"]
         for bus, values in state["seconds"].items():
             second = self._seconds[bus] = Second(0, Speed(*values[len(_COUNTS) :]))

@@ -160,7 +160,7 @@ class _Log:
         if self._waiting is not None:
             yield from self._waiting.due(record.log_ns)
         if taken is not None:
-            if lane.is_raw and lane.bus not in self._begun and logged.offset is not None:
+            if lane.bus not in self._begun and logged.offset is not None:
                 yield from self._begin(lane, record.log_ns, logged.offset)
             yield taken
 

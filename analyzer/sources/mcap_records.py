@@ -64,10 +64,11 @@ def records(source: Source) -> Iterator[LogRecord]:
         return
     while True:
         outline = outline_of(source) if source.skip_before_ns is not None else None
-        if outline is not None:
-            # The chunks that declared them may not be read.
-            yield from outline.channels
-        yield from _part(source, _Sequential(source, outline.skips if outline is not None else {}))
+        for record in _part(source, _Sequential(source, outline.skips if outline is not None else {})):
+            yield record
+            if isinstance(record, Header) and outline is not None:
+                # The chunks that declared them may not be read.
+                yield from outline.channels
         if not source.next_part():
             return
 

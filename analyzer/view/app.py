@@ -93,7 +93,9 @@ class ViewApp(App[str]):
             yield self.plot
         yield self._status
         yield self._prompt
-        yield Footer(compact=True)
+        footer = Footer()
+        footer.compact = True
+        yield footer
 
     def on_mount(self) -> None:
         """Begin."""

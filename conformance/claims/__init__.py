@@ -18,16 +18,17 @@ GROUP = "servotap.claims"
 #: Theme modules, in the order in which they run: what is quick and harmless first.
 MODULES = (
     "shape",
+    "framing",
     "examples",
+    "addressing",
+    "traffic",
+    "modbus",
     "ranges",
     "read_back",
-    "addressing",
-    "framing",
-    "modbus",
-    "resilience",
     "timing",
     "motion",
     "state",
+    "resilience",
 )
 Source = Callable[[Dialect], Iterable[Claim]]
 

@@ -71,6 +71,9 @@ def _broadcast(dialect: Dialect, shown: Witness | None) -> Iterator[Claim]:
     )  # fmt: skip
     if shown is not None:
         yield from _to_many(dialect, "broadcast", "a broadcast", where, shown, lambda probe: to, ())
+    zero = witness.setting(dialect)
+    if zero is not None:
+        yield from _to_many(dialect, "broadcast/setting", "a broadcast", where, zero, lambda probe: to, ())
 
 
 def _samples(dialect: Dialect) -> list[Command]:
@@ -188,6 +191,9 @@ def _group(dialect: Dialect, shown: Witness | None) -> Iterator[Claim]:
     )  # fmt: skip
     if shown is not None:
         yield from _to_many(dialect, "group", "a group address", where, shown, _join, _GROUP_ERRATA, more, changed)
+        zero = witness.setting(dialect)
+        if zero is not None:
+            yield from _to_many(dialect, "group/setting", "a group address", where, zero, _join, _GROUP_ERRATA, more, changed)
         yield _other_group(dialect, shown, demands)
 
 

@@ -8,9 +8,10 @@ What a slot makes the drive do is a small move, whose length tells which slot wa
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from conformance import moving, witness
 from conformance.claim import Claim, Inconclusive, Refuted, Theme
 from conformance.claims.declare import declare
@@ -44,6 +45,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     yield make.of_all()
     yield make.of_zeros()
     yield make.following()
+    yield make.broken_off()
     yield from make.damaged()
 
 
@@ -118,9 +120,9 @@ class _Maker:
 
     def declared(
         self, name: str, statement: str, refuted_by: str, check: Any, *, sure: Certainty = Certainty.CERTAIN,
-        emulated: bool = False,
+        emulated: bool = False, cut: bool = False,
     ) -> Claim:  # fmt: skip
-        """Return a claim about packages."""
+        """Return a claim about packages. `cut`: what is sent can be read with other slots than it was built with."""
         return declare(
             self.dialect,
             Theme.ADDRESSING,
@@ -132,7 +134,7 @@ class _Maker:
             at_best=sure,
             alone=True,
             emulated=emulated,
-            risks=moving.risks(self.dialect),
+            risks=moving.risks(self.dialect, *((Risk.UNKNOWN,) if cut else ())),
             settings=moving.settings(self.dialect),
         )
 
@@ -210,6 +212,18 @@ class _Maker:
         statement = "The next request to the drive behind a package is answered."
         return self.declared("next", statement, "silence, or another answer", check)
 
+    def broken_off(self) -> Claim:
+        """Return the claim that the next request behind a package that breaks off is answered."""
+
+        def check(probe: Probe) -> None:
+            ask_first(probe)
+            frame = self.frame(probe, [{"address": probe.address, "command": plain_read(self.dialect).name}])
+            for size in (1, 3, self.size, len(frame) // 2, len(frame) - 1):
+                judge_next(probe, f"{size} bytes of a package", partial(probe.send, frame[:size]))
+
+        statement = "The next request to the drive behind a package that breaks off is answered, after a pause."
+        return self.declared("broken_off", statement, "silence", check, sure=Certainty.LIKELY, cut=True)
+
     def damaged(self) -> Iterator[Claim]:
         """Yield the claims that a package of another length, or with a wrong sum, is not executed. Emulated drives only."""
         link = self.dialect.link
@@ -235,7 +249,7 @@ class _Maker:
                 for frame in variants(self.frame(probe, [self.move(probe.address)])):
                     self.judge(probe, frame, 0, statement)
 
-            yield self.declared(name, statement, "a move", check, emulated=True)
+            yield self.declared(name, statement, "a move", check, emulated=True, cut=True)
 
 
 def _others(dialect: Dialect, own: int, count: int) -> list[int]:

@@ -23,7 +23,7 @@ from conformance.claims import homing, world
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import expect_stays, motion_claim, refute
 from conformance.exchange import Exchange
-from conformance.moving import MS, SECOND_NS
+from conformance.moving import MS, QUICK, SECOND_NS
 from conformance.probe import Probe, Until
 
 _JITTER = 3
@@ -122,23 +122,23 @@ def _values(probe: Probe, command: Command, way: int) -> dict[str, int]:
     if "direction" in command.request_forms[0].layout.named:
         sense = _sense(probe, command)
         direction = int(sense != way)
-        values = {"direction": direction, "speed": 120, "acceleration": 250}
+        values = {"direction": direction, "speed": 120, "acceleration": QUICK}
         return values if command.verb is Verb.RUN_SPEED else {**values, "pulses": 3200 * 4}
     amount = 4 * journey.units_per_turn(command) * way
     if command.verb is Verb.MOVE_ABSOLUTE_PULSES and _sense(probe, command) < 0:
         amount = -amount
-    return journey.values_of(command, amount, 120, 250, journey.place(probe, command))
+    return journey.values_of(command, amount, 120, QUICK, journey.place(probe, command))
 
 
 def _sense(probe: Probe, command: Command) -> int:
     """Return which way direction 0, or a greater position, turns the shaft: 1 where counts rise."""
     before = moving.position(probe)
     if command.verb is Verb.RUN_SPEED:
-        moving.run_at(probe, 30, 250)
+        moving.run_at(probe, 30, QUICK)
         probe.wait(200 * MS)
         after = moving.stand_still(probe)
     else:
-        after = journey.travel(probe, command, 0.02, acceleration=250).end
+        after = journey.travel(probe, command, 0.02, acceleration=QUICK).end
     return 1 if after.value > before.value else -1
 
 
@@ -192,7 +192,7 @@ def _lets_back(probe: Probe, setting: Command) -> None:
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
     _send_left(probe, move.name)
     before = moving.position(probe)
-    exchange = _heard(probe, move, journey.values_of(move, 4000, 120, 250))
+    exchange = _heard(probe, move, journey.values_of(move, 4000, 120, QUICK))
     probe.wait(2 * SECOND_NS)
     went = moving.wait_standing(probe).value - before.value
     if probe.refused(exchange) or abs(went - 4000 * 360 / COUNTS_PER_TURN) > 1:
@@ -230,7 +230,7 @@ def _right(remap: int, probe: Probe, command: Command) -> None:
     large = world.drive_of(probe).model.startswith("57")
     wanted = bool(remap) or large
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
-    exchange = probe.ask(move, journey.values_of(move, 4 * COUNTS_PER_TURN, 120, 250))
+    exchange = probe.ask(move, journey.values_of(move, 4 * COUNTS_PER_TURN, 120, QUICK))
     if journey.refused(probe, exchange):
         raise NotRun("the move was refused")
     probe.wait(5 * SECOND_NS)

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 from analyzer import encoder
 from analyzer.catalogue import Command, Dialect, Role, Vector, Verb
 from analyzer.codec import codec
-from conformance import moving
+from conformance import moving, samples
 from conformance.anatomy import Reading, replies
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims import examples_many
@@ -121,6 +121,8 @@ def _claim(dialect: Dialect, example: Example, number: int) -> Claim:
     if example.request is not None:
         risks = set(encoder.assemble(dialect, command, 1, example.values).risks)
         required["risks"] = risks | (moving.risks(dialect) if needs_motion(command) else set())
+    if (run := _run_of(dialect, command)) is not None:
+        required["risks"] = {*required["risks"], *run.risks(samples.sample(dialect, run))}
     quirks = _quirks(dialect, example)
 
     def check(probe: Probe) -> None:
@@ -159,7 +161,7 @@ def _quirks(dialect: Dialect, example: Example) -> tuple[str, ...]:
     concerned = {
         OTHER_FIRMWARE: parameter,
         NO_CHECKSUM: bool(example.replies),
-        SLOW_REPLIES: len(example.replies) > 1,
+        SLOW_REPLIES: len(example.replies) > 1 and example.command.verb in _RUNS,
     }
     return known(dialect, *(name for name, is_so in concerned.items() if is_so))
 
@@ -180,14 +182,19 @@ def _printed(vector: Vector) -> str:
     return f"{how}: {vector.printed}{fixed}"
 
 
+def _run_of(dialect: Dialect, command: Command) -> Command | None:
+    """Return the run that a stop stops, None for what is no stop."""
+    run = _RUNS.get(command.verb)
+    return dialect.by_verb.get(run) if run is not None else None
+
+
 def _prepare(probe: Probe, command: Command) -> None:
     if not needs_motion(command):
         return
     moving.ready_to_move(probe)
-    run = _RUNS.get(command.verb)
-    if run is not None and run in probe.dialect.by_verb:
-        begun = probe.command(run)
-        probe.do(begun, values_for(probe, begun))
+    run = _run_of(probe.dialect, command)
+    if run is not None:
+        probe.do(run, values_for(probe, run))
 
 
 def _rest(probe: Probe, command: Command) -> None:

@@ -110,7 +110,9 @@ def _with_unknown_codes(probe: Probe) -> Iterator[Variant]:
     dialect, read = probe.dialect, probe.build(plain_read(probe.dialect))
     for code in (*_unknown_codes(dialect), *_FIRMWARE_CODES.get(dialect.name, ())):
         frame = _recoded(dialect, read.frame, code, probe.address)
-        yield _coded(code), garbling.item_of(dialect, probe.address, frame)
+        item = garbling.item_of(dialect, probe.address, frame)
+        if garbling.harmless(item, probe.address, read.frame, beside=_UNKNOWN):
+            yield _coded(code), item
 
 
 def _coded(code: int) -> str:
@@ -135,6 +137,7 @@ def _strange_frames(probe: Probe) -> Iterator[Variant]:
 #: Codes that other firmware was seen to have: one that it answers, and some that do what nobody wants.
 _UNWANTED = frozenset({0x07, 0x40, 0x42})
 _HEADS = frozenset({0xFA, 0xFB, 0xFC, 0x3E})
+_UNKNOWN = frozenset({Risk.UNKNOWN})
 _FIRMWARE_CODES: Mapping[str, tuple[int, ...]] = {"lk-rs485": (0x12,)}
 
 _KINDS = (
@@ -145,15 +148,17 @@ _KINDS = (
     _Kind("truncated", "a request that breaks off", _each(Garbler.truncated)),
     _Kind("overlong", "a request with data that its command does not have", _each(Garbler.overlong),
           ignored=Certainty.LIKELY, errata=("lk-rs485-06", "lk-rs485-07")),
+    _Kind("underlong", "a request with less data than its command has", _each(Garbler.underlong),
+          ignored=Certainty.LIKELY, links=(LkLink, CanLink), errata=("lk-rs485-06", "lk-rs485-07")),
     _Kind("noise", "noise", _noise, links=(HeadLink, LkLink, ModbusLink)),
     _Kind("head", "a frame with another head than a request's", _other_heads, links=(HeadLink, LkLink)),
     _Kind("other_dialect", "a good request in another dialect", _other_dialects, ignored=Certainty.LIKELY,
           links=(HeadLink, LkLink, ModbusLink), quirks=(FRAGMENTS,)),
     _Kind("unknown_code", "a good frame of a code that the manual does not list", _with_unknown_codes,
-          ignored=Certainty.LIKELY, links=(HeadLink, LkLink, CanLink), risks=frozenset({Risk.UNKNOWN}),
+          ignored=Certainty.LIKELY, links=(HeadLink, LkLink, CanLink), risks=_UNKNOWN,
           quirks=(OTHER_FIRMWARE,)),
     _Kind("frame_type", "a frame that is no data frame of 11 bits", _strange_frames, ignored=Certainty.LIKELY,
-          links=(CanLink,), risks=frozenset({Risk.UNKNOWN})),
+          links=(CanLink,), risks=_UNKNOWN),
 )  # fmt: skip
 
 def _tolerated(dialect: Dialect, kind: _Kind, what: str) -> bool:

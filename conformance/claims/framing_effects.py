@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims about start bytes in data, and about what damaged requests do."""
     if "set_position" in dialect.by_name:
-        yield _start_bytes(dialect, dialect.by_name["set_position"], "position", _LK_POSITIONS, Verb.READ_POSITION)
+        yield _start_bytes(dialect, dialect.by_name["set_position"], "position", _lk_positions, Verb.READ_POSITION)
     elif isinstance(dialect.link, HeadLink):
         one = dialect.by_verb.get(Verb.SET_SUBDIVISION)
         if one is not None:
-            yield _start_bytes(dialect, one, "subdivision", _SUBDIVISIONS, None)
+            yield _start_bytes(dialect, one, "subdivision", lambda own: _SUBDIVISIONS, None)
     shown = witness.chosen(dialect)
     if shown is not None:
         for damage in _DAMAGES:
@@ -40,12 +40,20 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
 
 # --- start bytes in data ----------------------------------------------------------------------------------------------
 
+
+
+def _lk_positions(own: int) -> tuple[int, ...]:
+    """Return positions with heads in them; the last one and its sum read like a good request to the drive."""
+    head = bytes((0x3E, 0x92, own, 0x00))
+    return (*_LK_POSITIONS, int.from_bytes(head, "little"))
+
+
 #: A value without a start byte in it, for comparison.
 _PLAIN = 16
 #: Any byte is a subdivision: the heads of requests, replies and packages.
 _SUBDIVISIONS = (0xFA, 0xFB, 0xFC, 0x3E)
 #: Positions whose bytes, low byte first, are heads and the beginning of a good read.
-_LK_POSITIONS = (0x3E, 0x3E3E, 0x3E3E_3E3E, 0x0001_923E, 0x3E00)
+_LK_POSITIONS = (0x3E, 0x3E3E, 0x3E3E_3E3E, 0x3E00)
 
 
 def _good_answers(probe: Probe, command: Command, exchange: Exchange) -> int:
@@ -55,13 +63,13 @@ def _good_answers(probe: Probe, command: Command, exchange: Exchange) -> int:
 
 
 def _start_bytes(
-    dialect: Dialect, command: Command, field: str, values: tuple[int, ...], read: Verb | None
+    dialect: Dialect, command: Command, field: str, values: Callable[[int], tuple[int, ...]], read: Verb | None
 ) -> Claim:
     def check(probe: Probe) -> None:
         usual = _good_answers(probe, command, probe.ask(command, {field: _PLAIN}))
         if not usual:
             raise Inconclusive(f"{command.name} is not answered by a good reply that it is done")
-        for value in values:
+        for value in values(probe.address):
             # Twice: a line that loses a reply now and then is another matter.
             exchanges = [probe.ask(command, {field: value}) for _ in range(2)]
             exchange = exchanges[-1]

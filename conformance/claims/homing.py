@@ -1,7 +1,6 @@
-"""Homing and zero: how a drive finds its end stop, or an obstacle, and what it then calls zero.
+"""Homing: how a drive finds its end stop, or an obstacle, and what it then calls zero.
 
-An end stop or an obstacle must be where the claim expects it, so homing is tried on emulated drives alone; the zero that
-92 sets needs nothing of the kind.
+An end stop or an obstacle must be where the claim expects it, so homing is tried on emulated drives alone.
 
 Rules kept here:
 - `home_direction` 0 is clockwise, and clockwise lowers the counts.
@@ -17,12 +16,12 @@ from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.protocols.mks_shared import COUNTS_PER_TURN
 from conformance import journey, moving
 from conformance.claim import Claim, Inconclusive
 from conformance.claims import world
-from conformance.claims.motion_claim import expect_stays, motion_claim, refute
+from conformance.claims.motion_claim import motion_claim, refute
 from conformance.exchange import Exchange
 from conformance.moving import MS, SECOND_NS
 from conformance.probe import Probe, Until
@@ -37,18 +36,11 @@ _LIMIT_NS = 20 * SECOND_NS
 #: With the end limit on, the shaft is let go where homing meets the end stop (5.3.1, Note 2).
 _LETS_GO: Mapping[str, bool] = {"mks-rs485": True, "mks-modbus": True, "mks-can": False}
 _WAYS = {_CW: -1, _CCW: 1}
-#: What reads 0 after 92: the read, in words, and its fields.
-_ZEROED = (
-    (Verb.READ_POSITION, "position", ("position",)),
-    (Verb.READ_PULSES, "pulses", ("pulses",)),
-    (Verb.READ_ENCODER_CARRY, "carry", ("carry", "encoder")),
-)
 _NAMES = {_CW: "cw", _CCW: "ccw"}
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about homing and zero."""
-    yield from _about_zero(dialect)
+    """Make the claims about homing."""
     home, setting = dialect.by_verb[Verb.HOME], dialect.by_verb[Verb.SET_HOME]
     risks = home.all_risks | setting.all_risks
     made = partial(motion_claim, dialect, home, emulated=True, risks=risks, settings=_fields(dialect))
@@ -64,6 +56,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
             "From a closed end stop the shaft first turns the other way, then comes back to it.",
             "a shaft that does not leave the end stop, or stops elsewhere",
             partial(_from_closed, direction),
+            risks=risks | _way_back_risks(dialect),
         )
     yield made("zero", "Where homing ends is zero, of the encoder and of the pulses.", "another number", _zero_at_home)
     for rpm in (60, 120, 300):
@@ -105,75 +98,20 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
                     "that point is zero.",
                     "another place",
                     partial(_without_switch, direction, angle),
+                    risks=risks | _way_back_risks(dialect),
                 )
+
+
+def _way_back_risks(dialect: Dialect) -> frozenset[Risk]:
+    """Return the risks of setting the way back, where a dialect has a command for it."""
+    command = dialect.by_verb.get(Verb.SET_NO_LIMIT_HOME)
+    return frozenset() if command is None else command.all_risks
 
 
 def _fields(dialect: Dialect) -> tuple[str, ...]:
     commands = [dialect.by_verb.get(v) for v in (Verb.SET_HOME, Verb.SET_NO_LIMIT_HOME)]
     names = [n for c in commands if c is not None for f in c.request_forms for n in f.layout.named]
     return tuple(dict.fromkeys(names))
-
-
-# --- zero -------------------------------------------------------------------------------------------------------------
-
-
-def _about_zero(dialect: Dialect) -> Iterator[Claim]:
-    zero = dialect.by_verb[Verb.SET_ZERO]
-    made = partial(motion_claim, dialect, zero)
-    for verb, what, names in _ZEROED:
-        yield made(what, f"After 92 the {what} reads 0.", "another number", partial(_zero, verb, names))
-    yield made("stands", "92 turns nothing, and the motor moves as before.", "a shaft that moved, or is not held", _zero_stands)
-    for verb in (Verb.MOVE_ABSOLUTE_AXIS, Verb.MOVE_ABSOLUTE_PULSES):
-        yield made(
-            f"and-{verb.value}",
-            f"After 92 {verb.value} to 0 comes back to where 92 was given.",
-            "another place",
-            partial(_zero_is_target, verb),
-        )
-
-
-def _away(probe: Probe) -> None:
-    moving.ready_to_move(probe)
-    journey.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 1.3, speed=180, acceleration=250)
-
-
-def _zero(verb: Verb, names: tuple[str, ...], probe: Probe, command: Command) -> None:
-    _away(probe)
-    exchange = probe.do(command)
-    values = probe.reply(probe.ask(verb)).values
-    carry = values.get("carry", 0) * COUNTS_PER_TURN
-    total = carry + sum(values[n] for n in names if n != "carry")
-    if abs(total) > _JITTER:
-        got = ", ".join(f"{n} {values[n]}" for n in names)
-        raise refute(exchange, "the place where 92 was given is not zero", expected="0", got=got)
-
-
-def _zero_stands(probe: Probe, command: Command) -> None:
-    _away(probe)
-    probe.do(command)
-    before = moving.position(probe)
-    probe.wait(SECOND_NS)
-    exchange = probe.traffic[-1]
-    expect_stays(before, moving.position(probe), exchange, "92 turns the shaft")
-    trip = journey.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 0.25)
-    if abs(abs(trip.degrees) - 90) > moving.SAME:
-        text = "a move after 92 goes another way than was asked"
-        raise refute(trip.exchange, text, expected="90 degrees", got=f"{trip.degrees:+.2f} degrees")
-
-
-def _zero_is_target(verb: Verb, probe: Probe, command: Command) -> None:
-    move = probe.command(verb)
-    journey.prepare(probe, move)
-    _away(probe)
-    probe.do(command)
-    there = journey.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 0.4)
-    exchange = probe.do(move, journey.values_of(move, 0, 120, 250))
-    probe.wait(SECOND_NS)
-    end = moving.wait_standing(probe)
-    went = end.value - there.end.value
-    if abs(went + there.degrees) > moving.SAME:
-        text = f"{verb.value} to 0 does not come back to where 92 was given"
-        raise refute(exchange, text, expected=f"{-there.degrees:+.2f} degrees", got=f"{went:+.2f} degrees")
 
 
 # --- homing -----------------------------------------------------------------------------------------------------------

@@ -29,6 +29,7 @@ from conformance.claims.declare import declare
 from conformance.claims.hearing import ask_cleanly, came, plain_read, section
 from conformance.claims.modbus_frames import ask, exception, judge, request
 from conformance.exchange import hex_of
+from conformance.garbling import harmless
 
 if TYPE_CHECKING:
     from conformance.probe import Probe
@@ -42,7 +43,7 @@ FUNCTION, ADDRESS, VALUE = (
 _OTHER_FUNCTIONS = (0x07, 0x08, 0x0B, 0x11, 0x14, 0x16, 0x17, 0x18, 0x2B, 0x41, 0x64, 0x7F)
 _LONGEST_READ = 125
 #: Addresses that the standard keeps back, as far as no other dialect begins its frames with them.
-_RESERVED = (248, 249, 252, 254, 255)
+_RESERVED = (248, 249, 253, 254, 255)
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
@@ -52,6 +53,8 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     for kind in _KINDS:
         yield _refused(dialect, kind)
     yield _reserved_addresses(dialect)
+    yield _nobody_else(dialect, "broadcast", "by broadcast", lambda own: (0,))
+    yield _nobody_else(dialect, "other", "to another address", lambda own: (own % 247 + 1, (own + 100) % 247 + 1))
     yield from modbus_writes.claims(dialect)
 
 
@@ -166,7 +169,11 @@ _KINDS = (
 def _refused(dialect: Dialect, kind: _Kind) -> Claim:
     def check(probe: Probe) -> None:
         ask_cleanly(probe)
+        following = probe.build(plain_read(dialect)).frame
         for what, function, frame in kind.make(probe):
+            # Bytes that begin a frame of another dialect are left to drives that are alone.
+            if not harmless(frame, probe.address, following, beside=kind.risks):
+                continue
             judge(probe, ask(probe, frame), exception(probe, function, kind.code), what)
 
     return declare(
@@ -211,3 +218,36 @@ def _reserved_addresses(dialect: Dialect) -> Claim:
         errata=("mks-modbus-14",),
     )
 
+
+def _nobody_else(
+    dialect: Dialect, name: str, how: str, addresses: Callable[[int], tuple[int, ...]]
+) -> Claim:
+    def check(probe: Probe) -> None:
+        ask_cleanly(probe)
+        read = plain_read(dialect)
+        for address in addresses(probe.address):
+            frames = (
+                request(probe, 0x03, read.code, read.quantity, address=address),
+                request(probe, read.function or 0, 0x0035, 1, address=address),
+                request(probe, read.function or 0, read.code, 0, address=address),
+            )
+            for frame in frames:
+                sent = probe.send(frame)
+                if not sent.silent:
+                    raise Refuted(
+                        f"a wrong request {how} is answered",
+                        expected=f"silence after {hex_of(frame)}",
+                        got=came(sent),
+                        exchange=sent,
+                    )
+
+    return declare(
+        dialect,
+        Theme.MODBUS,
+        f"exception/{name}",
+        f"What calls for an exception is not answered when it is sent {how}.",
+        "any answer",
+        check,
+        section=f"{section(dialect)}; Modbus V1.1b3, 7",
+        alone=True,
+    )

@@ -182,7 +182,8 @@ def _counts(dialect: Dialect, commands: list[Command]) -> Iterator[Claim]:
     link = dialect.link
     assert isinstance(link, ModbusLink)  # asked by the theme
     refused = ModbusException.ILLEGAL_DATA_VALUE
-    risks = {Risk.SETTING, Risk.UNKNOWN, Risk.TORQUE}
+    # A count that is not the register's can be read with any values.
+    risks = {Risk.UNKNOWN}.union(*(c.all_risks for c in commands))
 
     def odd(probe: Probe) -> None:
         ask_cleanly(probe)

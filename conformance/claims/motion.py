@@ -12,35 +12,52 @@ from conformance.claims import (
     end_limits,
     homing,
     motion_lk,
+    motion_lk_encoder,
+    motion_lk_errors,
+    motion_lk_forces,
     motion_lk_limits,
     motion_lk_reads,
+    motion_lk_speeds,
     motion_lk_states,
     motion_moves,
     motion_reads,
     motion_runs,
+    motion_speeds,
     motion_states,
     motion_stops,
     motion_updates,
     power_on,
     protection,
     responding,
+    set_zero,
 )
 
 _MKS = (
     motion_moves,
     motion_runs,
+    motion_speeds,
     motion_stops,
     motion_updates,
     motion_states,
     motion_reads,
     responding,
+    set_zero,
     homing,
     end_limits,
     protection,
     power_on,
     calibrating,
 )
-_LK = (motion_lk, motion_lk_states, motion_lk_reads, motion_lk_limits)
+_LK = (
+    motion_lk_speeds,
+    motion_lk,
+    motion_lk_states,
+    motion_lk_forces,
+    motion_lk_errors,
+    motion_lk_reads,
+    motion_lk_encoder,
+    motion_lk_limits,
+)
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:

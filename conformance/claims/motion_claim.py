@@ -33,13 +33,19 @@ def motion_claim(
     *,
     theme: Theme = Theme.MOTION,
     risks: Iterable[Risk] = (),
+    own: Iterable[Risk] | None = None,
     settings: Iterable[str] = (),
+    still: bool = False,
     **more: Any,
 ) -> Claim:
     """Return a claim about a command that moves, or about one that a moving drive is asked.
 
-    `risks`, `settings`: beside those of making a drive ready; the command's own are always among them.
+    `risks`, `settings`: beside those of making a drive ready and of the command. `own`: those of the command with the
+    values that are sent, where that are not all (values that no manual explains are sent by no claim of this theme).
+    `still`: the drive is not made ready to move.
     """
+    risks = {*risks, *(command.all_risks - {Risk.UNKNOWN} if own is None else own)}
+    more.setdefault("fields", tuple(dict.fromkeys(n for f in command.request_forms for n in f.layout.named)))
     return declare(
         dialect,
         theme,
@@ -49,8 +55,8 @@ def motion_claim(
         partial(_run, check, command.name),
         command=command,
         aspect=Aspect.MOTION,
-        risks=moving.risks(dialect, *risks, *command.all_risks),
-        settings=moving.settings(dialect, *settings),
+        risks=risks if still else moving.risks(dialect, *risks),
+        settings=tuple(settings) if still else moving.settings(dialect, *settings),
         **more,
     )
 

@@ -1,7 +1,7 @@
-"""Motion of LK motors: speeds, moves over several turns, within one turn and by an angle, each way and at which speed.
+"""Moves of LK motors: over several turns, within one turn and by an angle, each way and at which speed.
 
-    A2  speed          A3, A4  to a position over all turns     A5, A6  to an angle within the turn
-                       A7, A8  by an angle                      (the even codes with a highest speed)
+    A3, A4  to a position over all turns     A5, A6  to an angle within the turn
+    A7, A8  by an angle                      (the even codes with a highest speed)
 
 Rules kept here:
 - LK tells no end: the shaft is watched until it stands.
@@ -20,6 +20,7 @@ from conformance import moving
 from conformance.claim import Claim, Inconclusive
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import expect_stays, motion_claim, refute
+from conformance.claims.motion_lk_speeds import measured
 from conformance.exchange import Exchange
 from conformance.moving import MS, SECOND_NS, Sample
 from conformance.probe import Probe
@@ -35,16 +36,13 @@ _MULTI = ("move_multi_turn", "move_multi_turn_limited")
 _SINGLE = ("move_single_turn", "move_single_turn_limited")
 _STEPS = ("move_increment", "move_increment_limited")
 _LIMITED = ("move_multi_turn_limited", "move_single_turn_limited", "move_increment_limited")
-#: How sure it is which way a positive number turns: lk-rs485-28.
-_ON_SIGN = ("lk-rs485-28",)
 #: Moves to A4 whose replies are looked at for their sums.
 _MANY = 300
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about the motion of an LK motor."""
+    """Make the claims about the moves of an LK motor."""
     named = dialect.by_name
-    yield from _about_speed(dialect, named["run_speed"])
     for name in (*_MULTI, *_SINGLE, *_STEPS):
         command = named[name]
         made = partial(motion_claim, dialect, command, settings=("position",) if name in _MULTI else ())
@@ -98,107 +96,6 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
         dialect, named["move_multi_turn"], "newer", "A newer move takes the place of the one under way.",
         "a shaft that ends elsewhere", _newer, at_best=Certainty.LIKELY,
     )  # fmt: skip
-
-
-# --- speeds -----------------------------------------------------------------------------------------------------------
-
-
-def _about_speed(dialect: Dialect, run: Command) -> Iterator[Claim]:
-    made = partial(motion_claim, dialect, run)
-    # 0.01 deg/s; 36000 and -50000 need more than 16 bits.
-    for sent in (1_000, -18_000, 36_000, -50_000):
-        yield made(
-            f"speed-{sent / 100:g}".replace(".", "_"),
-            f"Asked for {sent / 100:g} deg/s, the shaft turns at {sent / 100:g} deg/s.",
-            "positions that change by another speed",
-            partial(_turns_at, sent),
-            parameters={"speed": sent},
-        )
-    yield made(
-        "sign", "A positive speed raises the position, a negative one lowers it.", "the other way", _sign, errata=_ON_SIGN
-    )
-    yield made("opposite", "Speeds of opposite signs turn opposite ways.", "one way for both", _opposite)
-    yield made("lasts", "A run goes on until it is told otherwise.", "a shaft that stops by itself", _lasts)
-    yield made("zero", "Speed 0 stops the shaft.", "a shaft that turns", _zero)
-    yield made("changes", "A newer speed takes over from the one under way.", "another speed", _changes)
-
-
-def run(probe: Probe, sent: int, wait_ns: int = 500 * MS) -> Exchange:
-    """Begin a run (0.01 deg/s) and let the shaft come to its speed."""
-    moving.ready_to_move(probe)
-    exchange = probe.do("run_speed", {"speed": sent})
-    probe.wait(wait_ns)
-    return exchange
-
-
-def measured(probe: Probe, over_ns: int = SECOND_NS) -> tuple[float, float]:
-    """Return the speed of the shaft from two positions, deg/s, and its uncertainty."""
-    first = moving.position(probe)
-    probe.wait(over_ns)
-    rpm, spread = moving.speed_between(first, moving.position(probe))
-    return rpm * 6, spread * 6
-
-
-def _turns_at(sent: int, probe: Probe, command: Command) -> None:
-    exchange = run(probe, sent)
-    speed, spread = measured(probe)
-    moving.stand_still(probe)
-    wanted = abs(sent) / 100
-    if abs(abs(speed) - wanted) > wanted / 100 + spread + 0.5:
-        text = "the shaft does not turn at the speed that was asked for"
-        raise refute(exchange, text, expected=f"{wanted:g} deg/s", got=f"{abs(speed):.2f} deg/s +-{spread:.2f}")
-    probe.measured["deg_s"] = speed
-
-
-def _ways(probe: Probe) -> tuple[float, float]:
-    run(probe, 18_000)
-    up, _ = measured(probe, 300 * MS)
-    moving.stand_still(probe)
-    run(probe, -18_000)
-    down, _ = measured(probe, 300 * MS)
-    moving.stand_still(probe)
-    return up, down
-
-
-def _sign(probe: Probe, command: Command) -> None:
-    up, down = _ways(probe)
-    if up <= 0 or down >= 0:
-        text = "the sign of a speed turns the shaft the other way"
-        raise refute(probe.traffic[0], text, expected="+180 and -180 deg/s", got=f"{up:+.0f} and {down:+.0f} deg/s")
-
-
-def _opposite(probe: Probe, command: Command) -> None:
-    up, down = _ways(probe)
-    if up * down >= 0:
-        text = "speeds of opposite signs turn the shaft one way"
-        raise refute(probe.traffic[0], text, expected="two ways", got=f"{up:+.0f} and {down:+.0f} deg/s")
-
-
-def _lasts(probe: Probe, command: Command) -> None:
-    exchange = run(probe, 18_000, 5 * SECOND_NS)
-    speed, _ = measured(probe, 300 * MS)
-    moving.stand_still(probe)
-    if abs(abs(speed) - 180) > 5:
-        raise refute(exchange, "a run does not go on", expected="180 deg/s", got=f"{speed:.0f} deg/s")
-
-
-def _zero(probe: Probe, command: Command) -> None:
-    run(probe, 18_000)
-    exchange = probe.do(command, {"speed": 0})
-    probe.wait(3 * SECOND_NS)
-    speed, _ = measured(probe, 500 * MS)
-    if abs(speed) > 1:
-        moving.stop(probe)
-        raise refute(exchange, "speed 0 does not stop the shaft", expected="0 deg/s", got=f"{speed:.1f} deg/s")
-
-
-def _changes(probe: Probe, command: Command) -> None:
-    run(probe, 18_000)
-    exchange = run(probe, 9_000, SECOND_NS)
-    speed, _ = measured(probe, 500 * MS)
-    moving.stand_still(probe)
-    if abs(abs(speed) - 90) > 3:
-        raise refute(exchange, "a newer speed does not take over", expected="90 deg/s", got=f"{speed:.0f} deg/s")
 
 
 # --- moves ------------------------------------------------------------------------------------------------------------

@@ -14,12 +14,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 
-from analyzer.catalogue import Command, Dialect
+from analyzer.catalogue import Command, Dialect, Risk
 from conformance import moving
 from conformance.claim import Claim, Inconclusive, Theme
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import motion_claim, refute
-from conformance.claims.motion_lk import measured, run
+from conformance.claims.motion_lk_speeds import measured, run
 from conformance.exchange import Exchange
 from conformance.moving import MS, SECOND_NS
 from conformance.probe import Probe
@@ -34,20 +34,22 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     write = dialect.by_name["write_parameter"]
     fields = ("speed_limit", "angle_limit", "torque_limit", "speed_ramp")
     made = partial(
-        motion_claim, dialect, write, settings=fields, errata=_OPEN, risks=dialect.by_name["run_speed"].all_risks,
-        quirks=known(dialect, _FIRMWARE),
-    )  # fmt: skip
-    yield made("speed-limit", "The speed limit holds at once for a run.", "a faster shaft", _speed_limit)
+        motion_claim, dialect, write, settings=fields, errata=_OPEN, own={Risk.SETTING}, quirks=known(dialect, _FIRMWARE)
+    )
+    spins = dialect.by_name["run_speed"].all_risks
+    yield made("speed-limit", "The speed limit holds at once for a run.", "a faster shaft", _speed_limit, risks=spins)
     yield made("speed-limit-moves", "The speed limit holds for a move without a highest speed.", "a faster shaft", _move_limit)
     yield made("angle-limit", "A move to a position goes no farther than the angle limit.", "a shaft beyond it", _angle_limit)
-    yield made("torque-limit", "With a torque limit of 0 nothing turns.", "motion", _torque_limit)
+    yield made(
+        "torque-limit", "With a torque limit of 0 nothing turns.", "motion", _torque_limit, risks={*spins, Risk.TORQUE}
+    )
     yield made(
         "speed-ramp", "The speed rises by the speed ramp: 0.01 deg/s2 a unit.", "another acceleration", _speed_ramp,
-        theme=Theme.TIMING,
+        theme=Theme.TIMING, risks=spins,
     )  # fmt: skip
     yield made(
         "speed-ramp-halved", "Half the speed ramp takes the shaft twice as long to its speed.", "as long, or not twice",
-        _halved_ramp, theme=Theme.TIMING,
+        _halved_ramp, theme=Theme.TIMING, risks=spins,
     )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from conformance.claim import Claim, Inconclusive
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import expect_speed, expect_stays, motion_claim, refute
 from conformance.journey import Journey
-from conformance.moving import MS, SAME, SECOND_NS
+from conformance.moving import MS, QUICK, SAME, SECOND_NS
 from conformance.probe import Probe, Until
 
 #: A way that no power of two divides, in turns, and one back that is shorter.
@@ -174,7 +174,7 @@ def _far(probe: Probe, command: Command) -> None:
     # At 256 subdivisions the shaft turns at a sixteenth of the speed that is sent.
     speed = 3000 if fine else 300
     for amount in (_FAR, -_FAR):
-        trip = journey.travel(probe, command, amount=amount, speed=speed, acceleration=250, subdivision=subdivision)
+        trip = journey.travel(probe, command, amount=amount, speed=speed, acceleration=QUICK, subdivision=subdivision)
         _expect_way(trip, _degrees(command, amount, subdivision), f"{amount} were asked for")
 
 
@@ -187,7 +187,7 @@ def _finest(probe: Probe) -> int:
 def _again(probe: Probe, command: Command) -> None:
     journey.prepare(probe, command)
     step, times = _amount(command, 0.031) | 1, 5
-    trips = [journey.travel(probe, command, amount=step, acceleration=250) for _ in range(times)]
+    trips = [journey.travel(probe, command, amount=step, acceleration=QUICK) for _ in range(times)]
     whole = trips[-1].end.value - trips[0].start.value
     expected = _degrees(command, times * step)
     if abs(abs(whole) - abs(expected)) > SAME:
@@ -230,7 +230,7 @@ def _speed(probe: Probe, command: Command) -> None:
     journey.prepare(probe, command)
     # 300 rpm does not fit a byte; two turns at it take half a second, of which the ramps take 0.18 s.
     for asked, turns, look_ns in ((60, 1.0, 300 * MS), (300, 2.0, 150 * MS)):
-        exchange = journey.begin(probe, command, turns, speed=asked, acceleration=250, quiet_ns=0)
+        exchange = journey.begin(probe, command, turns, speed=asked, acceleration=QUICK, quiet_ns=0)
         probe.wait(exchange.sent_ns + look_ns - probe.gate.now_ns())
         seen = moving.speed(probe)
         moving.wait_standing(probe)
@@ -241,7 +241,7 @@ def _within(probe: Probe, command: Command) -> None:
     journey.prepare(probe, command)
     start = moving.position(probe)
     exchange = journey.begin(probe, command, 1.0, speed=300, acceleration=236, quiet_ns=0)
-    seen = moving.sampled(probe, 1200 * MS, 20 * MS)
+    seen = moving.sampled(probe, 1000 * MS, 40 * MS)
     end = moving.wait_standing(probe)
     way = 1 if end.value > start.value else -1
     beyond = max((s.value - end.value) * way for s in seen)

@@ -23,7 +23,7 @@ from conformance.claims.declare import declare
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import motion_claim, refute
 from conformance.claims.motion_runs import measured
-from conformance.moving import MS, SECOND_NS
+from conformance.moving import MS, QUICK, SECOND_NS
 from conformance.probe import Probe
 
 _RPM = 120
@@ -79,8 +79,9 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
         quirks=known(dialect, "slow-replies-in-motion"),
     )
     yield motion_claim(
-        dialect, verbs[Verb.READ_SPEED], "at-rest", "The speed of a shaft that stands is 0.", "another speed", _speed_at_rest
-    )
+        dialect, verbs[Verb.READ_SPEED], "at-rest", "The speed of a shaft that stands is 0.", "another speed", _speed_at_rest,
+        risks=run,
+    )  # fmt: skip
     yield motion_claim(
         dialect,
         verbs[Verb.READ_PULSES],
@@ -143,7 +144,7 @@ def _counts(probe: Probe) -> int:
 
 
 def _by_pulses(probe: Probe, turns: float) -> None:
-    journey.travel(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), turns, speed=180, acceleration=250)
+    journey.travel(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), turns, speed=180, acceleration=QUICK)
 
 
 def _turn(probe: Probe, command: Command) -> None:
@@ -183,7 +184,7 @@ def _wide(probe: Probe, command: Command) -> None:
         before = moving.position(probe)
         exchange = probe.do(Verb.RUN_SPEED, {"direction": direction, "speed": 3000, "acceleration": 255})
         probe.wait(duration_ns)
-        moving.stop(probe, 250)
+        moving.stop(probe, QUICK)
         after = moving.wait_standing(probe)
         change = abs(after.value - before.value) / 360
         if not _WIDE_TURNS * 0.97 < change < _WIDE_TURNS * 1.2:
@@ -194,7 +195,7 @@ def _wide(probe: Probe, command: Command) -> None:
 def _speed_is_change(probe: Probe, command: Command) -> None:
     moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
     for rpm in (_RPM, -_RPM, 300):
-        moving.run_at(probe, rpm, 250)
+        moving.run_at(probe, rpm, QUICK)
         probe.wait(300 * MS)
         change, spread = measured(probe, 500 * MS)
         exchange = probe.ask(command)
@@ -215,9 +216,9 @@ def _speed_is_change(probe: Probe, command: Command) -> None:
 
 def _speed_at_rest(probe: Probe, command: Command) -> None:
     moving.ready_to_move(probe)
-    moving.run_at(probe, _RPM, 250)
+    moving.run_at(probe, _RPM, QUICK)
     probe.wait(300 * MS)
-    moving.stop(probe, 250)
+    moving.stop(probe, QUICK)
     probe.wait(SECOND_NS)
     before = moving.position(probe)
     seen = moving.speed(probe)
@@ -267,7 +268,7 @@ def _error_held(turns: float, probe: Probe, command: Command) -> None:
     journey.prepare(probe, move)
     probe.do(Verb.SET_PROTECTION, {"protection": 0})
     world.hold(probe)
-    journey.begin(probe, move, turns, acceleration=250)
+    journey.begin(probe, move, turns, acceleration=QUICK)
     probe.wait(3 * SECOND_NS)
     seen = _degrees(probe, command)
     if abs(seen - turns * 360) > _LAG:
@@ -291,12 +292,12 @@ def _answered_while_moving(probe: Probe, command: Command) -> None:
     moving.ready_to_move(probe)
     if probe.ask(command).silent:
         raise Inconclusive(f"{command.name} is not answered at rest either")
-    moving.run_at(probe, _RPM, 250)
+    moving.run_at(probe, _RPM, QUICK)
     probe.wait(300 * MS)
     exchanges = [probe.ask(command) for _ in range(2)]
     if all(e.silent for e in exchanges):
         # Whether it stands cannot be seen where nothing is answered.
-        moving.stop(probe, 250)
+        moving.stop(probe, QUICK)
         text = f"{command.name} is not answered while the motor turns"
         raise refute(exchanges[0], text, expected="a reply", got="silence")
     moving.stand_still(probe)

@@ -19,7 +19,7 @@ from conformance.claim import Claim, Inconclusive
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import expect_stays, motion_claim, refute
 from conformance.exchange import Exchange
-from conformance.moving import MS, SAME, SECOND_NS
+from conformance.moving import MS, QUICK, SAME, SECOND_NS
 from conformance.probe import Probe
 
 #: 120 rpm at 12 ms for each rpm: 1.44 s up and as long down.
@@ -53,7 +53,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
                 "a motion, or an answer that says success",
                 _in_pulse_modes,
                 at_best=_certainty(command),
-                risks=_sent_risks(command),
+                own=_sent_risks(command),
                 models=command.models,
             )
 
@@ -75,7 +75,8 @@ def _about_status(dialect: Dialect) -> Iterator[Claim]:
     status = dialect.by_verb[Verb.READ_STATUS]
     run = dialect.by_verb[Verb.RUN_SPEED]
     made = partial(motion_claim, dialect, status, risks=run.all_risks)
-    yield made("at-rest", "The status of a motor that stands is 1.", "another status", _at_rest)
+    moved = partial(motion_claim, dialect, status)
+    yield moved("at-rest", "The status of a motor that stands is 1.", "another status", _at_rest)
     yield made("speeding-up", "The status on the ramp up is 2.", "another status", _speeding_up)
     yield made("full-speed", "The status at the speed that was asked for is 4.", "another status", _full_speed)
     yield made(
@@ -85,7 +86,7 @@ def _about_status(dialect: Dialect) -> Iterator[Claim]:
         _slowing_down,
         quirks=known(dialect, "status-stops-early"),
     )
-    yield made(
+    yield moved(
         "after-a-move",
         "The status of a motor that has come to its target is 1.",
         "another status",
@@ -98,7 +99,7 @@ def _about_status(dialect: Dialect) -> Iterator[Claim]:
         "a status of the time before, or one that never changes",
         _follows,
     )
-    yield made(
+    yield moved(
         "in-a-move",
         "The status during a move is that of its ramp: 2, then 4, then 1 when it is over.",
         "another status",
@@ -165,7 +166,7 @@ def _slowing_down(probe: Probe, command: Command) -> None:
 def _after_a_move(probe: Probe, command: Command) -> None:
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
     journey.prepare(probe, move)
-    journey.begin(probe, move, 0.25, acceleration=250)
+    journey.begin(probe, move, 0.25, acceleration=QUICK)
     moving.wait_standing(probe)
     seen, exchange = _status(probe)
     if seen == _DOWN and "status-stays-slowing" in probe.claim.quirks:
@@ -208,7 +209,7 @@ def _in_a_move(probe: Probe, command: Command) -> None:
 def _plain(command: Command) -> dict[str, int]:
     """Return values of a request that would move the shaft, or do what the command does."""
     named = command.request_forms[0].layout.named
-    plain = {"speed": 60, "acceleration": 250, "pulses": 800, "position": 4000, "enabled": 1, "limit_remap": 0}
+    plain = {"speed": 60, "acceleration": QUICK, "pulses": 800, "position": 4000, "enabled": 1, "limit_remap": 0}
     values = {n: plain.get(n, f.low) for n, f in named.items() if f.fixed is None}
     if "save_state" in named:
         values["save_state"] = moving.choice(command, "save_state", "clean")

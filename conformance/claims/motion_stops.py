@@ -20,7 +20,7 @@ from conformance.claim import Claim, Inconclusive
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import expect_stays, motion_claim, refute
 from conformance.exchange import Exchange
-from conformance.moving import MS, SAME, SECOND_NS, Sample
+from conformance.moving import MS, QUICK, SAME, SECOND_NS, Sample
 from conformance.probe import Probe, Until
 
 #: 10 ms for each rpm: from 120 rpm the shaft needs 1.2 s.
@@ -82,10 +82,10 @@ def set_going(probe: Probe, name: str, rpm: int = _RPM) -> Exchange:
     command = probe.command(name)
     journey.prepare(probe, command)
     if command.verb is Verb.RUN_SPEED:
-        exchange = moving.run_at(probe, rpm, 250)
+        exchange = moving.run_at(probe, rpm, QUICK)
     else:
         # Five turns: at 120 rpm 2.5 s, of which a late reply may take 0.7 and the ramp down 1.2.
-        exchange = journey.begin(probe, command, 5.0, speed=rpm, acceleration=250)
+        exchange = journey.begin(probe, command, 5.0, speed=rpm, acceleration=QUICK)
     probe.wait(_GO_ON_NS)
     return exchange
 
@@ -157,7 +157,7 @@ def _expect_soon(probe: Probe, exchange: Exchange, at_once: Sample, text: str) -
 
 def _stays_stopped(run: str, probe: Probe, stop: Command) -> None:
     set_going(probe, run)
-    exchange = _ask_stop(probe, stop, 250)
+    exchange = _ask_stop(probe, stop, QUICK)
     stopped = moving.wait_standing(probe)
     probe.wait(3 * SECOND_NS)
     expect_stays(stopped, moving.wait_standing(probe), exchange, f"the shaft moves again after {stop.name}")
@@ -249,7 +249,7 @@ def _emergency_keeps_torque(probe: Probe, stop: Command) -> None:
     if Verb.READ_ENABLED in probe.dialect.by_verb and not probe.read(Verb.READ_ENABLED, "enabled"):
         raise refute(exchange, "the emergency stop disables the motor", expected="enabled", got="disabled")
     before = moving.position(probe)
-    moving.run_at(probe, _CALM, 250)
+    moving.run_at(probe, _CALM, QUICK)
     probe.wait(500 * MS)
     after = moving.stand_still(probe)
     if abs(after.value - before.value) < 10:

@@ -17,7 +17,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, Verb
 from conformance import journey, moving
 from conformance.claim import Claim
 from conformance.claims.motion_claim import expect_speed, motion_claim, refute
-from conformance.moving import MS, SAME, SECOND_NS
+from conformance.moving import MS, QUICK, SAME, SECOND_NS
 from conformance.probe import Probe
 
 #: The older move: two turns at 30 rpm last four seconds; the newer one comes after one.
@@ -107,7 +107,7 @@ def _under_way(probe: Probe, command: Command) -> float:
     """Begin the older move and let a while pass; return where it began, in degrees."""
     journey.prepare(probe, command)
     start = moving.position(probe)
-    journey.begin(probe, command, _TURNS, speed=_RPM, acceleration=250)
+    journey.begin(probe, command, _TURNS, speed=_RPM, acceleration=QUICK)
     probe.wait(_WHEN_NS)
     return start.value
 
@@ -115,7 +115,7 @@ def _under_way(probe: Probe, command: Command) -> float:
 def _newer_target(probe: Probe, command: Command) -> None:
     start = _under_way(probe, command)
     here = moving.position(probe)
-    exchange = journey.begin(probe, command, 0.25, speed=_NEWER_RPM, acceleration=250)
+    exchange = journey.begin(probe, command, 0.25, speed=_NEWER_RPM, acceleration=QUICK)
     end = moving.wait_standing(probe)
     # The shaft went on between the look at it and the newer command: at 30 rpm by 180 degrees a second.
     looked_ns = exchange.sent_ns - here.t_ns + here.spread_ns
@@ -133,7 +133,7 @@ def _newer_target(probe: Probe, command: Command) -> None:
 
 def _newer_speed(probe: Probe, command: Command) -> None:
     _under_way(probe, command)
-    exchange = journey.begin(probe, command, _TURNS, speed=_NEWER_RPM, acceleration=250)
+    exchange = journey.begin(probe, command, _TURNS, speed=_NEWER_RPM, acceleration=QUICK)
     probe.wait(300 * MS)
     seen = moving.speed(probe)
     moving.wait_standing(probe)
@@ -144,7 +144,7 @@ def _superseded(probe: Probe, command: Command) -> None:
     _under_way(probe, command)
     before = len(probe.traffic)
     # Two seconds of motion: a reply may be late while the motor turns, and is still the first of the two.
-    exchange = journey.begin(probe, command, 0.5, speed=_RPM // 2, acceleration=250)
+    exchange = journey.begin(probe, command, 0.5, speed=_RPM // 2, acceleration=QUICK)
     moving.wait_standing(probe)
     probe.wait(5 * SECOND_NS)
     statuses = [a.values[command.replies.status] for a in journey.told(probe.traffic[before:], command)]
@@ -176,9 +176,9 @@ def _without_stop(probe: Probe, command: Command) -> None:
 def _back(probe: Probe, command: Command) -> None:
     journey.prepare(probe, command)
     start, home = moving.position(probe), journey.place(probe, command)
-    journey.begin(probe, command, _TURNS, speed=_RPM, acceleration=250)
+    journey.begin(probe, command, _TURNS, speed=_RPM, acceleration=QUICK)
     probe.wait(_WHEN_NS)
-    values = journey.values_of(command, -1000, _NEWER_RPM, 250, home)
+    values = journey.values_of(command, -1000, _NEWER_RPM, QUICK, home)
     exchange = probe.do(command, values)
     end = moving.wait_standing(probe)
     expected = -1000 * 360 / journey.units_per_turn(command)
@@ -194,9 +194,9 @@ def _back(probe: Probe, command: Command) -> None:
 def _after_run(probe: Probe, command: Command) -> None:
     journey.prepare(probe, command)
     start, home = moving.position(probe), journey.place(probe, command)
-    moving.run_at(probe, _RPM, 250)
+    moving.run_at(probe, _RPM, QUICK)
     probe.wait(500 * MS)
-    exchange = probe.do(command, journey.values_of(command, 3000, _NEWER_RPM, 250, home))
+    exchange = probe.do(command, journey.values_of(command, 3000, _NEWER_RPM, QUICK, home))
     end = moving.wait_standing(probe)
     expected = 3000 * 360 / journey.units_per_turn(command)
     if abs(end.value - start.value - expected) > SAME:
@@ -211,9 +211,9 @@ def _after_run(probe: Probe, command: Command) -> None:
 def _run_after_move(probe: Probe, command: Command) -> None:
     move = probe.command(_UPDATED)
     journey.prepare(probe, move)
-    journey.begin(probe, move, 0.5, speed=_RPM, acceleration=250)
+    journey.begin(probe, move, 0.5, speed=_RPM, acceleration=QUICK)
     probe.wait(300 * MS)
-    exchange = moving.run_at(probe, _RPM, 250)
+    exchange = moving.run_at(probe, _RPM, QUICK)
     probe.wait(3 * SECOND_NS)
     seen = moving.speed(probe)
     moving.stand_still(probe)
@@ -222,13 +222,13 @@ def _run_after_move(probe: Probe, command: Command) -> None:
 
 def _speed_0(probe: Probe, command: Command) -> None:
     journey.prepare(probe, command)
-    moving.run_at(probe, _NEWER_RPM, 250)
+    moving.run_at(probe, _NEWER_RPM, QUICK)
     probe.wait(500 * MS)
     if command.verb is Verb.RUN_SPEED:
         # With direction 0 as well it would be the stop of this command.
-        exchange = probe.ask(command, {"direction": 1, "speed": 0, "acceleration": 250})
+        exchange = probe.ask(command, {"direction": 1, "speed": 0, "acceleration": QUICK})
     else:
-        exchange = journey.ask(probe, command, 0.25, speed=0, acceleration=250)
+        exchange = journey.ask(probe, command, 0.25, speed=0, acceleration=QUICK)
     probe.wait(SECOND_NS)
     seen = moving.speed(probe)
     moving.stand_still(probe)

@@ -19,7 +19,7 @@ from conformance import journey, moving
 from conformance.claim import Claim, Inconclusive
 from conformance.claims import world
 from conformance.claims.motion_claim import motion_claim, refute
-from conformance.moving import MS, SECOND_NS
+from conformance.moving import MS, QUICK, SECOND_NS
 from conformance.probe import Probe
 
 _START_NS = 3 * SECOND_NS
@@ -46,6 +46,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
             partial(_saved_run, direction),
         )
     yield made("clean", "A run that was cleaned does not begin when power comes on.", "a shaft that turns", _cleaned)
+    made = partial(motion_claim, dialect, save, emulated=True, risks=run.all_risks, own=())
     yield made("none", "Without a saved run nothing turns when power comes on.", "a shaft that turns", _none_saved)
     lock = dialect.by_verb.get(Verb.SET_AXIS_LOCK)
     if lock is not None:
@@ -101,8 +102,9 @@ def _about_zero(dialect: Dialect, zero: Command) -> Iterator[Claim]:
             partial(_back, _BY_DIRECTION, direction, 0.3),
         )
     yield made(
-        "off", "With zero mode 0 nothing turns when power comes on.", "a shaft that turns", partial(_stays, _OFF, 1)
-    )
+        "off", "With zero mode 0 nothing turns when power comes on.", "a shaft that turns", partial(_stays, _OFF, 1),
+        risks=(), own=zero.risks({"zero_mode": _OFF}),
+    )  # fmt: skip
     yield made(
         "clean",
         "Without a zero that was kept (set_zero 0) nothing turns when power comes on.",
@@ -201,7 +203,7 @@ def _save(probe: Probe, state: str) -> None:
 def _run_and_save(probe: Probe, direction: int) -> float:
     """Run, save the run and stop; return the speed that the shaft had."""
     moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
-    moving.run_at(probe, -90 if direction else 90, 250)
+    moving.run_at(probe, -90 if direction else 90, QUICK)
     probe.wait(500 * MS)
     speed = moving.speed(probe).value
     if abs(speed) < 10:
@@ -239,7 +241,7 @@ def _cleaned(probe: Probe, command: Command) -> None:
 
 def _none_saved(probe: Probe, command: Command) -> None:
     moving.ready_to_move(probe)
-    moving.run_at(probe, 90, 250)
+    moving.run_at(probe, 90, QUICK)
     probe.wait(500 * MS)
     _expect_no_run(probe, "although no run was saved")
 
@@ -260,7 +262,7 @@ def _locked(value: int, probe: Probe, command: Command) -> None:
 
 def _restart_ends(probe: Probe, command: Command) -> None:
     moving.ready_to_move(probe)
-    moving.run_at(probe, 60, 250)
+    moving.run_at(probe, 60, QUICK)
     probe.wait(500 * MS)
     exchange = probe.ask(command)
     probe.wait(_START_NS)

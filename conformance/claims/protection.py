@@ -19,7 +19,7 @@ from conformance.claims import world
 from conformance.claims.motion_claim import motion_claim, refute
 from conformance.claims.motion_states import expect_refused
 from conformance.exchange import Exchange
-from conformance.moving import SECOND_NS
+from conformance.moving import QUICK, SECOND_NS
 from conformance.probe import Probe
 
 _TURNS = 2.0
@@ -42,7 +42,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     release = dialect.by_verb[Verb.RELEASE_PROTECTION]
     yield made(
         release, "releases", "3D ends the protection: 3E reads 0, and the motor moves again.",
-        "a motor that stays protected", _releases,
+        "a motor that stays protected", _releases, risks=setting.all_risks | dialect.by_verb[Verb.RUN_SPEED].all_risks,
     )  # fmt: skip
     for command in (dialect.by_verb[Verb.RUN_SPEED], *journey.moves(dialect)):
         yield made(
@@ -82,7 +82,7 @@ def _prepare(probe: Probe, protection: int) -> Command:
 def _held_move(probe: Probe, turns: float) -> Exchange:
     """Hold the shaft and ask for a move; let the time for it pass."""
     world.hold(probe)
-    exchange = journey.begin(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), turns, acceleration=250)
+    exchange = journey.begin(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), turns, acceleration=QUICK)
     probe.wait(4 * SECOND_NS)
     return exchange
 
@@ -138,7 +138,7 @@ def _releases(probe: Probe, command: Command) -> None:
     _expect(probe, exchange, 0, "3E reads protected after 3D")
     probe.do(Verb.ENABLE, {"enabled": 1})
     before = moving.position(probe)
-    moving.run_at(probe, 60, 250)
+    moving.run_at(probe, 60, QUICK)
     probe.wait(SECOND_NS)
     after = moving.stand_still(probe)
     if abs(after.value - before.value) < 10:

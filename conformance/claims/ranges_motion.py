@@ -26,7 +26,7 @@ from conformance.claims import effects, ranges
 from conformance.claims.answers import accept, refuse, with_reserved
 from conformance.claims.declare import declare
 from conformance.moving import MS, SECOND_NS
-from conformance.probe import Probe
+from conformance.probe import Probe, Until
 
 RUNS = frozenset(journey.STOP_OF)
 STOPS = frozenset(journey.STOP_OF.values())
@@ -130,7 +130,8 @@ def end(probe: Probe, command: Command) -> None:
     """Stop what a command began, and wait until the shaft stands."""
     stop = journey.STOP_OF.get(command.verb)
     if stop is not None:
-        probe.ask(stop, {"acceleration": moving.GENTLE})
+        # The end of a stop is told unasked: a request that is sent meanwhile would collide with it.
+        probe.ask(stop, {"acceleration": moving.GENTLE}, until=Until.DONE)
     moving.wait_standing(probe)
 
 

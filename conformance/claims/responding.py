@@ -18,7 +18,7 @@ from conformance import journey, moving
 from conformance.claim import Claim, Inconclusive
 from conformance.claims.motion_claim import motion_claim, refute
 from conformance.exchange import Exchange
-from conformance.moving import MS, SECOND_NS
+from conformance.moving import MS, QUICK, SECOND_NS
 from conformance.probe import Probe, Until
 
 #: What is read and set to see that a drive is not silent altogether.
@@ -34,15 +34,14 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     if setting is None:
         return
     run = dialect.by_verb[Verb.RUN_SPEED]
-    made = partial(
-        motion_claim, dialect, setting, settings=("respond", "active"), risks=run.all_risks, at_best=Certainty.LIKELY
-    )
+    made = partial(motion_claim, dialect, setting, settings=("respond", "active"), at_best=Certainty.LIKELY)
     for command in (run, *journey.moves(dialect)):
         yield made(
             f"0-silences-{command.name}",
             f"With respond 0 {command.name} is carried out and not answered, neither at its begin nor at its end.",
             "an answer, or no motion",
             partial(_silent_motion, command.name),
+            risks=command.all_risks,
         )
         stop = dialect.by_verb[journey.STOP_OF[command.verb]]
         yield made(
@@ -50,6 +49,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
             f"With respond 0 {stop.name} is carried out and not answered.",
             "an answer, or a shaft that goes on",
             partial(_silent_stop, command.name, stop.name),
+            risks=command.all_risks,
         )
         if command.verb is not Verb.RUN_SPEED:
             yield made(
@@ -63,6 +63,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
             f"With active 0 {stop.name} is answered when it begins and not when the shaft stands.",
             "no first reply, or a completion",
             partial(_inactive_stop, command.name, stop.name),
+            risks=command.all_risks,
         )
     yield made(
         "0-leaves-reads",
@@ -87,7 +88,7 @@ def _motion(probe: Probe, name: str, until: Until) -> tuple[Command, Exchange, f
     command = probe.command(name)
     before = moving.position(probe)
     if command.verb is Verb.RUN_SPEED:
-        values = moving.run_values(command, _RPM, 250)
+        values = moving.run_values(command, _RPM, QUICK)
         exchange = probe.ask(command, values, until=until, timeout_ns=SECOND_NS)
     else:
         exchange = journey.ask(probe, command, _AMOUNT_TURNS, until=until)
@@ -128,9 +129,9 @@ def _set_going(probe: Probe, name: str) -> None:
     command = probe.command(name)
     journey.prepare(probe, command)
     if command.verb is Verb.RUN_SPEED:
-        moving.run_at(probe, _RPM, 250)
+        moving.run_at(probe, _RPM, QUICK)
     else:
-        journey.begin(probe, command, 8.0, speed=_RPM, acceleration=250)
+        journey.begin(probe, command, 8.0, speed=_RPM, acceleration=QUICK)
     probe.wait(300 * MS)
 
 

@@ -16,6 +16,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from conformance import journey, moving
 from conformance.claim import Aspect, Claim, Theme
 from conformance.claims.declare import declare
+from conformance.claims.known_quirks import known
 from conformance.probe import Probe
 
 #: Errata on which the models rest that are not certain.
@@ -31,6 +32,8 @@ _RISKS = {
     "motion": (Risk.SETTING, Risk.MOTION, Risk.UNBOUNDED),
     "mixed": (Risk.SETTING, Risk.MOTION, Risk.UNBOUNDED, Risk.TORQUE),
 }
+#: What real drives were seen to do that a variant's steps bring out: those that switch an LK motor off.
+_QUIRKS = {"settings": ("lk-off-clears-turns",), "mixed": ("lk-off-clears-turns",)}
 _ENABLING = (Verb.ENABLE, Verb.MOTOR_ON, Verb.MOTOR_OFF)
 
 
@@ -41,8 +44,8 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     for variant, statement in _WORDS.items():
         yield declare(
             dialect, Theme.STATE, variant, statement, "another answer, position, speed or setting than the model's",
-            _check(variant), section="", errata=_ERRATA, at_best=Certainty.LIKELY, parameters={"variant": variant},
-            **_needs(dialect, variant),
+            _check(variant), section="all", errata=_ERRATA, at_best=Certainty.LIKELY, parameters={"variant": variant},
+            quirks=known(dialect, *_QUIRKS.get(variant, ())), **_needs(dialect, variant),
         )  # fmt: skip
 
 

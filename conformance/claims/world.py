@@ -1,4 +1,4 @@
-"""What a claim does to an emulated MKS drive from outside: end stops, obstacles, power. For claims of emulated drives.
+"""What a claim does to an emulated drive from outside: end stops, obstacles, power. For claims of emulated drives.
 
     left_switch(probe, -3000)       an end stop 3000 counts below where the shaft stands, closed there and beyond
     wall(probe, 3000)               something that the shaft cannot pass, 3000 counts above
@@ -16,6 +16,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from conformance.claim import NotRun
+from conformance.drives.lk_rs485 import LkDrive
 from conformance.drives.mks import MksDrive
 from conformance.drives.motor import Switch
 
@@ -27,6 +28,13 @@ def drive_of(probe: Probe) -> MksDrive:
     """Return the emulated drive. Raises NotRun for a real one, or one of another make."""
     if not isinstance(probe.drive, MksDrive):
         raise NotRun("it needs to act on an emulated MKS drive")
+    return probe.drive
+
+
+def lk_drive(probe: Probe) -> LkDrive:
+    """Return the emulated drive. Raises NotRun for a real one."""
+    if not isinstance(probe.drive, LkDrive):
+        raise NotRun("it needs to act on an emulated LK drive")
     return probe.drive
 
 

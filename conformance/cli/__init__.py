@@ -9,6 +9,7 @@ HELP: dict[str, str] = {
     "scan": "find what answers on a bus: rates, dialects, addresses; reads only",
     "replay": "send the requests of a recording again, at their times",
     "tap": "record what a program and its serial adapter say to each other",
+    "check": "recordings against the manual, by their traffic alone",
     "test": "drives, real or emulated, against their manual",
     "rerun": "the claim of a stored failure again: fixed, failing or flaky",
     "restore": "put back what a broken-off run changed, from its journal",

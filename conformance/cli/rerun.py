@@ -14,6 +14,8 @@ from analyzer.errors import ServotapError, UnreadableError
 from conformance import engine, suite, target
 from conformance.allowance import add_gate_arguments, allowance_from
 from conformance.claim import Outcome, Verdict
+from conformance.cli.test import seconds
+from conformance.ends import as_interrupt
 from conformance.line import LineLost
 from conformance.report.log import METADATA
 from conformance.rig import NotStopped, RigFault
@@ -36,6 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--settings", metavar="FILE", help="JSON: what to put back where the drive cannot be asked")
     parser.add_argument("--journal", metavar="FILE", help="where changes are written down before they are made")
     parser.add_argument("--cut-power", default="", metavar="COMMAND", help="runs when no stop can be verified")
+    parser.add_argument(
+        "--max-run", type=seconds, default=30.0, metavar="S", help="longest run without an end, in seconds (default 30)"
+    )
     add_gate_arguments(parser)
 
 
@@ -72,12 +77,13 @@ def run(arguments: argparse.Namespace) -> int:
         settings = load(Path(arguments.settings))
     plan = suite.Plan(
         (found,), allowance, (about["claim"],), seed=int(about.get("seed") or 0), settings=settings,
-        journal=arguments.journal or "", cut_power=arguments.cut_power,
+        journal=arguments.journal or "", cut_power=arguments.cut_power, longest_run=arguments.max_run,
     )  # fmt: skip
     plan.check()
     print(f"{about['claim']} on {found.text} ({place}), {arguments.times} times; it was: {about.get('reason', '')}")
     try:
-        verdicts = _verdicts(plan, found, max(1, arguments.times))
+        with as_interrupt():
+            verdicts = _verdicts(plan, found, max(1, arguments.times))
     except (LineLost, NotStopped, RigFault) as error:
         print(f"servotap rerun: {error}")
         return NOT_STOPPED if isinstance(error, NotStopped) else RIG_FAULT

@@ -12,7 +12,7 @@ import shlex
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +22,7 @@ from analyzer.errors import ServotapError
 from conformance import suite, target
 from conformance.allowance import add_gate_arguments, allowance_from
 from conformance.claim import Outcome
+from conformance.ends import as_interrupt
 from conformance.line import LineLost
 from conformance.report.record import RunRecord, VerdictRecord
 from conformance.rig import NotStopped, RigFault
@@ -39,12 +40,13 @@ examples:
   servotap test lk-rs485@1 --on tcp:192.168.0.7:5000 --dry-run
   servotap test --list --theme motion
 """
-REFUTED, RIG_FAULT, NOT_STOPPED = 1, 10, 20
+REFUTED, WRONG_USE, RIG_FAULT, NOT_STOPPED, INTERRUPTED = 1, 2, 10, 20, 130
+_LONGEST_RUN = 3600.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("drives", nargs="*", metavar="DRIVE", help="DIALECT@ADDRESS[,model=M]; emulated ones take quirks, faults")
+    parser.add_argument("drives", nargs="*", metavar="DRIVE", help="DIALECT@ADDRESS[,model=M]; emulated: quirks, faults")
     parser.add_argument(
         "--on", action="append", default=[], metavar="ENDPOINT",
         help="where: serial:PORT,baud=N, tcp:HOST:PORT, can:INTERFACE:CHANNEL,bitrate=N, or emulated (default)",
@@ -52,12 +54,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_gate_arguments(parser)
     parser.add_argument("--theme", action="append", default=[], metavar="T", help="only this theme; may be repeated")
     parser.add_argument("--claim", action="append", default=[], metavar="ID", help="only these claims; * and ? are patterns")
-    parser.add_argument("--short", action="store_true", help="one claim for each theme and command")
+    parser.add_argument("--short", action="store_true", help="one claim for each command, two of each theme")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn at random (default 0)")
     parser.add_argument("--jobs", type=_jobs, default=0, metavar="N", help="processes for emulated drives (default: all cores)")
     parser.add_argument("--settings", metavar="FILE", help="JSON: what to put back where the drive cannot be asked")
     parser.add_argument("--journal", metavar="FILE", help="where changes are written down before they are made")
     parser.add_argument("--cut-power", default="", metavar="COMMAND", help="runs when no stop can be verified")
+    parser.add_argument(
+        "--max-run", type=seconds, default=30.0, metavar="S", help="longest run without an end, in seconds (default 30)"
+    )
     parser.add_argument("--dry-run", action="store_true", help="print all that would be sent, and send nothing")
     parser.add_argument("--list", action="store_true", help="list the claims and what they need")
     parser.add_argument("--mutants", action="store_true", help="run against every named fault: which claim refutes which")
@@ -70,8 +75,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="one JSON object a verdict, then one of the run")
 
 
+def seconds(text: str) -> float:
+    """Return a time in seconds above 0. Raises ArgumentTypeError."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value <= _LONGEST_RUN:
+        raise argparse.ArgumentTypeError(f"expected seconds above 0, up to {_LONGEST_RUN:g}, got {text}")
+    return value
+
+
 def _jobs(text: str) -> int:
-    value = int(text)
+    value = int(text) if text.isdigit() else 0
     if value < 1:
         raise argparse.ArgumentTypeError(f"expected processes from 1 on, got {text}")
     return value
@@ -108,6 +124,7 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
         settings=_settings(arguments.settings),
         journal=arguments.journal or "",
         cut_power=arguments.cut_power,
+        longest_run=arguments.max_run,
         dry_run=arguments.dry_run,
         traffic=bool(arguments.log),
         short=arguments.short,
@@ -141,17 +158,22 @@ def _test(plan: Plan, arguments: argparse.Namespace) -> int:
     stopped = False
     total = sum(len(plan.selected(each)) for each in plan.targets)
     began = now_text()
-    with _progress(total) as advance:
+    # A run that is left is closed at once: what moves is stopped, and what that told must not get lost.
+    with as_interrupt(), _progress(total) as advance:
         try:
-            for each in suite.run(plan, jobs):
-                records.append(each)
-                advance(each)
-                if arguments.json:
-                    _print_json(each)
-        except (LineLost, NotStopped, RigFault) as error:
-            trouble = error
+            with closing(suite.run(plan, jobs)) as verdicts:
+                for each in verdicts:
+                    records.append(each)
+                    advance(each)
+                    if arguments.json:
+                        _print_json(each)
         except KeyboardInterrupt:
             stopped = True
+        except ServotapError as error:
+            if not records and not isinstance(error, (LineLost, NotStopped, RigFault)):
+                raise
+            trouble = error
+            stopped = isinstance(error.__context__, KeyboardInterrupt)
     run_record = _run_record(plan, began, time.monotonic() - started, stopped, trouble)
     status = _status(records, arguments, trouble)
     _write(records, run_record, arguments)
@@ -169,7 +191,7 @@ def _test(plan: Plan, arguments: argparse.Namespace) -> int:
         print(f"servotap test: {trouble}", file=sys.stderr)
     if stopped:
         print(f"servotap test: stopped after {len(records)} of {total} claims", file=sys.stderr)
-        return status or 130
+        return status if trouble is not None or status == REFUTED else INTERRUPTED
     return status
 
 
@@ -177,7 +199,7 @@ def _status(records: Sequence[VerdictRecord], arguments: argparse.Namespace, tro
     if isinstance(trouble, NotStopped):
         return NOT_STOPPED
     if trouble is not None:
-        return RIG_FAULT
+        return RIG_FAULT if isinstance(trouble, (LineLost, RigFault)) else WRONG_USE
     if any(r.refuted for r in records) and not arguments.baseline:
         return REFUTED
     judged = (Outcome.CONFIRMED, Outcome.REFUTED, Outcome.OBSERVED)
@@ -203,7 +225,7 @@ def _baseline(records: Sequence[VerdictRecord], arguments: argparse.Namespace) -
 
 
 def _run_record(
-    plan: Plan, began: str, seconds: float, stopped: bool, trouble: ServotapError | None
+    plan: Plan, began: str, elapsed: float, stopped: bool, trouble: ServotapError | None
 ) -> RunRecord:
     allowance = plan.allowance
     notes = ["stopped by the user"] * stopped + [str(trouble)] * (trouble is not None)
@@ -212,7 +234,7 @@ def _run_record(
         on=tuple(t.on for t in plan.targets),
         version=__version__,
         started_at=began,
-        seconds=round(seconds, 3),
+        seconds=round(elapsed, 3),
         seed=plan.seed,
         allowed=() if allowance is None else tuple(sorted(risk.value for risk in allowance.risks)),
         bounds={} if allowance is None else allowance.described(),

@@ -103,6 +103,8 @@ class Drive(ABC):
 
     dialect: Dialect
     motor: Motor
+    #: Other dialects whose frames it is given too: none, but for a quirk.
+    hears: tuple[Dialect, ...] = ()
 
     def __init__(
         self,

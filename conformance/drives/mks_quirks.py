@@ -35,6 +35,7 @@ from conformance.drives.mks_fault_makers import (
     mks,
     rebuilt,
     said,
+    several,
     tuned,
 )
 from conformance.drives.mks_settings import SETTINGS, put
@@ -118,6 +119,10 @@ def _fragments(drive: MksCore, frame: Frame, message: Message, wanted: bool) -> 
         at_ns = drive.now_ns + drive.reply_delay_ns
         drive.send(drive.dialect.commands[0], Outgoing(at_ns, frame.data[1:3]))
     return wanted
+
+
+def _hear_both(drive: MksCore) -> None:
+    drive.hears = tuple(speaker.dialect for speaker in drive.speakers)
 
 
 def _without_check(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:
@@ -215,7 +220,7 @@ QUIRKS: tuple[Quirk, ...] = (
     Quirk("second-reply", (NATIVE,), "settings are answered once more after 20 ms", f"{_SERVO_ISSUES} issue 5",
           said(_second_reply)),
     Quirk("other-dialect-fragments", SERIAL, "frames of the other dialect are answered with fragments",
-          f"{_SERVO_ISSUES} issue 13", accepted(_fragments)),
+          f"{_SERVO_ISSUES} issue 13", several(tuned(_hear_both), accepted(_fragments))),
     Quirk("no-checksum", (NATIVE,), "replies have no checksum (42C, firmware 1.0)", "makerbase-mks/MKS-SERVO42C issue 58",
           said(_without_check)),
     Quirk("new-address-answers", SERIAL, "8B is answered from the new address", "zauberzeug/lizard PR 199",

@@ -22,6 +22,8 @@ Every frame is given on as a request unless its head says otherwise: a drive doe
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+
 from analyzer.catalogue import Dialect, Role
 from analyzer.framer import SILENCE_NS
 from analyzer.link import MORE, TIE, WRITE_MANY, ModbusLink, modbus_crc
@@ -169,6 +171,39 @@ class Receiver:
     def _frame(self, data: bytes, first_ns: int, last_ns: int, good: bool) -> Frame:
         start_ns = first_ns - self.byte_ns
         return Frame(self.port, start_ns, last_ns, self._offset, data, self.dialect, Role.REQUEST, good)
+
+
+class Ears:
+    """A receiver that also gives on the good frames of other dialects, as a drive that is not careful may take them."""
+
+    def __init__(self, dialect: Dialect, port: str = "bus", *, byte_ns: int, others: Sequence[Dialect]) -> None:
+        self.dialect = dialect
+        self.byte_ns = byte_ns
+        self._own = Receiver(dialect, port, byte_ns=byte_ns)
+        self._others = [Receiver(other, port, byte_ns=byte_ns) for other in others if other is not dialect]
+
+    def next_ns(self) -> int | None:
+        """Return when the first pause will end a wait."""
+        times = [receiver.next_ns() for receiver in (self._own, *self._others)]
+        return min((t for t in times if t is not None), default=None)
+
+    def feed(self, data: bytes, first_ns: int, step_ns: int) -> list[Frame]:
+        """Take bytes; return the frames they end, of all dialects."""
+        return _merged(self._own.feed(data, first_ns, step_ns), (o.feed(data, first_ns, step_ns) for o in self._others))
+
+    def expire(self, t_ns: int) -> list[Frame]:
+        """Say that nothing came until `t_ns`; return the frames of which that makes an end."""
+        return _merged(self._own.expire(t_ns), (other.expire(t_ns) for other in self._others))
+
+    def reset(self) -> None:
+        """Forget what is incomplete."""
+        for receiver in (self._own, *self._others):
+            receiver.reset()
+
+
+def _merged(own: list[Frame], others: Iterable[list[Frame]]) -> list[Frame]:
+    good = [frame for frames in others for frame in frames if frame.checksum_ok]
+    return sorted([*own, *good], key=lambda frame: frame.last_ns) if good else own
 
 
 def _counted(buffer: bytes, closed: bool) -> int:

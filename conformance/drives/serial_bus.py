@@ -23,7 +23,7 @@ from analyzer.catalogue import Role
 from analyzer.records import Chunk, Comment, Frame
 from conformance.drives.bus import Bus, Station
 from conformance.drives.drive import Drive, Outgoing
-from conformance.drives.receiver import Receiver
+from conformance.drives.receiver import Ears, Receiver
 from conformance.drives.uart import BITS, SECOND_NS, Sent, byte_ns, hear
 from conformance.drives.wire_faults import Damage, WireFaults
 
@@ -154,8 +154,11 @@ class SerialBus(Bus):
 
     # --- drives ---------------------------------------------------------------------------------------------------
 
-    def _receiver(self, station: Station) -> Receiver:
-        return Receiver(station.drive.dialect, self.name, byte_ns=byte_ns(station.speed))
+    def _receiver(self, station: Station) -> Receiver | Ears:
+        drive, taken_ns = station.drive, byte_ns(station.speed)
+        if drive.hears:
+            return Ears(drive.dialect, self.name, byte_ns=taken_ns, others=drive.hears)
+        return Receiver(drive.dialect, self.name, byte_ns=taken_ns)
 
     def _changed(self, station: Station) -> None:
         receiver, drive = self._receivers[station.index], station.drive

@@ -6,6 +6,9 @@ It sends what it is told to send, if its gate lets it. It knows which drives may
 ends the suite (an error, kill -9, a closed terminal) ends the pipe, and then the guard stops every drive that may be
 moving, puts back what the journal says, and gives the port back. A run without an end is stopped after a time even while
 the suite lives. Its own exit status is 0, or 20 where a motor could not be stopped.
+
+Whatever the suite is or has become, no more passes than was allowed in the beginning, but for stops, and for what the
+journal says was there before.
 """
 
 from __future__ import annotations
@@ -26,19 +29,22 @@ import msgspec
 from analyzer import dialects
 from analyzer import endpoint as endpoints
 from analyzer.catalogue import Dialect, Risk
-from analyzer.errors import ServotapError, UsageError
+from analyzer.errors import ServotapError
+from analyzer.records import CanFrame
+from conformance.acquaint import acquaint
 from conformance.bounds import STOPS
+from conformance.dialogue import Dialogue
 from conformance.gate import Allowance, Budget, Gate, Reading, Refused
 from conformance.line import LineLost
 from conformance.lines import open_line
-from conformance.rig import NotStopped
+from conformance.rig import NotStopped, RigFault
+from conformance.safety import journal as journals
 from conformance.safety import messages as say
-from conformance.safety.restoring import restore
-from conformance.safety.stopping import stop_or_cut
+from conformance.safety.keeper import PUTTING_BACK
+from conformance.safety.restoring import moved_away, restore
+from conformance.safety.stopping import MAY_MOVE, seen_standing, stop_or_cut, stopping
 
 NOT_STOPPED = 20
-#: The suite counts the budget of its run; here nothing is counted twice.
-_UNCOUNTED = 1 << 60
 _TICK_SECONDS = 0.2
 #: Signals that must not end the guard before the motor stands; the end of the pipe does.
 _SHIELDED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGPIPE")
@@ -46,12 +52,20 @@ _SHIELDED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGPIPE")
 
 @dataclass
 class _Watched:
-    """One drive. `moving`: something was sent that may move it, and no stop was proved since."""
+    """One drive. `moving`: something was sent that may move it, and no stop was proved since.
+
+    `endless_since`: when it began what ends only by a stop. `asked`: a stop was sent since, and nobody has looked yet.
+    """
 
     dialect: Dialect
     address: int
     moving: bool = False
     endless_since: float | None = None
+    asked: bool = False
+
+    def stands(self) -> None:
+        """Take it that it was seen standing."""
+        self.moving, self.endless_since, self.asked = False, None, False
 
 
 class Guard:
@@ -61,41 +75,65 @@ class Guard:
         self._begin = begin
         endpoint = endpoints.parse(begin.endpoint)
         self.line = open_line(endpoint)
-        self.gate = Gate(
-            self.line,
-            Allowance(
-                frozenset(Risk(word) for word in begin.risks),
-                begin.speed,
-                begin.turns,
-                begin.acceleration,
-                begin.current,
-                frozenset(d.address for d in begin.drives),
-                begin.alone,
-                Budget(wear=_UNCOUNTED),
-                begin.subdivision,
-            ),
+        self._full = Allowance(
+            frozenset(Risk(word) for word in begin.risks),
+            begin.speed,
+            begin.turns,
+            begin.acceleration,
+            begin.current,
+            frozenset(d.address for d in begin.drives),
+            begin.alone,
+            Budget(begin.commands, begin.seconds, begin.spun, begin.wear),
+            begin.subdivision,
         )
+        # While the drive is looked for: reads, and those to any address.
+        self.gate = Gate(self.line, Allowance(subdivision=begin.subdivision))
         self._drives = [_Watched(_dialect(d), d.address) for d in begin.drives]
+        self._not_stopped: NotStopped | None = None
+
+    # --- what the suite asks for --------------------------------------------------------------------------------------
 
     def send(self, request: say.Send) -> say.Answer:
         """Judge and write an item."""
         item = say.sendable(request.item, self.line.endpoint.name)
-        readings = self.gate.judge(item)
+        gate = self._gate_for(item)
         # Before it leaves: from then on the drive may be moving, whatever happens here.
-        for reading in readings:
+        for reading in gate.judge(item):
             self._note(reading)
-        return say.Done(self.gate.send(item))
+        return say.Done(gate.send(item))
+
+    def _gate_for(self, item: bytes | CanFrame) -> Gate:
+        """Return the gate that an item has to pass: a stop, and what puts back what was there, have one of their own."""
+        if not self.gate.objections(item):
+            return self.gate
+        whole = [r for r in self.gate.judge(item) if r.sound and not r.reads_only]
+        drive = next((d for d in self._drives if all(r.address == d.address for r in whole)), None)
+        if whole and drive is not None and all(r.command is not None and r.command.verb in STOPS for r in whole):
+            return self.gate.under(stopping(drive.address))
+        if whole and self._puts_back(whole):
+            return self.gate.under(PUTTING_BACK)
+        return self.gate
+
+    def _puts_back(self, readings: list[Reading]) -> bool:
+        """Say whether all that is sent is what the journal says was there."""
+        if not self._begin.journal or not Path(self._begin.journal).exists():
+            return False
+        changes = journals.open_changes(journals.read(Path(self._begin.journal)))
+        there = [(c.command, dict(c.values)) for c in changes]
+        return all(r.command is not None and (r.command.name, dict(r.values)) in there for r in readings)
 
     def _note(self, reading: Reading) -> None:
-        if reading.command is None or not reading.risks & {Risk.MOTION, Risk.UNBOUNDED, Risk.UNKNOWN, Risk.POWER_ON}:
+        if not reading.risks & MAY_MOVE:
             return
         for drive in self._drives:
-            if not (reading.to_many or reading.address in (None, drive.address)):
+            # A faulty drive that is alone may take what is meant for another one.
+            if not (reading.to_many or reading.address in (None, drive.address) or self._begin.alone):
                 continue
-            if reading.command.verb in STOPS:
-                drive.endless_since = None
+            if reading.command is not None and reading.command.verb in STOPS:
+                drive.asked = drive.endless_since is not None
+                drive.endless_since = time.monotonic() if drive.asked else None
                 continue
-            drive.moving = True
+            drive.moving, drive.asked = True, False
             endless = Risk.UNBOUNDED in reading.risks
             drive.endless_since = (drive.endless_since or time.monotonic()) if endless else None
 
@@ -109,34 +147,70 @@ class Guard:
         self.gate.set_speed(request.bits_per_second)
         return say.Done(self.gate.now_ns())
 
-    def overdue(self) -> bool:
-        """Say whether a run without an end has taken too long."""
+    def looked(self, request: say.Looked) -> say.Answer:
+        """Let pass what was allowed."""
+        self.gate = self.gate.under(self._full)
+        return say.Done(self.gate.now_ns())
+
+    def acquaint(self, request: say.Acquaint) -> say.Answer:
+        """Ask the drives where they stand: what the suite says of it would not be proof."""
+        for drive in self._drives:
+            acquaint(Dialogue(self.gate, [drive.dialect]), drive.dialect, drive.address)
+        return say.Done(self.gate.now_ns())
+
+    def stands(self, request: say.Stands) -> say.Answer:
+        """Take the suite's word that the drives stand; a stop at the end is sent all the same."""
+        for drive in self._drives:
+            drive.endless_since, drive.asked = None, False
+        return say.Done(self.gate.now_ns())
+
+    # --- what the guard does by itself --------------------------------------------------------------------------------
+
+    def stop_overdue(self) -> str:
+        """Stop what has run without an end for too long; return what was done, or nothing. Raises NotStopped."""
         longest = self._begin.longest_run_ns / 1e9
         now = time.monotonic()
-        return any(d.endless_since is not None and now - d.endless_since > longest for d in self._drives)
+        late = [d for d in self._drives if d.endless_since is not None and now - d.endless_since > longest]
+        for drive in [d for d in late if d.asked]:
+            # It was told to stop, and nobody has said whether it did.
+            if not seen_standing(self.gate, drive.dialect, drive.address):
+                drive.stands()
+                late.remove(drive)
+        if not late:
+            return ""
+        self.stop_all()
+        return f"a run without an end took longer than {longest:g} s (--max-run), so the guard has stopped the motor"
 
     def stop_all(self) -> None:
         """Stop every drive that may be moving. Raises NotStopped, after all were tried."""
-        trouble: NotStopped | None = None
+        if self._not_stopped is not None:
+            # All was tried, and the power was cut: nothing gets better by doing it again.
+            raise self._not_stopped
         for drive in self._drives:
             if not drive.moving:
                 continue
             try:
-                # A stop always passes, whatever the suite was allowed.
-                stopping = Allowance(frozenset({Risk.READ, Risk.MOTION}), addresses=frozenset({drive.address}))
-                stop_or_cut(self.gate.under(stopping), drive.dialect, drive.address, self._begin.cut_power)
-                drive.moving, drive.endless_since = False, None
+                stop_or_cut(self.gate, drive.dialect, drive.address, self._begin.cut_power)
+                drive.stands()
             except NotStopped as error:
-                trouble = error
-        if trouble is not None:
-            raise trouble
+                drive.endless_since, self._not_stopped = None, error
+        if self._not_stopped is not None:
+            raise self._not_stopped
+
+    def lead_back(self) -> None:
+        """Bring drives that may answer elsewhere back to where they can be stopped."""
+        path = Path(self._begin.journal)
+        if self._begin.journal and path.exists() and moved_away(path):
+            restore(path, self.gate, dict_of(self._drives), link_only=True)
 
     def put_back(self) -> None:
         """Put back what the journal says was changed and not put back."""
-        if self._begin.journal and Path(self._begin.journal).exists():
-            told = restore(Path(self._begin.journal), self.gate, dict_of(self._drives))
-            if told:
-                print(f"servotap: not all settings were put back: {told}", file=sys.stderr, flush=True)
+        path = Path(self._begin.journal)
+        if not self._begin.journal or not path.exists():
+            return
+        told = restore(path, self.gate, dict_of(self._drives))
+        if told:
+            raise RigFault(f"{told}; servotap restore {path} puts it back")
 
 
 def dict_of(drives: list[_Watched]) -> dict[int, Dialect]:
@@ -190,44 +264,61 @@ def _serve(guard: Guard, requests: queue.Queue[say.Request | None], answers: IO[
         say.Send: Guard.send,  # type: ignore[dict-item]  # each takes its own kind of request
         say.Receive: Guard.receive,  # type: ignore[dict-item]
         say.Speed: Guard.speed,  # type: ignore[dict-item]
+        say.Looked: Guard.looked,  # type: ignore[dict-item]
+        say.Acquaint: Guard.acquaint,  # type: ignore[dict-item]
+        say.Stands: Guard.stands,  # type: ignore[dict-item]
     }
-    stopped = ""
+    stopped: say.Failed | None = None
     while True:
         try:
             request = requests.get(timeout=_TICK_SECONDS)
         except queue.Empty:
-            if not stopped and guard.overdue():
-                stopped = "a run without an end took too long; the guard has stopped the motor"
-                guard.stop_all()
+            stopped = stopped or _overdue(guard)
             continue
         if request is None:
             return _alone(guard)
         if isinstance(request, say.End):
             _answer(answers, say.Done(guard.gate.now_ns()))
             return 0
-        try:
-            if not stopped and guard.overdue():
-                stopped = "a run without an end took too long; the guard has stopped the motor"
-                guard.stop_all()
-            if stopped and isinstance(request, say.Send):
-                answer: say.Answer = say.Failed("stopped", stopped)
-                stopped = ""
-            else:
-                answer = table[type(request)](guard, request)
-        except Refused as error:
-            answer = say.Failed("refused", str(error))
-        except LineLost as error:
-            answer = say.Failed("lost", str(error))
-        except NotStopped as error:
-            answer = say.Failed("not stopped", str(error))
-        except UsageError as error:
-            answer = say.Failed("usage", str(error))
+        stopped = stopped or _overdue(guard)
+        if stopped is not None:
+            answer: say.Answer = stopped
+            # Of a motor that turns on there is nothing else to say.
+            stopped = stopped if stopped.kind == "not stopped" else None
+        else:
+            answer = _done(table[type(request)], guard, request)
         if not _answer(answers, answer):
             return _alone(guard)
 
 
+def _done(act: Callable[[Guard, say.Request], say.Answer], guard: Guard, request: say.Request) -> say.Answer:
+    try:
+        return act(guard, request)
+    except Refused as error:
+        return say.Failed("refused", str(error))
+    except LineLost as error:
+        return say.Failed("lost", str(error))
+    except ServotapError as error:
+        return say.Failed("usage", str(error))
+
+
+def _overdue(guard: Guard) -> say.Failed | None:
+    """Stop a run that took too long; return what the suite is to be told, if anything."""
+    try:
+        told = guard.stop_overdue()
+    except NotStopped as error:
+        return say.Failed("not stopped", str(error))
+    except LineLost as error:
+        return say.Failed("lost", str(error))
+    return say.Failed("stopped", told) if told else None
+
+
 def _alone(guard: Guard) -> int:
     """Do what has to be done when the suite has died; return the exit status."""
+    try:
+        guard.lead_back()
+    except ServotapError as error:
+        print(f"servotap: {error}", file=sys.stderr, flush=True)
     try:
         guard.stop_all()
     except NotStopped:

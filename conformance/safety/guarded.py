@@ -1,105 +1,180 @@
-"""A line whose port is owned by a guard: the suite's end of the pipe."""
+"""A line whose port is owned by a guard: the suite's end of the pipe.
+
+A question and its answer are one: a Ctrl-C between them waits until the answer has come, or the next question would get it.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import os
+import signal
 import subprocess
 import sys
+import threading
 import time
-from typing import IO, cast
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import IO, Any, cast
 
 import msgspec
 
 from analyzer.endpoint import Endpoint
 from analyzer.errors import ServotapError, UsageError
 from analyzer.records import CanFrame, Chunk
+from conformance.claim import Inconclusive
+from conformance.gate import Refused
 from conformance.line import Line, LineLost
 from conformance.rig import NotStopped
 from conformance.safety import messages as say
 
-_KINDS: dict[str, type[ServotapError]] = {
-    "refused": UsageError,
-    "lost": LineLost,
-    "usage": UsageError,
-    "stopped": LineLost,
-    "not stopped": NotStopped,
-}
+_ROOT = Path(__file__).parents[2]
 #: How long the guard may take to stop motors and put settings back before it is left alone.
 _FAREWELL_SECONDS = 60
+#: Waits are cut into pieces, so that a Ctrl-C is not held up for long.
+_PIECE_NS = 200_000_000
+_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+
+class RefusedByGuard(Refused):
+    """The guard's gate did not let an item through."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(b"", ())
+        self.args = (text,)
+
+
+class GuardLost(LineLost):
+    """The process that owns the port has gone, the port itself perhaps not."""
+
+
+_KINDS: dict[str, Callable[[str], Exception]] = {
+    "refused": RefusedByGuard,
+    "lost": LineLost,
+    "usage": UsageError,
+    "stopped": Inconclusive,
+    "not stopped": NotStopped,
+}
 
 
 class GuardedLine(Line):
-    """A line by way of a guard process. Raises UsageError where the port cannot be opened."""
+    """A line by way of a guard process. `not_stopped`: the guard has said that a motor turns on.
+
+    Raises UsageError where the port cannot be opened.
+    """
 
     def __init__(self, endpoint: Endpoint, begin: say.Begin) -> None:
         self.endpoint = endpoint
-        # In a session of its own: what ends the suite's terminal must not end the guard.
+        # In a session of its own: what ends the suite's terminal must not end the guard. Without the working directory on
+        # its path, in which anything may lie.
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "conformance.safety.guard"],
+            [sys.executable, "-P", "-m", "conformance.safety.guard"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))},
         )
         self._to = cast(IO[bytes], self._process.stdin)
         self._from = cast(IO[bytes], self._process.stdout)
         self._decode = msgspec.msgpack.Decoder(say.Answer).decode
         self._closed = False
+        self.not_stopped: NotStopped | None = None
         try:
             begun = self._ask(begin)
         except ServotapError:
-            self._process.wait(_FAREWELL_SECONDS)
+            self._leave()
             raise
         assert isinstance(begun, say.Done)  # every other answer raises
         self._ahead_ns = begun.t_ns - time.monotonic_ns()
         self.anchor_ns = time.time_ns() - begun.t_ns
 
     def _ask(self, request: say.Request) -> say.Done | say.Got:
-        try:
-            say.put(self._to, request)
-            answer = self._decode(say.take(self._from))
-        except (OSError, EOFError, ValueError) as error:
-            raise LineLost(f"{self.endpoint.text}: the process that owns the port has gone ({error})") from None
+        with _whole():
+            try:
+                say.put(self._to, request)
+                answer = self._decode(say.take(self._from))
+            except (OSError, EOFError, ValueError) as error:
+                raise GuardLost(f"{self.endpoint.text}: the process that owns the port has gone ({error})") from None
         if isinstance(answer, say.Failed):
-            raise _KINDS[answer.kind](answer.text)
+            failed = _KINDS[answer.kind](answer.text)
+            if isinstance(failed, NotStopped):
+                self.not_stopped = failed
+            raise failed
         return cast("say.Done | say.Got", answer)
+
+    def tell(self, request: say.Looked | say.Acquaint | say.Stands) -> None:
+        """Tell the guard something. Raises LineLost."""
+        self._ask(request)
 
     def now_ns(self) -> int:
         """Return the time of the guard's clock: both are the monotonic clock of one machine."""
         return time.monotonic_ns() + self._ahead_ns
 
     def write(self, item: bytes | CanFrame) -> int:
-        """Have the guard judge and send an item. Only a gate calls this."""
+        """Have the guard judge and send an item. Only a gate calls this.
+
+        Raises Refused where the guard does not let it through, LineLost; Inconclusive where the guard had to stop the motor.
+        """
         done = self._ask(say.Send(say.wire(item)))
         return done.t_ns if isinstance(done, say.Done) else self.now_ns()
 
     def receive(self, timeout_ns: int) -> Chunk | CanFrame | None:
         """Return what comes next, None when the time is over."""
-        got = self._ask(say.Receive(max(0, timeout_ns)))
-        if isinstance(got, say.Got) and got.item is not None:
-            return say.received(got.item, self.endpoint.name)
-        return None
+        until_ns = self.now_ns() + max(0, timeout_ns)
+        while True:
+            left_ns = max(0, until_ns - self.now_ns())
+            got = self._ask(say.Receive(min(left_ns, _PIECE_NS)))
+            if isinstance(got, say.Got) and got.item is not None:
+                return say.received(got.item, self.endpoint.name)
+            if left_ns <= _PIECE_NS:
+                return None
 
     def set_speed(self, bits_per_second: int) -> None:
         """Change this end's speed."""
         self._ask(say.Speed(bits_per_second))
+        self.endpoint = self.endpoint.at(bits_per_second)
 
     def close(self) -> None:
         """Tell the guard that all is done, and wait until the port is free."""
         if self._closed:
             return
-        self._closed = True
         try:
             self._ask(say.End())
         except LineLost:
             pass  # it has gone already, and the port with it
         finally:
+            self._leave()
+
+    def abandon(self) -> int | None:
+        """Leave without a word, so that the guard stops and puts back by itself; return its exit status, None: not yet."""
+        return self._process.returncode if self._closed else self._leave()
+
+    def _leave(self) -> int | None:
+        self._closed = True
+        with contextlib.suppress(OSError):
             self._to.close()
-            self._process.wait(_FAREWELL_SECONDS)
+        try:
+            return self._process.wait(_FAREWELL_SECONDS)
+        except subprocess.TimeoutExpired:
+            print(f"servotap: process {self._process.pid} still holds {self.endpoint.text}", file=sys.stderr)
+            return None
+        finally:
             self._from.close()
 
-    def abandon(self) -> int:
-        """Leave without a word, so that the guard stops and puts back by itself; return its exit status."""
-        self._closed = True
-        self._to.close()
-        status = self._process.wait(_FAREWELL_SECONDS)
-        self._from.close()
-        return status
+
+@contextlib.contextmanager
+def _whole() -> Iterator[None]:
+    """Let a Ctrl-C, and whatever else would break in, wait until what is under way is done."""
+    came: list[tuple[int, Any]] = []
+    before = {number: handler for number in _SIGNALS if callable(handler := signal.getsignal(number))}
+    # Elsewhere than in the main thread no signal breaks in, and none can be taken over.
+    if threading.current_thread() is not threading.main_thread():
+        before = {}
+    for number in before:
+        signal.signal(number, lambda number, frame: came.append((number, frame)))
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if came:
+            before[came[-1][0]](*came[-1])

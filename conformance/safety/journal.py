@@ -1,7 +1,8 @@
 """The journal: what is about to be changed on a drive is written down, and safe on the disk, before it is changed.
 
-One JSON object a line. `change`: a command and the values that its settings had; `back`: it was put back; `end`: all of it
-was. What was changed and not put back is open: `servotap restore` puts it back after a crash.
+One JSON object a line. `change`: a command, the values that its settings had, and what is about to be sent; `back`: it was
+put back; `end`: all of it was. What was changed and not put back is open: `servotap restore` puts it back after a crash.
+What is sent matters where the link is changed: it says where the drive may be now.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ from typing import IO
 import msgspec
 
 from analyzer.errors import UnreadableError, UsageError
+from conformance.rig import RigFault
 
 
 class Entry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One line. `values`: integers as sent, by field, as they were before."""
+    """One line. `values`: integers as sent, by field, as they were before; `sent`: those that the drive was told since."""
 
     event: str
     at: str = ""
@@ -27,16 +29,25 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     command: str = ""
     address: int = 0
     values: dict[str, int] = {}
+    sent: list[dict[str, int]] = []
     text: str = ""
+
+    @property
+    def key(self) -> tuple[str, int, str, int]:
+        """Return what tells one setting of one drive from all others; a parameter's number stands among its values."""
+        return self.target, self.address, self.command, self.values.get("parameter", 0)
 
 
 class Journal:
-    """Writes a journal. Raises UsageError where the file cannot be made or is there already."""
+    """Writes a journal. `again`: go on with one that is there, instead of a new one.
 
-    def __init__(self, path: Path) -> None:
+    Raises UsageError where the file cannot be made or is there already.
+    """
+
+    def __init__(self, path: Path, *, again: bool = False) -> None:
         self.path = path
         try:
-            self._file: IO[bytes] = path.open("xb", buffering=0)
+            self._file: IO[bytes] = path.open("ab" if again else "xb", buffering=0)
         except FileExistsError:
             raise UsageError(
                 f"{path} is there already, perhaps of a run that broke off: servotap restore {path} --on ... puts back "
@@ -46,13 +57,13 @@ class Journal:
             raise UsageError(f"cannot write the journal {path}: {error.strerror or error}") from None
 
     def write(self, entry: Entry) -> None:
-        """Write a line; it is on the disk when this returns. Raises UsageError where it cannot be written."""
+        """Write a line; it is on the disk when this returns. Raises RigFault where it cannot be written."""
         stamped = msgspec.structs.replace(entry, at=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()))
         try:
             self._file.write(msgspec.json.encode(stamped) + b"\n")
             os.fsync(self._file.fileno())
         except OSError as error:
-            raise UsageError(f"cannot write the journal {self.path}: {error.strerror or error}; nothing was changed") from None
+            raise RigFault(f"cannot write the journal {self.path}: {error.strerror or error}; nothing was changed") from None
 
     def close(self, *, remove: bool) -> None:
         """Close the file; with `remove` (all is put back) it goes."""
@@ -82,11 +93,12 @@ def read(path: Path) -> list[Entry]:
 
 def open_changes(entries: list[Entry]) -> list[Entry]:
     """Return the changes that were not put back, the last one first."""
-    left: dict[tuple[str, int, str], Entry] = {}
+    left: dict[tuple[str, int, str, int], Entry] = {}
     for entry in entries:
-        key = (entry.target, entry.address, entry.command)
+        key = entry.key
         if entry.event == "change":
-            left.setdefault(key, entry)
+            first = left.setdefault(key, msgspec.structs.replace(entry, sent=[]))
+            left[key] = msgspec.structs.replace(first, sent=first.sent + entry.sent)
         elif entry.event == "back":
             left.pop(key, None)
         elif entry.event == "end":

@@ -2,28 +2,39 @@
 
 Before the first change of a setting its value is asked of the drive; where the drive does not tell, the user's word is
 taken, and where there is none, it is not changed. What was is written into the journal first. A change of the link (address,
-speed, dialect) is followed: the drive is looked for where it may be now.
+speed, dialect) is followed: the drive is looked for where it may be now (`conformance.safety.following`).
+
+Rules kept here:
+- What is sent to all drives, in a package, or to an address that the drive may have taken counts as sent to the drive.
+- What was there may be put back whatever the bounds and the budget of the run say of it: it was there.
+- A speed that is kept for the next power-on is forgotten again: a motor must not turn by itself because a suite has run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from analyzer import dialects
-from analyzer.catalogue import Command, Dialect, Verb
-from analyzer.errors import UsageError
+from analyzer.catalogue import Command, Dialect, Risk, Verb
+from analyzer.layout import Field
+from conformance.allowance import Allowance
+from conformance.budget import Budget
 from conformance.claim import NotRun
 from conformance.drives.speed import SPEEDS
 from conformance.gate import Gate
 from conformance.gate_readings import Reading
 from conformance.probe import Probe
-from conformance.safety import settings
+from conformance.safety import following, settings
 from conformance.safety.bare import bare_probe
+from conformance.safety.following import has, says_itself
 from conformance.safety.journal import Entry, Journal, values_text
 
-#: The dialect that a drive speaks after this one was switched.
-OTHER_DIALECT = {"mks-rs485": "mks-modbus", "mks-modbus": "mks-rs485"}
+#: What may be sent to put back what was there: no motion, nothing that wipes, nothing that nobody knows.
+PUTTING_BACK = Allowance(
+    frozenset({Risk.READ, Risk.SETTING, Risk.TORQUE, Risk.LINK, Risk.POWER_ON, Risk.WEAR}),
+    alone=True,
+    budget=Budget(wear=None),
+)
 
 
 @dataclass
@@ -36,7 +47,11 @@ class _Kept:
 
 
 class Keeper:
-    """Keeps the settings of one drive. `known`: the user's word on them; `journal` None: nothing is written down."""
+    """Keeps the settings of one drive.
+
+    `known`: the user's word on them; `journal` None: nothing is written down. `alone`: no other drive is on the bus.
+    `named`: its name in the journal, where it is another one than the dialect's.
+    """
 
     def __init__(
         self,
@@ -46,6 +61,9 @@ class Keeper:
         known: Mapping[str, int],
         journal: Journal | None,
         on: str = "",
+        *,
+        alone: bool = False,
+        named: str = "",
     ) -> None:
         self._gate = gate
         self._dialect = dialect
@@ -53,23 +71,28 @@ class Keeper:
         self._known = known
         self._journal = journal
         self._on = on
-        self._target = f"{dialect.name}@{address}" + (f",model={dialect.model}" if dialect.model else "")
+        self._alone = alone
+        self._target = named or f"{dialect.name}@{address}" + (f",model={dialect.model}" if dialect.model else "")
         self._kept: dict[tuple[str, int], _Kept] = {}
+        self._asking = False
+
+    def by(self, gate: Gate) -> None:
+        """Go on with another gate, where the process behind the first one has gone."""
+        self._gate = gate
         self._asking = False
 
     def why_not(self, names: tuple[str, ...]) -> str:
         """Return why settings (by field) cannot be changed here, or nothing."""
         for name in names:
-            commands = [c for c in self._dialect.commands if settings.changes(c) and _has(c, name)]
+            commands = [c for c in self._dialect.commands if settings.changes(c) and has(c, name)]
             if commands and not any(self._can_keep(c) for c in commands):
                 return f"the drive does not tell its {name}: say in --settings FILE what to put back"
         return ""
 
     def _can_keep(self, command: Command) -> bool:
-        if settings.readable(self._dialect, command):
+        if settings.readable(self._dialect, command) or command.verb is Verb.SAVE_SPEED:
             return True
-        names = {n for form in command.request_forms for n, f in form.layout.named.items() if f.fixed is None}
-        return names <= self._known.keys() or _says_itself(command)
+        return _fields(command) <= self._known.keys() or says_itself(command)
 
     def before(self, readings: tuple[Reading, ...]) -> None:
         """Make sure that what is about to leave can be put back.
@@ -79,27 +102,61 @@ class Keeper:
         if self._asking:
             return
         for reading in readings:
-            command = reading.command
-            if command is not None and reading.sound and settings.changes(command) and reading.address == self._address:
+            if reading.command is None or not reading.sound or not self._may_hear(reading):
+                continue
+            # In another dialect too, for a drive that was switched: its settings stay the same.
+            command = self._dialect.by_name.get(reading.command.name)
+            if command is None:
+                continue
+            if command.verb is Verb.RESTORE:
+                self._keep_all()
+            elif settings.changes(command) and reading.values:
                 self._keep(command, dict(reading.values))
 
+    def _may_hear(self, reading: Reading) -> bool:
+        """Say whether the drive may take a reading for its own; where it is alone a faulty one may take any."""
+        return self._alone or reading.to_many or reading.address in (None, self._address)
+
+    def _keep_all(self) -> None:
+        """Keep all that can be, before the drive goes back to its defaults."""
+        for command in self._dialect.commands:
+            if not settings.changes(command) or not self._can_keep(command) or command.verb is Verb.SAVE_SPEED:
+                continue
+            # The defaults of the link, by which the drive is found again.
+            for values in following.possible(command) or settings.every_selector(command):
+                self._keep(command, values)
+
     def _keep(self, command: Command, values: dict[str, int]) -> None:
+        if command.verb is Verb.SAVE_SPEED and values == _forgotten(command):
+            return
         key = (command.name, settings.selector(command, values))
         kept = self._kept.get(key)
         if kept is None:
             before = self._value(command, values)
             if before is None:
                 raise NotRun(f"the drive does not tell what {command.name} sets: say in --settings FILE what to put back")
-            kept = self._kept[key] = _Kept(command, before)
-            if self._journal is not None:
-                change = Entry(
-                    event="change", target=self._target, on=self._on, command=command.name, address=self._address, values=before
-                )
-                self._journal.write(change)
-        if values not in kept.sent:
+            kept = _Kept(command, before)
+        if values not in kept.sent or key not in self._kept:
+            # Where a drive can be found again must be known; of other settings the first change says enough.
+            if key not in self._kept or says_itself(command):
+                self._write("change", command, kept.before, values)
             kept.sent.append(values)
+        self._kept[key] = kept
+
+    def _write(self, event: str, command: Command, before: dict[str, int], *sent: dict[str, int], text: str = "") -> None:
+        if self._journal is None:
+            return
+        # What was tells apart the settings of one command (LK's parameters).
+        self._journal.write(
+            Entry(
+                event=event, target=self._target, on=self._on, command=command.name, address=self._address, values=before,
+                sent=list(sent), text=text,
+            )
+        )  # fmt: skip
 
     def _value(self, command: Command, values: Mapping[str, int]) -> dict[str, int] | None:
+        if command.verb is Verb.SAVE_SPEED:
+            return _forgotten(command)
         self._asking = True
         try:
             if settings.readable(self._dialect, command):
@@ -108,23 +165,23 @@ class Keeper:
                     return found
         finally:
             self._asking = False
-        if _says_itself(command):
+        if says_itself(command):
             return self._link(command)
-        names = {n for form in command.request_forms for n, f in form.layout.named.items() if f.fixed is None}
+        names = _fields(command)
         return {n: self._known[n] for n in names} if names <= self._known.keys() else None
 
-    def _link(self, command: Command) -> dict[str, int]:
-        """Return what a setting of the link must be, since the drive is heard as it is."""
+    def _link(self, command: Command) -> dict[str, int] | None:
+        """Return what a setting of the link must be, since the drive is heard as it is; None where it has no such value."""
         if command.verb is Verb.SET_ADDRESS:
             return {"new_address": self._address}
         if command.verb is Verb.SET_MODBUS:
             return {"modbus": int(self._dialect.name == "mks-modbus")}
-        name = next(n for n in SPEEDS if _has(command, n))
+        name = next(n for n in SPEEDS if has(command, n))
         speed = self._gate.line.endpoint.bits_per_second
-        return {name: next(code for code, bits in SPEEDS[name].items() if bits == speed)}
+        return next(({name: code} for code, bits in SPEEDS[name].items() if bits == speed), None)
 
-    def _probe(self, address: int | None = None, dialect: Dialect | None = None) -> Probe:
-        return bare_probe(dialect or self._dialect, address or self._address, self._gate, "put-back")
+    def _probe(self) -> Probe:
+        return bare_probe(self._dialect, self._address, self._gate, "read-first")
 
     # --- putting back -------------------------------------------------------------------------------------------------
 
@@ -133,77 +190,46 @@ class Keeper:
         """Whether something is to be put back."""
         return bool(self._kept)
 
-    def put_back(self) -> str:
-        """Put everything back, the last change first; return what could not be, or nothing."""
+    @property
+    def moved_away(self) -> bool:
+        """Whether the drive may answer elsewhere than it did."""
+        return any(says_itself(kept.command) for kept in self._kept.values())
+
+    def take(self, entries: Iterable[Entry]) -> None:
+        """Take over what a journal says was changed; it counts as written down already."""
+        for entry in reversed(list(entries)):
+            command = self._dialect.by_name.get(entry.command)
+            if command is None:
+                raise NotRun(f"{self._dialect.name} has no command {entry.command}")
+            key = (command.name, settings.selector(command, entry.values))
+            self._kept[key] = _Kept(command, dict(entry.values), [dict(s) for s in entry.sent])
+
+    def put_back(self, *, link_only: bool = False) -> str:
+        """Put everything back, the last change first; return what could not be, or nothing. Raises LineLost."""
         failed = []
         self._asking = True
         try:
             # The link first: nothing else can be put back on a drive that is not heard.
             newest = list(self._kept.items())[::-1]
-            newest.sort(key=lambda item: not _says_itself(item[1].command))
+            newest.sort(key=lambda item: not says_itself(item[1].command))
+            gate = self._gate.under(PUTTING_BACK)
             for key, kept in newest:
-                told = self._restore(kept)
+                if link_only and not says_itself(kept.command):
+                    continue
+                told = self._restore(gate, kept)
                 if told:
                     failed.append(told)
                     continue
                 del self._kept[key]
-                if self._journal is not None:
-                    back = Entry(event="back", target=self._target, command=kept.command.name, address=self._address)
-                    self._journal.write(back)
+                self._write("back", kept.command, kept.before)
         finally:
             self._asking = False
         return "; ".join(failed)
 
-    def _restore(self, kept: _Kept) -> str:
-        command = kept.command
-        if _says_itself(command):
-            return self._restore_link(kept)
-        return put_back(self._probe(), command, kept.before)
-
-    def _restore_link(self, kept: _Kept) -> str:
-        """Find the drive at what it may have been told, and tell it what it was."""
-        command = kept.command
-        for values in [kept.before, *reversed(kept.sent)]:
-            probe = self._reach(command, values)
-            if probe is None:
-                continue
-            told = put_back(probe, probe.command(command.verb), kept.before)
-            self._reach(command, kept.before)
-            if not told:
-                return ""
-        return f"{command.name}: the drive is not heard any more, at what it was nor at {[values_text(v) for v in kept.sent]}"
-
-    def _reach(self, command: Command, values: Mapping[str, int]) -> Probe | None:
-        """Return a probe that reaches a drive whose link is set so, None where nobody is there."""
-        address, dialect = self._address, self._dialect
-        if command.verb is Verb.SET_ADDRESS:
-            address = values["new_address"]
-        elif command.verb is Verb.SET_MODBUS:
-            name = "mks-modbus" if values["modbus"] else "mks-rs485"
-            dialect = dialect if dialect.name == name else dialects.get(name)
-        else:
-            name = next(n for n in SPEEDS if _has(command, n))
-            speed = SPEEDS[name].get(values[name])
-            if speed is None:
-                return None
-            try:
-                self._gate.set_speed(speed)
-            except UsageError:
-                return None
-        probe = self._probe(address, dialect)
-        # A drive may take its time to change its link.
-        for _ in range(3):
-            if is_there(probe):
-                return probe
-            probe.wait(300_000_000)
-        return None
-
-
-def is_there(probe: Probe) -> bool:
-    """Say whether the drive answers a read."""
-    verbs = (Verb.READ_STATUS, Verb.READ_SPEED, Verb.READ_STATE_1, Verb.READ_STATE_2, Verb.READ_POSITION, Verb.READ_ENCODER)
-    verb = next(v for v in verbs if v in probe.dialect.by_verb)
-    return any(a.message.frame.checksum_ok for a in probe.ask(verb, timeout_ns=300_000_000, quiet_ns=0).answers)
+    def _restore(self, gate: Gate, kept: _Kept) -> str:
+        if says_itself(kept.command):
+            return following.lead_back(gate, self._dialect, self._address, kept.command, kept.before, kept.sent)
+        return put_back(bare_probe(self._dialect, self._address, gate, "put-back"), kept.command, kept.before)
 
 
 def put_back(probe: Probe, command: Command, values: Mapping[str, int]) -> str:
@@ -225,11 +251,11 @@ def put_back(probe: Probe, command: Command, values: Mapping[str, int]) -> str:
     return told
 
 
-def _has(command: Command, name: str) -> bool:
-    return any(name in form.layout.named for form in command.request_forms)
+def _fields(command: Command) -> set[str]:
+    return {n for form in command.request_forms for n, f in form.layout.named.items() if f.fixed is None}
 
 
-def _says_itself(command: Command) -> bool:
-    """Say whether the present value of a setting shows in how the drive is reached."""
-    verbs = (Verb.SET_ADDRESS, Verb.SET_MODBUS, Verb.SET_BAUD_RATE, Verb.SET_BIT_RATE)
-    return command.verb in verbs
+def _forgotten(command: Command) -> dict[str, int]:
+    """Return what makes a drive forget the speed that it kept for the next power-on."""
+    state: Field = command.request_forms[0].layout.named["save_state"]
+    return {"save_state": next(value for value, name in state.choice_names.items() if name != "save")}

@@ -34,7 +34,11 @@ class Drive(msgspec.Struct, frozen=True):
 
 
 class Begin(msgspec.Struct, frozen=True, tag="begin"):
-    """The first request: open the port. `risks` and bounds as in an allowance; `longest_run_ns` of motion without an end."""
+    """The first request: open the port.
+
+    `risks`, bounds and budget as in an allowance; `longest_run_ns` of motion without an end. Until `Looked` reads alone
+    pass, and those to any address.
+    """
 
     endpoint: str
     drives: tuple[Drive, ...]
@@ -45,6 +49,10 @@ class Begin(msgspec.Struct, frozen=True, tag="begin"):
     current: float | None = None
     subdivision: int | None = None
     alone: bool = False
+    commands: int | None = None
+    seconds: float | None = None
+    spun: float | None = None
+    wear: int | None = None
     longest_run_ns: int = 30_000_000_000
     journal: str = ""
     cut_power: str = ""
@@ -68,6 +76,18 @@ class Speed(msgspec.Struct, frozen=True, tag="speed"):
     bits_per_second: int
 
 
+class Looked(msgspec.Struct, frozen=True, tag="looked"):
+    """The drive was found: from now on what was allowed passes, and nothing to others."""
+
+
+class Acquaint(msgspec.Struct, frozen=True, tag="acquaint"):
+    """Ask the drives where they stand, for the bounds that are counted from there."""
+
+
+class Stands(msgspec.Struct, frozen=True, tag="stands"):
+    """The suite has stopped a drive and has seen it stand."""
+
+
 class End(msgspec.Struct, frozen=True, tag="end"):
     """The suite is done and has stopped and put back everything itself: close the port and end."""
 
@@ -85,13 +105,13 @@ class Got(msgspec.Struct, frozen=True, tag="got"):
 
 
 class Failed(msgspec.Struct, frozen=True, tag="failed"):
-    """It was not done. `kind`: refused, lost, usage, or stopped (the guard has stopped the motor by itself)."""
+    """It was not done. `kind`: refused, lost, usage, not stopped, or stopped (the guard has stopped the motor by itself)."""
 
     kind: str
     text: str
 
 
-Request = Begin | Send | Receive | Speed | End
+Request = Begin | Send | Receive | Speed | Looked | Acquaint | Stands | End
 Answer = Done | Got | Failed
 
 

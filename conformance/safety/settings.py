@@ -70,8 +70,18 @@ def known(dialect: Dialect, drive: str, given: Mapping[str, Given]) -> dict[str,
     return values
 
 
+#: They move the zero or end a protection: what they change has no value that could be told again.
+_WITHOUT_VALUE = frozenset({Verb.SET_ZERO, Verb.RELEASE_PROTECTION, Verb.CLEAR_ERRORS})
+#: Likewise: the position is counted from elsewhere afterwards.
+_COUNTS_ANEW = frozenset({"set_position"})
+#: What has a read of its own.
+_OWN_READS = {Verb.WRITE_USER_ID: Verb.READ_USER_ID}
+
+
 def changes(command: Command) -> bool:
     """Say whether a command changes a setting that has a value: one that can be put back."""
+    if command.verb in _WITHOUT_VALUE or command.name in _COUNTS_ANEW:
+        return False
     return Risk.SETTING in command.all_risks and any(
         f.fixed is None for form in command.request_forms for f in form.layout.named.values()
     )
@@ -79,6 +89,8 @@ def changes(command: Command) -> bool:
 
 def readable(dialect: Dialect, command: Command) -> bool:
     """Say whether the drive tells what a command sets."""
+    if _OWN_READS.get(command.verb) in dialect.by_verb:
+        return True
     return Verb.READ_PARAMETER in dialect.by_verb and (command.readable or command.verb is Verb.WRITE_PARAMETER)
 
 
@@ -87,9 +99,18 @@ def selector(command: Command, values: Mapping[str, int]) -> int:
     return int(values.get("parameter", 0)) if command.verb is Verb.WRITE_PARAMETER else command.code
 
 
+def every_selector(command: Command) -> list[dict[str, int]]:
+    """Return values that name each setting of a command once: one for most, one for each parameter of LK's write."""
+    if command.verb is not Verb.WRITE_PARAMETER:
+        return [{}]
+    numbers = {f.layout.named["parameter"].fixed for f in command.request_forms if "parameter" in f.layout.named}
+    return [{"parameter": number} for number in sorted(n for n in numbers if n is not None)]
+
+
 def read(probe: Probe, command: Command, values: Mapping[str, int]) -> dict[str, int] | None:
     """Return what a command sets, as it is now, all fields of its request; None where the drive does not tell."""
-    exchange = probe.ask(Verb.READ_PARAMETER, {"parameter": selector(command, values)})
+    own = _OWN_READS.get(command.verb)
+    exchange = probe.ask(own) if own else probe.ask(Verb.READ_PARAMETER, {"parameter": selector(command, values)})
     answer = exchange.reply
     if answer is None or not answer.message.frame.checksum_ok or probe.refused(exchange):
         return None

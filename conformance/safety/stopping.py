@@ -10,11 +10,12 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from analyzer.catalogue import Dialect, Verb
+from analyzer.catalogue import Dialect, Risk, Verb
+from analyzer.errors import ServotapError
 from conformance import moving
+from conformance.allowance import Allowance
 from conformance.claim import Inconclusive
 from conformance.gate import Gate
-from conformance.line import LineLost
 from conformance.probe import Probe
 from conformance.rig import NotStopped
 from conformance.safety.bare import bare_probe
@@ -29,6 +30,8 @@ RAMPED = (
     Verb.STOP_ABSOLUTE_AXIS,
 )
 AT_ONCE = (Verb.EMERGENCY_STOP,)
+#: What may set a shaft in motion: a code that nobody knows may be anything.
+MAY_MOVE = frozenset({Risk.MOTION, Risk.UNBOUNDED, Risk.UNKNOWN, Risk.POWER_ON})
 #: How often in a row the shaft must be seen standing.
 PROOFS = 3
 _LOOK_NS = 100_000_000
@@ -36,6 +39,11 @@ _LOOK_NS = 100_000_000
 _RAMP_NS = 15_000_000_000
 _AT_ONCE_NS = 3_000_000_000
 _POWER_SECONDS = 20
+
+
+def stopping(address: int) -> Allowance:
+    """Return what may be sent to stop a drive, whatever else is allowed: a stop always passes."""
+    return Allowance(frozenset({Risk.READ, Risk.MOTION}), addresses=frozenset({address}))
 
 
 def stop(gate: Gate, dialect: Dialect, address: int) -> str:
@@ -83,6 +91,14 @@ def stands(probe: Probe, limit_ns: int) -> str:
     return told
 
 
+def seen_standing(gate: Gate, dialect: Dialect, address: int) -> str:
+    """Look whether a drive stands already, without sending it anything but reads; return why not, or nothing."""
+    try:
+        return stands(bare_probe(dialect, address, gate.under(stopping(address)), "look"), 5 * _LOOK_NS)
+    except ServotapError as error:
+        return str(error)
+
+
 def cut_power(command: str) -> str:
     """Run the user's command that cuts the power; return how that went, in words."""
     if not command:
@@ -97,13 +113,16 @@ def cut_power(command: str) -> str:
 
 
 def stop_or_cut(gate: Gate, dialect: Dialect, address: int, power: str) -> None:
-    """Stop a drive.
+    """Stop a drive by a gate of its own, through which nothing but that passes.
 
     Raises NotStopped, after the power command, where it cannot be said that the motor stands.
     """
     try:
-        told = stop(gate, dialect, address)
-    except LineLost as error:
+        told = stop(gate.under(stopping(address)), dialect, address)
+    except NotStopped:
+        raise
+    except ServotapError as error:
+        # Whatever keeps the stop from being sent or proved, the motor may turn.
         told = str(error)
     if told:
         text = f"NOT STOPPED: {dialect.name}@{address}: {told}; {cut_power(power)}"

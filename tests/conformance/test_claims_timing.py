@@ -36,7 +36,7 @@ def test_a_drive_as_its_manual_has_it_confirms_every_claim(drive):
 FAULTS = (
     ("mks-rs485", "ramp-too-fast", "run_speed/ramp-56"),
     ("mks-modbus", "ramp-too-slow", "stop_speed/ramp-128"),
-    ("mks-can", "ramp-off-by-one", "run_speed/ramp-250"),
+    ("mks-can", "ramp-off-by-one", "run_speed/ramp-252"),
     ("mks-rs485", "ramp-off-by-one", "stop_speed/ramp-236"),
     ("mks-can", "ramp-turned-round", "run_speed/ramp-200"),
     ("mks-rs485", "no-ramp", "run_speed/ramp-1"),

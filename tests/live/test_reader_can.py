@@ -5,11 +5,13 @@ from __future__ import annotations
 import contextlib
 import importlib
 import inspect
+import os
 import signal
 import socket
 import struct
 import threading
 import time
+from queue import SimpleQueue
 
 import can
 import msgspec
@@ -23,12 +25,14 @@ from analyzer.live import reader_can, reader_can_socket
 from analyzer.live.reader import make_port
 from analyzer.live.reader_can import LISTEN_ONLY, notes_of_link, options_for
 from analyzer.live.reader_can_library import CanLibraryPort
+from analyzer.live.reader_can_slcan import SlcanPort, dissect_line
 from analyzer.live.reader_can_socket import CanSocketPort, dissect_kernel, dissect_multicast, trouble
 from analyzer.live.reader_port import Lost, Stop, Unopened
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import CanFlag, Kind, SpoolReader, SpoolWriter
 from tests.drives.served import wait_for
-from tests.live.readers import ReaderProcess
+from tests.live.readers import ReaderProcess, fill
+from tests.live.recorded import pty_pair
 
 GROUP = "239.74.163.81"
 
@@ -330,6 +334,9 @@ class Broken:
             raise can.CanOperationError("nonsense on the line")
         time.sleep(timeout / 50)
 
+    def fileno(self):
+        raise NotImplementedError
+
     def shutdown(self):
         raise RuntimeError("gone already")
 
@@ -466,7 +473,9 @@ def test_which_reader_serves_which_endpoint():
     assert isinstance(make_port(parse("can:socketcan:can0,bitrate=500000")), CanSocketPort)
     assert isinstance(make_port(parse("can:socketcan:can0,local_loopback=0")), CanLibraryPort)
     assert isinstance(make_port(parse("can:udp_multicast:239.1.2.3"), plain=True), CanLibraryPort)
-    assert isinstance(make_port(parse("can:slcan:x,bitrate=1")), CanLibraryPort)
+    assert isinstance(make_port(parse("can:slcan:x,bitrate=1")), SlcanPort)
+    assert not isinstance(make_port(parse("can:slcan:x,bitrate=1"), plain=True), SlcanPort)
+    assert type(make_port(parse("can:pcan:x,bitrate=1"))) is CanLibraryPort
 
 
 def test_what_the_kernel_had_no_room_for_is_told_once_whoever_says_it(tmp_path, store):
@@ -474,3 +483,61 @@ def test_what_the_kernel_had_no_room_for_is_told_once_whoever_says_it(tmp_path, 
     for count in (0, 5, 3, 5, 9, 0xFFFFFFFF & (9 - 1)):
         port._tell_overflow(store, count, 1)
     assert [r.event["frames"] for r in stored(tmp_path)] == [5, 4]
+
+
+# --- slcan ----------------------------------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 0x1FFFFFFF), st.binary(max_size=8), st.booleans(), st.booleans(), st.booleans())
+def test_a_line_of_an_slcan_adapter_is_understood_as_python_can_understands_it(can_id, data, extended, remote, fd):
+    from can.interfaces.slcan import slcanBus
+
+    can_id = can_id if extended else can_id & 0x7FF
+    letter = ("dD" if fd else "rR" if remote else "tT")[extended]
+    line = f"{letter}{can_id:0{8 if extended else 3}X}{len(data):X}" + ("" if remote and not fd else data.hex().upper())
+    theirs = slcanBus.__new__(slcanBus)
+    theirs._queue = SimpleQueue()
+    theirs._queue.put(line + "\r")
+    message, _ = theirs._recv_internal(0)
+    found = dissect_line(line.encode())
+    assert found[0] == message.arbitration_id
+    assert found[2] == bytes(message.data)
+    assert bool(found[1] & CanFlag.EXTENDED) == message.is_extended_id
+    assert bool(found[1] & CanFlag.REMOTE) == message.is_remote_frame
+    assert bool(found[1] & CanFlag.FD) == message.is_fd
+
+
+@given(st.binary(max_size=30))
+def test_any_line_is_a_frame_an_answer_or_a_value_error(line):
+    with contextlib.suppress(ValueError):
+        found = dissect_line(line)
+        assert found is None or len(found[2]) <= 64
+
+
+def test_an_slcan_adapter_is_told_to_listen_only_and_its_frames_are_stored(tmp_path):
+    with pty_pair() as (master, path):
+        text = f"can:slcan:{path},bitrate=500000,sleep_after_open=0"
+        with ReaderProcess(tmp_path, text) as reader:
+            said = os.read(master, 1000)
+            assert b"S6\r" in said
+            assert b"L\r" in said
+            assert b"O\r" not in said
+            frames = [(number % 0x7FF, number.to_bytes(8, "big")) for number in range(3000)]
+            stream = b"".join(b"t%03X8%s\r" % (i, data.hex().upper().encode()) for i, data in frames)
+            fill(master, b"\r\aV1013\r" + stream[:777])
+            assert "answered a setting with an error" in reader.wait_event("note")["text"]
+            fill(master, stream[777:] + b"t12\rnonsense\r")
+            assert wait_for(lambda: len(reader.frames()) == 3000)
+            assert reader.wait_event("bus_error")["count"] == 2
+            assert reader.end() == 0
+            assert [(i, data) for i, _, data in reader.frames()] == frames
+            os.set_blocking(master, False)
+            # The end of listening, as python-can says it to the adapter.
+            assert os.read(master, 1000) in (b"C\r", b"\rC\r", b"C\rC\r")
+
+
+def test_an_slcan_adapter_that_is_unplugged_is_lost(tmp_path):
+    with pty_pair() as (_, path):
+        reader = ReaderProcess(tmp_path, f"can:slcan:{path},bitrate=500000,sleep_after_open=0")
+    with reader:
+        assert reader.wait_event("lost")["reason"]

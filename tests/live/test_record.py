@@ -16,6 +16,7 @@ import can
 import pytest
 from mcap.reader import make_reader
 
+from analyzer.live.spool import Record, last_record
 from analyzer.records import CanFrame, Chunk
 from analyzer.sources import open_source
 from tests.drives.served import Emulated, wait_for
@@ -313,29 +314,35 @@ def test_a_log_is_replaced_only_when_asked_for_and_never_while_it_is_written(tmp
         assert raw(recorded.log) == {}
 
 
-def test_marks_and_the_wall_clock_stand_in_the_log(tmp_path):
-    """What the supervisor itself notes."""
+@pytest.mark.parametrize("plain", [False, True], ids=["linux", "as elsewhere"])
+def test_a_recording_without_the_command_line_and_a_mark_in_it(tmp_path, plain):
+    """With the readers of this system, and with those of systems that are no Linux."""
     from analyzer.live.clock import now
     from analyzer.live.config import PortConfig, RecordingConfig
     from analyzer.live.supervisor import Supervisor
 
-    with pty_pair() as (_, path):
+    log = tmp_path / "a.mcap"
+    with pty_pair() as (master, path):
         anchor = now()
-        port = PortConfig(stem="1-a", bus="a", endpoint=f"serial:{path},baud=9600", kind="serial", speed=9600, byte_ns=1)
+        port = PortConfig(stem="1-a", bus="a", endpoint=f"serial:{path},baud=9600", kind="serial", speed=9600, byte_ns=1041666)
         config = RecordingConfig(
-            log=str(tmp_path / "a.mcap"), ports=(port,), anchor_monotonic_ns=anchor.monotonic_ns, anchor_utc_ns=anchor.wall_ns
+            log=str(log), ports=(port,), anchor_monotonic_ns=anchor.monotonic_ns, anchor_utc_ns=anchor.wall_ns
         )
-        supervisor = Supervisor(config)
+        supervisor = Supervisor(config, plain=plain)
         supervisor.start()
         thread = threading.Thread(target=supervisor.run)
         thread.start()
+        os.write(master, POLL * 3)
+        assert wait_for(lambda: (last_record(supervisor.folder, "1-a") or Record(0, 0, 0, b"")).before >= 42)
         supervisor.mark("the axis jerked")
         supervisor.stop("test")
         thread.join(30)
         assert supervisor.phase == "over"
-        assert wait_for(lambda: not supervisor.folder.exists())
-    names = [event["event"] for event in events(tmp_path / "a.mcap")]
-    assert names[-1] == "end"
+        assert not supervisor.unfinished
+        assert ("pyserial" in supervisor.tallies["1-a"].precision) == plain
+    assert raw(log) == {"a": POLL * 3}
+    names = [event["event"] for event in events(log)]
     assert "begin" in names
-    everything = messages(tmp_path / "a.mcap", leave_out=("/raw",))
+    assert names[-1] == "end"
+    everything = messages(log, leave_out=("/raw",))
     assert any("the axis jerked" in json.dumps(body) for _, _, body in everything)

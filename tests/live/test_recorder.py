@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import random
 
 import pytest
@@ -222,3 +223,94 @@ def test_the_library_reads_it(tmp_path):
     summary = reader.get_summary()
     assert summary.statistics.message_count == sum(1 for _ in reader.iter_messages())
     assert len(list(reader.iter_messages(topics=["/left/1/read_speed/request"]))) == 300
+
+
+def test_every_message_obeys_its_schema(tmp_path):
+    """By Foxglove's rules, with whatever a reader notes."""
+    import jsonschema
+
+    from tests.test_mcap_log import check_schema
+
+    spools = Spools(tmp_path, LEFT, port("2-arm", "arm", "can", ("mks-can",)), groups=(3,), model="57D")
+    spools.event("1-left", 0, "open", precision="p", notes=["n"], odd={"a": [1]}, count="many", speed=None)
+    spools.data("1-left", 10, sum8("FA 01 F6 0F A0 02"))
+    spools.can("2-arm", 12, "18DAF110#01", CanFlag.EXTENDED | CanFlag.TX)
+    spools.event("2-arm", 15, "bus_error", reason="bus off", count=3, from_ns=START)
+    spools.event("1-left", 20, "news", text="of another version", more=True)
+    spools.idle("1-left", 90)
+    spools.end(100)
+    spools.record()
+    with spools.log.open("rb") as stream:
+        for schema, channel, message in make_reader(stream).iter_messages():
+            declared, value = json.loads(schema.data), json.loads(message.data)
+            check_schema(declared)
+            jsonschema.validate(value, declared)
+            assert set(value) <= set(declared["properties"]), channel.topic
+            assert None not in value.values()
+    events = {v["event"]: v for t, _, v in read(spools.log) if t == "/recording"}
+    assert json.loads(events["open"]["details"]) == {"odd": "{'a': [1]}", "count": "many"}
+    assert events["news"]["text"] == "of another version"
+    found = {v["name"]: v for t, _, v in read(spools.log) if t == "/findings"}
+    assert (found["bus_error"]["level"], found["bus_error"]["message"]) == (4, "bus off, 3 times")
+    assert content(decoded_again(spools.log)) == content(spools.log)
+
+
+def test_a_line_that_changes_its_speed(tmp_path):
+    """Both directions of a tap tell it; the times of bytes follow, also when the log is decoded again."""
+    ports = (port("1-left-a", "left", direction="request"), port("2-left-b", "left", direction="reply"))
+    spools = Spools(tmp_path, *ports)
+    spools.data("1-left-a", 1, sum8("FA 01 32"))
+    for stem in ("1-left-a", "2-left-b"):
+        spools.event(stem, 5, "speed", speed=9600, byte_ns=1_041_667, text="9600 Bd")
+    spools.data("1-left-a", 50, sum8("FA 01 32"))
+    spools.data("2-left-b", 80, sum8("FB 01 32 FE D4"))
+    spools.end(200)
+    spools.record()
+    last = [m for t, m, _ in read(spools.log) if t == "/left/1/read_speed/request"][-1]
+    assert last.log_time - last.publish_time == 3 * 1_041_667
+    assert content(decoded_again(spools.log)) == content(spools.log)
+
+
+def test_what_the_decoder_cannot_do_costs_no_byte(tmp_path, monkeypatch):
+    """A fault of this program in the midst of decoding: told, and gone on behind it."""
+    from analyzer.decoder import Decoder
+
+    real, calls = Decoder.decode, []
+
+    def faulty(self, frame, context=None):
+        calls.append(frame)
+        if len(calls) == 3:
+            raise KeyError("a fault for the test")
+        return real(self, frame, context)
+
+    spools = Spools(tmp_path, LEFT)
+    for n in range(10):
+        spools.data("1-left", 100 * n, sum8("FA 01 F6 01 40 02"))
+        spools.data("1-left", 100 * n + 3, sum8("FB 01 F6 01"))
+        spools.idle("1-left", 100 * n + 60)
+    spools.end(2000)
+    monkeypatch.setattr(Decoder, "decode", faulty)
+    spools.record()
+    monkeypatch.setattr(Decoder, "decode", real)
+    assert raw_of([spools.log], "left") == spools.sent["left"]
+    assert [v["name"] for t, _, v in read(spools.log) if t == "/findings" and v["name"] == "decoder_fault"]
+    assert sum(t == "/left/1/run_speed/reply" for t, _, _ in read(spools.log)) >= 8
+    again = decoded_again(spools.log)
+    assert sum(t == "/left/1/run_speed/reply" for t, _, _ in read(again)) == 10
+
+
+def test_the_supervisor_died(tmp_path):
+    """Nobody writes an end: the leash is gone, what there is is read, and the log is whole."""
+    import subprocess
+    import sys
+
+    spools = Spools(tmp_path, LEFT)
+    for n in range(20):
+        spools.data("1-left", n, sum8("FA 01 32"))
+    spools.event("1-left", 30, "closed", reason="the supervisor has gone")
+    process = subprocess.Popen([sys.executable, "-m", "analyzer.live.recorder", str(spools.folder)], stdin=subprocess.PIPE)
+    process.stdin.close()
+    assert process.wait(30) == 0
+    assert not spools.folder.exists()
+    assert "died" in metadata(spools.log)["ended"]
+    assert raw_of([spools.log], "left") == spools.sent["left"]

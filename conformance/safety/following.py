@@ -1,0 +1,102 @@
+"""Following a drive whose link was changed: it is looked for at all it may have been told, and led back to where it was.
+
+The link is what says how a drive is reached: its address, the speed of the line, the dialect it speaks. What it is set to
+shows in how it is heard, so nobody has to tell it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from analyzer import dialects
+from analyzer.catalogue import Command, Dialect, Verb
+from analyzer.errors import UsageError
+from conformance.drives.speed import SPEEDS
+from conformance.gate import Gate
+from conformance.probe import Probe
+from conformance.safety.bare import bare_probe
+from conformance.safety.journal import values_text
+
+_LINKS = frozenset({Verb.SET_ADDRESS, Verb.SET_MODBUS, Verb.SET_BAUD_RATE, Verb.SET_BIT_RATE})
+_READS = (Verb.READ_STATUS, Verb.READ_SPEED, Verb.READ_STATE_1, Verb.READ_STATE_2, Verb.READ_POSITION, Verb.READ_ENCODER)
+#: A drive may take its time to change its link, and a restarting one to be there again.
+_TRIES = 4
+_PAUSE_NS = 300_000_000
+
+
+def has(command: Command, name: str) -> bool:
+    """Say whether a command sets a field."""
+    return any(name in form.layout.named for form in command.request_forms)
+
+
+def says_itself(command: Command) -> bool:
+    """Say whether the present value of a setting shows in how the drive is reached."""
+    return command.verb in _LINKS
+
+
+def possible(command: Command) -> list[dict[str, int]]:
+    """Return what a setting of the link may be after the defaults were restored; empty for other settings."""
+    if not says_itself(command):
+        return []
+    if command.verb is Verb.SET_ADDRESS:
+        return [{"new_address": 1}]
+    if command.verb is Verb.SET_MODBUS:
+        return [{"modbus": 0}]
+    name = next(n for n in SPEEDS if has(command, n))
+    return [{name: code} for code in SPEEDS[name]]
+
+
+def lead_back(
+    gate: Gate, dialect: Dialect, address: int, command: Command, before: Mapping[str, int], sent: Iterable[Mapping[str, int]]
+) -> str:
+    """Find the drive at what it may have been told, and tell it what it was; return why not, or nothing.
+
+    This end of the line is brought back too. Raises LineLost.
+    """
+    tried = [before, *reversed(list(sent))]
+    own = gate.line.endpoint.bits_per_second
+    told = ""
+    for values in tried:
+        probe = _reach(gate, dialect, address, command, values)
+        if probe is None:
+            continue
+        probe.ask(probe.command(command.verb), before)
+        if _reach(gate, dialect, address, command, before) is not None:
+            return ""
+        told = f"{command.name}: the drive was told {values_text(before)} and is not heard there"
+    if gate.line.endpoint.bits_per_second != own:
+        gate.set_speed(own)
+    return told or f"{command.name}: the drive is not heard any more, neither at {', '.join(map(values_text, tried))}"
+
+
+def _reach(gate: Gate, dialect: Dialect, address: int, command: Command, values: Mapping[str, int]) -> Probe | None:
+    """Return a probe that reaches a drive whose link is set so, None where nobody is there."""
+    if command.verb is Verb.SET_ADDRESS:
+        address = values["new_address"]
+    elif command.verb is Verb.SET_MODBUS:
+        name = "mks-modbus" if values["modbus"] else "mks-rs485"
+        dialect = dialect if dialect.name == name else dialects.get(name)
+    else:
+        name = next(n for n in SPEEDS if has(command, n))
+        speed = SPEEDS[name].get(values[name])
+        if speed is None:
+            return None
+        try:
+            if speed != gate.line.endpoint.bits_per_second:
+                gate.set_speed(speed)
+        except UsageError:
+            return None
+    if not dialect.addresses[0] <= address <= dialect.addresses[1]:
+        return None
+    probe = bare_probe(dialect, address, gate, "put-back")
+    for _ in range(_TRIES):
+        if is_there(probe):
+            return probe
+        probe.wait(_PAUSE_NS)
+    return None
+
+
+def is_there(probe: Probe) -> bool:
+    """Say whether the drive answers a read."""
+    verb = next(v for v in _READS if v in probe.dialect.by_verb)
+    return any(a.message.frame.checksum_ok for a in probe.ask(verb, timeout_ns=_PAUSE_NS, quiet_ns=0).answers)
