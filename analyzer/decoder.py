@@ -76,7 +76,7 @@ class Decoder:
         except KeyError:
             lane = self._lanes[key] = self._new_lane(frame) if self._head_bytes else None
         if lane is None or lane.__class__ is Lane:
-            return lane  # type: ignore[return-value]
+            return lane
         return lane.choose(data, context) if isinstance(lane, _Several) else _chosen(lane, data, context)  # type: ignore[arg-type]
 
     def _new_lane(self, frame: Frame) -> Lane | tuple[Lane, Lane] | _Several | None:
@@ -97,16 +97,16 @@ class Decoder:
             if entry[1].layout.fits(size) and not (entry[1].needs_request and entry[1].code is not None)
         ]
         lanes = []
-        for role, (command, form, coder) in fitting:
-            if command.slots is not None or form.needs_request or form.layout.open_ended:
+        for role, (command, form, _) in fitting:
+            if command.slots is not None or form.layout.open_ended:
                 return None
             lanes.append(Lane(self.dialect, role, head.address, command, form, head.start, head.stop))
-        fixed = any(coder.fixed for _, (_, _, coder) in fitting)
-        if len(lanes) == 1 and not fixed:
+        chosen = any(coder.fixed or form.needs_request for _, (_, form, coder) in fitting)
+        if len(lanes) == 1 and not chosen:
             return lanes[0]
         if lanes and len({role for role, _ in fitting}) == 1:
             return _Several(lanes)
-        if fixed:
+        if chosen:
             return None
         alike = len(lanes) == 2 and lanes[0].is_request and not lanes[1].is_request
         return (lanes[0], lanes[1]) if alike and lanes[0].command is lanes[1].command else None

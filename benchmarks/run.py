@@ -26,6 +26,7 @@ RUNS = (
     ("record_rate.py", (), ("--seconds", "2")),
     ("record_soak.py", (), ("--seconds", "5")),
     ("tap_delay.py", (), ("--count", "200")),
+    ("mutation.py", (), ("--dialect", "mks-modbus", "--quick")),
 )
 
 

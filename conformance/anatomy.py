@@ -208,6 +208,11 @@ def replies(exchange: Exchange, dialect: Dialect) -> Replies:
             rest = rest[found.offset + len(found.data) :]
         if rest:
             strange.append(rest)
+    whole = [reading for reading in readings if reading.fitting == reading.template.count]
+    if whole and len(whole) < len(readings):
+        # Beside a reply that is right in every part, what is only like one is noise.
+        strange += [reading.data for reading in readings if reading not in whole]
+        readings = whole
     return Replies(tuple(readings), tuple(strange))
 
 

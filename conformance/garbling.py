@@ -7,7 +7,7 @@
 Rules kept here:
 - They are built from reads and from nothing else, so that what a drive makes of a damaged one cannot move a motor.
 - A variant that could be read as anything but a read, in any dialect, is left out (`harmless`): it is held against the same
-  judge as all that leaves. What is garbled on purpose beyond that says its risks (`risks`).
+  judge as all that leaves.
 - Variants are (what it is, bytes or CAN frame) pairs; those that come out as a good frame by chance are left out.
 """
 
@@ -62,12 +62,6 @@ def harmless(item: Item, address: int, behind: bytes = b"", *, beside: frozenset
 def _open_ended(data: bytes) -> bool:
     """Say whether what follows could be taken for the rest of a frame that begins inside these bytes."""
     return _PACKAGE_HEAD in data[1:] or any(head in data[max(1, len(data) - 2) :] for head in _HEADS)
-
-
-def risks(items: Iterable[Item]) -> frozenset[Risk]:
-    """Return all risks of what can be read in these, each by itself."""
-    judge = _judge(0)
-    return frozenset().union(*(reading.risks for item in items for reading in judge.read(item))) - {Risk.READ}
 
 
 def item_of(dialect: Dialect, address: int, frame: bytes) -> Item:

@@ -114,6 +114,9 @@ def place(probe: Probe, command: Command) -> int:
     target = command.request_forms[0].layout.named["position"]
     if not target.low + _ROOM <= now <= target.high - _ROOM:
         raise Inconclusive(f"{read.name} reads {now}, from where {command.name} cannot go on")
+    # A gate that bounds turns has to know where the shaft is.
+    degrees = moving.position(probe).value
+    probe.gate.note_position(degrees, probe.address, now if by_pulses(command) else None)
     return now
 
 

@@ -27,15 +27,15 @@ from hypothesis.strategies import runner
 
 from analyzer.catalogue import Dialect, Risk
 from conformance import journey, session_lk, session_mks
-from conformance.claim import Inconclusive, Refuted
+from conformance.claim import Inconclusive, NotRun, Refuted
 from conformance.session import Kind, Session, Step
 
 if TYPE_CHECKING:
     from conformance.probe import Probe
 
 #: Sequences and steps of a run: on emulated drives, and on real ones, where each takes seconds.
-EXAMPLES, STEPS = 10, 12
-REAL_EXAMPLES, REAL_STEPS = 2, 8
+EXAMPLES, STEPS = 6, 24
+REAL_EXAMPLES, REAL_STEPS = 2, 10
 #: How many shorter sequences are tried at most.
 SHORTER = 60
 
@@ -62,10 +62,11 @@ def kinds(dialect: Dialect, variant: str) -> list[Kind]:
 
 @dataclass
 class Recorder:
-    """What came of a run: how many sequences and steps were done, and the first failure with its steps."""
+    """What came of a run: how many sequences and steps were done (`before` the present one), the first failure, its steps."""
 
     sequences: int = 0
     steps: int = 0
+    before: int = 0
     failure: Refuted | Inconclusive | None = None
     failed: list[Step] = field(default_factory=list)
 
@@ -79,6 +80,7 @@ def machine(probe: Probe, variant: str, recorder: Recorder) -> type[RuleBasedSta
     def start(self: Any) -> None:
         RuleBasedStateMachine.__init__(self)
         recorder.sequences += 1
+        recorder.before = recorder.steps
         self.session = session_of(probe.dialect)(probe)
 
     def teardown(self: Any) -> None:
@@ -94,9 +96,9 @@ def machine(probe: Probe, variant: str, recorder: Recorder) -> type[RuleBasedSta
 
 def _rule(kind: Kind, recorder: Recorder) -> Any:
     def act(self: Any, values: dict[str, int]) -> None:
-        recorder.steps += 1
         try:
             self.session.do(Step(kind.name, values))
+            recorder.steps = self.session.done + recorder.before
         except (Refuted, Inconclusive) as error:
             if recorder.failure is None:
                 recorder.failure, recorder.failed = error, list(self.session.steps)
@@ -195,12 +197,14 @@ def shortened(probe: Probe, steps: Sequence[Step], key: str) -> tuple[list[Step]
 def check(probe: Probe, variant: str) -> None:
     """Run a variant's machine on a drive.
 
-    Raises Refuted, where it can be with the shortest steps that show it, Inconclusive.
+    Raises Refuted, where it can be with the shortest steps that show it, Inconclusive, NotRun where nothing may be sent.
     """
     recorder = run(probe, variant)
     probe.measured["sequences"], probe.measured["steps"] = recorder.sequences, recorder.steps
     failure = recorder.failure
     if failure is None:
+        if not recorder.steps:
+            raise NotRun("no step of any sequence may be sent")
         return
     if isinstance(failure, Refuted) and probe.drive is not None:
         steps, shorter = shortened(probe, recorder.failed, failure.key)

@@ -44,6 +44,8 @@ QUICK = 248
 _LOOK_NS = 100 * MS
 #: How long a shaft may take to come to rest.
 _REST_NS = 30 * SECOND_NS
+#: How often a measurement is taken again whose reply cannot be read.
+_AGAIN = 2
 
 _POSITION = (Verb.READ_POSITION, Verb.READ_ENCODER_CARRY)
 _SPEED = (Verb.READ_SPEED, Verb.READ_STATE_2)
@@ -162,6 +164,12 @@ def _reading(dialect: Dialect, quantity: str, verbs: Iterable[Verb]) -> _Reading
 
 def _measure(probe: Probe, reading: _Reading) -> Sample:
     exchange = probe.ask(reading.command, quiet_ns=0)
+    for _ in range(_AGAIN):
+        if readable(exchange):
+            break
+        # What a motion says at its end can collide with a request or its reply.
+        probe.wait(_LOOK_NS // 4)
+        exchange = probe.ask(reading.command, quiet_ns=0)
     answer = probe.reply(exchange)
     names = [f.name for f in reading.fields]
     if any(n not in answer.values for n in names):
@@ -170,9 +178,20 @@ def _measure(probe: Probe, reading: _Reading) -> Sample:
     return Sample(exchange.sent_ns + between_ns / 2, between_ns / 2, reading.value(answer.values), reading.step)
 
 
+def readable(exchange: Exchange) -> bool:
+    """Say whether a reply to a request is there and whole."""
+    answer = exchange.reply
+    return answer is not None and answer.message.form is not None and answer.message.frame.checksum_ok
+
+
 def position(probe: Probe) -> Sample:
-    """Measure where the shaft is, in degrees over all turns. Raises Inconclusive where it cannot be read."""
-    return _measure(probe, _reading(probe.dialect, "position", _POSITION))
+    """Measure where the shaft is, in degrees over all turns. Raises Inconclusive where it cannot be read.
+
+    The gate is told: it bounds moves to a place by where the shaft is.
+    """
+    sample = _measure(probe, _reading(probe.dialect, "position", _POSITION))
+    probe.gate.note_position(sample.value, probe.address)
+    return sample
 
 
 def speed(probe: Probe) -> Sample:

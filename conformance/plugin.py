@@ -5,7 +5,8 @@
 Refuted is failed, confirmed and observed are passed, inconclusive and not run are skipped with their reason. Nothing of the
 suite, Hypothesis included, is imported before a test of it is collected.
 
-With pytest-xdist, tests on one real port go to one worker, for a port has one owner, and all workers draw from one budget.
+With pytest-xdist, tests on one real port go to one worker, for a port has one owner, and all workers draw from one budget
+(`conformance.pytest_workers`).
 An option that another plugin has already taken is there as `--servotap-NAME`.
 """
 
@@ -66,14 +67,36 @@ def pytest_configure(config: pytest.Config) -> None:
     """Keep the tests of one port together, and give all workers one budget."""
     if not config.getoption("servotap_drive") or hasattr(config, "workerinput"):
         return
+    config.pluginmanager.register(_Controller(config), "servotap-controller")
     real = any(place != "emulated" for place in config.getoption("servotap_on"))
-    if real and getattr(config.option, "dist", "no") not in ("no", "loadgroup"):
-        config.option.dist = "loadgroup"
     if real or config.getoption("servotap_budget"):
         handle, path = tempfile.mkstemp(prefix="servotap-budget-")
         os.close(handle)
         os.environ[BUDGET] = path
         config.add_cleanup(lambda: Path(path).unlink(missing_ok=True))
+
+
+class _Controller:
+    """What the controller of several workers does: one worker for each port, and none goes on when one has given up."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_xdist_make_scheduler(self, config: pytest.Config, log: Any) -> Any:
+        """Keep the tests of one real port together; with emulated drives alone tests go anywhere."""
+        if all(place == "emulated" for place in config.getoption("servotap_on")):
+            return None
+        from conformance.pytest_workers import scheduler
+
+        return scheduler(config, log)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Stop where a worker gave up: no other one may go on with its port."""
+        gave_up = getattr(report, "servotap_gave_up", None)
+        session = self._config.pluginmanager.getplugin("dsession")
+        if gave_up is not None and session is not None:
+            session.shouldstop = gave_up
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
@@ -93,6 +116,9 @@ def pytest_runtest_makereport(item: pytest.Item) -> Any:
     verdict = getattr(item, "servotap_verdict", None)
     if verdict is not None:
         outcome.get_result().servotap = verdict
+    gave_up = getattr(item, "servotap_gave_up", None)
+    if gave_up is not None:
+        outcome.get_result().servotap_gave_up = gave_up
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
@@ -118,7 +144,6 @@ def pytest_testnodedown(node: Any, error: object) -> None:
     status = getattr(node, "workeroutput", {}).get(_STATUS, 0)
     if status:
         end_with(node.config, status)
-        node.config.pluginmanager.getplugin("dsession").shouldstop = "servotap: a worker has given up"
 
 
 @pytest.hookimpl(hookwrapper=True, tryfirst=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -63,6 +64,12 @@ def _plan(config: pytest.Config) -> Plan:
     return plan
 
 
+def label(target: Target, among: Sequence[Target]) -> str:
+    """Return what names a target in the ids of its tests: its text, with its place where another one has the same text."""
+    alone = sum(each.text == target.text for each in among) == 1
+    return target.text if alone else f"{target.text} on {target.on}"
+
+
 def keep(item: pytest.Item, verdict: Verdict, target: Target, plan: Plan, firmware: str = "") -> str:
     """Give a test what its reports carry, and return what a person reads if it fails."""
     claim = verdict.claim
@@ -88,10 +95,16 @@ def keep(item: pytest.Item, verdict: Verdict, target: Target, plan: Plan, firmwa
     return "\n".join([*lines, *kept.lines])
 
 
-def give_up(error: Exception, config: pytest.Config) -> NoReturn:
+def give_up(error: Exception, request: pytest.FixtureRequest) -> NoReturn:
     """End the whole run: the rig is at fault, or a motor does not stop."""
-    status = note(error, config)
-    pytest.exit(f"servotap: {error}", returncode=status)
+    told = f"servotap: {error}"
+    status = note(error, request.config)
+    if hasattr(request.config, "workerinput"):
+        # A worker ends as its controller expects it to, with a test that failed; the controller then ends the others.
+        request.node.servotap_gave_up = told
+        request.session.shouldstop = told
+        raise pytest.fail.Exception(told, pytrace=False) from None
+    raise pytest.exit.Exception(told, returncode=status) from None
 
 
 def note(error: Exception, config: pytest.Config) -> int:
@@ -102,4 +115,4 @@ def note(error: Exception, config: pytest.Config) -> int:
     return status
 
 
-__all__ = ["BUDGET", "arguments_of", "give_up", "keep", "note", "plan_of"]
+__all__ = ["BUDGET", "arguments_of", "give_up", "keep", "label", "note", "plan_of"]

@@ -27,7 +27,7 @@ from conformance.gate import Gate
 from conformance.line import Line, LineLost
 from conformance.preflight import check
 from conformance.probe import Probe
-from conformance.rig import NotStopped, Rig, RigFault
+from conformance.rig import SECOND_NS, NotStopped, Rig, RigFault
 from conformance.safety import messages as say
 from conformance.safety import settings
 from conformance.safety.guarded import GuardedLine, GuardLost
@@ -44,6 +44,8 @@ class RealRig(Rig):
     """A drive on a real port. Raises UsageError where the port cannot be opened, DriveNotFound where nobody answers."""
 
     emulated = False
+    #: The longest move that the manual prints takes 27 s.
+    done_ns = 60 * SECOND_NS
 
     def __init__(self, plan: Plan, target: Target) -> None:
         assert target.endpoint is not None  # a target without one is emulated
@@ -209,7 +211,7 @@ class RealRig(Rig):
 
     def _last(self) -> str:
         """Settle for the last time; return what could not be put back. Where the guard has died, by a new one."""
-        if self._moved or self.keeper.changed:
+        if (self._moved or self.keeper.changed) and not self._not_stopped:
             print(f"servotap: {self.name}: stopping it and putting back what it was", file=sys.stderr, flush=True)
         try:
             told = self.settle()

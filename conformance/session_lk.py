@@ -177,6 +177,7 @@ class LkSession(Session):
 
     def _move_multi_turn_limited(self, distance: int, max_speed: int) -> None:
         target = (self.at or 0) + distance
+        self.probe.gate.note_position(moving.position(self.probe).value, self.probe.address)
         self._move("move_multi_turn_limited", {"position": target, "max_speed": max_speed}, distance)
 
     def _move_single_turn_limited(self, direction: int, angle: int, max_speed: int) -> None:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 from analyzer.catalogue import Command, Risk, Verb
 from analyzer.protocols.mks_shared import COUNTS_PER_TURN, MODE_MAXIMUM_SPEEDS
 from conformance import journey, limits, moving, ramp, samples
-from conformance.claims.answers import Taken, judged, refusable
+from conformance.claims.answers import Taken, judged, once, refusable
 from conformance.claims.effects import LINK_FIELDS, pulse_counts
 from conformance.claims.restarts import restart
 from conformance.exchange import Exchange
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 #: Counts by which a position may be off, and the share and rpm by which a speed may.
 PLAY, SPEED_SHARE, SPEED_PLAY = 30, 0.03, 2.0
 #: The longest move, in turns, and speeds and accelerations of motion where no bound is lower.
-LONGEST, SLOWEST, FASTEST, GENTLEST, STEEPEST = 0.5, 30, 300, 200, 250
+LONGEST, SLOWEST, FASTEST, GENTLEST, STEEPEST = 0.5, 30, 300, 200, 249
 #: Nothing is said of F1 until so long after a motion.
 QUIET_NS = 1_200 * MS
 MOTIONS = ("run_speed", *(v.value for v in journey.MOVES))
@@ -157,10 +157,13 @@ class MksSession(Session):
             self.held |= values
             self._follow(command, before)
         if command.readable:
-            stored = self._stored(command)
-            wrong = {n: v for n, v in (stored or {}).items() if self.held.get(n, v) != v}
-            if wrong:
-                raise self.differs(f"{command.name} reads", {n: self.held[n] for n in wrong}, wrong, exchange)
+            self._reads(command, exchange)
+
+    def _reads(self, command: Command, exchange: Exchange | None) -> None:
+        """See to it that a setting that can be read reads as it should."""
+        wrong = {n: v for n, v in (self._stored(command) or {}).items() if self.held.get(n, v) != v}
+        if wrong:
+            raise self.differs(f"{command.name} reads", {n: self.held[n] for n in wrong}, wrong, exchange)
 
     def _follow(self, command: Command, before: Mapping[str, int]) -> None:
         """Take over what else a setting changes."""
@@ -192,6 +195,9 @@ class MksSession(Session):
         restart(self.probe)
         self.running, self.at, self.enabled = 0.0, None, None
         moving.wait_standing(self.probe)
+        for command in self.dialect.commands:
+            if command.readable:
+                self._reads(command, None)
 
     # --- enabling and stopping ------------------------------------------------------------------------------------
 
@@ -257,7 +263,7 @@ class MksSession(Session):
             seen = exchange.status()
         elif command.replies.interim and journey.tells(self.dialect):
             expected = ([1, 2] if active else [1]) if ready else [0]
-            seen = exchange.status()
+            seen = once(exchange.status())
             # Real drives were seen to answer late while they move, even behind the end of it.
             if len(seen) < len(expected):
                 seen += self.probe.listen(LATE_NS).status()
@@ -305,6 +311,7 @@ class MksSession(Session):
 
     def _move_absolute_pulses(self, pulses: int, speed: int, acceleration: int) -> None:
         start = self.probe.read(Verb.READ_PULSES)
+        self._note(start)
         values = {"position": start + pulses, "speed": speed, "acceleration": acceleration}
         self._move(Verb.MOVE_ABSOLUTE_PULSES, values, pulse_counts(abs(pulses), self.held["subdivision"]), int(pulses < 0))
 
@@ -314,8 +321,14 @@ class MksSession(Session):
 
     def _move_absolute_axis(self, counts: int, speed: int, acceleration: int) -> None:
         start = self.probe.read(Verb.READ_POSITION) if self.at is None else self.at
+        self._note()
         values = {"position": start + counts, "speed": speed, "acceleration": acceleration}
         self._move(Verb.MOVE_ABSOLUTE_AXIS, values, counts, None)
+
+    def _note(self, pulses: int | None = None) -> None:
+        """Tell the gate where the shaft is, so that it can say how far a move to a place goes."""
+        probe = self.probe
+        probe.gate.note_position(moving.position(probe).value, probe.address, pulses)
 
     def _move(self, verb: Verb, values: Mapping[str, int], counts: int, direction: int | None) -> None:
         """Move a standing shaft by counts; `direction`: of a move by pulses, whose way is learnt."""
@@ -494,7 +507,8 @@ def _draw_enable(session: MksSession) -> SearchStrategy[dict[str, int]]:
     from hypothesis import strategies as st
 
     lets_go = Risk.TORQUE in session.probe.rig.allowed
-    return st.fixed_dictionaries({"enabled": st.sampled_from([0, 1, 1] if lets_go else [1])})
+    # To a motor that may be enabled already, letting go is what changes something.
+    return st.fixed_dictionaries({"enabled": st.sampled_from(([0, 1] if session.enabled else [1, 0]) if lets_go else [1])})
 
 
 def _draw_stop(session: MksSession) -> SearchStrategy[dict[str, int]]:
@@ -554,7 +568,7 @@ VARIANTS: Mapping[str, tuple[str, ...]] = {
         "emergency_stop", "set_zero", "look",
     ),
     "mixed": (
-        "telling", "telling", "stray", "enable", "restart", "run_speed", "stop", "move_relative_pulses", "move_absolute_axis",
+        "telling", "telling", "stray", "enable", "enable", "restart", "run_speed", "stop", "move_relative_pulses", "move_absolute_axis",
         "move_relative_axis", "move_absolute_pulses", "emergency_stop", "set_zero", "look",
     ),
 }  # fmt: skip

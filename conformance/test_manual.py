@@ -23,13 +23,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     except ServotapError as error:
         raise pytest.UsageError(f"servotap: {error}") from None
     parameters = [
-        pytest.param(
-            target,
-            claim,
-            id=f"{target.text}:{claim.id}",
-            marks=() if target.emulated else pytest.mark.xdist_group(target.port),
-        )
-        for target, claim in cases
+        pytest.param(target, claim, id=f"{pytest_plan.label(target, plan.targets)}:{claim.id}") for target, claim in cases
     ]
     metafunc.parametrize(("target", "claim"), parameters)
 
@@ -65,11 +59,11 @@ def test_claim(
 ) -> None:
     """Hold a claim against the drive."""
     plan = pytest_plan.plan_of(request.config)
-    rig = _rig_of(target, plan, rigs, request.config)
+    rig = _rig_of(target, plan, rigs, request)
     try:
         verdict = engine.run_claim(claim, rig)
     except ServotapError as error:
-        pytest_plan.give_up(error, request.config)
+        pytest_plan.give_up(error, request)
     told = pytest_plan.keep(request.node, verdict, target, plan, rig.firmware)
     if verdict.outcome is Outcome.REFUTED:
         pytest.fail(told, pytrace=False)
@@ -77,16 +71,16 @@ def test_claim(
         pytest.skip(f"{verdict.outcome}: {verdict.reason}")
 
 
-def _rig_of(target: Target, plan: Plan, rigs: Opened, config: pytest.Config) -> Rig:
+def _rig_of(target: Target, plan: Plan, rigs: Opened, request: pytest.FixtureRequest) -> Rig:
     """Return the rig of a target; a port has one owner, so another drive's rig on it is closed first."""
     key = (target.port, target.text)
     rig = rigs.get(key)
     if rig is not None:
         return rig
     for other in [k for k in rigs if k[0] == target.port and not target.emulated]:
-        _close(rigs.pop(other), config)
+        _close(rigs.pop(other), request.config)
     try:
         rig = rigs[key] = suite.open_rig(plan, target)
     except ServotapError as error:
-        pytest_plan.give_up(error, config)
+        pytest_plan.give_up(error, request)
     return rig

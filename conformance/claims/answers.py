@@ -14,8 +14,9 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import Enum
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from analyzer.catalogue import Command, Dialect, Form, Risk, Role
@@ -47,6 +48,27 @@ def plain_read(dialect: Dialect) -> Command:
     return next(c for c in reads if not c.request_forms[0].layout.fields)
 
 
+def answers(probe: Probe, address: int | None = None) -> bool:
+    """Say whether the drive answers a read (at an address), asked three times: one reply may be lost."""
+    read = plain_read(probe.dialect)
+    asked = (probe.ask(read, address=address) for _ in range(3))
+    return any(a.message.frame.checksum_ok and a.command is not None for exchange in asked for a in exchange.answers)
+
+
+def sound(probe: Probe) -> None:
+    """Raise Inconclusive where the line loses replies or the drive is late: then silence says nothing."""
+    read = plain_read(probe.dialect)
+    for _ in range(4):
+        probe.reply(probe.ask(read))
+
+
+def once(statuses: Sequence[int]) -> list[int]:
+    """Return statuses. Raises Inconclusive where one of them came twice: other claims are about that."""
+    if any(a == b for a, b in pairwise(statuses)):
+        raise Inconclusive(f"a reply came twice: {', '.join(map(str, statuses))}")
+    return list(statuses)
+
+
 def judged(probe: Probe, exchange: Exchange) -> Taken:
     """Return how the request of an exchange was taken. Raises Inconclusive where its answer says neither."""
     answer = probe.reply(exchange)
@@ -54,6 +76,9 @@ def judged(probe: Probe, exchange: Exchange) -> Taken:
     assert command is not None  # it was asked for
     if answer.command is not None and answer.command.function != command.function:
         raise Inconclusive(f"{command.name} was answered under another function: {answer.data.hex(' ').upper()}")
+    forms = {a.message.form.name for a in exchange.answers if a.message.form is not None}
+    if forms & command.replies.failed_forms and len(forms) > 1:
+        raise Inconclusive(f"{command.name} was answered both ways")
     if probe.refused(exchange):
         return Taken.REFUSED
     replies = command.replies

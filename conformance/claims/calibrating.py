@@ -71,10 +71,18 @@ def _answers(probe: Probe, command: Command) -> tuple[list[int], bool]:
     under_way = _status_now(probe) == _CALIBRATING
     if exchange.silent and not under_way:
         raise Inconclusive("the calibration is not answered and does not begin")
+    until_ns = probe.gate.now_ns() + _LIMIT_NS
+    # Listened to, not asked, for as long as an end may still be told: a request could collide with it.
+    while probe.gate.now_ns() < until_ns and not _told(probe, since, command) & {1, 2}:
+        probe.wait(2 * SECOND_NS)
     _wait(probe)
     probe.wait(2 * SECOND_NS)
     told = [a.values["status"] for a in journey.told(probe.traffic[since:], command)]
     return told, under_way and not exchange.silent
+
+
+def _told(probe: Probe, since: int, command: Command) -> set[int]:
+    return {a.values["status"] for a in journey.told(probe.traffic[since:], command)}
 
 
 def _expect(probe: Probe, command: Command, wanted: list[int]) -> None:

@@ -79,14 +79,8 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims of this theme for a dialect."""
     for command in dialect.commands:
         if command.slots is None:
-            seen: set[bytes] = set()
-            number = 0
-            for example in examples(dialect, command):
-                frame = _frame(dialect, example)
-                if frame not in seen or example.replies:
-                    seen.add(frame)
-                    number += 1
-                    yield _claim(dialect, example, number)
+            for number, example in enumerate(_distinct(dialect, examples(dialect, command)), 1):
+                yield _claim(dialect, example, number)
     yield from examples_many.claims(dialect)
 
 
@@ -103,6 +97,20 @@ def examples(dialect: Dialect, command: Command) -> list[Example]:
             found[-1].replies.append(vector)
         else:
             found.append(Example(command, None, [vector]))
+    return found
+
+
+def _distinct(dialect: Dialect, every: Sequence[Example]) -> list[Example]:
+    """Return examples without those that are printed again with nothing more; of the same, one without an erratum."""
+    found: list[Example] = []
+    places: dict[bytes, int] = {}
+    for example in every:
+        frame = _frame(dialect, example)
+        at = places.setdefault(frame, len(found))
+        if example.replies or at == len(found):
+            found.append(example)
+        elif example.request is not None and not example.request.erratum and not found[at].replies:
+            found[at] = example
     return found
 
 

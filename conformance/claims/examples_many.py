@@ -52,8 +52,10 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     for command in dialect.commands:
         many = [v for v in command.vectors if v.role is Role.REQUEST]
         if command.slots is not None:
-            # The corrected one is the same package.
-            frames = {v.corrected or v.printed: v for v in many}
+            # What is printed with an erratum is the same package as corrected.
+            frames: dict[str, Vector] = {}
+            for vector in many:
+                frames.setdefault(vector.corrected or vector.printed, vector)
             for number, (printed, vector) in enumerate(frames.items(), 1):
                 yield _package(dialect, command, bytes.fromhex(printed), vector, number)
             continue

@@ -145,8 +145,9 @@ def _superseded(probe: Probe, command: Command) -> None:
     before = len(probe.traffic)
     # Two seconds of motion: a reply may be late while the motor turns, and is still the first of the two.
     exchange = journey.begin(probe, command, 0.5, speed=_RPM // 2, acceleration=QUICK)
-    moving.wait_standing(probe)
+    # Listened to, not asked: a request could collide with what is told.
     probe.wait(5 * SECOND_NS)
+    moving.wait_standing(probe)
     statuses = [a.values[command.replies.status] for a in journey.told(probe.traffic[before:], command)]
     if statuses != [1, 2]:
         raise refute(

@@ -248,7 +248,6 @@ def _unchanged(dialect: Dialect, command: Command, form: Form, field: Field, eff
 
     def check(probe: Probe) -> None:
         need_model(probe, field)
-        kept, other = effect.pair(form)
         effect.ready(probe)
         prepare(probe, command)
         if effect.set_first:
@@ -270,7 +269,8 @@ def _unchanged(dialect: Dialect, command: Command, form: Form, field: Field, eff
                 )
 
     statement = f"A request with a forbidden {field.name} changes nothing."
-    claim_needs = needs(dialect, command, [samples.sample(dialect, command, form) | {field.name: v} for v in bad])
+    base, (kept, other) = samples.sample(dialect, command, form), effect.pair(form)
+    claim_needs = needs(dialect, command, [base | kept, *(base | other | {field.name: v} for v in bad)])
     claim_needs["risks"] |= effect.risks(dialect)
     claim_needs["settings"] = tuple(dict.fromkeys((*claim_needs["settings"], *effect.settings(dialect))))
     claim_needs["alone"] = claim_needs["alone"] or effect.alone

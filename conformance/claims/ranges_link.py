@@ -21,7 +21,7 @@ from analyzer.catalogue import Command, Dialect, Risk, Verb
 from analyzer.errors import UsageError
 from analyzer.layout import Field
 from conformance.claim import Aspect, Claim, Inconclusive, NotRun, Refuted, Theme
-from conformance.claims.answers import Taken, accept, judged, plain_read
+from conformance.claims.answers import Taken, accept, answers, judged, sound
 from conformance.claims.declare import declare
 from conformance.claims.known_quirks import known
 from conformance.drives.speed import SPEEDS
@@ -76,14 +76,9 @@ def readdress(probe: Probe, command: Command, address: int, *, at: int | None = 
     return exchange
 
 
-def answers_at(probe: Probe, address: int) -> bool:
-    """Say whether a drive answers a read at an address."""
-    exchange = probe.ask(plain_read(probe.dialect), address=address)
-    return any(a.message.frame.checksum_ok for a in exchange.answers)
-
-
 def _address(dialect: Dialect, command: Command, field: Field, what: str, value: int) -> Claim:
     def check(probe: Probe) -> None:
+        sound(probe)
         before = probe.address
         if before == value:
             # Away first, so that something changes.
@@ -91,7 +86,7 @@ def _address(dialect: Dialect, command: Command, field: Field, what: str, value:
             exchange = readdress(probe, command, value, at=_AWAY)
         else:
             exchange = readdress(probe, command, value)
-        there, here = answers_at(probe, value), before != value and answers_at(probe, before)
+        there, here = answers(probe, value), before != value and answers(probe, before)
         if there and before != value:
             readdress(probe, command, before, at=value)
         if not there or here:
@@ -143,6 +138,7 @@ def _speed(dialect: Dialect, command: Command, field: Field, value: int, rate: i
         codes = {r: v for v, r in SPEEDS[field.name].items()}
         if before not in codes:
             raise Inconclusive(f"the line is at {before} bits per second, which is no setting of the drive")
+        sound(probe)
         exchange = probe.ask(command, {field.name: value})
         if not exchange.silent and judged(probe, exchange) is Taken.REFUSED:
             raise Refuted(
@@ -152,7 +148,7 @@ def _speed(dialect: Dialect, command: Command, field: Field, value: int, rate: i
         follow(probe, rate)
         try:
             probe.wait(SETTLE_NS)
-            there = answers_at(probe, probe.address)
+            there = answers(probe, probe.address)
             if there and rate != before:
                 probe.ask(command, {field.name: codes[before]})
         finally:
@@ -196,6 +192,7 @@ def _other_dialect(dialect: Dialect, command: Command) -> Claim:
     def check(probe: Probe) -> None:
         if probe.address > other.addresses[1]:
             raise NotRun(f"a drive at {probe.address} cannot speak {other.name}, whose addresses end at {other.addresses[1]}")
+        sound(probe)
         # Real drives were seen to answer frames of the other dialect with fragments: only a whole reply counts.
         before = foreign(probe, other, "read_speed")
         if whole(other, probe.address, before):
@@ -204,10 +201,11 @@ def _other_dialect(dialect: Dialect, command: Command) -> Claim:
         exchange = accept(probe, command, {"modbus": 1 - own}, f"modbus {1 - own}")
         probe.wait(SETTLE_NS)
         answer = foreign(probe, other, "read_speed")
-        still = answers_at(probe, probe.address)
+        still = answers(probe, probe.address)
         foreign(probe, other, command.name, {"modbus": own})
         probe.wait(SETTLE_NS)
-        back = answers_at(probe, probe.address)
+        back = answers(probe, probe.address)
+        readable(other, probe.address, answer)
         if not whole(other, probe.address, answer) or still:
             speaks = f"still speaks {dialect.name}" if still else f"does not speak {other.name}"
             raise Refuted(
@@ -226,6 +224,12 @@ def _other_dialect(dialect: Dialect, command: Command) -> Claim:
         "a refusal, or answers in the old dialect", check, command=command, aspect=Aspect.RANGE, fields=("modbus",),
         settings=("modbus",), **_NEEDS,
     )  # fmt: skip
+
+
+def readable(dialect: Dialect, address: int, data: bytes) -> None:
+    """Raise Inconclusive for bytes that are neither a reply nor nothing: other claims are about those."""
+    if data and not whole(dialect, address, data):
+        raise Inconclusive(f"what came in {dialect.name} is no reply: {data.hex(' ').upper()}")
 
 
 def whole(dialect: Dialect, address: int, data: bytes) -> bool:

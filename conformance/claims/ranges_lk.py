@@ -373,9 +373,10 @@ def _brake(dialect: Dialect, command: Command, field: Field) -> Iterator[Claim]:
                     )  # fmt: skip
 
     risks = set().union(*(command.risks({field.name: v}) for v in (0, 1, *wrong)))
-    yield _claim(
-        dialect, command, field, "unlisted", "A brake control that is not listed switches nothing.",
-        "another state of the brake", check, wrong, risks, at_best=Certainty.LIKELY,
+    yield declare(
+        dialect, Theme.RANGES, f"{command.name}/{field.name}/unlisted", "A brake control that is not listed switches nothing.",
+        "another state of the brake", check, command=command, aspect=Aspect.RANGE, fields=(field.name,), risks=risks,
+        at_best=Certainty.LIKELY, parameters={"field": field.name, "values": wrong},
     )  # fmt: skip
 
 

@@ -31,14 +31,15 @@ from conformance.probe import Probe, Until
 RUNS = frozenset(journey.STOP_OF)
 STOPS = frozenset(journey.STOP_OF.values())
 
-#: How slow a move is whose distance does not matter, and how steep the ramp of one that is to reach a high speed.
-SLOW, STEEP = 10, 250
+#: How slow a move is whose distance does not matter, and how steep the ramp of one that is to reach a high speed. (Not 250:
+#: that byte begins a frame, and what follows it would have to be allowed as one.)
+SLOW, STEEP = 10, 248
 #: How long such a move is watched.
 WATCH_NS = SECOND_NS
 #: A speed that reads so much off (a share) is another one.
 SPEED_SHARE = 0.015
 #: Turns of a move that is to reach the highest speed and is stopped then.
-FAR_TURNS = 100
+FAR_TURNS = 160
 #: What the speed rests on.
 SPEED_ERRATA = ("mks-rs485-37", "mks-can-62", "mks-can-12")
 SYMMETRY_ERRATA = ("mks-can-69",)
@@ -95,7 +96,11 @@ def _of_field(dialect: Dialect, command: Command, field: Field) -> Iterator[Clai
 
 def base(probe: Probe, command: Command) -> int:
     """Return what a distance is added to: where an absolute move begins, 0 for others."""
-    return journey.place(probe, command)
+    start = journey.place(probe, command)
+    if journey.is_absolute(command):
+        # A gate that bounds turns has to know where the shaft is.
+        probe.gate.note_position(moving.position(probe).value, probe.address, start if journey.by_pulses(command) else None)
+    return start
 
 
 def values_for(probe: Probe, command: Command, **changed: int) -> dict[str, Any]:
@@ -140,8 +145,9 @@ def ready(probe: Probe, mode: str = "") -> None:
     moving.ready_to_move(probe, mode, subdivision=journey.SUBDIVISION)
 
 
-def _needs(dialect: Dialect, command: Command, *, unbounded: bool = False) -> dict[str, Any]:
-    more = {Risk.UNBOUNDED} if command.verb is Verb.RUN_SPEED or unbounded else set()
+def _needs(dialect: Dialect, command: Command, *, stands: bool = False) -> dict[str, Any]:
+    """Return what a claim must declare that begins a motion; `stands`: only at speed 0."""
+    more = {Risk.UNBOUNDED} if command.verb is Verb.RUN_SPEED and not stands else set()
     return {"risks": moving.risks(dialect, *more), "settings": moving.settings(dialect)}
 
 
@@ -162,7 +168,8 @@ def _accepted(
     return declare(
         dialect, Theme.RANGES, f"{command.name}/{field.name}/{what}", f"{words} of {field.name} is accepted.", "a refusal",
         check, command=command, aspect=Aspect.BOUNDARY if what in ("lowest", "highest") else Aspect.RANGE, errata=errata,
-        fields=(field.name,), parameters={"field": field.name, "values": values or ()}, **_needs(dialect, command),
+        fields=(field.name,), parameters={"field": field.name, "values": values or ()},
+        **_needs(dialect, command, stands=field.name == "speed" and values == (0,)),
     )  # fmt: skip
 
 
@@ -261,7 +268,7 @@ def _too_fast(dialect: Dialect, command: Command, field: Field, values: tuple[in
     return declare(
         dialect, Theme.RANGES, f"{command.name}/speed/above", f"A speed above {field.high} runs at the highest of the mode.",
         "a refusal, or another speed", check, command=command, errata=SPEED_ERRATA, aspect=Aspect.BOUNDARY,
-        fields=("speed",), parameters={"field": "speed", "values": values}, **_needs(dialect, command, unbounded=True),
+        fields=("speed",), parameters={"field": "speed", "values": values}, **_needs(dialect, command),
     )  # fmt: skip
 
 
@@ -274,7 +281,7 @@ def _speed_width(dialect: Dialect, command: Command) -> Claim:
     return declare(
         dialect, Theme.RANGES, f"{command.name}/speed/width", "All bits of a speed count.", "the speed of its low byte alone",
         check, command=command, aspect=Aspect.RANGE, fields=("speed",), parameters={"field": "speed"},
-        **_needs(dialect, command, unbounded=True),
+        **_needs(dialect, command),
     )  # fmt: skip
 
 
@@ -294,7 +301,7 @@ def _mode_limit(dialect: Dialect, mode: str) -> Claim:
     return declare(
         dialect, Theme.RANGES, f"run_speed/speed/{mode}", statement,
         "a refusal, or another speed", check, command=command, errata=SPEED_ERRATA, aspect=Aspect.BOUNDARY,
-        fields=("speed", "work_mode"), parameters={"mode": mode}, **_needs(dialect, command, unbounded=True),
+        fields=("speed", "work_mode"), parameters={"mode": mode}, **_needs(dialect, command),
     )  # fmt: skip
 
 

@@ -24,7 +24,7 @@ from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims import effects, ranges
 from conformance.claims.answers import Taken, judged, plain_read
 from conformance.claims.declare import declare
-from conformance.claims.effects import BY_VERB, Effect, shift
+from conformance.claims.effects import BY_VERB, STEEP, Effect, shift
 from conformance.claims.known_quirks import known
 from conformance.moving import MS
 from conformance.probe import Probe
@@ -184,7 +184,7 @@ def _direction(dialect: Dialect, command: Command) -> Iterator[Claim]:
 
     def check(probe: Probe) -> None:
         moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
-        move = {"direction": 0, "speed": 60, "acceleration": 250, "pulses": 800}
+        move = {"direction": 0, "speed": 60, "acceleration": STEEP, "pulses": 800}
         gone = []
         for value in (0, 1):
             exchange = probe.do(command, {"motor_direction": value})
@@ -273,7 +273,7 @@ def _axis_lock(dialect: Dialect, command: Command) -> Iterator[Claim]:
 def _set_zero(dialect: Dialect, command: Command) -> Iterator[Claim]:
     def moved(probe: Probe) -> None:
         moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
-        move = {"direction": 0, "speed": 60, "acceleration": 250, "pulses": 800}
+        move = {"direction": 0, "speed": 60, "acceleration": STEEP, "pulses": 800}
         if not -1000 < effects.counts(probe) < 1000:
             return
         shift(probe, Verb.MOVE_RELATIVE_PULSES, move)
@@ -294,7 +294,7 @@ def _set_zero(dialect: Dialect, command: Command) -> Iterator[Claim]:
     def stays(probe: Probe) -> None:
         moved(probe)
         probe.do(command)
-        gone, _ = shift(probe, Verb.MOVE_ABSOLUTE_AXIS, {"speed": 60, "acceleration": 250, "position": 0})
+        gone, _ = shift(probe, Verb.MOVE_ABSOLUTE_AXIS, {"speed": 60, "acceleration": STEEP, "position": 0})
         if abs(gone) > _PLAY:
             raise Refuted(f"a move to 0 right after set_zero turns the shaft by {gone} counts", expected="a shaft that stays",
                           got=f"{gone} counts", key="set_zero move")  # fmt: skip

@@ -23,9 +23,9 @@ from analyzer.layout import Field
 from conformance import journey, moving
 from conformance.claim import Aspect, Claim, Inconclusive, Observed, Refuted, Theme
 from conformance.claims import effects, ranges, ranges_link, read_back
-from conformance.claims.answers import Taken, plain_read
+from conformance.claims.answers import Taken, answers, judged, sound
 from conformance.claims.declare import declare
-from conformance.claims.effects import LINK_FIELDS, Effect
+from conformance.claims.effects import LINK_FIELDS, STEEP, Effect
 from conformance.claims.known_quirks import known
 from conformance.claims.restarts import power_cycle, restart, wait_for
 from conformance.moving import MS
@@ -72,10 +72,10 @@ def kept_effect(dialect: Dialect, command: Command) -> Effect | None:
 
 
 def needs(dialect: Dialect, command: Command, effect: Effect, *more: Risk) -> dict[str, Any]:
-    """Return what a claim must declare that sets a setting and restarts the drive."""
+    """Return what a claim must declare that sets a setting and then does something with the risks `more`."""
     one, _ = effect.pair(command.request_forms[0])
     found = ranges.needs(dialect, command, [one])
-    found["risks"] |= effect.risks(dialect) | dialect.by_verb[Verb.RESTART].all_risks | set(more)
+    found["risks"] |= effect.risks(dialect) | set(more)
     found["settings"] = tuple(dict.fromkeys((*found["settings"], *effect.settings(dialect))))
     found["alone"] = found["alone"] or effect.alone
     return found
@@ -135,14 +135,12 @@ def _restart(dialect: Dialect) -> Iterator[Claim]:
 
 
 def take_once(probe: Probe, command: Command) -> tuple[Taken, Any]:
-    """Return how a command was taken that cannot be sent twice: silence counts where a read was answered just before."""
-    read = plain_read(probe.dialect)
-    for _ in range(4):
-        probe.reply(probe.ask(read))
+    """Return how a command was taken that cannot be sent twice: silence counts where reads were answered just before."""
+    sound(probe)
     exchange = probe.ask(command)
     if not exchange.answers:
         return Taken.SILENT, exchange
-    return (Taken.REFUSED if probe.refused(exchange) else Taken.DONE), exchange
+    return judged(probe, exchange), exchange
 
 
 # --- settings ---------------------------------------------------------------------------------------------------------
@@ -171,10 +169,11 @@ def _kept(dialect: Dialect, command: Command, effect: Effect, *, by_power: bool)
             )  # fmt: skip
 
     how = "the power was cut" if by_power else "a restart"
+    more = () if by_power else dialect.by_verb[Verb.RESTART].all_risks
     return declare(
         dialect, Theme.READ_BACK, f"{command.name}/{'power' if by_power else 'restart'}",
         f"What {command.name} set is there after {how}.", "another setting", check, command=command, aspect=Aspect.STATE,
-        fields=tuple(form.layout.named), emulated=by_power, **needs(dialect, command, effect),
+        fields=tuple(form.layout.named), emulated=by_power, **needs(dialect, command, effect, *more),
     )  # fmt: skip
 
 
@@ -198,12 +197,13 @@ def _user_id(dialect: Dialect, command: Command) -> Claim:
 def _address(dialect: Dialect, command: Command) -> Claim:
     def check(probe: Probe) -> None:
         before = probe.address
+        sound(probe)
         ranges_link.readdress(probe, command, _OTHER_ADDRESS)
-        if not ranges_link.answers_at(probe, _OTHER_ADDRESS):
+        if not answers(probe, _OTHER_ADDRESS):
             raise Inconclusive(f"the drive does not answer at {_OTHER_ADDRESS}, which it was given")
         exchange = probe.ask(Verb.RESTART, address=_OTHER_ADDRESS)
         probe.wait(RESTORED_NS)
-        here, there = ranges_link.answers_at(probe, before), ranges_link.answers_at(probe, _OTHER_ADDRESS)
+        here, there = answers(probe, before), answers(probe, _OTHER_ADDRESS)
         if there:
             ranges_link.readdress(probe, command, before, at=_OTHER_ADDRESS)
         if not there:
@@ -290,7 +290,7 @@ def _return(dialect: Dialect, command: Command) -> Iterator[Claim]:
         moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
         plain = {"zero_mode": 2, "set_zero": 1, "zero_speed": 2, "zero_direction": 0}
         probe.do(command, plain | values)
-        effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 60, "acceleration": 250, "position": quarter})
+        effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 60, "acceleration": STEEP, "position": quarter})
         before = within_turn(probe)
         exchange = restart(probe)
         moving.wait_standing(probe)
@@ -314,7 +314,7 @@ def _return(dialect: Dialect, command: Command) -> Iterator[Claim]:
         """Let the shaft go back by a direction; return whether it began by raising the encoder."""
         moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
         probe.do(command, {"zero_mode": 1, "set_zero": 1, "zero_speed": 0, "zero_direction": direction})
-        effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 60, "acceleration": 250, "position": 8000})
+        effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 60, "acceleration": STEEP, "position": 8000})
         exchange = restart(probe)
         rpm = moving.speed(probe).value
         moving.wait_standing(probe)
@@ -379,17 +379,19 @@ def _restore(dialect: Dialect) -> Claim:
     risks = set(command.all_risks) | {Risk.SETTING}
     for each, effect in settings:
         one, _ = effect.pair(each.request_forms[0])
-        risks |= ranges.needs(dialect, each, [one])["risks"] | effect.risks(dialect)
+        seen = each.readable or effect.expected is not None
+        risks |= ranges.needs(dialect, each, [one])["risks"] | (effect.risks(dialect) if seen else moving.risks(dialect))
 
     def check(probe: Probe) -> None:
-        for _, effect in settings:
+        for each, effect in settings:
             effect.ready(probe)
+            ranges.prepare(probe, each)
         for each, effect in settings:
             form = each.request_forms[0]
             probe.do(each, ranges.plain(probe, each, form, **effect.pair(form)[0]))
         exchange = probe.do(command)
         lead_back(probe)
-        if not ranges_link.answers_at(probe, probe.address):
+        if not answers(probe, probe.address):
             raise Inconclusive("the restored drive cannot be reached as it is said to be by default")
         for each, effect in settings:
             _is_default(probe, each, effect, exchange)
@@ -455,13 +457,14 @@ def _restored_link(dialect: Dialect) -> Claim:
     native = registry.get("mks-rs485") if dialect.name.endswith("modbus") else dialect
 
     def check(probe: Probe) -> None:
+        sound(probe)
         ranges_link.readdress(probe, setter, _OTHER_ADDRESS)
-        if not ranges_link.answers_at(probe, _OTHER_ADDRESS):
+        if not answers(probe, _OTHER_ADDRESS):
             raise Inconclusive(f"the drive does not answer at {_OTHER_ADDRESS}, which it was given")
         exchange = probe.ask(command, address=_OTHER_ADDRESS)
         probe.wait(RESTORED_NS)
         if dialect is native:
-            found = [a for a in (_DEFAULT_ADDRESS, _OTHER_ADDRESS) if ranges_link.answers_at(probe, a)]
+            found = [a for a in (_DEFAULT_ADDRESS, _OTHER_ADDRESS) if answers(probe, a)]
         else:
             found = [a for a in (_DEFAULT_ADDRESS, _OTHER_ADDRESS) if _answers_in(probe, native, a)]
         lead_back(probe)
@@ -484,4 +487,5 @@ _DEFAULT_ADDRESS = 1
 
 def _answers_in(probe: Probe, dialect: Dialect, address: int) -> bool:
     answer = ranges_link.foreign(probe, dialect, "read_speed", address=address)
+    ranges_link.readable(dialect, address, answer)
     return ranges_link.whole(dialect, address, answer)

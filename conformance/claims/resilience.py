@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 _SECOND_NS = 1_000_000_000
 _MANY = 100
+_TRIES = 3
 _FLOOD = 40
 #: Counts of position in which reads of a shaft that stands may differ, in the smallest step of the read.
 _SHIVER = 16
@@ -197,6 +198,30 @@ def _next_claim(
     )
 
 
+def _after_claim(
+    dialect: Dialect, name: str, what: str, happen: Callable[[Probe], Exchange], **rest: Any
+) -> Claim:
+    """Return the claim that a drive answers after something that may have changed it for good."""
+    read = plain_read(dialect)
+
+    def check(probe: Probe) -> None:
+        ask_first(probe)
+        happen(probe)
+        tries = [probe.ask(read) for _ in range(_TRIES)]
+        if not any(is_answered(each) for each in tries):
+            raise Refuted(
+                f"the drive does not answer after {what}",
+                expected=f"a reply to {read.name}",
+                got=came(tries[-1]),
+                exchange=tries[-1],
+            )
+
+    statement = f"The drive answers after {what}."
+    return _make(
+        dialect, name, statement, "silence, or another answer", check, at_best=Certainty.LIKELY, **rest
+    )
+
+
 # --- noise ------------------------------------------------------------------------------------------------------------
 
 
@@ -255,8 +280,8 @@ def _wait(probe: Probe, duration_ns: int) -> Exchange:
 
 
 def _idle(dialect: Dialect) -> Iterator[Claim]:
-    yield _next_claim(dialect, "idle/seconds", "ten seconds of silence", partial(_wait, duration_ns=_IDLE_NS))
-    yield _next_claim(
+    yield _after_claim(dialect, "idle/seconds", "ten seconds of silence", partial(_wait, duration_ns=_IDLE_NS))
+    yield _after_claim(
         dialect, "idle/day", "a day of silence", partial(_wait, duration_ns=_LONG_IDLE_NS), emulated=True
     )
 
@@ -277,9 +302,9 @@ def _power(dialect: Dialect) -> Iterator[Claim]:
         _power_cycle(probe)
         return probe.listen(_POWER_NS)
 
-    yield _next_claim(dialect, "power/next", "power off and on", off_and_on, emulated=True)
+    yield _after_claim(dialect, "power/back", "power off and on", off_and_on, emulated=True)
     if not isinstance(dialect.link, CanLink):
-        yield _next_claim(dialect, "power/in_frame", "power off and on amid a request", in_frame, emulated=True)
+        yield _after_claim(dialect, "power/in_frame", "power off and on amid a request", in_frame, emulated=True)
 
 
 # --- settings in haste ------------------------------------------------------------------------------------------------

@@ -36,7 +36,9 @@ def parameters(dialect: Dialect) -> Iterator[Claim]:
         return
     for name, field in command.request_forms[0].layout.named.items():
         for value, choice in field.choice_names.items():
-            yield _listed(dialect, command, name, value, choice)
+            # A model that has not got a setting has nothing to tell of it.
+            if not command.replies.failed_forms or any(c.readable for c in dialect.by_code.get(value, ())):
+                yield _listed(dialect, command, name, value, choice)
         strange = _not_listed(dialect, command, set(field.choice_names))
         if strange is not None:
             yield _unreadable(dialect, command, name, strange)
@@ -55,6 +57,8 @@ def _listed(dialect: Dialect, command: Command, name: str, value: int, choice: s
         if code is not None and not code.ok:
             raise _refuted(exchange, choice, f"the code {code.expected.hex().upper()}", f"{code.got.hex().upper()}")
         form = reading.template.form
+        if form.name in command.replies.failed_forms and codec(form.layout).matches(reading.own):
+            raise _refuted(exchange, choice, f"the value of {choice}", f"{reading.own.hex(' ').upper()}: it cannot be read")
         if not codec(form.layout).matches(reading.own) or not reading.length_fits:
             size = form.layout.byte_length
             raise _refuted(exchange, choice, f"{size} bytes in the layout of {choice}", reading.own.hex(" ").upper())

@@ -11,6 +11,7 @@ from conformance.drives.mks_core import Behaviour, Kind, MksCore, Script, Task
 from conformance.drives.mks_fault_makers import (
     CAN,
     EVERY,
+    NATIVE,
     SERIAL,
     Install,
     changed,
@@ -103,9 +104,11 @@ FAULTS: tuple[Fault, ...] = (
     Fault("home-wrong-way", EVERY, "homing goes the other way", "homing",
           _homing_by(lambda s: {"home_direction": 1 - s["home_direction"]})),
     Fault("home-speed-ignored", EVERY, "homing turns at 30 rpm always", "homing", _homing_by(lambda s: {"home_speed": 30})),
-    Fault("home-return-ignored", EVERY, "without a switch homing stays at the obstacle", "homing",
+    # Modbus has no register for homing without a switch.
+    Fault("home-return-ignored", (NATIVE, CAN), "without a switch homing stays at the obstacle", "homing",
           _homing_by(lambda s: {"return_angle": 0})),
-    Fault("home-mode-ignored", EVERY, "homing always looks for a switch", "homing", _homing_by(lambda s: {"home_mode": 0})),
+    Fault("home-mode-ignored", (NATIVE, CAN), "homing always looks for a switch", "homing",
+          _homing_by(lambda s: {"home_mode": 0})),
     Fault("home-trigger-not-stored", EVERY, "90 keeps the old level of the end stop", "homing", unstored("home_trigger")),
     Fault("home-keeps-the-shaft", SERIAL, "with the end limit on homing does not let the shaft go", "homing",
           _then(_hold)),

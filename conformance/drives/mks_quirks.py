@@ -55,6 +55,8 @@ _SETTLING_NS = 100_000_000
 _SETTLING_COUNTS = 14
 _STATUS_STAYS_NS = 1_000_000_000
 
+#: The head of a native reply; no Modbus address is as high.
+_NATIVE_REPLY = b"\xfb"
 #: Register 94h of the later manual: quantity 4, byte count 8.
 _HOME_94 = Layout(mks_shared.RETURN_ANGLE, u16("home_mode", choices=mks_shared.HomeMode), mks_shared.HOME_CURRENT)
 _HOME_94_HEAD = bytes.fromhex("10 00 94 00 04 08")
@@ -126,7 +128,9 @@ def _hear_both(drive: MksCore) -> None:
 
 
 def _without_check(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:
-    yield replace(outgoing, data=body_of(drive, outgoing))
+    # The frame tells its dialect: the reply that switches to Modbus is the last native one, which the drive no longer is.
+    native = outgoing.data[:1] == _NATIVE_REPLY
+    yield replace(outgoing, data=outgoing.data[:-1]) if native else outgoing
 
 
 def _from_new_address(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:

@@ -43,7 +43,8 @@ def possible(command: Command) -> list[dict[str, int]]:
     if command.verb is Verb.SET_MODBUS:
         return [{"modbus": 0}]
     name = next(n for n in SPEEDS if has(command, n))
-    return [{name: code} for code in SPEEDS[name]]
+    default = next(f.layout.named[name].default for f in command.request_forms if name in f.layout.named)
+    return [{name: code} for code in (SPEEDS[name] if default is None else [default])]
 
 
 def lead_back(
@@ -94,6 +95,24 @@ def _reach(gate: Gate, dialect: Dialect, address: int, command: Command, values:
             return probe
         probe.wait(_PAUSE_NS)
     return None
+
+
+def why_not_follow(gate: Gate, command: Command, values: Mapping[str, int]) -> str:
+    """Return why this end cannot follow a drive to what it is about to be told, or nothing.
+
+    A drive that is set to a speed at which nobody can speak to it could not be led back.
+    """
+    name = next((n for n in SPEEDS if n in values and has(command, n)), "")
+    speed = SPEEDS[name].get(values[name]) if name else None
+    own = gate.line.endpoint.bits_per_second
+    if speed is None or speed == own:
+        return ""
+    try:
+        gate.set_speed(speed)
+        gate.set_speed(own)
+    except UsageError as error:
+        return f"this end cannot follow the drive to {speed} bits per second: {error}"
+    return ""
 
 
 def is_there(probe: Probe) -> bool:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 
 from analyzer.catalogue import Command, Dialect, Risk, Verb
 from analyzer.layout import Field
+from conformance import moving
 from conformance.allowance import Allowance
 from conformance.budget import Budget
 from conformance.claim import NotRun
@@ -129,6 +130,9 @@ class Keeper:
     def _keep(self, command: Command, values: dict[str, int]) -> None:
         if command.verb is Verb.SAVE_SPEED and values == _forgotten(command):
             return
+        refused = following.why_not_follow(self._gate, command, values)
+        if refused:
+            raise NotRun(refused)
         key = (command.name, settings.selector(command, values))
         kept = self._kept.get(key)
         if kept is None:
@@ -206,25 +210,48 @@ class Keeper:
 
     def put_back(self, *, link_only: bool = False) -> str:
         """Put everything back, the last change first; return what could not be, or nothing. Raises LineLost."""
-        failed = []
         self._asking = True
         try:
-            # The link first: nothing else can be put back on a drive that is not heard.
-            newest = list(self._kept.items())[::-1]
-            newest.sort(key=lambda item: not says_itself(item[1].command))
             gate = self._gate.under(PUTTING_BACK)
-            for key, kept in newest:
-                if link_only and not says_itself(kept.command):
-                    continue
-                told = self._restore(gate, kept)
-                if told:
-                    failed.append(told)
-                    continue
-                del self._kept[key]
-                self._write("back", kept.command, kept.before)
+            failed = self._pass(gate, link_only)
+            if failed and not link_only and self._into_bus_mode(gate):
+                # Some settings are refused in a mode in which the bus does not move the motor.
+                failed = self._pass(gate, link_only)
         finally:
             self._asking = False
         return "; ".join(failed)
+
+    def _pass(self, gate: Gate, link_only: bool) -> list[str]:
+        failed = []
+        # The link first: nothing else can be put back on a drive that is not heard. The work mode last: others hang on it.
+        newest = list(self._kept.items())[::-1]
+        newest.sort(key=lambda item: (not says_itself(item[1].command), item[1].command.verb is Verb.SET_WORK_MODE))
+        for key, kept in newest:
+            if link_only and not says_itself(kept.command):
+                continue
+            told = self._restore(gate, kept)
+            if told:
+                failed.append(told)
+                continue
+            del self._kept[key]
+            self._write("back", kept.command, kept.before)
+        return failed
+
+    def _into_bus_mode(self, gate: Gate) -> bool:
+        """Set a work mode in which the bus moves the motor, where that can be put back; say whether it was set."""
+        command = self._dialect.by_verb.get(Verb.SET_WORK_MODE)
+        if command is None or not self._can_keep(command):
+            return False
+        mode = {"work_mode": moving.choice(command, "work_mode", moving.bus_modes(self._dialect)[-1])}
+        try:
+            self._keep(command, mode)
+        except NotRun:
+            return False
+        finally:
+            # Reading the mode ends with asking; there is more to be put back.
+            self._asking = True
+        probe = bare_probe(self._dialect, self._address, gate, "put-back")
+        return not probe.refused(probe.ask(command, mode))
 
     def _restore(self, gate: Gate, kept: _Kept) -> str:
         if says_itself(kept.command):

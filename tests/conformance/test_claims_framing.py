@@ -10,8 +10,8 @@ from conformance import engine
 from conformance.claim import Outcome
 from conformance.claims import framing
 from conformance.drives import make
-from conformance.gate import Allowance
 from conformance.garbling import Garbler, harmless
+from conformance.gate import Allowance
 from conformance.rig_emulated import EmulatedRig
 from tests.conformance.theme_runs import DRIVES, OTHERS, claims_of, not_confirmed, refuted, run
 

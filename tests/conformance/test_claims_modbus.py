@@ -6,8 +6,8 @@ import pytest
 
 from conformance.claim import Outcome
 from conformance.claims import modbus
-from conformance.rig_emulated import EmulatedRig
 from conformance.drives import make
+from conformance.rig_emulated import EmulatedRig
 from tests.conformance.theme_runs import claims_of, not_confirmed, refuted, run
 
 

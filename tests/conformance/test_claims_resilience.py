@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from analyzer.records import Frame, Message
 from conformance.claim import Outcome
 from conformance.claims import resilience
-from conformance.drives.drive import Drive, Fault
+from conformance.drives.drive import Drive, Fault, Hooks
 from conformance.drives.mks_core import MksCore
 from tests.conformance.theme_runs import DRIVES, not_confirmed, refuted, run
 
@@ -53,14 +54,14 @@ def test_a_drive_that_lets_a_setting_stop_it_is_refuted():
 
 
 def test_a_drive_that_is_deaf_after_power_comes_back_is_refuted():
-    def deaf(drive: Drive) -> None:
-        assert isinstance(drive, MksCore)
-        drive.powered = False
+    deaf: list[Drive] = []
 
-    def restarted(drive: Drive, frame: object, message: object, wanted: bool) -> bool:
-        return wanted and drive.now_ns < 1 << 62
+    def accept(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        return wanted and drive not in deaf
 
-    fault = Fault("deaf", ("mks-rs485",), "it hears nothing after power-up", "power",
-                  lambda hooks: (hooks.powered.append(deaf), hooks.accept.append(restarted)))  # fmt: skip
-    verdicts = run(resilience, "mks-rs485@1", "power/", fault=fault)
-    assert all(v.outcome in (Outcome.REFUTED, Outcome.INCONCLUSIVE, Outcome.CONFIRMED) for v in verdicts.values())
+    def install(hooks: Hooks) -> None:
+        hooks.powered.append(deaf.append)
+        hooks.accept.append(accept)
+
+    fault = Fault("deaf", ("lk-rs485",), "it hears nothing after power-up", "power", install)
+    assert refuted(resilience, "lk-rs485@1", "power", "idle", fault=fault) == {"power/back", "power/in_frame"}
