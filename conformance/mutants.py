@@ -34,21 +34,25 @@ if TYPE_CHECKING:
 
 
 class Mutant(msgspec.Struct, frozen=True, kw_only=True):
-    """What came of one fault in one dialect. `refuted`: ids of the claims that refuted it, with their reasons."""
+    """What came of one fault in one dialect.
+
+    `refuted`: ids of the claims that refuted it, with their reasons. `seen`: those that observed what they do not observe on
+    a drive without it: the manual leaves open what the fault changes, or real drives were seen to do so.
+    """
 
     fault: str
     dialect: str
     text: str
     breaks: str
     refuted: tuple[tuple[str, str], ...]
-    observed: tuple[str, ...] = ()
+    seen: tuple[tuple[str, str], ...] = ()
     inconclusive: int = 0
     seconds: float = 0.0
 
     @property
     def survived(self) -> bool:
-        """Whether no claim refuted it."""
-        return not self.refuted
+        """Whether no claim noticed it."""
+        return not self.refuted and not self.seen
 
 
 def faults_of(dialect: Dialect) -> list[Fault]:
@@ -62,7 +66,9 @@ def judge(target: Target, fault: Fault, claims: Sequence[Claim], *, full: bool =
     started = time.perf_counter()
     specification = with_fault(target, fault)
     rig = EmulatedRig(specification, seed=seed)
-    refuted, observed, inconclusive = [], [], 0
+    refuted: list[tuple[str, str]] = []
+    observed: list[tuple[Claim, str]] = []
+    inconclusive = 0
     for claim in claims if full else _likely_first(claims, fault):
         verdict = engine.run_claim(claim, rig)
         if verdict.outcome is Outcome.REFUTED:
@@ -70,7 +76,7 @@ def judge(target: Target, fault: Fault, claims: Sequence[Claim], *, full: bool =
             if not full:
                 break
         elif verdict.outcome is Outcome.OBSERVED:
-            observed.append(claim.id)
+            observed.append((claim, verdict.reason))
         elif verdict.outcome is Outcome.INCONCLUSIVE:
             inconclusive += 1
     return Mutant(
@@ -79,10 +85,20 @@ def judge(target: Target, fault: Fault, claims: Sequence[Claim], *, full: bool =
         text=fault.text,
         breaks=fault.breaks,
         refuted=tuple(refuted),
-        observed=tuple(observed),
+        seen=() if refuted else tuple(_news(target, observed, seed)),
         inconclusive=inconclusive,
         seconds=round(time.perf_counter() - started, 3),
     )
+
+
+def _news(target: Target, observed: Iterable[tuple[Claim, str]], seed: int) -> Iterator[tuple[str, str]]:
+    """Yield what was observed and is not, on a drive without the fault."""
+    assert target.specification is not None
+    rig = EmulatedRig(target.specification, seed=seed)
+    for claim, reason in observed:
+        plain = engine.run_claim(claim, rig)
+        if (plain.outcome, plain.reason) != (Outcome.OBSERVED, reason):
+            yield claim.id, reason
 
 
 def with_fault(target: Target, fault: Fault) -> make.Specification:
@@ -121,7 +137,7 @@ def _one(task: tuple[str, str]) -> Mutant:
             continue
         fault = next(f for f in faults_of(target.dialect) if f.name == task[1])
         found.append(judge(target, fault, suite.every_claim(target), full=full, seed=seed))
-        if not full and not found[-1].survived:
+        if not full and found[-1].refuted:
             break
     return _together(found)
 
@@ -132,7 +148,7 @@ def _together(found: Sequence[Mutant]) -> Mutant:
     return msgspec.structs.replace(
         found[0],
         refuted=tuple(refuted.items()),
-        observed=tuple(dict.fromkeys(o for m in found for o in m.observed)),
+        seen=() if refuted else tuple(dict(pair for mutant in found for pair in mutant.seen).items()),
         inconclusive=sum(m.inconclusive for m in found),
         seconds=round(sum(m.seconds for m in found), 3),
     )
@@ -188,15 +204,22 @@ def run_mutants(plan: Plan, *, jobs: int = 1, as_json: bool = False, full: bool 
 
 def _print(found: Sequence[Mutant], dialects: Iterable[str]) -> None:
     for name in dialects:
-        own = [m for m in found if m.dialect == name]
-        killed = [m for m in own if not m.survived]
-        for mutant in sorted(own, key=lambda m: m.fault):
-            first = mutant.refuted[0] if mutant.refuted else None
-            more = f" (and {len(mutant.refuted) - 1} more)" if len(mutant.refuted) > 1 else ""
-            verdict = f"refuted by {first[0]}{more}: {first[1]}" if first else "SURVIVED"
-            print(f"{mutant.dialect}  {mutant.fault}: {verdict}")
-        percent = 100 * len(killed) / max(1, len(own))
-        print(f"{name}: {len(killed)} of {len(own)} faults refuted ({percent:.1f} %)")
+        own = sorted((m for m in found if m.dialect == name), key=lambda m: m.fault)
+        for mutant in own:
+            print(f"{mutant.dialect}  {mutant.fault}: {_verdict(mutant)}")
+        refuted, survived = sum(bool(m.refuted) for m in own), sum(m.survived for m in own)
+        percent = 100 * refuted / max(1, len(own))
+        seen = len(own) - refuted - survived
+        print(f"{name}: {refuted} of {len(own)} faults refuted ({percent:.1f} %), {seen} observed, {survived} survived")
+
+
+def _verdict(mutant: Mutant) -> str:
+    noticed = mutant.refuted or mutant.seen
+    if not noticed:
+        return "SURVIVED"
+    (claim, reason), more = noticed[0], len(noticed) - 1
+    word = "refuted" if mutant.refuted else "observed (the manual leaves it open, or real drives were seen so)"
+    return f"{word} by {claim}{f' (and {more} more)' if more else ''}: {reason}"
 
 
 def _print_idle(found: Sequence[Mutant], targets: Sequence[Target]) -> None:

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 #: Right after a move a real shaft may still settle.
 SETTLING_NS = 150 * MS
 #: How often a line is asked, to tell a drive that says nothing from a line that loses replies.
-_SOUND = 4
+_SOUND = 6
 
 
 @dataclass(frozen=True)

@@ -568,8 +568,8 @@ VARIANTS: Mapping[str, tuple[str, ...]] = {
         "emergency_stop", "set_zero", "look",
     ),
     "mixed": (
-        "telling", "telling", "stray", "enable", "enable", "restart", "run_speed", "stop", "move_relative_pulses", "move_absolute_axis",
-        "move_relative_axis", "move_absolute_pulses", "emergency_stop", "set_zero", "look",
+        "telling", "telling", "stray", "enable", "enable", "restart", "run_speed", "stop", "move_relative_pulses",
+        "move_absolute_axis", "move_relative_axis", "move_absolute_pulses", "emergency_stop", "set_zero", "look",
     ),
 }  # fmt: skip
 

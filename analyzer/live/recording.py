@@ -526,6 +526,7 @@ class Recording:
                 self.buses[name].restore(state, self._known)
                 if state.byte_ns is not None:
                     self._set_speed(self.buses[name], state.speed, state.byte_ns)
+                    self.log.learn(name, self.buses[name].load)
         for stem, spool_state in start.spools.items():
             if stem in self._follows:
                 self._follows[stem].expected = spool_state.expected

@@ -75,6 +75,10 @@ class RecordingLog(McapLog):
         """Time of the last message."""
         return self._last_ns
 
+    def learn(self, bus: str, speed: Speed) -> None:
+        """Take the speed that a bus has from the next second on."""
+        self._speeds[bus] = speed
+
     def tick(self, t_ns: int) -> None:
         """Write the counts of the seconds that are over by this time."""
         for bus in [bus for bus, second in self._seconds.items() if second.end_ns <= t_ns]:

@@ -197,6 +197,10 @@ def _followed(source: Source) -> Iterator[LogRecord]:
     rest = source.take_parts()
     while path is not None:
         following = ""
+        if not path.exists():
+            source.note(f"{path.name} was dropped before it was read")
+            path = rest.pop(0) if rest else None
+            continue
         with Tail(path, source.follow, finished=bool(rest)) as tail:
             places = [0]
             while True:

@@ -15,13 +15,14 @@ Rules kept here:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from enum import Enum
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from analyzer.catalogue import Command, Dialect, Form, Risk, Role
 from analyzer.encoder import Built
-from conformance.claim import Inconclusive, Refuted
+from conformance.claim import Claim, Inconclusive, Refuted
 from conformance.exchange import Exchange
 from conformance.limits import with_bits
 
@@ -58,8 +59,31 @@ def answers(probe: Probe, address: int | None = None) -> bool:
 def sound(probe: Probe) -> None:
     """Raise Inconclusive where the line loses replies or the drive is late: then silence says nothing."""
     read = plain_read(probe.dialect)
-    for _ in range(4):
+    for _ in range(6):
         probe.reply(probe.ask(read))
+
+
+def sane(probe: Probe) -> None:
+    """Raise Inconclusive where a plain read is not answered once, by the drive that was asked.
+
+    What a drive makes of values cannot be told from answers that are echoes, doubled or under another address.
+    """
+    exchange = probe.ask(plain_read(probe.dialect))
+    answer = probe.reply(exchange)
+    if len(exchange.answers) > 1:
+        raise Inconclusive(f"a read is answered by {len(exchange.answers)} frames")
+    if answer.message.address != probe.address:
+        raise Inconclusive(f"a read is answered under the address {answer.message.address}")
+
+
+def resting(claim: Claim) -> Claim:
+    """Return a claim that is inconclusive where it rests on a drive whose answers to a plain read are not `sane`."""
+
+    def check(probe: Probe) -> None:
+        sane(probe)
+        claim.check(probe)
+
+    return replace(claim, check=check)
 
 
 def once(statuses: Sequence[int]) -> list[int]:

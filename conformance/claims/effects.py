@@ -25,7 +25,7 @@ from analyzer.layout import Field
 from analyzer.protocols.mks_shared import COUNTS_PER_TURN
 from conformance import limits, moving
 from conformance.claim import Inconclusive
-from conformance.claims.answers import Taken, answers, judged, once
+from conformance.claims.answers import Taken, answers, judged, once, sound
 from conformance.probe import Until
 
 if TYPE_CHECKING:
@@ -318,6 +318,8 @@ GROUP, OTHER_GROUP = 0x50, 0x51
 
 def _group(probe: Probe) -> str:
     heard = [f"{a:#x}" for a in (GROUP, OTHER_GROUP) if hears(probe, a)]
+    if len(heard) != 1:
+        sound(probe)
     probe.ask(Verb.ENABLE, {"enabled": 1})
     return f"hears {' and '.join(heard) or 'neither'} of the groups {GROUP:#x} and {OTHER_GROUP:#x}"
 

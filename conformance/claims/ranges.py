@@ -26,7 +26,7 @@ from analyzer.layout import Field, Kind
 from conformance import limits, moving, samples
 from conformance.claim import Aspect, Claim, Inconclusive, NotRun, Refuted, Theme
 from conformance.claims import effects, ranges_link, ranges_lk, ranges_motion
-from conformance.claims.answers import Taken, accept, refusable, refuse, take, with_reserved
+from conformance.claims.answers import Taken, accept, refusable, refuse, resting, take, with_reserved
 from conformance.claims.declare import declare
 from conformance.claims.requests import needs_motion
 from conformance.probe import Probe
@@ -59,6 +59,10 @@ Check = Callable[[Probe], None]
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims of this theme for a dialect."""
+    return map(resting, _claims(dialect))
+
+
+def _claims(dialect: Dialect) -> Iterator[Claim]:
     for command in dialect.commands:
         if judgeable(command):
             yield from _of_command(dialect, command)

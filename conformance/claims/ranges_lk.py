@@ -35,6 +35,8 @@ ZERO_SPEED = "lk-zero-speed-moves"
 MODERATE, WIDE = 36_000, 70_000
 #: How long a motion is looked at.
 LOOK_NS = 60 * MS
+#: A move that is to be looked at on its way is over by then.
+LATE_NS = 500 * MS
 #: Degrees in which a shaft counts as one that stayed, and in which two angles are one.
 STILL, SAME = 1.0, 0.3
 _STRONG = (Verb.RUN_TORQUE, Verb.RUN_OPEN_LOOP)
@@ -239,7 +241,10 @@ def _max_speeds(dialect: Dialect, command: Command, field: Field) -> Iterator[Cl
         probe.reply(exchange)
         probe.wait(250 * MS)
         rpm = moving.speed(probe).value
+        late_ns = probe.gate.now_ns() - exchange.sent_ns
         moving.stand_still(probe)
+        if late_ns > LATE_NS:
+            raise Inconclusive("the speed was read when the move was over: replies are lost or late")
         _judge_width(command, field, WIDE, rpm, exchange)
 
     risks = {Risk.SETTING} if command.verb is Verb.MOVE_ABSOLUTE_AXIS else set()

@@ -23,6 +23,7 @@ from typing import Any
 from analyzer.catalogue import Command, Dialect, Verb
 from conformance.claim import Aspect, Claim, Inconclusive, Observed, Refuted, Theme
 from conformance.claims import effects, ranges, read_back_effects, read_back_lk, read_back_restart
+from conformance.claims.answers import resting
 from conformance.claims.declare import declare
 from conformance.claims.effects import LINK_FIELDS
 from conformance.drives.speed import SPEEDS
@@ -32,6 +33,10 @@ from conformance.probe import Probe
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims of this theme for a dialect."""
+    return map(resting, _claims(dialect))
+
+
+def _claims(dialect: Dialect) -> Iterator[Claim]:
     for command in dialect.commands:
         if command.readable:
             yield _link(dialect, command) if is_link(command) else _read(dialect, command)

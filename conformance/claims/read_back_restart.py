@@ -138,6 +138,8 @@ def take_once(probe: Probe, command: Command) -> tuple[Taken, Any]:
     """Return how a command was taken that cannot be sent twice: silence counts where reads were answered just before."""
     sound(probe)
     exchange = probe.ask(command)
+    if exchange.junk:
+        raise Inconclusive(f"the answer to {command.name} cannot be read: {exchange.junk[0].data.hex(' ').upper()}")
     if not exchange.answers:
         return Taken.SILENT, exchange
     return judged(probe, exchange), exchange

@@ -15,6 +15,7 @@ from typing import Any
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from conformance import journey, moving
 from conformance.claim import Aspect, Claim, Theme
+from conformance.claims.answers import sane
 from conformance.claims.declare import declare
 from conformance.claims.known_quirks import known
 from conformance.probe import Probe
@@ -54,6 +55,7 @@ def _check(variant: str) -> Callable[[Probe], None]:
         # Hypothesis is imported where it is used, and nowhere else.
         from conformance import machine
 
+        sane(probe)
         machine.check(probe, variant)
 
     return check

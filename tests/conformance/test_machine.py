@@ -56,7 +56,7 @@ def test_a_run_is_the_same_again_and_another_with_another_seed(monkeypatch):
     runs = []
     for seed in (0, 0, 1):
         steps.clear()
-        machine.run(probe_of("mks-can@1", seed=seed), "mixed")
+        machine.run(probe_of("mks-modbus@1", seed=seed), "settings")
         runs.append(list(steps))
     assert runs[0] == runs[1]
     assert runs[0] != runs[2]
@@ -100,8 +100,7 @@ def test_where_nothing_may_be_sent_nothing_is_confirmed(monkeypatch):
         machine.check(probe_of("mks-can@1"), "mixed")
 
 
-def test_a_shared_memory_of_the_wrong_kind_is_found():
-    """A drive that remembers a mode change as an enabling is told from one that does not, after some steps."""
+def test_steps_that_a_sound_drive_takes_refute_one_that_moves_while_it_is_disabled():
     probe = probe_of("mks-rs485@1")
     steps = parse_steps("enable enabled=0; move_relative_axis counts=1000 speed=60 acceleration=200; enable enabled=1; look")
     assert machine.replay(probe, steps) is None

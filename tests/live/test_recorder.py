@@ -142,6 +142,24 @@ def test_raw_only_is_decoded_later(tmp_path, kind, text):
     assert content(decoded_again(raw))[2:] == content(full)[2:]
 
 
+def test_raw_only_without_a_dialect(tmp_path):
+    """Each bus is judged by its own traffic when it is decoded later."""
+    ports = (port("1-a", "a", dialects=()), port("2-b", "b", dialects=()), port("3-arm", "arm", "can", ()))
+    spools = Spools(tmp_path, *ports, raw_only=True)
+    for n in range(30):
+        for stem, pieces in (("1-a", modbus(n)), ("2-b", (sum8("FA 01 32"), sum8("FB 01 32 FE D4")))):
+            for at, piece in enumerate(pieces):
+                spools.data(stem, 100 * n + 3 * at, piece)
+        spools.can("3-arm", 100 * n, "001#3031")
+    spools.end(4000)
+    spools.record()
+    out = decoded_again(spools.log)
+    assert metadata(out)["dialect"] == "mks-modbus,mks-rs485,mks-can"
+    topics = {t for t, _, _ in read(out)}
+    assert {"/b/1/read_speed/reply", "/arm/1/read_encoder_carry/request"} <= topics
+    assert not [t for t in topics if t.endswith("/junk")]
+
+
 # --- the dialect ----------------------------------------------------------------------------------------------------
 
 

@@ -1,0 +1,78 @@
+"""Lanes, the short way of usual frames, give the same as the long way: whatever comes, in whatever order."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from analyzer import dialects
+from analyzer.decoder import Decoder, physical
+from analyzer.pipeline import Options, Pipeline
+from analyzer.records import CanFrame, Chunk
+from tests.collect import Collect, sum8
+
+MS = 1_000_000
+#: Requests of MKS drives whose code has several commands, and some others.
+REQUESTS = (
+    "F6 00 00 02", "F6 01 40 02", "F6 00 00 00", "F6 8F FF 01", "FD 01 40 02 00 00 FA 00", "FD 00 00 02 00 00 00 00",
+    "F4 01 40 02 00 00 FA 00", "32", "33", "80 00", "84 00", "8C 00 01", "8C 01 01",
+)  # fmt: skip
+
+
+def native(chance):
+    """An exchange of an MKS drive, good or not."""
+    address = chance.choice(("01", "02"))
+    request = chance.choice(REQUESTS)
+    yield f"FA {address} {request}"
+    if chance.random() < 0.9:
+        status = chance.choice(("00", "01", "01", "01", "02", "03"))
+        code = request[:2]
+        yield f"FB {address} {code} " + {"32": f"00 {status}", "33": f"00 00 00 {status}"}.get(code, status)
+
+
+def items(dialect, chance):
+    ms = 0
+    for _ in range(60):
+        ms += chance.choice((1, 2, 3, 30, 1200))
+        if dialect.name == "mks-rs485":
+            for text in native(chance):
+                ms += 2
+                yield Chunk(ms * MS, "b", bytes.fromhex(sum8(text)))
+            continue
+        command = chance.choice(dialect.commands)
+        vector = chance.choice(command.vectors) if command.vectors else None
+        if vector is not None and dialect.bus == "can":
+            yield CanFrame(ms * MS, "b", 1, bytes.fromhex(vector.printed)[-8:])
+        elif vector is not None:
+            yield Chunk(ms * MS, "b", bytes.fromhex(vector.printed))
+
+
+def outcome(traffic, dialect):
+    sink = Collect()
+    Pipeline([dialect], [sink], Options(byte_ns=100)).run(traffic)
+    entries = [
+        (e.topic, e.sequence, e.message.role, e.message.command, physical(e.message), e.latency_ns, e.request_sequence,
+         e.first_reply, e.findings)
+        for e in sink.entries
+    ]  # fmt: skip
+    return entries, [(f.rule, f.text, f.sequence) for f in sink.findings]
+
+
+@pytest.mark.parametrize("dialect", dialects.every(), ids=lambda d: d.name)
+def test_the_same_as_the_long_way(dialect, monkeypatch):
+    used = [0, 0]
+    real = Decoder.lane
+
+    def counted(self, frame, context):
+        lane = real(self, frame, context)
+        used[lane is not None] += 1
+        return lane
+
+    for seed in range(12):
+        traffic = list(items(dialect, random.Random(seed)))
+        monkeypatch.setattr(Decoder, "lane", counted)
+        short = outcome(traffic, dialect)
+        monkeypatch.setattr(Decoder, "lane", lambda self, frame, context: None)
+        assert outcome(traffic, dialect) == short
+    assert used[1] or dialect.name == "mks-modbus"
