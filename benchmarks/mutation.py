@@ -28,7 +28,8 @@ def main() -> int:
     targets = every_emulated() if arguments.dialect is None else [parse(f"{arguments.dialect}@1")]
     started = time.perf_counter()
     count = sum(1 for _ in suite.run(suite.Plan(tuple(targets)), arguments.jobs))
-    print(f"the suite itself: {count} claims in {time.perf_counter() - started:.1f} s with {arguments.jobs} processes", flush=True)
+    seconds = time.perf_counter() - started
+    print(f"the suite itself: {count} claims in {seconds:.1f} s with {arguments.jobs} processes", flush=True)
     return run_mutants(suite.Plan(tuple(targets)), jobs=arguments.jobs, full=not arguments.quick)
 
 

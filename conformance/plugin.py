@@ -33,7 +33,7 @@ OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("budget", {"action": "append", "default": [], "metavar": "…", "help": "commands=N,seconds=N,turns=N for the whole run"}),
     ("claim", {"action": "append", "default": [], "metavar": "ID", "help": "only these claims; * and ? are patterns"}),
     ("theme", {"action": "append", "default": [], "metavar": "T", "help": "only this theme"}),
-    ("short", {"action": "store_true", "default": False, "help": "one claim for each command, two of each theme"}),
+    ("short", {"action": "store_true", "default": False, "help": "one claim for each command and each theme"}),
     ("servo-seed", {"type": int, "default": 0, "metavar": "N", "help": "of what is drawn at random"}),
     ("settings", {"default": None, "metavar": "FILE", "help": "JSON: what to put back where the drive cannot be asked"}),
     ("journal", {"default": None, "metavar": "FILE", "help": "where changes are written down before they are made"}),

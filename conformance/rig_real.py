@@ -30,10 +30,10 @@ from conformance.probe import Probe
 from conformance.rig import SECOND_NS, NotStopped, Rig, RigFault
 from conformance.safety import messages as say
 from conformance.safety import settings
-from conformance.safety.guarded import GuardedLine, GuardLost
+from conformance.safety.guarded import GuardedLine
 from conformance.safety.journal import Entry, Journal
 from conformance.safety.keeper import Keeper
-from conformance.safety.stopping import MAY_MOVE, cut_power, stop_or_cut
+from conformance.safety.stopping import MAY_MOVE, GuardLost, cut_power, stop_or_cut
 from conformance.target import Target
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class RealRig(Rig):
     def _open_gate(self) -> Gate:
         return Gate(self._line, self._allowance)
 
-    def _tell(self, message: say.Looked | say.Acquaint | say.Stands) -> None:
+    def _tell(self, message: say.Looked | say.Acquaint | say.Stands | say.Back) -> None:
         """Tell the guard something, where there is one."""
         if isinstance(self._line, GuardedLine):
             self._line.tell(message)
@@ -144,8 +144,9 @@ class RealRig(Rig):
 
     def probe(self, claim: Claim) -> Probe:
         """Return a probe of the drive."""
-        if self._allowance.turns is not None and MAY_MOVE & claim.risks:
-            # A move to a place is as long as the way there.
+        bounded = self._allowance.turns is not None or self._allowance.speed is not None
+        if bounded and MAY_MOVE & claim.risks:
+            # A move to a place is as long as the way there, and a speed is as fast as the subdivision makes it.
             acquaint(Dialogue(self.gate, [self.dialect]), self.dialect, self.address)
             self._tell(say.Acquaint())
         return Probe(self, claim)
@@ -169,7 +170,10 @@ class RealRig(Rig):
         told = self.keeper.put_back(link_only=True) if self.keeper.moved_away else ""
         if self._moved:
             self._stop()
-        told = self.keeper.put_back() if self.keeper.changed else told
+        if self.keeper.changed:
+            told = self.keeper.put_back()
+            if not told:
+                self._is_back()
         return f"not put back: {told}" if told else ""
 
     def _stop(self) -> None:
@@ -183,6 +187,12 @@ class RealRig(Rig):
             raise
         self._moved = False
         self._tell(say.Stands())
+
+    def _is_back(self) -> None:
+        """Say that the settings are what they were: the subdivision, which says how fast a speed is, among them."""
+        if self._allowance.subdivision is not None:
+            self.gate.note_subdivision(self._allowance.subdivision)
+        self._tell(say.Back())
 
     # --- the end ------------------------------------------------------------------------------------------------------
 

@@ -7,7 +7,7 @@ A session holds a model of the drive: mode, settings, enabled, moving, position.
 model says of its answer, and what the model is then; after each step the drive is compared with it. Steps are data, so that
 a sequence can be repeated, shortened, stored and read again (`steps_text`, `parse_steps`).
 
-    conformance.session_mks, session_lk     the models         conformance.machine     draws sequences of steps
+    conformance.session_mks, session_lk    the models     steps_mks, steps_lk    what is drawn     machine    draws it
 
 Rules kept here:
 - What the manual leaves open is not modelled: the model asks the drive and goes on from there.
@@ -83,9 +83,6 @@ class Kind:
 
 class Session(ABC):
     """One drive and the model of it. `steps`: what was done, `done`: how many. `room`: bounds of motion."""
-
-    #: Kinds of steps by name, of every variant.
-    kinds: Mapping[str, Kind]
 
     def __init__(self, probe: Probe) -> None:
         self.probe = probe

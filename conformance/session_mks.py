@@ -17,36 +17,27 @@ Not modelled: limits and homing (nobody knows where a real drive has its switche
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from analyzer.catalogue import Command, Risk, Verb
+from analyzer.catalogue import Command, Verb
 from analyzer.protocols.mks_shared import COUNTS_PER_TURN, MODE_MAXIMUM_SPEEDS
-from conformance import journey, limits, moving, ramp, samples
+from conformance import journey, moving, ramp
 from conformance.claims.answers import Taken, judged, once, refusable
 from conformance.claims.effects import LINK_FIELDS, pulse_counts
 from conformance.claims.restarts import restart
 from conformance.exchange import Exchange
 from conformance.moving import MS
 from conformance.probe import Until
-from conformance.room import Room
-from conformance.session import Kind, Session
+from conformance.session import Session
 
 if TYPE_CHECKING:
-    from hypothesis.strategies import SearchStrategy
+    pass
 
 #: Counts by which a position may be off, and the share and rpm by which a speed may.
 PLAY, SPEED_SHARE, SPEED_PLAY = 30, 0.03, 2.0
-#: The longest move, in turns, and speeds and accelerations of motion where no bound is lower.
-LONGEST, SLOWEST, FASTEST, GENTLEST, STEEPEST = 0.5, 30, 300, 200, 249
 #: Nothing is said of F1 until so long after a motion.
 QUIET_NS = 1_200 * MS
-MOTIONS = ("run_speed", *(v.value for v in journey.MOVES))
-#: Settings that a motor cannot move without, or that a switch decides: left alone where the motor is to move for real.
-_STRONG = frozenset({"current", "home_current", "holding_current", "stall_tolerance", "end_limit", "limit_remap", "protection"})
-#: Settings that motion depends on.
-TELLING = (Verb.SET_WORK_MODE, Verb.SET_SUBDIVISION, Verb.SET_RESPOND, Verb.SET_DIRECTION, Verb.SET_AXIS_LOCK)
 
 
 class MksSession(Session):
@@ -245,12 +236,16 @@ class MksSession(Session):
         """Ask for a motion and listen until it has said all that it will; `counts`: how far it goes."""
         respond, active = self.held.get("respond", 1), self.held.get("active", 1)
         tells = journey.tells(self.dialect) and verb is not Verb.RUN_SPEED
-        until = Until.TIMEOUT if not respond else Until.DONE if active and tells else Until.REPLY
-        longest_ns = 8_000 * MS
+        lasts_ns = 0.0
         if counts:
-            turns, rpm = counts / COUNTS_PER_TURN, self._real(values["speed"])
-            longest_ns += int(ramp.move_ns(turns, rpm, values["acceleration"]))
-        timeout_ns = {Until.TIMEOUT: 300 * MS, Until.DONE: longest_ns}.get(until)
+            lasts_ns = ramp.move_ns(counts / COUNTS_PER_TURN, self._real(values["speed"]), values["acceleration"])
+        elif self.running:
+            lasts_ns = ramp.ramp_ns(self.running, 0, values["acceleration"])
+        # Where the end is not to be told, it is listened for until it is over.
+        until = Until.REPLY if not tells else Until.DONE if respond and active else Until.TIMEOUT
+        if not respond:
+            until = Until.TIMEOUT
+        timeout_ns = {Until.TIMEOUT: int(lasts_ns) + 500 * MS, Until.DONE: int(lasts_ns) + 8_000 * MS}.get(until)
         return self.clean(self.probe.ask(verb, values, until=until, timeout_ns=timeout_ns))
 
     def _told(self, exchange: Exchange, ready: bool, what: str) -> None:
@@ -380,9 +375,6 @@ def _statuses(seen: list[int]) -> str:
     return " then ".join(map(str, seen)) or "by silence"
 
 
-# --- what is drawn ----------------------------------------------------------------------------------------------------
-
-
 def settable(session: MksSession) -> list[Command]:
     """Return the settings that a session may set: none of the link, of power-on or of the flash."""
     found = []
@@ -394,182 +386,3 @@ def settable(session: MksSession) -> list[Command]:
         if command.all_risks <= session.probe.rig.allowed:
             found.append(command)
     return found
-
-
-def _values(session: MksSession, command: Command, *, telling: bool) -> SearchStrategy[dict[str, int]]:
-    from hypothesis import strategies as st
-
-    from conformance import strategies
-
-    form = command.request_forms[0]
-    drawn: dict[str, Any] = {"command": st.just(command.code)}
-    plain = samples.sample(session.dialect, command, form)
-    for name, field in form.layout.named.items():
-        if name in _STRONG and (session.probe.drive is None or telling):
-            drawn[name] = st.just(plain[name])
-        elif telling and name == "subdivision":
-            drawn[name] = st.sampled_from([n for n in (16, 32, 64, 128, 0) if field.allows(n)])
-        else:
-            drawn[name] = strategies.inside(field, session.room)
-    return st.fixed_dictionaries(drawn)
-
-
-@dataclass(frozen=True)
-class _Drawn:
-    """What strategies of settings depend on; they are made once for each."""
-
-    dialect: str
-    model: str
-    allowed: frozenset[Risk]
-    real: bool
-    room: Room
-    what: str
-
-
-_made: dict[_Drawn, SearchStrategy[dict[str, int]]] = {}
-
-
-def _kept(what: str, make: Callable[[MksSession], SearchStrategy[dict[str, int]]]) -> Any:
-    def draw(session: MksSession) -> SearchStrategy[dict[str, int]]:
-        rig = session.probe.rig
-        real = session.probe.drive is None
-        key = _Drawn(session.dialect.name, session.dialect.model, rig.allowed, real, session.room, what)
-        if key not in _made:
-            _made[key] = make(session)
-        return _made[key]
-
-    return draw
-
-
-def _settings(session: MksSession) -> SearchStrategy[dict[str, int]]:
-    from hypothesis import strategies as st
-
-    return st.one_of([_values(session, c, telling=False) for c in settable(session)])
-
-
-def _telling(session: MksSession) -> SearchStrategy[dict[str, int]]:
-    from hypothesis import strategies as st
-
-    chosen = [c for c in settable(session) if c.verb in TELLING]
-    return st.one_of([_values(session, c, telling=True) for c in chosen])
-
-
-def _strays(session: MksSession) -> SearchStrategy[dict[str, int]]:
-    from hypothesis import strategies as st
-
-    from conformance import strategies
-
-    drawn = []
-    for command in settable(session):
-        layout = command.request_forms[0].layout
-        if any(limits.beyond(f) for f in layout.named.values()):
-            drawn.append(st.tuples(st.just(command.code), strategies.strays(layout, session.room)))
-    return st.one_of(drawn).map(lambda pair: {"command": pair[0], **pair[1].values})
-
-
-def _paces(session: MksSession) -> dict[str, Any]:
-    """Return strategies of speed and acceleration within the bounds."""
-    from hypothesis import strategies as st
-
-    bounds = session.room.bounds
-    fastest = min(FASTEST, int(bounds.speed or FASTEST))
-    steepest = min(STEEPEST, int(bounds.acceleration or STEEPEST))
-    slowest, gentlest = min(SLOWEST, fastest), min(GENTLEST, steepest)
-    return {"speed": st.integers(slowest, fastest), "acceleration": st.integers(gentlest, steepest)}
-
-
-def _draw_run(session: MksSession) -> SearchStrategy[dict[str, int]]:
-    from hypothesis import strategies as st
-
-    return st.fixed_dictionaries({"direction": st.integers(0, 1), **_paces(session)})
-
-
-def _draw_move(unit: str) -> Any:
-    def draw(session: MksSession) -> SearchStrategy[dict[str, int]]:
-        from hypothesis import strategies as st
-
-        longest = min(LONGEST, session.room.bounds.turns or LONGEST)
-        # Half a turn at 16 subdivisions, less at finer ones.
-        units = int(longest * (COUNTS_PER_TURN if unit == "counts" else 3200))
-        amounts = st.one_of(st.integers(units // 8, units), st.integers(-units, -units // 8))
-        return st.fixed_dictionaries({unit: amounts, **_paces(session)})
-
-    return draw
-
-
-def _nothing(session: MksSession) -> SearchStrategy[dict[str, int]]:
-    from hypothesis import strategies as st
-
-    return st.just({})
-
-
-def _draw_enable(session: MksSession) -> SearchStrategy[dict[str, int]]:
-    from hypothesis import strategies as st
-
-    lets_go = Risk.TORQUE in session.probe.rig.allowed
-    # To a motor that may be enabled already, letting go is what changes something.
-    return st.fixed_dictionaries({"enabled": st.sampled_from(([0, 1] if session.enabled else [1, 0]) if lets_go else [1])})
-
-
-def _draw_stop(session: MksSession) -> SearchStrategy[dict[str, int]]:
-    from hypothesis import strategies as st
-
-    motions = st.integers(0, len(journey.STOP_OF) - 1)
-    return st.fixed_dictionaries({"motion": motions, "acceleration": _paces(session)["acceleration"]})
-
-
-def _draw_user_id(session: MksSession) -> SearchStrategy[dict[str, int]]:
-    from hypothesis import strategies as st
-
-    return st.fixed_dictionaries({"user_id": st.integers(0, 0xFFFFFFFF)})
-
-
-def _stands(session: MksSession) -> bool:
-    return not session.running
-
-
-def _by_bus(session: MksSession) -> bool:
-    return session.by_bus
-
-
-def _can_stop(session: MksSession) -> bool:
-    return not session.by_bus or session.enabled is True
-
-
-_MOVING = frozenset({Risk.MOTION})
-_SETTING = frozenset({Risk.SETTING})
-_RESTARTING = frozenset({Risk.TORQUE, Risk.POWER_ON})
-
-_EVERY = (
-    Kind("setting", _kept("setting", _settings), risks=_SETTING),
-    Kind("telling", _kept("telling", _telling), _stands, _SETTING),
-    Kind("stray", _kept("stray", _strays), risks=_SETTING),
-    Kind("user_id", _draw_user_id, lambda s: Verb.WRITE_USER_ID in s.dialect.by_verb, _SETTING),
-    Kind("restart", _nothing, risks=_RESTARTING),
-    Kind("enable", _draw_enable, risks=_MOVING),
-    Kind("emergency_stop", _nothing, _by_bus, _MOVING),
-    Kind("stop", _draw_stop, _can_stop, _MOVING),
-    Kind("run_speed", _draw_run, risks=_MOVING | {Risk.UNBOUNDED}),
-    Kind("move_relative_pulses", _draw_move("pulses"), _stands, _MOVING),
-    Kind("move_absolute_pulses", _draw_move("pulses"), _stands, _MOVING),
-    Kind("move_relative_axis", _draw_move("counts"), _stands, _MOVING),
-    Kind("move_absolute_axis", _draw_move("counts"), _stands, _MOVING),
-    Kind("set_zero", _nothing, _stands, _SETTING),
-    Kind("look", _nothing),
-)
-KINDS: Mapping[str, Kind] = {kind.name: kind for kind in _EVERY}
-MksSession.kinds = KINDS
-
-#: Which kinds of steps each variant draws; a name that stands twice is drawn twice as often.
-VARIANTS: Mapping[str, tuple[str, ...]] = {
-    "settings": ("setting", "setting", "stray", "user_id", "restart", "look"),
-    "motion": (
-        "run_speed", "stop", "move_relative_pulses", "move_absolute_pulses", "move_relative_axis", "move_absolute_axis",
-        "emergency_stop", "set_zero", "look",
-    ),
-    "mixed": (
-        "telling", "telling", "stray", "enable", "enable", "restart", "run_speed", "stop", "move_relative_pulses",
-        "move_absolute_axis", "move_relative_axis", "move_absolute_pulses", "emergency_stop", "set_zero", "look",
-    ),
-}  # fmt: skip
-

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 #: Claims that a worker takes at once.
 _BATCH = 12
 #: Claims of each theme that a short run has at least.
-_OF_EACH_THEME = 2
+_OF_EACH_THEME = 1
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Plan:
 
 
 def shortened(claims: Sequence[Claim]) -> list[Claim]:
-    """Return one claim for each command, of another theme for each, and two of each theme; in their order.
+    """Return one claim for each command, of another theme for each, and one of each theme; in their order.
 
     It is for lines on which time passes: a look at everything, in a minute or two.
     """

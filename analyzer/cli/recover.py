@@ -14,8 +14,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-import msgspec
-
 from analyzer.cli.interrupt import Interrupt
 from analyzer.cli.output import Output
 from analyzer.cli.reading import clean, showing_progress
@@ -24,7 +22,6 @@ from analyzer.live import checkpoint, config
 from analyzer.live.lock import RUNNING, Lock
 from analyzer.live.log_parts import log_of
 from analyzer.live.recorder import Recorder
-from analyzer.live.recording import load_start
 from analyzer.live.spool import segments, spool_folder, stems
 from analyzer.moments import iso
 from analyzer.parts import base_of, parts_named
@@ -85,7 +82,7 @@ def _target(arguments: argparse.Namespace) -> Path | None:
 def _finish(folder: Path) -> list[Path]:
     """Go on with a recording to the end of its spools; return its logs."""
     log = log_of(folder, config.load(folder))
-    load_start(folder)
+    checkpoint.load(folder)
     taken = f"{log} is being recorded; stop the recording, then recover what is left to be recovered"
     with Lock(folder, RUNNING, taken=taken), Interrupt() as interrupt:
         before = _spooled(folder)
@@ -136,7 +133,7 @@ def _finish_copy(folder: Path, target: Path, replace: bool) -> None:
 def _spooled(folder: Path) -> int:
     """Return how many bytes the spools hold that are not in the log yet."""
     size = 0
-    with contextlib.suppress(OSError, msgspec.MsgspecError):
+    with contextlib.suppress(OSError):
         start = checkpoint.load(folder)
         done = {stem: (s.segment, s.place) for stem, s in start.spools.items()} if start is not None else {}
         for stem in stems(folder):

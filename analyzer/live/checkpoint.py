@@ -23,6 +23,7 @@ import msgspec
 from analyzer.catalogue import Role
 from analyzer.codec import Violation
 from analyzer.context import Context, Outcome, Request, State
+from analyzer.errors import UnreadableError
 from analyzer.framer import _Mark
 from analyzer.records import CanFrame, Frame, Lane, Message
 from analyzer.sinks.object_table import Table, TablePickler, TableUnpickler
@@ -93,12 +94,13 @@ class Checkpoint(msgspec.Struct, kw_only=True):
 
 
 def load(folder: Path) -> Checkpoint | None:
-    """Return the checkpoint of a folder, None where there is none. Raises OSError, msgspec.MsgspecError."""
+    """Return the checkpoint of a folder, None where there is none. Raises UnreadableError for one that is damaged."""
     try:
-        data = (folder / NAME).read_bytes()
+        return msgspec.msgpack.decode((folder / NAME).read_bytes(), type=Checkpoint)
     except FileNotFoundError:
         return None
-    return msgspec.msgpack.decode(data, type=Checkpoint)
+    except msgspec.MsgspecError as error:
+        raise UnreadableError(f"{folder / NAME} cannot be read: {error}") from None
 
 
 # --- the state of decoding ------------------------------------------------------------------------------------------

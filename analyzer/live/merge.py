@@ -19,7 +19,7 @@ from analyzer.live.spool import Record, SpoolReader
 PATIENCE_NS = 200_000_000
 #: Records of a spool that wait at most before it is not read on, and bytes read at a time.
 WAITING_LIMIT = 20_000
-READ_SIZE = 1 << 18
+READ_SIZE = 1 << 16
 #: Beyond every time.
 NEVER_NS = 1 << 63
 

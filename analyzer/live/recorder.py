@@ -110,6 +110,7 @@ class Recorder:
         recording, merger = self.recording, self.recording.merger
         flushed_ns = self._new_ns = time.monotonic_ns()
         self._patiently(recording.flush)
+        flushed_at = recording.parts.file.position
         while True:
             now_ns = time.monotonic_ns()
             if recording.take(merger.take(None if self._final else now_ns)):
@@ -119,10 +120,12 @@ class Recorder:
                 self._patiently(recording.flush)
             if recording.rotation_due:
                 recording.rotate(self._patiently)
-                flushed_ns = now_ns
-            if now_ns - flushed_ns >= FLUSH_NS:
+                flushed_ns, flushed_at = now_ns, recording.parts.file.position
+            # Where much is to be caught up with, whole chunks go out by themselves: a checkpoint stands behind each.
+            if now_ns - flushed_ns >= FLUSH_NS or recording.parts.file.position != flushed_at:
                 flushed_ns = now_ns
                 self._patiently(recording.flush)
+                flushed_at = recording.parts.file.position
             self._show(now_ns)
             if until():
                 self._patiently(recording.flush)

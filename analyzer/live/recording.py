@@ -12,7 +12,6 @@ Not known here: processes, clocks, when to flush.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,13 +19,12 @@ from typing import Any
 from analyzer import events
 from analyzer.catalogue import Role
 from analyzer.detect import Choice
-from analyzer.errors import UnreadableError
 from analyzer.framer import SILENCE_NS
-from analyzer.live import checkpoint
+from analyzer.live import checkpoint, going_on
 from analyzer.live.bus import Bus, buses_of
-from analyzer.live.checkpoint import Checkpoint, SpoolState
 from analyzer.live.config import CONTROL, PortConfig, RecordingConfig
 from analyzer.live.happening import values_of
+from analyzer.live.holding import Holding
 from analyzer.live.log_parts import LogParts
 from analyzer.live.merge import NEVER_NS, Merger, Spool
 from analyzer.live.spool import CanFlag, Kind, Record
@@ -39,11 +37,9 @@ from analyzer.sinks.recording_log import RecordingLog
 
 #: A part is rotated in the midst of a frame when there was no better place for this long.
 SEAM_NS = 1_000_000_000
-#: What a new dialect waits for at most: a pause on its bus.
-CHANGE_NS = 2_000_000_000
 
 
-class _Follow:
+class Follow:
     """What is known of one spool beside its records."""
 
     def __init__(self, bus: Bus | None, port: PortConfig | None) -> None:
@@ -74,63 +70,55 @@ class Recording:
         self.config = config
         self.parts = parts
         known = as_model(config.model)
-        self._known = known
-        self._table = Table(list(known.values()))
+        self.known = known
+        self.table = Table(list(known.values()))
         self.buses = buses_of(config, known)
-        self._follows: dict[str, _Follow] = {CONTROL: _Follow(None, None)}
+        self.follows: dict[str, Follow] = {CONTROL: Follow(None, None)}
         for port in config.ports:
-            self._follows[port.stem] = _Follow(self.buses[port.bus], port)
+            self.follows[port.stem] = Follow(self.buses[port.bus], port)
         self._shift_ns = config.anchor_utc_ns - config.anchor_monotonic_ns
         self.clock_ns = config.anchor_utc_ns
         #: Records that came too late for their place, and by how much at most.
         self.moved = self.moved_ns = 0
         #: Why the recording ended, empty until then.
         self.ended = ""
-        self._drift_ns = 0
-        self._held: list[tuple[Spool, Record]] | None = None
-        self._held_bus: Bus | None = None
-        self._held_ns = 0
-        #: Dialects that were found later and wait for a pause: since when, and which.
-        self._wanted: dict[str, tuple[int, Choice]] = {}
-        self._looked_ns = 0
+        self.drift_ns = 0
+        self._holding = Holding(self._change)
         self._due_ns: int | None = None
         #: Events of this process that wait for a place between records.
         self._own: list[tuple[str, dict[str, Any]]] = []
         self.tally = Tally(self._junk)
         speeds = {bus.name: bus.load for bus in self.buses.values()}
-        start = checkpoint.load(folder)
-        fresh = start is None or not start.position
-        self.merger = Merger(
-            folder,
-            list(self._follows),
-            {} if start is None or fresh else {stem: (s.segment, s.place) for stem, s in start.spools.items()},
-        )
+        found = checkpoint.load(folder)
+        start = found if found is not None and found.position else None
+        places = {} if start is None else {stem: (s.segment, s.place) for stem, s in start.spools.items()}
+        self.merger = Merger(folder, list(self.follows), places)
         self.spools = {spool.stem: spool for spool in self.merger.spools}
-        if start is None or fresh:
-            file = parts.begin(1, lambda: self._checkpoint(empty=True), mine=start is not None)
+        if start is None:
+            file = parts.begin(1, lambda: going_on.save_beginning(self), mine=found is not None)
         else:
             file = parts.resume(start)
         self.log = RecordingLog(file, speeds=speeds)
         sinks: tuple[Sink, ...] = (self.log, self.tally, *watch)
         options = Options(late_ns=config.late_ns, groups=frozenset(config.groups))
         self.pipeline = Pipeline(list(known.values()), sinks, options, on_setup=Setups(known))
-        if start is None or fresh:
+        if start is None:
             self._open_part()
         else:
-            self._resume(start)
+            going_on.go_on(self, start)
 
     # --- parts of the log -----------------------------------------------------------------------------------------
 
     def _open_part(self) -> None:
         """Say at the beginning of a part all that is needed to read it by itself."""
-        self._declare()
+        self.declare()
         part, previous = self.parts.number, self.parts.previous
         self._feed_event("", "part", {"part": part, **({"previous": previous} if previous else {}), **self._choices()})
         for bus in self.buses.values():
             self._feed_event(bus.name, events.PORT, bus.setup())
         self.log.describe(self.parts.METADATA, self._about())
 
-    def _declare(self) -> None:
+    def declare(self) -> None:
         """Declare the raw topics. Of a CAN bus the decoded frames are all that came, so it needs none beside them."""
         for bus in self.buses.values():
             if bus.kind == "serial" or self.config.raw_only:
@@ -147,8 +135,8 @@ class Recording:
         return values
 
     def _about(self) -> dict[str, str]:
-        values = {**self.parts.about(), **self.tally.about(), "drift_ns": str(self._drift_ns)}
-        used = {name: self._known[name] for bus in self.buses.values() for name in names(bus.dialects)}
+        values = {**self.parts.about(), **self.tally.about(), "drift_ns": str(self.drift_ns)}
+        used = {name: self.known[name] for bus in self.buses.values() for name in names(bus.dialects)}
         values["dialect"] = ",".join(used)
         values["manual"] = "; ".join(d.manual for d in used.values())
         values["dialect_reason"] = "; ".join(f"{bus.name}: {bus.reason}" for bus in self.buses.values() if bus.reason)
@@ -207,13 +195,13 @@ class Recording:
         """Bring everything so far into the log and note where it stands. Raises OSError; then call it again."""
         self.log.tick(self.clock_ns)
         self.log.flush()
-        self._checkpoint()
+        going_on.save(self)
         for spool in self.spools.values():
             spool.reader.drop_before(spool.position[0])
 
     def finish(self, patiently: Callable[[Callable[[], None]], None]) -> None:
         """Make the log whole: nothing more comes."""
-        self._release(final=True)
+        self._release(NEVER_NS, final=True)
         self.pipeline.close()
         patiently(self.log.flush)
         # Even now the disk may have been full.
@@ -232,7 +220,7 @@ class Recording:
     @property
     def readers_ended(self) -> bool:
         """Every reader has said that it ends."""
-        return all(follow.ended for follow in self._follows.values() if follow.bus is not None)
+        return all(follow.ended for follow in self.follows.values() if follow.bus is not None)
 
     # --- records --------------------------------------------------------------------------------------------------
 
@@ -245,15 +233,16 @@ class Recording:
         return count
 
     def _take(self, spool: Spool, record: Record) -> None:
-        if self._held is not None:
+        if self._holding.active:
             self._hold(spool, record)
             return
         kind = record.kind
-        follow = self._follows[spool.stem]
+        follow = self.follows[spool.stem]
         if kind == Kind.DATA or kind == Kind.CAN:
-            detection = follow.bus.detection if follow.bus is not None else None
-            if detection is not None and not detection.dialects and not self.config.raw_only:
-                self._held, self._held_bus, self._held_ns = [], follow.bus, record.t_ns
+            bus = follow.bus
+            assert bus is not None  # the spool of the recording itself has no traffic
+            if bus.detection is not None and not bus.detection.dialects and not self.config.raw_only:
+                self._holding.begin(bus, record)
                 self._hold(spool, record)
                 return
         if follow.expected is not None and record.before > follow.expected:
@@ -284,7 +273,7 @@ class Recording:
         self.clock_ns = utc_ns
         return utc_ns
 
-    def _data(self, follow: _Follow, record: Record) -> None:
+    def _data(self, follow: Follow, record: Record) -> None:
         bus = follow.bus
         assert bus is not None  # the spool of the recording itself has none
         t_ns, data = self._now(record.t_ns), record.data
@@ -297,11 +286,11 @@ class Recording:
         if not self.config.raw_only:
             if bus.detection is not None:
                 bus.detection.add(chunk)
-            self._decode(bus, chunk)
+            self.decode(bus, chunk)
         self.tally.bytes += size
         self.log.raw(chunk, offset, t_ns - size * follow.byte_ns)
 
-    def _can(self, follow: _Follow, record: Record) -> None:
+    def _can(self, follow: Follow, record: Record) -> None:
         bus = follow.bus
         assert bus is not None  # as above
         t_ns = self._now(record.t_ns)
@@ -326,9 +315,10 @@ class Recording:
             return
         if bus.detection is not None:
             bus.detection.add(frame)
-        self._decode(bus, frame)
+        self.decode(bus, frame)
 
-    def _decode(self, bus: Bus, item: Chunk | CanFrame) -> None:
+    def decode(self, bus: Bus, item: Chunk | CanFrame) -> None:
+        """Decode what came on a bus."""
         try:
             self.pipeline.feed(item)
         # Nothing that comes over a wire may end a recording; that it happened stands in the log.
@@ -340,7 +330,7 @@ class Recording:
             text = f"{type(error).__name__}: {error} at byte {bus.offset - len(item.data)}: {item.data[:64].hex(' ').upper()}"
             self._own.append((bus.name, {"event": "fault", "text": text}))
 
-    def _idle(self, follow: _Follow, t_ns: int) -> None:
+    def _idle(self, follow: Follow, t_ns: int) -> None:
         """End what waits on a bus that was quiet long enough, and note that so that it can be done again."""
         bus = follow.bus
         if bus is None or bus.kind != "serial" or not bus.sounded or t_ns - bus.last_ns <= SILENCE_NS:
@@ -350,7 +340,7 @@ class Recording:
             self.pipeline.silence(bus.name)
         self.log.silence(t_ns, bus.name, bus.offset)
 
-    def _missing(self, follow: _Follow, record: Record) -> None:
+    def _missing(self, follow: Follow, record: Record) -> None:
         """Tell what its reader counted and did not store, unless this is the record that says so."""
         bus = follow.bus
         if bus is None or (record.kind == Kind.EVENT and record.event.get("event") == "dropped"):
@@ -363,7 +353,7 @@ class Recording:
 
     # --- events ---------------------------------------------------------------------------------------------------
 
-    def _event(self, follow: _Follow, record: Record) -> None:
+    def _event(self, follow: Follow, record: Record) -> None:
         noted = record.event
         name = str(noted.get("event", ""))
         t_ns = self._now(record.t_ns)
@@ -387,21 +377,22 @@ class Recording:
             if events.KINDS.get(name, events.KINDS["end"]).cuts:
                 bus.sounded = False
         elif name == "clock_drift":
-            self._drift_ns = int(noted.get("offset_ns", 0))
+            self.drift_ns = int(noted.get("offset_ns", 0))
         elif name == "end":
             self.ended = str(noted.get("reason", "")) or "ended"
         self._feed_event("" if bus is None else bus.name, name, values)
 
-    def _set_speed(self, bus: Bus, speed: int | None, byte_ns: int) -> None:
+    def set_speed(self, bus: Bus, speed: int | None, byte_ns: int) -> None:
+        """Take the speed that a bus has from here on, with all its ports."""
         bus.speed, bus.byte_ns = speed, byte_ns
-        for follow in self._follows.values():
+        for follow in self.follows.values():
             if follow.bus is bus:
                 follow.byte_ns = byte_ns
 
     def _new_speed(self, bus: Bus, values: dict[str, Any]) -> dict[str, Any]:
         """Take over the speed that a line has from here on; return all that is known of it."""
         speed, byte_ns = values.get("speed"), values.get("byte_ns")
-        self._set_speed(
+        self.set_speed(
             bus, speed if isinstance(speed, int) else bus.speed, byte_ns if isinstance(byte_ns, int) else bus.byte_ns
         )
         return {**bus.setup(), **values}
@@ -415,11 +406,10 @@ class Recording:
 
     def settle(self, horizon_ns: int) -> None:
         """Do what waits for a place between records, everything before `horizon_ns` (monotonic) being dealt with."""
-        if self._held is not None:
-            self._release(horizon_ns=horizon_ns)
-        if self._held is None:
+        self._release(horizon_ns)
+        if not self._holding.active:
             self._feed_own()
-            self._look_again()
+            self._holding.look_again(self.buses.values(), self.clock_ns - self._shift_ns)
 
     def _feed_own(self) -> None:
         own, self._own = self._own, []
@@ -429,53 +419,21 @@ class Recording:
     # --- dialects -------------------------------------------------------------------------------------------------
 
     def _hold(self, spool: Spool, record: Record) -> None:
-        """Keep a record back, for the dialect of a bus is not known yet; release all when it is."""
-        assert self._held is not None
-        self._held.append((spool, record))
-        bus = self._held_bus
-        follow = self._follows[spool.stem]
-        if bus is None or bus.detection is None:
-            return
-        if follow.bus is bus and record.kind == Kind.DATA:
-            bus.detection.add(Chunk(record.t_ns, bus.name, record.data, follow.role))
-        elif follow.bus is bus and record.kind == Kind.CAN:
-            can_id, flags, data = record.can
-            bus.detection.add(CanFrame(record.t_ns, bus.name, can_id, data, extended=bool(flags & CanFlag.EXTENDED)))
-        self._release(horizon_ns=record.t_ns)
+        """Keep a record back, for the dialect of a bus is not known yet; deal with all when it is."""
+        self._holding.add(spool, record, self.follows[spool.stem].bus)
+        self._release(record.t_ns)
 
-    def _release(self, horizon_ns: int = 0, *, final: bool = False) -> None:
-        """Decide on the dialect of a bus if that can be, or has to be, and deal with what was held back."""
-        while self._held is not None:
-            bus = self._held_bus
-            assert bus is not None
-            assert bus.detection is not None
-            choice = bus.detection.first(horizon_ns, final=final)
-            if choice is None:
+    def _release(self, t_ns: int, *, final: bool = False) -> None:
+        # What was held back of one bus may be the first that comes of another.
+        while self._holding.active:
+            held = self._holding.release(t_ns, final=final)
+            if not held:
                 return
-            held, self._held = self._held, None
-            self._now(self._held_ns)
-            self._change(bus, choice)
             for spool, record in held:
                 self._take(spool, record)
 
-    def _look_again(self) -> None:
-        """Once a second: whether what a bus is in has changed. The change waits for a pause, or for `CHANGE_NS`."""
-        for name, (since_ns, choice) in list(self._wanted.items()):
-            bus = self.buses[name]
-            if not bus.sounded or self.clock_ns - since_ns > CHANGE_NS:
-                del self._wanted[name]
-                self._change(bus, choice)
-        if self.clock_ns - self._looked_ns < 1_000_000_000:
-            return
-        self._looked_ns = self.clock_ns
-        for name, bus in self.buses.items():
-            detection = bus.detection
-            if detection is not None and detection.dialects and name not in self._wanted:
-                found = detection.again(self.clock_ns - self._shift_ns)
-                if found is not None:
-                    self._wanted[name] = self.clock_ns, found
-
-    def _change(self, bus: Bus, choice: Choice) -> None:
+    def _change(self, bus: Bus, choice: Choice, t_ns: int) -> None:
+        self._now(t_ns)
         bus.dialects, bus.reason = choice.dialects, choice.reason
         self._feed_event(bus.name, events.DIALECT, {**bus.setup(), "reason": choice.reason})
 
@@ -483,86 +441,3 @@ class Recording:
         bus = self.buses.get(port)
         if bus is not None and bus.detection is not None:
             bus.detection.junk(size)
-
-    # --- going on after a kill ------------------------------------------------------------------------------------
-
-    def _checkpoint(self, *, empty: bool = False) -> None:
-        if empty:
-            Checkpoint(part=self.parts.number, path=self.parts.path.name, position=0).save(self.folder)
-            return
-        buses = {}
-        for name, bus in self.buses.items():
-            state = buses[name] = bus.state()
-            port = self.pipeline.ports.get(name)
-            if port is not None and port.framer is not None:
-                state.pending, state.pending_ns = port.framer.pending, bus.last_ns
-        Checkpoint(
-            **self.parts.state(),
-            log=self.log.state(),
-            spools={
-                stem: SpoolState(
-                    segment=spool.position[0],
-                    place=spool.position[1],
-                    expected=self._follows[stem].expected,
-                    ended=self._follows[stem].ended,
-                )
-                for stem, spool in self.spools.items()
-            },
-            buses=buses,
-            counts=self.tally.state(),
-            clock_ns=self.clock_ns,
-            sequence=self.pipeline.sequence,
-            digest=self._table.digest,
-            decoding=checkpoint.dump_state(self.pipeline.state(), self._table),
-            ended=self.ended,
-            drift_ns=self._drift_ns,
-            moved=(self.moved, self.moved_ns),
-        ).save(self.folder)
-
-    def _resume(self, start: Checkpoint) -> None:
-        self.log.restore(start.log, self.parts.file)
-        for name, state in start.buses.items():
-            if name in self.buses:
-                self.buses[name].restore(state, self._known)
-                if state.byte_ns is not None:
-                    self._set_speed(self.buses[name], state.speed, state.byte_ns)
-                    self.log.learn(name, self.buses[name].load)
-        for stem, spool_state in start.spools.items():
-            if stem in self._follows:
-                self._follows[stem].expected = spool_state.expected
-                self._follows[stem].ended = spool_state.ended
-        self.tally.restore(start.counts)
-        self.clock_ns = start.clock_ns
-        self.ended, self._drift_ns = start.ended, start.drift_ns
-        self.moved, self.moved_ns = start.moved
-        setups = Setups(self._known)
-        values = {name: setups(Event(0, name, events.PORT, bus.setup())) for name, bus in self.buses.items()}
-        known = {name: setup for name, setup in values.items() if setup is not None}
-        self._declare()
-        if start.digest == self._table.digest:
-            with contextlib.suppress(ValueError, KeyError):
-                self.pipeline.restore(checkpoint.load_state(start.decoding, self._table), known)
-                return
-        self._resume_by_bytes(start, known)
-
-    def _resume_by_bytes(self, start: Checkpoint, setups: Mapping[str, Any]) -> None:
-        """Go on without the state of decoding: half frames anew from their bytes, with no request open."""
-        self.pipeline.ports.clear()
-        self.pipeline.sequence = start.sequence
-        for name, setup in setups.items():
-            state = start.buses.get(name)
-            if state is None:
-                continue
-            begin = state.offset - len(state.pending)
-            self.pipeline.set_up(name, type(setup)(setup.dialects, setup.byte_ns, begin))
-            if state.pending:
-                self._decode(self.buses[name], Chunk(state.pending_ns, name, state.pending))
-        self.happened("note", text="another version of servotap goes on with this recording: open requests were given up")
-
-
-def load_start(folder: Path) -> Checkpoint | None:
-    """Return where a recording stands. Raises UnreadableError where that cannot be told."""
-    try:
-        return checkpoint.load(folder)
-    except Exception as error:
-        raise UnreadableError(f"{folder / checkpoint.NAME} cannot be read: {error}") from None

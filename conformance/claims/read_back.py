@@ -6,8 +6,8 @@
     restart    41 keeps what is stored                                     restore    3F puts the defaults back
     power      cutting the power is a restart
 
-This module has what can be read by a parameter read; effects stand in `read_back_effects`, restart and restore in
-`read_back_restart`, LK in `read_back_lk`.
+This module has what can be read by a parameter read; effects stand in `read_back_effects`, restart in `read_back_restart`,
+restore in `read_back_restore`, LK in `read_back_lk`.
 
 Rules kept here:
 - Which settings of a CAN drive can be read is open (the manual names two): one that cannot be read is observed. One that
@@ -22,7 +22,7 @@ from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Verb
 from conformance.claim import Aspect, Claim, Inconclusive, Observed, Refuted, Theme
-from conformance.claims import effects, ranges, read_back_effects, read_back_lk, read_back_restart
+from conformance.claims import effects, ranges, read_back_effects, read_back_lk, read_back_restart, read_back_restore
 from conformance.claims.answers import resting
 from conformance.claims.declare import declare
 from conformance.claims.effects import LINK_FIELDS
@@ -46,6 +46,7 @@ def _claims(dialect: Dialect) -> Iterator[Claim]:
             yield _user_id(dialect, command)
     yield from read_back_effects.claims(dialect)
     yield from read_back_restart.claims(dialect)
+    yield from read_back_restore.claims(dialect)
     yield from read_back_lk.claims(dialect)
 
 

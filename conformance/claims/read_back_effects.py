@@ -2,11 +2,11 @@
 
     work mode     whether the bus can enable the motor          subdivision    how far 200 pulses go
     respond       which replies a move gets                     group          who hears the group's address
-    home          speed and way of homing                       direction      which way a move goes
-    enable level  whether the motor holds in a pulse mode       axis lock      whether it holds when a bus mode begins
-    set zero      the encoder reads 0                           ports          what was written is read
+    home          speed and way of homing                       enable level   whether the motor holds in a pulse mode
+    axis lock     whether it holds when a bus mode begins       ports          what was written is read
 
-Currents, keys, screen, interpolation and pulse delay show nowhere on the bus.
+What settings do to motion in full (direction, speeds, replies) stands in the theme motion. Currents, keys, screen,
+interpolation and pulse delay show nowhere on the bus.
 
 Rules kept here:
 - Ways are compared with each other, never with clockwise: which way a real shaft turns is not judged.
@@ -18,20 +18,14 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
-from analyzer.protocols.mks_shared import COUNTS_PER_TURN
 from conformance import journey, moving
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims import effects, ranges
-from conformance.claims.answers import Taken, judged, plain_read
 from conformance.claims.declare import declare
-from conformance.claims.effects import BY_VERB, STEEP, Effect, shift
-from conformance.claims.known_quirks import known
+from conformance.claims.effects import BY_VERB, Effect
 from conformance.moving import MS
 from conformance.probe import Probe
 
-HASTY = "hasty-writes-dropped"
-#: Two settings with so long between them are in quick succession: real drives were seen to drop such.
-SUCCESSION_NS = 20 * MS
 _HOMING = (Risk.MOTION, Risk.UNBOUNDED, Risk.TORQUE, Risk.SETTING)
 _SPEED_SHARE = 0.06
 
@@ -47,7 +41,6 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     for verb, make in _MORE.items():
         if verb in verbs:
             yield from make(dialect, verbs[verb])
-    yield _succession(dialect)
 
 
 def _effects(dialect: Dialect, command: Command, effect: Effect) -> Iterator[Claim]:
@@ -83,55 +76,10 @@ def _effects(dialect: Dialect, command: Command, effect: Effect) -> Iterator[Cla
 _ERRATA: Mapping[Verb, tuple[str, ...]] = {
     Verb.SET_RESPOND: ("mks-rs485-27", "mks-can-38"),
     Verb.SET_SUBDIVISION: ("mks-rs485-10", "mks-modbus-13", "mks-can-31"),
-    Verb.SET_ZERO: (),
 }
 
 
 # --- home -------------------------------------------------------------------------------------------------------------
-
-
-def _respond(dialect: Dialect, command: Command) -> Iterator[Claim]:
-    """Make the claim that `respond` silences motion alone."""
-
-    def check(probe: Probe) -> None:
-        probe.do(command, {"respond": 0, "active": 0})
-        for what, values in ((Verb.READ_STATUS, {}), (Verb.READ_SPEED, {}), (Verb.SET_SUBDIVISION, {"subdivision": 16})):
-            exchanges = [probe.ask(what, values) for _ in range(3)]
-            if all(e.silent for e in exchanges):
-                name = probe.command(what).name
-                raise Refuted(
-                    f"with respond 0 {name} is not answered", expected="a reply", got="silence, three times",
-                    exchange=exchanges[0], key="respond silences others",
-                )  # fmt: skip
-        probe.do(command, {"respond": 1, "active": 1})
-
-    yield declare(
-        dialect, Theme.READ_BACK, f"{command.name}/answers", "With respond 0 reads and settings are answered all the same.",
-        "silence", check, command=command, aspect=Aspect.STATE, errata=_ERRATA[Verb.SET_RESPOND], fields=("respond",),
-        risks={Risk.SETTING}, settings=("respond", "active", "subdivision"),
-    )  # fmt: skip
-
-
-def _group(dialect: Dialect, command: Command) -> Iterator[Claim]:
-    """Make the claim that a drive in a group is still reached by its own address."""
-
-    def check(probe: Probe) -> None:
-        read = plain_read(dialect)
-        for _ in range(3):
-            probe.reply(probe.ask(read))
-        exchange = probe.do(command, {"group_address": effects.GROUP})
-        after = [probe.ask(read) for _ in range(3)]
-        if all(e.silent for e in after):
-            raise Refuted(
-                f"in the group {effects.GROUP:#x} the drive does not answer at {probe.address}", expected="a reply",
-                got="silence, three times", exchange=exchange, key="group replaces address",
-            )  # fmt: skip
-
-    yield declare(
-        dialect, Theme.READ_BACK, f"{command.name}/own-address", "A drive in a group answers at its own address.", "silence",
-        check, command=command, aspect=Aspect.STATE, fields=("group_address",), risks=command.all_risks, alone=True,
-        settings=("group_address",),
-    )  # fmt: skip
 
 
 def _home(dialect: Dialect, command: Command) -> Iterator[Claim]:
@@ -174,38 +122,6 @@ def _home(dialect: Dialect, command: Command) -> Iterator[Claim]:
             aspect=Aspect.STATE, fields=(name,), at_best=Certainty.CERTAIN if name != "home_trigger" else Certainty.LIKELY,
             risks=moving.risks(dialect, *_HOMING), settings=moving.settings(dialect, *command.request_forms[0].layout.named),
         )  # fmt: skip
-
-
-# --- directions -------------------------------------------------------------------------------------------------------
-
-
-def _direction(dialect: Dialect, command: Command) -> Iterator[Claim]:
-    turns_bus = any("turns motion by the bus too" in note for note in command.notes)
-
-    def check(probe: Probe) -> None:
-        moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
-        move = {"direction": 0, "speed": 60, "acceleration": STEEP, "pulses": 800}
-        gone = []
-        for value in (0, 1):
-            exchange = probe.do(command, {"motor_direction": value})
-            gone.append(shift(probe, Verb.MOVE_RELATIVE_PULSES, move)[0])
-        turned = gone[0] * gone[1] < 0
-        if abs(gone[0]) < 100 or abs(gone[1]) < 100:
-            raise Inconclusive(f"moves of 800 pulses turned the shaft by {gone[0]} and {gone[1]} counts")
-        if turned != turns_bus:
-            words = {True: "opposite ways", False: "the same way"}
-            raise Refuted(
-                f"set_direction 0 and 1 move the shaft {words[turned]}", expected=words[turns_bus], got=f"{gone} counts",
-                exchange=exchange, key="set_direction effect",
-            )  # fmt: skip
-
-    statement = "turns" if turns_bus else "does not turn"
-    yield declare(
-        dialect, Theme.READ_BACK, f"{command.name}/effect", f"set_direction {statement} the way of motion by the bus.",
-        "moves the other way" if not turns_bus else "moves the same way", check, command=command, aspect=Aspect.STATE,
-        at_best=Certainty.LIKELY, fields=("motor_direction",), risks=moving.risks(dialect, Risk.SETTING),
-        settings=moving.settings(dialect, "motor_direction"),
-    )  # fmt: skip
 
 
 # --- holding the shaft ------------------------------------------------------------------------------------------------
@@ -267,52 +183,6 @@ def _axis_lock(dialect: Dialect, command: Command) -> Iterator[Claim]:
     )  # fmt: skip
 
 
-# --- zero -------------------------------------------------------------------------------------------------------------
-
-
-def _set_zero(dialect: Dialect, command: Command) -> Iterator[Claim]:
-    def moved(probe: Probe) -> None:
-        moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
-        move = {"direction": 0, "speed": 60, "acceleration": STEEP, "pulses": 800}
-        if not -1000 < effects.counts(probe) < 1000:
-            return
-        shift(probe, Verb.MOVE_RELATIVE_PULSES, move)
-
-    def check(probe: Probe) -> None:
-        moved(probe)
-        before = effects.counts(probe)
-        exchange = probe.do(command)
-        after = effects.counts(probe)
-        carry = probe.reply(probe.ask(Verb.READ_ENCODER_CARRY)).values
-        whole = carry.get("carry", 0) * COUNTS_PER_TURN + carry.get("encoder", 0)
-        if abs(after) > _PLAY or abs(whole) > _PLAY:
-            raise Refuted(
-                f"after set_zero the encoder reads {after}, and {whole} by 30", expected="0, where it read " + str(before),
-                got=f"{after}, {whole}", exchange=exchange, key="set_zero",
-            )  # fmt: skip
-
-    def stays(probe: Probe) -> None:
-        moved(probe)
-        probe.do(command)
-        gone, _ = shift(probe, Verb.MOVE_ABSOLUTE_AXIS, {"speed": 60, "acceleration": STEEP, "position": 0})
-        if abs(gone) > _PLAY:
-            raise Refuted(f"a move to 0 right after set_zero turns the shaft by {gone} counts", expected="a shaft that stays",
-                          got=f"{gone} counts", key="set_zero move")  # fmt: skip
-
-    for name, statement, refuted_by, judge in (
-        ("read", "Where the shaft is when zero is set, the encoder reads 0.", "another reading", check),
-        ("move", "Zero is where the shaft is: a move to 0 stays there.", "a move", stays),
-    ):
-        yield declare(
-            dialect, Theme.READ_BACK, f"{command.name}/{name}", statement, refuted_by, judge, command=command,
-            aspect=Aspect.STATE, risks=moving.risks(dialect, Risk.SETTING), settings=moving.settings(dialect),
-        )  # fmt: skip
-
-
-#: Counts by which a shaft that is held plays.
-_PLAY = 24
-
-
 # --- ports ------------------------------------------------------------------------------------------------------------
 
 
@@ -369,43 +239,12 @@ def _remap(dialect: Dialect, command: Command) -> Iterator[Claim]:
     )  # fmt: skip
 
 
-# --- one after the other ----------------------------------------------------------------------------------------------
-
-
-def _succession(dialect: Dialect) -> Claim:
-    command = dialect.by_verb[Verb.SET_SUBDIVISION]
-    quirks = known(dialect, HASTY)
-
-    def check(probe: Probe) -> None:
-        for value in (32, 16):
-            built = probe.build(command, {"subdivision": value})
-            probe.gate.wait(SUCCESSION_NS)
-            exchange = probe.send(probe.item(built.frame), timeout_ns=300 * MS)
-            if exchange.silent and quirks:
-                probe.meets(HASTY)
-                return
-            exchange.command = command
-            if judged(probe, exchange) is not Taken.DONE:
-                raise Refuted(f"set_subdivision {value} right after another setting is refused", expected="success",
-                              got=exchange.answers[0].data.hex(" ").upper(), exchange=exchange)  # fmt: skip
-
-    return declare(
-        dialect, Theme.READ_BACK, "settings/in-succession", "Two settings in quick succession are both taken.",
-        "a setting that is not answered, or refused", check, section=command.section, at_best=Certainty.LIKELY, quirks=quirks,
-        risks=command.all_risks, settings=("subdivision",), commands=(command.name,),
-    )  # fmt: skip
-
-
 _Make = Callable[[Dialect, Command], Iterator[Claim]]
 #: What is claimed of settings that show in ways of their own.
 _MORE: Mapping[Verb, _Make] = {
-    Verb.SET_RESPOND: _respond,
-    Verb.SET_GROUP_ADDRESS: _group,
     Verb.SET_HOME: _home,
-    Verb.SET_DIRECTION: _direction,
     Verb.SET_ENABLE_LEVEL: _enable_level,
     Verb.SET_AXIS_LOCK: _axis_lock,
-    Verb.SET_ZERO: _set_zero,
     Verb.WRITE_IO: _ports,
     Verb.SET_LIMIT_REMAP: _remap,
 }

@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_gate_arguments(parser)
     parser.add_argument("--theme", action="append", default=[], metavar="T", help="only this theme; may be repeated")
     parser.add_argument("--claim", action="append", default=[], metavar="ID", help="only these claims; * and ? are patterns")
-    parser.add_argument("--short", action="store_true", help="one claim for each command, two of each theme")
+    parser.add_argument("--short", action="store_true", help="one claim for each command and each theme")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn at random (default 0)")
     parser.add_argument("--jobs", type=_jobs, default=0, metavar="N", help="processes for emulated drives (default: all cores)")
     parser.add_argument("--settings", metavar="FILE", help="JSON: what to put back where the drive cannot be asked")

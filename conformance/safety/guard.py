@@ -28,7 +28,7 @@ import msgspec
 
 from analyzer import dialects
 from analyzer import endpoint as endpoints
-from analyzer.catalogue import Dialect, Risk
+from analyzer.catalogue import Dialect, Risk, Verb
 from analyzer.errors import ServotapError
 from analyzer.records import CanFrame
 from conformance.acquaint import acquaint
@@ -45,6 +45,8 @@ from conformance.safety.restoring import moved_away, restore
 from conformance.safety.stopping import MAY_MOVE, seen_standing, stop_or_cut, stopping
 
 NOT_STOPPED = 20
+#: The subdivision that is sent as 0.
+LARGEST = 256
 _TICK_SECONDS = 0.2
 #: Signals that must not end the guard before the motor stands; the end of the pipe does.
 _SHIELDED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGPIPE")
@@ -90,6 +92,8 @@ class Guard:
         self.gate = Gate(self.line, Allowance(subdivision=begin.subdivision))
         self._drives = [_Watched(_dialect(d), d.address) for d in begin.drives]
         self._not_stopped: NotStopped | None = None
+        #: The subdivision that was last sent, None: none was.
+        self._subdivision: int | None = None
 
     # --- what the suite asks for --------------------------------------------------------------------------------------
 
@@ -123,6 +127,8 @@ class Guard:
         return all(r.command is not None and (r.command.name, dict(r.values)) in there for r in readings)
 
     def _note(self, reading: Reading) -> None:
+        if reading.command is not None and reading.command.verb is Verb.SET_SUBDIVISION and reading.sound:
+            self._subdivision = reading.values.get("subdivision", 0) or LARGEST
         if not reading.risks & MAY_MOVE:
             return
         for drive in self._drives:
@@ -162,6 +168,12 @@ class Guard:
         """Take the suite's word that the drives stand; a stop at the end is sent all the same."""
         for drive in self._drives:
             drive.endless_since, drive.asked = None, False
+        return say.Done(self.gate.now_ns())
+
+    def back(self, request: say.Back) -> say.Answer:
+        """Take it that the subdivision is the user's again, if that is what was sent last."""
+        if self._begin.subdivision is not None and self._subdivision == self._begin.subdivision:
+            self.gate.note_subdivision(self._begin.subdivision)
         return say.Done(self.gate.now_ns())
 
     # --- what the guard does by itself --------------------------------------------------------------------------------
@@ -267,6 +279,7 @@ def _serve(guard: Guard, requests: queue.Queue[say.Request | None], answers: IO[
         say.Looked: Guard.looked,  # type: ignore[dict-item]
         say.Acquaint: Guard.acquaint,  # type: ignore[dict-item]
         say.Stands: Guard.stands,  # type: ignore[dict-item]
+        say.Back: Guard.back,  # type: ignore[dict-item]
     }
     stopped: say.Failed | None = None
     while True:

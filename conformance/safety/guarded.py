@@ -26,6 +26,7 @@ from conformance.gate import Refused
 from conformance.line import Line, LineLost
 from conformance.rig import NotStopped
 from conformance.safety import messages as say
+from conformance.safety.stopping import GuardLost
 
 _ROOT = Path(__file__).parents[2]
 #: How long the guard may take to stop motors and put settings back before it is left alone.
@@ -41,10 +42,6 @@ class RefusedByGuard(Refused):
     def __init__(self, text: str) -> None:
         super().__init__(b"", ())
         self.args = (text,)
-
-
-class GuardLost(LineLost):
-    """The process that owns the port has gone, the port itself perhaps not."""
 
 
 _KINDS: dict[str, Callable[[str], Exception]] = {
@@ -101,7 +98,7 @@ class GuardedLine(Line):
             raise failed
         return cast("say.Done | say.Got", answer)
 
-    def tell(self, request: say.Looked | say.Acquaint | say.Stands) -> None:
+    def tell(self, request: say.Looked | say.Acquaint | say.Stands | say.Back) -> None:
         """Tell the guard something. Raises LineLost."""
         self._ask(request)
 

@@ -88,6 +88,10 @@ class Stands(msgspec.Struct, frozen=True, tag="stands"):
     """The suite has stopped a drive and has seen it stand."""
 
 
+class Back(msgspec.Struct, frozen=True, tag="back"):
+    """The suite has put all settings back."""
+
+
 class End(msgspec.Struct, frozen=True, tag="end"):
     """The suite is done and has stopped and put back everything itself: close the port and end."""
 
@@ -111,7 +115,7 @@ class Failed(msgspec.Struct, frozen=True, tag="failed"):
     text: str
 
 
-Request = Begin | Send | Receive | Speed | Looked | Acquaint | Stands | End
+Request = Begin | Send | Receive | Speed | Looked | Acquaint | Stands | Back | End
 Answer = Done | Got | Failed
 
 

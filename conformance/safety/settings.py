@@ -80,7 +80,7 @@ _OWN_READS = {Verb.WRITE_USER_ID: Verb.READ_USER_ID}
 
 def changes(command: Command) -> bool:
     """Say whether a command changes a setting that has a value: one that can be put back."""
-    if command.verb in _WITHOUT_VALUE or command.name in _COUNTS_ANEW:
+    if command.verb in _WITHOUT_VALUE or command.name in _COUNTS_ANEW or command.slots is not None:
         return False
     return Risk.SETTING in command.all_risks and any(
         f.fixed is None for form in command.request_forms for f in form.layout.named.values()

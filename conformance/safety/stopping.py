@@ -16,6 +16,7 @@ from conformance import moving
 from conformance.allowance import Allowance
 from conformance.claim import Inconclusive
 from conformance.gate import Gate
+from conformance.line import LineLost
 from conformance.probe import Probe
 from conformance.rig import NotStopped
 from conformance.safety.bare import bare_probe
@@ -38,7 +39,14 @@ _LOOK_NS = 100_000_000
 #: How long a ramp may take, and how long a stop at once.
 _RAMP_NS = 15_000_000_000
 _AT_ONCE_NS = 3_000_000_000
+#: A shaft that is as fast as before after this long is not on a ramp: nobody waits for its end.
+_NO_RAMP_NS = 3_000_000_000
+_AS_FAST = 0.95
 _POWER_SECONDS = 20
+
+
+class GuardLost(LineLost):
+    """The process that owns the port has gone, the port itself perhaps not: another one may stop the motor."""
 
 
 def stopping(address: int) -> Allowance:
@@ -70,7 +78,9 @@ def _ask(probe: Probe, verb: Verb) -> None:
 
 def stands(probe: Probe, limit_ns: int) -> str:
     """Return nothing once the shaft was seen standing three times in a row, else what was seen last. Raises LineLost."""
-    until_ns = probe.gate.now_ns() + limit_ns
+    begun_ns = probe.gate.now_ns()
+    until_ns = begun_ns + limit_ns
+    first = 0.0
     seen, told = 0, "nothing was read"
     before: float | None = None
     while probe.gate.now_ns() < until_ns:
@@ -86,6 +96,9 @@ def stands(probe: Probe, limit_ns: int) -> str:
         if seen >= PROOFS:
             return ""
         told = f"speed {speed:.4g} rpm, position {position:.4f} deg" + ("" if before is None else f" after {before:.4f} deg")
+        first = first or abs(speed)
+        if abs(speed) >= max(1.0, _AS_FAST * first) and probe.gate.now_ns() > begun_ns + _NO_RAMP_NS:
+            return told
         before = position
         probe.wait(_LOOK_NS)
     return told
@@ -115,11 +128,11 @@ def cut_power(command: str) -> str:
 def stop_or_cut(gate: Gate, dialect: Dialect, address: int, power: str) -> None:
     """Stop a drive by a gate of its own, through which nothing but that passes.
 
-    Raises NotStopped, after the power command, where it cannot be said that the motor stands.
+    Raises NotStopped, after the power command, where it cannot be said that the motor stands; GuardLost.
     """
     try:
         told = stop(gate.under(stopping(address)), dialect, address)
-    except NotStopped:
+    except (NotStopped, GuardLost):
         raise
     except ServotapError as error:
         # Whatever keeps the stop from being sent or proved, the motor may turn.

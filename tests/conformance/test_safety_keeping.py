@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
@@ -119,7 +120,7 @@ def _lk(rig, number):
 
     probe = bare_probe(rig.dialect, rig.address, rig.gate, "look")
     exchange = probe.ask("read_parameter", {"parameter": number})
-    return {n: v for n, v in probe.reply(exchange).values.items()}
+    return dict(probe.reply(exchange).values)
 
 
 def test_a_setting_that_nobody_tells_is_not_changed(tmp_path):
@@ -222,7 +223,7 @@ def test_writes_keep_their_distance_also_where_things_are_put_back(tmp_path):
         ran(rig, lambda p: p.do("set_current", {"current": 900}) and None, Risk.SETTING)
     times = [t for t, item in rig.left if item.data[0] == 0x83]
     assert len(times) == 4
-    assert min(b - a for a, b in zip(times, times[1:], strict=False)) >= 500_000_000
+    assert min(b - a for a, b in pairwise(times)) >= 500_000_000
     rig.close()
 
 

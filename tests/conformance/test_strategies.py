@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -49,7 +51,7 @@ def test_every_value_of_a_field_is_inside_or_outside(name, model):
         if field.fixed is None:
             assert stretches[0][0] == field.wire_minimum
             assert stretches[-1][1] == field.wire_maximum
-            assert all(a[1] + 1 == b[0] for a, b in zip(stretches, stretches[1:], strict=False))
+            assert all(a[1] + 1 == b[0] for a, b in pairwise(stretches))
 
 
 def test_the_limits_are_those_of_the_model():

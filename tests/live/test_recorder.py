@@ -303,7 +303,7 @@ def test_what_the_decoder_cannot_do_costs_no_byte(tmp_path, monkeypatch):
 
     spools = Spools(tmp_path, LEFT)
     for n in range(10):
-        spools.data("1-left", 100 * n, sum8("FA 01 F6 01 40 02"))
+        spools.data("1-left", 100 * n, sum8("FA 01 F6 0F A0 02"))
         spools.data("1-left", 100 * n + 3, sum8("FB 01 F6 01"))
         spools.idle("1-left", 100 * n + 60)
     spools.end(2000)
