@@ -128,6 +128,11 @@ def _begin(targets: tuple[Target, ...], seed: int, full: bool) -> None:
     _work = (targets, seed, full)
 
 
+def _begin_worker(targets: tuple[Target, ...], seed: int, full: bool) -> None:
+    suite.be_worker()
+    _begin(targets, seed, full)
+
+
 def _one(task: tuple[str, str]) -> Mutant:
     assert _work is not None  # every worker begins with `_begin`
     targets, seed, full = _work
@@ -179,7 +184,7 @@ def mutants(
     # The claims are made before the workers are forked, so that each has them.
     for target in targets:
         suite.every_claim(target)
-    with context.Pool(jobs, _begin, (tuple(targets), seed, full)) as pool:
+    with context.Pool(jobs, _begin_worker, (tuple(targets), seed, full)) as pool:
         yield from pool.imap_unordered(_one, tasks)
 
 

@@ -208,10 +208,14 @@ class LkSession(Session):
         wanted = moderate(form, values)
         self._asked(self.probe.ask(Verb.WRITE_PARAMETER, wanted, form=form))
         self.held[number] = wanted
-        for each in self.forms:
-            held, got = self.held[read_back_lk.number_of(each)], self._parameter(each)
+        # That and its neighbour; `_look` reads all.
+        self._compare_parameters([form, self.forms[(which + 1) % len(self.forms)]])
+
+    def _compare_parameters(self, forms: list[Form]) -> None:
+        for form in forms:
+            held, got = self.held[read_back_lk.number_of(form)], self._parameter(form)
             if got != held:
-                raise self.differs(f"the parameter {each.name}", held, got)
+                raise self.differs(f"the parameter {form.name}", held, got)
 
     def _brake(self) -> None:
         """Hold the standing shaft by the brake, and release it."""
@@ -223,12 +227,14 @@ class LkSession(Session):
                 raise self.differs("the brake", control, state)
 
     def _look(self) -> None:
-        """Read the angle within the turn, which goes with the position."""
+        """Read the angle within the turn, which goes with the position, and all parameters."""
         angle = self.probe.read(Verb.READ_SINGLE_TURN)
         if self.at is not None and not self.running:
             expected = (self.turned + self.at) % TURN
             if min((angle - expected) % TURN, (expected - angle) % TURN) > 2 * PLAY:
                 raise self.differs("the angle within the turn", expected, angle)
+        if self.held:
+            self._compare_parameters(self.forms)
 
 
 def moderate(form: Form, which: int) -> dict[str, int]:

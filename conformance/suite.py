@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import fnmatch
 import multiprocessing
+import signal
 import os
 import tempfile
 from collections import Counter
@@ -195,7 +196,16 @@ def _run_target(plan: Plan, target: Target) -> Iterator[VerdictRecord]:
 _plan: Plan | None = None
 
 
+def be_worker() -> None:
+    """Leave the signals to the process that started this one: it ends its workers by one of them."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
 def _begin(plan: Plan) -> None:
+    be_worker()
     global _plan
     _plan = plan
 

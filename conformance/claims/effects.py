@@ -320,6 +320,8 @@ def _group(probe: Probe) -> str:
     heard = [f"{a:#x}" for a in (GROUP, OTHER_GROUP) if hears(probe, a)]
     if len(heard) != 1:
         sound(probe)
+        if not hears(probe, probe.address):
+            raise Inconclusive("3A does not follow F3 at the drive's own address, so it shows nothing of a group's")
     probe.ask(Verb.ENABLE, {"enabled": 1})
     return f"hears {' and '.join(heard) or 'neither'} of the groups {GROUP:#x} and {OTHER_GROUP:#x}"
 
