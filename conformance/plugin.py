@@ -158,3 +158,20 @@ def pytest_sessionfinish(session: pytest.Session) -> Any:
 def pytest_unconfigure(config: pytest.Config) -> None:
     """Forget the run."""
     _verdicts.clear()
+
+
+@pytest.fixture
+def servo_port() -> Any:
+    """Serve emulated drives on a pseudo-terminal: `servo_port("mks-rs485@1")` is the path that a program opens."""
+    from conformance.fixtures import ports
+
+    with ports() as serve:
+        yield serve
+
+
+@pytest.fixture
+def servo_line() -> Any:
+    """Put emulated drives on a line in virtual time: `servo_line("mks-can@1")` is a `conformance.line.Line`."""
+    from conformance.fixtures import line_of
+
+    return line_of

@@ -8,8 +8,8 @@ from __future__ import annotations
 import contextlib
 import fnmatch
 import multiprocessing
-import signal
 import os
+import signal
 import tempfile
 from collections import Counter
 from collections.abc import Generator, Iterator, Mapping, Sequence

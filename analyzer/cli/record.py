@@ -112,7 +112,9 @@ def display_of(arguments: argparse.Namespace, command: str) -> Display:
 
 def asked_duration_ns(arguments: argparse.Namespace) -> int:
     """Return how long to record, 0 without an end."""
-    return duration_ns(arguments.duration) if arguments.duration else 0
+    text = arguments.duration or ""
+    # A bare number is seconds, as in `emulate`.
+    return duration_ns(f"{text}s" if text.replace(".", "", 1).isdigit() else text) if text else 0
 
 
 def record(
