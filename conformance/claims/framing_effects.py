@@ -58,7 +58,8 @@ _LK_POSITIONS = (0x3E, 0x3E3E, 0x3E3E_3E3E, 0x3E00)
 
 def _good_answers(probe: Probe, command: Command, exchange: Exchange) -> int:
     """Return how many good replies there are, 0 where there is anything else, or a refusal."""
-    good = [a for a in exchange.answers if a.command is command and a.message.frame.checksum_ok]
+    named = [a for a in exchange.answers if a.command is not None and a.command.name == command.name]
+    good = [a for a in named if a.message.frame.checksum_ok]
     return 0 if exchange.junk or probe.refused(exchange) or len(good) != len(exchange.answers) else len(good)
 
 

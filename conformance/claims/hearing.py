@@ -63,7 +63,9 @@ def came(exchange: Exchange) -> str:
 
 def is_answered(exchange: Exchange) -> bool:
     """Say whether a request was answered by a frame of its command, from its address, that checks."""
-    good = (a for a in exchange.answers if a.command is exchange.command and a.message.address == exchange.address)
+    asked = exchange.command.name if exchange.command is not None else ""
+    named = (a for a in exchange.answers if a.command is not None and a.command.name == asked)
+    good = (a for a in named if a.message.address == exchange.address)
     return any(a.message.frame.checksum_ok for a in good)
 
 

@@ -145,7 +145,8 @@ def _steady(probe: Probe) -> None:
     for _ in range(_MANY // 2):
         exchange = probe.ask(read, quiet_ns=0)
         if is_answered(exchange):
-            found.append((next(a for a in exchange.answers if a.command is read).values["position"], exchange))
+            named = (a for a in exchange.answers if a.command is not None and a.command.name == read.name)
+            found.append((next(named).values["position"], exchange))
     if len(found) < _MANY // 4:
         raise Inconclusive("reads of the position are not answered")
     first = found[0][0]
