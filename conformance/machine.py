@@ -133,6 +133,8 @@ def run(probe: Probe, variant: str) -> Recorder:
                 stateful_step_count=REAL_STEPS if real else STEPS,
                 phases=(Phase.generate,),
                 database=None,
+                # The seed decides what is drawn, whatever profile Hypothesis finds for this machine.
+                derandomize=False,
                 deadline=None,
                 print_blob=False,
                 report_multiple_bugs=False,
