@@ -216,8 +216,9 @@ def drawn(strategy: SearchStrategy[_Drawn], count: int, start: int = 0) -> list[
 
     @seed(start)
     @settings(
-        max_examples=2 * count, phases=(Phase.generate,), database=None, deadline=None, suppress_health_check=list(HealthCheck)
-    )
+        max_examples=2 * count, phases=(Phase.generate,), database=None, deadline=None, derandomize=False,
+        suppress_health_check=list(HealthCheck),
+    )  # fmt: skip
     @given(strategy)
     def keep(value: _Drawn) -> None:
         if len(found) < count:
