@@ -114,6 +114,8 @@ def test_a_tap_that_is_killed_lets_go_of_nothing(tmp_path: Path, drive: str) -> 
     tap = Tap(tmp_path, f"serial:{drive}", "--dialect", "mks-rs485")
     with serial.Serial(tap.port, 38400, timeout=5) as port:
         ask(port, 5)
+        # Bytes are passed on first and stored then: a kill in between would lose the record of those just passed.
+        assert tap.wait_bytes(5 * (len(READ) + len(REPLY)))
         os.kill(tap.pid_of("tap.process"), signal.SIGKILL)
         # The port is the same one, and what is written meanwhile waits.
         ask(port, 5)
