@@ -17,6 +17,7 @@ import subprocess
 import sys
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
@@ -46,7 +47,7 @@ _PYTHON = [sys.executable, "-P"]
 Heard = queue.SimpleQueue[tuple[str, Any, Any]]
 
 
-class Child:
+class Child(ABC):
     """One process that is started again when it dies. `name`: the stem of a reader, or `decoding`.
 
     `handed`: descriptors that it and its successors inherit, which stay the caller's. It puts into `heard`: ("event", name,
@@ -132,8 +133,9 @@ class Child:
         errors.join(1.0)
         self._heard.put(("exit", self.name, status))
 
+    @abstractmethod
     def _hear(self, line: bytes) -> None:
-        raise NotImplementedError
+        """Take a line that the process said on its standard output."""
 
     def _read_words(self, stream: IO[bytes]) -> None:
         with stream:

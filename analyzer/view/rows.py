@@ -6,6 +6,7 @@ the cursor is moved away from it, and follows again when it comes back.
 
 from __future__ import annotations
 
+from abc import ABCMeta, abstractmethod
 from typing import ClassVar
 
 from rich.segment import Segment
@@ -20,7 +21,11 @@ from textual.widget import Widget
 _CURSOR = Style(reverse=True)
 
 
-class Rows(Widget, can_focus=True):
+class _AbstractWidget(type(Widget), ABCMeta):  # type: ignore[misc]  # textual gives its widgets a metaclass of their own
+    """What makes a widget class that cannot be made while a method is missing."""
+
+
+class Rows(Widget, can_focus=True, metaclass=_AbstractWidget):  # type: ignore[metaclass]  # as above
     """A heading and rows; a subclass says what they are.
 
     The last column shows where in the whole the rows stand.
@@ -64,17 +69,17 @@ class Rows(Widget, can_focus=True):
 
     # --- what a subclass says -------------------------------------------------------------------------------------
 
+    @abstractmethod
     def bounds(self) -> tuple[int, int]:
         """Return the number of the first row, and one more than that of the last."""
-        raise NotImplementedError
 
+    @abstractmethod
     def heading(self, width: int) -> Text:
         """Return the line above the rows."""
-        raise NotImplementedError
 
+    @abstractmethod
     def row(self, number: int, width: int) -> Text:
         """Return a row."""
-        raise NotImplementedError
 
     # --- moving ---------------------------------------------------------------------------------------------------
 

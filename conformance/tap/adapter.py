@@ -11,6 +11,7 @@ import os
 import socket
 import struct
 import termios
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 from analyzer.endpoint import Endpoint
@@ -35,7 +36,7 @@ class Wiring:
     rs485: bool = False
 
 
-class Adapter:
+class Adapter(ABC):
     """One end, open or not. `fd`: its descriptor, -1 while it is closed; reading and writing never block."""
 
     #: Whether the speed can be set.
@@ -45,15 +46,16 @@ class Adapter:
         self.endpoint = endpoint
         self.fd = -1
 
+    @abstractmethod
     def open(self, stop: Stop, settings: LineSettings) -> Opened:
         """Open it with these settings. Raises Unopened with the reason."""
-        raise NotImplementedError
 
     def adopt(self, fd: int) -> None:
         """Take a descriptor over that another process had opened."""
         os.set_blocking(fd, False)
         self.fd = fd
 
+    @abstractmethod
     def set(self, settings: LineSettings) -> None:
         """Set the line up. Raises OSError where the driver refuses; does nothing where there is no line."""
 
@@ -141,6 +143,9 @@ class TcpAdapter(Adapter):
             # A request of a few bytes waits for nothing.
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return opened
+
+    def set(self, settings: LineSettings) -> None:
+        """Do nothing: the line is the server's."""
 
 
 def adapter_of(endpoint: Endpoint, wiring: Wiring) -> Adapter:
