@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import IO
 
 from analyzer.cli.interrupt import Interrupt
+from analyzer.cli.option_types import positive
 from analyzer.cli.output import Output
 from analyzer.cli.reading import clean, progress
 from analyzer.cli.stretch import Stretch, add_stretch_arguments
@@ -49,17 +50,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--serial-as", choices=("user", "rtac"), default="user", help="link type of serial bytes in pcapng")
     parser.add_argument("--chunks", action="store_true", help="bytes of a log as they came, not one piece for each frame")
     parser.add_argument("--nanoseconds", action="store_true", help="nine digits in candump, which canplayer may misread")
-    parser.add_argument("--baud", type=_positive, metavar="N", help="line speed or bit rate, for a capture without times")
+    parser.add_argument("--baud", type=positive, metavar="N", help="line speed or bit rate, for a capture without times")
     parser.add_argument("--format", metavar="F", help="capture format, where it is not to be found by content")
     parser.add_argument("--force", action="store_true", help="replace a file that exists")
     add_stretch_arguments(parser)
-
-
-def _positive(text: str) -> int:
-    value = int(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text}")
-    return value
 
 
 def run(arguments: argparse.Namespace) -> int:

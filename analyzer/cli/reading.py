@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
+from analyzer.cli.option_types import address, milliseconds, positive
 from analyzer.cli.stretch import Stretch, add_stretch_arguments
 from analyzer.detect import Choice, choose
 from analyzer.errors import UnreadableError, UsageError
@@ -42,35 +43,14 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of every command that reads captures."""
     parser.add_argument("--dialect", default="auto", metavar="D", help="auto (default), or one of: see catalogue; D,D")
     parser.add_argument("--model", metavar="M", help="42D 57D 28D 35D 42E 57E MF MG MH MS: limits and units of a model")
-    parser.add_argument("--baud", type=_positive, metavar="N", help="line speed, for times and the bus load")
+    parser.add_argument("--baud", type=positive, metavar="N", help="line speed, for times and the bus load")
     parser.add_argument("--format", metavar="F", help="capture format, where it is not to be found by content")
     parser.add_argument(
-        "--group", action="append", type=_address, default=[], metavar="ADDRESS",
+        "--group", action="append", type=address, default=[], metavar="ADDRESS",
         help="an address that several drives listen to and none answers; may be repeated",
     )  # fmt: skip
-    parser.add_argument("--late", type=_milliseconds, metavar="MS", help="replies later than this are late (default 1000)")
+    parser.add_argument("--late", type=milliseconds, metavar="MS", help="replies later than this are late (default 1000)")
     add_stretch_arguments(parser)
-
-
-def _positive(text: str) -> int:
-    value = int(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text}")
-    return value
-
-
-def _address(text: str) -> int:
-    value = int(text, 0)
-    if not 0 <= value <= 0x7FF:
-        raise argparse.ArgumentTypeError(f"expected an address 0..0x7FF, got {text}")
-    return value
-
-
-def _milliseconds(text: str) -> float:
-    value = float(text)
-    if not 0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"expected milliseconds above 0, got {text}")
-    return value
 
 
 class Reading:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 from analyzer import dialects as registry
 from analyzer.cli.amounts import duration_ns, is_size, size_bytes
+from analyzer.cli.option_types import address, milliseconds, positive
 from analyzer.endpoint import Endpoint, parse, parse_all
 from analyzer.errors import UsageError
 
@@ -61,13 +62,13 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dialect", default="auto", metavar="D", help="auto (default), or those on the buses: D,D")
     parser.add_argument("--model", default="", metavar="M", help="42D 57D 28D 35D 42E 57E MF MG MH MS: limits and units")
     parser.add_argument(
-        "--group", action="append", type=_address, default=[], metavar="ADDRESS",
+        "--group", action="append", type=address, default=[], metavar="ADDRESS",
         help="an address that several drives listen to and none answers; may be repeated",
     )  # fmt: skip
-    parser.add_argument("--late", type=_milliseconds, default=1000.0, metavar="MS", help="a reply is late after (default 1000)")
+    parser.add_argument("--late", type=milliseconds, default=1000.0, metavar="MS", help="a reply is late after (default 1000)")
     parser.add_argument("--duration", metavar="TIME", help="end after 10s, 5min, 2h")
     parser.add_argument("--rotate", metavar="SIZE|TIME", help="a new file every 100MB or 10min, or both: 100MB,10min")
-    parser.add_argument("--keep", type=_positive, default=0, metavar="N", help="with --rotate: keep the last N files")
+    parser.add_argument("--keep", type=positive, default=0, metavar="N", help="with --rotate: keep the last N files")
     parser.add_argument("--max-total", metavar="SIZE", help="drop the oldest files beyond 200GB in all")
     parser.add_argument("--raw-only", action="store_true", help="store what comes, and leave decoding for later")
     parser.add_argument("--force", action="store_true", help="replace a log that exists")
@@ -275,25 +276,3 @@ def _rotation(arguments: argparse.Namespace) -> tuple[int, int]:
     if arguments.keep and not arguments.rotate:
         raise UsageError("--keep says how many files of --rotate are kept: --rotate is missing")
     return size, time_ns
-
-
-def _address(text: str) -> int:
-    value = int(text, 0)
-    if not 0 <= value <= 0x7FF:
-        raise argparse.ArgumentTypeError(f"expected an address 0..0x7FF, got {text}")
-    return value
-
-
-def _milliseconds(text: str) -> float:
-    value = float(text)
-    if not 0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"expected milliseconds above 0, got {text}")
-    return value
-
-
-def _positive(text: str) -> int:
-    value = int(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text}")
-    return value
-

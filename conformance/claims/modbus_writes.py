@@ -35,8 +35,8 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     ones, several = _harmless(dialect, WRITE_ONE), _harmless(dialect, WRITE_MANY)
     yield _echoed_one(dialect, ones)
     yield _echoed_several(dialect, several)
-    yield _refused_one(dialect, ones)
-    yield _refused_several(dialect, several)
+    yield _refused(dialect, "write_one", ones)
+    yield _refused(dialect, "write_many", several)
     yield _unknown_registers(dialect)
     yield from _counts(dialect, several)
     yield from _other_function(dialect, ones, several)
@@ -112,36 +112,29 @@ def _outside(command: Command) -> dict[str, int] | None:
     return None
 
 
-def _refused_one(dialect: Dialect, commands: list[Command]) -> Claim:
+#: Function by which a write is refused: the last two bytes of the refusal, and what they are.
+_REFUSALS = {
+    "write_one": (b"\xff\xff", "06h", "FFFFh in place of the value"),
+    "write_many": (b"\0\0", "10h", "a quantity of 0"),
+}
+
+
+def _refused(dialect: Dialect, name: str, commands: list[Command]) -> Claim:
+    end, function, words = _REFUSALS[name]
+
     def check(probe: Probe) -> None:
         ask_cleanly(probe)
         for command in commands:
             values = _outside(command)
             if values is not None:
                 frame = probe.build(command, values).frame
-                expected = dialect.link.completed(frame[:4] + b"\xff\xff")
+                expected = dialect.link.completed(frame[:4] + end)
                 judge(probe, ask(probe, frame), expected, f"a value that {command.name} does not have")
                 probe.wait(probe.rig.write_gap_ns)
 
-    statement = f"A refused write by function 06h is answered with FFFFh in place of the value ({_LATER_MANUAL})."
+    statement = f"A refused write by function {function} is answered with {words} ({_LATER_MANUAL})."
     refuted_by = "the echo of a write that was done, an exception, or silence"
-    return _make(dialect, "write_one/refused", statement, refuted_by, check, commands, at_best=_REFUSAL)
-
-
-def _refused_several(dialect: Dialect, commands: list[Command]) -> Claim:
-    def check(probe: Probe) -> None:
-        ask_cleanly(probe)
-        for command in commands:
-            values = _outside(command)
-            if values is not None:
-                frame = probe.build(command, values).frame
-                expected = dialect.link.completed(frame[:4] + b"\0\0")
-                judge(probe, ask(probe, frame), expected, f"a value that {command.name} does not have")
-                probe.wait(probe.rig.write_gap_ns)
-
-    statement = f"A refused write by function 10h is answered with a quantity of 0 ({_LATER_MANUAL})."
-    refuted_by = "the echo of a write that was done, an exception, or silence"
-    return _make(dialect, "write_many/refused", statement, refuted_by, check, commands, at_best=_REFUSAL)
+    return _make(dialect, f"{name}/refused", statement, refuted_by, check, commands, at_best=_REFUSAL)
 
 
 # --- registers --------------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 
 from analyzer.catalogue import Command, Dialect, Risk
@@ -70,32 +70,37 @@ def _set(probe: Probe, number: int, name: str, value: int) -> Exchange:
 
 
 def _speed_limit(probe: Probe, command: Command) -> None:
-    kept = _parameter(probe, _SPEED_LIMIT, "speed_limit")
-    if kept is None:
-        return
-    run(probe, 18_000)
-    exchange = _set(probe, _SPEED_LIMIT, "speed_limit", 9_000)
-    probe.wait(SECOND_NS)
-    speed, _ = measured(probe, 500 * MS)
-    moving.stand_still(probe)
-    _set(probe, _SPEED_LIMIT, "speed_limit", kept)
-    if abs(abs(speed) - 90) > 3:
-        raise refute(exchange, "the speed limit does not hold for a run", expected="90 deg/s", got=f"{speed:.0f} deg/s")
+    def turn() -> Exchange:
+        run(probe, 18_000)
+        exchange = _set(probe, _SPEED_LIMIT, "speed_limit", 9_000)
+        probe.wait(SECOND_NS)
+        return exchange
+
+    _expect_limited(probe, turn, "a run")
 
 
 def _move_limit(probe: Probe, command: Command) -> None:
+    def turn() -> Exchange:
+        moving.ready_to_move(probe)
+        exchange = _set(probe, _SPEED_LIMIT, "speed_limit", 9_000)
+        probe.do("move_increment", {"position": 18_000})
+        probe.wait(700 * MS)
+        return exchange
+
+    _expect_limited(probe, turn, "a move")
+
+
+def _expect_limited(probe: Probe, turn: Callable[[], Exchange], what: str) -> None:
+    """Expect a shaft that `turn` sets in motion at twice the limit it sets to turn at that limit, 90 deg/s."""
     kept = _parameter(probe, _SPEED_LIMIT, "speed_limit")
     if kept is None:
         return
-    moving.ready_to_move(probe)
-    exchange = _set(probe, _SPEED_LIMIT, "speed_limit", 9_000)
-    probe.do("move_increment", {"position": 18_000})
-    probe.wait(700 * MS)
+    exchange = turn()
     speed, _ = measured(probe, 500 * MS)
     moving.stand_still(probe)
     _set(probe, _SPEED_LIMIT, "speed_limit", kept)
     if abs(abs(speed) - 90) > 3:
-        raise refute(exchange, "the speed limit does not hold for a move", expected="90 deg/s", got=f"{speed:.0f} deg/s")
+        raise refute(exchange, f"the speed limit does not hold for {what}", expected="90 deg/s", got=f"{speed:.0f} deg/s")
 
 
 def _angle_limit(probe: Probe, command: Command) -> None:
