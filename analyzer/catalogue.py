@@ -344,15 +344,9 @@ class Command:
         """Return this command as one model has it."""
 
         def keep(forms: tuple[Form, ...]) -> tuple[Form, ...]:
-            return tuple(
-                replace(f, layout=f.layout.for_model(model)) for f in forms if not f.models or model in f.models
-            )
+            return tuple(replace(f, layout=f.layout.for_model(model)) for f in forms if not f.models or model in f.models)
 
-        return replace(
-            self,
-            request=keep(self.request_forms),
-            reply=None if self.reply is None else keep(self.reply_forms),
-        )
+        return replace(self, request=keep(self.request_forms), reply=None if self.reply is None else keep(self.reply_forms))
 
 
 def _forms(given: Layout | tuple[Form, ...] | None, name: str) -> tuple[Form, ...]:

@@ -183,9 +183,7 @@ class Codec:
             elif field.fixed is not None or field.bit_width == 0:
                 continue
             elif field.choices is not None or field.values is not None:
-                names[f"set_{index}"] = frozenset(
-                    v for v in (field.values or field.choice_names) if field.allows(v)
-                )
+                names[f"set_{index}"] = frozenset(v for v in (field.values or field.choice_names) if field.allows(v))
                 tests.append(f"({text}) in set_{index}")
             elif field.low > field.wire_minimum or field.high < field.wire_maximum:
                 tests.append(f"{field.low} <= ({text}) <= {field.high}")

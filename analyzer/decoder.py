@@ -131,9 +131,7 @@ class Decoder:
             return Role.REQUEST if request_sound else Role.REPLY
         return self._role_by_requests(head, context, data)
 
-    def _any_reply(
-        self, key: tuple[int | None, int], head: Head, data: bytes, context: Context | None
-    ) -> _Entry | None:
+    def _any_reply(self, key: tuple[int | None, int], head: Head, data: bytes, context: Context | None) -> _Entry | None:
         """Return the reply that an open request awaits, else a reply that fits and needs none."""
         asked = None
         if context is not None:

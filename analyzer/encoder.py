@@ -128,12 +128,7 @@ def refusals(command: Command, form: Form, data: bytes) -> list[str]:
 
 
 def choose_form(
-    command: Command,
-    role: Role,
-    values: Mapping[str, Value],
-    form: Form | str | None = None,
-    *,
-    physical: bool = False,
+    command: Command, role: Role, values: Mapping[str, Value], form: Form | str | None = None, *, physical: bool = False
 ) -> tuple[Form, dict[str, int | bytes]]:
     """Return the form that fits the names and values given, and the values as sent.
 
@@ -161,9 +156,7 @@ def choose_form(
     raise UsageError(f"{command.name} has no {role} for these values")
 
 
-def _all_sent(
-    command: Command, form: Form, values: Mapping[str, Value], physical: bool
-) -> dict[str, int | bytes] | None:
+def _all_sent(command: Command, form: Form, values: Mapping[str, Value], physical: bool) -> dict[str, int | bytes] | None:
     """Return the values of a form as sent, or None if the form answers a request of other values than those given."""
     sent: dict[str, int | bytes] = {}
     for name, value in values.items():

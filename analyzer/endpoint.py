@@ -33,8 +33,7 @@ _NAMED = re.compile(r"(?P<name>[A-Za-z0-9_.-]+)=(?P<rest>(?:serial|tcp|can):.*)"
 _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 _HOST_PORT = re.compile(r"(?:(?P<host>\[[0-9A-Fa-f:.%]+\]|[^:\[\]]*):)?(?P<port>[0-9]{1,5})")
 _EXPECTED = (
-    "expected serial:PORT,baud=N, tcp:HOST:PORT or can:INTERFACE:CHANNEL,bitrate=N, "
-    "as in serial:/dev/ttyUSB0,baud=38400"
+    "expected serial:PORT,baud=N, tcp:HOST:PORT or can:INTERFACE:CHANNEL,bitrate=N, as in serial:/dev/ttyUSB0,baud=38400"
 )
 
 
@@ -171,9 +170,7 @@ def _serial(text: str, place: str, options: dict[str, str]) -> Endpoint:
     auto = baud == "auto"
     speed = None if auto or baud is None else _speed(text, "baud", baud, "bits per second or auto")
     _refuse_rest(text, options, ("baud", "parity", "stop", "serial", "direction"))
-    return Endpoint(
-        text, "serial", place, "", speed, auto, PARITIES[parity], int(stop), adapter, Role(direction)
-    )
+    return Endpoint(text, "serial", place, "", speed, auto, PARITIES[parity], int(stop), adapter, Role(direction))
 
 
 def _tcp(text: str, place: str, options: dict[str, str]) -> Endpoint:

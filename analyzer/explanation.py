@@ -87,12 +87,7 @@ class Explainer:
         self._slicers = {d.name: d.link.slicer(d, lambda a, f: 0) for d in dialects if d.link.kind != "can"}
 
     def explain(
-        self,
-        given: Given,
-        *,
-        role: Role = Role.UNKNOWN,
-        no_checksum: bool = False,
-        request: Given | None = None,
+        self, given: Given, *, role: Role = Role.UNKNOWN, no_checksum: bool = False, request: Given | None = None
     ) -> Explanation:
         """Return the best reading of a frame.
 
@@ -118,13 +113,7 @@ class Explainer:
     # --- readings -------------------------------------------------------------------------------------------------
 
     def _read(
-        self,
-        dialect: Dialect,
-        given: Given,
-        role: Role,
-        absent: bool,
-        stated: bool,
-        contexts: dict[str, Context],
+        self, dialect: Dialect, given: Given, role: Role, absent: bool, stated: bool, contexts: dict[str, Context]
     ) -> Iterator[Explanation]:
         """Yield the readings of a dialect; `absent`: as a frame without its check; `stated`: the user says that."""
         for sent, can_id in _split(dialect.link, given):
@@ -165,9 +154,7 @@ class Explainer:
             int(message.form is not None),
             int(message.form is not None and not message.violations and not odd),
         )
-        return Explanation(
-            dialect, head, message, sent, can_id, checks, absent, tuple(issues), right, readings, not odd, score
-        )
+        return Explanation(dialect, head, message, sent, can_id, checks, absent, tuple(issues), right, readings, not odd, score)
 
     def _decode(
         self, dialect: Dialect, data: bytes, can_id: int | None, role: Role, good: bool, context: Context | None
@@ -278,9 +265,7 @@ def _restored(link: Link, body: bytes, can_id: int | None) -> Iterator[tuple[byt
     yield body, link.checks(body, can_id)
 
 
-def _right(
-    dialect: Dialect, message: Message, head: Head, can_id: int | None
-) -> tuple[bytes | None, list[Issue]]:
+def _right(dialect: Dialect, message: Message, head: Head, can_id: int | None) -> tuple[bytes | None, list[Issue]]:
     """Return the frame as it should be, and what in its head is not so (lengths and counts)."""
     link, data, command = dialect.link, message.frame.data, message.command
     fixed = _with_checks(link, data, can_id)

@@ -109,9 +109,7 @@ class Filter:
         if isinstance(node, (ast.List, ast.Tuple, ast.Set)):
             items = [self._compile(e, deeper) for e in node.elts]
             return lambda names: [i(names) for i in items]
-        raise UsageError(
-            f"filter: {ast.unparse(node)[:60]!r} is not understood; expected comparisons joined by and, or, not"
-        )
+        raise UsageError(f"filter: {ast.unparse(node)[:60]!r} is not understood; expected comparisons joined by and, or, not")
 
     def _comparison(self, node: ast.Compare, depth: int) -> _Value:
         operands = [self._compile(n, depth) for n in (node.left, *node.comparators)]

@@ -106,12 +106,7 @@ def _dialect(message: Message, context: Context) -> Iterator[Issue]:
 
 
 #: What is looked at in every message, each a small generator.
-MESSAGE_RULES: tuple[Callable[[Message, Context], Iterator[Issue]], ...] = (
-    _checksum,
-    _violations,
-    _exception,
-    _dialect,
-)
+MESSAGE_RULES: tuple[Callable[[Message, Context], Iterator[Issue]], ...] = (_checksum, _violations, _exception, _dialect)
 
 
 def of_message(message: Message, context: Context) -> list[Issue]:

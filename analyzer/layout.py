@@ -66,13 +66,7 @@ class StatePart:
 
 
 #: The unit of each quantity of the derived state, the same for every dialect.
-STATE_UNITS: Mapping[str, str] = {
-    "position": "deg",
-    "speed": "rpm",
-    "current": "A",
-    "voltage": "V",
-    "temperature": "degC",
-}
+STATE_UNITS: Mapping[str, str] = {"position": "deg", "speed": "rpm", "current": "A", "voltage": "V", "temperature": "degC"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

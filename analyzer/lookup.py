@@ -39,9 +39,7 @@ def find(dialects: Sequence[Dialect], text: str) -> list[tuple[Dialect, Command]
     return _some([], dialects, text)
 
 
-def _some(
-    found: list[tuple[Dialect, Command]], dialects: Sequence[Dialect], text: str
-) -> list[tuple[Dialect, Command]]:
+def _some(found: list[tuple[Dialect, Command]], dialects: Sequence[Dialect], text: str) -> list[tuple[Dialect, Command]]:
     if found:
         return found
     known = sorted({c.name for d in dialects for c in d.commands})

@@ -71,9 +71,7 @@ class Sink(Protocol):
 class PlainSink(Protocol):
     """A sink that takes the usual case in fewer steps: a frame of a lane, with no finding."""
 
-    def plain(
-        self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None
-    ) -> None:
+    def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
         """Take a frame; a reply is its request's first and has that request's sequence."""
 
 

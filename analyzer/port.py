@@ -87,9 +87,7 @@ class Port:
         self.can = [d for d in setup.dialects if d.bus == "can"]
         byte_ns = self._options.byte_ns if setup.byte_ns is None else setup.byte_ns
         self.framer = (
-            Framer(
-                self.name, serial, self.context, byte_ns=byte_ns, silence_ns=self._options.silence_ns, offset=self.bytes_in
-            )
+            Framer(self.name, serial, self.context, byte_ns=byte_ns, silence_ns=self._options.silence_ns, offset=self.bytes_in)
             if serial
             else None
         )
@@ -109,10 +107,7 @@ class Port:
         self.context = Context(self._options.groups)
         self._build(self.setup)
         self.transactions = Transactions(
-            self.context,
-            late_ns=self._options.late_ns,
-            half_duplex=self.framer is not None,
-            timed=self._options.timed,
+            self.context, late_ns=self._options.late_ns, half_duplex=self.framer is not None, timed=self._options.timed
         )
 
     def topic(self, message: Message) -> str:

@@ -152,9 +152,7 @@ class Lane:
         "start", "stop", "topic",
     )  # fmt: skip
 
-    def __init__(
-        self, dialect: Dialect, role: Role, address: int, command: Command, form: Form, start: int, stop: int
-    ) -> None:
+    def __init__(self, dialect: Dialect, role: Role, address: int, command: Command, form: Form, start: int, stop: int) -> None:
         self.dialect = dialect.name
         self.role = role
         self.is_request = role is Role.REQUEST

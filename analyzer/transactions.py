@@ -55,16 +55,13 @@ class Paired(msgspec.Struct, gc=False):
     earlier: tuple[Late, ...] = ()
 
 
-
 class Transactions:
     """Pairs the messages of one port. `late_ns`: a first reply later than this is late; `timed` False: times say nothing."""
 
     #: What it knows of the traffic beside its context.
     STATE = ("_answers_motion", "_check_ns", "_last", "_last_is_reply", "_last_reply", "_told_silent")
 
-    def __init__(
-        self, context: Context, *, late_ns: int = 1_000_000_000, half_duplex: bool = True, timed: bool = True
-    ) -> None:
+    def __init__(self, context: Context, *, late_ns: int = 1_000_000_000, half_duplex: bool = True, timed: bool = True) -> None:
         self.context = context
         self.late_ns = late_ns
         self.half_duplex = half_duplex
@@ -340,9 +337,7 @@ class Transactions:
                     late += self._give_up(request, Outcome.UNANSWERED, f"no reply within {limit / 1e9:g} s")
         return tuple(late)
 
-    def _give_up(
-        self, request: Request, outcome: Outcome, why: str, severity: Severity | None = None
-    ) -> list[Late]:
+    def _give_up(self, request: Request, outcome: Outcome, why: str, severity: Severity | None = None) -> list[Late]:
         self._end(request, outcome)
         self.context.unanswered.append(request)
         command = request.command

@@ -158,9 +158,7 @@ def package_data(dialect: Dialect, command: Command, random: Random) -> bytes:
 
 def answer(forms: Sequence[Form], asked: dict[str, int], random: Random) -> tuple[Form, dict[str, int]]:
     """Return a reply form that agrees with its request, and values for it; a refusal is rare."""
-    fitting = [
-        f for f in forms if all(asked.get(x.name, x.fixed) == x.fixed for x in f.layout.fields if x.fixed is not None)
-    ]
+    fitting = [f for f in forms if all(asked.get(x.name, x.fixed) == x.fixed for x in f.layout.fields if x.fixed is not None)]
     chosen = random.choice([f for f in fitting if f.name != "refused"] or fitting or list(forms))
     if random.random() < 0.02:
         chosen = random.choice(fitting or list(forms))

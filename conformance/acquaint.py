@@ -43,9 +43,7 @@ def acquaint(dialogue: Dialogue, dialect: Dialect, address: int) -> None:
     if wanted and gate.allowance.subdivision is None and Verb.SET_SUBDIVISION in dialect.by_verb:
         setting = dialect.by_verb[Verb.SET_SUBDIVISION]
         if setting.readable and Verb.READ_PARAMETER in dialect.by_verb:
-            subdivision = _read(
-                dialogue, dialect, address, Verb.READ_PARAMETER, "subdivision", parameter=setting.code
-            )
+            subdivision = _read(dialogue, dialect, address, Verb.READ_PARAMETER, "subdivision", parameter=setting.code)
             if subdivision is not None:
                 gate.note_subdivision(subdivision, address)
 

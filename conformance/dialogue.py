@@ -124,19 +124,9 @@ class Dialogue:
         self.dialects = tuple(d for d in dialects if d.bus == bus)
         self._name = gate.line.endpoint.name
         self._heard = _Heard()
-        self._pipeline = Pipeline(
-            self.dialects, (self._heard,), Options(byte_ns=gate.line.byte_ns, late_ns=late_ns)
-        )
+        self._pipeline = Pipeline(self.dialects, (self._heard,), Options(byte_ns=gate.line.byte_ns, late_ns=late_ns))
 
-    def ask(
-        self,
-        item: Item,
-        timeout_ns: int,
-        *,
-        whole: bool = False,
-        done_ns: int = 0,
-        quiet_ns: int = 0,
-    ) -> Talk:
+    def ask(self, item: Item, timeout_ns: int, *, whole: bool = False, done_ns: int = 0, quiet_ns: int = 0) -> Talk:
         """Send an item and listen: to its reply, or to the end of the time.
 
         `whole`: on until a reply that ends the command, for at most `done_ns` once it has begun. `quiet_ns`: on behind the
@@ -186,4 +176,3 @@ class Dialogue:
         self._pipeline.silence(self._name)
         talk.until_ns = gate.now_ns()
         return talk
-

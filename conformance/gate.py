@@ -75,9 +75,7 @@ class Judge:
     whose flash could be worn.
     """
 
-    def __init__(
-        self, allowance: Allowance, dialects: Iterable[Dialect] | None = None, *, wears: bool = True
-    ) -> None:
+    def __init__(self, allowance: Allowance, dialects: Iterable[Dialect] | None = None, *, wears: bool = True) -> None:
         self.allowance = allowance
         self._wears = wears
         chosen = registry.every() if dialects is None else list(dialects)

@@ -60,9 +60,7 @@ class HeadEar(Ear):
             is_open = is_open or not complete
             sound = complete and self._check(buffer[at : stop - 1]) == buffer[stop - 1]
             told = meanings(commands, buffer[at + 3 : at + 3 + size], size)
-            spots.append(
-                Spot(self.dialect, at, min(stop, end), address, code, at + 2, end, True, sound, complete, told)
-            )
+            spots.append(Spot(self.dialect, at, min(stop, end), address, code, at + 2, end, True, sound, complete, told))
         return Found(tuple(spots), is_open)
 
     def _unknown(self, buffer: bytes, at: int, address: int, code: int) -> Spot:
@@ -143,9 +141,7 @@ class LkEar(Ear):
             complete = size is not None and stop <= end
             sound = complete and head_fits and (not size or sum8(buffer[at + 5 : stop - 1]) == buffer[stop - 1])
             told = meanings(commands, buffer[at + 5 : at + 5 + (size or 0)], size)
-            spot = Spot(
-                self.dialect, at, min(stop, end), address, code, at + 1, end, True, sound, complete, told
-            )
+            spot = Spot(self.dialect, at, min(stop, end), address, code, at + 1, end, True, sound, complete, told)
             return Found((spot,), not complete)
         # Of another length, or of a code that nobody knows: its head says all that can be known.
         stop = min(at + 5, end)
@@ -211,4 +207,3 @@ def ear(dialect: Dialect) -> Ear:
 
 
 _EARS: tuple[tuple[type, type[Ear]], ...] = ((HeadLink, HeadEar), (LkLink, LkEar), (ModbusLink, ModbusEar))
-

@@ -46,9 +46,7 @@ class ModbusEar(Ear):
             return self._many(buffer, at, function)
         return NOTHING
 
-    def _spot(
-        self, buffer: bytes, at: int, length: int, function: int, told: tuple[Meaning, ...], note: str = ""
-    ) -> Found:
+    def _spot(self, buffer: bytes, at: int, length: int, function: int, told: tuple[Meaning, ...], note: str = "") -> Found:
         end = len(buffer)
         stop = at + length
         complete = stop <= end

@@ -265,9 +265,5 @@ class CanReader:
 
 def _kind(frame: CanFrame) -> str:
     """Return in words why a frame is not a plain one of 11 bits."""
-    kinds = (
-        (frame.error, "an error frame"),
-        (frame.fd, "a CAN FD frame"),
-        (frame.remote, "a remote frame"),
-    )
+    kinds = ((frame.error, "an error frame"), (frame.fd, "a CAN FD frame"), (frame.remote, "a remote frame"))
     return next((text for is_so, text in kinds if is_so), "an identifier of 29 bits")

@@ -30,12 +30,7 @@ from conformance.probe import Until
 if TYPE_CHECKING:
     from conformance.probe import Probe
 
-MOVES = (
-    Verb.MOVE_RELATIVE_PULSES,
-    Verb.MOVE_ABSOLUTE_PULSES,
-    Verb.MOVE_RELATIVE_AXIS,
-    Verb.MOVE_ABSOLUTE_AXIS,
-)
+MOVES = (Verb.MOVE_RELATIVE_PULSES, Verb.MOVE_ABSOLUTE_PULSES, Verb.MOVE_RELATIVE_AXIS, Verb.MOVE_ABSOLUTE_AXIS)
 #: Each run or move and the stop that belongs to it.
 STOP_OF: Mapping[Verb, Verb] = {
     Verb.RUN_SPEED: Verb.STOP_SPEED,
@@ -48,10 +43,7 @@ STOP_OF: Mapping[Verb, Verb] = {
 STEPS_PER_TURN = 200
 SUBDIVISION = 16
 #: Where each absolute move counts from.
-_COUNTED: Mapping[Verb, Verb] = {
-    Verb.MOVE_ABSOLUTE_PULSES: Verb.READ_PULSES,
-    Verb.MOVE_ABSOLUTE_AXIS: Verb.READ_POSITION,
-}
+_COUNTED: Mapping[Verb, Verb] = {Verb.MOVE_ABSOLUTE_PULSES: Verb.READ_PULSES, Verb.MOVE_ABSOLUTE_AXIS: Verb.READ_POSITION}
 #: So much farther than where it stands a claim may send the shaft, in units: no claim goes more than twenty turns.
 _ROOM = 400_000
 #: What a journey takes longer than the law at most before it is given up.

@@ -38,9 +38,7 @@ def edges(field: Field, room: Room = ROOMY) -> tuple[int, ...]:
     return tuple(sorted(set(kept))) if kept[0] <= kept[1] else ()
 
 
-def allowed(
-    field: Field, room: Room = ROOMY, without: Sequence[Span] = (), command: Command | None = None
-) -> list[Span]:
+def allowed(field: Field, room: Room = ROOMY, without: Sequence[Span] = (), command: Command | None = None) -> list[Span]:
     """Return the stretches of values that the manual, the bounds of `room` and `without` leave.
 
     `command`: the one that has the field, where it matters what that does.

@@ -60,8 +60,13 @@ def faults_of(dialect: Dialect) -> list[Fault]:
     return [fault for fault in make.every_fault() if dialect.name in fault.dialects]
 
 
-def judge(target: Target, fault: Fault, claims: Sequence[Claim], *, full: bool = False, seed: int = 0) -> Mutant:
-    """Run claims against a drive with a fault, until one refutes it (with `full`: all of them)."""
+def judge(
+    target: Target, fault: Fault, claims: Sequence[Claim], *, full: bool = False, seed: int = 0, most: int | None = None
+) -> Mutant:
+    """Run claims against a drive with a fault, until one refutes it (with `full`: all of them).
+
+    `most`: only so many of the claims, those that are likeliest to refute it.
+    """
     assert target.specification is not None  # mutants are emulated
     started = time.perf_counter()
     specification = with_fault(target, fault)
@@ -69,7 +74,7 @@ def judge(target: Target, fault: Fault, claims: Sequence[Claim], *, full: bool =
     refuted: list[tuple[str, str]] = []
     observed: list[tuple[Claim, str]] = []
     inconclusive = 0
-    for claim in claims if full else _likely_first(claims, fault):
+    for claim in claims if full and most is None else _likely_first(claims, fault)[:most]:
         verdict = engine.run_claim(claim, rig)
         if verdict.outcome is Outcome.REFUTED:
             refuted.append((claim.id, verdict.reason))
@@ -120,28 +125,28 @@ def _likely_first(claims: Iterable[Claim], fault: Fault) -> list[Claim]:
 
 # --- the command ------------------------------------------------------------------------------------------------------
 
-_work: tuple[tuple[Target, ...], int, bool] | None = None
+_work: tuple[tuple[Target, ...], int, bool, int | None] | None = None
 
 
-def _begin(targets: tuple[Target, ...], seed: int, full: bool) -> None:
+def _begin(targets: tuple[Target, ...], seed: int, full: bool, most: int | None) -> None:
     global _work
-    _work = (targets, seed, full)
+    _work = (targets, seed, full, most)
 
 
-def _begin_worker(targets: tuple[Target, ...], seed: int, full: bool) -> None:
+def _begin_worker(targets: tuple[Target, ...], seed: int, full: bool, most: int | None) -> None:
     suite.be_worker()
-    _begin(targets, seed, full)
+    _begin(targets, seed, full, most)
 
 
 def _one(task: tuple[str, str]) -> Mutant:
     assert _work is not None  # every worker begins with `_begin`
-    targets, seed, full = _work
+    targets, seed, full, most = _work
     found: list[Mutant] = []
     for target in targets:
         if target.dialect.name != task[0]:
             continue
         fault = next(f for f in faults_of(target.dialect) if f.name == task[1])
-        found.append(judge(target, fault, suite.every_claim(target), full=full, seed=seed))
+        found.append(judge(target, fault, suite.every_claim(target), full=full, seed=seed, most=most))
         if not full and found[-1].refuted:
             break
     return _together(found)
@@ -169,14 +174,20 @@ def telling_targets(dialects: Iterable[str]) -> list[Target]:
 
 
 def mutants(
-    targets: Sequence[Target], *, jobs: int = 1, seed: int = 0, full: bool = False, every: int = 1,
+    targets: Sequence[Target],
+    *,
+    jobs: int = 1,
+    seed: int = 0,
+    full: bool = False,
+    every: int = 1,
     only: Sequence[str] = (),
-) -> Iterator[Mutant]:  # fmt: skip
+    most: int | None = None,
+) -> Iterator[Mutant]:
     """Run every `every`-th fault of the targets' dialects (or `only` some) and yield what came of each."""
     names = dict.fromkeys(target.dialect.name for target in targets)
     tasks = [(name, f.name) for name in names for f in faults_of(registry.get(name)) if not only or f.name in only][::every]
     if jobs == 1:
-        _begin(tuple(targets), seed, full)
+        _begin(tuple(targets), seed, full, most)
         yield from map(_one, tasks)
         return
     methods = multiprocessing.get_all_start_methods()
@@ -184,7 +195,7 @@ def mutants(
     # The claims are made before the workers are forked, so that each has them.
     for target in targets:
         suite.every_claim(target)
-    with context.Pool(jobs, _begin_worker, (tuple(targets), seed, full)) as pool:
+    with context.Pool(jobs, _begin_worker, (tuple(targets), seed, full, most)) as pool:
         yield from pool.imap_unordered(_one, tasks)
 
 

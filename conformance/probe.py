@@ -144,12 +144,7 @@ class Probe:
         return self.ask_built(built, until=until, timeout_ns=timeout_ns, quiet_ns=quiet_ns)
 
     def ask_built(
-        self,
-        built: encoder.Built,
-        *,
-        until: Until = Until.REPLY,
-        timeout_ns: int | None = None,
-        quiet_ns: int | None = None,
+        self, built: encoder.Built, *, until: Until = Until.REPLY, timeout_ns: int | None = None, quiet_ns: int | None = None
     ) -> Exchange:
         """Ask as `ask` does, by a frame that was built already: of values that `build` cannot send (reserved bits)."""
         if Risk.SETTING in built.risks:
@@ -165,9 +160,7 @@ class Probe:
             return frame
         return CanFrame(None, _BUS, self.address if address is None else address, frame)
 
-    def send(
-        self, item: bytes | CanFrame, *, until: Until = Until.TIMEOUT, timeout_ns: int | None = None
-    ) -> Exchange:
+    def send(self, item: bytes | CanFrame, *, until: Until = Until.TIMEOUT, timeout_ns: int | None = None) -> Exchange:
         """Send bytes as they are (on CAN a frame) and return what came back; by default for the time of a silence."""
         return self._exchange(item, until, timeout_ns, None)
 

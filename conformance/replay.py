@@ -147,11 +147,7 @@ class Replay:
         self.moving: dict[tuple[str, int], _Moving] = {}
 
     def run(
-        self,
-        steps: Sequence[Step],
-        period_ns: int = 0,
-        loops: int = 1,
-        advance: Callable[[Sent], None] | None = None,
+        self, steps: Sequence[Step], period_ns: int = 0, loops: int = 1, advance: Callable[[Sent], None] | None = None
     ) -> Result:
         """Send the steps, `loops` times (0: until Ctrl-C), each time `period_ns` after the last; return what came of it.
 

@@ -146,4 +146,3 @@ class Session(ABC):
         if exchange.junk:
             raise Inconclusive(f"what came is no frame: {exchange.junk[0].data.hex(' ').upper()}")
         return exchange
-

@@ -270,9 +270,7 @@ class MksSession(Session):
         if seen != expected:
             if len(seen) < len(expected):
                 self.sound()
-            raise self.differs(
-                f"{what} is answered {_statuses(seen)}", _statuses(expected), _statuses(seen), exchange
-            )
+            raise self.differs(f"{what} is answered {_statuses(seen)}", _statuses(expected), _statuses(seen), exchange)
 
     def _run_speed(self, direction: int, speed: int, acceleration: int) -> None:
         ready = self.ready

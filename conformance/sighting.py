@@ -60,11 +60,7 @@ def _elsewhere(gate: Gate, dialect: Dialect, address: int, report: Report) -> li
     rates = [r for r in dialect.baud_rates if r != own]
     first = dialect.addresses[0]
     wide = sorted({address, first, *(a for a in _NEAR if a >= first)})
-    places = [
-        (others, (address,), (own,)),
-        ([dialect], wide, (own,)),
-        ([dialect, *others], (address,), rates),
-    ]
+    places = [(others, (address,), (own,)), ([dialect], wide, (own,)), ([dialect, *others], (address,), rates)]
     for dialects, addresses, speeds in places:
         if not dialects or not speeds:
             continue
@@ -78,9 +74,7 @@ def _elsewhere(gate: Gate, dialect: Dialect, address: int, report: Report) -> li
     return list(report.found)
 
 
-def _text(
-    gate: Gate, dialect: Dialect, address: int, elsewhere: Sequence[Found], heard: bytes, report: Report
-) -> str:
+def _text(gate: Gate, dialect: Dialect, address: int, elsewhere: Sequence[Found], heard: bytes, report: Report) -> str:
     place = gate.line.endpoint
     asked = f"{dialect.name}@{address} does not answer on {place.text} at {place.bits_per_second} bit/s"
     for found in elsewhere:

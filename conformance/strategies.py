@@ -120,11 +120,7 @@ def reserved_set(layout: Layout, room: Room = ROOMY) -> SearchStrategy[bytes]:
 
 
 def requests(
-    dialect: Dialect,
-    risks: Collection[Risk],
-    room: Room = ROOMY,
-    *,
-    commands: Collection[str] | None = None,
+    dialect: Dialect, risks: Collection[Risk], room: Room = ROOMY, *, commands: Collection[str] | None = None
 ) -> SearchStrategy[Request]:
     """Draw requests of a dialect with allowed values, every risk of which is among `risks`.
 
@@ -135,9 +131,7 @@ def requests(
     return st.one_of(drawn) if drawn else st.nothing()
 
 
-def request(
-    command: Command, form: Form, risks: Collection[Risk], room: Room = ROOMY
-) -> SearchStrategy[Request] | None:
+def request(command: Command, form: Form, risks: Collection[Risk], room: Room = ROOMY) -> SearchStrategy[Request] | None:
     """Return the strategy of one form of a request, None where no values of it are allowed."""
     open_ended = any(f.kind is Kind.BYTES for f in form.layout.named.values())
     closed = [rule for rule in command.risk if not rule.risks <= {*risks, Risk.READ}]

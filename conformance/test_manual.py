@@ -51,12 +51,7 @@ def _close(rig: Rig, config: pytest.Config) -> None:
         print(f"servotap: {error}", file=sys.__stderr__)
 
 
-def test_claim(
-    target: Target,
-    claim: Claim,
-    rigs: Opened,
-    request: pytest.FixtureRequest,
-) -> None:
+def test_claim(target: Target, claim: Claim, rigs: Opened, request: pytest.FixtureRequest) -> None:
     """Hold a claim against the drive."""
     plan = pytest_plan.plan_of(request.config)
     rig = _rig_of(target, plan, rigs, request)

@@ -271,4 +271,3 @@ class Judge:
         """Say whether traffic was seen that could have broken a row."""
         needs = count.row.needs
         return bool(count.found) or needs is Seen.NOTHING or self.seen[count.dialect][needs] > 0
-

@@ -1,7 +1,7 @@
 """Make what the documents show: the outputs in README.md from real runs, the picture, the table of rules.
 
-    python docs/make.py          rewrite README.md, docs/show.svg and docs/findings.md in place
-    python docs/make.py --check  say what is out of date, exit 1 if anything is
+python docs/make.py          rewrite README.md, docs/show.svg and docs/findings.md in place
+python docs/make.py --check  say what is out of date, exit 1 if anything is
 """
 
 from __future__ import annotations

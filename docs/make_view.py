@@ -1,6 +1,6 @@
 """Make docs/view.svg and docs/view-plot.svg: the terminal view as it is drawn, of a capture and of an emulated drive.
 
-    python docs/make_view.py
+python docs/make_view.py
 """
 
 from __future__ import annotations

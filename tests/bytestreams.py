@@ -94,9 +94,7 @@ def package_slots(draw: st.DrawFn, dialect: Dialect, command: Command) -> bytes:
 
 def answering(forms: Sequence[Form], asked: dict[str, int]) -> list[Form]:
     """Return the reply forms that agree with a request's values."""
-    return [
-        f for f in forms if all(asked.get(x.name, x.fixed) == x.fixed for x in f.layout.fields if x.fixed is not None)
-    ]
+    return [f for f in forms if all(asked.get(x.name, x.fixed) == x.fixed for x in f.layout.fields if x.fixed is not None)]
 
 
 @st.composite
@@ -126,11 +124,7 @@ def exchanges(draw: st.DrawFn, dialect: Dialect, address: int, packages: bool = 
 
 @st.composite
 def traffic(
-    draw: st.DrawFn,
-    names: Sequence[str] = SERIAL,
-    minimum: int = 1,
-    maximum: int = 12,
-    packages: bool = True,
+    draw: st.DrawFn, names: Sequence[str] = SERIAL, minimum: int = 1, maximum: int = 12, packages: bool = True
 ) -> list[Sent]:
     """Draw exchanges with several drives, each of one of the named dialects."""
     frames: list[Sent] = []
@@ -144,9 +138,7 @@ def traffic(
 
 def wires() -> st.SearchStrategy[tuple[str, ...]]:
     """Draw which dialects may be on a wire."""
-    return st.sampled_from(
-        [(n,) for n in SERIAL] + [("mks-rs485", "mks-modbus"), ("mks-rs485", "lk-rs485"), SERIAL],
-    )
+    return st.sampled_from([(n,) for n in SERIAL] + [("mks-rs485", "mks-modbus"), ("mks-rs485", "lk-rs485"), SERIAL])
 
 
 # --- noise, damage and cuts -------------------------------------------------------------------------------------------

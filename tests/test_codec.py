@@ -67,9 +67,7 @@ def fields():
 
 @given(fields(), st.data())
 def test_any_layout_round_trips(layout, data):
-    values = {
-        name: data.draw(st.integers(field.wire_minimum, field.wire_maximum)) for name, field in layout.named.items()
-    }
+    values = {name: data.draw(st.integers(field.wire_minimum, field.wire_maximum)) for name, field in layout.named.items()}
     raw = codec(layout).encode(values)
     assert len(raw) == layout.byte_length
     assert codec(layout).wire(raw) == values == reference(layout, raw)

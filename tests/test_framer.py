@@ -568,16 +568,12 @@ class Counted(HeadLink):
         return slicer
 
 
-@pytest.mark.parametrize(
-    "pattern", ["FA", "FB", "FC", "FA 01 FD", "FC 01 F6", "FC FA", "FA 01 32 2D FC", "00", "FB 01 31"]
-)
+@pytest.mark.parametrize("pattern", ["FA", "FB", "FC", "FA 01 FD", "FC 01 F6", "FC FA", "FA 01 32 2D FC", "00", "FB 01 31"])
 @pytest.mark.parametrize("size", [1, 8192])
 def test_the_work_grows_with_the_bytes_only(pattern, size):
     """Not with their square: a repeated pattern costs a fixed number of looks a byte, however it is cut."""
     link = dialects.get("mks-rs485").link
-    dialect = replace(
-        dialects.get("mks-rs485"), link=Counted(heads=link.heads, check=link.check, package=link.package)
-    )
+    dialect = replace(dialects.get("mks-rs485"), link=Counted(heads=link.heads, check=link.check, package=link.package))
     Counted.looks = 0
     data = bytes.fromhex(pattern) * (6000 // len(bytes.fromhex(pattern)))
     Line(dialect).feed(*(data[i : i + size] for i in range(0, len(data), size))).close()

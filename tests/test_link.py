@@ -174,7 +174,7 @@ def test_several_lengths_of_one_code():
 
 
 def test_another_check_than_the_sum():
-    link = HeadLink(heads={0xA5: Role.REQUEST, 0xA6: Role.REPLY}, check=lambda data: (sum8(data) ^ 0xFF))
+    link = HeadLink(heads={0xA5: Role.REQUEST, 0xA6: Role.REPLY}, check=lambda data: sum8(data) ^ 0xFF)
     dialect = replace(NATIVE, link=link, commands=tuple(c for c in NATIVE.commands if c.slots is None))
     slicer = link.slicer(dialect, lambda address, function: 0)
     frame = link.completed(bytes.fromhex("A5 01 32"))

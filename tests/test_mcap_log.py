@@ -73,8 +73,7 @@ def test_an_independent_reader_sees_the_same(written):
     data, _ = written
     ours = [(c.topic, m.sequence, m.log_time, m.publish_time, m.data) for _, c, m, _ in read(data)]
     theirs = [
-        (c.topic, m.sequence, m.log_time, m.publish_time, bytes(m.data))
-        for _, c, m in small.read_message(io.BytesIO(data))
+        (c.topic, m.sequence, m.log_time, m.publish_time, bytes(m.data)) for _, c, m in small.read_message(io.BytesIO(data))
     ]
     assert sorted(theirs) == sorted(ours)
 

@@ -59,7 +59,7 @@ SENDS = {
 #: The same, where it is not to a bus: (file, word).
 NOT_TO_A_BUS = {
     # A reader's descriptor, to its supervisor.
-    ("analyzer/live/reader.py", "send_fds"),
+    ("analyzer/live/reader.py", "send_fds")
 }
 #: Opens files of a recording to lock them.
 LOCKS = "analyzer/live/lock.py"

@@ -195,10 +195,7 @@ def test_refused_writes_by_06_and_10():
 def test_a_modbus_exception_ends_the_request():
     sink = serial("mks-modbus", (0, crc("01 04 00 30 00 03")), (5, crc("01 84 02")))
     assert sink.rules == ["modbus_exception"]
-    assert sink.shown[1] == (
-        "1/read_encoder_carry/reply",
-        {"exception": 2, "exception_name": "illegal_data_address"},
-    )
+    assert sink.shown[1] == ("1/read_encoder_carry/reply", {"exception": 2, "exception_name": "illegal_data_address"})
     assert "illegal_data_address" in sink.findings[0].text
 
 

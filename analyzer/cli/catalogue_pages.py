@@ -293,12 +293,7 @@ def erratum_lines(erratum: Erratum, *, indent: str = "", whose: bool = False) ->
     """Yield the lines of an erratum; `whose`: with the commands that it names."""
     damage = "damage of the scan, " if erratum.damage.value == "scan" else ""
     yield indent + styled(f"{erratum.id}  {damage}{erratum.certainty}  section {erratum.section}", "bold")
-    facts = [
-        ("printed", erratum.printed),
-        ("wrong", erratum.wrong),
-        ("taken as", erratum.taken_as),
-        ("why", erratum.why),
-    ]
+    facts = [("printed", erratum.printed), ("wrong", erratum.wrong), ("taken as", erratum.taken_as), ("why", erratum.why)]
     if whose and erratum.commands:
         facts.append(("commands", ", ".join(erratum.commands)))
     yield from columns(facts, width=WIDTH, indent=indent + _INDENT)

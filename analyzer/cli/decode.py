@@ -228,12 +228,7 @@ def _account(total: int, summary: Summary) -> None:
 
 
 def _report(
-    reading: Reading,
-    pipeline: Pipeline,
-    summary: Summary,
-    target: Path,
-    arguments: argparse.Namespace,
-    stopped: str,
+    reading: Reading, pipeline: Pipeline, summary: Summary, target: Path, arguments: argparse.Namespace, stopped: str
 ) -> None:
     if arguments.json:
         import msgspec

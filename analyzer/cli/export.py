@@ -163,9 +163,7 @@ def _counted(name: str, count: Count) -> str:
     return f"{count.pieces} {what} of {name} ({_KINDS[count.kind]}, {count.bytes} bytes)"
 
 
-def _report(
-    source: Source, outcome: Outcome, broken: str, target: Path | None, arguments: argparse.Namespace
-) -> None:
+def _report(source: Source, outcome: Outcome, broken: str, target: Path | None, arguments: argparse.Namespace) -> None:
     """Say what was exported and what was not; beside data on standard output, on standard error."""
     rows = [f"{source.name} ({source.title}) -> {target or 'standard output'}"]
     rows += [f"  {_counted(name, count)}" for name, count in outcome.written]

@@ -82,9 +82,7 @@ class Log:
             yield from (self._indexed if whole else self._scanned)(file, since_ns, until_ns, wanted)
             self.read += file.stat().st_size
 
-    def _indexed(
-        self, file: Path, since_ns: int, until_ns: int, wanted: Callable[[Channel], bool]
-    ) -> Iterator[Taken]:
+    def _indexed(self, file: Path, since_ns: int, until_ns: int, wanted: Callable[[Channel], bool]) -> Iterator[Taken]:
         with file.open("rb") as stream:
             reader = SeekingReader(stream, record_size_limit=scan.RECORD_LIMIT)
             self.header = reader.get_header()
@@ -108,9 +106,7 @@ class Log:
                 yield Taken(schema, channel, _message(message))
             self.read = begun
 
-    def _scanned(
-        self, file: Path, since_ns: int, until_ns: int, wanted: Callable[[Channel], bool]
-    ) -> Iterator[Taken]:
+    def _scanned(self, file: Path, since_ns: int, until_ns: int, wanted: Callable[[Channel], bool]) -> Iterator[Taken]:
         schemas: dict[int, Schema] = {}
         channels: dict[int, Channel | None] = {}
         with Source(str(file)) as source:

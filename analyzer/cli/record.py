@@ -119,12 +119,7 @@ def asked_duration_ns(arguments: argparse.Namespace) -> int:
 
 
 def record(
-    config: RecordingConfig,
-    display: Display,
-    *,
-    duration_ns: int = 0,
-    plain: bool = False,
-    readers: ReaderMaker | None = None,
+    config: RecordingConfig, display: Display, *, duration_ns: int = 0, plain: bool = False, readers: ReaderMaker | None = None
 ) -> int:
     """Record as configured; return the exit status. Signals end it in order. `readers`: see `Supervisor`."""
     from analyzer.cli.record_report import summarize
@@ -132,12 +127,7 @@ def record(
     from analyzer.live.supervisor import Supervisor
 
     supervisor = Supervisor(
-        config,
-        duration_ns=duration_ns,
-        on_note=display.note,
-        on_snapshot=display.snapshot,
-        plain=plain,
-        readers=readers,
+        config, duration_ns=duration_ns, on_note=display.note, on_snapshot=display.snapshot, plain=plain, readers=readers
     )
     with Signals(supervisor, display.say):
         supervisor.start()
@@ -182,9 +172,7 @@ def target_of(arguments: argparse.Namespace) -> Path:
     return target
 
 
-def _at_its_speed(
-    endpoint: Endpoint, dialects: Sequence[Dialect], notes: list[str], *, quiet: bool
-) -> Endpoint:
+def _at_its_speed(endpoint: Endpoint, dialects: Sequence[Dialect], notes: list[str], *, quiet: bool) -> Endpoint:
     """Return an endpoint with its rate found out, where it says `auto`."""
     if not endpoint.auto:
         if endpoint.kind == "serial" and endpoint.speed is None:

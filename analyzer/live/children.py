@@ -54,9 +54,7 @@ class Child(ABC):
     object), ("snapshot", name, Snapshot), ("said", name, text), ("exit", name, status), which is the last of all.
     """
 
-    def __init__(
-        self, name: str, command: Sequence[str], heard: Heard, nice: int, handed: Sequence[int] = ()
-    ) -> None:
+    def __init__(self, name: str, command: Sequence[str], heard: Heard, nice: int, handed: Sequence[int] = ()) -> None:
         self.name = name
         self._command = list(command)
         self._heard = heard

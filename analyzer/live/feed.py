@@ -111,9 +111,7 @@ class Feed:
 
     # --- sink -----------------------------------------------------------------------------------------------------
 
-    def plain(
-        self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None
-    ) -> None:
+    def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
         """Take a frame that is in order."""
         row = self._rows.get(lane.topic)
         if row is None:

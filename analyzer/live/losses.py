@@ -139,9 +139,7 @@ def _kernel_dropped(port: PortTally, event: Mapping[str, Any]) -> str:
 def _bus_error(port: PortTally, event: Mapping[str, Any]) -> str:
     reason = str(event["reason"])
     known = reason in port.bus_errors or len(port.bus_errors) < REMEMBERED
-    port.bus_errors[reason if known else "others"] = port.bus_errors.get(reason if known else "others", 0) + int(
-        event["count"]
-    )
+    port.bus_errors[reason if known else "others"] = port.bus_errors.get(reason if known else "others", 0) + int(event["count"])
     return reason
 
 

@@ -320,4 +320,3 @@ def _wish(made: socket.socket, option: int, value: int, level: int = socket.SOL_
     except OSError:
         return False
     return True
-

@@ -250,4 +250,3 @@ def precision(path: str) -> str:
     except (OSError, ValueError):
         return "read as the kernel delivers it, mostly within 0.1 ms; what the adapter holds back comes on top"
     return f"read as the kernel delivers it, mostly within 0.1 ms; the adapter holds bytes back for up to {timer} ms"
-

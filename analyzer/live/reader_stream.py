@@ -71,9 +71,7 @@ def drain(fd: int) -> tuple[list[Piece], str | None]:
     return pieces, None
 
 
-def listen(
-    fd: int, store: Store, stop: Stop, *, byte_ns: int, ended: str, tick: Callable[[int], None] | None = None
-) -> None:
+def listen(fd: int, store: Store, stop: Stop, *, byte_ns: int, ended: str, tick: Callable[[int], None] | None = None) -> None:
     """Store what comes from `fd` until the end is wished.
 
     `ended`: what the end of the stream means, in words. `tick` is called about once a second. Raises Lost.

@@ -58,14 +58,7 @@ class Recording:
     `parts`: the files of its log. `watch`: further sinks.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        config: RecordingConfig,
-        parts: LogParts,
-        *,
-        watch: Sequence[Sink] = (),
-    ) -> None:
+    def __init__(self, folder: Path, config: RecordingConfig, parts: LogParts, *, watch: Sequence[Sink] = ()) -> None:
         self.folder = folder
         self.config = config
         self.parts = parts

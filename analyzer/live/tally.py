@@ -23,9 +23,7 @@ class Tally:
         self.findings: Counter[str] = Counter()
         self._before: dict[str, int] = dict.fromkeys((*_NAMES, "findings"), 0)
 
-    def plain(
-        self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None
-    ) -> None:
+    def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
         """Count a frame that is in order."""
         self.frames += 1
         self.frame_bytes += len(frame.data)

@@ -100,10 +100,7 @@ CURRENT_MODELS = ("MF", "MG", "MH")  # measure phase currents, so report and obe
 POWER_MODELS = ("MS",)  # measure none, so report and obey a power
 
 HUNDREDTH = Fraction(1, 100)
-CURRENT_SCALES = {
-    "MF": ModelLimits(scale=Fraction(33, 4096), unit="A"),
-    "MG": ModelLimits(scale=Fraction(66, 4096), unit="A"),
-}
+CURRENT_SCALES = {"MF": ModelLimits(scale=Fraction(33, 4096), unit="A"), "MG": ModelLimits(scale=Fraction(66, 4096), unit="A")}
 ENCODER_NOTE = "14, 15 or 16 bits by the encoder's resolution, which the wire does not tell; of 18 bits the upper 16"
 
 u16le = partial(u16, order=Order.LITTLE)
@@ -132,9 +129,7 @@ ERROR_BITS = (
 STATE_1 = Layout(
     TEMPERATURE,
     i16le("voltage", unit="V", scale=HUNDREDTH, printed="voltage", state=StatePart("voltage", 1.0)),
-    i16le(
-        "current", unit="A", scale=HUNDREDTH, printed="current", note="of the supply", state=StatePart("current", 1.0)
-    ),
+    i16le("current", unit="A", scale=HUNDREDTH, printed="current", note="of the supply", state=StatePart("current", 1.0)),
     u8("state", choices=MotorState, printed="motorState"),
     *ERROR_BITS,
 )
@@ -173,14 +168,11 @@ PARAMETER_FORMS = (
     _parameter_form(Parameter.SPEED_PID, *_gains("speed")),
     _parameter_form(Parameter.CURRENT_PID, *_gains("current")),
     _parameter_form(
-        Parameter.TORQUE_LIMIT,
-        reserved(16), i16le("torque_limit", unit="LSB", printed="inputTorqueLimit"), reserved(16),
+        Parameter.TORQUE_LIMIT, reserved(16), i16le("torque_limit", unit="LSB", printed="inputTorqueLimit"), reserved(16)
     ),
     _parameter_form(Parameter.SPEED_LIMIT, reserved(16), i32le("speed_limit", unit="LSB", printed="inputSpeedLimit")),
     _parameter_form(Parameter.ANGLE_LIMIT, reserved(16), i32le("angle_limit", unit="LSB", printed="inputAngleLimit")),
-    _parameter_form(
-        Parameter.CURRENT_RAMP, reserved(16), i32le("current_ramp", unit="LSB", printed="inputCurrentRamp")
-    ),
+    _parameter_form(Parameter.CURRENT_RAMP, reserved(16), i32le("current_ramp", unit="LSB", printed="inputCurrentRamp")),
     _parameter_form(Parameter.SPEED_RAMP, reserved(16), i32le("speed_ramp", unit="LSB", printed="inputSpeedRamp")),
     # A number that appendix 1 does not list keeps its bytes, in the order of the wire.
     Form(
@@ -208,63 +200,85 @@ def _errors(*names: str) -> dict[str, int]:
 
 COMMANDS = (
     Command(
-        name="read_state_1", verb=Verb.READ_STATE_1, code=0x9A, section="1",
+        name="read_state_1",
+        verb=Verb.READ_STATE_1,
+        code=0x9A,
+        section="1",
         summary="Read temperature, supply voltage and current, motor state and error flags.",
         risk=(always(Risk.READ),),
-        request=EMPTY, reply=STATE_1,
+        request=EMPTY,
+        reply=STATE_1,
         vectors=(
             _request("3E 9A 01 00 D9"),
             _reply(
-                "3E 9A 01 07 E0 22 6C 09 DD FF 00 00 73",
-                temperature=34, voltage=2412, current=-35, state=0x00, **_errors(),
+                "3E 9A 01 07 E0 22 6C 09 DD FF 00 00 73", temperature=34, voltage=2412, current=-35, state=0x00, **_errors()
             ),
             _request("3E 9A 20 00 F8"),
             _reply(
                 "3E 9A 20 07 FF F9 9C 04 70 00 10 41 5A",
-                temperature=-7, voltage=1180, current=112, state=0x10, **_errors("stalled", "low_voltage"),
+                temperature=-7,
+                voltage=1180,
+                current=112,
+                state=0x10,
+                **_errors("stalled", "low_voltage"),
             ),
         ),
     ),
     Command(
-        name="clear_errors", verb=Verb.CLEAR_ERRORS, code=0x9B, section="2",
+        name="clear_errors",
+        verb=Verb.CLEAR_ERRORS,
+        code=0x9B,
+        section="2",
         summary="Clear the error flags, and read what 0x9A reads.",
         # A motor that was held by an error may go on.
         risk=(always(Risk.SETTING, Risk.MOTION),),
-        request=EMPTY, reply=STATE_1,
+        request=EMPTY,
+        reply=STATE_1,
         notes=("a flag whose cause lasts stays set",),
         vectors=(
             _request("3E 9B 01 00 DA"),
-            _reply(
-                "3E 9B 01 07 E1 29 5E 09 04 00 00 00 94",
-                temperature=41, voltage=2398, current=4, state=0x00, **_errors(),
-            ),
+            _reply("3E 9B 01 07 E1 29 5E 09 04 00 00 00 94", temperature=41, voltage=2398, current=4, state=0x00, **_errors()),
             _request("3E 9B 11 00 EA"),
             _reply(
                 "3E 9B 11 07 F1 5C 14 0E FF FF 10 8C 18",
-                temperature=92, voltage=3604, current=-1, state=0x10, **_errors("input_lost", "motor_hot", "drive_hot"),
+                temperature=92,
+                voltage=3604,
+                current=-1,
+                state=0x10,
+                **_errors("input_lost", "motor_hot", "drive_hot"),
             ),
         ),
     ),
     Command(
-        name="read_state_2", verb=Verb.READ_STATE_2, code=0x9C, section="3",
+        name="read_state_2",
+        verb=Verb.READ_STATE_2,
+        code=0x9C,
+        section="3",
         summary="Read temperature, torque current (MS: power), speed and encoder.",
         risk=(always(Risk.READ),),
-        request=EMPTY, reply=STATE_2,
+        request=EMPTY,
+        reply=STATE_2,
         vectors=(
             _request("3E 9C 01 00 DB"),
             _reply(
-                "3E 9C 01 07 E2 21 64 FE 24 FA FF 3F DF", CURRENT_MODELS,
-                temperature=33, torque_current=-412, speed=-1500, encoder=16383,
+                "3E 9C 01 07 E2 21 64 FE 24 FA FF 3F DF",
+                CURRENT_MODELS,
+                temperature=33,
+                torque_current=-412,
+                speed=-1500,
+                encoder=16383,
             ),
             _request("3E 9C 09 00 E3"),
             _reply(
-                "3E 9C 09 07 EA 1C 80 FD D0 02 40 9C 47", POWER_MODELS,
-                temperature=28, power=-640, speed=720, encoder=40000,
+                "3E 9C 09 07 EA 1C 80 FD D0 02 40 9C 47", POWER_MODELS, temperature=28, power=-640, speed=720, encoder=40000
             ),
         ),
     ),
     Command(
-        name="read_state_3", verb=Verb.READ_STATE_3, code=0x9D, section="4",
+        name="read_state_3",
+        verb=Verb.READ_STATE_3,
+        code=0x9D,
+        section="4",
         summary="Read temperature and the three phase currents; not on MS.",
         risk=(always(Risk.READ),),
         request=EMPTY,
@@ -278,49 +292,63 @@ COMMANDS = (
         vectors=(
             _request("3E 9D 01 00 DC", CURRENT_MODELS),
             _reply(
-                "3E 9D 01 07 E3 24 FA 00 7D FF 89 FF 22", CURRENT_MODELS,
-                temperature=36, phase_a_current=250, phase_b_current=-131, phase_c_current=-119,
+                "3E 9D 01 07 E3 24 FA 00 7D FF 89 FF 22",
+                CURRENT_MODELS,
+                temperature=36,
+                phase_a_current=250,
+                phase_b_current=-131,
+                phase_c_current=-119,
             ),
             _request("3E 9D 1E 00 F9", CURRENT_MODELS),
             _reply(
-                "3E 9D 1E 07 00 F4 00 00 00 F8 FF 07 F2", CURRENT_MODELS,
-                temperature=-12, phase_a_current=0, phase_b_current=-2048, phase_c_current=2047,
+                "3E 9D 1E 07 00 F4 00 00 00 F8 FF 07 F2",
+                CURRENT_MODELS,
+                temperature=-12,
+                phase_a_current=0,
+                phase_b_current=-2048,
+                phase_c_current=2047,
             ),
         ),
     ),
     Command(
-        name="motor_off", verb=Verb.MOTOR_OFF, code=0x80, section="5",
+        name="motor_off",
+        verb=Verb.MOTOR_OFF,
+        code=0x80,
+        section="5",
         summary="Turn the motor off: it still answers, but performs no action.",
         risk=(always(Risk.TORQUE),),
-        request=EMPTY, reply=EMPTY,
+        request=EMPTY,
+        reply=EMPTY,
         notes=("the motor is on after power-up; its light is steady while on and flashes slowly while off",),
-        vectors=(
-            _request("3E 80 01 00 BF"), _reply("3E 80 01 00 BF"),
-            _request("3E 80 0E 00 CC"), _reply("3E 80 0E 00 CC"),
-        ),
+        vectors=(_request("3E 80 01 00 BF"), _reply("3E 80 01 00 BF"), _request("3E 80 0E 00 CC"), _reply("3E 80 0E 00 CC")),
     ),
     Command(
-        name="motor_on", verb=Verb.MOTOR_ON, code=0x88, section="6",
+        name="motor_on",
+        verb=Verb.MOTOR_ON,
+        code=0x88,
+        section="6",
         summary="Turn the motor on, so that it obeys motion commands.",
         risk=(always(Risk.MOTION),),
-        request=EMPTY, reply=EMPTY,
-        vectors=(
-            _request("3E 88 01 00 C7"), _reply("3E 88 01 00 C7"),
-            _request("3E 88 0E 00 D4"), _reply("3E 88 0E 00 D4"),
-        ),
+        request=EMPTY,
+        reply=EMPTY,
+        vectors=(_request("3E 88 01 00 C7"), _reply("3E 88 01 00 C7"), _request("3E 88 0E 00 D4"), _reply("3E 88 0E 00 D4")),
     ),
     Command(
-        name="stop", verb=Verb.STOP, code=0x81, section="7",
+        name="stop",
+        verb=Verb.STOP,
+        code=0x81,
+        section="7",
         summary="Stop the motor and leave it on; the next motion command moves it again.",
         risk=(always(Risk.MOTION),),
-        request=EMPTY, reply=EMPTY,
-        vectors=(
-            _request("3E 81 01 00 C0"), _reply("3E 81 01 00 C0"),
-            _request("3E 81 20 00 DF"), _reply("3E 81 20 00 DF"),
-        ),
+        request=EMPTY,
+        reply=EMPTY,
+        vectors=(_request("3E 81 01 00 C0"), _reply("3E 81 01 00 C0"), _request("3E 81 20 00 DF"), _reply("3E 81 20 00 DF")),
     ),
     Command(
-        name="brake", verb=Verb.BRAKE, code=0x8C, section="8",
+        name="brake",
+        verb=Verb.BRAKE,
+        code=0x8C,
+        section="8",
         summary="Power the brake or take its power away, or read its state.",
         risk=(
             when("brake_control", 0x00, 0x01, Risk.TORQUE),
@@ -340,7 +368,10 @@ COMMANDS = (
         ),
     ),
     Command(
-        name="run_open_loop", verb=Verb.RUN_OPEN_LOOP, code=0xA0, section="9",
+        name="run_open_loop",
+        verb=Verb.RUN_OPEN_LOOP,
+        code=0xA0,
+        section="9",
         summary="Drive an MS motor with a voltage, without feedback.",
         risk=(always(Risk.UNBOUNDED, Risk.TORQUE),),
         request=Layout(i16le("power", minimum=-850, maximum=850, unit="LSB", printed="powerControl")),
@@ -348,25 +379,29 @@ COMMANDS = (
         models=POWER_MODELS,
         vectors=(
             _request("3E A0 01 02 E1 78 00 78", POWER_MODELS, power=120),
-            _reply(
-                "3E A0 01 07 E6 1E 76 00 54 01 00 02 EB", POWER_MODELS,
-                temperature=30, power=118, speed=340, encoder=512,
-            ),
+            _reply("3E A0 01 07 E6 1E 76 00 54 01 00 02 EB", POWER_MODELS, temperature=30, power=118, speed=340, encoder=512),
             _request("3E A0 05 02 E5 AE FC AA", POWER_MODELS, power=-850),
             _reply(
-                "3E A0 05 07 EA 2F 18 FC B6 F4 FF FF EB", POWER_MODELS,
-                temperature=47, power=-1000, speed=-2890, encoder=65535,
+                "3E A0 05 07 EA 2F 18 FC B6 F4 FF FF EB", POWER_MODELS, temperature=47, power=-1000, speed=-2890, encoder=65535
             ),
         ),
     ),
     Command(
-        name="run_torque", verb=Verb.RUN_TORQUE, code=0xA1, section="10",
+        name="run_torque",
+        verb=Verb.RUN_TORQUE,
+        code=0xA1,
+        section="10",
         summary="Hold a torque current; MF, MG and MH only.",
         risk=(always(Risk.UNBOUNDED, Risk.TORQUE),),
         request=Layout(
             i16le(
-                "torque_current", minimum=-2048, maximum=2048, unit="LSB", printed="iqControl",
-                note="the limits are 16.5 A of an MF and 33 A of an MG", models=CURRENT_SCALES,
+                "torque_current",
+                minimum=-2048,
+                maximum=2048,
+                unit="LSB",
+                printed="iqControl",
+                note="the limits are 16.5 A of an MF and 33 A of an MG",
+                models=CURRENT_SCALES,
             )
         ),
         reply=TORQUE_STATE_2,
@@ -374,18 +409,29 @@ COMMANDS = (
         vectors=(
             _request("3E A1 01 02 E2 C8 00 C8", CURRENT_MODELS, torque_current=200),
             _reply(
-                "3E A1 01 07 E7 23 C4 00 5F 00 FF 1F 64", CURRENT_MODELS,
-                temperature=35, torque_current=196, speed=95, encoder=8191,
+                "3E A1 01 07 E7 23 C4 00 5F 00 FF 1F 64",
+                CURRENT_MODELS,
+                temperature=35,
+                torque_current=196,
+                speed=95,
+                encoder=8191,
             ),
             _request("3E A1 15 02 F6 00 F8 F8", CURRENT_MODELS, torque_current=-2048),
             _reply(
-                "3E A1 15 07 FB 3A 11 F8 FC FF FF 7F BC", CURRENT_MODELS,
-                temperature=58, torque_current=-2031, speed=-4, encoder=32767,
+                "3E A1 15 07 FB 3A 11 F8 FC FF FF 7F BC",
+                CURRENT_MODELS,
+                temperature=58,
+                torque_current=-2031,
+                speed=-4,
+                encoder=32767,
             ),
         ),
     ),
     Command(
-        name="run_speed", verb=Verb.RUN_SPEED, code=0xA2, section="11",
+        name="run_speed",
+        verb=Verb.RUN_SPEED,
+        code=0xA2,
+        section="11",
         summary="Run at a speed until told otherwise.",
         risk=(
             when("speed", -0x8000_0000, -1, Risk.UNBOUNDED),
@@ -398,43 +444,59 @@ COMMANDS = (
         vectors=(
             _request("3E A2 01 04 E5 A0 8C 00 00 2C", speed=36000),
             _reply(
-                "3E A2 01 07 E8 1F 57 00 66 01 00 04 E1", CURRENT_MODELS,
-                temperature=31, torque_current=87, speed=358, encoder=1024,
+                "3E A2 01 07 E8 1F 57 00 66 01 00 04 E1",
+                CURRENT_MODELS,
+                temperature=31,
+                torque_current=87,
+                speed=358,
+                encoder=1024,
             ),
             _request("3E A2 0C 04 F0 C0 1D FE FF DA", speed=-123456),
             _reply(
-                "3E A2 0C 07 F3 27 29 FF 2E FB 61 EA C3", POWER_MODELS,
-                temperature=39, power=-215, speed=-1234, encoder=60001,
+                "3E A2 0C 07 F3 27 29 FF 2E FB 61 EA C3", POWER_MODELS, temperature=39, power=-215, speed=-1234, encoder=60001
             ),
             _request("3E A2 0C 04 F0 00 00 00 00 00", speed=0),
         ),
     ),
     Command(
-        name="move_multi_turn", verb=Verb.MOVE_ABSOLUTE_AXIS, code=0xA3, section="12",
+        name="move_multi_turn",
+        verb=Verb.MOVE_ABSOLUTE_AXIS,
+        code=0xA3,
+        section="12",
         summary="Move to a position counted over all turns.",
         risk=(always(Risk.MOTION),),
         request=Layout(POSITION_TARGET),
         reply=STATE_2,
         notes=(
             "the sign of target minus present position is the direction",
-            "limited by Max Angle, Max Speed, Max Acceleration and Max Torque Current (MS: Max Power) "
-            "of the setup program",
+            "limited by Max Angle, Max Speed, Max Acceleration and Max Torque Current (MS: Max Power) of the setup program",
         ),
         vectors=(
             _request("3E A3 01 08 EA A0 8C 00 00 00 00 00 00 2C", position=36000),
             _reply(
-                "3E A3 01 07 E9 1D 40 00 0C 00 00 08 71", CURRENT_MODELS,
-                temperature=29, torque_current=64, speed=12, encoder=2048,
+                "3E A3 01 07 E9 1D 40 00 0C 00 00 08 71",
+                CURRENT_MODELS,
+                temperature=29,
+                torque_current=64,
+                speed=12,
+                encoder=2048,
             ),
             _request("3E A3 08 08 F1 00 0E FA D5 FE FF FF FF D8", position=-5000000000),
             _reply(
-                "3E A3 08 07 F0 2C B6 FE CC F7 00 3E E1", CURRENT_MODELS,
-                temperature=44, torque_current=-330, speed=-2100, encoder=15872,
+                "3E A3 08 07 F0 2C B6 FE CC F7 00 3E E1",
+                CURRENT_MODELS,
+                temperature=44,
+                torque_current=-330,
+                speed=-2100,
+                encoder=15872,
             ),
         ),
     ),
     Command(
-        name="move_multi_turn_limited", verb=Verb.MOVE_ABSOLUTE_AXIS, code=0xA4, section="13",
+        name="move_multi_turn_limited",
+        verb=Verb.MOVE_ABSOLUTE_AXIS,
+        code=0xA4,
+        section="13",
         summary="Move to a position counted over all turns, no faster than a given speed.",
         risk=(always(Risk.MOTION),),
         request=Layout(POSITION_TARGET, MAX_SPEED),
@@ -446,18 +508,22 @@ COMMANDS = (
         vectors=(
             _request("3E A4 01 0C EF D8 DC FF FF FF FF FF FF 40 19 01 00 08", position=-9000, max_speed=72000),
             _reply(
-                "3E A4 01 07 EA 20 8A FF 3F FD B8 0B A8", CURRENT_MODELS,
-                temperature=32, torque_current=-118, speed=-705, encoder=3000,
+                "3E A4 01 07 EA 20 8A FF 3F FD B8 0B A8",
+                CURRENT_MODELS,
+                temperature=32,
+                torque_current=-118,
+                speed=-705,
+                encoder=3000,
             ),
             _request("3E A4 03 0C F1 00 EB 41 00 00 00 00 00 00 00 00 00 2C", position=4320000, max_speed=0),
-            _reply(
-                "3E A4 03 07 EC 21 8E 00 8F 02 22 C8 2A", POWER_MODELS,
-                temperature=33, power=142, speed=655, encoder=51234,
-            ),
+            _reply("3E A4 03 07 EC 21 8E 00 8F 02 22 C8 2A", POWER_MODELS, temperature=33, power=142, speed=655, encoder=51234),
         ),
     ),
     Command(
-        name="move_single_turn", verb=Verb.MOVE_SINGLE_TURN, code=0xA5, section="14",
+        name="move_single_turn",
+        verb=Verb.MOVE_SINGLE_TURN,
+        code=0xA5,
+        section="14",
         summary="Move to an angle within one turn, in a given direction.",
         risk=(always(Risk.MOTION),),
         request=Layout(DIRECTION, ANGLE_TARGET, reserved(8)),
@@ -466,18 +532,29 @@ COMMANDS = (
         vectors=(
             _request("3E A5 01 04 E8 00 28 23 00 4B", direction=0, angle=9000),
             _reply(
-                "3E A5 01 07 EB 1E 37 00 B4 00 00 10 19", CURRENT_MODELS,
-                temperature=30, torque_current=55, speed=180, encoder=4096,
+                "3E A5 01 07 EB 1E 37 00 B4 00 00 10 19",
+                CURRENT_MODELS,
+                temperature=30,
+                torque_current=55,
+                speed=180,
+                encoder=4096,
             ),
             _request("3E A5 1A 04 01 01 9F 8C 00 2C", direction=1, angle=35999),
             _reply(
-                "3E A5 1A 07 04 25 C3 FF 51 FF FC 3F 72", CURRENT_MODELS,
-                temperature=37, torque_current=-61, speed=-175, encoder=16380,
+                "3E A5 1A 07 04 25 C3 FF 51 FF FC 3F 72",
+                CURRENT_MODELS,
+                temperature=37,
+                torque_current=-61,
+                speed=-175,
+                encoder=16380,
             ),
         ),
     ),
     Command(
-        name="move_single_turn_limited", verb=Verb.MOVE_SINGLE_TURN, code=0xA6, section="15",
+        name="move_single_turn_limited",
+        verb=Verb.MOVE_SINGLE_TURN,
+        code=0xA6,
+        section="15",
         summary="Move to an angle within one turn, in a given direction, no faster than a given speed.",
         risk=(always(Risk.MOTION),),
         request=Layout(DIRECTION, ANGLE_TARGET, reserved(8), MAX_SPEED),
@@ -486,18 +563,22 @@ COMMANDS = (
         vectors=(
             _request("3E A6 01 08 ED 01 50 46 00 A0 8C 00 00 C3", direction=1, angle=18000, max_speed=36000),
             _reply(
-                "3E A6 01 07 EC 22 B8 FF D5 FE 00 20 CC", CURRENT_MODELS,
-                temperature=34, torque_current=-72, speed=-299, encoder=8192,
+                "3E A6 01 07 EC 22 B8 FF D5 FE 00 20 CC",
+                CURRENT_MODELS,
+                temperature=34,
+                torque_current=-72,
+                speed=-299,
+                encoder=8192,
             ),
             _request("3E A6 06 08 F2 00 78 69 00 A0 86 01 00 08", direction=0, angle=27000, max_speed=100000),
-            _reply(
-                "3E A6 06 07 F1 23 36 01 E6 03 00 C0 03", POWER_MODELS,
-                temperature=35, power=310, speed=998, encoder=49152,
-            ),
+            _reply("3E A6 06 07 F1 23 36 01 E6 03 00 C0 03", POWER_MODELS, temperature=35, power=310, speed=998, encoder=49152),
         ),
     ),
     Command(
-        name="move_increment", verb=Verb.MOVE_RELATIVE_AXIS, code=0xA7, section="16",
+        name="move_increment",
+        verb=Verb.MOVE_RELATIVE_AXIS,
+        code=0xA7,
+        section="16",
         summary="Move by an angle.",
         risk=(always(Risk.MOTION),),
         request=Layout(DISTANCE),
@@ -506,18 +587,29 @@ COMMANDS = (
         vectors=(
             _request("3E A7 01 04 EA 60 73 FF FF D1", position=-36000),
             _reply(
-                "3E A7 01 07 ED 1E A6 FF EC FF 64 00 12", CURRENT_MODELS,
-                temperature=30, torque_current=-90, speed=-20, encoder=100,
+                "3E A7 01 07 ED 1E A6 FF EC FF 64 00 12",
+                CURRENT_MODELS,
+                temperature=30,
+                torque_current=-90,
+                speed=-20,
+                encoder=100,
             ),
             _request("3E A7 13 04 FC 80 FC 0A 00 86", position=720000),
             _reply(
-                "3E A7 13 07 FF 1E 65 00 21 00 E0 2E B2", CURRENT_MODELS,
-                temperature=30, torque_current=101, speed=33, encoder=12000,
+                "3E A7 13 07 FF 1E 65 00 21 00 E0 2E B2",
+                CURRENT_MODELS,
+                temperature=30,
+                torque_current=101,
+                speed=33,
+                encoder=12000,
             ),
         ),
     ),
     Command(
-        name="move_increment_limited", verb=Verb.MOVE_RELATIVE_AXIS, code=0xA8, section="17",
+        name="move_increment_limited",
+        verb=Verb.MOVE_RELATIVE_AXIS,
+        code=0xA8,
+        section="17",
         summary="Move by an angle, no faster than a given speed.",
         risk=(always(Risk.MOTION),),
         request=Layout(DISTANCE, MAX_SPEED),
@@ -526,18 +618,24 @@ COMMANDS = (
         vectors=(
             _request("3E A8 01 08 EF 94 11 00 00 F0 D2 00 00 67", position=4500, max_speed=54000),
             _reply(
-                "3E A8 01 07 EE 1F 30 00 0A 01 58 1B CD", CURRENT_MODELS,
-                temperature=31, torque_current=48, speed=266, encoder=7000,
+                "3E A8 01 07 EE 1F 30 00 0A 01 58 1B CD",
+                CURRENT_MODELS,
+                temperature=31,
+                torque_current=48,
+                speed=266,
+                encoder=7000,
             ),
             _request("3E A8 0B 08 F9 79 29 ED FF 78 56 34 12 A2", position=-1234567, max_speed=305419896),
             _reply(
-                "3E A8 0B 07 F8 34 19 FC 20 D1 E8 80 A2", POWER_MODELS,
-                temperature=52, power=-999, speed=-12000, encoder=33000,
+                "3E A8 0B 07 F8 34 19 FC 20 D1 E8 80 A2", POWER_MODELS, temperature=52, power=-999, speed=-12000, encoder=33000
             ),
         ),
     ),
     Command(
-        name="read_parameter", verb=Verb.READ_PARAMETER, code=0xC0, section="18",
+        name="read_parameter",
+        verb=Verb.READ_PARAMETER,
+        code=0xC0,
+        section="18",
         summary="Read a control parameter of appendix 1.",
         risk=(always(Risk.READ),),
         request=Layout(PARAMETER, reserved(48)),
@@ -549,9 +647,7 @@ COMMANDS = (
             _request("3E C0 01 07 06 0B 00 00 00 00 00 00 0B", parameter=11),
             _reply("3E C0 01 07 06 0B 32 00 28 00 02 00 67", parameter=11, speed_kp=50, speed_ki=40, speed_kd=2),
             _request("3E C0 01 07 06 0C 00 00 00 00 00 00 0C", parameter=12),
-            _reply(
-                "3E C0 01 07 06 0C FF FF 2C 01 01 00 38", parameter=12, current_kp=65535, current_ki=300, current_kd=1
-            ),
+            _reply("3E C0 01 07 06 0C FF FF 2C 01 01 00 38", parameter=12, current_kp=65535, current_ki=300, current_kd=1),
             _request("3E C0 04 07 09 1E 00 00 00 00 00 00 1E", parameter=30),
             _reply("3E C0 04 07 09 1E 00 00 DC 05 00 00 FF", parameter=30, torque_limit=1500),
             _request("3E C0 04 07 09 20 00 00 00 00 00 00 20", parameter=32),
@@ -565,7 +661,10 @@ COMMANDS = (
         ),
     ),
     Command(
-        name="write_parameter", verb=Verb.WRITE_PARAMETER, code=0xC1, section="19",
+        name="write_parameter",
+        verb=Verb.WRITE_PARAMETER,
+        code=0xC1,
+        section="19",
         summary="Write a control parameter of appendix 1, and read it back.",
         risk=(
             always(Risk.SETTING),
@@ -575,21 +674,14 @@ COMMANDS = (
         ),
         request=PARAMETER_FORMS,
         reply=PARAMETER_FORMS,
-        notes=(
-            "holds at once, and until the power goes: it is written to RAM",
-            "firmware 2.35 was seen not to have it",
-        ),
+        notes=("holds at once, and until the power goes: it is written to RAM", "firmware 2.35 was seen not to have it"),
         vectors=(
             _request("3E C1 01 07 07 0A 78 00 1E 00 05 00 A5", parameter=10, angle_kp=120, angle_ki=30, angle_kd=5),
             _reply("3E C1 01 07 07 0A 78 00 1E 00 05 00 A5", parameter=10, angle_kp=120, angle_ki=30, angle_kd=5),
             _request("3E C1 01 07 07 0B 3C 00 00 00 34 12 8D", parameter=11, speed_kp=60, speed_ki=0, speed_kd=4660),
             _reply("3E C1 01 07 07 0B 3C 00 00 00 34 12 8D", parameter=11, speed_kp=60, speed_ki=0, speed_kd=4660),
-            _request(
-                "3E C1 01 07 07 0C C8 00 E8 03 00 00 BF", parameter=12, current_kp=200, current_ki=1000, current_kd=0
-            ),
-            _reply(
-                "3E C1 01 07 07 0C C8 00 E8 03 00 00 BF", parameter=12, current_kp=200, current_ki=1000, current_kd=0
-            ),
+            _request("3E C1 01 07 07 0C C8 00 E8 03 00 00 BF", parameter=12, current_kp=200, current_ki=1000, current_kd=0),
+            _reply("3E C1 01 07 07 0C C8 00 E8 03 00 00 BF", parameter=12, current_kp=200, current_ki=1000, current_kd=0),
             _request("3E C1 10 07 16 1E 00 00 08 07 00 00 2D", parameter=30, torque_limit=1800),
             _reply("3E C1 10 07 16 1E 00 00 08 07 00 00 2D", parameter=30, torque_limit=1800),
             _request("3E C1 10 07 16 20 00 00 90 5F 01 00 10", parameter=32, speed_limit=90000),
@@ -603,7 +695,10 @@ COMMANDS = (
         ),
     ),
     Command(
-        name="read_encoder", verb=Verb.READ_ENCODER, code=0x90, section="20",
+        name="read_encoder",
+        verb=Verb.READ_ENCODER,
+        code=0x90,
+        section="20",
         summary="Read the encoder, as it is and counted from its zero.",
         risk=(always(Risk.READ),),
         request=EMPTY,
@@ -621,7 +716,10 @@ COMMANDS = (
         ),
     ),
     Command(
-        name="set_zero", verb=Verb.SET_ZERO, code=0x19, section="21",
+        name="set_zero",
+        verb=Verb.SET_ZERO,
+        code=0x19,
+        section="21",
         summary="Store where the encoder stands as the zero that holds from power-up.",
         risk=(always(Risk.SETTING, Risk.WEAR),),
         request=EMPTY,
@@ -635,15 +733,14 @@ COMMANDS = (
         ),
     ),
     Command(
-        name="read_position", verb=Verb.READ_POSITION, code=0x92, section="22",
+        name="read_position",
+        verb=Verb.READ_POSITION,
+        code=0x92,
+        section="22",
         summary="Read the position counted over all turns, clockwise up.",
         risk=(always(Risk.READ),),
         request=EMPTY,
-        reply=Layout(
-            i64le(
-                "position", unit="deg", scale=HUNDREDTH, printed="motorAngle", state=StatePart("position", 1.0)
-            )
-        ),
+        reply=Layout(i64le("position", unit="deg", scale=HUNDREDTH, printed="motorAngle", state=StatePart("position", 1.0))),
         vectors=(
             _request("3E 92 01 00 D1"),
             _reply("3E 92 01 08 D9 C0 1D FE FF FF FF FF FF D6", position=-123456),
@@ -652,17 +749,21 @@ COMMANDS = (
         ),
     ),
     Command(
-        name="clear_turns", verb=Verb.CLEAR_TURNS, code=0x93, section="23",
+        name="clear_turns",
+        verb=Verb.CLEAR_TURNS,
+        code=0x93,
+        section="23",
         summary="Forget the counted turns.",
         risk=(always(Risk.SETTING),),
-        request=EMPTY, reply=EMPTY,
-        vectors=(
-            _request("3E 93 01 00 D2"), _reply("3E 93 01 00 D2"),
-            _request("3E 93 0A 00 DB"), _reply("3E 93 0A 00 DB"),
-        ),
+        request=EMPTY,
+        reply=EMPTY,
+        vectors=(_request("3E 93 01 00 D2"), _reply("3E 93 01 00 D2"), _request("3E 93 0A 00 DB"), _reply("3E 93 0A 00 DB")),
     ),
     Command(
-        name="read_single_turn", verb=Verb.READ_SINGLE_TURN, code=0x94, section="24",
+        name="read_single_turn",
+        verb=Verb.READ_SINGLE_TURN,
+        code=0x94,
+        section="24",
         summary="Read the angle within one turn, from the encoder's zero, clockwise up.",
         risk=(always(Risk.READ),),
         request=EMPTY,
@@ -675,7 +776,10 @@ COMMANDS = (
         ),
     ),
     Command(
-        name="set_position", verb=Verb.OTHER, code=0x95, section="25",
+        name="set_position",
+        verb=Verb.OTHER,
+        code=0x95,
+        section="25",
         summary="Call the present position any angle, counted over all turns.",
         risk=(always(Risk.SETTING),),
         request=Layout(i32le("position", unit="deg", scale=HUNDREDTH, printed="motorAngle")),

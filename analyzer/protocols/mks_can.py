@@ -149,17 +149,14 @@ _CURRENT = replace(
 _SUBDIVISION = u8("subdivision", values=SUBDIVISIONS, default=16, printed="micstep", note="0 stands for 256")
 _PULSE_DELAY = u8("pulse_delay", choices=PulseDelay, default=PulseDelay.MS_20, printed="delay")
 _PROTECTION = replace(mks.PROTECTION, default=mks.Switch.ENABLED)
-_STALL_TOLERANCE = u16(
-    "stall_tolerance", maximum=0x7FFF, default=0x64, unit="deg", scale=Fraction(9, 5), printed="value"
-)
+_STALL_TOLERANCE = u16("stall_tolerance", maximum=0x7FFF, default=0x64, unit="deg", scale=Fraction(9, 5), printed="value")
 _BIT_RATE = u8("bit_rate", choices=BitRate, default=BitRate.BIT_RATE_500K, printed="bitRate")
 _NEW_ADDRESS = u16("new_address", minimum=1, maximum=0x7FF, default=1, printed="ID")
 _GROUP_ADDRESS = u16("group_address", minimum=1, maximum=0x7FF, printed="ID")
 _AXIS_LOCK = u8("axis_lock", choices=AxisLock, default=AxisLock.LOCKED, printed="enable")
 _HOME_SPEED = replace(mks.HOME_SPEED, default=60)
 _HOME_CURRENT = replace(
-    mks.HOME_CURRENT,
-    models={"42E": ModelLimits(maximum=3000, default=300), "57E": ModelLimits(maximum=5200, default=600)},
+    mks.HOME_CURRENT, models={"42E": ModelLimits(maximum=3000, default=300), "57E": ModelLimits(maximum=5200, default=600)}
 )
 _LIMIT_REMAP = replace(mks.LIMIT_REMAP, default=mks.Switch.DISABLED, printed="reMap")
 _DIVISION_LEVEL = u8("division_level", choices=mks.Level, default=mks.Level.LOW, printed="divLevel")
@@ -187,16 +184,9 @@ def _read(verb: Verb, code: int, section: str, summary: str, *fields: Field, **o
     return Command(name=verb.value, verb=verb, code=code, section=section, summary=summary, **facts)
 
 
-def _do(
-    verb: Verb, code: int, section: str, summary: str, *fields: Field, status: Field = _STATUS, **options: Any
-) -> Command:
+def _do(verb: Verb, code: int, section: str, summary: str, *fields: Field, status: Field = _STATUS, **options: Any) -> Command:
     """Declare a command with `fields` as data that is answered with a status."""
-    facts: dict[str, Any] = {
-        "risk": mks.SETTING_RISK,
-        "replies": mks.SET,
-        "request": Layout(*fields),
-        "reply": Layout(status),
-    }
+    facts: dict[str, Any] = {"risk": mks.SETTING_RISK, "replies": mks.SET, "request": Layout(*fields), "reply": Layout(status)}
     return Command(name=verb.value, verb=verb, code=code, section=section, summary=summary, **facts | options)
 
 

@@ -52,13 +52,7 @@ def _command(verb: Verb, code: int, function: int, quantity: int, section: str, 
         "notes": native.notes,
     }
     return Command(
-        name=verb.value,
-        verb=verb,
-        code=code,
-        function=function,
-        quantity=quantity,
-        section=section,
-        **facts | options,
+        name=verb.value, verb=verb, code=code, function=function, quantity=quantity, section=section, **facts | options
     )
 
 
@@ -85,9 +79,7 @@ def _do(verb: Verb, code: int, section: str, frame: str, **options: Any) -> Comm
     return _write(verb, code, section, _EXECUTE, **{"vectors": vectors} | options)
 
 
-def _write_many(
-    verb: Verb, code: int, quantity: int, section: str, frame: str, *fields: Field, **options: Any
-) -> Command:
+def _write_many(verb: Verb, code: int, quantity: int, section: str, frame: str, *fields: Field, **options: Any) -> Command:
     """Declare a write of several registers; `frame` is the printed reply, which repeats the quantity.
 
     A frame of six bytes is one that is printed without its CRC.

@@ -41,16 +41,9 @@ def _read(verb: Verb, code: int, section: str, summary: str, *fields: Field, **o
     return Command(name=verb.value, verb=verb, code=code, section=section, summary=summary, **facts)
 
 
-def _do(
-    verb: Verb, code: int, section: str, summary: str, *fields: Field, status: Field = _STATUS, **options: Any
-) -> Command:
+def _do(verb: Verb, code: int, section: str, summary: str, *fields: Field, status: Field = _STATUS, **options: Any) -> Command:
     """Declare a command with `fields` as data that is answered with a status; `printed` is its name on the display."""
-    facts: dict[str, Any] = {
-        "risk": mks.SETTING_RISK,
-        "replies": mks.SET,
-        "request": Layout(*fields),
-        "reply": Layout(status),
-    }
+    facts: dict[str, Any] = {"risk": mks.SETTING_RISK, "replies": mks.SET, "request": Layout(*fields), "reply": Layout(status)}
     return Command(name=verb.value, verb=verb, code=code, section=section, summary=summary, **facts | options)
 
 

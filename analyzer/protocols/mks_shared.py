@@ -303,16 +303,10 @@ def pins(*names: str) -> tuple[Field, ...]:
 
 CARRY = sint("carry", 32, unit="turns", printed="carry", state=StatePart("position", 360.0))
 ENCODER = u16(
-    "encoder",
-    maximum=COUNTS_PER_TURN - 1,
-    unit="counts",
-    printed="value",
-    state=StatePart("position", 360.0 / COUNTS_PER_TURN),
+    "encoder", maximum=COUNTS_PER_TURN - 1, unit="counts", printed="value", state=StatePart("position", 360.0 / COUNTS_PER_TURN)
 )
 POSITION = position(48, "counts", printed="value", state=StatePart("position", 360.0 / COUNTS_PER_TURN))
-ACTUAL_SPEED = i16(
-    "speed", unit="rpm", printed="speed", note="counter-clockwise is positive", state=StatePart("speed", 1.0)
-)
+ACTUAL_SPEED = i16("speed", unit="rpm", printed="speed", note="counter-clockwise is positive", state=StatePart("speed", 1.0))
 PULSE_COUNT = sint("pulses", 32, unit="pulses", printed="pulses")
 ANGLE_ERROR = sint("angle_error", 32, unit="deg", scale=Fraction(360, 51200), printed="error")
 

@@ -152,13 +152,7 @@ class McapFile:
 
     @classmethod
     def resume(
-        cls,
-        stream: Writable,
-        state: Mapping[str, Any],
-        index: Index,
-        *,
-        chunk_size: int = CHUNK_SIZE,
-        patient: bool = False,
+        cls, stream: Writable, state: Mapping[str, Any], index: Index, *, chunk_size: int = CHUNK_SIZE, patient: bool = False
     ) -> McapFile:
         """Go on with a file that another left after a `flush`.
 
@@ -205,13 +199,7 @@ class McapFile:
     def add_channel(self, topic: str, schema_id: int, metadata: Mapping[str, str]) -> int:
         """Register a channel of JSON messages and return its id."""
         self._channels += 1
-        channel = Channel(
-            id=self._channels,
-            topic=topic,
-            message_encoding="json",
-            metadata=dict(metadata),
-            schema_id=schema_id,
-        )
+        channel = Channel(id=self._channels, topic=topic, message_encoding="json", metadata=dict(metadata), schema_id=schema_id)
         self._counts[channel.id] = 0
         self._in_chunk(channel)
         return channel.id

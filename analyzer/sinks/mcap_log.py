@@ -70,12 +70,7 @@ class McapLog:
     """
 
     def __init__(
-        self,
-        target: IO[bytes] | LogFile,
-        *,
-        byte_ns: int = 0,
-        bit_ns: int = 0,
-        speeds: Mapping[str, Speed] | None = None,
+        self, target: IO[bytes] | LogFile, *, byte_ns: int = 0, bit_ns: int = 0, speeds: Mapping[str, Speed] | None = None
     ) -> None:
         self._file: LogFile
         self._file = target if isinstance(target, LogFile) else McapFile(target, profile=PROFILE, library=LIBRARY)
@@ -95,9 +90,7 @@ class McapLog:
 
     # --- sink -----------------------------------------------------------------------------------------------------
 
-    def plain(
-        self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None
-    ) -> None:
+    def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
         """Write a frame that is in order, and the state it carries."""
         kept = self._lanes.get(lane.topic)
         if kept is None or kept.odd:
@@ -394,9 +387,7 @@ class McapLog:
     def _write_second(self, port: str, second: Second) -> None:
         topic = f"/{topic_name(port)}/stats"
         lane = self._lanes.get(topic) or self._add_lane(topic, "servotap.stats", schemas.stats_schema, {})
-        data: dict[str, Any] = {
-            name: getattr(second, name) for name in ("frames", "bytes", "junk_bytes", "errors", "warnings")
-        }
+        data: dict[str, Any] = {name: getattr(second, name) for name in ("frames", "bytes", "junk_bytes", "errors", "warnings")}
         if any(second.speed):
             data["load"] = second.wire_ns / SECOND
         log_ns = self._clock(self._last_ns)

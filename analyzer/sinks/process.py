@@ -66,9 +66,7 @@ class SinkProcess:
 
     # --- sink -----------------------------------------------------------------------------------------------------
 
-    def plain(
-        self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None
-    ) -> None:
+    def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
         """Pass a frame on that is in order."""
         number = self._lanes.get(id(lane) if frame.role is Role.UNKNOWN else (id(lane), frame.role))
         if number is None:

@@ -42,10 +42,7 @@ def field_properties(field: Field, section: str) -> dict[str, dict[str, Any]]:
     if field.fixed is None and field.choices is None:
         words.append(f"range {shown(field.physical(field.low))}..{shown(field.physical(field.high))}")
     words.append(f"section {section}")
-    own: dict[str, Any] = {
-        "type": "integer" if field.scale == 1 else "number",
-        "description": "; ".join(words),
-    }
+    own: dict[str, Any] = {"type": "integer" if field.scale == 1 else "number", "description": "; ".join(words)}
     if field.unit:
         own["unit"] = field.unit
     result = {field.name: own}
@@ -165,9 +162,7 @@ def event_schema() -> bytes:
     """Return the schema of what happened to a recording."""
     text = {"type": "string"}
     details = {"type": "string", "description": "further values, as JSON"}
-    return _object(
-        "What happened to the recording", {"event": text, "bus": text, "text": text, **_EVENT, "details": details}
-    )
+    return _object("What happened to the recording", {"event": text, "bus": text, "text": text, **_EVENT, "details": details})
 
 
 def event_values(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -86,9 +86,7 @@ class Summary:
         self.last_ns = 0
         self._known: dict[str, Row] = {}
 
-    def plain(
-        self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None
-    ) -> None:
+    def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
         """Count a frame that is in order."""
         row = self._known.get(lane.topic)
         if row is None:
@@ -136,9 +134,7 @@ class Summary:
         if command is not None:
             name = command.name
         else:
-            head = message.frame.dialect.link.parse(
-                message.frame.data, message.frame.can.id if message.frame.can else None
-            )
+            head = message.frame.dialect.link.parse(message.frame.data, message.frame.can.id if message.frame.can else None)
             name = "unknown" if head.code is None else f"unknown 0x{head.code:02X}"
         who = "all" if command is not None and command.slots is not None else str(message.address)
         key = (message.frame.port, who, message.frame.dialect.name, name)

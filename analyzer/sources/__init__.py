@@ -48,9 +48,7 @@ FORMATS: dict[str, Format] = {
     "saleae": Format("saleae", "Saleae CSV", "decoded bytes of Logic 1 and Logic 2", (".csv", ".txt"), "serial"),
     "sigrok": Format("sigrok", "sigrok UART", "annotations of sigrok-cli and PulseView", (".txt", ".csv"), "serial"),
     "hexdump": Format("hexdump", "hex dump", "raw bytes as hexdump -C and xxd print them", (".txt", ".hex"), "serial"),
-    "hex": Format(
-        "hextext", "hex text", "lines of hex bytes with or without times and marks", (".log", ".txt"), "serial"
-    ),
+    "hex": Format("hextext", "hex text", "lines of hex bytes with or without times and marks", (".log", ".txt"), "serial"),
     "raw": Format("raw", "raw bytes", "the bytes of a serial line, nothing else", (".bin", ".raw"), "serial"),
 }
 
@@ -75,9 +73,7 @@ _OTHERS: tuple[tuple[bytes, str], ...] = (
 )
 
 
-def open_source(
-    path: str | Path, *, format: str | None = None, baud: int | None = None, bus: str | None = None
-) -> Source:
+def open_source(path: str | Path, *, format: str | None = None, baud: int | None = None, bus: str | None = None) -> Source:
     """Open a capture; `-` is standard input. A folder, or the name that has none but numbered parts, is a log in parts.
 
     `format`: a name in `FORMATS`, found by content if None. `baud`: the line speed, for formats that count samples.

@@ -60,11 +60,7 @@ class Tap:
     """
 
     def __init__(
-        self,
-        lines: Lines,
-        is_header: Callable[[str], bool],
-        keep: Callable[[str], bool] | None = None,
-        insert: str = "",
+        self, lines: Lines, is_header: Callable[[str], bool], keep: Callable[[str], bool] | None = None, insert: str = ""
     ) -> None:
         self.lines = lines
         self._given = (line for line in lines if keep is None or keep(line))

@@ -170,9 +170,7 @@ def take_apart(line: str) -> HexLine:
     if usual is not None:
         date, clock, seconds, mark, digits = usual.groups()
         role = _role(mark) if mark is not None else Role.UNKNOWN
-        kind = (
-            "date" if date is not None else "clock" if clock is not None else "seconds" if seconds is not None else ""
-        )
+        kind = "date" if date is not None else "clock" if clock is not None else "seconds" if seconds is not None else ""
         stamp = date or clock or seconds or ""
         return HexLine(Shape.TRAFFIC, bytes.fromhex(digits), kind, stamp, role, "", "", "", mark is not None)
     plain = bytes_of(text)

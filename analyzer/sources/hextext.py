@@ -34,9 +34,7 @@ _COLLECTED = 1 << 16
 #: How many bytes a line has: nothing to tell anyone.
 _COUNTED = re.compile(r"\(?\s*(?:len\w*\s*[=:]?\s*)?\d+\s*(?:bytes?|B)?\s*\)?", re.IGNORECASE)
 _HEX_LETTER = re.compile(r"[A-Fa-f]|0x|\\x")
-_BUS_NAME = re.compile(
-    r"(?:bus|com|port|can|tty|uart|usart|rs-?485|rs-?232|usb|serial|line|ch|channel|axis)\W?\w*", re.I
-)
+_BUS_NAME = re.compile(r"(?:bus|com|port|can|tty|uart|usart|rs-?485|rs-?232|usb|serial|line|ch|channel|axis)\W?\w*", re.I)
 #: A name as this program exports it: a bus, and not a number of one.
 _EXPORTED_NAME = re.compile(r"bus:(?!\d+$)([\w.-]+)")
 

@@ -79,8 +79,7 @@ class Lines:
         length = len(line) + dropped
         if length > LINE_LIMIT:
             self._source.problem(
-                f"a line of {length} bytes, expected at most {LINE_LIMIT}: only its beginning is used",
-                line=self.number + 1,
+                f"a line of {length} bytes, expected at most {LINE_LIMIT}: only its beginning is used", line=self.number + 1
             )
         return line[:LINE_LIMIT]
 

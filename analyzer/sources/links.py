@@ -75,9 +75,7 @@ Taken = CanFrame | Chunk | Comment | None
 
 def _can(line: Line, t_ns: int | None, data: bytes, outgoing: bool | None, order: str = "big") -> Taken:
     if len(data) < _CAN_HEADER or data[5] & _XL_FLAG or data[4] > len(data) - _CAN_HEADER:
-        line.source.problem(
-            f"expected a CAN frame (8 bytes and its data), got {data[:12].hex(' ').upper() or 'nothing'}"
-        )
+        line.source.problem(f"expected a CAN frame (8 bytes and its data), got {data[:12].hex(' ').upper() or 'nothing'}")
         return None
     bits = int.from_bytes(data[:4], "big" if order == "big" else "little")
     length = data[4]

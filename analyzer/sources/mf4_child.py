@@ -69,15 +69,7 @@ def _row(message: Any) -> Row:
     taken = frame(message, float_ns(message.timestamp), "")
     channel = message.channel if isinstance(message.channel, int) else None
     return Row(
-        taken.t_ns or 0,
-        channel,
-        taken.id,
-        taken.data,
-        not message.is_rx,
-        taken.extended,
-        taken.remote,
-        taken.error,
-        taken.fd,
+        taken.t_ns or 0, channel, taken.id, taken.data, not message.is_rx, taken.extended, taken.remote, taken.error, taken.fd
     )
 
 

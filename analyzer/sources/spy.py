@@ -58,8 +58,7 @@ def _records(source: Source) -> Iterator[Chunk | Comment]:
                 yield source.comment(number_ns(other[1]), f"{other[2]} {other[3]}")
             elif line.strip() and not _EMPTY.match(line):
                 source.problem(
-                    f"expected 'seconds TX|RX offset bytes' or 'seconds name value', got {quote(line)!r}",
-                    line=lines.number,
+                    f"expected 'seconds TX|RX offset bytes' or 'seconds name value', got {quote(line)!r}", line=lines.number
                 )
             continue
         stamp, mark, offset, text = found.groups()

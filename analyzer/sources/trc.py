@@ -44,15 +44,11 @@ def score(head: bytes) -> float:
 
 def read(source: Source) -> Iterator[CanFrame]:
     """Read the frames."""
-    source.time_source = (
-        "capture: the header's start, taken as UTC, and the printed milliseconds, exact to their digits"
-    )
+    source.time_source = "capture: the header's start, taken as UTC, and the printed milliseconds, exact to their digits"
     fields = {m[1]: m[2] for line in head_lines(source.head) if (m := _FIELD.match(line)) is not None}
     version = fields.get("FILEVERSION", "1.0")
     if version not in _SUPPORTED:
-        raise UnreadableError(
-            f"{source.name}: TRC version {version} is not supported, expected one of {', '.join(_SUPPORTED)}"
-        )
+        raise UnreadableError(f"{source.name}: TRC version {version} is not supported, expected one of {', '.join(_SUPPORTED)}")
     columns = fields.get("COLUMNS", "").split(",")
     if version >= "2" and "O" not in columns:
         raise UnreadableError(f"{source.name}: TRC version {version} without a column O for times in its header")

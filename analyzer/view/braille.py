@@ -1,9 +1,9 @@
 """A chart of braille dots: eight dots a character, two across and four down.
 
-    U+2800 + bits:   1  8      0x01 0x08
-                     2 10      0x02 0x10
-                     4 20      0x04 0x20
-                    40 80      0x40 0x80
+U+2800 + bits:   1  8      0x01 0x08
+                 2 10      0x02 0x10
+                 4 20      0x04 0x20
+                40 80      0x40 0x80
 """
 
 from __future__ import annotations

@@ -44,9 +44,7 @@ class _Keeper:
         self.first_ns: int | None = None
         self.last_ns = 0
 
-    def plain(
-        self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None
-    ) -> None:
+    def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
         """Store a frame that is in order."""
         if frame.last_ns > self.last_ns:
             self.last_ns = frame.last_ns

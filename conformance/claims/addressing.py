@@ -289,8 +289,5 @@ def _silent_behind(probe: Probe, frame: bytes) -> None:
     sent = probe.send(item_of(probe.dialect, probe.address, frame))
     if not sent.silent:
         raise Refuted(
-            "another drive's reply is answered",
-            expected=f"silence after {hex_of(frame)}",
-            got=came(sent),
-            exchange=sent,
+            "another drive's reply is answered", expected=f"silence after {hex_of(frame)}", got=came(sent), exchange=sent
         )

@@ -1,7 +1,7 @@
 """Addresses of several drives: all of them (broadcast), and a group. Executed, never answered.
 
-    FA 00 F4 ..    every drive moves, none answers
-    FA 50 F4 ..    every drive of the group 50h moves, none answers; each still answers its own address
+FA 00 F4 ..    every drive moves, none answers
+FA 50 F4 ..    every drive of the group 50h moves, none answers; each still answers its own address
 """
 
 from __future__ import annotations

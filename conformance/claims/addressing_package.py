@@ -143,9 +143,7 @@ class _Maker:
     def slot(self, number: int) -> Claim:
         """Return the claim that a command is executed in a slot, with all others unused."""
         statement = f"A command in slot {number} of a package is executed, with the other slots unused."
-        return self.claim(
-            f"slot_{number}", statement, "no move", lambda own: [EMPTY] * (number - 1) + [self.move(own)], _ONE
-        )
+        return self.claim(f"slot_{number}", statement, "no move", lambda own: [EMPTY] * (number - 1) + [self.move(own)], _ONE)
 
     def among_others(self) -> Claim:
         """Return the claim that a drive takes its own slot from among those of others."""
@@ -176,9 +174,7 @@ class _Maker:
         """Return the claim that a slot with the address of all drives is not executed."""
         statement = "A slot with the address 0 is not executed: a slot names one drive."
         to = self.dialect.broadcast or 0
-        return self.claim(
-            "broadcast_slot", statement, "a move", lambda own: [self.move(to)], 0, sure=Certainty.LIKELY
-        )
+        return self.claim("broadcast_slot", statement, "a move", lambda own: [self.move(to)], 0, sure=Certainty.LIKELY)
 
     def of_zeros(self) -> Claim:
         """Return the claim that a package of zeros does nothing."""

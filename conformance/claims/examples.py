@@ -267,4 +267,3 @@ def _expected(probe: Probe, example: Example, reading: Reading, printed: Vector)
         for name, declared in layout.named.items()
     }
     return probe.dialect.link.build(command, form, probe.address, codec(layout).encode(values), Role.REPLY)
-

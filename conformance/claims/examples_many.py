@@ -1,8 +1,8 @@
 """Worked examples to several drives: to all of them, to a group, and packages. Executed, never answered.
 
-    FA 00 FD 01 2C 64 00 00 0C 80 14     "motor 1-6 will rotate a turn"
-    FA 50 FD 01 2C 64 00 00 0C 80 64     "motor 1-3 will rotate a turn", whose group address is 50h
-    FC 01 F6 00 32 0A ..                 "motor 1 rotates forward continuously"
+FA 00 FD 01 2C 64 00 00 0C 80 14     "motor 1-6 will rotate a turn"
+FA 50 FD 01 2C 64 00 00 0C 80 64     "motor 1-3 will rotate a turn", whose group address is 50h
+FC 01 F6 00 32 0A ..                 "motor 1 rotates forward continuously"
 """
 
 from __future__ import annotations

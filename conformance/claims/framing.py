@@ -45,6 +45,7 @@ _OTHER_HEADS: Mapping[type[Link], tuple[int, ...]] = {
     LkLink: (0x3D, 0x3F, 0xFA, 0xFB, 0xBE, 0x00, 0xFF),
 }
 
+
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims of this theme for a dialect."""
     for kind in _KINDS:
@@ -161,6 +162,7 @@ _KINDS = (
           links=(CanLink,), risks=_UNKNOWN),
 )  # fmt: skip
 
+
 def _tolerated(dialect: Dialect, kind: _Kind, what: str) -> bool:
     """Say whether a quirk explains the answer to a variant: other firmware has codes of its own, and no more."""
     return OTHER_FIRMWARE not in kind.quirks or what in map(_coded, _FIRMWARE_CODES[dialect.name])
@@ -218,4 +220,3 @@ def _next(dialect: Dialect, kind: _Kind) -> Claim:
         at_best=kind.following,
         risks=kind.risks,
     )
-

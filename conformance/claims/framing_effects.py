@@ -41,7 +41,6 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
 # --- start bytes in data ----------------------------------------------------------------------------------------------
 
 
-
 def _lk_positions(own: int) -> tuple[int, ...]:
     """Return positions with heads in them; the last one and its sum read like a good request to the drive."""
     head = bytes((0x3E, 0x92, own, 0x00))
@@ -204,4 +203,3 @@ def _more_risks(dialect: Dialect) -> frozenset[Risk]:
 
 
 _READ_AS: Mapping[type, frozenset[Risk]] = {HeadLink: frozenset({Risk.UNKNOWN})}
-

@@ -63,9 +63,7 @@ def _declare(
     dialect: Dialect, name: str, statement: str, refuted_by: str, check: Check, sure: Certainty, *, emulated: bool = False
 ) -> Claim:
     where = section(dialect)
-    return declare(
-        dialect, Theme.FRAMING, name, statement, refuted_by, check, section=where, at_best=sure, emulated=emulated
-    )
+    return declare(dialect, Theme.FRAMING, name, statement, refuted_by, check, section=where, at_best=sure, emulated=emulated)
 
 
 # --- at once ----------------------------------------------------------------------------------------------------------
@@ -240,5 +238,3 @@ def _modbus_gaps(dialect: Dialect) -> Iterator[Claim]:
     yield _declare(dialect, "silence/long", statement, "an answer", long, Certainty.LIKELY)
     statement = "A frame with a pause of one character inside is answered."
     yield _declare(dialect, "silence/short", statement, "silence", short, Certainty.LIKELY, emulated=True)
-
-

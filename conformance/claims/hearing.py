@@ -22,12 +22,7 @@ LISTEN_NS = 300_000_000
 #: Good reads with nothing before them that must be answered before a drive is called deaf.
 _CONTROLS = 6
 #: Where the manuals say what a frame is, and who answers whom.
-SECTIONS: Mapping[str, str] = {
-    "mks-rs485": "4",
-    "mks-modbus": "8",
-    "mks-can": "3",
-    "lk-rs485": "Single motor command",
-}
+SECTIONS: Mapping[str, str] = {"mks-rs485": "4", "mks-modbus": "8", "mks-can": "3", "lk-rs485": "Single motor command"}
 #: Reads that carry data, by verb: what a drive must check beside a head.
 _WITH_DATA: tuple[Verb, ...] = (Verb.READ_PARAMETER, Verb.BRAKE)
 

@@ -219,9 +219,7 @@ def _reserved_addresses(dialect: Dialect) -> Claim:
     )
 
 
-def _nobody_else(
-    dialect: Dialect, name: str, how: str, addresses: Callable[[int], tuple[int, ...]]
-) -> Claim:
+def _nobody_else(dialect: Dialect, name: str, how: str, addresses: Callable[[int], tuple[int, ...]]) -> Claim:
     def check(probe: Probe) -> None:
         ask_cleanly(probe)
         read = plain_read(dialect)

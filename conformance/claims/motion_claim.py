@@ -65,9 +65,7 @@ def _run(check: Check, name: str, probe: Probe) -> None:
     check(probe, probe.command(name))
 
 
-def refute(
-    exchange: Exchange | None, text: str, *, expected: str, got: str, key: str = ""
-) -> Refuted:
+def refute(exchange: Exchange | None, text: str, *, expected: str, got: str, key: str = "") -> Refuted:
     """Return a refutation. `key`: what makes two failures one, `text` where none is given."""
     return Refuted(text, expected=expected, got=got, exchange=exchange, key=key)
 

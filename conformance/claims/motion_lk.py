@@ -46,9 +46,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     for name in (*_MULTI, *_SINGLE, *_STEPS):
         command = named[name]
         made = partial(motion_claim, dialect, command, settings=("position",) if name in _MULTI else ())
-        yield made(
-            "reaches", f"{name} brings the shaft to where it was asked to go.", "a shaft that stops elsewhere", _reaches
-        )
+        yield made("reaches", f"{name} brings the shaft to where it was asked to go.", "a shaft that stops elsewhere", _reaches)
         yield made(
             "within", f"{name} does not go beyond its target.", "a shaft that was beyond the target on the way", _within,
             at_best=Certainty.OPEN,

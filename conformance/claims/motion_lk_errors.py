@@ -26,11 +26,23 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
             "another flag, or none", partial(_flag, field.name), emulated=True, risks=clear.all_risks, still=True,
         )  # fmt: skip
     yield motion_claim(
-        dialect, clear, "clears", "9B clears a flag whose cause is gone.", "a flag that stays", _clears, emulated=True,
+        dialect,
+        clear,
+        "clears",
+        "9B clears a flag whose cause is gone.",
+        "a flag that stays",
+        _clears,
+        emulated=True,
         still=True,
     )
     yield motion_claim(
-        dialect, clear, "keeps", "9B leaves a flag whose cause lasts.", "a flag that is cleared", _keeps, emulated=True,
+        dialect,
+        clear,
+        "keeps",
+        "9B leaves a flag whose cause lasts.",
+        "a flag that is cleared",
+        _keeps,
+        emulated=True,
         still=True,
     )
 

@@ -40,9 +40,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     yield made("speed-limit", "The speed limit holds at once for a run.", "a faster shaft", _speed_limit, risks=spins)
     yield made("speed-limit-moves", "The speed limit holds for a move without a highest speed.", "a faster shaft", _move_limit)
     yield made("angle-limit", "A move to a position goes no farther than the angle limit.", "a shaft beyond it", _angle_limit)
-    yield made(
-        "torque-limit", "With a torque limit of 0 nothing turns.", "motion", _torque_limit, risks={*spins, Risk.TORQUE}
-    )
+    yield made("torque-limit", "With a torque limit of 0 nothing turns.", "motion", _torque_limit, risks={*spins, Risk.TORQUE})
     yield made(
         "speed-ramp", "The speed rises by the speed ramp: 0.01 deg/s2 a unit.", "another acceleration", _speed_ramp,
         theme=Theme.TIMING, risks=spins,

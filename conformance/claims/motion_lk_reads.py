@@ -83,9 +83,7 @@ def _about_position(dialect: Dialect) -> Iterator[Claim]:
         "counts-on", "From what 95 set the position counts on, beyond 32 bits too.", "a position that begins anew",
         _counts_on,
     )  # fmt: skip
-    yield made(
-        "and-moves", "A move to a position goes by what 95 set.", "another place", _set_moves, at_best=Certainty.LIKELY
-    )
+    yield made("and-moves", "A move to a position goes by what 95 set.", "another place", _set_moves, at_best=Certainty.LIKELY)
     yield motion_claim(
         dialect, clear, "drops-turns", "After 93 the position is within a turn.", "turns that are still counted",
         _clears_turns, at_best=Certainty.LIKELY,

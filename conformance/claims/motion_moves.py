@@ -83,10 +83,7 @@ def _about(dialect: Dialect, command: Command) -> Iterator[Claim]:
         )
     if journey.is_absolute(command):
         yield made(
-            "same-place",
-            f"{name} to where the shaft stands turns nothing.",
-            "a shaft that turned, or a refusal",
-            _same_place,
+            "same-place", f"{name} to where the shaft stands turns nothing.", "a shaft that turned, or a refusal", _same_place
         )
         yield made(
             "reads-as-asked",

@@ -109,9 +109,7 @@ def _pulses_at(sent: int, subdivision: int, probe: Probe, command: Command) -> N
     moving.ready_to_move(probe, subdivision=sent)
     move = probe.command(Verb.MOVE_RELATIVE_PULSES)
     speed = max(1, min(3000, _CALM * subdivision // 16))
-    trip = journey.travel(
-        probe, move, amount=25 * subdivision, speed=speed, acceleration=QUICK, subdivision=subdivision
-    )
+    trip = journey.travel(probe, move, amount=25 * subdivision, speed=speed, acceleration=QUICK, subdivision=subdivision)
     if abs(abs(trip.degrees) - 45) > moving.SAME:
         raise refute(
             trip.exchange,

@@ -1,9 +1,9 @@
 """Ranges of the LK commands that have choices or an angle: single-turn moves, the brake, and positions that are set.
 
-    angle        0 to 359.99 degrees are reached, more is not obeyed
-    direction    both listed ones lead to the angle, others are not obeyed
-    brake        what is not listed switches nothing
-    position     what is set is read, up to the limits of the type
+angle        0 to 359.99 degrees are reached, more is not obeyed
+direction    both listed ones lead to the angle, others are not obeyed
+brake        what is not listed switches nothing
+position     what is set is read, up to the limits of the type
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ def _apart(probe: Probe, angle: int) -> None:
 
 def angles(dialect: Dialect, command: Command, field: Field) -> Iterator[Claim]:
     """Make the claims about the angle and the direction of a single-turn move."""
+
     def there(probe: Probe, value: int, direction: int) -> None:
         moving.ready_to_move(probe)
         _apart(probe, value)
@@ -149,6 +150,7 @@ def brake(dialect: Dialect, command: Command, field: Field) -> Iterator[Claim]:
 
 def positions(dialect: Dialect, command: Command, field: Field) -> Iterator[Claim]:
     """Make the claims about positions that are set."""
+
     def read(values: tuple[int, ...]) -> Callable[[Probe], None]:
         def check(probe: Probe) -> None:
             moving.stand_still(probe)

@@ -69,7 +69,6 @@ def stays(command: Command, shown: str, gone: float, exchange: Exchange) -> None
         )  # fmt: skip
 
 
-
 def claim_of(
     dialect: Dialect, command: Command, field: Field, what: str, statement: str, refuted_by: str,
     check: Callable[[Probe], None], values: tuple[int, ...], risks: set[Risk], **rest: Any,

@@ -1,9 +1,9 @@
 """Ranges of the LK control parameters, and of the two commands that a model has one of.
 
-    lowest, highest    of each parameter: what a drive holds then is observed
-    reserved           the bytes beside a parameter change nothing
-    unlisted           writing a number that is not listed changes no listed one
-    models             a motor has the torque of an MF, MG or MH, or the power of an MS, and not both
+lowest, highest    of each parameter: what a drive holds then is observed
+reserved           the bytes beside a parameter change nothing
+unlisted           writing a number that is not listed changes no listed one
+models             a motor has the torque of an MF, MG or MH, or the power of an MS, and not both
 """
 
 from __future__ import annotations

@@ -154,9 +154,7 @@ def _needs(dialect: Dialect, command: Command, *, stands: bool = False) -> dict[
 # --- accepted and refused ---------------------------------------------------------------------------------------------
 
 
-def _accepted(
-    dialect: Dialect, command: Command, field: Field, what: str, values: tuple[int, ...] | None, words: str
-) -> Claim:
+def _accepted(dialect: Dialect, command: Command, field: Field, what: str, values: tuple[int, ...] | None, words: str) -> Claim:
     def check(probe: Probe) -> None:
         ready(probe)
         for value in ranges.inner(dialect, command, field) if values is None else values:
@@ -342,5 +340,3 @@ def _width(dialect: Dialect, command: Command, field: Field) -> Claim:
         "a move by what its low bytes say", check, command=command, aspect=Aspect.RANGE, fields=(field.name,),
         parameters={"field": field.name, "values": distances}, **_needs(dialect, command),
     )  # fmt: skip
-
-

@@ -174,5 +174,3 @@ def _user_id(dialect: Dialect, command: Command) -> Claim:
         dialect, Theme.READ_BACK, f"{command.name}/read", "The user's number reads as it was written.", "another number", check,
         command=command, aspect=Aspect.STATE, fields=(field.name,), settings=(field.name,), risks=command.all_risks,
     )  # fmt: skip
-
-

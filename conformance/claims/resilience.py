@@ -56,9 +56,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     yield from resilience_busy.claims(dialect)
 
 
-def _make(
-    dialect: Dialect, name: str, statement: str, refuted_by: str, check: Callable[[Probe], None], **rest: Any
-) -> Claim:
+def _make(dialect: Dialect, name: str, statement: str, refuted_by: str, check: Callable[[Probe], None], **rest: Any) -> Claim:
     rest.setdefault("section", section(dialect))
     return declare(dialect, Theme.RESILIENCE, name, statement, refuted_by, check, **rest)
 
@@ -116,12 +114,8 @@ def _reads(dialect: Dialect) -> Iterator[Claim]:
                     key="reads are mixed up",
                 )
 
-    yield _make(
-        dialect, "reads/answered", f"{_MANY} reads in a row are all answered.", "a reply that does not come", answered
-    )
-    yield _make(
-        dialect, "reads/good", f"The replies to {_MANY} reads in a row all check.", "a reply that is garbled", good
-    )
+    yield _make(dialect, "reads/answered", f"{_MANY} reads in a row are all answered.", "a reply that does not come", answered)
+    yield _make(dialect, "reads/good", f"The replies to {_MANY} reads in a row all check.", "a reply that is garbled", good)
     yield _make(
         dialect, "reads/mixed", "Reads of many kinds in any order are each answered by their own reply.",
         "the reply of another read", mixed,
@@ -186,22 +180,16 @@ def _floods(dialect: Dialect) -> Iterator[Claim]:
         yield _next_claim(dialect, f"{name}/next", what, send)
 
 
-def _next_claim(
-    dialect: Dialect, name: str, what: str, send: Callable[[Probe], Exchange], **rest: Any
-) -> Claim:
+def _next_claim(dialect: Dialect, name: str, what: str, send: Callable[[Probe], Exchange], **rest: Any) -> Claim:
     def check(probe: Probe) -> None:
         ask_first(probe)
         judge_next(probe, what, partial(send, probe))
 
     statement = f"The next request behind {what} is answered."
-    return _make(
-        dialect, name, statement, "silence, or another answer", check, at_best=Certainty.LIKELY, **rest
-    )
+    return _make(dialect, name, statement, "silence, or another answer", check, at_best=Certainty.LIKELY, **rest)
 
 
-def _after_claim(
-    dialect: Dialect, name: str, what: str, happen: Callable[[Probe], Exchange], **rest: Any
-) -> Claim:
+def _after_claim(dialect: Dialect, name: str, what: str, happen: Callable[[Probe], Exchange], **rest: Any) -> Claim:
     """Return the claim that a drive answers after something that may have changed it for good."""
     read = plain_read(dialect)
 
@@ -218,9 +206,7 @@ def _after_claim(
             )
 
     statement = f"The drive answers after {what}."
-    return _make(
-        dialect, name, statement, "silence, or another answer", check, at_best=Certainty.LIKELY, **rest
-    )
+    return _make(dialect, name, statement, "silence, or another answer", check, at_best=Certainty.LIKELY, **rest)
 
 
 # --- noise ------------------------------------------------------------------------------------------------------------
@@ -282,9 +268,7 @@ def _wait(probe: Probe, duration_ns: int) -> Exchange:
 
 def _idle(dialect: Dialect) -> Iterator[Claim]:
     yield _after_claim(dialect, "idle/seconds", "ten seconds of silence", partial(_wait, duration_ns=_IDLE_NS))
-    yield _after_claim(
-        dialect, "idle/day", "a day of silence", partial(_wait, duration_ns=_LONG_IDLE_NS), emulated=True
-    )
+    yield _after_claim(dialect, "idle/day", "a day of silence", partial(_wait, duration_ns=_LONG_IDLE_NS), emulated=True)
 
 
 def _power_cycle(probe: Probe) -> None:

@@ -191,10 +191,7 @@ def _still_runs(probe: Probe, before: float, what: str, exchange: Exchange) -> N
     now = moving.speed(probe).value
     if exchange.silent or abs(now - before) > _NEAR:
         raise Refuted(
-            what,
-            expected=f"an answer, and {before:.0f} rpm",
-            got=f"{came(exchange)}, and {now:.0f} rpm",
-            exchange=exchange,
+            what, expected=f"an answer, and {before:.0f} rpm", got=f"{came(exchange)}, and {now:.0f} rpm", exchange=exchange
         )
 
 

@@ -66,16 +66,10 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
             risks=command.all_risks,
         )
     yield made(
-        "0-leaves-reads",
-        "With respond 0 reads, settings and enabling are answered as before.",
-        "silence",
-        _reads_answered,
+        "0-leaves-reads", "With respond 0 reads, settings and enabling are answered as before.", "silence", _reads_answered
     )
     yield made(
-        "1-answers-again",
-        "With respond and active 1 again a move is answered 1 and then 2.",
-        "other replies",
-        _answers_again,
+        "1-answers-again", "With respond and active 1 again a move is answered 1 and then 2.", "other replies", _answers_again
     )
 
 

@@ -64,11 +64,7 @@ _ERRATA: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         "clear_errors": ("lk-rs485-15",),
         "read_version": ("mks-can-54",),
     },
-    "reserved": {
-        "read_parameter": ("lk-rs485-49",),
-        "write_parameter": ("lk-rs485-49",),
-        "read_version": ("mks-can-54",),
-    },
+    "reserved": {"read_parameter": ("lk-rs485-49",), "write_parameter": ("lk-rs485-49",), "read_version": ("mks-can-54",)},
 }
 
 
@@ -216,9 +212,7 @@ def _unasked(dialect: Dialect) -> Claim:
     def check(probe: Probe) -> None:
         exchange = probe.listen(_LISTEN_NS)
         if not exchange.silent:
-            raise Refuted(
-                "the drive sends unasked", expected="silence", got=shown(heard(exchange)), exchange=exchange
-            )
+            raise Refuted("the drive sends unasked", expected="silence", got=shown(heard(exchange)), exchange=exchange)
 
     return declare(
         dialect,

@@ -124,6 +124,7 @@ def judge_clean(probe: Probe, exchange: Exchange, found: Replies) -> None:
 
 def part_judge(name: str) -> Judge:
     """Return what refutes another part of the head than the expected one."""
+
     def judge(probe: Probe, exchange: Exchange, found: Replies) -> None:
         part = _first(exchange, found).part(name)
         if part is None:
@@ -153,6 +154,7 @@ def judge_length(probe: Probe, exchange: Exchange, found: Replies) -> None:
 
 def check_judge(name: str) -> Judge:
     """Return what refutes a check that does not fit, or is not there."""
+
     def judge(probe: Probe, exchange: Exchange, found: Replies) -> None:
         reading = _first(exchange, found)
         check = reading.check(name)
@@ -216,6 +218,7 @@ def judge_values(probe: Probe, exchange: Exchange, found: Replies) -> None:
 
 def fixed_judge(name: str) -> Judge:
     """Return what refutes a value that makes the reply none of the printed forms."""
+
     def judge(probe: Probe, exchange: Exchange, found: Replies) -> None:
         reading = _sized(probe, exchange, found)
         assert exchange.command is not None  # asked
@@ -231,6 +234,7 @@ def fixed_judge(name: str) -> Judge:
 
 def echo_judge(names: tuple[str, ...]) -> Judge:
     """Return what refutes other values than those that were sent."""
+
     def judge(probe: Probe, exchange: Exchange, found: Replies) -> None:
         reading = _sized(probe, exchange, found)
         form = reading.template.form

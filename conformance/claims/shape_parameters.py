@@ -129,4 +129,3 @@ def _whole(probe: Probe, exchange: Exchange) -> Reading:
 def _refuted(exchange: Exchange, choice: str, expected: str, got: str) -> Refuted:
     what = "the reply of another parameter or layout"
     return Refuted(f"{choice}: {what}", expected=expected, got=got, exchange=exchange, key=what)
-

@@ -93,9 +93,7 @@ def _session(probe: Probe) -> _Session:
     return kept
 
 
-def judged(
-    items: Iterable[Chunk | CanFrame], dialect: Dialect, byte_ns: int = 0, late_ns: int = 1_000_000_000
-) -> Judge:
+def judged(items: Iterable[Chunk | CanFrame], dialect: Dialect, byte_ns: int = 0, late_ns: int = 1_000_000_000) -> Judge:
     """Return what the analyzer finds in traffic of one line: what the host sent is marked so, all else came back."""
     judge = Judge((dialect,))
     pipeline = Pipeline((dialect,), (judge,), Options(byte_ns=byte_ns, late_ns=late_ns))

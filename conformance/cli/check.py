@@ -102,9 +102,7 @@ def _check(path: str, arguments: argparse.Namespace, about: tuple[str, ...]) -> 
 # --- for people -------------------------------------------------------------------------------------------------------
 
 
-def _show(
-    path: str, reading: Reading, judge: Judge, found: list[tuple[Verdict, Count]], arguments: argparse.Namespace
-) -> None:
+def _show(path: str, reading: Reading, judge: Judge, found: list[tuple[Verdict, Count]], arguments: argparse.Namespace) -> None:
     print(f"{clean(path)}: {reading.source.title}, {', '.join(judge.dialects)}; {_seen(judge)}")
     if not reading.has_times:
         print(f"  times: {reading.time_source}")

@@ -198,5 +198,3 @@ def _object(report: Report) -> dict[str, Any]:
         "stopped": report.stopped,
         "hints": report.hints,
     }
-
-

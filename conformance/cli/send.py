@@ -29,16 +29,7 @@ from analyzer.pipeline import Entry
 from analyzer.records import CanFrame, Message
 from conformance.acquaint import acquaint, item_of
 from conformance.dialogue import MS, Dialogue, Outcome, Talk
-from conformance.gate import (
-    Allowance,
-    Gate,
-    Item,
-    Judge,
-    Refused,
-    add_gate_arguments,
-    allowance_from,
-    shown,
-)
+from conformance.gate import Allowance, Gate, Item, Judge, Refused, add_gate_arguments, allowance_from, shown
 from conformance.lines import open_line
 
 EXAMPLES = """\

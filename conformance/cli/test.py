@@ -224,9 +224,7 @@ def _baseline(records: Sequence[VerdictRecord], arguments: argparse.Namespace) -
     return REFUTED if compared.fails else 0
 
 
-def _run_record(
-    plan: Plan, began: str, elapsed: float, stopped: bool, trouble: ServotapError | None
-) -> RunRecord:
+def _run_record(plan: Plan, began: str, elapsed: float, stopped: bool, trouble: ServotapError | None) -> RunRecord:
     allowance = plan.allowance
     notes = ["stopped by the user"] * stopped + [str(trouble)] * (trouble is not None)
     return RunRecord(
@@ -306,4 +304,3 @@ def _progress(total: int) -> Iterator[_Advance]:
                 bar.update(task, advance=1, description=f"{each.dialect} {each.theme}")
 
         yield Shown()
-

@@ -57,14 +57,7 @@ class Bus(ABC):
     bytes and frames take no time.
     """
 
-    def __init__(
-        self,
-        drives: Sequence[Drive],
-        *,
-        name: str = "bus",
-        speed: int | None = None,
-        wire_time: bool = True,
-    ) -> None:
+    def __init__(self, drives: Sequence[Drive], *, name: str = "bus", speed: int | None = None, wire_time: bool = True) -> None:
         self.name = name
         self.wire_time = wire_time
         self.now_ns = max((drive.now_ns for drive in drives), default=0)

@@ -144,11 +144,7 @@ def _echo(drive: LkDrive, request: Request) -> Values:
     return dict(request.sent)
 
 
-ANSWERS: Mapping[str, Answer] = {
-    "read_parameter": _parameter,
-    "write_parameter": _parameter,
-    "set_position": _echo,
-}
+ANSWERS: Mapping[str, Answer] = {"read_parameter": _parameter, "write_parameter": _parameter, "set_position": _echo}
 
 
 def _supply_current(drive: LkDrive) -> float:

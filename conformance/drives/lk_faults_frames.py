@@ -115,9 +115,7 @@ FAULTS: tuple[Fault, ...] = (
         "checksum",
         on_reply(lambda drive, command, frame: _byte(frame, _HEAD - 1, frame[_HEAD - 1] + 1)),
     ),
-    _fault(
-        "lk-data-sum-missing", "replies with data have no sum behind them", "checksum", _with_data(lambda f: f[:-1])
-    ),
+    _fault("lk-data-sum-missing", "replies with data have no sum behind them", "checksum", _with_data(lambda f: f[:-1])),
     _fault(
         "lk-data-sum-of-nothing",
         "replies without data carry a data sum of 00",
@@ -241,9 +239,6 @@ FAULTS: tuple[Fault, ...] = (
     _fault("lk-reply-twice", "replies come twice", "reply", _timed(lambda outgoing: (outgoing, outgoing))),
     _fault("lk-reply-cut", "replies break off two bytes before their end", "reply", _timed(_cut)),
     _fault(
-        "lk-reply-noise",
-        "a byte 00 comes before each reply",
-        "reply",
-        on_reply(lambda drive, command, frame: b"\0" + frame),
+        "lk-reply-noise", "a byte 00 comes before each reply", "reply", on_reply(lambda drive, command, frame: b"\0" + frame)
     ),
 )

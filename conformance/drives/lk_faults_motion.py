@@ -245,22 +245,12 @@ FAULTS: tuple[Fault, ...] = (
         "relative and absolute",
         _moves(MULTI_TURN, _as_relative),
     ),
-    _fault(
-        "lk-max-speed-ignored",
-        "max_speed of 0xA4, 0xA6 and 0xA8 is not kept",
-        "limits",
-        on_request(_unlimited, LIMITED),
-    ),
+    _fault("lk-max-speed-ignored", "max_speed of 0xA4, 0xA6 and 0xA8 is not kept", "limits", on_request(_unlimited, LIMITED)),
     _fault("lk-speed-limit-ignored", "the speed limit of 0xC1 has no effect", "limits", _unheld_limit("speed_limit")),
     _fault("lk-speed-ramp-ignored", "the speed ramp of 0xC1 has no effect", "limits", _unheld_limit("speed_ramp")),
+    _fault("lk-torque-limit-ignored", "the torque limit of 0xC1 has no effect", "limits", _unheld_limit("torque_limit")),
     _fault(
-        "lk-torque-limit-ignored", "the torque limit of 0xC1 has no effect", "limits", _unheld_limit("torque_limit")
-    ),
-    _fault(
-        "lk-angle-limit-ignored",
-        "0xA3 and 0xA4 go beyond the angle limit",
-        "limits",
-        _moves(MULTI_TURN, _past_angle_limit),
+        "lk-angle-limit-ignored", "0xA3 and 0xA4 go beyond the angle limit", "limits", _moves(MULTI_TURN, _past_angle_limit)
     ),
     _fault("lk-ramp-fast", "accelerations are twice the ramp", "ramp", _rebuilt(ramp_error=2.0)),
     _fault("lk-ramp-slow", "accelerations are half the ramp", "ramp", _rebuilt(ramp_error=0.5)),
@@ -282,12 +272,7 @@ FAULTS: tuple[Fault, ...] = (
     _fault("lk-stop-ignored", "0x81 is answered and does nothing", "stop", on_act("stop", instead(nothing))),
     _fault("lk-stop-clears-turns", "0x81 drops the counted turns", "stop", on_act("stop", followed_by(_clear_turns))),
     _fault("lk-off-still-moves", "motion commands are obeyed while the motor is off", "off", on_setup(_disobedient)),
-    _fault(
-        "lk-off-keeps-running",
-        "0x80 does not end a motion under way",
-        "off",
-        on_act("motor_off", instead(_keep_running)),
-    ),
+    _fault("lk-off-keeps-running", "0x80 does not end a motion under way", "off", on_act("motor_off", instead(_keep_running))),
     _fault("lk-off-ignored", "0x80 is answered and does nothing", "off", on_act("motor_off", instead(nothing))),
     _fault("lk-on-needed-twice", "only each second 0x88 turns the motor on", "on", on_act("motor_on", _second_time)),
     _fault("lk-on-resumes", "0x88 takes up the motion that 0x80 ended", "on", _resume),
@@ -308,35 +293,20 @@ FAULTS: tuple[Fault, ...] = (
     ),
     _fault("lk-clear-errors-never", "0x9B clears nothing", "error flags", on_act("clear_errors", instead(nothing))),
     # --- positions ------------------------------------------------------------------------------------------------
-    _fault(
-        "lk-set-position-ignored",
-        "0x95 is echoed and does nothing",
-        "position",
-        on_act("set_position", instead(nothing)),
-    ),
+    _fault("lk-set-position-ignored", "0x95 is echoed and does nothing", "position", on_act("set_position", instead(nothing))),
     _fault("lk-set-position-kept", "what 0x95 set survives the power", "power", _position_kept),
-    _fault(
-        "lk-clear-turns-ignored", "0x93 is echoed and does nothing", "position", on_act("clear_turns", instead(nothing))
-    ),
+    _fault("lk-clear-turns-ignored", "0x93 is echoed and does nothing", "position", on_act("clear_turns", instead(nothing))),
     _fault("lk-zero-at-once", "0x19 moves the zero at once", "zero", on_act("set_zero", followed_by(_zero_now))),
     _fault("lk-zero-lost", "the zero of 0x19 is not there after power-up", "zero", on_store(_zero_lost)),
     # --- parameters -----------------------------------------------------------------------------------------------
+    _fault("lk-parameter-not-stored", "0xC1 answers the old values and keeps them", "parameters", on_store(_parameter_lost)),
     _fault(
-        "lk-parameter-not-stored", "0xC1 answers the old values and keeps them", "parameters", on_store(_parameter_lost)
-    ),
-    _fault(
-        "lk-parameter-elsewhere",
-        "0xC1 stores each value in the next one's place",
-        "parameters",
-        on_store(_parameter_elsewhere),
+        "lk-parameter-elsewhere", "0xC1 stores each value in the next one's place", "parameters", on_store(_parameter_elsewhere)
     ),
     _fault("lk-parameter-survives", "what 0xC1 wrote survives the power", "power", on_store(_parameter_kept)),
     # --- models ---------------------------------------------------------------------------------------------------
     _fault("lk-ms-runs-torque", "an MS obeys and answers 0xA1", "models", _other_model("run_torque", CURRENT_MODELS)),
     _fault(
-        "lk-runs-open-loop",
-        "an MF, MG or MH obeys and answers 0xA0",
-        "models",
-        _other_model("run_open_loop", POWER_MODELS),
+        "lk-runs-open-loop", "an MF, MG or MH obeys and answers 0xA0", "models", _other_model("run_open_loop", POWER_MODELS)
     ),
 )

@@ -183,18 +183,12 @@ FAULTS: tuple[Fault, ...] = (
     ),
     _fault("lk-speed-sign-lost", "replies have the speed without its sign", "sign", _reads("speed", abs, *STATE_2)),
     _fault(
-        "lk-position-sign-lost",
-        "0x92 answers the angle without its sign",
-        "sign",
-        _reads("position", abs, "read_position"),
+        "lk-position-sign-lost", "0x92 answers the angle without its sign", "sign", _reads("position", abs, "read_position")
     ),
     _fault("lk-torque-sign-lost", "replies have the torque current without its sign", "sign", _torque(abs)),
     _fault("lk-asked-speed-sign-lost", "0xA2 runs clockwise whatever the sign", "sign", on_asked("speed", abs)),
     _fault(
-        "lk-increment-sign-lost",
-        "0xA7 and 0xA8 go clockwise whatever the sign",
-        "sign",
-        on_asked("position", abs, INCREMENTS),
+        "lk-increment-sign-lost", "0xA7 and 0xA8 go clockwise whatever the sign", "sign", on_asked("position", abs, INCREMENTS)
     ),
     _fault(
         "lk-temperature-unsigned",
@@ -235,12 +229,7 @@ FAULTS: tuple[Fault, ...] = (
     ),
     # --- scale ----------------------------------------------------------------------------------------------------
     _fault("lk-asked-speed-tenfold", "0xA2 takes the speed in 0.1 deg/s", "scale", on_asked("speed", lambda v: 10 * v)),
-    _fault(
-        "lk-speed-tenth",
-        "replies have the speed in 10 deg/s",
-        "scale",
-        _reads("speed", lambda v: round(v / 10), *STATE_2),
-    ),
+    _fault("lk-speed-tenth", "replies have the speed in 10 deg/s", "scale", _reads("speed", lambda v: round(v / 10), *STATE_2)),
     _fault(
         "lk-position-tenth",
         "0x92 answers the angle in 0.1 deg",
@@ -264,52 +253,24 @@ FAULTS: tuple[Fault, ...] = (
     # --- ranges ---------------------------------------------------------------------------------------------------
     _fault("lk-torque-any", "0xA1 obeys torque currents beyond 2048", "range", _obeying("torque_current")),
     _fault("lk-power-any", "0xA0 obeys powers beyond 850", "range", _obeying("power")),
-    _fault(
-        "lk-torque-short",
-        "0xA1 does not obey its highest torque current",
-        "range",
-        _refusing("torque_current", _highest),
-    ),
+    _fault("lk-torque-short", "0xA1 does not obey its highest torque current", "range", _refusing("torque_current", _highest)),
     _fault("lk-power-short", "0xA0 does not obey its highest power", "range", _refusing("power", _highest)),
     _fault("lk-angle-any", "0xA5 and 0xA6 obey angles beyond 359.99 degrees", "range", _obeying("angle")),
+    _fault("lk-angle-short", "0xA5 and 0xA6 do not obey 359.99 degrees", "range", _refusing("angle", _highest)),
     _fault(
-        "lk-angle-short",
-        "0xA5 and 0xA6 do not obey 359.99 degrees",
-        "range",
-        _refusing("angle", _highest),
+        "lk-direction-any", "0xA5 and 0xA6 take any direction but 0 for counter-clockwise", "choices", _obeying("direction")
     ),
     _fault(
-        "lk-direction-any",
-        "0xA5 and 0xA6 take any direction but 0 for counter-clockwise",
-        "choices",
-        _obeying("direction"),
+        "lk-torque-short-below", "0xA1 does not obey its lowest torque current", "range", _refusing("torque_current", _lowest)
     ),
-    _fault(
-        "lk-torque-short-below",
-        "0xA1 does not obey its lowest torque current",
-        "range",
-        _refusing("torque_current", _lowest),
-    ),
-    _fault(
-        "lk-torque-one-more",
-        "0xA1 obeys one torque current too many above",
-        "range",
-        _obeying("torque_current", _above),
-    ),
-    _fault(
-        "lk-torque-one-less",
-        "0xA1 obeys one torque current too many below",
-        "range",
-        _obeying("torque_current", _below),
-    ),
+    _fault("lk-torque-one-more", "0xA1 obeys one torque current too many above", "range", _obeying("torque_current", _above)),
+    _fault("lk-torque-one-less", "0xA1 obeys one torque current too many below", "range", _obeying("torque_current", _below)),
     _fault("lk-power-short-below", "0xA0 does not obey its lowest power", "range", _refusing("power", _lowest)),
     _fault("lk-power-one-more", "0xA0 obeys one power too many above", "range", _obeying("power", _above)),
     _fault("lk-power-one-less", "0xA0 obeys one power too many below", "range", _obeying("power", _below)),
     _fault("lk-angle-one-more", "0xA5 and 0xA6 obey 360 degrees", "range", _obeying("angle", _above)),
     _fault("lk-angle-not-0", "0xA5 and 0xA6 do not obey 0 degrees", "range", _refusing("angle", _lowest)),
-    _fault(
-        "lk-direction-not-1", "0xA5 and 0xA6 do not obey counter-clockwise", "choices", _refusing("direction", _is_ccw)
-    ),
+    _fault("lk-direction-not-1", "0xA5 and 0xA6 do not obey counter-clockwise", "choices", _refusing("direction", _is_ccw)),
     # --- readings -------------------------------------------------------------------------------------------------
     _fault(
         "lk-state-1-swapped",
@@ -317,17 +278,9 @@ FAULTS: tuple[Fault, ...] = (
         "reply layout",
         on_result(_swap_state_1, STATE_1),
     ),
+    _fault("lk-state-always-on", "the motor is reported on while it is off", "off", _reads("state", lambda v: MotorState.ON)),
     _fault(
-        "lk-state-always-on",
-        "the motor is reported on while it is off",
-        "off",
-        _reads("state", lambda v: MotorState.ON),
-    ),
-    _fault(
-        "lk-error-bits-shifted",
-        "each error flag is shown one bit too high",
-        "error flags",
-        on_result(_shift_flags, STATE_1),
+        "lk-error-bits-shifted", "each error flag is shown one bit too high", "error flags", on_result(_shift_flags, STATE_1)
     ),
     _fault("lk-error-bits-hidden", "error flags are never shown", "error flags", on_result(_hide_flags, STATE_1)),
     _fault("lk-error-bits-frozen", "an error flag that was shown once is shown for ever", "error flags", _freeze_flags),
@@ -408,10 +361,5 @@ FAULTS: tuple[Fault, ...] = (
         "brake",
         _reads("brake_state", lambda v: BrakeState.RELEASED if v == BrakeState.POWER_OFF else BrakeState.POWER_OFF),
     ),
-    _fault(
-        "lk-brake-read-releases",
-        "reading the brake's state releases it",
-        "brake",
-        on_request(_read_releases, ("brake",)),
-    ),
+    _fault("lk-brake-read-releases", "reading the brake's state releases it", "brake", on_request(_read_releases, ("brake",))),
 )

@@ -64,9 +64,7 @@ def on_reply(change: Callable[[LkDrive, Command, bytes], bytes], only: Collectio
     return lambda hooks: hooks.reply.append(hook)
 
 
-def on_result(
-    change: Callable[[LkDrive, Command, Values, Values], Values | None], only: Collection[str] = ()
-) -> Install:
+def on_result(change: Callable[[LkDrive, Command, Values, Values], Values | None], only: Collection[str] = ()) -> Install:
     """Change the values of replies; silence stays silence."""
 
     def hook(drive: Drive, command: Command, asked: Values, values: Values | None) -> Values | None:

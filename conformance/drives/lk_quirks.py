@@ -117,34 +117,51 @@ _PRODUCT: Values = {
 }
 
 READ_PRODUCT = Command(
-    name="read_product", verb=Verb.READ_VERSION, code=0x12, section="firmware 2.35",
+    name="read_product",
+    verb=Verb.READ_VERSION,
+    code=0x12,
+    section="firmware 2.35",
     summary="Read the names, the number and the versions of drive and motor: 58 bytes.",
     risk=(always(Risk.READ),),
     request=EMPTY,
     reply=Layout(
-        uint("driver_name", 160), uint("motor_name", 160), uint("motor_id", 96),
-        u16le("hardware_version"), u16le("motor_version"), u16le("firmware_version"),
+        uint("driver_name", 160),
+        uint("motor_name", 160),
+        uint("motor_id", 96),
+        u16le("hardware_version"),
+        u16le("motor_version"),
+        u16le("firmware_version"),
     ),
 )
 READ_RAM = Command(
-    name="read_ram_parameter", verb=Verb.READ_PARAMETER, code=0x40, section="firmware 2.35",
+    name="read_ram_parameter",
+    verb=Verb.READ_PARAMETER,
+    code=0x40,
+    section="firmware 2.35",
     summary="Read a control parameter.",
     risk=(always(Risk.READ),),
     request=Layout(reserved(8), u8("parameter")),
     reply=(*_FORMS, _UNLISTED),
 )
 WRITE_RAM = Command(
-    name="write_ram_parameter", verb=Verb.WRITE_PARAMETER, code=0x42, section="firmware 2.35",
+    name="write_ram_parameter",
+    verb=Verb.WRITE_PARAMETER,
+    code=0x42,
+    section="firmware 2.35",
     summary="Write a control parameter to RAM; status 0 is done, 1 is refused.",
     risk=(always(Risk.SETTING),),
     request=(*_FORMS, _UNLISTED),
     reply=Layout(u8("parameter"), u8("status")),
 )
 REBOOT = Command(
-    name="reboot", verb=Verb.RESTART, code=0x07, section="firmware 2.35",
+    name="reboot",
+    verb=Verb.RESTART,
+    code=0x07,
+    section="firmware 2.35",
     summary="Restart the drive; not answered.",
     risk=(always(Risk.POWER_ON),),
-    request=EMPTY, reply=None,
+    request=EMPTY,
+    reply=None,
 )
 
 
@@ -197,16 +214,10 @@ QUIRKS: tuple[Quirk, ...] = (
         on_request(_no_limit, LIMITED),
     ),
     _quirk(
-        "lk-off-clears-turns",
-        "0x80 also drops the counted turns",
-        _VENDOR_CAN,
-        on_act("motor_off", followed_by(_clear_turns)),
+        "lk-off-clears-turns", "0x80 also drops the counted turns", _VENDOR_CAN, on_act("motor_off", followed_by(_clear_turns))
     ),
     _quirk(
-        "lk-reply-within",
-        "replies come after 0.05 to 0.25 ms (by the seed) instead of exactly 0.25 ms",
-        _VENDOR_CAN,
-        _soon,
+        "lk-reply-within", "replies come after 0.05 to 0.25 ms (by the seed) instead of exactly 0.25 ms", _VENDOR_CAN, _soon
     ),
     _quirk(
         "lk-encoder-wide-difference",

@@ -253,11 +253,7 @@ def parse_settings(texts: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def make(
-    specification: Specification,
-    *,
-    settings: Mapping[str, int] | None = None,
-    seed: int = 0,
-    reply_delay_ns: int | None = None,
+    specification: Specification, *, settings: Mapping[str, int] | None = None, seed: int = 0, reply_delay_ns: int | None = None
 ) -> Drive:
     """Return the drive of a specification.
 

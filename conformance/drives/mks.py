@@ -52,9 +52,7 @@ class MksDrive(MksCore):
         faults: Iterable[Fault] = (),
         seed: int = 0,
     ) -> None:
-        super().__init__(
-            speakers, address, BEHAVIOURS, power_on, settings=settings, quirks=quirks, faults=faults, seed=seed
-        )
+        super().__init__(speakers, address, BEHAVIOURS, power_on, settings=settings, quirks=quirks, faults=faults, seed=seed)
 
     def power_cycle(self, t_ns: int) -> None:
         """Switch the drive off and on: what is in RAM is gone, what happens at power-on happens."""

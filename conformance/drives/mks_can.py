@@ -62,6 +62,4 @@ class MksCanDrive(MksDrive):
         seed: int = 0,
     ) -> None:
         spoken = dialect.for_model(model) if model else dialect
-        super().__init__(
-            (CanSpeaker(spoken),), address, settings=settings, quirks=quirks, faults=faults, seed=seed
-        )
+        super().__init__((CanSpeaker(spoken),), address, settings=settings, quirks=quirks, faults=faults, seed=seed)

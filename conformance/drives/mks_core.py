@@ -209,9 +209,7 @@ class MksCore(MksState):
         """Return the answer that an order failed."""
         return {"status": min(order.speaker.meanings(order.command).failed, default=0)}
 
-    def _answer(
-        self, order: Order, result: Values | None, answered: bool, speaker: Speaker, address: int, at_ns: int
-    ) -> None:
+    def _answer(self, order: Order, result: Values | None, answered: bool, speaker: Speaker, address: int, at_ns: int) -> None:
         command = order.command
         for change in self.hooks.result:
             result = change(self, command, order.values, result)

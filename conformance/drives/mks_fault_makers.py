@@ -107,9 +107,7 @@ def byte(place: int, change: Callable[[int], int]) -> Callable[[bytes], bytes]:
 # --- values of replies and requests ---------------------------------------------------------------------------------
 
 
-def answered(
-    verbs: Collection[Verb] | None, change: Callable[[MksCore, Command, Values, Values], Values | None]
-) -> Install:
+def answered(verbs: Collection[Verb] | None, change: Callable[[MksCore, Command, Values, Values], Values | None]) -> Install:
     """Change the values of replies to these commands (None: all), or silence them."""
 
     def result(drive: Drive, command: Command, asked: Values, values: Values | None) -> Values | None:

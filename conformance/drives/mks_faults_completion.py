@@ -9,15 +9,7 @@ from analyzer.catalogue import Command, Verb
 from analyzer.protocols import mks_shared
 from conformance.drives.drive import Drive, Fault, Hooks, Outgoing, Values
 from conformance.drives.mks_core import STOPS, Behaviour, Kind, MksCore, Script
-from conformance.drives.mks_fault_makers import (
-    MOVES,
-    TELLING,
-    answered,
-    changed,
-    ended,
-    heedless,
-    wrapped,
-)
+from conformance.drives.mks_fault_makers import MOVES, TELLING, answered, changed, ended, heedless, wrapped
 from conformance.drives.mks_speaker import Order
 
 _COMPLETE, _LIMIT = int(mks_shared.RunStatus.COMPLETE), int(mks_shared.RunStatus.LIMIT_STOP)

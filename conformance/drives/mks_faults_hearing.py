@@ -9,17 +9,7 @@ from analyzer.decoder import Slot
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Fault, Hooks, Outgoing
 from conformance.drives.mks_core import MksCore
-from conformance.drives.mks_fault_makers import (
-    CAN,
-    EVERY,
-    MODBUS,
-    NATIVE,
-    TELLING,
-    Install,
-    accepted,
-    replied,
-    several,
-)
+from conformance.drives.mks_fault_makers import CAN, EVERY, MODBUS, NATIVE, TELLING, Install, accepted, replied, several
 
 
 def _named(drive: MksCore, frame: Frame, message: Message) -> bool:

@@ -97,7 +97,7 @@ def _any_quantity(drive: MksCore, body: bytes) -> bytes | None:
 
 def _six_bytes(drive: MksCore, body: bytes) -> bytes | None:
     """Take six bytes for the home settings, as the standard would have it."""
-    is_home = body[_FUNCTION] == 0x10 and body[_REGISTER : _VALUE] == b"\x00\x90" and body[6:7] == b"\x06"
+    is_home = body[_FUNCTION] == 0x10 and body[_REGISTER:_VALUE] == b"\x00\x90" and body[6:7] == b"\x06"
     return body[:6] + b"\x05" + body[7:11] + body[12:13] if is_home else None
 
 

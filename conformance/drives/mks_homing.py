@@ -171,8 +171,4 @@ def _run_again(drive: MksCore) -> None:
         begin_run(drive, settings["saved_direction"], settings["saved_speed"], settings["saved_acceleration"])
 
 
-HOMING: Mapping[Verb, Behaviour] = {
-    Verb.HOME: _home,
-    Verb.SET_ZERO: _set_zero,
-    Verb.CALIBRATE: _calibrate,
-}
+HOMING: Mapping[Verb, Behaviour] = {Verb.HOME: _home, Verb.SET_ZERO: _set_zero, Verb.CALIBRATE: _calibrate}

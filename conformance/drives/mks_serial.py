@@ -39,10 +39,5 @@ class MksSerialDrive(MksDrive):
             native, modbus = native.for_model(model), modbus.for_model(model)
         given = {"modbus": int(dialect.name == modbus.name)} | dict(settings or {})
         super().__init__(
-            (NativeSpeaker(native), ModbusSpeaker(modbus)),
-            address,
-            settings=given,
-            quirks=quirks,
-            faults=faults,
-            seed=seed,
+            (NativeSpeaker(native), ModbusSpeaker(modbus)), address, settings=given, quirks=quirks, faults=faults, seed=seed
         )

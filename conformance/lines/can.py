@@ -18,11 +18,7 @@ from conformance.line import Line, LineLost
 
 _SECOND_NS = 1_000_000_000
 #: Interfaces whose bit rate is not theirs to set, and who sets it.
-_FIXED = {
-    "socketcan": "ip link set NAME type can bitrate N sets it",
-    "virtual": "it has none",
-    "udp_multicast": "it has none",
-}
+_FIXED = {"socketcan": "ip link set NAME type can bitrate N sets it", "virtual": "it has none", "udp_multicast": "it has none"}
 
 
 class CanLine(Line):

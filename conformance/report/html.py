@@ -102,8 +102,7 @@ def _totals(records: Sequence[VerdictRecord]) -> str:
     for record in records:
         counts.setdefault((record.target, record.theme), Counter())[record.outcome] += 1
     rows = [
-        [target, theme, *(_count(counted[o.value], o.value) for o, _ in COLUMNS)]
-        for (target, theme), counted in counts.items()
+        [target, theme, *(_count(counted[o.value], o.value) for o, _ in COLUMNS)] for (target, theme), counted in counts.items()
     ]
     head = ["drive", "theme", *(o.value for o, _ in COLUMNS)]
     return "<h2>Verdicts</h2>" + _table(head, rows, numbers_from=2)
@@ -179,9 +178,7 @@ def _curves(records: Sequence[VerdictRecord]) -> str:
 
 
 def _claims(records: Sequence[VerdictRecord]) -> str:
-    boxes = "".join(
-        f'<label><input type="checkbox" value="{_kind(o.value)}" checked> {o.value}</label>' for o in Outcome
-    )
+    boxes = "".join(f'<label><input type="checkbox" value="{_kind(o.value)}" checked> {o.value}</label>' for o in Outcome)
     rows = "".join(
         f'<tr data-outcome="{_kind(r.outcome)}"><td class="{_kind(r.outcome)}">{escape(r.outcome)}</td>'
         f"<td><code>{escape(r.id)}</code><br>{escape(r.statement)}</td><td>{escape(r.section)}</td>"
@@ -203,7 +200,7 @@ def _measured(record: VerdictRecord) -> str:
 def _table(head: Iterable[str], rows: Iterable[Sequence[str]], numbers_from: int = 99) -> str:
     top = "".join(f"<th>{name}</th>" for name in head)
     body = "".join(
-        "<tr>" + "".join(f'<td{" class=n" if i >= numbers_from else ""}>{cell}</td>' for i, cell in enumerate(row)) + "</tr>"
+        "<tr>" + "".join(f"<td{' class=n' if i >= numbers_from else ''}>{cell}</td>" for i, cell in enumerate(row)) + "</tr>"
         for row in rows
     )
     return f'<div class="wide"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'

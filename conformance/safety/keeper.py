@@ -32,9 +32,7 @@ from conformance.safety.journal import Entry, Journal, values_text
 
 #: What may be sent to put back what was there: no motion, nothing that wipes, nothing that nobody knows.
 PUTTING_BACK = Allowance(
-    frozenset({Risk.READ, Risk.SETTING, Risk.TORQUE, Risk.LINK, Risk.POWER_ON, Risk.WEAR}),
-    alone=True,
-    budget=Budget(wear=None),
+    frozenset({Risk.READ, Risk.SETTING, Risk.TORQUE, Risk.LINK, Risk.POWER_ON, Risk.WEAR}), alone=True, budget=Budget(wear=None)
 )
 
 

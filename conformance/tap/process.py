@@ -132,9 +132,7 @@ def _store(folder: Path, stem: str, before: Record | None, tell: Any) -> Store:
     )
 
 
-def _open(
-    adapter: Adapter, adopted: int | None, stop: Stop, storing: Storing, before: Record | None, named: Any
-) -> None:
+def _open(adapter: Adapter, adopted: int | None, stop: Stop, storing: Storing, before: Record | None, named: Any) -> None:
     """Open the adapter, or take it over from a process that died, and tell which."""
     if adopted is not None:
         adapter.adopt(adopted)

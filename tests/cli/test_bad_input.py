@@ -58,7 +58,7 @@ def test_no_permission_to_write(tmp_path, capsys):
 
 
 def test_a_text_of_something_else(tmp_path, capsys):
-    text = b"#include <stdio.h>\nint main(void) {\n    printf(\"hello\\n\");\n    return 0;\n}\n"
+    text = b'#include <stdio.h>\nint main(void) {\n    printf("hello\\n");\n    return 0;\n}\n'
     status, _, err = decode(tmp_path, capsys, text)
     assert status == 2
     assert "hex" in err or "format" in err

@@ -128,9 +128,7 @@ def test_the_capture_itself_is_never_the_target(tmp_path, capsys):
 
 def test_a_disk_that_is_full_leaves_no_broken_log(tmp_path):
     capture = tmp_path / "long.bin"
-    subprocess.run(
-        [sys.executable, CAPTURES / "make.py", "--frames", "60000", "-o", capture], check=True, capture_output=True
-    )
+    subprocess.run([sys.executable, CAPTURES / "make.py", "--frames", "60000", "-o", capture], check=True, capture_output=True)
     target = tmp_path / "out"
     target.mkdir()
     # A limit on the size of a file fails a write as a full disk does (EFBIG for ENOSPC), without a file system of our own.

@@ -1,6 +1,6 @@
 """Which claims change their verdict when a quirk is installed, and which name it: for the tests of quirks.
 
-    python -m tests.conformance.quirk_runs [DIALECT [QUIRK]]      all claims, all quirks: what differs from what should
+python -m tests.conformance.quirk_runs [DIALECT [QUIRK]]      all claims, all quirks: what differs from what should
 """
 
 from __future__ import annotations

@@ -81,6 +81,7 @@ def test_a_run_without_an_end_is_stopped_after_its_time_and_the_suite_goes_on(tm
     with on_pty("mks-rs485@1,work_mode=sr_vfoc") as path:
         rig = open_rig(path, tmp_path, longest_run=0.4)
         try:
+
             def check(probe):
                 moving.ready_to_move(probe)
                 moving.run_at(probe, 60)

@@ -60,7 +60,6 @@ def ran(rig, check, *risks, **more):
     return engine.run_claim(claim(rig, check, *risks, **more), rig)
 
 
-
 def test_what_is_read_first_is_put_back_and_the_journal_goes(tmp_path):
     rig = EmulatedPort("mks-can@1,current=1200", tmp_path)
     verdict = ran(rig, lambda p: p.do("set_current", {"current": 900}) and None, Risk.SETTING)

@@ -119,8 +119,7 @@ def test_two_drives_of_one_address_are_told():
 
 
 @pytest.mark.parametrize(
-    ("fault", "told"),
-    [("wrong-reply-address", "it answered for"), ("checksum-wrong", "its checksum is wrong")],
+    ("fault", "told"), [("wrong-reply-address", "it answered for"), ("checksum-wrong", "its checksum is wrong")]
 )
 def test_a_wrong_answer_is_one_and_is_told(fault: str, told: str):
     report = scan(gate(f"mks-rs485@2,fault={fault}"), [MKS], addresses=[2])

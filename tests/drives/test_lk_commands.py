@@ -188,12 +188,7 @@ def test_a_parameter_that_is_not_listed_meets_silence(number: int) -> None:
 
 @pytest.mark.parametrize(
     ("model", "forbidden"),
-    [
-        ("MF", {"run_open_loop"}),
-        ("MG", {"run_open_loop"}),
-        ("MH", {"run_open_loop"}),
-        ("MS", {"run_torque", "read_state_3"}),
-    ],
+    [("MF", {"run_open_loop"}), ("MG", {"run_open_loop"}), ("MH", {"run_open_loop"}), ("MS", {"run_torque", "read_state_3"})],
 )
 def test_models_have_their_own_commands(model: str, forbidden: set[str]) -> None:
     bench = Bench(model=model)

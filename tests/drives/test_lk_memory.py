@@ -70,9 +70,7 @@ def test_position_is_set_in_ram() -> None:
     assert bench.position() == 1050
 
 
-@pytest.mark.parametrize(
-    ("at", "left"), [(0, 0), (12345, 12345), (84321, 12321), (-100, 35900), (-72000, 0), (36000, 0)]
-)
+@pytest.mark.parametrize(("at", "left"), [(0, 0), (12345, 12345), (84321, 12321), (-100, 35900), (-72000, 0), (36000, 0)])
 def test_clear_turns_keeps_the_angle_within_the_turn(at: int, left: int) -> None:
     bench = Bench()
     bench.ask("move_multi_turn", position=at)

@@ -53,9 +53,7 @@ def close(got: float, expected: float) -> bool:
         ("move_increment_limited", {"position": 33333, "max_speed": 333}, 333.33, 3.33),
     ],
 )
-def test_move_follows_the_trapezoid(
-    model: str, command: str, values: dict[str, int], distance: float, top: float
-) -> None:
+def test_move_follows_the_trapezoid(model: str, command: str, values: dict[str, int], distance: float, top: float) -> None:
     bench = Bench(model=model)
     bench.ask(command, **values)
     total = abs(distance) / top + 2 * top / RAMP + 0.2

@@ -82,9 +82,7 @@ def corrected(vector):
 
 
 @pytest.mark.parametrize(
-    ("dialect", "command", "vector"),
-    VECTORS,
-    ids=[f"{d.name} {c.name} {v.section} {n}" for n, (d, c, v) in enumerate(VECTORS)],
+    ("dialect", "command", "vector"), VECTORS, ids=[f"{d.name} {c.name} {v.section} {n}" for n, (d, c, v) in enumerate(VECTORS)]
 )
 def test_every_printed_request_is_answered_as_printed(dialect, command, vector):
     if vector.role is not Role.REQUEST:

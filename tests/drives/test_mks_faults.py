@@ -524,6 +524,7 @@ LIKELY = {
 
 def told(chapter, name, faults=(), quirks=()):
     """Return all that was seen in a chapter, piece by piece."""
+
     def open_story(**options):
         return Story(name, faults, quirks, **options)
 

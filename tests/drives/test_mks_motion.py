@@ -422,6 +422,7 @@ def test_supply_and_encoder(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_how_time_is_told_changes_nothing(name):
     """One jump or many steps: the same replies at the same times."""
+
     def story(steps):
         rig = homed(name)
         rig.ask("move_relative_axis", speed=300, acceleration=200, position=30_000)

@@ -142,8 +142,7 @@ def test_modbus_waits_for_three_and_a_half_characters() -> None:
 
 
 @pytest.mark.parametrize(
-    ("dialect", "body"),
-    [("mks-rs485", "FA 01 77"), ("mks-modbus", "01 07"), ("mks-modbus", "01 2B 0E 01 00")],
+    ("dialect", "body"), [("mks-rs485", "FA 01 77"), ("mks-modbus", "01 07"), ("mks-modbus", "01 2B 0E 01 00")]
 )
 def test_a_frame_of_unknown_code_is_there_at_the_pause(dialect: str, body: str) -> None:
     ears = receiver(dialect)

@@ -110,10 +110,7 @@ def test_hex_text(tmp_path):
     source, records = read_all(path)
     assert traffic(records) == traffic(SERIAL)
     assert source.problem_count == 0
-    assert path.read_text().splitlines()[:2] == [
-        "// begin",
-        "2026-03-02 09:00:00.123456789 > [bus:left] FA 01 F6 01 40 02 34",
-    ]
+    assert path.read_text().splitlines()[:2] == ["// begin", "2026-03-02 09:00:00.123456789 > [bus:left] FA 01 F6 01 40 02 34"]
 
 
 HOSTILE = ("FA 01 02 03", "SEND HEX>", "# SEND HEX>", "Tx: FA 01", "> 01 02", "a\nFB 01 02", "\x1b[2J 00 11")
@@ -348,10 +345,7 @@ def test_wireshark_reads_can_serial_and_comments(tmp_path):
 @needs_tshark
 @pytest.mark.parametrize(
     ("serial_as", "choice"),
-    [
-        ("user", ["-o", 'uat:user_dlts:"User 0 (DLT=147)","mbrtu","0","","0",""']),
-        ("rtac", ["-d", "rtacser.data,mbrtu"]),
-    ],
+    [("user", ["-o", 'uat:user_dlts:"User 0 (DLT=147)","mbrtu","0","","0",""']), ("rtac", ["-d", "rtacser.data,mbrtu"])],
 )
 def test_wireshark_tells_modbus_queries_from_responses(serial_as, choice, tmp_path):
     log, out = tmp_path / "a.mcap", tmp_path / "a.pcapng"

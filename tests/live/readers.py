@@ -24,9 +24,7 @@ STEM = "1-a"
 def configure(folder, text):
     """Write the configuration of a recording of one endpoint."""
     endpoint = parse(text)
-    port = PortConfig(
-        stem=STEM, bus="a", endpoint=text, kind=endpoint.bus_kind, speed=endpoint.speed, byte_ns=endpoint.byte_ns
-    )
+    port = PortConfig(stem=STEM, bus="a", endpoint=text, kind=endpoint.bus_kind, speed=endpoint.speed, byte_ns=endpoint.byte_ns)
     config = RecordingConfig(log=str(folder / "x.mcap"), ports=(port,), anchor_monotonic_ns=0, anchor_utc_ns=0)
     config.save(folder)
 

@@ -31,9 +31,7 @@ class Spools:
         self.log = Path(tmp_path) / name
         self.folder = spool_folder(self.log)
         self.folder.mkdir()
-        self.config = RecordingConfig(
-            log=str(self.log), ports=ports, anchor_monotonic_ns=START, anchor_utc_ns=UTC, **about
-        )
+        self.config = RecordingConfig(log=str(self.log), ports=ports, anchor_monotonic_ns=START, anchor_utc_ns=UTC, **about)
         self.config.save(self.folder)
         self._segment_size = segment_size
         self._writers = {}
@@ -105,11 +103,7 @@ def metadata(path, name="servotap"):
 
 def content(path):
     """Return what a log says of the traffic: all but what came as it came, and the counts of each second."""
-    return [
-        (topic, message.sequence, value)
-        for topic, message, value in read(path)
-        if not topic.endswith(("/raw", "/stats"))
-    ]
+    return [(topic, message.sequence, value) for topic, message, value in read(path) if not topic.endswith(("/raw", "/stats"))]
 
 
 def raw_of(paths, bus):

@@ -56,9 +56,7 @@ def stop():
 # --- what is on a socket --------------------------------------------------------------------------------------------------
 
 
-@given(
-    st.integers(0, 0x1FFFFFFF), st.binary(max_size=8), st.booleans(), st.booleans(), st.booleans(), st.booleans()
-)
+@given(st.integers(0, 0x1FFFFFFF), st.binary(max_size=8), st.booleans(), st.booleans(), st.booleans(), st.booleans())
 def test_a_datagram_is_understood_as_python_can_understands_it(can_id, data, extended, remote, error, fd):
     from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 

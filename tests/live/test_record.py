@@ -210,11 +210,7 @@ def test_rotated_parts_hold_everything_once(tmp_path):
 
 @pytest.mark.parametrize(
     ("number", "reason"),
-    [
-        (signal.SIGINT, "Ctrl-C"),
-        (signal.SIGTERM, "SIGTERM"),
-        (signal.SIGHUP, "a terminal that closed (SIGHUP)"),
-    ],
+    [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "a terminal that closed (SIGHUP)")],
 )
 def test_each_signal_ends_with_a_complete_file(tmp_path, number, reason):
     with pty_pair() as (master, path), Recorded(tmp_path, f"left=serial:{path},baud=115200") as recorded:

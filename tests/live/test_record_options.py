@@ -164,8 +164,7 @@ def test_what_is_in_the_way_goes_with_force(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "seconds"),
-    [("10s", 10), ("1.5h", 5400), ("5min", 300), ("2m", 120), ("250ms", 0.25), ("1d", 86400)],
+    ("text", "seconds"), [("10s", 10), ("1.5h", 5400), ("5min", 300), ("2m", 120), ("250ms", 0.25), ("1d", 86400)]
 )
 def test_times(text, seconds):
     assert amounts.duration_ns(text) == seconds * 10**9

@@ -90,9 +90,12 @@ def test_killed_while_the_disk_is_full(tmp_path):
 @contextlib.contextmanager
 def small_disk(path, size):
     path.mkdir()
-    mounted = os.geteuid() == 0 and not subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(path)], capture_output=True
-    ).returncode
+    mounted = (
+        os.geteuid() == 0
+        and not subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(path)], capture_output=True
+        ).returncode
+    )
     if not mounted:
         pytest.skip("no file system can be mounted here")
     try:

@@ -190,5 +190,3 @@ def test_what_was_flushed_is_in_the_file_within_a_second(tmp_path):
         process.kill()
         process.wait()
         process.stderr.close()
-
-

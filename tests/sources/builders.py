@@ -79,9 +79,7 @@ def candump(path: Path) -> Path:
 def candump_screen(path: Path) -> Path:
     """Lines as on the screen."""
     rows = zip(times(40), CAN_TRAFFIC * 10, strict=True)
-    text = "".join(
-        f" ({decimal(t)})  can0  {ident:03X}   [{len(data.split())}]  {data}\n" for t, (ident, data, _) in rows
-    )
+    text = "".join(f" ({decimal(t)})  can0  {ident:03X}   [{len(data.split())}]  {data}\n" for t, (ident, data, _) in rows)
     path.write_text(text)
     return path
 

@@ -67,9 +67,7 @@ def test_every_kind_of_frame(ending: str, tmp_path: Path) -> None:
         can.Message(timestamp=3.0, is_error_frame=True, channel=1),
     ]
     if ending != ".csv":
-        given.append(
-            can.Message(timestamp=4.0, arbitration_id=1, is_extended_id=False, is_fd=True, data=bytes(12), channel=1)
-        )
+        given.append(can.Message(timestamp=4.0, arbitration_id=1, is_extended_id=False, is_fd=True, data=bytes(12), channel=1))
     got = frames(builders.by_python_can(tmp_path / f"capture{ending}", given))
     assert [(f.extended, f.remote, f.error, f.fd) for f in got] == [
         (True, False, False, False),
@@ -234,9 +232,7 @@ def test_a_blf_bomb_is_refused(tmp_path: Path) -> None:
 def test_blf_objects_outside_containers(tmp_path: Path) -> None:
     path, data = blf_of(tmp_path)
     body = struct.pack("<HBBL8s", 1, 0, 2, 0x12, b"\xf6\x01" + bytes(6))
-    one = (
-        struct.pack("<4sHHLL", b"LOBJ", 32, 1, 32 + len(body), 1) + struct.pack("<LHHQ", 2, 0, 0, 5_000_000_000) + body
-    )
+    one = struct.pack("<4sHHLL", b"LOBJ", 32, 1, 32 + len(body), 1) + struct.pack("<LHHQ", 2, 0, 0, 5_000_000_000) + body
     path.write_bytes(data[:144] + one * 3)
     got = frames(path)
     assert [(f.id, f.data, f.port) for f in got] == [(0x12, b"\xf6\x01", "can1")] * 3

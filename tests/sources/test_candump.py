@@ -36,29 +36,17 @@ def read(tmp_path: Path, text: str, **options: object) -> tuple[Source, list[Rec
         ("(1.0) can0 123##1AABB", CanFrame(10**9, "can0", 0x123, b"\xaa\xbb", U, fd=True)),
         ("(1.0) can0 123##0", CanFrame(10**9, "can0", 0x123, b"", U, fd=True)),
         ("(1.0) can0 123#1122334455667788_F", CanFrame(10**9, "can0", 0x123, bytes.fromhex("1122334455667788"))),
-        (
-            "(1.0) can0 20000004#0004000000000000",
-            CanFrame(10**9, "can0", 4, bytes.fromhex("0004000000000000"), U, error=True),
-        ),
+        ("(1.0) can0 20000004#0004000000000000", CanFrame(10**9, "can0", 4, bytes.fromhex("0004000000000000"), U, error=True)),
         ("(1.0) 0 123#11", CanFrame(10**9, "0", 0x123, b"\x11")),
         ("  can0  001   [4]  F6 01 40 02", CanFrame(None, "can0", 1, bytes.fromhex("F6014002"))),
         (" (1.5)  can0  001   [1]  F6", CanFrame(1_500_000_000, "can0", 1, b"\xf6")),
-        (
-            " (2023-04-30 22:40:55.899123)  can0  001   [1]  F6",
-            CanFrame(1_682_894_455_899_123_000, "can0", 1, b"\xf6"),
-        ),
-        (
-            " (1.5)  can0  TX B E  001  [12]  " + "AA " * 12,
-            CanFrame(1_500_000_000, "can0", 1, b"\xaa" * 12, REQUEST, fd=True),
-        ),
+        (" (2023-04-30 22:40:55.899123)  can0  001   [1]  F6", CanFrame(1_682_894_455_899_123_000, "can0", 1, b"\xf6")),
+        (" (1.5)  can0  TX B E  001  [12]  " + "AA " * 12, CanFrame(1_500_000_000, "can0", 1, b"\xaa" * 12, REQUEST, fd=True)),
         (" (1.5)  can0  RX - -  001   [1]  F6   '.'", CanFrame(1_500_000_000, "can0", 1, b"\xf6")),
         ("  can0  123   [8]  remote request", CanFrame(None, "can0", 0x123, b"", U, remote=True)),
         ("  can0  123   [0]  remote request", CanFrame(None, "can0", 0x123, b"", U, remote=True)),
         ("  can0  00000123   [1]  11", CanFrame(None, "can0", 0x123, b"\x11", U, extended=True)),
-        (
-            "  can0  20000080   [8]  00 00 00 00 00 00 00 00   ERRORFRAME",
-            CanFrame(None, "can0", 0x80, bytes(8), U, error=True),
-        ),
+        ("  can0  20000080   [8]  00 00 00 00 00 00 00 00   ERRORFRAME", CanFrame(None, "can0", 0x80, bytes(8), U, error=True)),
         ("\x1b[34m  can0  \x1b[0m001   [1]  F6", CanFrame(None, "can0", 1, b"\xf6")),
     ],
 )

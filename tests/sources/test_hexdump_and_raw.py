@@ -52,9 +52,7 @@ def test_rows_that_a_star_stands_for(tmp_path: Path) -> None:
     row = "fa 01 f6 01 40 02 34 fb  01 f6 01 f3 00 00 00 00"
     path.write_text(f"00000000  {row}  |................|\n*\n00000040  01                    |.|\n00000041\n")
     records = read_all(path)[1]
-    assert (
-        b"".join(r.data for r in records if isinstance(r, Chunk)) == bytes.fromhex(row.replace(" ", "")) * 4 + b"\x01"
-    )
+    assert b"".join(r.data for r in records if isinstance(r, Chunk)) == bytes.fromhex(row.replace(" ", "")) * 4 + b"\x01"
 
 
 def test_missing_rows_are_a_problem(tmp_path: Path) -> None:

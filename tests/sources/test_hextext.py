@@ -236,10 +236,7 @@ def test_the_serial_assistant_of_the_manual(tmp_path: Path) -> None:
 
 def test_sscom_in_its_own_encoding(tmp_path: Path) -> None:
     records = read(tmp_path, "[22:00:41.748]发→◇FA 01 F6\n[22:00:41.810]收←◆FB 01 F6\n".encode("gb18030"))[1]
-    assert [(r.direction, r.data.hex()) for r in records if isinstance(r, Chunk)] == [
-        (REQUEST, "fa01f6"),
-        (REPLY, "fb01f6"),
-    ]
+    assert [(r.direction, r.data.hex()) for r in records if isinstance(r, Chunk)] == [(REQUEST, "fa01f6"), (REPLY, "fb01f6")]
 
 
 LK = """\

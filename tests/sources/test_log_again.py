@@ -47,11 +47,7 @@ def test_can(tmp_path: Path) -> None:
         tmp_path / "log.mcap",
         [
             ("/can0/1/run_speed/request", 10, {"_raw": "F6 01 40 02 3A", "_offset": 0, "_can_id": 1}),
-            (
-                "/can0/unknown",
-                11,
-                {"_raw": "", "_offset": 5, "_can_id": 0x1ABCDE, "_can_flags": ["extended", "remote"]},
-            ),
+            ("/can0/unknown", 11, {"_raw": "", "_offset": 5, "_can_id": 0x1ABCDE, "_can_flags": ["extended", "remote"]}),
             ("/can0/unknown", 12, {"_raw": "00", "_offset": 5, "_can_id": 4, "_can_flags": ["error"]}),
         ],
         kind="can",

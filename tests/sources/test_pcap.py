@@ -108,20 +108,11 @@ def test_a_cut_pcap(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("resolution", "ticks", "t_ns"),
-    [
-        (9, T, T),
-        (6, T // 1000, T // 1000 * 1000),
-        (3, T // 10**6, T // 10**6 * 10**6),
-        (0x80 | 10, 1536, 1_500_000_000),
-    ],
+    [(9, T, T), (6, T // 1000, T // 1000 * 1000), (3, T // 10**6, T // 10**6 * 10**6), (0x80 | 10, 1536, 1_500_000_000)],
 )
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_pcapng_resolutions(resolution: int, ticks: int, t_ns: int, order: str, tmp_path: Path) -> None:
-    data = (
-        section(order)
-        + interface(227, "can7", resolution, order)
-        + enhanced(0, ticks, socketcan(1, b"\xf6"), b"", order)
-    )
+    data = section(order) + interface(227, "can7", resolution, order) + enhanced(0, ticks, socketcan(1, b"\xf6"), b"", order)
     source, records = read(tmp_path, data)
     assert (source.format, source.kind) == ("pcapng", "can")
     assert records == [CanFrame(t_ns, "can7", 1, b"\xf6")]

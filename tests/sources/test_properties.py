@@ -46,9 +46,7 @@ def survive(data: bytes, format: str | None) -> None:
             pass
 
 
-TEXTS = st.text(
-    st.sampled_from("0123456789ABCDEFabcdef xX:;,.-<>[]()#'\"\\\t\n\r TXRXsendcan0[]{}/*=+|\x1b"), max_size=400
-)
+TEXTS = st.text(st.sampled_from("0123456789ABCDEFabcdef xX:;,.-<>[]()#'\"\\\t\n\r TXRXsendcan0[]{}/*=+|\x1b"), max_size=400)
 
 
 @quick
@@ -95,11 +93,7 @@ def test_any_line_can_be_taken_apart(text: str) -> None:
         bytes_of(line)
 
 
-@given(
-    data=st.binary(min_size=1, max_size=60),
-    upper=st.booleans(),
-    separator=st.sampled_from([" ", "", ",", ", ", ":", "-"]),
-)
+@given(data=st.binary(min_size=1, max_size=60), upper=st.booleans(), separator=st.sampled_from([" ", "", ",", ", ", ":", "-"]))
 def test_bytes_survive_being_printed(data: bytes, upper: bool, separator: str) -> None:
     text = separator.join(f"{b:02X}" if upper else f"{b:02x}" for b in data)
     if len(data) == 3 and separator == ":":

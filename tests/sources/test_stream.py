@@ -183,10 +183,7 @@ def test_bombs_are_refused_in_bounded_memory(
     del data
     tracemalloc.start()
     try:
-        with (
-            pytest.raises(UnreadableError, match="taken for a decompression bomb"),
-            open_source(path, format="raw") as source,
-        ):
+        with pytest.raises(UnreadableError, match="taken for a decompression bomb"), open_source(path, format="raw") as source:
             for _ in source:
                 pass
         assert tracemalloc.get_traced_memory()[1] < 24 << 20
@@ -194,9 +191,7 @@ def test_bombs_are_refused_in_bounded_memory(
         tracemalloc.stop()
 
 
-@pytest.mark.parametrize(
-    "format", ["hex", "candump", "spy", "saleae", "sigrok", "asc", "trc", "can-csv", "hexdump", "raw"]
-)
+@pytest.mark.parametrize("format", ["hex", "candump", "spy", "saleae", "sigrok", "asc", "trc", "can-csv", "hexdump", "raw"])
 def test_a_line_of_ten_megabytes(format: str, tmp_path: Path) -> None:
     sample = next(s for s in builders.SAMPLES.values() if s.format == format)
     path = sample.make(tmp_path)

@@ -1,0 +1,110 @@
+"""What the suite says, kept: every claim, every verdict on conforming drives, and which claims refute which fault.
+
+    python -m tests.conformance.golden [claims|verdicts|faults ...] [--write] [--jobs N] [--every N] [--full FILE]
+
+A change that means to change nothing leaves these files alone. One that means to change them writes them anew, and the
+difference shows what it did. `--full FILE` writes the whole table of faults, every claim against each: an hour.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from conformance import engine, mutants, suite
+from conformance.claim import Outcome
+from conformance.drives import make
+from conformance.target import every_emulated
+
+FOLDER = Path(__file__).with_name("golden")
+#: Claims that are tried against each fault: those that are likeliest to refute it.
+LIKELIEST = 40
+
+
+def claims() -> Iterator[str]:
+    """Yield a line for each claim: id, statement, certainty, risks and what else decides when it runs."""
+    for target in every_emulated():
+        for claim in suite.every_claim(target):
+            flags = [name for name in ("alone", "by_name", "emulated") if getattr(claim, name)]
+            fact = {
+                "target": target.text,
+                "id": claim.id,
+                "statement": claim.statement,
+                "section": claim.section,
+                "certainty": claim.certainty.value,
+                "risks": sorted(risk.value for risk in claim.risks),
+                "flags": flags,
+                "settings": sorted(claim.settings),
+                "covers": sorted([command, aspect.value] for command, aspect in claim.covers),
+            }
+            yield json.dumps(fact, ensure_ascii=False)
+
+
+def verdicts() -> Iterator[str]:
+    """Yield a line for each verdict on a conforming drive that is not confirmed, and the count of those that are."""
+    for target in every_emulated():
+        plan = suite.Plan((target,))
+        rig = suite.open_rig(plan, target)
+        confirmed = 0
+        for claim in plan.selected(target):
+            verdict = engine.run_claim(claim, rig)
+            confirmed += verdict.outcome is Outcome.CONFIRMED
+            if verdict.outcome is not Outcome.CONFIRMED:
+                fact = {"target": target.text, "id": claim.id, "outcome": verdict.outcome.value, "reason": verdict.reason}
+                yield json.dumps(fact, ensure_ascii=False)
+        yield json.dumps({"target": target.text, "confirmed": confirmed})
+
+
+def faults(every: int = 1, likeliest: int | None = LIKELIEST, jobs: int = 1) -> Iterator[str]:
+    """Yield a line for each fault: the claims that refute it, of the likeliest ones (of all, where None)."""
+    targets = mutants.telling_targets(make.KINDS)
+    found = mutants.mutants(targets, jobs=jobs, full=True, every=every, **({} if likeliest is None else {"most": likeliest}))
+    lines = {}
+    for mutant in found:
+        fact = {"dialect": mutant.dialect, "fault": mutant.fault, "refuted": sorted(c for c, _ in mutant.refuted)}
+        lines[mutant.dialect, mutant.fault] = json.dumps(fact)
+    yield from (lines[key] for key in sorted(lines))
+
+
+PARTS = {"claims": claims, "verdicts": verdicts, "faults": faults}
+
+
+def kept(part: str) -> list[str]:
+    """Return the lines that are kept of a part."""
+    return (FOLDER / f"{part}.jsonl").read_text().splitlines()
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"some of {', '.join(PARTS)}; all by default")
+    parser.add_argument("--write", action="store_true", help="write the files anew")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--every", type=int, default=1, help="only each so many of the faults")
+    parser.add_argument("--full", metavar="FILE", help="write the whole table of faults into a file")
+    arguments = parser.parse_args()
+    if arguments.full:
+        Path(arguments.full).write_text("".join(f"{x}\n" for x in faults(arguments.every, None, arguments.jobs)))
+        return 0
+    different = 0
+    for part in arguments.parts or PARTS:
+        new = list(faults(arguments.every, jobs=arguments.jobs) if part == "faults" else PARTS[part]())
+        if arguments.write:
+            (FOLDER / f"{part}.jsonl").write_text("".join(f"{x}\n" for x in new))
+            continue
+        old = kept(part)
+        if arguments.every > 1 and part == "faults":
+            have = {(f["dialect"], f["fault"]) for f in map(json.loads, new)}
+            old = [x for x in old if (json.loads(x)["dialect"], json.loads(x)["fault"]) in have]
+        lines = list(difflib.unified_diff(old, new, "kept", "now", lineterm="", n=0))
+        print(f"{part}: {len(new)} lines, {'the same' if not lines else 'DIFFERENT'}")
+        print("\n".join(lines[:200]))
+        different += bool(lines)
+    return int(bool(different))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
