@@ -13,10 +13,10 @@ import os
 import sys
 import time
 
-from conformance import suite
 from conformance.drives import make
-from conformance.mutants import run_mutants
-from conformance.target import every_emulated, parse
+from conformance.suite import plan
+from conformance.suite.target import every_emulated, parse
+from conformance.tools.mutants import run_mutants
 
 
 def main() -> int:
@@ -27,10 +27,10 @@ def main() -> int:
     arguments = parser.parse_args()
     targets = every_emulated() if arguments.dialect is None else [parse(f"{arguments.dialect}@1")]
     started = time.perf_counter()
-    count = sum(1 for _ in suite.run(suite.Plan(tuple(targets)), arguments.jobs))
+    count = sum(1 for _ in plan.run(plan.Plan(tuple(targets)), arguments.jobs))
     seconds = time.perf_counter() - started
     print(f"the suite itself: {count} claims in {seconds:.1f} s with {arguments.jobs} processes", flush=True)
-    return run_mutants(suite.Plan(tuple(targets)), jobs=arguments.jobs, full=not arguments.quick)
+    return run_mutants(plan.Plan(tuple(targets)), jobs=arguments.jobs, full=not arguments.quick)
 
 
 if __name__ == "__main__":

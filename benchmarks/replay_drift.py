@@ -26,13 +26,13 @@ sys.path.insert(0, str(ROOT))
 from analyzer import dialects  # noqa: E402
 from analyzer.catalogue import Role  # noqa: E402
 from analyzer.encoder import build  # noqa: E402
-from analyzer.endpoint import parse  # noqa: E402
+from analyzer.live.endpoint import parse  # noqa: E402
 from analyzer.pipeline import Pipeline  # noqa: E402
 from analyzer.records import Chunk  # noqa: E402
-from conformance.gate import Allowance, Gate, Judge  # noqa: E402
-from conformance.lines import open_line  # noqa: E402
-from conformance.replay import Replay  # noqa: E402
-from conformance.replay_plan import make_plan  # noqa: E402
+from conformance.bus import open_line  # noqa: E402
+from conformance.gate.gate import Allowance, Gate, Judge  # noqa: E402
+from conformance.tools.replay import Replay  # noqa: E402
+from conformance.tools.replay_plan import make_plan  # noqa: E402
 
 MKS = dialects.get("mks-rs485")
 READ = build(MKS, "read_speed", 1)

@@ -26,8 +26,8 @@ from analyzer.catalogue import Certainty, Risk
 
 if TYPE_CHECKING:
     from analyzer.records import CanFrame, Chunk
-    from conformance.exchange import Exchange
-    from conformance.probe import Probe
+    from conformance.talk.exchange import Exchange
+    from conformance.talk.probe import Probe
 
 
 class Theme(StrEnum):
@@ -84,7 +84,7 @@ class Refuted(AssertionError):
         self.got = got
         self.exchange = exchange
         self.key = key or text
-        #: What led there, where the claim was a sequence of steps (`conformance.session`).
+        #: What led there, where the claim was a sequence of steps (`conformance.model.session`).
         self.steps: tuple[Any, ...] = ()
 
 

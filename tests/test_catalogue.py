@@ -10,7 +10,7 @@ from analyzer import dialects
 from analyzer.catalogue import Certainty, Erratum, Risk, Role
 from analyzer.codec import codec
 from analyzer.layout import Kind
-from analyzer.reference import concerns
+from analyzer.reference.objects import concerns
 from analyzer.sinks.schemas import forms_of
 
 EVERY = dialects.every()

@@ -13,9 +13,9 @@ MODULES = sorted((ROOT / "conformance").rglob("*.py"))
 #: What can write to a port, a connection or a bus -> the calls that make it able to.
 WRITERS = {
     # The host's end, in the hands of the gate.
-    "conformance/lines/serial.py": {"serial.Serial", "os.write"},
-    "conformance/lines/tcp.py": {"socket.create_connection"},
-    "conformance/can_port.py": {"can.Bus"},
+    "conformance/bus/serial.py": {"serial.Serial", "os.write"},
+    "conformance/bus/tcp.py": {"socket.create_connection"},
+    "conformance/bus/python_can.py": {"can.Bus"},
     # The drives' end.
     "conformance/serve/pty.py": {"os.write"},
     "conformance/serve/tcp.py": {"socket.create_server"},
@@ -53,7 +53,7 @@ def test_the_table_names_nothing_that_is_not_there():
 
 def test_only_the_gate_writes_to_a_line():
     users = [name_of(path) for path in MODULES if any(c.endswith("line.write") for c in called(path))]
-    assert users == ["conformance/gate.py"]
+    assert users == ["conformance/gate/gate.py"]
 
 
 def test_a_tap_writes_what_it_read_and_nothing_it_made():

@@ -12,9 +12,9 @@ from collections.abc import Iterator, Sequence
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect
-from analyzer.cli.catalogue_pages import errata, overview, page
 from analyzer.lookup import find
-from analyzer.reference import concerns, reference
+from analyzer.reference.objects import concerns, reference
+from analyzer.reference.pages import errata, overview, page
 
 EXAMPLES = """\
 --json prints one object. In it every number of a field (minimum, maximum, default, fixed, values, the keys of choices) is

@@ -19,9 +19,9 @@ from analyzer.cli.reading import clean, showing_progress
 from analyzer.cli.stretch import add_stretch_arguments
 from analyzer.errors import UsageError
 from analyzer.events import SETUPS, TOPIC
-from analyzer.moments import iso
-from analyzer.parts import METADATA
+from analyzer.sources.log_files import METADATA
 from analyzer.sources.mcap_scan import LogMessage
+from analyzer.sources.moments import iso
 
 EXAMPLES = """\
 examples:

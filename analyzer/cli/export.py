@@ -18,9 +18,9 @@ from analyzer.cli.option_types import positive
 from analyzer.cli.output import Output
 from analyzer.cli.reading import clean, progress
 from analyzer.cli.stretch import Stretch, add_stretch_arguments
-from analyzer.endpoint import DEFAULT_BAUD, DEFAULT_BITRATE
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.export import CAN, FORMATS, SERIAL, Choices, Count, Export, Outcome, writer
+from analyzer.live.endpoint import DEFAULT_BAUD, DEFAULT_BITRATE
 from analyzer.records import CanFrame, Chunk, Comment
 from analyzer.sources import Source, open_source
 

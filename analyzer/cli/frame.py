@@ -16,8 +16,8 @@ from analyzer import dialects as registry
 from analyzer.catalogue import Dialect, Role
 from analyzer.encoder import SLOTS, Built, assemble
 from analyzer.errors import UsageError
-from analyzer.hextext import write_frame
 from analyzer.lookup import code_text, find_one
+from analyzer.reference.frame_text import write_frame
 from analyzer.values import quote
 
 EXAMPLES = """\

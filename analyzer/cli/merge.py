@@ -22,10 +22,10 @@ from analyzer.cli.interrupt import Interrupt
 from analyzer.cli.log_copy import Copy, Log, Taken, write_or_drop
 from analyzer.cli.reading import clean, showing_progress
 from analyzer.errors import UsageError
-from analyzer.moments import iso
-from analyzer.parts import METADATA
 from analyzer.pipeline import topic_name
+from analyzer.sources.log_files import METADATA
 from analyzer.sources.mcap_scan import LogMessage
+from analyzer.sources.moments import iso
 
 EXAMPLES = """\
 examples:

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 from analyzer import dialects as registry
 from analyzer.cli.amounts import duration_ns, is_size, size_bytes
 from analyzer.cli.option_types import address, milliseconds, positive
-from analyzer.endpoint import Endpoint, parse, parse_all
 from analyzer.errors import UsageError
+from analyzer.live.endpoint import Endpoint, parse, parse_all
 
 if TYPE_CHECKING:
     from analyzer.catalogue import Dialect

@@ -9,10 +9,10 @@ from typing import Any
 import msgspec
 
 from analyzer.cli.amounts import duration_text, size_text
-from analyzer.cli.columns import columns
 from analyzer.cli.reading import clean
 from analyzer.live.losses import LOSING, PortTally
 from analyzer.live.supervisor import Supervisor
+from analyzer.reference.columns import columns
 
 #: Gaps of a port that the text names; the object has them all.
 _GAPS_NAMED = 10

@@ -23,9 +23,9 @@ from analyzer.live.lock import RUNNING, Lock
 from analyzer.live.log_parts import log_of
 from analyzer.live.recorder import Recorder
 from analyzer.live.spool import segments, spool_folder, stems
-from analyzer.moments import iso
-from analyzer.parts import base_of, parts_named
 from analyzer.sinks.mcap_repair import Outcome, is_whole, repair
+from analyzer.sources.log_files import base_of, parts_named
+from analyzer.sources.moments import iso
 
 EXAMPLES = """\
 examples:

@@ -16,15 +16,15 @@ from typing import Any
 
 import msgspec
 
+from analyzer.cli.filter import Filter
 from analyzer.cli.reading import add_reading_arguments, clean, open_reading, progress
 from analyzer.decoder import physical
 from analyzer.events import text_of
-from analyzer.filter import Filter
 from analyzer.live.lock import running
 from analyzer.live.spool import spool_folder
-from analyzer.parts import base_of
 from analyzer.pipeline import Entry
 from analyzer.records import Comment, Event, Finding, Junk
+from analyzer.sources.log_files import base_of
 from analyzer.sources.tail import Follow
 
 EXAMPLES = """\

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, TypeVar
 
 from analyzer.errors import UsageError
 from analyzer.events import SETUPS
-from analyzer.moments import Moment, iso, parse
 from analyzer.pipeline import Entry, EventSink, Sink
 from analyzer.records import CanFrame, Chunk, Comment, Event, Finding, Junk
+from analyzer.sources.moments import Moment, iso, parse
 
 if TYPE_CHECKING:
     from analyzer.sources import Source

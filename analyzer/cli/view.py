@@ -16,7 +16,7 @@ from analyzer.cli.reading import add_reading_arguments, clean, open_reading
 from analyzer.errors import UsageError
 from analyzer.live.lock import running
 from analyzer.live.spool import spool_folder
-from analyzer.parts import base_of
+from analyzer.sources.log_files import base_of
 from analyzer.sources.tail import Follow
 from analyzer.view import require_terminal, run_capture
 
@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     reading = open_reading(arguments.file, arguments, Follow(_alive) if arguments.follow else None)
     with contextlib.closing(reading.source):
         if arguments.filter:
-            from analyzer.filter import Filter
+            from analyzer.cli.filter import Filter
             from analyzer.view.source import field_names
 
             Filter(arguments.filter, field_names(reading.possible))

@@ -20,8 +20,8 @@ from typing import Protocol
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
 from analyzer.detect import Evidence, choose, weigh
-from analyzer.endpoint import Endpoint
 from analyzer.errors import UsageError
+from analyzer.live.endpoint import Endpoint
 from analyzer.records import Chunk
 from analyzer.values import quote
 

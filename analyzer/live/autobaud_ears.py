@@ -12,9 +12,9 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 
-from analyzer.endpoint import Endpoint
 from analyzer.errors import UsageError
 from analyzer.live.autobaud import Ear
+from analyzer.live.endpoint import Endpoint
 from analyzer.live.reader_port import Lost, Stop, Unopened
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import SpoolWriter

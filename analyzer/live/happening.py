@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from analyzer.moments import iso
+from analyzer.sources.moments import iso
 
 #: Moments of the monotonic clock, and durations, by what they are called in a spool and in the log.
 _MOMENTS = {"from_ns": "from", "to_ns": "to"}

@@ -23,10 +23,10 @@ from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
-from analyzer.endpoint import Endpoint, parse
 from analyzer.errors import ServotapError
 from analyzer.live import config
 from analyzer.live.config import PortConfig
+from analyzer.live.endpoint import Endpoint, parse
 from analyzer.live.lock import RUNNING, Lock
 from analyzer.live.reader_port import LEASH, Lost, Opened, Port, Stop, Unopened
 from analyzer.live.reader_store import StatusLine, Store

@@ -18,8 +18,8 @@ import subprocess
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from analyzer.endpoint import DEFAULT_BITRATE, Endpoint
 from analyzer.errors import UsageError
+from analyzer.live.endpoint import DEFAULT_BITRATE, Endpoint
 
 
 class Listening(NamedTuple):

@@ -10,8 +10,8 @@ import contextlib
 import time
 from typing import Any
 
-from analyzer.endpoint import Endpoint
 from analyzer.errors import UsageError
+from analyzer.live.endpoint import Endpoint
 from analyzer.live.reader_can import options_for
 from analyzer.live.reader_port import IDLE_NS, Lost, Opened, Stop, Ticks, Unopened
 from analyzer.live.reader_store import Store

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import msgspec
 
-from analyzer.endpoint import Endpoint
+from analyzer.live.endpoint import Endpoint
 from analyzer.live.reader_can import kernel_notes
 from analyzer.live.reader_port import IDLE_NS, Lost, Opened, Stop, Ticks, Unopened
 from analyzer.live.reader_store import Store

@@ -12,7 +12,7 @@ import contextlib
 import time
 from typing import Any
 
-from analyzer.endpoint import Endpoint
+from analyzer.live.endpoint import Endpoint
 from analyzer.live.reader_port import IDLE_NS, Lost, Opened, Stop, Ticks, Unopened
 from analyzer.live.reader_store import Store
 from analyzer.live.reader_stream import LAST_READS_NS, settle

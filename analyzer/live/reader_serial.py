@@ -22,7 +22,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from analyzer.endpoint import Endpoint
+from analyzer.live.endpoint import Endpoint
 from analyzer.live.reader_port import Opened, Stop, Unopened
 from analyzer.live.reader_store import Store
 from analyzer.live.reader_stream import listen

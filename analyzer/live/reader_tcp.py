@@ -12,7 +12,7 @@ import select
 import socket
 import time
 
-from analyzer.endpoint import Endpoint
+from analyzer.live.endpoint import Endpoint
 from analyzer.live.reader_port import Lost, Opened, Stop, Unopened
 from analyzer.live.reader_store import Store
 from analyzer.live.reader_stream import listen

@@ -29,7 +29,7 @@ from analyzer.live.losses import PortTally, take
 from analyzer.live.reader_store import Store
 from analyzer.live.snapshot import Snapshot
 from analyzer.live.spool import SpoolWriter, spool_folder
-from analyzer.parts import parts_named
+from analyzer.sources.log_files import parts_named
 
 #: How long a port may take to open at the start (an Arduino behind slcan needs two seconds).
 OPEN_S = 15.0

@@ -9,7 +9,7 @@ from pathlib import Path
 from analyzer.errors import UsageError
 from analyzer.live.lock import running
 from analyzer.live.spool import spool_folder
-from analyzer.parts import parts_named
+from analyzer.sources.log_files import parts_named
 
 
 def check_target(log: Path, force: bool, *, parts: bool = False) -> None:

@@ -25,10 +25,10 @@ from mcap.records import Channel, Chunk, Header, Metadata, Schema
 
 from analyzer import __version__
 from analyzer.errors import UnreadableError
-from analyzer.parts import METADATA
 from analyzer.sinks.mcap_file import Writable, record_bytes
 from analyzer.sinks.mcap_taken import TakenFile
 from analyzer.sources import mcap_scan as scan
+from analyzer.sources.log_files import METADATA
 
 #: Name of the metadata record that says what was done.
 RECOVERED = "servotap.recovered"

@@ -10,7 +10,7 @@ import ast
 from collections.abc import Callable, Collection
 from typing import Any
 
-from analyzer.filter import Filter
+from analyzer.cli.filter import Filter
 from analyzer.live.snapshot import FrameLine
 from analyzer.view.lines import SECOND, bytes_text
 

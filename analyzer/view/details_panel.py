@@ -11,11 +11,11 @@ from textual.containers import VerticalScroll
 from textual.widgets import Static
 
 from analyzer.catalogue import Dialect, Role
-from analyzer.cli.explain_text import explanation_lines
 from analyzer.errors import ServotapError
-from analyzer.explanation import Explainer
-from analyzer.hextext import Given
 from analyzer.live.snapshot import EVENT, JUNK, FindingLine, FrameLine
+from analyzer.reference.explanation import Explainer
+from analyzer.reference.explanation_text import explanation_lines
+from analyzer.reference.frame_text import Given
 from analyzer.view.findings_panel import finding_text
 from analyzer.view.lines import SECOND, SEVERITIES, bytes_text, clean, fields_text, time_text
 

@@ -2,7 +2,7 @@
 
 Rules kept here:
 - Everything here but a read of the drive itself goes to other addresses: the claims want the bus to themselves.
-- That something is executed, or is not, is seen by a witness (`conformance.witness`), and the witness is sent to the drive
+- That something is executed, or is not, is seen by a witness (`motion.effects`), and the witness is sent to the drive
   itself in the end where nothing was to happen, so that a drive that does nothing at all proves nothing.
 - Addresses of several drives stand in `addressing_many`, packages for several drives in `addressing_package`.
 """
@@ -15,19 +15,19 @@ from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Certainty, Dialect, Role, Verb
 from analyzer.link import HeadLink, LkLink
-from conformance import witness
 from conformance.claim import Claim, Inconclusive, Refuted, Theme
 from conformance.claims import addressing_many, addressing_package
 from conformance.claims.addressing_many import read_of, send_to
 from conformance.claims.declare import declare
 from conformance.claims.hearing import ask_first, came, judge_next, plain_read, section
 from conformance.claims.known_quirks import known
-from conformance.exchange import Exchange, hex_of
-from conformance.garbling import item_of
-from conformance.witness import Witness
+from conformance.motion import effects
+from conformance.motion.effects import Witness
+from conformance.talk.exchange import Exchange, hex_of
+from conformance.talk.garbling import item_of
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 NEW_ADDRESS_ANSWERS = "new-address-answers"
 _BYTE = 0xFF
@@ -90,7 +90,7 @@ def _others(dialect: Dialect) -> Iterator[Claim]:
     if dialect.broadcast is None:
         yield _silent_to(dialect, "zero", "the address 0", lambda dialect, own: (0,), False)
     yield _other_next(dialect)
-    shown = witness.chosen(dialect)
+    shown = effects.chosen(dialect)
     if shown is not None:
         yield _not_executed(dialect, shown)
 

@@ -10,20 +10,20 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from analyzer.catalogue import Command, Dialect, Risk, Verb
-from conformance import witness
 from conformance.claim import Claim, Refuted, Theme
 from conformance.claims.declare import declare
 from conformance.claims.hearing import ask_first, came, is_answered, judge_next, plain_read, section
-from conformance.exchange import Exchange, hex_of
-from conformance.witness import Order, Witness
+from conformance.motion import effects
+from conformance.motion.effects import Order, Witness
+from conformance.talk.exchange import Exchange, hex_of
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims about broadcasts and groups of a dialect that has them."""
-    shown = witness.chosen(dialect)
+    shown = effects.chosen(dialect)
     if dialect.broadcast is not None:
         yield from _broadcast(dialect, shown)
     if Verb.SET_GROUP_ADDRESS in dialect.by_verb:
@@ -71,7 +71,7 @@ def _broadcast(dialect: Dialect, shown: Witness | None) -> Iterator[Claim]:
     )  # fmt: skip
     if shown is not None:
         yield from _to_many(dialect, "broadcast", "a broadcast", where, shown, lambda probe: to, ())
-    zero = witness.setting(dialect)
+    zero = effects.setting(dialect)
     if zero is not None:
         yield from _to_many(dialect, "broadcast/setting", "a broadcast", where, zero, lambda probe: to, ())
 
@@ -191,7 +191,7 @@ def _group(dialect: Dialect, shown: Witness | None) -> Iterator[Claim]:
     )  # fmt: skip
     if shown is not None:
         yield from _to_many(dialect, "group", "a group address", where, shown, _join, _GROUP_ERRATA, more, changed)
-        zero = witness.setting(dialect)
+        zero = effects.setting(dialect)
         if zero is not None:
             yield from _to_many(dialect, "group/setting", "a group address", where, zero, _join, _GROUP_ERRATA, more, changed)
         yield _other_group(dialect, shown, demands)

@@ -12,15 +12,15 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
-from conformance import moving, witness
 from conformance.claim import Claim, Inconclusive, Refuted, Theme
 from conformance.claims.declare import declare
 from conformance.claims.hearing import ask_first, came, judge_next, plain_read
-from conformance.exchange import Exchange, hex_of
-from conformance.witness import STEP, STEP_NS
+from conformance.motion import effects, motion
+from conformance.motion.effects import STEP, STEP_NS
+from conformance.talk.exchange import Exchange, hex_of
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 #: A slot as the encoder takes it.
 Slot = dict[str, Any]
@@ -33,7 +33,7 @@ _ONE, _OTHER = 1, 3
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims about packages of a dialect that has them."""
     package = next(c for c in dialect.commands if c.slots is not None)
-    if Verb.MOVE_RELATIVE_AXIS not in dialect.by_verb or not moving.can_move(dialect) or package.slots is None:
+    if Verb.MOVE_RELATIVE_AXIS not in dialect.by_verb or not motion.can_move(dialect) or package.slots is None:
         return
     make = _Maker(dialect, package)
     for number in range(1, package.slots.count + 1):
@@ -102,7 +102,7 @@ class _Maker:
 
     def control(self, probe: Probe) -> None:
         """Raise Inconclusive where the drive does not move when it is told by itself."""
-        shown = witness.chosen(self.dialect)
+        shown = effects.chosen(self.dialect)
         if shown is None:
             raise Inconclusive("there is nothing that shows whether the drive executes")
         shown.control(probe)
@@ -113,7 +113,7 @@ class _Maker:
         """Return a claim that a package moves the drive by so many steps. `slots(own)` returns its slots."""
 
         def check(probe: Probe) -> None:
-            moving.ready_to_move(probe)
+            motion.ready_to_move(probe)
             self.judge(probe, self.frame(probe, slots(probe.address)), steps, statement)
 
         return self.declared(name, statement, refuted_by, check, sure=sure)
@@ -134,8 +134,8 @@ class _Maker:
             at_best=sure,
             alone=True,
             emulated=emulated,
-            risks=moving.risks(self.dialect, *((Risk.UNKNOWN,) if cut else ())),
-            settings=moving.settings(self.dialect),
+            risks=motion.risks(self.dialect, *((Risk.UNKNOWN,) if cut else ())),
+            settings=motion.settings(self.dialect),
         )
 
     # --- the claims ---------------------------------------------------------------------------------------------------
@@ -185,7 +185,7 @@ class _Maker:
         statement = "A package is not answered, neither when a move begins nor when it is done."
 
         def check(probe: Probe) -> None:
-            moving.ready_to_move(probe)
+            motion.ready_to_move(probe)
             read = {"address": probe.address, "command": plain_read(self.dialect).name}
             for slot in (read, self.move(probe.address)):
                 frame = self.frame(probe, [slot])
@@ -241,7 +241,7 @@ class _Maker:
         for name, statement, variants in kinds:
 
             def check(probe: Probe, variants: Any = variants, statement: str = statement) -> None:
-                moving.ready_to_move(probe)
+                motion.ready_to_move(probe)
                 for frame in variants(self.frame(probe, [self.move(probe.address)])):
                     self.judge(probe, frame, 0, statement)
 

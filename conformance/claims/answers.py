@@ -23,11 +23,11 @@ from typing import TYPE_CHECKING, Any
 from analyzer.catalogue import Command, Dialect, Form, Risk, Role
 from analyzer.encoder import Built
 from conformance.claim import Claim, Inconclusive, Refuted
-from conformance.exchange import Exchange
-from conformance.limits import with_bits
+from conformance.model.limits import with_bits
+from conformance.talk.exchange import Exchange
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 
 class Taken(Enum):

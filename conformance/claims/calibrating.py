@@ -13,13 +13,13 @@ from collections.abc import Iterator
 from functools import partial
 
 from analyzer.catalogue import Command, Dialect, Verb
-from conformance import journey, moving
 from conformance.claim import Claim, Inconclusive
 from conformance.claims import world
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import motion_claim, refute
-from conformance.moving import MS, SECOND_NS
-from conformance.probe import Probe, Until
+from conformance.motion import motion, moves
+from conformance.motion.motion import MS, SECOND_NS
+from conformance.talk.probe import Probe, Until
 
 _LIMIT_NS = 60 * SECOND_NS
 _CALIBRATING, _STOPPED = 6, 1
@@ -31,7 +31,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     command = dialect.by_verb[Verb.CALIBRATE]
     made = partial(motion_claim, dialect, command, by_name=True)
     yield made("status", "While calibrating F1 reads 6, and afterwards 1.", "another status", _status)
-    if journey.tells(dialect):
+    if moves.tells(dialect):
         quirks = known(dialect, _AT_ONCE)
         yield made("replies", "A calibration is answered by 0 when it begins and by 1 when it is done.", "others",
                    _replies, quirks=quirks)  # fmt: skip
@@ -47,11 +47,11 @@ def _status_now(probe: Probe) -> int:
 
 def _wait(probe: Probe) -> None:
     """Wait until the status is no longer that of a calibration."""
-    journey.watch(probe, lambda: _status_now(probe) != _CALIBRATING, every_ns=500 * MS, limit_ns=_LIMIT_NS)
+    moves.watch(probe, lambda: _status_now(probe) != _CALIBRATING, every_ns=500 * MS, limit_ns=_LIMIT_NS)
 
 
 def _status(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     exchange = probe.ask(command)
     probe.reply(exchange)
     probe.wait(SECOND_NS)
@@ -77,16 +77,16 @@ def _answers(probe: Probe, command: Command) -> tuple[list[int], bool]:
         probe.wait(2 * SECOND_NS)
     _wait(probe)
     probe.wait(2 * SECOND_NS)
-    told = [a.values["status"] for a in journey.told(probe.traffic[since:], command)]
+    told = [a.values["status"] for a in moves.told(probe.traffic[since:], command)]
     return told, under_way and not exchange.silent
 
 
 def _told(probe: Probe, since: int, command: Command) -> set[int]:
-    return {a.values["status"] for a in journey.told(probe.traffic[since:], command)}
+    return {a.values["status"] for a in moves.told(probe.traffic[since:], command)}
 
 
 def _expect(probe: Probe, command: Command, wanted: list[int]) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     told, soon = _answers(probe, command)
     if told == [1] and soon and _AT_ONCE in probe.claim.quirks:
         probe.meets(_AT_ONCE)

@@ -18,7 +18,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, Risk
 from conformance.claim import Aspect, Claim, NotRun, Theme
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 _ORDER = (Certainty.CERTAIN, Certainty.LIKELY, Certainty.OPEN)
 

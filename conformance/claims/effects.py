@@ -23,13 +23,14 @@ from typing import TYPE_CHECKING, Any
 from analyzer.catalogue import Command, Dialect, Form, Risk, Verb
 from analyzer.layout import Field
 from analyzer.protocols.mks_shared import COUNTS_PER_TURN
-from conformance import limits, moving
 from conformance.claim import Inconclusive
 from conformance.claims.answers import Taken, answers, judged, once, sound
-from conformance.probe import Until
+from conformance.model import limits
+from conformance.motion import motion
+from conformance.talk.probe import Until
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 MS = 1_000_000
 #: Where subdivision and speed are plain.
@@ -95,14 +96,14 @@ class Effect:
 
     def risks(self, dialect: Dialect) -> frozenset[Risk]:
         """Return the risks of what `ready` and `see` send, beside reads."""
-        found: set[Risk] = set(moving.risks(dialect)) if self.moves else set()
+        found: set[Risk] = set(motion.risks(dialect)) if self.moves else set()
         for verb, values in self.sends:
             found |= dialect.by_verb[verb].risks(values)
         return frozenset(found) - {Risk.READ}
 
     def settings(self, dialect: Dialect) -> tuple[str, ...]:
         """Return the settings that `ready` and `see` may change."""
-        return (*self.changes, *(moving.settings(dialect) if self.moves else ()))
+        return (*self.changes, *(motion.settings(dialect) if self.moves else ()))
 
 
 def differing(form: Form) -> tuple[dict[str, int], dict[str, int]]:
@@ -186,7 +187,7 @@ def _can_be_enabled(probe: Probe) -> str:
 
 def _who_controls(dialect: Dialect, values: Mapping[str, int]) -> str:
     names = dialect.by_verb[Verb.SET_WORK_MODE].request_forms[0].layout.named["work_mode"].choice_names
-    return "bus" if names[values["work_mode"]] in moving.bus_modes(dialect) else "pulses"
+    return "bus" if names[values["work_mode"]] in motion.bus_modes(dialect) else "pulses"
 
 
 def _enabled(probe: Probe) -> int:
@@ -211,10 +212,10 @@ def steady_speed(probe: Probe) -> float:
 
     Raises Inconclusive where the two differ: other claims are about what is read.
     """
-    before = moving.position(probe)
+    before = motion.position(probe)
     probe.wait(100 * MS)
-    read = moving.speed(probe).value
-    rpm, uncertain = moving.speed_between(before, moving.position(probe))
+    read = motion.speed(probe).value
+    rpm, uncertain = motion.speed_between(before, motion.position(probe))
     if abs(abs(rpm) - abs(read)) > uncertain + max(2.0, 0.02 * abs(read)):
         raise Inconclusive(f"the speed reads {read:.0f} rpm, and two positions say {rpm:.0f}")
     return read
@@ -229,7 +230,7 @@ def shift(probe: Probe, verb: Verb, values: Mapping[str, Any], *, until: Until =
     exchange = probe.ask(verb, values, until=until)
     if exchange.answers and probe.refused(exchange):
         raise Inconclusive(f"{probe.command(verb).name} was refused")
-    moving.wait_standing(probe)
+    motion.wait_standing(probe)
     probe.wait(SETTLING_NS)
     return counts(probe) - start, exchange.status()
 
@@ -257,7 +258,7 @@ def _replies(probe: Probe) -> str:
     """Return the statuses that a small move is answered with, until the shaft stands and half a second longer."""
     values = {"direction": 0, "speed": 60, "acceleration": STEEP, "pulses": PULSES}
     exchange = probe.ask(Verb.MOVE_RELATIVE_PULSES, values, until=Until.TIMEOUT, timeout_ns=1500 * MS)
-    moving.wait_standing(probe)
+    motion.wait_standing(probe)
     if exchange.junk or any(not a.message.frame.checksum_ok for a in exchange.answers):
         raise Inconclusive("the replies to a move cannot be read")
     return " then ".join(map(str, once(exchange.status()))) or "silence"
@@ -270,7 +271,7 @@ def _told(dialect: Dialect, values: Mapping[str, int]) -> str:
 
 
 def _plain_subdivision(probe: Probe) -> None:
-    moving.ready_to_move(probe, subdivision=PLAIN_SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=PLAIN_SUBDIVISION)
 
 
 @dataclass(frozen=True)
@@ -294,7 +295,7 @@ def homing(probe: Probe) -> Homing:
     probe.wait(_WATCH_NS)
     rpm = steady_speed(probe)
     probe.ask(Verb.EMERGENCY_STOP)
-    moving.wait_standing(probe)
+    motion.wait_standing(probe)
     if abs(rpm) < 1:
         raise Inconclusive("homing does not turn the shaft")
     return Homing(abs(rpm), 1 if rpm > 0 else -1)
@@ -339,7 +340,7 @@ BY_VERB: Mapping[Verb, Effect] = {
         see=_can_be_enabled, values=({"work_mode": 5}, {"work_mode": 0}), expected=_who_controls, sends=(_ON,),
     ),
     Verb.SET_SUBDIVISION: Effect(
-        see=_distance, ready=moving.ready_to_move, same=near, expected=_far, sends=(_MOVE,), moves=True,
+        see=_distance, ready=motion.ready_to_move, same=near, expected=_far, sends=(_MOVE,), moves=True,
         values=tuple({"subdivision": n} for n in (32, 8, 1, 64, 128, 200)),
         words=lambda seen: f"{PULSES} pulses turn the shaft by {abs(seen)} counts",
     ),
@@ -356,11 +357,11 @@ BY_VERB: Mapping[Verb, Effect] = {
         ),
     ),
     Verb.SET_GROUP_ADDRESS: Effect(
-        see=_group, ready=moving.ready_to_move, expected=_member, moves=True, alone=True, sends=(_ON, _OFF),
+        see=_group, ready=motion.ready_to_move, expected=_member, moves=True, alone=True, sends=(_ON, _OFF),
         values=({"group_address": GROUP}, {"group_address": OTHER_GROUP}),
     ),
     Verb.ENABLE: Effect(
-        see=_enabled, ready=moving.ready_to_move, moves=True, values=({"enabled": 0}, {"enabled": 1}),
+        see=_enabled, ready=motion.ready_to_move, moves=True, values=({"enabled": 0}, {"enabled": 1}),
         expected=lambda dialect, values: values["enabled"], sends=(_ON, _OFF),
         words=lambda seen: f"enabled reads {seen}",
     ),

@@ -17,14 +17,15 @@ from functools import partial
 
 from analyzer.catalogue import Command, Dialect, Verb
 from analyzer.protocols.mks_shared import COUNTS_PER_TURN
-from conformance import journey, moving
 from conformance.claim import Claim, Inconclusive, NotRun
 from conformance.claims import homing, world
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import expect_stays, motion_claim, refute
-from conformance.exchange import Exchange
-from conformance.moving import MS, QUICK, SECOND_NS
-from conformance.probe import Probe, Until
+from conformance.motion import motion
+from conformance.motion import moves as journey
+from conformance.motion.motion import MS, QUICK, SECOND_NS
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe, Until
 
 _JITTER = 3
 #: Where the left end stop is found, and how far from it the right one stands.
@@ -98,7 +99,7 @@ def _fields(setting: Command) -> tuple[str, ...]:
 
 def _homed(probe: Probe, end_limit: int = 1) -> None:
     """Find the left end stop and go back half a turn from it; the right one stands beyond."""
-    moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=journey.SUBDIVISION)
     homing.set_home(probe, end_limit=end_limit, home_speed=60)
     world.left_switch(probe, _LEFT)
     world.right_switch(probe, _LEFT + _RIGHT)
@@ -112,7 +113,7 @@ def _homed(probe: Probe, end_limit: int = 1) -> None:
 def _go(probe: Probe, counts: int) -> Exchange:
     """Move by counts of the encoder, positive to the right, and wait for the end."""
     trip = journey.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), amount=counts)
-    if abs(trip.degrees - counts * 360 / COUNTS_PER_TURN) > moving.SAME:
+    if abs(trip.degrees - counts * 360 / COUNTS_PER_TURN) > motion.SAME:
         raise Inconclusive(f"a move by {counts} counts between the end stops went {trip.degrees:+.2f} degrees")
     return trip.exchange
 
@@ -132,11 +133,11 @@ def _values(probe: Probe, command: Command, way: int) -> dict[str, int]:
 
 def _sense(probe: Probe, command: Command) -> int:
     """Return which way direction 0, or a greater position, turns the shaft: 1 where counts rise."""
-    before = moving.position(probe)
+    before = motion.position(probe)
     if command.verb is Verb.RUN_SPEED:
-        moving.run_at(probe, 30, QUICK)
+        motion.run_at(probe, 30, QUICK)
         probe.wait(200 * MS)
-        after = moving.stand_still(probe)
+        after = motion.stand_still(probe)
     else:
         after = journey.travel(probe, command, 0.02, acceleration=QUICK).end
     return 1 if after.value > before.value else -1
@@ -153,7 +154,7 @@ def _send_left(probe: Probe, name: str, until: Until = Until.REPLY) -> Exchange:
 def _expect_at_left(probe: Probe, exchange: Exchange, text: str) -> None:
     seen = probe.read(Verb.READ_POSITION, "position")
     if abs(seen) > _JITTER:
-        moving.stop(probe)
+        motion.stop(probe)
         raise refute(exchange, text, expected="0, where the end stop is", got=str(seen))
 
 
@@ -179,11 +180,11 @@ def _holds_at(name: str, probe: Probe, setting: Command) -> None:
     command = probe.command(name)
     values = _values(probe, command, -1)
     _send_left(probe, probe.command(Verb.MOVE_RELATIVE_AXIS).name)
-    before = moving.position(probe)
+    before = motion.position(probe)
     exchange = _heard(probe, command, values)
     probe.wait(2 * SECOND_NS)
-    after = moving.position(probe)
-    moving.stop(probe)
+    after = motion.position(probe)
+    motion.stop(probe)
     expect_stays(before, after, exchange, f"{name} towards a closed end limit turns the shaft")
 
 
@@ -191,10 +192,10 @@ def _lets_back(probe: Probe, setting: Command) -> None:
     _homed(probe)
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
     _send_left(probe, move.name)
-    before = moving.position(probe)
+    before = motion.position(probe)
     exchange = _heard(probe, move, journey.values_of(move, 4000, 120, QUICK))
     probe.wait(2 * SECOND_NS)
-    went = moving.wait_standing(probe).value - before.value
+    went = motion.wait_standing(probe).value - before.value
     if probe.refused(exchange) or abs(went - 4000 * 360 / COUNTS_PER_TURN) > 1:
         text = "a move away from an end limit is not carried out"
         raise refute(exchange, text, expected=f"{4000 * 360 / COUNTS_PER_TURN:+.1f} degrees", got=f"{went:+.1f} degrees")
@@ -205,7 +206,7 @@ def _off_passes(probe: Probe, setting: Command) -> None:
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
     trip = journey.travel(probe, move, amount=-_HALF - 4000)
     expected = (-_HALF - 4000) * 360 / COUNTS_PER_TURN
-    if abs(trip.degrees - expected) > moving.SAME:
+    if abs(trip.degrees - expected) > motion.SAME:
         text = "an end stop stops the shaft although the end limit is off"
         raise refute(trip.exchange, text, expected=f"{expected:+.1f} degrees", got=f"{trip.degrees:+.1f} degrees")
 
@@ -224,7 +225,7 @@ def _told(name: str, probe: Probe, setting: Command) -> None:
 
 
 def _right(remap: int, probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     probe.do(command, {"limit_remap": remap})
     _homed(probe)
     large = world.drive_of(probe).model.startswith("57")

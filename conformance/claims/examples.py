@@ -22,19 +22,20 @@ from typing import TYPE_CHECKING, Any
 from analyzer import encoder
 from analyzer.catalogue import Command, Dialect, Role, Vector, Verb
 from analyzer.codec import codec
-from conformance import moving, samples
-from conformance.anatomy import Reading, replies
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims import examples_many
 from conformance.claims.declare import declare
 from conformance.claims.hearing import came
 from conformance.claims.known_quirks import known
 from conformance.claims.requests import demands, needs_motion, put_to_rest, values_for
-from conformance.exchange import Exchange, hex_of
-from conformance.probe import Until
+from conformance.motion import motion
+from conformance.talk import samples
+from conformance.talk.exchange import Exchange, hex_of
+from conformance.talk.probe import Until
+from conformance.talk.reply_match import Reading, replies
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 OTHER_FIRMWARE, NO_CHECKSUM, SLOW_REPLIES = "lk-firmware-235", "no-checksum", "slow-replies-in-motion"
 #: How late a reply of a drive with slow replies can be.
@@ -128,7 +129,7 @@ def _claim(dialect: Dialect, example: Example, number: int) -> Claim:
     required = demands(dialect, command)
     if example.request is not None:
         risks = set(encoder.assemble(dialect, command, 1, example.values).risks)
-        required["risks"] = risks | (moving.risks(dialect) if needs_motion(command) else set())
+        required["risks"] = risks | (motion.risks(dialect) if needs_motion(command) else set())
     if (run := _run_of(dialect, command)) is not None:
         required["risks"] = {*required["risks"], *run.risks(samples.sample(dialect, run))}
     quirks = _quirks(dialect, example)
@@ -199,7 +200,7 @@ def _run_of(dialect: Dialect, command: Command) -> Command | None:
 def _prepare(probe: Probe, command: Command) -> None:
     if not needs_motion(command):
         return
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     run = _run_of(probe.dialect, command)
     if run is not None:
         probe.do(run, values_for(probe, run))

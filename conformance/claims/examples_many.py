@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING
 from analyzer import encoder
 from analyzer.catalogue import Command, Dialect, Role, Vector, Verb
 from analyzer.decoder import slots_of
-from conformance import moving
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims.declare import declare
 from conformance.claims.hearing import came
-from conformance.exchange import Exchange, hex_of
+from conformance.motion import motion
+from conformance.talk.exchange import Exchange, hex_of
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 _SECOND_NS = 1_000_000_000
 #: How long the examples may take: a turn at 300 rpm and less.
@@ -67,20 +67,20 @@ def _many(dialect: Dialect, command: Command, vector: Vector, number: int) -> Cl
     to = _address(dialect, vector)
     in_group = _group(dialect, command, vector)
     setting = dialect.by_verb.get(Verb.SET_GROUP_ADDRESS)
-    risks = set(encoder.assemble(dialect, command, 1, vector.values).risks) | moving.risks(dialect)
+    risks = set(encoder.assemble(dialect, command, 1, vector.values).risks) | motion.risks(dialect)
     changed: tuple[str, ...] = ()
     if in_group and setting is not None:
         risks |= setting.all_risks
         changed = ("group_address",)
 
     def check(probe: Probe) -> None:
-        moving.ready_to_move(probe)
+        motion.ready_to_move(probe)
         if in_group:
             probe.do(Verb.SET_GROUP_ADDRESS, {"group_address": to})
-        before = moving.position(probe).value
+        before = motion.position(probe).value
         frame = probe.build(command, vector.values, address=to).frame
         sent = probe.send(probe.item(frame, to), timeout_ns=_MOVE_NS)
-        moved = moving.position(probe).value - before
+        moved = motion.position(probe).value - before
         _judge(sent, moved, lambda: _moves_alone(probe, command, vector))
 
     return declare(
@@ -95,26 +95,26 @@ def _many(dialect: Dialect, command: Command, vector: Vector, number: int) -> Cl
         aspect=Aspect.EXAMPLE,
         alone=True,
         risks=risks,
-        settings=moving.settings(dialect, *changed),
+        settings=motion.settings(dialect, *changed),
         parameters={"printed": vector.printed},
     )
 
 
 def _moves_alone(probe: Probe, command: Command, vector: Vector) -> bool:
     """Say whether the drive moves by the same request to itself."""
-    before = moving.position(probe).value
+    before = motion.position(probe).value
     probe.ask(command, vector.values)
     probe.wait(_MOVE_NS)
-    return abs(moving.position(probe).value - before) >= _MOVED
+    return abs(motion.position(probe).value - before) >= _MOVED
 
 
 def _runs_alone(probe: Probe) -> bool:
     """Say whether the drive is seen to run when it is told so by itself."""
-    before = moving.position(probe).value
-    moving.run_at(probe, 60)
+    before = motion.position(probe).value
+    motion.run_at(probe, 60)
     probe.wait(_SECOND_NS)
-    moved = moving.position(probe).value - before
-    moving.stop(probe)
+    moved = motion.position(probe).value - before
+    motion.stop(probe)
     probe.wait(_SECOND_NS)
     return abs(moved) >= _MOVED
 
@@ -134,7 +134,7 @@ def _package(dialect: Dialect, command: Command, printed: bytes, vector: Vector,
     assert command.slots is not None  # asked by `claims`
     size = command.slots.size
     slots = slots_of(dialect, command, printed[1:-1])
-    risks = set(moving.risks(dialect))
+    risks = set(motion.risks(dialect))
     for slot in slots:
         if slot.command is not None:
             risks |= slot.command.all_risks
@@ -148,11 +148,11 @@ def _package(dialect: Dialect, command: Command, printed: bytes, vector: Vector,
         return dialect.link.completed(printed[:1] + bytes(data))
 
     def check(probe: Probe) -> None:
-        moving.ready_to_move(probe)
-        before = moving.position(probe).value
+        motion.ready_to_move(probe)
+        before = motion.position(probe).value
         sent = probe.send(addressed(probe.address), timeout_ns=_MOVE_NS)
-        moved = moving.position(probe).value - before
-        moving.stop(probe)
+        moved = motion.position(probe).value - before
+        motion.stop(probe)
         probe.wait(_SECOND_NS)
         _judge(sent, moved, lambda: _runs_alone(probe))
 
@@ -169,6 +169,6 @@ def _package(dialect: Dialect, command: Command, printed: bytes, vector: Vector,
         errata=(vector.erratum,) if vector.erratum else (),
         alone=True,
         risks=risks,
-        settings=moving.settings(dialect),
+        settings=motion.settings(dialect),
         parameters={"printed": vector.printed},
     )

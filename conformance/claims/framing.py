@@ -1,7 +1,7 @@
 """Framing: what is no good request is not answered, and the next good one always is.
 
 Each kind of damage makes two claims: `ignored` (no answer to any variant of it) and `next` (the good read behind it is
-answered). What is damaged is a read (`conformance.garbling`), so that nothing a drive makes of it can move a motor.
+answered). What is damaged is a read (`conformance.talk.garbling`), so that nothing a drive makes of it can move a motor.
 
 Rules kept here:
 - A good read is asked first: a drive that does not answer it is judged elsewhere.
@@ -21,17 +21,17 @@ from typing import TYPE_CHECKING
 from analyzer.catalogue import Certainty, Dialect, Risk
 from analyzer.link import CanLink, HeadLink, Link, LkLink, ModbusLink
 from analyzer.records import CanFrame
-from conformance import garbling
 from conformance.claim import Claim, Refuted, Theme
 from conformance.claims import framing_effects, framing_open
 from conformance.claims.declare import declare
 from conformance.claims.hearing import PAUSE_NS, ask_first, came, garblers, judge_next, plain_read, section
 from conformance.claims.known_quirks import known
-from conformance.exchange import hex_of
-from conformance.garbling import Garbler, Variant
+from conformance.talk import garbling
+from conformance.talk.exchange import hex_of
+from conformance.talk.garbling import Garbler, Variant
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 Makes = Callable[["Probe"], Iterable[Variant]]
 

@@ -1,7 +1,7 @@
 """Framing and what a drive does: start bytes in data are data, and what does not check is not executed.
 
 That a damaged request has no effect can be seen only with a request that has one. Those are sent to emulated drives alone:
-on a real line what is garbled is a read (`conformance.garbling`).
+on a real line what is garbled is a read (`conformance.talk.garbling`).
 """
 
 from __future__ import annotations
@@ -12,15 +12,16 @@ from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Command, Dialect, Risk, Verb
 from analyzer.link import HeadLink
-from conformance import garbling, witness
 from conformance.claim import Claim, Inconclusive, Refuted, Theme
 from conformance.claims.declare import declare
 from conformance.claims.hearing import came, section
-from conformance.exchange import Exchange, hex_of
-from conformance.witness import Order, Witness
+from conformance.motion import effects
+from conformance.motion.effects import Order, Witness
+from conformance.talk import garbling
+from conformance.talk.exchange import Exchange, hex_of
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
@@ -31,7 +32,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
         one = dialect.by_verb.get(Verb.SET_SUBDIVISION)
         if one is not None:
             yield _start_bytes(dialect, one, "subdivision", lambda own: _SUBDIVISIONS, None)
-    shown = witness.chosen(dialect)
+    shown = effects.chosen(dialect)
     if shown is not None:
         for damage in _DAMAGES:
             if not damage.head or isinstance(dialect.link, HeadLink):

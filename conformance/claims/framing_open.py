@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Certainty, Dialect
 from analyzer.link import CanLink, ModbusLink
-from conformance import garbling
 from conformance.claim import Claim, Inconclusive, Observed, Refuted, Theme
 from conformance.claims.declare import declare
 from conformance.claims.hearing import (
@@ -31,10 +30,11 @@ from conformance.claims.hearing import (
     plain_read,
     section,
 )
-from conformance.exchange import Exchange, hex_of
+from conformance.talk import garbling
+from conformance.talk.exchange import Exchange, hex_of
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 MS = 1_000_000
 #: Pauses within a frame, ns: what an operating system, an adapter and a slow host put there.

@@ -6,14 +6,14 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Command, Dialect, Risk, Verb
-from conformance import samples
-from conformance.anatomy import heard, in_order
 from conformance.claim import Inconclusive, Refuted
-from conformance.exchange import Exchange, hex_of
-from conformance.garbling import Garbler
+from conformance.talk import samples
+from conformance.talk.exchange import Exchange, hex_of
+from conformance.talk.garbling import Garbler
+from conformance.talk.reply_match import heard, in_order
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 #: How long nothing is sent behind a damaged frame before the next good one, where its silence is not what is judged.
 PAUSE_NS = 60_000_000

@@ -18,13 +18,13 @@ from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.protocols.mks_shared import COUNTS_PER_TURN
-from conformance import journey, moving
 from conformance.claim import Claim, Inconclusive
 from conformance.claims import world
 from conformance.claims.motion_claim import motion_claim, refute
-from conformance.exchange import Exchange
-from conformance.moving import MS, SECOND_NS
-from conformance.probe import Probe, Until
+from conformance.motion import motion, moves
+from conformance.motion.motion import MS, SECOND_NS
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe, Until
 
 _CW, _CCW = 0, 1
 _SWITCH = 3000
@@ -87,7 +87,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
         "holds", "With the end limit off the shaft is held at the end stop.", "a motor that is disabled",
         partial(_held_after, 0, True), at_best=Certainty.LIKELY,
     )  # fmt: skip
-    if journey.tells(dialect):
+    if moves.tells(dialect):
         yield made("replies", "Homing is answered by 1 when it begins and by 2 when home is found.", "others", _replies)
     if _mode_setting(dialect) is not None:
         for direction, name in _NAMES.items():
@@ -144,13 +144,13 @@ def set_home(probe: Probe, **values: int) -> None:
 def find_home(probe: Probe, limit_ns: int = _LIMIT_NS) -> Exchange:
     """Ask for homing and follow it to its end. Raises Inconclusive where it is refused."""
     home = probe.command(Verb.HOME)
-    telling = journey.tells(probe.dialect)
+    telling = moves.tells(probe.dialect)
     exchange = probe.ask(home, until=Until.DONE if telling else Until.REPLY, timeout_ns=limit_ns if telling else None)
     probe.reply(exchange)
     if probe.refused(exchange):
         raise Inconclusive("homing was refused")
     if not telling:
-        journey.watch(probe, lambda: _status_now(probe) != _HOMING, every_ns=200 * MS, limit_ns=limit_ns)
+        moves.watch(probe, lambda: _status_now(probe) != _HOMING, every_ns=200 * MS, limit_ns=limit_ns)
     return exchange
 
 
@@ -160,9 +160,9 @@ def _status_now(probe: Probe) -> int:
 
 def _prepared(probe: Probe, **values: int) -> float:
     """Make a drive ready for homing; return where the shaft stands (counts of its own)."""
-    moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
     # Away from where it was made, so that its zero is not by chance where homing ends.
-    journey.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 0.6)
+    moves.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 0.6)
     set_home(probe, **values)
     return world.shaft(probe)
 
@@ -195,7 +195,7 @@ def _from_closed(direction: int, probe: Probe, command: Command) -> None:
     probe.reply(exchange)
     probe.wait(50 * MS)
     first = (world.shaft(probe) - start) * way
-    if journey.tells(probe.dialect):
+    if moves.tells(probe.dialect):
         probe.listen(5 * SECOND_NS)
     else:
         probe.wait(5 * SECOND_NS)
@@ -221,7 +221,7 @@ def _speed(rpm: int, probe: Probe, command: Command) -> None:
     _prepared(probe, home_speed=rpm)
     exchange = probe.do(command)
     probe.wait(SECOND_NS)
-    seen = moving.speed(probe)
+    seen = motion.speed(probe)
     _halt(probe)
     if abs(abs(seen.value) - rpm) > 1 + rpm / 100:
         text = "homing does not turn at the speed that was set"
@@ -290,8 +290,8 @@ def _stopped(probe: Probe, command: Command) -> None:
     if abs(went) > _JITTER:
         text = "an emergency stop does not end homing"
         raise refute(exchange, text, expected="a shaft that stands", got=f"{went:+.0f} counts")
-    if journey.tells(probe.dialect):
-        told = [a.values["status"] for a in journey.told(probe.traffic[since:], command)]
+    if moves.tells(probe.dialect):
+        told = [a.values["status"] for a in moves.told(probe.traffic[since:], command)]
         if 2 in told:
             text = "homing that was stopped is told as done"
             raise refute(exchange, text, expected="no status 2", got=", ".join(map(str, told)))
@@ -314,7 +314,7 @@ def _replies(probe: Probe, command: Command) -> None:
     since = len(probe.traffic)
     exchange = find_home(probe)
     probe.wait(2 * SECOND_NS)
-    told = [a.values["status"] for a in journey.told(probe.traffic[since:], command)]
+    told = [a.values["status"] for a in moves.told(probe.traffic[since:], command)]
     if told != [1, 2]:
         got = ", ".join(map(str, told)) or "none"
         raise refute(exchange, "homing is not answered by 1 and then 2", expected="1, 2", got=got)

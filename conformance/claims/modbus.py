@@ -28,11 +28,11 @@ from conformance.claims import modbus_writes
 from conformance.claims.declare import declare
 from conformance.claims.hearing import ask_cleanly, came, plain_read, section
 from conformance.claims.modbus_frames import ask, exception, judge, request
-from conformance.exchange import hex_of
-from conformance.garbling import harmless
+from conformance.talk.exchange import hex_of
+from conformance.talk.garbling import harmless
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 FUNCTION, ADDRESS, VALUE = (
     ModbusException.ILLEGAL_FUNCTION,

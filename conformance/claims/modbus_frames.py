@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from conformance.anatomy import heard
 from conformance.claim import Refuted
 from conformance.claims.hearing import came
-from conformance.exchange import Exchange, hex_of
-from conformance.probe import Until
+from conformance.talk.exchange import Exchange, hex_of
+from conformance.talk.probe import Until
+from conformance.talk.reply_match import heard
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 
 def request(probe: Probe, function: int, *words: int, data: bytes = b"", address: int | None = None) -> bytes:

@@ -8,18 +8,19 @@ from typing import TYPE_CHECKING, Any
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.link import WRITE_MANY, WRITE_ONE, ModbusLink
 from analyzer.protocols.modbus import ModbusException
-from conformance import moving, samples
-from conformance.anatomy import heard
 from conformance.claim import Claim, Inconclusive, Refuted, Theme
 from conformance.claims.declare import declare
 from conformance.claims.hearing import ask_cleanly, came
 from conformance.claims.known_quirks import known
 from conformance.claims.modbus_frames import ask, exception, judge, request
-from conformance.exchange import hex_of
-from conformance.witness import STEP_NS
+from conformance.motion import motion
+from conformance.motion.effects import STEP_NS
+from conformance.talk import samples
+from conformance.talk.exchange import hex_of
+from conformance.talk.reply_match import heard
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 REGISTER_94 = "register-94h"
 _LATER_MANUAL = "vendor's Modbus manual V1.0.9"
@@ -40,7 +41,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     yield _unknown_registers(dialect)
     yield from _counts(dialect, several)
     yield from _other_function(dialect, ones, several)
-    if moving.can_move(dialect):
+    if motion.can_move(dialect):
         yield _answered_once(dialect)
 
 
@@ -245,7 +246,7 @@ def _answered_once(dialect: Dialect) -> Claim:
 
     def check(probe: Probe) -> None:
         ask_cleanly(probe)
-        moving.ready_to_move(probe)
+        motion.ready_to_move(probe)
         before = probe.read(Verb.READ_POSITION, "position")
         frame = probe.build(command, _STEP).frame
         sent = probe.send(frame, timeout_ns=STEP_NS)
@@ -267,6 +268,6 @@ def _answered_once(dialect: Dialect) -> Claim:
         "a second frame when the move is done",
         check,
         command=command,
-        risks=moving.risks(dialect),
-        settings=moving.settings(dialect),
+        risks=motion.risks(dialect),
+        settings=motion.settings(dialect),
     )

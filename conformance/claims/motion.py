@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from analyzer.catalogue import Dialect, Verb
-from conformance import journey
 from conformance.claim import Claim, Theme
 from conformance.claims import (
     calibrating,
@@ -31,6 +30,7 @@ from conformance.claims import (
     responding,
     set_zero,
 )
+from conformance.motion import moves
 
 _MKS = (
     motion_moves,
@@ -62,7 +62,7 @@ _LK = (
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims of this theme for a dialect."""
-    for part in _MKS if journey.is_mks(dialect) else _LK if is_lk(dialect) else ():
+    for part in _MKS if moves.is_mks(dialect) else _LK if is_lk(dialect) else ():
         for claim in part.claims(dialect):
             if claim.theme is Theme.MOTION:
                 yield claim

@@ -13,12 +13,12 @@ from functools import partial
 from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Risk
-from conformance import moving
 from conformance.claim import Aspect, Claim, Refuted, Theme
 from conformance.claims.declare import declare
-from conformance.exchange import Exchange
-from conformance.moving import SAME, Sample
-from conformance.probe import Probe
+from conformance.motion import motion
+from conformance.motion.motion import SAME, Sample
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
 
 Check = Callable[[Probe, Command], None]
 
@@ -55,8 +55,8 @@ def motion_claim(
         partial(_run, check, command.name),
         command=command,
         aspect=Aspect.MOTION,
-        risks=risks if still else moving.risks(dialect, *risks),
-        settings=tuple(settings) if still else moving.settings(dialect, *settings),
+        risks=risks if still else motion.risks(dialect, *risks),
+        settings=tuple(settings) if still else motion.settings(dialect, *settings),
         **more,
     )
 

@@ -16,14 +16,14 @@ from collections.abc import Iterator, Mapping
 from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
-from conformance import moving
 from conformance.claim import Claim, Inconclusive
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import expect_stays, motion_claim, refute
 from conformance.claims.motion_lk_speeds import measured
-from conformance.exchange import Exchange
-from conformance.moving import MS, SECOND_NS, Sample
-from conformance.probe import Probe
+from conformance.motion import motion
+from conformance.motion.motion import MS, SECOND_NS, Sample
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
 
 #: How far from its target a move may end, in degrees.
 NEAR = 0.25
@@ -115,13 +115,13 @@ def _go(probe: Probe, command: Command, values: Mapping[str, int]) -> tuple[Exch
     exchange = probe.do(command, values)
     # At 45 rpm a turn lasts 1.3 s.
     probe.wait(500 * MS)
-    return exchange, moving.wait_standing(probe)
+    return exchange, motion.wait_standing(probe)
 
 
 def _reaches(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     for degrees in (123.45, -67.89):
-        here = moving.position(probe)
+        here = motion.position(probe)
         exchange, end = _go(probe, command, values_of(probe, command, degrees, here))
         went = end.value - here.value
         if abs(abs(went) - abs(degrees)) > NEAR or (command.name not in _SINGLE and abs(went - degrees) > NEAR):
@@ -134,11 +134,11 @@ def _reaches(probe: Probe, command: Command) -> None:
 
 
 def _within(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
-    here = moving.position(probe)
+    motion.ready_to_move(probe)
+    here = motion.position(probe)
     exchange = probe.do(command, values_of(probe, command, 200.0, here))
-    seen = moving.sampled(probe, 2 * SECOND_NS, 20 * MS)
-    end = moving.wait_standing(probe)
+    seen = motion.sampled(probe, 2 * SECOND_NS, 20 * MS)
+    end = motion.wait_standing(probe)
     way = 1 if end.value > here.value else -1
     beyond = max((s.value - end.value) * way for s in seen)
     if beyond > 1:
@@ -147,14 +147,14 @@ def _within(probe: Probe, command: Command) -> None:
 
 
 def _keeps_max_speed(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     for limit in (9_000, _CALM):
-        here = moving.position(probe)
+        here = motion.position(probe)
         values = {**values_of(probe, command, 300.0, here), "max_speed": limit}
         exchange = probe.do(command, values)
         probe.wait(500 * MS)
         speed, spread = measured(probe, 300 * MS)
-        moving.wait_standing(probe)
+        motion.wait_standing(probe)
         wanted = limit / 100
         if abs(speed) > wanted * 1.02 + spread + 1 or abs(speed) < wanted * 0.9 - spread:
             text = f"{command.name} does not keep to max_speed"
@@ -162,24 +162,24 @@ def _keeps_max_speed(probe: Probe, command: Command) -> None:
 
 
 def _own_speed(limited: str, probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     slow, plain = probe.command(limited), command
-    _go(probe, slow, {**values_of(probe, slow, 30.0, moving.position(probe)), "max_speed": 3_000})
-    exchange = probe.do(plain, values_of(probe, plain, 300.0, moving.position(probe)))
+    _go(probe, slow, {**values_of(probe, slow, 30.0, motion.position(probe)), "max_speed": 3_000})
+    exchange = probe.do(plain, values_of(probe, plain, 300.0, motion.position(probe)))
     probe.wait(200 * MS)
     speed, spread = measured(probe, 100 * MS)
-    moving.wait_standing(probe)
+    motion.wait_standing(probe)
     if abs(speed) < 60 - spread:
         text = f"{command.name} keeps to the max_speed of the move before it"
         raise refute(exchange, text, expected="more than 30 deg/s", got=f"{abs(speed):.0f} deg/s")
 
 
 def _max_speed_0(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
-    here = moving.position(probe)
+    motion.ready_to_move(probe)
+    here = motion.position(probe)
     exchange = probe.do(command, {**values_of(probe, command, 90.0, here), "max_speed": 0})
     probe.wait(2 * SECOND_NS)
-    end = moving.stand_still(probe)
+    end = motion.stand_still(probe)
     if abs(end.value - here.value) <= NEAR:
         return
     if "lk-zero-speed-moves" in probe.claim.quirks and abs(abs(end.value - here.value) - 90) <= NEAR:
@@ -189,8 +189,8 @@ def _max_speed_0(probe: Probe, command: Command) -> None:
 
 
 def _absolute(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
-    here = moving.position(probe)
+    motion.ready_to_move(probe)
+    here = motion.position(probe)
     values = values_of(probe, command, 50.0, here)
     _, there = _go(probe, command, values)
     exchange, again = _go(probe, command, values)
@@ -200,14 +200,14 @@ def _absolute(probe: Probe, command: Command) -> None:
 
 
 def _wide_target(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     limit = {"max_speed": _CALM} if command.name in _LIMITED else {}
     for side in (1, -1):
         probe.do("set_position", {"position": side * _EDGE})
-        here = moving.position(probe)
+        here = motion.position(probe)
         exchange = probe.do(command, {"position": side * (_EDGE + 9_000), **limit})
         probe.wait(SECOND_NS)
-        end = moving.stand_still(probe)
+        end = motion.stand_still(probe)
         went = (end.value - here.value) * side
         # An angle limit of 32 bits would end the way after 36 degrees.
         if went < 30:
@@ -216,8 +216,8 @@ def _wide_target(probe: Probe, command: Command) -> None:
 
 
 def _adds_up(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
-    here = moving.position(probe)
+    motion.ready_to_move(probe)
+    here = motion.position(probe)
     for _ in range(5):
         exchange, end = _go(probe, command, values_of(probe, command, 13.37, here))
     went = end.value - here.value
@@ -228,12 +228,12 @@ def _adds_up(probe: Probe, command: Command) -> None:
 
 def _both_ways(probe: Probe, command: Command) -> tuple[float, float, Exchange]:
     """Go to one angle clockwise, back to where that began, and to it again the other way; return both ways (degrees)."""
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     limit = {"max_speed": _CALM} if command.name in _LIMITED else {}
     start = probe.read(Verb.READ_SINGLE_TURN, "angle")
     ways = []
     for direction in (_CW, _CCW):
-        here = moving.position(probe)
+        here = motion.position(probe)
         exchange, end = _go(probe, command, {"direction": direction, "angle": (start + 12_000) % 36_000, **limit})
         ways.append(end.value - here.value)
         _go(probe, command, {"direction": 1 - direction, "angle": start, **limit})
@@ -255,8 +255,8 @@ def _clockwise(probe: Probe, command: Command) -> None:
 
 
 def _newer(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
-    here = moving.position(probe)
+    motion.ready_to_move(probe)
+    here = motion.position(probe)
     probe.do("move_multi_turn_limited", {"position": round(here.value * 100) + 36_000, "max_speed": 9_000})
     probe.wait(SECOND_NS)
     exchange, end = _go(probe, command, {"position": round(here.value * 100) - 3_000})
@@ -266,8 +266,8 @@ def _newer(probe: Probe, command: Command) -> None:
 
 
 def _sums(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
-    here = moving.position(probe)
+    motion.ready_to_move(probe)
+    here = motion.position(probe)
     values = values_of(probe, command, 0.0, here)
     good, off = 0, []
     for _ in range(_MANY):

@@ -11,16 +11,16 @@ from collections.abc import Iterator
 from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Verb
-from conformance import moving
 from conformance.claim import Claim, Inconclusive
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import expect_stays, motion_claim, refute
 from conformance.claims.motion_lk import NEAR
 from conformance.claims.motion_lk_reads import PLACES, angle, around, position, turn_by
 from conformance.claims.world import lk_drive
-from conformance.exchange import Exchange
-from conformance.moving import MS
-from conformance.probe import Probe
+from conformance.motion import motion
+from conformance.motion.motion import MS
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
 
 #: Resolutions that the manual names: 14, 15 and 16 bits; of 18 bits the upper 16 are sent.
 _WIDTHS = (14, 15, 16)
@@ -69,7 +69,7 @@ def _fits(values: dict[str, int], width: int) -> bool:
 
 
 def _difference(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     widths = set(_WIDTHS)
     for degrees in PLACES:
         turn_by(probe, degrees)
@@ -100,7 +100,7 @@ def _width(change: int) -> int | None:
 
 
 def _follows(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     widths = []
     for _ in range(4):
         change = _quarter(probe)
@@ -112,7 +112,7 @@ def _follows(probe: Probe, command: Command) -> None:
 
 
 def _same_encoder(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     for degrees in PLACES:
         turn_by(probe, degrees)
         # Off, the shaft stands still and is not held by a loop that trembles.
@@ -130,11 +130,11 @@ def _same_encoder(probe: Probe, command: Command) -> None:
 def _power_cycle(probe: Probe) -> None:
     lk_drive(probe).power_cycle(probe.gate.now_ns())
     probe.wait(500 * MS)
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
 
 
 def _below_offset(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     width = _width(_quarter(probe))
     if width is None:
         raise Inconclusive("the width of the encoder cannot be told")
@@ -182,16 +182,16 @@ def _on_at_power_up(probe: Probe, command: Command) -> None:
     state = probe.read(Verb.READ_STATE_1, "state")
     if state != 0:
         raise refute(probe.traffic[-1], "the motor is not on at power-up", expected="00h", got=f"{state:02X}h")
-    before = moving.position(probe)
+    before = motion.position(probe)
     turn_by(probe, 45.0)
-    went = moving.position(probe).value - before.value
+    went = motion.position(probe).value - before.value
     if abs(went - 45) > NEAR:
         text = "the motor does not obey at power-up"
         raise refute(probe.traffic[-1], text, expected="+45 degrees", got=f"{went:+.1f} degrees")
 
 
 def _set_position_lost(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     probe.do(command, {"position": 1_234_500})
     _power_cycle(probe)
     seen = position(probe)
@@ -200,7 +200,7 @@ def _set_position_lost(probe: Probe, command: Command) -> None:
 
 
 def _zero_raw(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     for degrees in (77.0, 50.0):
         turn_by(probe, degrees)
         exchange = probe.do(command)
@@ -213,18 +213,18 @@ def _zero_raw(probe: Probe, command: Command) -> None:
 
 
 def _zero_not_at_once(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     turn_by(probe, 77.0)
-    before, kept = moving.position(probe), angle(probe)
+    before, kept = motion.position(probe), angle(probe)
     exchange = probe.do(command)
-    expect_stays(before, moving.position(probe), exchange, "19 changes the position at once")
+    expect_stays(before, motion.position(probe), exchange, "19 changes the position at once")
     seen = angle(probe)
     if abs(around(seen - kept)) > NEAR:
         raise refute(exchange, "19 changes the angle at once", expected=f"{kept:.2f} degrees", got=f"{seen:.2f} degrees")
 
 
 def _zero_holds(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     turn_by(probe, 77.0)
     exchange = probe.do(command)
     _power_cycle(probe)

@@ -13,8 +13,8 @@ from analyzer.protocols.lk_rs485 import ERROR_BITS
 from conformance.claim import Claim
 from conformance.claims.motion_claim import motion_claim, refute
 from conformance.claims.world import lk_drive
-from conformance.exchange import Exchange
-from conformance.probe import Probe
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:

@@ -14,12 +14,12 @@ from functools import partial
 from analyzer import dialects, encoder
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.protocols.lk_rs485 import CURRENT_MODELS, POWER_MODELS
-from conformance import moving
 from conformance.claim import Claim, NotRun, Theme
 from conformance.claims.declare import declare
 from conformance.claims.motion_claim import expect_stays, motion_claim, refute
-from conformance.moving import MS, SECOND_NS
-from conformance.probe import Probe
+from conformance.motion import motion
+from conformance.motion.motion import MS, SECOND_NS
+from conformance.talk.probe import Probe
 
 TORQUE = 60
 #: Commands that drive the shaft with a force, and the field that says with which.
@@ -38,7 +38,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
         yield declare(
             dialect, Theme.MOTION, f"{name}/other-models", f"{' and '.join(models)} do not have {name}, and do not obey it.",
             "motion", partial(_other_model, name), section=_section(name),
-            risks=moving.risks(dialect, Risk.UNBOUNDED, Risk.TORQUE, Risk.UNKNOWN), models=models,
+            risks=motion.risks(dialect, Risk.UNBOUNDED, Risk.TORQUE, Risk.UNKNOWN), models=models,
         )  # fmt: skip
 
 
@@ -81,16 +81,16 @@ def _brake(probe: Probe, control: int) -> int:
 
 def _way(probe: Probe) -> float:
     """Return how far a short run turns the shaft, in degrees."""
-    before = moving.position(probe)
+    before = motion.position(probe)
     probe.do("run_speed", {"speed": 9_000})
     probe.wait(500 * MS)
-    went = moving.position(probe).value - before.value
-    moving.stop(probe)
+    went = motion.position(probe).value - before.value
+    motion.stop(probe)
     return went
 
 
 def _brake_holds(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     _brake(probe, _POWER_OFF)
     held = _way(probe)
     if abs(held) > 1:
@@ -98,14 +98,14 @@ def _brake_holds(probe: Probe, command: Command) -> None:
     _brake(probe, _RELEASE)
     probe.wait(500 * MS)
     free = _way(probe)
-    moving.wait_standing(probe)
+    motion.wait_standing(probe)
     if abs(free) < 10:
         text = "the shaft does not turn with the brake released"
         raise refute(probe.traffic[-1], text, expected="about 40 degrees", got=f"{free:+.1f} degrees")
 
 
 def _brake_is_read(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     for control in (_POWER_OFF, _RELEASE, _POWER_OFF, _RELEASE):
         _brake(probe, control)
         seen = _brake(probe, _READ_BRAKE)
@@ -115,7 +115,7 @@ def _brake_is_read(probe: Probe, command: Command) -> None:
 
 
 def _brake_read_only(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     _brake(probe, _POWER_OFF)
     _brake(probe, _READ_BRAKE)
     held = _way(probe)
@@ -126,7 +126,7 @@ def _brake_read_only(probe: Probe, command: Command) -> None:
 
 
 def _brake_answers_new(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     for control in (_POWER_OFF, _RELEASE):
         seen = _brake(probe, control)
         if seen != control:
@@ -159,16 +159,16 @@ def _about_force(dialect: Dialect, command: Command, field: str) -> Iterator[Cla
 
 def _force(probe: Probe, command: Command, field: str, value: int) -> float:
     """Drive the shaft for half a second from rest; return how far it went (degrees)."""
-    before = moving.position(probe)
+    before = motion.position(probe)
     probe.do(command, {field: value})
     probe.wait(500 * MS)
-    went = moving.position(probe).value - before.value
-    moving.stand_still(probe)
+    went = motion.position(probe).value - before.value
+    motion.stand_still(probe)
     return went
 
 
 def _force_ways(field: str, probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     up, down = (_force(probe, command, field, value) for value in (TORQUE, -TORQUE))
     if up * down >= 0 or min(abs(up), abs(down)) < 1:
         text = f"{command.name} does not drive the shaft both ways"
@@ -176,7 +176,7 @@ def _force_ways(field: str, probe: Probe, command: Command) -> None:
 
 
 def _force_sign(field: str, probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     went = _force(probe, command, field, TORQUE)
     if went <= 0:
         text = f"a positive {field} does not raise the position"
@@ -184,21 +184,21 @@ def _force_sign(field: str, probe: Probe, command: Command) -> None:
 
 
 def _force_zero(field: str, probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     _force(probe, command, field, TORQUE)
     exchange = probe.do(command, {field: 0})
-    before = moving.position(probe)
+    before = motion.position(probe)
     probe.wait(SECOND_NS)
-    expect_stays(before, moving.position(probe), exchange, f"{command.name} with 0 drives the shaft")
+    expect_stays(before, motion.position(probe), exchange, f"{command.name} with 0 drives the shaft")
 
 
 def _force_is_read(field: str, probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     for value in (TORQUE, -TORQUE):
         exchange = probe.do(command, {field: value})
         probe.wait(300 * MS)
         seen = probe.read(Verb.READ_STATE_2, field)
-        moving.stand_still(probe)
+        motion.stand_still(probe)
         if abs(seen - value) > TORQUE / 4:
             text = f"the state does not read the {field} that was asked for"
             raise refute(exchange, text, expected=f"about {value}", got=str(seen))
@@ -208,12 +208,12 @@ def _other_model(name: str, probe: Probe) -> None:
     """Send a command that the model does not have, and look at the shaft."""
     if not probe.dialect.model:
         raise NotRun("which model it is was not said")
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     whole = _whole()
     frame = encoder.build(whole, name, probe.address, {FORCES[name]: TORQUE})
-    before = moving.position(probe)
+    before = motion.position(probe)
     exchange = probe.send(frame, timeout_ns=500 * MS)
-    after = moving.position(probe)
-    moving.stand_still(probe)
+    after = motion.position(probe)
+    motion.stand_still(probe)
     model = probe.dialect.model
     expect_stays(before, after, exchange, f"an {model} obeys {name}, which is not a command of its")

@@ -15,14 +15,14 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 from analyzer.catalogue import Command, Dialect, Risk
-from conformance import moving
 from conformance.claim import Claim, Inconclusive, Theme
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import motion_claim, refute
 from conformance.claims.motion_lk_speeds import measured, run
-from conformance.exchange import Exchange
-from conformance.moving import MS, SECOND_NS
-from conformance.probe import Probe
+from conformance.motion import motion
+from conformance.motion.motion import MS, SECOND_NS
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
 
 _OPEN = ("lk-rs485-29", "lk-rs485-48")
 _TORQUE_LIMIT, _SPEED_LIMIT, _ANGLE_LIMIT, _SPEED_RAMP = 30, 32, 34, 38
@@ -79,7 +79,7 @@ def _speed_limit(probe: Probe, command: Command) -> None:
 
 def _move_limit(probe: Probe, command: Command) -> None:
     def turn() -> Exchange:
-        moving.ready_to_move(probe)
+        motion.ready_to_move(probe)
         exchange = _set(probe, _SPEED_LIMIT, "speed_limit", 9_000)
         probe.do("move_increment", {"position": 18_000})
         probe.wait(700 * MS)
@@ -95,7 +95,7 @@ def _expect_limited(probe: Probe, turn: Callable[[], Exchange], what: str) -> No
         return
     exchange = turn()
     speed, _ = measured(probe, 500 * MS)
-    moving.stand_still(probe)
+    motion.stand_still(probe)
     _set(probe, _SPEED_LIMIT, "speed_limit", kept)
     if abs(abs(speed) - 90) > 3:
         raise refute(exchange, f"the speed limit does not hold for {what}", expected="90 deg/s", got=f"{speed:.0f} deg/s")
@@ -105,12 +105,12 @@ def _angle_limit(probe: Probe, command: Command) -> None:
     kept = _parameter(probe, _ANGLE_LIMIT, "angle_limit")
     if kept is None:
         return
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     probe.do("set_position", {"position": 0})
     exchange = _set(probe, _ANGLE_LIMIT, "angle_limit", 6_000)
     probe.do("move_multi_turn", {"position": 12_000})
     probe.wait(2 * SECOND_NS)
-    at = moving.stand_still(probe).value
+    at = motion.stand_still(probe).value
     _set(probe, _ANGLE_LIMIT, "angle_limit", kept)
     if abs(at - 60) > 1:
         raise refute(exchange, "a move goes beyond the angle limit", expected="60 degrees", got=f"{at:.1f} degrees")
@@ -120,30 +120,30 @@ def _torque_limit(probe: Probe, command: Command) -> None:
     kept = _parameter(probe, _TORQUE_LIMIT, "torque_limit")
     if kept is None:
         return
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     exchange = _set(probe, _TORQUE_LIMIT, "torque_limit", 0)
-    before = moving.position(probe)
+    before = motion.position(probe)
     probe.do("run_speed", {"speed": 18_000})
     probe.wait(SECOND_NS)
-    went = moving.position(probe).value - before.value
+    went = motion.position(probe).value - before.value
     probe.do("stop")
     _set(probe, _TORQUE_LIMIT, "torque_limit", kept)
-    moving.stand_still(probe)
+    motion.stand_still(probe)
     if abs(went) > 1:
         raise refute(exchange, "the shaft turns with a torque limit of 0", expected="no motion", got=f"{went:+.1f} degrees")
 
 
 def _acceleration(probe: Probe, ramp: int) -> tuple[float, Exchange]:
     """Measure how fast the speed rises from rest, deg/s2, by the way that is missing once it is there."""
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     _set(probe, _SPEED_RAMP, "speed_ramp", ramp)
-    here = moving.position(probe)
+    here = motion.position(probe)
     exchange = probe.ask("run_speed", {"speed": 18_000}, quiet_ns=0)
     begun_ns = exchange.sent_ns
     probe.wait(3 * SECOND_NS)
-    first = moving.position(probe)
+    first = motion.position(probe)
     speed, _ = measured(probe, SECOND_NS)
-    moving.stand_still(probe)
+    motion.stand_still(probe)
     missing_s = (first.t_ns - begun_ns) / SECOND_NS - (first.value - here.value) / speed
     return speed / (2 * missing_s) if missing_s > 1e-4 else float("inf"), exchange
 

@@ -12,14 +12,14 @@ from collections.abc import Iterator
 from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
-from conformance import moving
 from conformance.claim import Claim, Inconclusive
 from conformance.claims.motion_claim import motion_claim, refute
 from conformance.claims.motion_lk import NEAR
 from conformance.claims.motion_lk_speeds import measured, run
 from conformance.claims.world import lk_drive
-from conformance.moving import MS, SECOND_NS
-from conformance.probe import Probe
+from conformance.motion import motion
+from conformance.motion.motion import MS, SECOND_NS
+from conformance.talk.probe import Probe
 
 #: Angles by which the shaft is turned before something is read, in degrees: no two alike within a turn.
 PLACES = (37.3, 101.7, 203.1, -171.9, 59.4)
@@ -98,7 +98,7 @@ def turn_by(probe: Probe, degrees: float) -> None:
     """Turn the shaft by an angle and wait until it stands."""
     probe.do("move_increment_limited", {"position": round(degrees * 100), "max_speed": 36_000})
     probe.wait(int(abs(degrees) / 360 * SECOND_NS))
-    moving.wait_standing(probe)
+    motion.wait_standing(probe)
 
 
 def angle(probe: Probe) -> float:
@@ -112,18 +112,18 @@ def around(degrees: float) -> float:
 
 
 def _angle_is_position(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     for degrees in PLACES:
-        angle_before, place_before = angle(probe), moving.position(probe).value
+        angle_before, place_before = angle(probe), motion.position(probe).value
         turn_by(probe, degrees)
-        turned, moved = angle(probe) - angle_before, moving.position(probe).value - place_before
+        turned, moved = angle(probe) - angle_before, motion.position(probe).value - place_before
         if abs(around(turned - moved)) > NEAR:
             text = "the angle within the turn does not change as the position does"
             raise refute(probe.traffic[-1], text, expected=f"{around(moved):+.2f} degrees", got=f"{around(turned):+.2f}")
 
 
 def _within_turn(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     for degrees in (200.0, 200.0, -300.0, -300.0):
         turn_by(probe, degrees)
         exchange = probe.ask(command)
@@ -139,7 +139,7 @@ def position(probe: Probe) -> int:
 
 
 def _set_reads(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     for value in _EDGES:
         exchange = probe.do(command, {"position": value})
         seen = position(probe)
@@ -149,7 +149,7 @@ def _set_reads(probe: Probe, command: Command) -> None:
 
 
 def _set_stands(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     before = angle(probe)
     exchange = probe.do(command, {"position": 9_000})
     probe.wait(SECOND_NS)
@@ -159,7 +159,7 @@ def _set_stands(probe: Probe, command: Command) -> None:
 
 
 def _counts_on(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     for value, degrees in ((9_000, 90.0), (2_147_480_000, 90.0), (-2_147_480_000, -90.0), (-5_000, -90.0)):
         exchange = probe.do(command, {"position": value})
         turn_by(probe, degrees)
@@ -170,12 +170,12 @@ def _counts_on(probe: Probe, command: Command) -> None:
 
 
 def _set_moves(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     exchange = probe.do(command, {"position": 100_000})
     before = angle(probe)
     probe.do("move_multi_turn_limited", {"position": 104_500, "max_speed": 27_000})
     probe.wait(SECOND_NS)
-    moving.wait_standing(probe)
+    motion.wait_standing(probe)
     turned = around(angle(probe) - before)
     if abs(turned - 45) > NEAR:
         text = "a move does not go by the position that 95 set"
@@ -183,7 +183,7 @@ def _set_moves(probe: Probe, command: Command) -> None:
 
 
 def _away(probe: Probe) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     turn_by(probe, 800.0)
 
 
@@ -217,7 +217,7 @@ def _speed_is_change(probe: Probe, command: Command) -> None:
         change, spread = measured(probe, 500 * MS)
         exchange = probe.ask(command)
         seen = probe.reply(exchange).values["speed"]
-        moving.stand_still(probe)
+        motion.stand_still(probe)
         if abs(seen - change) > 3 + abs(change) / 50 + spread:
             text = "the speed that is read is not that at which the position changes"
             raise refute(exchange, text, expected=f"{change:+.0f} deg/s", got=f"{seen:+d} deg/s")
@@ -228,7 +228,7 @@ def _reply_tells_speed(probe: Probe, command: Command) -> None:
         run(probe, sent)
         exchange = probe.do(command, {"speed": sent})
         seen = probe.reply(exchange).values["speed"]
-        moving.stand_still(probe)
+        motion.stand_still(probe)
         if abs(seen - sent / 100) > 5 + abs(sent) / 2_000:
             text = "the reply to a speed command does not tell the speed"
             raise refute(exchange, text, expected=f"about {sent / 100:+g} deg/s", got=f"{seen:+d} deg/s")
@@ -260,12 +260,12 @@ def _plausible(probe: Probe, command: Command) -> None:
 
 
 def _balance(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     probe.do("run_torque", {"torque_current": _TORQUE})
     probe.wait(300 * MS)
     exchange = probe.ask(command)
     values = probe.reply(exchange).values
-    moving.stand_still(probe)
+    motion.stand_still(probe)
     currents = [values[f"phase_{p}_current"] for p in "abc"]
     largest = max(abs(c) for c in currents)
     if largest < _TORQUE / 4:

@@ -11,12 +11,12 @@ from collections.abc import Iterator
 from functools import partial
 
 from analyzer.catalogue import Command, Dialect
-from conformance import moving
 from conformance.claim import Claim
 from conformance.claims.motion_claim import motion_claim, refute
-from conformance.exchange import Exchange
-from conformance.moving import MS, SECOND_NS
-from conformance.probe import Probe
+from conformance.motion import motion
+from conformance.motion.motion import MS, SECOND_NS
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
 
 #: How sure it is which way a positive number turns: lk-rs485-28.
 _ON_SIGN = ("lk-rs485-28",)
@@ -45,7 +45,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
 
 def run(probe: Probe, sent: int, wait_ns: int = 500 * MS) -> Exchange:
     """Begin a run (0.01 deg/s) and let the shaft come to its speed."""
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     exchange = probe.do("run_speed", {"speed": sent})
     probe.wait(wait_ns)
     return exchange
@@ -53,16 +53,16 @@ def run(probe: Probe, sent: int, wait_ns: int = 500 * MS) -> Exchange:
 
 def measured(probe: Probe, over_ns: int = SECOND_NS) -> tuple[float, float]:
     """Return the speed of the shaft from two positions, deg/s, and its uncertainty."""
-    first = moving.position(probe)
+    first = motion.position(probe)
     probe.wait(over_ns)
-    rpm, spread = moving.speed_between(first, moving.position(probe))
+    rpm, spread = motion.speed_between(first, motion.position(probe))
     return rpm * 6, spread * 6
 
 
 def _turns_at(sent: int, probe: Probe, command: Command) -> None:
     exchange = run(probe, sent)
     speed, spread = measured(probe)
-    moving.stand_still(probe)
+    motion.stand_still(probe)
     wanted = abs(sent) / 100
     if abs(abs(speed) - wanted) > wanted / 100 + spread + 0.5:
         text = "the shaft does not turn at the speed that was asked for"
@@ -73,10 +73,10 @@ def _turns_at(sent: int, probe: Probe, command: Command) -> None:
 def _ways(probe: Probe) -> tuple[float, float]:
     run(probe, 18_000)
     up, _ = measured(probe, 300 * MS)
-    moving.stand_still(probe)
+    motion.stand_still(probe)
     run(probe, -18_000)
     down, _ = measured(probe, 300 * MS)
-    moving.stand_still(probe)
+    motion.stand_still(probe)
     return up, down
 
 
@@ -97,7 +97,7 @@ def _opposite(probe: Probe, command: Command) -> None:
 def _lasts(probe: Probe, command: Command) -> None:
     exchange = run(probe, 18_000, 5 * SECOND_NS)
     speed, _ = measured(probe, 300 * MS)
-    moving.stand_still(probe)
+    motion.stand_still(probe)
     if abs(abs(speed) - 180) > 5:
         raise refute(exchange, "a run does not go on", expected="180 deg/s", got=f"{speed:.0f} deg/s")
 
@@ -108,7 +108,7 @@ def _zero(probe: Probe, command: Command) -> None:
     probe.wait(3 * SECOND_NS)
     speed, _ = measured(probe, 500 * MS)
     if abs(speed) > 1:
-        moving.stop(probe)
+        motion.stop(probe)
         raise refute(exchange, "speed 0 does not stop the shaft", expected="0 deg/s", got=f"{speed:.1f} deg/s")
 
 
@@ -116,6 +116,6 @@ def _changes(probe: Probe, command: Command) -> None:
     run(probe, 18_000)
     exchange = run(probe, 9_000, SECOND_NS)
     speed, _ = measured(probe, 500 * MS)
-    moving.stand_still(probe)
+    motion.stand_still(probe)
     if abs(abs(speed) - 90) > 3:
         raise refute(exchange, "a newer speed does not take over", expected="90 deg/s", got=f"{speed:.0f} deg/s")

@@ -11,16 +11,16 @@ from collections.abc import Iterator
 from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Verb
-from conformance import moving
 from conformance.claim import Claim, Inconclusive
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import expect_stays, motion_claim, refute
 from conformance.claims.motion_lk import values_of
 from conformance.claims.motion_lk_forces import FORCES, TORQUE
 from conformance.claims.motion_lk_speeds import measured, run
-from conformance.exchange import Exchange
-from conformance.moving import MS, SECOND_NS
-from conformance.probe import Probe
+from conformance.motion import motion
+from conformance.motion.motion import MS, SECOND_NS
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
 
 _ON, _OFF = 0x00, 0x10
 #: Commands of motion, as far as a model has them.
@@ -82,13 +82,13 @@ def _ask_motion(probe: Probe, command: Command) -> Exchange:
         return probe.ask(command, {field: TORQUE})
     if command.verb is Verb.RUN_SPEED:
         return probe.ask(command, {"speed": 18_000})
-    return probe.ask(command, values_of(probe, command, 90.0, moving.position(probe)))
+    return probe.ask(command, values_of(probe, command, 90.0, motion.position(probe)))
 
 
 def _while_off(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     probe.do(Verb.MOTOR_OFF)
-    before = moving.position(probe)
+    before = motion.position(probe)
     exchange = _ask_motion(probe, command)
     if exchange.silent:
         # A reply can be lost; a motor that is off never answers.
@@ -97,11 +97,11 @@ def _while_off(probe: Probe, command: Command) -> None:
         text = f"{command.name} is not answered while the motor is off"
         raise refute(exchange, text, expected="a reply", got="silence")
     probe.wait(SECOND_NS)
-    expect_stays(before, moving.position(probe), exchange, f"{command.name} turns a motor that is off")
+    expect_stays(before, motion.position(probe), exchange, f"{command.name} turns a motor that is off")
     probe.do(Verb.MOTOR_ON)
     probe.wait(SECOND_NS)
-    after = moving.position(probe)
-    moving.stop(probe)
+    after = motion.position(probe)
+    motion.stop(probe)
     expect_stays(before, after, exchange, f"{command.name}, given while off, turns the motor when it is on again")
 
 
@@ -122,7 +122,7 @@ def _state_is_read(probe: Probe, command: Command) -> None:
 def _expect_slow(probe: Probe, exchange: Exchange, text: str) -> None:
     speed, _ = measured(probe, 500 * MS)
     if abs(speed) > 2:
-        moving.stop(probe)
+        motion.stop(probe)
         raise refute(exchange, text, expected="a shaft that stands", got=f"{speed:.0f} deg/s")
 
 
@@ -143,10 +143,10 @@ def _does_not_resume(probe: Probe, command: Command) -> None:
 
 
 def _expect_moves(probe: Probe, text: str) -> None:
-    before = moving.position(probe)
+    before = motion.position(probe)
     exchange = probe.do("move_increment", {"position": 4_500})
     probe.wait(500 * MS)
-    after = moving.wait_standing(probe)
+    after = motion.wait_standing(probe)
     if abs(abs(after.value - before.value) - 45) > 1:
         raise refute(exchange, text, expected="45 degrees", got=f"{after.value - before.value:+.1f} degrees")
 
@@ -159,19 +159,19 @@ def _obeys_again(probe: Probe, command: Command) -> None:
 
 
 def _turn_away(probe: Probe) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     for _ in range(2):
         probe.do("move_increment", {"position": 42_000})
         probe.wait(SECOND_NS)
-        moving.wait_standing(probe)
+        motion.wait_standing(probe)
 
 
 def _keeps_turns(probe: Probe, command: Command) -> None:
     _turn_away(probe)
-    before = moving.position(probe)
+    before = motion.position(probe)
     exchange = probe.do(command)
     probe.do(Verb.MOTOR_ON)
-    after = moving.position(probe)
+    after = motion.position(probe)
     change = after.value - before.value
     if abs(change) <= 1:
         return
@@ -193,13 +193,13 @@ def _stops(probe: Probe, command: Command) -> None:
 
 
 def _stops_move(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
-    before = moving.position(probe)
+    motion.ready_to_move(probe)
+    before = motion.position(probe)
     probe.do("move_increment_limited", {"position": 36_000, "max_speed": 9_000})
     probe.wait(SECOND_NS)
     exchange = probe.do(command)
     probe.wait(5 * SECOND_NS)
-    went = moving.wait_standing(probe).value - before.value
+    went = motion.wait_standing(probe).value - before.value
     if not 20 < abs(went) < 300:
         text = "the stop does not end a move on its way"
         raise refute(exchange, text, expected="about 90 degrees of 360", got=f"{went:+.1f} degrees")
@@ -208,7 +208,7 @@ def _stops_move(probe: Probe, command: Command) -> None:
 def _stays_on(probe: Probe, command: Command) -> None:
     run(probe, 18_000)
     exchange = probe.do(command)
-    moving.wait_standing(probe)
+    motion.wait_standing(probe)
     state = _state(probe)
     if state != _ON:
         raise refute(exchange, "the motor is not on after the stop", expected="00h", got=f"{state:02X}h")
@@ -217,10 +217,10 @@ def _stays_on(probe: Probe, command: Command) -> None:
 
 def _stop_keeps_turns(probe: Probe, command: Command) -> None:
     _turn_away(probe)
-    before = moving.position(probe)
+    before = motion.position(probe)
     exchange = probe.do(command)
     probe.wait(500 * MS)
-    after = moving.position(probe)
+    after = motion.position(probe)
     if abs(after.value - before.value) > 1:
         text = "the stop changes the position of a shaft that stands"
         raise refute(exchange, text, expected=f"{before.value:.1f} degrees", got=f"{after.value:.1f} degrees")
@@ -230,9 +230,9 @@ def _stop_way(probe: Probe, name: str, values: dict[str, int]) -> tuple[float, E
     """Run, stop by a command and return how far the shaft went after it (degrees)."""
     run(probe, 36_000)
     exchange = probe.ask(name, values, quiet_ns=0)
-    begun = moving.position(probe)
+    begun = motion.position(probe)
     probe.wait(SECOND_NS)
-    return abs(moving.wait_standing(probe).value - begun.value), exchange
+    return abs(motion.wait_standing(probe).value - begun.value), exchange
 
 
 def _stop_brakes(probe: Probe, command: Command) -> None:

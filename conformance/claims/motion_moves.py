@@ -15,13 +15,14 @@ from collections.abc import Iterator
 from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Verb
-from conformance import journey, moving
 from conformance.claim import Claim, Inconclusive
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import expect_speed, expect_stays, motion_claim, refute
-from conformance.journey import Journey
-from conformance.moving import MS, QUICK, SAME, SECOND_NS
-from conformance.probe import Probe, Until
+from conformance.motion import motion
+from conformance.motion import moves as journey
+from conformance.motion.motion import MS, QUICK, SAME, SECOND_NS
+from conformance.motion.moves import Journey
+from conformance.talk.probe import Probe, Until
 
 #: A way that no power of two divides, in turns, and one back that is shorter.
 _THERE, _BACK = 0.27, -0.11
@@ -166,7 +167,7 @@ def _sign(probe: Probe, command: Command) -> None:
 
 def _far(probe: Probe, command: Command) -> None:
     fine = journey.by_pulses(command)
-    moving.ready_to_move(probe, subdivision=_finest(probe) if fine else None)
+    motion.ready_to_move(probe, subdivision=_finest(probe) if fine else None)
     subdivision = _FINE if fine else journey.SUBDIVISION
     # At 256 subdivisions the shaft turns at a sixteenth of the speed that is sent.
     speed = 3000 if fine else 300
@@ -199,13 +200,13 @@ def _again(probe: Probe, command: Command) -> None:
 def _same_place(probe: Probe, command: Command) -> None:
     journey.prepare(probe, command)
     journey.travel(probe, command, _THERE)
-    start = moving.position(probe)
+    start = motion.position(probe)
     exchange = journey.ask(probe, command, amount=0, until=Until.DONE if journey.tells(probe.dialect) else Until.REPLY)
     if journey.refused(probe, exchange):
         text = f"{command.name} to the same place is refused"
         raise refute(exchange, text, expected="no refusal", got="a refusal")
     probe.wait(SECOND_NS)
-    expect_stays(start, moving.wait_standing(probe), exchange, f"{command.name} to the same place turns the shaft")
+    expect_stays(start, motion.wait_standing(probe), exchange, f"{command.name} to the same place turns the shaft")
 
 
 def _reads_as_asked(probe: Probe, command: Command) -> None:
@@ -229,17 +230,17 @@ def _speed(probe: Probe, command: Command) -> None:
     for asked, turns, look_ns in ((60, 1.0, 300 * MS), (300, 2.0, 150 * MS)):
         exchange = journey.begin(probe, command, turns, speed=asked, acceleration=QUICK, quiet_ns=0)
         probe.wait(exchange.sent_ns + look_ns - probe.gate.now_ns())
-        seen = moving.speed(probe)
-        moving.wait_standing(probe)
+        seen = motion.speed(probe)
+        motion.wait_standing(probe)
         expect_speed(seen, asked, exchange, f"{command.name} does not turn at the speed that was asked for")
 
 
 def _within(probe: Probe, command: Command) -> None:
     journey.prepare(probe, command)
-    start = moving.position(probe)
+    start = motion.position(probe)
     exchange = journey.begin(probe, command, 1.0, speed=300, acceleration=236, quiet_ns=0)
-    seen = moving.sampled(probe, 1000 * MS, 40 * MS)
-    end = moving.wait_standing(probe)
+    seen = motion.sampled(probe, 1000 * MS, 40 * MS)
+    end = motion.wait_standing(probe)
     way = 1 if end.value > start.value else -1
     beyond = max((s.value - end.value) * way for s in seen)
     if beyond > _OVERSHOOT:
@@ -276,8 +277,8 @@ def _told_when_there(probe: Probe, command: Command) -> None:
     probe.reply(exchange)
     if exchange.status(command.replies.status)[-1:] != [2]:
         raise Inconclusive(f"{command.name} did not say that it was complete")
-    at_once = moving.position(probe)
-    off = abs(moving.wait_standing(probe).value - at_once.value)
+    at_once = motion.position(probe)
+    off = abs(motion.wait_standing(probe).value - at_once.value)
     if off > SAME and off <= _SETTLING and "settling" in probe.claim.quirks:
         probe.meets("settling")
     elif off > SAME:

@@ -16,15 +16,15 @@ from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.protocols.mks_shared import COUNTS_PER_TURN
-from conformance import journey, moving
 from conformance.claim import Aspect, Claim, Inconclusive, Theme
 from conformance.claims import world
 from conformance.claims.declare import declare
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import motion_claim, refute
 from conformance.claims.motion_runs import measured
-from conformance.moving import MS, QUICK, SECOND_NS
-from conformance.probe import Probe
+from conformance.motion import motion, moves
+from conformance.motion.motion import MS, QUICK, SECOND_NS
+from conformance.talk.probe import Probe
 
 _RPM = 120
 #: More counts than 24 signed bits hold, in turns.
@@ -144,11 +144,11 @@ def _counts(probe: Probe) -> int:
 
 
 def _by_pulses(probe: Probe, turns: float) -> None:
-    journey.travel(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), turns, speed=180, acceleration=QUICK)
+    moves.travel(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), turns, speed=180, acceleration=QUICK)
 
 
 def _turn(probe: Probe, command: Command) -> None:
-    journey.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
+    moves.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
     for turns in (1, -1):
         before = _counts(probe)
         _by_pulses(probe, turns)
@@ -159,7 +159,7 @@ def _turn(probe: Probe, command: Command) -> None:
 
 
 def _carry_is_position(probe: Probe, command: Command) -> None:
-    journey.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
+    moves.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
     for turns in (-0.4, 1.7, 1.0, -3.0):
         _by_pulses(probe, turns)
         exchange = probe.ask(command)
@@ -178,14 +178,14 @@ def _carry_is_position(probe: Probe, command: Command) -> None:
 
 
 def _wide(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe, moving.bus_modes(probe.dialect)[-1], subdivision=journey.SUBDIVISION)
+    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=moves.SUBDIVISION)
     duration_ns = int(_WIDE_TURNS / 3000 * 60 * SECOND_NS)
     for direction in (0, 1, 1):
-        before = moving.position(probe)
+        before = motion.position(probe)
         exchange = probe.do(Verb.RUN_SPEED, {"direction": direction, "speed": 3000, "acceleration": 255})
         probe.wait(duration_ns)
-        moving.stop(probe, QUICK)
-        after = moving.wait_standing(probe)
+        motion.stop(probe, QUICK)
+        after = motion.wait_standing(probe)
         change = abs(after.value - before.value) / 360
         if not _WIDE_TURNS * 0.97 < change < _WIDE_TURNS * 1.2:
             text = "the position does not count on"
@@ -193,14 +193,14 @@ def _wide(probe: Probe, command: Command) -> None:
 
 
 def _speed_is_change(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
     for rpm in (_RPM, -_RPM, 300):
-        moving.run_at(probe, rpm, QUICK)
+        motion.run_at(probe, rpm, QUICK)
         probe.wait(300 * MS)
         change, spread = measured(probe, 500 * MS)
         exchange = probe.ask(command)
-        seen = moving.speed(probe).value
-        moving.stand_still(probe)
+        seen = motion.speed(probe).value
+        motion.stand_still(probe)
         if spread > abs(rpm) / 10:
             if "slow-replies-in-motion" not in probe.claim.quirks:
                 raise Inconclusive("the replies came too late to measure a speed")
@@ -215,15 +215,15 @@ def _speed_is_change(probe: Probe, command: Command) -> None:
 
 
 def _speed_at_rest(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
-    moving.run_at(probe, _RPM, QUICK)
+    motion.ready_to_move(probe)
+    motion.run_at(probe, _RPM, QUICK)
     probe.wait(300 * MS)
-    moving.stop(probe, QUICK)
+    motion.stop(probe, QUICK)
     probe.wait(SECOND_NS)
-    before = moving.position(probe)
-    seen = moving.speed(probe)
-    after = moving.position(probe)
-    if abs(after.value - before.value) > moving.SAME:
+    before = motion.position(probe)
+    seen = motion.speed(probe)
+    after = motion.position(probe)
+    if abs(after.value - before.value) > motion.SAME:
         raise Inconclusive("the shaft does not stand")
     if abs(seen.value) >= 1:
         text = "the shaft stands and its speed is not 0"
@@ -231,7 +231,7 @@ def _speed_at_rest(probe: Probe, command: Command) -> None:
 
 
 def _pulses_count(probe: Probe, command: Command) -> None:
-    journey.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
+    moves.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
     changes = []
     for turns in (0.3, -0.7, 1.5):
         before = probe.read(command, "pulses")
@@ -255,8 +255,8 @@ def _degrees(probe: Probe, command: Command) -> float:
 
 
 def _error_at_rest(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
-    journey.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 0.25)
+    motion.ready_to_move(probe)
+    moves.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 0.25)
     seen = _degrees(probe, command)
     if abs(seen) > _LAG:
         text = "a shaft that is where it should be has an angle error"
@@ -265,10 +265,10 @@ def _error_at_rest(probe: Probe, command: Command) -> None:
 
 def _error_held(turns: float, probe: Probe, command: Command) -> None:
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
-    journey.prepare(probe, move)
+    moves.prepare(probe, move)
     probe.do(Verb.SET_PROTECTION, {"protection": 0})
     world.hold(probe)
-    journey.begin(probe, move, turns, acceleration=QUICK)
+    moves.begin(probe, move, turns, acceleration=QUICK)
     probe.wait(3 * SECOND_NS)
     seen = _degrees(probe, command)
     if abs(seen - turns * 360) > _LAG:
@@ -289,15 +289,15 @@ def _calibration(probe: Probe) -> None:
 
 
 def _answered_while_moving(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     if probe.ask(command).silent:
         raise Inconclusive(f"{command.name} is not answered at rest either")
-    moving.run_at(probe, _RPM, QUICK)
+    motion.run_at(probe, _RPM, QUICK)
     probe.wait(300 * MS)
     exchanges = [probe.ask(command) for _ in range(2)]
     if all(e.silent for e in exchanges):
         # Whether it stands cannot be seen where nothing is answered.
-        moving.stop(probe, QUICK)
+        motion.stop(probe, QUICK)
         text = f"{command.name} is not answered while the motor turns"
         raise refute(exchanges[0], text, expected="a reply", got="silence")
-    moving.stand_still(probe)
+    motion.stand_still(probe)

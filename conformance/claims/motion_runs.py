@@ -11,13 +11,13 @@ from collections.abc import Iterator, Mapping
 from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Verb
-from conformance import journey, moving
 from conformance.claim import Claim, Inconclusive
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import expect_speed, motion_claim, refute
-from conformance.exchange import Exchange
-from conformance.moving import MS, QUICK, SECOND_NS
-from conformance.probe import Probe
+from conformance.motion import motion, moves
+from conformance.motion.motion import MS, QUICK, SECOND_NS
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
 
 #: Speeds that differ by less are one.
 _SHARE = 0.005
@@ -83,7 +83,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
             risks=run.all_risks,
             settings=("motor_direction",),
         )
-    if journey.tells(dialect):
+    if moves.tells(dialect):
         yield made("replies", "A run is answered once, by status 1.", "another status, or more replies", _one_reply)
 
 
@@ -92,18 +92,18 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
 
 def measured(probe: Probe, over_ns: int) -> tuple[float, float]:
     """Return the speed of a turning shaft from two positions (rpm, signed), and its uncertainty."""
-    first = moving.position(probe)
+    first = motion.position(probe)
     probe.wait(over_ns)
-    return moving.speed_between(first, moving.position(probe))
+    return motion.speed_between(first, motion.position(probe))
 
 
 def _turns_at(rpm: int, probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
-    exchange = moving.run_at(probe, rpm, QUICK)
+    motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
+    exchange = motion.run_at(probe, rpm, QUICK)
     probe.wait(300 * MS)
     # At 1 rpm the shaft needs a while to go far enough to measure.
     speed, spread = measured(probe, 2 * SECOND_NS if rpm < 10 else SECOND_NS)
-    moving.stand_still(probe)
+    motion.stand_still(probe)
     _judge_speed(probe, exchange, speed, spread, rpm)
 
 
@@ -126,14 +126,14 @@ def _judge_speed(probe: Probe, exchange: Exchange, speed: float, spread: float, 
 
 def _way(probe: Probe, direction: int) -> float:
     """Return how far a short run in a direction turns the shaft, in degrees, from rest to rest."""
-    before = moving.position(probe)
-    moving.run_at(probe, -_CALM if direction else _CALM, QUICK)
+    before = motion.position(probe)
+    motion.run_at(probe, -_CALM if direction else _CALM, QUICK)
     probe.wait(300 * MS)
-    return moving.stand_still(probe).value - before.value
+    return motion.stand_still(probe).value - before.value
 
 
 def _opposite(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     one, other = _way(probe, 0), _way(probe, 1)
     if one * other >= 0:
         raise refute(
@@ -145,7 +145,7 @@ def _opposite(probe: Probe, command: Command) -> None:
 
 
 def _raises(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     way = _way(probe, 0)
     if way < 0 and "reversed-direction" in probe.claim.quirks and _relative_way(probe) < 0:
         probe.meets("reversed-direction")
@@ -156,11 +156,11 @@ def _raises(probe: Probe, command: Command) -> None:
 
 def _relative_way(probe: Probe) -> float:
     """Return how far a relative move of direction 0 turns the shaft, in degrees."""
-    return journey.travel(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), 0.1).degrees
+    return moves.travel(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), 0.1).degrees
 
 
 def _same_sense(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     run, move = _way(probe, 0), _relative_way(probe)
     if run * move <= 0:
         raise refute(
@@ -175,36 +175,36 @@ def _same_sense(probe: Probe, command: Command) -> None:
 
 
 def _lasts(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
-    exchange = moving.run_at(probe, _CALM, QUICK)
+    motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
+    exchange = motion.run_at(probe, _CALM, QUICK)
     probe.wait(5 * SECOND_NS)
-    seen = moving.speed(probe)
-    moving.stand_still(probe)
+    seen = motion.speed(probe)
+    motion.stand_still(probe)
     expect_speed(seen, _CALM, exchange, "a run does not go on")
 
 
 def _changes_speed(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
     for rpm, acceleration in ((120, QUICK), (60, 56), (180, QUICK)):
-        exchange = moving.run_at(probe, rpm, acceleration)
+        exchange = motion.run_at(probe, rpm, acceleration)
         if rpm == 60:
-            seen = moving.speed(probe)  # the ramp from 120 to 60 rpm takes 600 ms at 10 ms for each rpm
+            seen = motion.speed(probe)  # the ramp from 120 to 60 rpm takes 600 ms at 10 ms for each rpm
             if abs(seen.value) < 60 - 1:
                 raise refute(exchange, "a newer run stops the shaft first", expected="60 to 120 rpm", got=f"{seen.value:g}")
         probe.wait(800 * MS)
-        expect_speed(moving.speed(probe), rpm, exchange, "a newer run does not take over")
-    moving.stand_still(probe)
+        expect_speed(motion.speed(probe), rpm, exchange, "a newer run does not take over")
+    motion.stand_still(probe)
 
 
 def _turns_round(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
-    moving.run_at(probe, _CALM, QUICK)
+    motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
+    motion.run_at(probe, _CALM, QUICK)
     probe.wait(300 * MS)
     before, _ = measured(probe, 200 * MS)
-    exchange = moving.run_at(probe, -_CALM, QUICK)
+    exchange = motion.run_at(probe, -_CALM, QUICK)
     probe.wait(300 * MS)
     after, spread = measured(probe, 200 * MS)
-    moving.stand_still(probe)
+    motion.stand_still(probe)
     if before * after >= 0 or abs(abs(after) - _CALM) > 2 + spread:
         raise refute(
             exchange,
@@ -215,11 +215,11 @@ def _turns_round(probe: Probe, command: Command) -> None:
 
 
 def _one_reply(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
-    exchange = moving.run_at(probe, _CALM, QUICK)
+    motion.ready_to_move(probe)
+    exchange = motion.run_at(probe, _CALM, QUICK)
     probe.wait(2 * SECOND_NS)
-    statuses = [a.values[command.replies.status] for a in journey.told(probe.traffic, command)]
-    moving.stand_still(probe)
+    statuses = [a.values[command.replies.status] for a in moves.told(probe.traffic, command)]
+    motion.stand_still(probe)
     if statuses != [1]:
         got = ", ".join(map(str, statuses)) or "none"
         raise refute(exchange, "a run is not answered by status 1 alone", expected="1", got=got)
@@ -229,7 +229,7 @@ def _one_reply(probe: Probe, command: Command) -> None:
 
 
 def _direction_setting(turns: bool, probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     ways = []
     for value in (0, 1):
         probe.do(command, {"motor_direction": value})

@@ -15,13 +15,14 @@ from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Verb
 from analyzer.protocols.mks_shared import MODE_MAXIMUM_SPEEDS
-from conformance import journey, moving
 from conformance.claim import Claim
 from conformance.claims.motion_claim import expect_speed, motion_claim, refute
 from conformance.claims.motion_runs import measured
-from conformance.exchange import Exchange
-from conformance.moving import MS, QUICK, SECOND_NS
-from conformance.probe import Probe
+from conformance.motion import motion
+from conformance.motion import moves as journey
+from conformance.motion.motion import MS, QUICK, SECOND_NS
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
 
 #: The highest speed of any drive, and that of a drive whose manual has no table of modes.
 _HIGHEST = 3000
@@ -90,12 +91,12 @@ def _about_subdivision(dialect: Dialect, subdivision: int) -> Iterator[Claim]:
 
 
 def _speed_at(sent: int, speed: int, rpm: float, probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe, subdivision=sent)
-    exchange = moving.run_at(probe, speed, QUICK)
+    motion.ready_to_move(probe, subdivision=sent)
+    exchange = motion.run_at(probe, speed, QUICK)
     # The ramp goes by the real speed, or by the speed as sent: either way it is over then.
     probe.wait(max(300 * MS, speed * MS // 2))
     seen, spread = measured(probe, 3 * SECOND_NS)
-    moving.stand_still(probe)
+    motion.stand_still(probe)
     if abs(abs(seen) - rpm) > rpm * _SHARE + spread:
         raise refute(
             exchange,
@@ -106,11 +107,11 @@ def _speed_at(sent: int, speed: int, rpm: float, probe: Probe, command: Command)
 
 
 def _pulses_at(sent: int, subdivision: int, probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe, subdivision=sent)
+    motion.ready_to_move(probe, subdivision=sent)
     move = probe.command(Verb.MOVE_RELATIVE_PULSES)
     speed = max(1, min(3000, _CALM * subdivision // 16))
     trip = journey.travel(probe, move, amount=25 * subdivision, speed=speed, acceleration=QUICK, subdivision=subdivision)
-    if abs(abs(trip.degrees) - 45) > moving.SAME:
+    if abs(abs(trip.degrees) - 45) > motion.SAME:
         raise refute(
             trip.exchange,
             f"{25 * subdivision} pulses at {subdivision} subdivisions are not an eighth of a turn",
@@ -143,7 +144,7 @@ def _about_limits(dialect: Dialect, command: Command) -> Iterator[Claim]:
 
 
 def _reaches(speeds: tuple[int, ...], probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe, moving.bus_modes(probe.dialect)[-1], subdivision=journey.SUBDIVISION)
+    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=journey.SUBDIVISION)
     for speed in speeds:
         exchange = _at_full_tilt(probe, command, speed)
         if journey.refused(probe, exchange):
@@ -151,8 +152,8 @@ def _reaches(speeds: tuple[int, ...], probe: Probe, command: Command) -> None:
             raise refute(exchange, text, expected="status 1" if journey.tells(probe.dialect) else "an echo", got="a refusal")
         # At 50 us for one rpm the shaft has 3000 rpm after 150 ms, and a move of 20 turns keeps it for 250 ms.
         probe.wait(exchange.sent_ns + 230 * MS - probe.gate.now_ns())
-        seen = moving.speed(probe)
-        moving.stand_still(probe)
+        seen = motion.speed(probe)
+        motion.stand_still(probe)
         expect_speed(seen, _HIGHEST, exchange, f"{command.name} at speed {speed} turns at another speed")
 
 
@@ -163,12 +164,12 @@ def _at_full_tilt(probe: Probe, command: Command, speed: int) -> Exchange:
 
 
 def _highest_of_mode(mode: str, top: int, probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe, mode, subdivision=journey.SUBDIVISION)
+    motion.ready_to_move(probe, mode, subdivision=journey.SUBDIVISION)
     for speed in (top, _HIGHEST):
         exchange = probe.ask(command, {"speed": speed, "acceleration": 255})
         if journey.refused(probe, exchange):
             raise refute(exchange, f"speed {speed} is refused in mode {mode}", expected="no refusal", got="a refusal")
         probe.wait(300 * MS)
-        seen = moving.speed(probe)
-        moving.stand_still(probe)
+        seen = motion.speed(probe)
+        motion.stand_still(probe)
         expect_speed(seen, top, exchange, f"speed {speed} in mode {mode} turns at another speed")

@@ -14,13 +14,14 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
-from conformance import journey, moving
 from conformance.claim import Claim, Inconclusive
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import expect_stays, motion_claim, refute
-from conformance.exchange import Exchange
-from conformance.moving import MS, QUICK, SAME, SECOND_NS
-from conformance.probe import Probe
+from conformance.motion import motion
+from conformance.motion import moves as journey
+from conformance.motion.motion import MS, QUICK, SAME, SECOND_NS
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
 
 #: 120 rpm at 12 ms for each rpm: 1.44 s up and as long down.
 _RPM, _RAMP, _RAMP_NS = 120, 16, 1440 * MS
@@ -124,13 +125,13 @@ def _wrong(exchange: Exchange, wanted: int, seen: int, what: str) -> Exception:
 
 
 def _at_rest(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     _expect(probe, _STOPPED, "stands")
 
 
 def _speed_up(probe: Probe) -> Exchange:
-    moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
-    exchange = moving.run_at(probe, _RPM, _RAMP)
+    motion.ready_to_move(probe, subdivision=journey.SUBDIVISION)
+    exchange = motion.run_at(probe, _RPM, _RAMP)
     probe.wait(exchange.sent_ns + 400 * MS - probe.gate.now_ns())
     return exchange
 
@@ -138,23 +139,23 @@ def _speed_up(probe: Probe) -> Exchange:
 def _speeding_up(probe: Probe, command: Command) -> None:
     _speed_up(probe)
     _expect(probe, _UP, "speeds up")
-    moving.stand_still(probe)
+    motion.stand_still(probe)
 
 
 def _full_speed(probe: Probe, command: Command) -> None:
     exchange = _speed_up(probe)
     probe.wait(exchange.sent_ns + _RAMP_NS + 500 * MS - probe.gate.now_ns())
     _expect(probe, _FULL, "turns at full speed")
-    moving.stand_still(probe)
+    motion.stand_still(probe)
 
 
 def _slowing_down(probe: Probe, command: Command) -> None:
     exchange = _speed_up(probe)
     probe.wait(exchange.sent_ns + _RAMP_NS + 500 * MS - probe.gate.now_ns())
-    moving.stop(probe, _RAMP)
-    turning = moving.speed(probe)
+    motion.stop(probe, _RAMP)
+    turning = motion.speed(probe)
     seen, asked = _status(probe)
-    moving.wait_standing(probe)
+    motion.wait_standing(probe)
     if abs(turning.value) < 2:
         raise Inconclusive("the shaft stood too soon to see it slow down")
     if seen == _STOPPED and "status-stops-early" in probe.claim.quirks:
@@ -167,7 +168,7 @@ def _after_a_move(probe: Probe, command: Command) -> None:
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
     journey.prepare(probe, move)
     journey.begin(probe, move, 0.25, acceleration=QUICK)
-    moving.wait_standing(probe)
+    motion.wait_standing(probe)
     seen, exchange = _status(probe)
     if seen == _DOWN and "status-stays-slowing" in probe.claim.quirks:
         probe.wait(_STAYS_NS)
@@ -178,13 +179,13 @@ def _after_a_move(probe: Probe, command: Command) -> None:
 
 
 def _follows(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=journey.SUBDIVISION)
     _expect(probe, _STOPPED, "stands")
     exchange = _speed_up(probe)
     _expect(probe, _UP, "speeds up")
     probe.wait(exchange.sent_ns + _RAMP_NS + SECOND_NS - probe.gate.now_ns())
     _expect(probe, _FULL, "turns at full speed")
-    moving.stand_still(probe)
+    motion.stand_still(probe)
     probe.wait(_STAYS_NS)
     _expect(probe, _STOPPED, "has stopped")
 
@@ -198,7 +199,7 @@ def _in_a_move(probe: Probe, command: Command) -> None:
     _expect(probe, _UP, "speeds up on a move")
     probe.wait(exchange.sent_ns + _RAMP_NS + 200 * MS - probe.gate.now_ns())
     _expect(probe, _FULL, "turns at full speed on a move")
-    moving.wait_standing(probe)
+    motion.wait_standing(probe)
     probe.wait(_STAYS_NS)
     _expect(probe, _STOPPED, "has ended a move")
 
@@ -212,7 +213,7 @@ def _plain(command: Command) -> dict[str, int]:
     plain = {"speed": 60, "acceleration": QUICK, "pulses": 800, "position": 4000, "enabled": 1, "limit_remap": 0}
     values = {n: plain.get(n, f.low) for n, f in named.items() if f.fixed is None}
     if "save_state" in named:
-        values["save_state"] = moving.choice(command, "save_state", "clean")
+        values["save_state"] = motion.choice(command, "save_state", "clean")
     return values
 
 
@@ -225,16 +226,16 @@ def _ask_plainly(probe: Probe, command: Command) -> Exchange:
 
 def expect_refused(probe: Probe, command: Command, why: str, again: Callable[[], None] | None = None) -> None:
     """Ask for a motion and refute unless it is refused and turns nothing, also after `again` (enabling, for instance)."""
-    before = moving.position(probe)
+    before = motion.position(probe)
     exchange = _ask_plainly(probe, command)
     answer = probe.reply(exchange)
     probe.wait(SECOND_NS)
     if again is not None:
         again()
         probe.wait(SECOND_NS)
-    after = moving.position(probe)
+    after = motion.position(probe)
     if abs(after.value - before.value) > SAME and Verb.RUN_SPEED in probe.dialect.by_verb:
-        moving.stop(probe)
+        motion.stop(probe)
     expect_stays(before, after, exchange, f"{command.name} {why} turns the shaft")
     if not probe.refused(exchange):
         text = f"{command.name} {why} is not refused"
@@ -242,7 +243,7 @@ def expect_refused(probe: Probe, command: Command, why: str, again: Callable[[],
 
 
 def _disabled(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     probe.do(Verb.ENABLE, {"enabled": 0})
     expect_refused(probe, command, "while disabled", lambda: _enable(probe))
 
@@ -253,10 +254,10 @@ def _enable(probe: Probe) -> None:
 
 def _pulse_modes(probe: Probe) -> list[str]:
     field = probe.command(Verb.SET_WORK_MODE).request_forms[0].layout.named["work_mode"]
-    return [name for name in field.choice_names.values() if name not in moving.bus_modes(probe.dialect)]
+    return [name for name in field.choice_names.values() if name not in motion.bus_modes(probe.dialect)]
 
 
 def _in_pulse_modes(probe: Probe, command: Command) -> None:
     for mode in _pulse_modes(probe):
-        moving.set_mode(probe, mode)
+        motion.set_mode(probe, mode)
         expect_refused(probe, command, f"in mode {mode}")

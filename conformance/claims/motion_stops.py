@@ -15,13 +15,13 @@ from collections.abc import Iterator
 from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Verb
-from conformance import journey, moving
 from conformance.claim import Claim, Inconclusive
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import expect_stays, motion_claim, refute
-from conformance.exchange import Exchange
-from conformance.moving import MS, QUICK, SAME, SECOND_NS, Sample
-from conformance.probe import Probe, Until
+from conformance.motion import motion, moves
+from conformance.motion.motion import MS, QUICK, SAME, SECOND_NS, Sample
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe, Until
 
 #: 10 ms for each rpm: from 120 rpm the shaft needs 1.2 s.
 _SLOW_RAMP, _RPM, _RAMP_NS = 56, 120, 1200 * MS
@@ -34,7 +34,7 @@ _GO_ON_NS = 500 * MS
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims about stops."""
-    for run_verb, stop_verb in journey.STOP_OF.items():
+    for run_verb, stop_verb in moves.STOP_OF.items():
         yield from _about(dialect, dialect.by_verb[run_verb], dialect.by_verb[stop_verb])
     yield from _emergency(dialect)
     yield from _enabling(dialect)
@@ -60,7 +60,7 @@ def _about(dialect: Dialect, run: Command, stop: Command) -> Iterator[Claim]:
         "a shaft that moves again",
         partial(_stays_stopped, run.name),
     )
-    if journey.tells(dialect):
+    if moves.tells(dialect):
         yield made(
             "replies",
             f"{stop.name} is answered by 1 when it begins and by 2 (or 3, at an end limit) when the shaft stands.",
@@ -80,18 +80,18 @@ def _about(dialect: Dialect, run: Command, stop: Command) -> Iterator[Claim]:
 def set_going(probe: Probe, name: str, rpm: int = _RPM) -> Exchange:
     """Begin a run, or a move that is too long to end by itself, and let the shaft come to its speed."""
     command = probe.command(name)
-    journey.prepare(probe, command)
+    moves.prepare(probe, command)
     if command.verb is Verb.RUN_SPEED:
-        exchange = moving.run_at(probe, rpm, QUICK)
+        exchange = motion.run_at(probe, rpm, QUICK)
     else:
         # Five turns: at 120 rpm 2.5 s, of which a late reply may take 0.7 and the ramp down 1.2.
-        exchange = journey.begin(probe, command, 5.0, speed=rpm, acceleration=QUICK)
+        exchange = moves.begin(probe, command, 5.0, speed=rpm, acceleration=QUICK)
     probe.wait(_GO_ON_NS)
     return exchange
 
 
 def _turning(probe: Probe, least: float) -> Sample:
-    seen = moving.speed(probe)
+    seen = motion.speed(probe)
     if abs(seen.value) < least:
         raise Inconclusive(f"the shaft does not turn before the stop ({seen.value:g} rpm)")
     return seen
@@ -108,7 +108,7 @@ def _by_ramp(run: str, probe: Probe, stop: Command) -> None:
     exchange = _ask_stop(probe, stop, _SLOW_RAMP)
     halfway = max(0, exchange.sent_ns + _RAMP_NS // 2 - probe.gate.now_ns())
     probe.wait(halfway)
-    seen = moving.speed(probe)
+    seen = motion.speed(probe)
     late = (seen.t_ns - exchange.sent_ns) / _RAMP_NS
     law = max(0.0, _RPM * (1 - late))
     if abs(abs(seen.value) - law) > _RPM / 4:
@@ -124,13 +124,13 @@ def _by_ramp(run: str, probe: Probe, stop: Command) -> None:
 
 
 def _expect_standing(probe: Probe, exchange: Exchange, text: str) -> None:
-    seen = moving.speed(probe)
-    before = moving.position(probe)
+    seen = motion.speed(probe)
+    before = motion.position(probe)
     probe.wait(300 * MS)
-    after = moving.position(probe)
+    after = motion.position(probe)
     if abs(seen.value) >= 1 or abs(after.value - before.value) > SAME:
         got = f"{seen.value:g} rpm, and {after.value - before.value:+.2f} degrees in 300 ms"
-        moving.stop(probe, 0)
+        motion.stop(probe, 0)
         raise refute(exchange, text, expected="a shaft that stands", got=got)
 
 
@@ -138,19 +138,19 @@ def _at_once(run: str, probe: Probe, stop: Command) -> None:
     set_going(probe, run, _CALM)
     _turning(probe, _CALM / 2)
     exchange = _ask_stop(probe, stop, 0)
-    at_once = moving.position(probe)
+    at_once = motion.position(probe)
     probe.wait(500 * MS)
     _expect_soon(probe, exchange, at_once, f"{stop.name} with acceleration 0 does not stop the shaft at once")
 
 
 def _expect_soon(probe: Probe, exchange: Exchange, at_once: Sample, text: str) -> None:
     """Refute where the shaft went on after it was to stand."""
-    later = moving.position(probe)
+    later = motion.position(probe)
     probe.wait(300 * MS)
-    end = moving.position(probe)
+    end = motion.position(probe)
     went = max(abs(later.value - at_once.value), abs(end.value - at_once.value))
     if went > SAME:
-        moving.stop(probe)
+        motion.stop(probe)
         got = f"{went:.2f} degrees in {(end.t_ns - at_once.t_ns) / 1e6:.0f} ms"
         raise refute(exchange, text, expected="no motion after the reply", got=got)
 
@@ -158,18 +158,18 @@ def _expect_soon(probe: Probe, exchange: Exchange, at_once: Sample, text: str) -
 def _stays_stopped(run: str, probe: Probe, stop: Command) -> None:
     set_going(probe, run)
     exchange = _ask_stop(probe, stop, QUICK)
-    stopped = moving.wait_standing(probe)
+    stopped = motion.wait_standing(probe)
     probe.wait(3 * SECOND_NS)
-    expect_stays(stopped, moving.wait_standing(probe), exchange, f"the shaft moves again after {stop.name}")
+    expect_stays(stopped, motion.wait_standing(probe), exchange, f"the shaft moves again after {stop.name}")
 
 
 def _replies(run: str, probe: Probe, stop: Command) -> None:
     set_going(probe, run)
     before = len(probe.traffic)
     exchange = _ask_stop(probe, stop, _SLOW_RAMP, Until.DONE)
-    moving.wait_standing(probe)
+    motion.wait_standing(probe)
     probe.wait(3 * SECOND_NS)
-    answers = journey.told(probe.traffic[before:], stop)
+    answers = moves.told(probe.traffic[before:], stop)
     statuses = [a.values[stop.replies.status] for a in answers]
     if statuses not in ([1, 2], [1, 3]):
         got = ", ".join(map(str, statuses)) or "none"
@@ -183,8 +183,8 @@ def _told_when_standing(run: str, probe: Probe, stop: Command) -> None:
     probe.reply(exchange)
     if exchange.status(stop.replies.status)[-1:] not in ([2], [3]):
         raise Inconclusive(f"{stop.name} did not say that it was complete")
-    at_once = moving.position(probe)
-    off = abs(moving.wait_standing(probe).value - at_once.value)
+    at_once = motion.position(probe)
+    off = abs(motion.wait_standing(probe).value - at_once.value)
     if SAME < off <= _SETTLING and "settling" in probe.claim.quirks:
         probe.meets("settling")
     elif off > SAME:
@@ -218,7 +218,7 @@ def _emergency(dialect: Dialect) -> Iterator[Claim]:
         risks=dialect.by_verb[Verb.RUN_SPEED].all_risks,
         at_best=Certainty.LIKELY,
     )
-    if journey.tells(dialect):
+    if moves.tells(dialect):
         yield motion_claim(
             dialect,
             stop,
@@ -234,9 +234,9 @@ def _emergency_ends(run: str, probe: Probe, stop: Command) -> None:
     set_going(probe, run, _CALM)
     _turning(probe, _CALM / 2)
     exchange = probe.ask(stop, quiet_ns=0)
-    at_once = moving.position(probe)
+    at_once = motion.position(probe)
     if probe.refused(exchange):
-        moving.stop(probe)
+        motion.stop(probe)
         raise refute(exchange, "the emergency stop is refused", expected="status 1", got="a refusal")
     probe.wait(5 * SECOND_NS)
     _expect_soon(probe, exchange, at_once, "the emergency stop does not stop the shaft at once")
@@ -248,10 +248,10 @@ def _emergency_keeps_torque(probe: Probe, stop: Command) -> None:
     probe.wait(500 * MS)
     if Verb.READ_ENABLED in probe.dialect.by_verb and not probe.read(Verb.READ_ENABLED, "enabled"):
         raise refute(exchange, "the emergency stop disables the motor", expected="enabled", got="disabled")
-    before = moving.position(probe)
-    moving.run_at(probe, _CALM, QUICK)
+    before = motion.position(probe)
+    motion.run_at(probe, _CALM, QUICK)
     probe.wait(500 * MS)
-    after = moving.stand_still(probe)
+    after = motion.stand_still(probe)
     if abs(after.value - before.value) < 10:
         text = "the next run after an emergency stop does not move the shaft"
         raise refute(probe.traffic[-1], text, expected="motion", got=f"{after.value - before.value:+.2f} degrees")
@@ -265,7 +265,7 @@ def _emergency_replies(probe: Probe, stop: Command) -> None:
     if answer.values.get("status") != 1:
         raise refute(exchange, "the emergency stop is not answered by 1", expected="1", got=str(answer.values.get("status")))
     probe.wait(5 * SECOND_NS)
-    told = [a.values["status"] for a in journey.told(probe.traffic, move)]
+    told = [a.values["status"] for a in moves.told(probe.traffic, move)]
     if told != [1]:
         text = "a move that the emergency stop ended is told as complete"
         raise refute(exchange, text, expected="1 alone", got=", ".join(map(str, told)))
@@ -294,7 +294,7 @@ def _enabling(dialect: Dialect) -> Iterator[Claim]:
 
 
 def _enabled_is_read(probe: Probe, enable: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     for wanted in (0, 1, 0, 1):
         exchange = probe.do(enable, {"enabled": wanted})
         seen = probe.read(Verb.READ_ENABLED, "enabled")

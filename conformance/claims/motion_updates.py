@@ -14,11 +14,12 @@ from collections.abc import Iterator
 from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Verb
-from conformance import journey, moving
 from conformance.claim import Claim
 from conformance.claims.motion_claim import expect_speed, motion_claim, refute
-from conformance.moving import MS, QUICK, SAME, SECOND_NS
-from conformance.probe import Probe
+from conformance.motion import motion
+from conformance.motion import moves as journey
+from conformance.motion.motion import MS, QUICK, SAME, SECOND_NS
+from conformance.talk.probe import Probe
 
 #: The older move: two turns at 30 rpm last four seconds; the newer one comes after one.
 _TURNS, _RPM, _WHEN_NS = 2.0, 30, SECOND_NS
@@ -106,7 +107,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
 def _under_way(probe: Probe, command: Command) -> float:
     """Begin the older move and let a while pass; return where it began, in degrees."""
     journey.prepare(probe, command)
-    start = moving.position(probe)
+    start = motion.position(probe)
     journey.begin(probe, command, _TURNS, speed=_RPM, acceleration=QUICK)
     probe.wait(_WHEN_NS)
     return start.value
@@ -114,9 +115,9 @@ def _under_way(probe: Probe, command: Command) -> float:
 
 def _newer_target(probe: Probe, command: Command) -> None:
     start = _under_way(probe, command)
-    here = moving.position(probe)
+    here = motion.position(probe)
     exchange = journey.begin(probe, command, 0.25, speed=_NEWER_RPM, acceleration=QUICK)
-    end = moving.wait_standing(probe)
+    end = motion.wait_standing(probe)
     # The shaft went on between the look at it and the newer command: at 30 rpm by 180 degrees a second.
     looked_ns = exchange.sent_ns - here.t_ns + here.spread_ns
     slack = _RPM * 6 * looked_ns / 1e9 + 5
@@ -135,8 +136,8 @@ def _newer_speed(probe: Probe, command: Command) -> None:
     _under_way(probe, command)
     exchange = journey.begin(probe, command, _TURNS, speed=_NEWER_RPM, acceleration=QUICK)
     probe.wait(300 * MS)
-    seen = moving.speed(probe)
-    moving.wait_standing(probe)
+    seen = motion.speed(probe)
+    motion.wait_standing(probe)
     expect_speed(seen, _NEWER_RPM, exchange, f"{command.name}: a newer one does not give the shaft its speed")
 
 
@@ -147,7 +148,7 @@ def _superseded(probe: Probe, command: Command) -> None:
     exchange = journey.begin(probe, command, 0.5, speed=_RPM // 2, acceleration=QUICK)
     # Listened to, not asked: a request could collide with what is told.
     probe.wait(5 * SECOND_NS)
-    moving.wait_standing(probe)
+    motion.wait_standing(probe)
     statuses = [a.values[command.replies.status] for a in journey.told(probe.traffic[before:], command)]
     if statuses != [1, 2]:
         raise refute(
@@ -163,8 +164,8 @@ def _without_stop(probe: Probe, command: Command) -> None:
     journey.begin(probe, command, _TURNS, speed=_NEWER_RPM, acceleration=56)
     probe.wait(SECOND_NS)
     exchange = journey.begin(probe, command, _TURNS, speed=_NEWER_RPM, acceleration=56, quiet_ns=0)
-    seen = moving.speed(probe)
-    moving.wait_standing(probe)
+    seen = motion.speed(probe)
+    motion.wait_standing(probe)
     if abs(seen.value) < _NEWER_RPM * 0.8:
         raise refute(
             exchange,
@@ -176,12 +177,12 @@ def _without_stop(probe: Probe, command: Command) -> None:
 
 def _back(probe: Probe, command: Command) -> None:
     journey.prepare(probe, command)
-    start, home = moving.position(probe), journey.place(probe, command)
+    start, home = motion.position(probe), journey.place(probe, command)
     journey.begin(probe, command, _TURNS, speed=_RPM, acceleration=QUICK)
     probe.wait(_WHEN_NS)
     values = journey.values_of(command, -1000, _NEWER_RPM, QUICK, home)
     exchange = probe.do(command, values)
-    end = moving.wait_standing(probe)
+    end = motion.wait_standing(probe)
     expected = -1000 * 360 / journey.units_per_turn(command)
     if abs(end.value - start.value - expected) > SAME:
         raise refute(
@@ -194,11 +195,11 @@ def _back(probe: Probe, command: Command) -> None:
 
 def _after_run(probe: Probe, command: Command) -> None:
     journey.prepare(probe, command)
-    start, home = moving.position(probe), journey.place(probe, command)
-    moving.run_at(probe, _RPM, QUICK)
+    start, home = motion.position(probe), journey.place(probe, command)
+    motion.run_at(probe, _RPM, QUICK)
     probe.wait(500 * MS)
     exchange = probe.do(command, journey.values_of(command, 3000, _NEWER_RPM, QUICK, home))
-    end = moving.wait_standing(probe)
+    end = motion.wait_standing(probe)
     expected = 3000 * 360 / journey.units_per_turn(command)
     if abs(end.value - start.value - expected) > SAME:
         raise refute(
@@ -214,16 +215,16 @@ def _run_after_move(probe: Probe, command: Command) -> None:
     journey.prepare(probe, move)
     journey.begin(probe, move, 0.5, speed=_RPM, acceleration=QUICK)
     probe.wait(300 * MS)
-    exchange = moving.run_at(probe, _RPM, QUICK)
+    exchange = motion.run_at(probe, _RPM, QUICK)
     probe.wait(3 * SECOND_NS)
-    seen = moving.speed(probe)
-    moving.stand_still(probe)
+    seen = motion.speed(probe)
+    motion.stand_still(probe)
     expect_speed(seen, _RPM, exchange, "a run does not take over from a move")
 
 
 def _speed_0(probe: Probe, command: Command) -> None:
     journey.prepare(probe, command)
-    moving.run_at(probe, _NEWER_RPM, QUICK)
+    motion.run_at(probe, _NEWER_RPM, QUICK)
     probe.wait(500 * MS)
     if command.verb is Verb.RUN_SPEED:
         # With direction 0 as well it would be the stop of this command.
@@ -231,6 +232,6 @@ def _speed_0(probe: Probe, command: Command) -> None:
     else:
         exchange = journey.ask(probe, command, 0.25, speed=0, acceleration=QUICK)
     probe.wait(SECOND_NS)
-    seen = moving.speed(probe)
-    moving.stand_still(probe)
+    seen = motion.speed(probe)
+    motion.stand_still(probe)
     expect_speed(seen, 0, exchange, f"{command.name} with speed 0 does not stop the shaft")

@@ -15,12 +15,12 @@ from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.protocols.mks_shared import COUNTS_PER_TURN
-from conformance import journey, moving
 from conformance.claim import Claim, Inconclusive
 from conformance.claims import world
 from conformance.claims.motion_claim import motion_claim, refute
-from conformance.moving import MS, QUICK, SECOND_NS
-from conformance.probe import Probe
+from conformance.motion import motion, moves
+from conformance.motion.motion import MS, QUICK, SECOND_NS
+from conformance.talk.probe import Probe
 
 _START_NS = 3 * SECOND_NS
 #: How long the way back takes at the slowest: less than a turn.
@@ -129,13 +129,13 @@ def _about_zero(dialect: Dialect, zero: Command) -> Iterator[Claim]:
 
 def _keep_zero(probe: Probe, mode: int, direction: int, turns: float, speed: int = 4, keep: int = 1) -> float:
     """Keep where the shaft is as zero, go away from it and cut the power; return where the zero is (counts of its own)."""
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
-    journey.travel(probe, move, 0.1)
+    moves.travel(probe, move, 0.1)
     zero = world.shaft(probe)
     values = {"zero_mode": mode, "set_zero": keep, "zero_speed": speed, "zero_direction": direction}
     probe.do(Verb.SET_ZERO_MODE, values)
-    journey.travel(probe, move, turns)
+    moves.travel(probe, move, turns)
     world.power_cycle(probe)
     return zero
 
@@ -168,7 +168,7 @@ def _faster(probe: Probe, command: Command) -> None:
     for speed in (0, 2, 4):
         zero = _keep_zero(probe, _NEAR, _CW, 0.4, speed)
         begun_ns = probe.gate.now_ns()
-        journey.watch(probe, partial(_is_at, probe, zero), every_ns=5 * MS, limit_ns=_START_NS + _BACK_NS)
+        moves.watch(probe, partial(_is_at, probe, zero), every_ns=5 * MS, limit_ns=_START_NS + _BACK_NS)
         took.append((probe.gate.now_ns() - begun_ns) / 1e6)
     if not took[0] > took[1] > took[2]:
         text = "a higher zero_speed does not bring the shaft back faster"
@@ -182,7 +182,7 @@ def _is_at(probe: Probe, place: float) -> bool:
 
 def _zero_status(probe: Probe, command: Command) -> None:
     _keep_zero(probe, _NEAR, _CW, 0.49, 0)
-    journey.watch(probe, lambda: not probe.ask(command, quiet_ns=0).silent, every_ns=50 * MS, limit_ns=5 * SECOND_NS)
+    moves.watch(probe, lambda: not probe.ask(command, quiet_ns=0).silent, every_ns=50 * MS, limit_ns=5 * SECOND_NS)
     # The first answer since the start: at the slowest the way back takes a second.
     during = probe.reply(probe.traffic[-1]).values["status"]
     probe.wait(_BACK_NS)
@@ -197,15 +197,15 @@ def _zero_status(probe: Probe, command: Command) -> None:
 
 def _save(probe: Probe, state: str) -> None:
     command = probe.command(Verb.SAVE_SPEED)
-    probe.do(command, {"save_state": moving.choice(command, "save_state", state)})
+    probe.do(command, {"save_state": motion.choice(command, "save_state", state)})
 
 
 def _run_and_save(probe: Probe, direction: int) -> float:
     """Run, save the run and stop; return the speed that the shaft had."""
-    moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
-    moving.run_at(probe, -90 if direction else 90, QUICK)
+    motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
+    motion.run_at(probe, -90 if direction else 90, QUICK)
     probe.wait(500 * MS)
-    speed = moving.speed(probe).value
+    speed = motion.speed(probe).value
     if abs(speed) < 10:
         raise Inconclusive("the shaft does not turn before its run is saved")
     _save(probe, "save")
@@ -215,12 +215,12 @@ def _run_and_save(probe: Probe, direction: int) -> float:
 def _after_power(probe: Probe) -> float:
     world.power_cycle(probe)
     probe.wait(_START_NS)
-    return moving.speed(probe).value
+    return motion.speed(probe).value
 
 
 def _saved_run(direction: int, probe: Probe, command: Command) -> None:
     before = _run_and_save(probe, direction)
-    moving.stand_still(probe)
+    motion.stand_still(probe)
     after = _after_power(probe)
     if abs(after - before) > 2:
         text = "a saved run does not go on when power comes on"
@@ -240,14 +240,14 @@ def _cleaned(probe: Probe, command: Command) -> None:
 
 
 def _none_saved(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
-    moving.run_at(probe, 90, QUICK)
+    motion.ready_to_move(probe)
+    motion.run_at(probe, 90, QUICK)
     probe.wait(500 * MS)
     _expect_no_run(probe, "although no run was saved")
 
 
 def _locked(value: int, probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     probe.do(command, {"axis_lock": value})
     world.power_cycle(probe)
     probe.wait(_START_NS)
@@ -261,12 +261,12 @@ def _locked(value: int, probe: Probe, command: Command) -> None:
 
 
 def _restart_ends(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
-    moving.run_at(probe, 60, QUICK)
+    motion.ready_to_move(probe)
+    motion.run_at(probe, 60, QUICK)
     probe.wait(500 * MS)
     exchange = probe.ask(command)
     probe.wait(_START_NS)
-    seen = moving.speed(probe)
+    seen = motion.speed(probe)
     if abs(seen.value) >= 1:
-        moving.stop(probe)
+        motion.stop(probe)
         raise refute(exchange, "a run goes on after a restart", expected="0 rpm", got=f"{seen.value:g} rpm")

@@ -13,14 +13,15 @@ from collections.abc import Iterator
 from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Verb
-from conformance import journey, moving
 from conformance.claim import Claim, Inconclusive
 from conformance.claims import world
 from conformance.claims.motion_claim import motion_claim, refute
 from conformance.claims.motion_states import expect_refused
-from conformance.exchange import Exchange
-from conformance.moving import QUICK, SECOND_NS
-from conformance.probe import Probe
+from conformance.motion import motion
+from conformance.motion import moves as journey
+from conformance.motion.motion import QUICK, SECOND_NS
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
 
 _TURNS = 2.0
 
@@ -112,10 +113,10 @@ def _lets_go(probe: Probe, command: Command) -> None:
     exchange = _held_move(probe, _TURNS)
     _expect(probe, exchange, 1, "3E does not read protected after the shaft was held")
     world.hold(probe, False)
-    before = moving.position(probe)
+    before = motion.position(probe)
     probe.wait(SECOND_NS)
-    after = moving.position(probe)
-    if abs(after.value - before.value) > moving.SAME:
+    after = motion.position(probe)
+    if abs(after.value - before.value) > motion.SAME:
         text = "the motor goes on when the held shaft is let go"
         raise refute(exchange, text, expected="no motion", got=f"{after.value - before.value:+.2f} degrees")
 
@@ -137,10 +138,10 @@ def _releases(probe: Probe, command: Command) -> None:
     exchange = probe.do(command)
     _expect(probe, exchange, 0, "3E reads protected after 3D")
     probe.do(Verb.ENABLE, {"enabled": 1})
-    before = moving.position(probe)
-    moving.run_at(probe, 60, QUICK)
+    before = motion.position(probe)
+    motion.run_at(probe, 60, QUICK)
     probe.wait(SECOND_NS)
-    after = moving.stand_still(probe)
+    after = motion.stand_still(probe)
     if abs(after.value - before.value) < 10:
         text = "the motor does not move after 3D"
         raise refute(exchange, text, expected="motion", got=f"{after.value - before.value:+.2f} degrees")
@@ -173,4 +174,4 @@ def _tolerance(probe: Probe, command: Command) -> None:
         world.hold(probe, False)
         probe.do(Verb.RELEASE_PROTECTION)
         probe.do(Verb.ENABLE, {"enabled": 1})
-        moving.stand_still(probe)
+        motion.stand_still(probe)

@@ -9,7 +9,7 @@ One claim for each field and each of these, made from the fields of the catalogu
 can say that they were refused; motion stands in `ranges_motion`, settings of the link in `ranges_link`, LK in `ranges_lk`.
 
 Rules kept here:
-- All fields but the one in question have plain values (`conformance.samples`).
+- All fields but the one in question have plain values (`conformance.talk.samples`).
 - Where the limit is one of the model, a drive on hardware is only judged when its model is known.
 - That a value outside is refused is likely, not certain: the manuals list the values and say "set fail" without saying when.
 """
@@ -23,13 +23,15 @@ from typing import Any
 from analyzer import dialects as registry
 from analyzer.catalogue import Certainty, Command, Dialect, Form, Risk, Verb
 from analyzer.layout import Field, Kind
-from conformance import limits, moving, samples
 from conformance.claim import Aspect, Claim, Inconclusive, NotRun, Refuted, Theme
 from conformance.claims import effects, ranges_link, ranges_lk, ranges_motion
 from conformance.claims.answers import Taken, accept, refusable, refuse, resting, take, with_reserved
 from conformance.claims.declare import declare
 from conformance.claims.requests import needs_motion
-from conformance.probe import Probe
+from conformance.model import limits
+from conformance.motion import motion
+from conformance.talk import samples
+from conformance.talk.probe import Probe
 
 #: Errata by field, of whatever dialect: they say which values are allowed.
 ERRATA: Mapping[str, tuple[str, ...]] = {
@@ -122,7 +124,7 @@ def _of_field(dialect: Dialect, command: Command, form: Form, field: Field) -> I
 @cache
 def _drawn(dialect: str, model: str, command: str, name: str, where: str, count: int) -> tuple[int, ...]:
     """Return values of a field drawn by Hypothesis; the same in each run."""
-    from conformance import strategies
+    from conformance.model import strategies
 
     spoken = registry.get(dialect)
     found = (spoken.for_model(model) if model else spoken).by_name[command]
@@ -164,7 +166,7 @@ def plain(probe: Probe, command: Command, form: Form, **changed: int) -> dict[st
 def prepare(probe: Probe, command: Command) -> None:
     """Bring the drive into a state in which nothing but its values can be wrong with a command."""
     if needs_motion(command):
-        moving.ready_to_move(probe)
+        motion.ready_to_move(probe)
 
 
 def need_model(probe: Probe, field: Field) -> None:
@@ -193,8 +195,8 @@ def needs(dialect: Dialect, command: Command, every: Iterable[Mapping[str, Any]]
         risks |= command.risks(values)
     names = [name for form in command.request_forms for name in form.layout.named] if Risk.SETTING in risks else []
     if needs_motion(command):
-        risks |= moving.risks(dialect)
-        names += moving.settings(dialect)
+        risks |= motion.risks(dialect)
+        names += motion.settings(dialect)
     wipes = Risk.DESTRUCTIVE in risks or command.verb is Verb.CALIBRATE
     return {
         "risks": frozenset(risks) - {Risk.READ},

@@ -25,9 +25,9 @@ from conformance.claims.answers import Taken, accept, answers, judged, sound
 from conformance.claims.declare import declare
 from conformance.claims.known_quirks import known
 from conformance.drives.speed import SPEEDS
-from conformance.exchange import Exchange
-from conformance.moving import MS
-from conformance.probe import Probe, Until
+from conformance.motion.motion import MS
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe, Until
 
 #: A drive that changes its link gets so long for it.
 SETTLE_NS = 200 * MS

@@ -16,14 +16,15 @@ from collections.abc import Callable, Iterator
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.layout import Field
-from conformance import limits, moving
 from conformance.claim import Claim, Inconclusive, Refuted
 from conformance.claims.ranges_lk_angles import angles, brake, positions
 from conformance.claims.ranges_lk_looks import LEAST, STILL, WIDE, begun, claim_of, moderate, obeyed, stays
 from conformance.claims.ranges_lk_parameters import models, parameters
-from conformance.exchange import Exchange
-from conformance.moving import MS
-from conformance.probe import Probe
+from conformance.model import limits
+from conformance.motion import motion
+from conformance.motion.motion import MS
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
 
 ZERO_SPEED = "lk-zero-speed-moves"
 #: A move that is to be looked at on its way is over by then.
@@ -70,7 +71,7 @@ def _sign(value: int) -> int:
 def _obeying(dialect: Dialect, command: Command, field: Field, what: str, values: tuple[int, ...]) -> Claim:
     def check(probe: Probe) -> None:
         for value in values:
-            moving.ready_to_move(probe)
+            motion.ready_to_move(probe)
             gone, exchange = begun(probe, command, moderate(command, **{field.name: value}))
             obeyed(command, f"{field.name} {value}", gone, _sign(value), exchange)
 
@@ -83,7 +84,7 @@ def _obeying(dialect: Dialect, command: Command, field: Field, what: str, values
 
 def _ignoring(dialect: Dialect, command: Command, field: Field, what: str, values: tuple[int, ...]) -> Claim:
     def check(probe: Probe) -> None:
-        moving.ready_to_move(probe)
+        motion.ready_to_move(probe)
         gone, _ = begun(probe, command, {field.name: field.high // 4})
         if abs(gone) < LEAST:
             raise Inconclusive(f"{command.name} turns nothing, so nothing can be said of values that it ignores")
@@ -104,7 +105,7 @@ def _far(dialect: Dialect, command: Command, field: Field) -> Claim:
 
     def check(probe: Probe) -> None:
         for distance in distances:
-            moving.ready_to_move(probe)
+            motion.ready_to_move(probe)
             probe.do("set_position", {"position": 0})
             gone, exchange = begun(probe, command, moderate(command, **{field.name: distance}))
             obeyed(command, f"{field.name} {distance}", gone, _sign(distance), exchange)
@@ -120,12 +121,12 @@ def _speeds(dialect: Dialect, command: Command, field: Field) -> Iterator[Claim]
 
     def check(probe: Probe) -> None:
         for value in (WIDE, -WIDE):
-            moving.ready_to_move(probe)
+            motion.ready_to_move(probe)
             exchange = probe.ask(command, {field.name: value}, quiet_ns=0)
             probe.reply(exchange)
             probe.wait(600 * MS)
-            rpm = moving.speed(probe).value
-            moving.stand_still(probe)
+            rpm = motion.speed(probe).value
+            motion.stand_still(probe)
             _judge_width(command, field, value, rpm, exchange)
 
     yield claim_of(
@@ -158,12 +159,12 @@ def _max_speeds(dialect: Dialect, command: Command, field: Field) -> Iterator[Cl
         return {"position": 72_000, field.name: limit}
 
     def highest(probe: Probe) -> None:
-        moving.ready_to_move(probe)
+        motion.ready_to_move(probe)
         gone, exchange = begun(probe, command, values(probe, field.high))
         obeyed(command, f"{field.name} {field.high}", gone, 1, exchange)
 
     def lowest(probe: Probe) -> None:
-        moving.ready_to_move(probe)
+        motion.ready_to_move(probe)
         gone, exchange = begun(probe, command, values(probe, 0))
         if abs(gone) > STILL:
             probe.meets(ZERO_SPEED)
@@ -171,13 +172,13 @@ def _max_speeds(dialect: Dialect, command: Command, field: Field) -> Iterator[Cl
             stays(command, f"{field.name} 0", gone, exchange)
 
     def width(probe: Probe) -> None:
-        moving.ready_to_move(probe)
+        motion.ready_to_move(probe)
         exchange = probe.ask(command, values(probe, WIDE), quiet_ns=0)
         probe.reply(exchange)
         probe.wait(250 * MS)
-        rpm = moving.speed(probe).value
+        rpm = motion.speed(probe).value
         late_ns = probe.gate.now_ns() - exchange.sent_ns
-        moving.stand_still(probe)
+        motion.stand_still(probe)
         if late_ns > LATE_NS:
             raise Inconclusive("the speed was read when the move was over: replies are lost or late")
         _judge_width(command, field, WIDE, rpm, exchange)

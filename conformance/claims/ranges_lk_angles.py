@@ -12,13 +12,14 @@ from collections.abc import Callable, Iterator
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.layout import Field
-from conformance import limits, moving
 from conformance.claim import Aspect, Claim, Refuted, Theme
 from conformance.claims import ranges
 from conformance.claims.answers import with_reserved
 from conformance.claims.declare import declare
 from conformance.claims.ranges_lk_looks import LOOK_NS, MODERATE, SAME, begun, claim_of, moderate, stays
-from conformance.probe import Probe
+from conformance.model import limits
+from conformance.motion import motion
+from conformance.talk.probe import Probe
 
 # --- angles, directions, brake ----------------------------------------------------------------------------------------
 
@@ -28,18 +29,18 @@ def _apart(probe: Probe, angle: int) -> None:
     now = probe.read("read_single_turn")
     if min((now - angle) % 36_000, (angle - now) % 36_000) < 3_000:
         probe.do("move_increment_limited", {"position": 6_000, "max_speed": MODERATE})
-        moving.wait_standing(probe)
+        motion.wait_standing(probe)
 
 
 def angles(dialect: Dialect, command: Command, field: Field) -> Iterator[Claim]:
     """Make the claims about the angle and the direction of a single-turn move."""
 
     def there(probe: Probe, value: int, direction: int) -> None:
-        moving.ready_to_move(probe)
+        motion.ready_to_move(probe)
         _apart(probe, value)
         exchange = probe.ask(command, moderate(command, direction=direction, angle=value))
         probe.reply(exchange)
-        moving.wait_standing(probe)
+        motion.wait_standing(probe)
         now = probe.read("read_single_turn")
         off = min((now - value) % 36_000, (value - now) % 36_000) / 100
         if off > SAME:
@@ -49,7 +50,7 @@ def angles(dialect: Dialect, command: Command, field: Field) -> Iterator[Claim]:
             )  # fmt: skip
 
     def nothing(probe: Probe, values: dict[str, int]) -> None:
-        moving.ready_to_move(probe)
+        motion.ready_to_move(probe)
         _apart(probe, values["angle"] % 36_000)
         gone, exchange = begun(probe, command, moderate(command, **values))
         stays(command, " ".join(f"{n} {v}" for n, v in values.items()), gone, exchange)
@@ -102,20 +103,20 @@ def _reserved_move(dialect: Dialect, command: Command) -> Claim:
     mask = sum(limits.reserved_masks(form.layout))
 
     def check(probe: Probe) -> None:
-        moving.ready_to_move(probe)
+        motion.ready_to_move(probe)
         _apart(probe, 9_000)
         exchange = probe.ask_built(with_reserved(probe, command, form, moderate(command, direction=0, angle=9_000), mask))
         probe.reply(exchange)
         probe.wait(LOOK_NS)
-        rpm = moving.speed(probe).value
-        moving.stand_still(probe)
+        rpm = motion.speed(probe).value
+        motion.stand_still(probe)
         if rpm < 1:
             raise Refuted(f"{command.name} with its reserved byte set is not obeyed", expected="a shaft that turns",
                           got="a shaft that stays", exchange=exchange)  # fmt: skip
 
     return declare(
         dialect, Theme.RANGES, f"{command.name}/reserved", "The reserved byte of a move changes nothing.", "a shaft that stays",
-        check, command=command, at_best=Certainty.OPEN, aspect=Aspect.RANGE, risks=moving.risks(dialect),
+        check, command=command, at_best=Certainty.OPEN, aspect=Aspect.RANGE, risks=motion.risks(dialect),
         parameters={"mask": mask},
     )  # fmt: skip
 
@@ -153,7 +154,7 @@ def positions(dialect: Dialect, command: Command, field: Field) -> Iterator[Clai
 
     def read(values: tuple[int, ...]) -> Callable[[Probe], None]:
         def check(probe: Probe) -> None:
-            moving.stand_still(probe)
+            motion.stand_still(probe)
             for value in values:
                 exchange = probe.do(command, {field.name: value})
                 now = probe.read(Verb.READ_POSITION)

@@ -12,12 +12,12 @@ from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Risk
 from analyzer.layout import Field
-from conformance import moving
 from conformance.claim import Aspect, Claim, Refuted, Theme
 from conformance.claims.declare import declare
-from conformance.exchange import Exchange
-from conformance.moving import MS
-from conformance.probe import Probe
+from conformance.motion import motion
+from conformance.motion.motion import MS
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
 
 #: 60 rpm as sent, and 116 rpm, which needs more than 16 bits.
 MODERATE, WIDE = 36_000, 70_000
@@ -40,12 +40,12 @@ def begun(probe: Probe, command: Command, values: dict[str, int]) -> tuple[float
 
     Raises Inconclusive where it is not answered.
     """
-    start = moving.position(probe)
+    start = motion.position(probe)
     exchange = probe.ask(command, values)
     probe.reply(exchange)
     probe.wait(LOOK_NS)
-    gone = moving.position(probe).value - start.value
-    moving.stand_still(probe)
+    gone = motion.position(probe).value - start.value
+    motion.stand_still(probe)
     return gone, exchange
 
 
@@ -78,5 +78,5 @@ def claim_of(
     return declare(
         dialect, Theme.RANGES, f"{command.name}/{field.name}/{what}", statement, refuted_by, check, command=command,
         aspect=aspect, fields=(field.name,), parameters={"field": field.name, "values": values},
-        risks=moving.risks(dialect, *risks), **rest,
+        risks=motion.risks(dialect, *risks), **rest,
     )  # fmt: skip

@@ -14,12 +14,13 @@ from analyzer import dialects as registry
 from analyzer import encoder
 from analyzer.catalogue import Certainty, Command, Dialect, Form, Risk, Verb
 from analyzer.layout import Field
-from conformance import limits, moving
 from conformance.claim import Aspect, Claim, Inconclusive, Observed, Refuted, Theme
 from conformance.claims.answers import with_reserved
 from conformance.claims.declare import declare
 from conformance.claims.ranges_lk_looks import LOOK_NS, STILL
-from conformance.probe import Probe
+from conformance.model import limits
+from conformance.motion import motion
+from conformance.talk.probe import Probe
 
 OTHER_FIRMWARE = "lk-firmware-235"
 
@@ -132,12 +133,12 @@ def models(dialect: Dialect) -> Iterator[Claim]:
     def check(probe: Probe) -> None:
         obeyed = []
         for command in (torque, power):
-            moving.ready_to_move(probe)
+            motion.ready_to_move(probe)
             name, field = next(iter(command.request_forms[0].layout.named.items()))
-            start = moving.position(probe)
+            start = motion.position(probe)
             probe.send(probe.item(frame_of(probe, whole, command, {name: field.high // 4})), timeout_ns=LOOK_NS)
-            gone = moving.position(probe).value - start.value
-            moving.stand_still(probe)
+            gone = motion.position(probe).value - start.value
+            motion.stand_still(probe)
             if abs(gone) > STILL:
                 obeyed.append(command)
         foreign = [c for c in obeyed if probe.rig.model and probe.rig.model not in c.models]
@@ -150,7 +151,7 @@ def models(dialect: Dialect) -> Iterator[Claim]:
     yield declare(
         dialect, Theme.RANGES, "models", f"A motor obeys one of {torque.name} and {power.name}: {_whose(torque, power)}.",
         "a motor that obeys both, or the other model's", check, section=f"{power.section}, {torque.section}",
-        at_best=Certainty.LIKELY, risks=moving.risks(dialect, Risk.UNBOUNDED, Risk.TORQUE),
+        at_best=Certainty.LIKELY, risks=motion.risks(dialect, Risk.UNBOUNDED, Risk.TORQUE),
         commands=(torque.name, power.name),
     )  # fmt: skip
 

@@ -20,16 +20,17 @@ from typing import Any
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.layout import Field, Kind
 from analyzer.protocols.mks_shared import MODE_MAXIMUM_SPEEDS
-from conformance import journey, limits, moving
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims import effects, ranges
 from conformance.claims.answers import accept, refuse, with_reserved
 from conformance.claims.declare import declare
-from conformance.moving import MS, SECOND_NS
-from conformance.probe import Probe, Until
+from conformance.model import limits
+from conformance.motion import motion, moves
+from conformance.motion.motion import MS, SECOND_NS
+from conformance.talk.probe import Probe, Until
 
-RUNS = frozenset(journey.STOP_OF)
-STOPS = frozenset(journey.STOP_OF.values())
+RUNS = frozenset(moves.STOP_OF)
+STOPS = frozenset(moves.STOP_OF.values())
 
 #: How slow a move is whose distance does not matter, and how steep the ramp of one that is to reach a high speed. (Not 250:
 #: that byte begins a frame, and what follows it would have to be allowed as one.)
@@ -54,7 +55,7 @@ def turns(command: Command) -> bool:
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims about the ranges of motion commands."""
-    if not journey.is_mks(dialect):
+    if not moves.is_mks(dialect):
         return
     for command in dialect.commands:
         if turns(command):
@@ -63,7 +64,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
                     yield from _of_field(dialect, command, field)
         if command.verb in RUNS and _reserved_bits(command):
             yield _reserved(dialect, command)
-    for mode in moving.bus_modes(dialect):
+    for mode in motion.bus_modes(dialect):
         yield _mode_limit(dialect, mode)
 
 
@@ -96,10 +97,10 @@ def _of_field(dialect: Dialect, command: Command, field: Field) -> Iterator[Clai
 
 def base(probe: Probe, command: Command) -> int:
     """Return what a distance is added to: where an absolute move begins, 0 for others."""
-    start = journey.place(probe, command)
-    if journey.is_absolute(command):
+    start = moves.place(probe, command)
+    if moves.is_absolute(command):
         # A gate that bounds turns has to know where the shaft is.
-        probe.gate.note_position(moving.position(probe).value, probe.address, start if journey.by_pulses(command) else None)
+        probe.gate.note_position(motion.position(probe).value, probe.address, start if moves.by_pulses(command) else None)
     return start
 
 
@@ -108,9 +109,9 @@ def values_for(probe: Probe, command: Command, **changed: int) -> dict[str, Any]
     named = command.request_forms[0].layout.named
     values: dict[str, Any] = dict.fromkeys(named, 0)
     if command.verb in STOPS:
-        return values | {"acceleration": moving.GENTLE} | changed
-    values |= {"speed": SLOW, "acceleration": moving.GENTLE}
-    tenth = journey.units_per_turn(command) // 10
+        return values | {"acceleration": motion.GENTLE} | changed
+    values |= {"speed": SLOW, "acceleration": motion.GENTLE}
+    tenth = moves.units_per_turn(command) // 10
     if "pulses" in named:
         values["pulses"] = tenth
     if "position" in named:
@@ -121,7 +122,7 @@ def values_for(probe: Probe, command: Command, **changed: int) -> dict[str, Any]
 def far_values(probe: Probe, command: Command, turns: int = FAR_TURNS) -> dict[str, int]:
     """Return the distance field of a move so far that it is stopped before it ends; nothing for a run."""
     named = command.request_forms[0].layout.named
-    units = turns * journey.units_per_turn(command)
+    units = turns * moves.units_per_turn(command)
     if "pulses" in named:
         return {"pulses": units}
     if "position" in named:
@@ -133,22 +134,22 @@ def far_values(probe: Probe, command: Command, turns: int = FAR_TURNS) -> dict[s
 
 def end(probe: Probe, command: Command) -> None:
     """Stop what a command began, and wait until the shaft stands."""
-    stop = journey.STOP_OF.get(command.verb)
+    stop = moves.STOP_OF.get(command.verb)
     if stop is not None:
         # The end of a stop is told unasked: a request that is sent meanwhile would collide with it.
-        probe.ask(stop, {"acceleration": moving.GENTLE}, until=Until.DONE)
-    moving.wait_standing(probe)
+        probe.ask(stop, {"acceleration": motion.GENTLE}, until=Until.DONE)
+    motion.wait_standing(probe)
 
 
 def ready(probe: Probe, mode: str = "") -> None:
     """Make the drive ready, at a subdivision at which speeds are plain."""
-    moving.ready_to_move(probe, mode, subdivision=journey.SUBDIVISION)
+    motion.ready_to_move(probe, mode, subdivision=moves.SUBDIVISION)
 
 
 def _needs(dialect: Dialect, command: Command, *, stands: bool = False) -> dict[str, Any]:
     """Return what a claim must declare that begins a motion; `stands`: only at speed 0."""
     more = {Risk.UNBOUNDED} if command.verb is Verb.RUN_SPEED and not stands else set()
-    return {"risks": moving.risks(dialect, *more), "settings": moving.settings(dialect)}
+    return {"risks": motion.risks(dialect, *more), "settings": motion.settings(dialect)}
 
 
 # --- accepted and refused ---------------------------------------------------------------------------------------------
@@ -174,12 +175,12 @@ def _accepted(dialect: Dialect, command: Command, field: Field, what: str, value
 def _refused(dialect: Dialect, command: Command, field: Field, what: str, values: tuple[int, ...], words: str) -> Claim:
     def check(probe: Probe) -> None:
         ready(probe)
-        start = moving.position(probe)
+        start = motion.position(probe)
         for value in values:
             built = probe.build(command, values_for(probe, command, **{field.name: value}))
             exchange = refuse(probe, built, ranges.shown(field, value))
             probe.wait(100 * MS)
-            now = moving.position(probe)
+            now = motion.position(probe)
             if abs(now.value - start.value) > 1:
                 raise Refuted(
                     f"{command.name}: {ranges.shown(field, value)} is refused and moves the shaft",
@@ -212,7 +213,7 @@ def _reserved(dialect: Dialect, command: Command) -> Claim:
             probe.reply(exchange)
             refused = probe.refused(exchange)
             probe.wait(200 * MS)
-            rpm = abs(moving.speed(probe).value)
+            rpm = abs(motion.speed(probe).value)
             end(probe, command)
             if refused or abs(rpm - SLOW) > 2:
                 got = "a refusal" if refused else f"{rpm:.0f} rpm"
@@ -254,7 +255,7 @@ def _judge(command: Command, speed: int, expected: int, rpm: float, exchange: An
 
 
 def _too_fast(dialect: Dialect, command: Command, field: Field, values: tuple[int, ...]) -> Claim:
-    mode = moving.bus_modes(dialect)[-1]
+    mode = motion.bus_modes(dialect)[-1]
     highest = MODE_MAXIMUM_SPEEDS.get(mode, field.high)
 
     def check(probe: Probe) -> None:
@@ -309,7 +310,7 @@ def _mode_limit(dialect: Dialect, mode: str) -> Claim:
 def _width(dialect: Dialect, command: Command, field: Field) -> Claim:
     """Make the claim that every byte of a distance counts: a move of 256^n + a little is not one of a little."""
     signs = (1, -1) if field.kind is Kind.INT else (1,)
-    units = journey.units_per_turn(command)
+    units = moves.units_per_turn(command)
     little = units // 64
     distances = tuple(s * ((1 << shift) + little) for s in signs for shift in range(8, field.bit_width - (len(signs) - 1), 8))
 
@@ -320,11 +321,11 @@ def _width(dialect: Dialect, command: Command, field: Field) -> Claim:
             start = base(probe, command)
             if not field.low <= start + distance <= field.high:
                 raise Inconclusive(f"from {start} no move by {distance} fits the field")
-            before = moving.position(probe)
+            before = motion.position(probe)
             values = values_for(probe, command, speed=60, acceleration=STEEP, **{field.name: start + distance})
             exchange = accept(probe, command, values, f"a distance of {distance}")
             probe.wait(WATCH_NS)
-            gone = (moving.position(probe).value - before.value) / 360 * units
+            gone = (motion.position(probe).value - before.value) / 360 * units
             end(probe, command)
             least = min(abs(distance), units // 2)
             ways.add(gone * distance > 0)

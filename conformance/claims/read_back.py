@@ -27,8 +27,8 @@ from conformance.claims.answers import resting
 from conformance.claims.declare import declare
 from conformance.claims.effects import LINK_FIELDS
 from conformance.drives.speed import SPEEDS
-from conformance.exchange import Exchange
-from conformance.probe import Probe
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:

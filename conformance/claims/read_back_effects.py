@@ -18,13 +18,13 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
-from conformance import journey, moving
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims import effects, ranges
 from conformance.claims.declare import declare
 from conformance.claims.effects import BY_VERB, Effect
-from conformance.moving import MS
-from conformance.probe import Probe
+from conformance.motion import motion, moves
+from conformance.motion.motion import MS
+from conformance.talk.probe import Probe
 
 _HOMING = (Risk.MOTION, Risk.UNBOUNDED, Risk.TORQUE, Risk.SETTING)
 _SPEED_SHARE = 0.06
@@ -32,7 +32,7 @@ _SPEED_SHARE = 0.06
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims about what settings do."""
-    if not journey.is_mks(dialect):
+    if not moves.is_mks(dialect):
         return
     verbs = dialect.by_verb
     for verb, effect in BY_VERB.items():
@@ -89,7 +89,7 @@ def _home(dialect: Dialect, command: Command) -> Iterator[Claim]:
         return effects.homing(probe), exchange
 
     def speed(probe: Probe) -> None:
-        moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
+        motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
         for rpm in (90, 300):
             seen, exchange = begun(probe, home_speed=rpm)
             if abs(seen.rpm - rpm) > max(2.0, rpm * _SPEED_SHARE):
@@ -100,7 +100,7 @@ def _home(dialect: Dialect, command: Command) -> Iterator[Claim]:
 
     def opposite(name: str) -> Callable[[Probe], None]:
         def check(probe: Probe) -> None:
-            moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
+            motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
             (one, _), (other, exchange) = (begun(probe, **{name: value}) for value in (0, 1))
             if one.way == other.way:
                 raise Refuted(
@@ -120,7 +120,7 @@ def _home(dialect: Dialect, command: Command) -> Iterator[Claim]:
         yield declare(
             dialect, Theme.READ_BACK, f"{command.name}/{name}", statement, refuted_by, check, command=command,
             aspect=Aspect.STATE, fields=(name,), at_best=Certainty.CERTAIN if name != "home_trigger" else Certainty.LIKELY,
-            risks=moving.risks(dialect, *_HOMING), settings=moving.settings(dialect, *command.request_forms[0].layout.named),
+            risks=motion.risks(dialect, *_HOMING), settings=motion.settings(dialect, *command.request_forms[0].layout.named),
         )  # fmt: skip
 
 
@@ -130,7 +130,7 @@ def _home(dialect: Dialect, command: Command) -> Iterator[Claim]:
 def pulse_mode(dialect: Dialect) -> int:
     """Return a work mode in which pulses move the motor, closed loop."""
     field = dialect.by_verb[Verb.SET_WORK_MODE].request_forms[0].layout.named["work_mode"]
-    names = {v: n for v, n in field.choice_names.items() if n not in moving.bus_modes(dialect)}
+    names = {v: n for v, n in field.choice_names.items() if n not in motion.bus_modes(dialect)}
     return next((v for v, n in names.items() if "clos" in n), next(iter(names)))
 
 
@@ -164,7 +164,7 @@ def _axis_lock(dialect: Dialect, command: Command) -> Iterator[Claim]:
     setter = dialect.by_verb[Verb.SET_WORK_MODE]
 
     def check(probe: Probe) -> None:
-        bus = moving.choice(setter, "work_mode", moving.bus_modes(dialect)[-1])
+        bus = motion.choice(setter, "work_mode", motion.bus_modes(dialect)[-1])
         for value in (0, 1):
             exchange = probe.do(command, {"axis_lock": value})
             probe.do(setter, {"work_mode": pulse_mode(dialect)})
@@ -214,7 +214,7 @@ def _remap(dialect: Dialect, command: Command) -> Iterator[Claim]:
     def check(probe: Probe) -> None:
         if probe.drive is None or getattr(probe.drive, "model", "").startswith("57"):
             raise Inconclusive("a 57 has a port for each switch, so that nothing shows whether they are remapped")
-        moving.ready_to_move(probe)
+        motion.ready_to_move(probe)
         probe.drive.limit_switch("right", False)  # type: ignore[attr-defined]
         seen = []
         for value in (0, 1):
@@ -234,8 +234,8 @@ def _remap(dialect: Dialect, command: Command) -> Iterator[Claim]:
     yield declare(
         dialect, Theme.READ_BACK, f"{command.name}/effect", "With the ports remapped the right switch shows at in_2.",
         "a switch that does not show", check, command=command, aspect=Aspect.STATE, at_best=Certainty.LIKELY, emulated=True,
-        models=models, fields=("limit_remap",), risks=command.all_risks | moving.risks(dialect),
-        settings=moving.settings(dialect, "limit_remap"), errata=("mks-can-51", "mks-can-24"),
+        models=models, fields=("limit_remap",), risks=command.all_risks | motion.risks(dialect),
+        settings=motion.settings(dialect, "limit_remap"), errata=("mks-can-51", "mks-can-24"),
     )  # fmt: skip
 
 

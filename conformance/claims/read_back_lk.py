@@ -21,7 +21,7 @@ from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims.declare import declare
 from conformance.claims.ranges_lk_parameters import OTHER_FIRMWARE, read_parameter
 from conformance.claims.restarts import power_cycle
-from conformance.probe import Probe
+from conformance.talk.probe import Probe
 
 #: Hundredths of a degree of a turn.
 TURN = 36_000

@@ -17,7 +17,6 @@ from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.protocols.mks_shared import COUNTS_PER_TURN
-from conformance import journey, moving
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims import effects, ranges, ranges_link, read_back
 from conformance.claims.answers import answers, sound
@@ -25,8 +24,10 @@ from conformance.claims.declare import declare
 from conformance.claims.effects import LINK_FIELDS, STEEP, Effect
 from conformance.claims.known_quirks import known
 from conformance.claims.restarts import power_cycle, restart
-from conformance.moving import MS
-from conformance.probe import Probe
+from conformance.motion import motion
+from conformance.motion import moves as journey
+from conformance.motion.motion import MS
+from conformance.talk.probe import Probe
 
 #: How long a drive that cannot be asked meanwhile may take to come back.
 RESTORED_NS = 4_000 * MS
@@ -88,7 +89,7 @@ def _kept(dialect: Dialect, command: Command, effect: Effect, *, by_power: bool)
         else:
             restart(probe)
         if effect.moves and command.verb is not Verb.SET_WORK_MODE:
-            moving.ready_to_move(probe)
+            motion.ready_to_move(probe)
         after = effect.see(probe)
         if not effect.same(before, after):
             raise Refuted(
@@ -153,25 +154,25 @@ def _address(dialect: Dialect, command: Command) -> Claim:
 
 def _saved_run(dialect: Dialect, command: Command) -> Iterator[Claim]:
     def turning(probe: Probe, rpm: int) -> float:
-        moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
-        moving.run_at(probe, rpm)
+        motion.ready_to_move(probe, subdivision=journey.SUBDIVISION)
+        motion.run_at(probe, rpm)
         probe.wait(400 * MS)
-        return moving.speed(probe).value
+        return motion.speed(probe).value
 
     def after_restart(probe: Probe) -> tuple[float, Any]:
         exchange = restart(probe)
         probe.wait(600 * MS)
-        return moving.speed(probe).value, exchange
+        return motion.speed(probe).value, exchange
 
     def forget(probe: Probe) -> None:
         probe.ask(command, {"save_state": 0xCA})
-        moving.stand_still(probe)
+        motion.stand_still(probe)
 
     def again(rpm: int) -> Callable[[Probe], None]:
         def check(probe: Probe) -> None:
             before = turning(probe, rpm)
             probe.do(command, {"save_state": 0xC8})
-            moving.stand_still(probe)
+            motion.stand_still(probe)
             after, exchange = after_restart(probe)
             forget(probe)
             if abs(after - before) > max(2.0, abs(before) * _SHARE):
@@ -186,7 +187,7 @@ def _saved_run(dialect: Dialect, command: Command) -> Iterator[Claim]:
         turning(probe, _RPM)
         probe.do(command, {"save_state": 0xC8})
         probe.do(command, {"save_state": 0xCA})
-        moving.stand_still(probe)
+        motion.stand_still(probe)
         after, exchange = after_restart(probe)
         if abs(after) > 1:
             forget(probe)
@@ -194,7 +195,7 @@ def _saved_run(dialect: Dialect, command: Command) -> Iterator[Claim]:
                           got=f"{after:.0f} rpm", exchange=exchange, key="clean run")  # fmt: skip
 
     risks = command.risks({"save_state": 0xC8}) | command.risks({"save_state": 0xCA})
-    risks |= moving.risks(dialect, Risk.UNBOUNDED) | dialect.by_verb[Verb.RESTART].all_risks
+    risks |= motion.risks(dialect, Risk.UNBOUNDED) | dialect.by_verb[Verb.RESTART].all_risks
     errata = ("mks-can-67",)
     for name, statement, refuted_by, check in (
         ("restart", "A run that was kept begins again after a restart, the same way.", "another speed, or none", again(-_RPM)),
@@ -202,7 +203,7 @@ def _saved_run(dialect: Dialect, command: Command) -> Iterator[Claim]:
     ):
         yield declare(
             dialect, Theme.READ_BACK, f"{command.name}/{name}", statement, refuted_by, check, command=command,
-            aspect=Aspect.STATE, errata=errata, risks=risks, settings=moving.settings(dialect), fields=("save_state",),
+            aspect=Aspect.STATE, errata=errata, risks=risks, settings=motion.settings(dialect), fields=("save_state",),
         )  # fmt: skip
 
 
@@ -214,13 +215,13 @@ def _return(dialect: Dialect, command: Command) -> Claim:
     """Make the claim about the way back to zero at power-on: a shaft a quarter of a turn away goes back to it."""
 
     def check(probe: Probe) -> None:
-        moving.ready_to_move(probe, subdivision=journey.SUBDIVISION)
+        motion.ready_to_move(probe, subdivision=journey.SUBDIVISION)
         probe.do(command, {"zero_mode": 2, "set_zero": 1, "zero_speed": 2, "zero_direction": 0})
         effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 60, "acceleration": STEEP, "position": COUNTS_PER_TURN // 4})
         before = within_turn(probe)
         exchange = restart(probe)
         probe.wait(1_500 * MS)
-        moving.wait_standing(probe)
+        motion.wait_standing(probe)
         status, now = probe.read(Verb.READ_ZERO_STATUS), within_turn(probe)
         probe.do(command, {"zero_mode": 0, "set_zero": 0, "zero_speed": 0, "zero_direction": 0})
         # The way back makes its end the zero, so that the turn is what it counts from.
@@ -235,8 +236,8 @@ def _return(dialect: Dialect, command: Command) -> Claim:
     return declare(
         dialect, Theme.READ_BACK, f"{command.name}/restart", "With a zero kept, the shaft goes back to it after a restart.",
         "another place", check, command=command, aspect=Aspect.STATE, at_best=Certainty.LIKELY, fields=fields,
-        risks=risks | moving.risks(dialect) | dialect.by_verb[Verb.RESTART].all_risks,
-        settings=moving.settings(dialect, *fields),
+        risks=risks | motion.risks(dialect) | dialect.by_verb[Verb.RESTART].all_risks,
+        settings=motion.settings(dialect, *fields),
     )  # fmt: skip
 
 

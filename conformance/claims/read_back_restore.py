@@ -16,7 +16,6 @@ from typing import Any
 from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect, Risk, Verb
 from analyzer.layout import Field
-from conformance import journey, moving
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims import ranges, ranges_link, read_back
 from conformance.claims.answers import answers, sound
@@ -24,14 +23,15 @@ from conformance.claims.declare import declare
 from conformance.claims.effects import Effect
 from conformance.claims.known_quirks import known
 from conformance.claims.read_back_restart import OTHER_ADDRESS, RESTORED_NS, kept_effect
-from conformance.probe import Probe
+from conformance.motion import motion, moves
+from conformance.talk.probe import Probe
 
 _DEFAULT_ADDRESS = 1
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims about a restore."""
-    if journey.is_mks(dialect):
+    if moves.is_mks(dialect):
         yield _restore(dialect)
         yield _restored_link(dialect)
 
@@ -55,7 +55,7 @@ def _restore(dialect: Dialect) -> Claim:
     for each, effect in settings:
         one, _ = effect.pair(each.request_forms[0])
         seen = each.readable or effect.expected is not None
-        risks |= ranges.needs(dialect, each, [one])["risks"] | (effect.risks(dialect) if seen else moving.risks(dialect))
+        risks |= ranges.needs(dialect, each, [one])["risks"] | (effect.risks(dialect) if seen else motion.risks(dialect))
 
     def check(probe: Probe) -> None:
         for each, effect in settings:

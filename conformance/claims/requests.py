@@ -2,7 +2,7 @@
 
     exchange = plain_exchange(probe, command)
 
-Values are those of `conformance.samples`, except where the drive itself has to be asked: a move to a place goes to where
+Values are those of `conformance.talk.samples`, except where the drive itself has to be asked: a move to a place goes to where
 the shaft is, a change of the line's speed keeps the one that the line has.
 
 Rules kept here:
@@ -18,13 +18,14 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from analyzer.catalogue import Command, Dialect, Risk, Verb
-from conformance import moving, samples
 from conformance.claim import Inconclusive
 from conformance.drives.speed import SPEEDS
-from conformance.exchange import Exchange
+from conformance.motion import motion
+from conformance.talk import samples
+from conformance.talk.exchange import Exchange
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 SECOND_NS = 1_000_000_000
 #: How long a restarted drive may take until it hears again; real ones take two seconds.
@@ -91,7 +92,7 @@ def plain_exchange(probe: Probe, command: Command) -> Exchange:
     # A drive that cannot be made ready refuses: that has the shape of a reply too.
     if needs_motion(command):
         with contextlib.suppress(Inconclusive):
-            moving.ready_to_move(probe)
+            motion.ready_to_move(probe)
     exchange = probe.ask(command, values_for(probe, command))
     with contextlib.suppress(Inconclusive):
         put_to_rest(probe, command)
@@ -112,9 +113,9 @@ def put_to_rest(probe: Probe, command: Command) -> None:
 
 def _rest(probe: Probe) -> None:
     """Stop by a ramp. The end of the stop is told by a reply of its own, which a read at once would run into."""
-    moving.stop(probe)
+    motion.stop(probe)
     probe.wait(SECOND_NS)
-    moving.wait_standing(probe)
+    motion.wait_standing(probe)
 
 
 def _wait_for_restart(probe: Probe) -> None:
@@ -143,8 +144,8 @@ def demands(dialect: Dialect, command: Command) -> dict[str, Any]:
     risks = set(command.risks(samples.sample(dialect, command))) if command.slots is None else set(command.all_risks)
     settings = [name for form in command.request_forms for name in form.layout.named] if Risk.SETTING in risks else []
     if needs_motion(command):
-        risks |= moving.risks(dialect)
-        settings += moving.settings(dialect)
+        risks |= motion.risks(dialect)
+        settings += motion.settings(dialect)
     return {
         "risks": frozenset(risks) - {Risk.READ},
         "settings": tuple(dict.fromkeys(settings)),

@@ -24,10 +24,10 @@ from conformance.claims.declare import declare
 from conformance.claims.hearing import LISTEN_NS, PAUSE_NS, ask_first, came, is_answered, judge_next, plain_read, section
 from conformance.claims.known_quirks import known
 from conformance.claims.known_reads import plain_reads
-from conformance.exchange import Exchange
+from conformance.talk.exchange import Exchange
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 _SECOND_NS = 1_000_000_000
 _MANY = 100

@@ -14,16 +14,17 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
-from conformance import moving, samples
 from conformance.claim import Claim, Inconclusive, Refuted, Theme
 from conformance.claims.declare import declare
 from conformance.claims.hearing import PAUSE_NS, came, garblers, is_answered
 from conformance.claims.known_quirks import known
 from conformance.claims.known_reads import plain_reads
-from conformance.exchange import Exchange
+from conformance.motion import motion
+from conformance.talk import samples
+from conformance.talk.exchange import Exchange
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 _SECOND_NS = 1_000_000_000
 _RPM = 60.0
@@ -38,15 +39,15 @@ _HARMLESS = (Verb.SET_SCREEN_OFF, Verb.SET_KEY_LOCK, Verb.SET_PULSE_DELAY, Verb.
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims about busy drives."""
-    if not moving.can_move(dialect):
+    if not motion.can_move(dialect):
         return
-    yield _reads_while(dialect, "moving", "while the shaft turns", _run, _stop, moving.risks(dialect, Risk.UNBOUNDED), {})
+    yield _reads_while(dialect, "moving", "while the shaft turns", _run, _stop, motion.risks(dialect, Risk.UNBOUNDED), {})
     yield _settings_while_moving(dialect)
     yield _noise_while_moving(dialect)
     for verb, name, by_name in ((Verb.HOME, "homing", False), (Verb.CALIBRATE, "calibrating", True)):
         command = dialect.by_verb.get(verb)
         if command is not None:
-            risks = command.all_risks | moving.risks(dialect)
+            risks = command.all_risks | motion.risks(dialect)
             begin, end = partial(_begin, command=command), partial(_end, command=command)
             yield _reads_while(dialect, name, f"while the drive is {name}", begin, end, risks, {"by_name": by_name})
     limited = dialect.by_name.get("move_multi_turn_limited")
@@ -58,15 +59,15 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
 
 
 def _run(probe: Probe) -> None:
-    moving.ready_to_move(probe)
-    moving.run_at(probe, _RPM)
+    motion.ready_to_move(probe)
+    motion.run_at(probe, _RPM)
     probe.wait(_SECOND_NS)
 
 
 def _running(probe: Probe) -> float:
     """Begin a run and return its speed. Raises Inconclusive where it is not the one that was asked for."""
     _run(probe)
-    speed = moving.speed(probe).value
+    speed = motion.speed(probe).value
     if abs(abs(speed) - _RPM) > _NEAR:
         _stop(probe)
         raise Inconclusive(f"the shaft does not turn at {_RPM:.0f} rpm, but at {speed:.0f}")
@@ -74,13 +75,13 @@ def _running(probe: Probe) -> float:
 
 
 def _stop(probe: Probe) -> None:
-    moving.stop(probe)
+    motion.stop(probe)
     probe.wait(_SECOND_NS)
-    moving.wait_standing(probe)
+    motion.wait_standing(probe)
 
 
 def _begin(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     probe.do(command, samples.sample(probe.dialect, command))
 
 
@@ -127,7 +128,7 @@ def _reads_while(
         section=dialect.by_verb[Verb.RUN_SPEED].section,
         at_best=Certainty.LIKELY,
         risks=risks,
-        settings=moving.settings(dialect),
+        settings=motion.settings(dialect),
         commands=tuple(c.name for c in reads),
         **demands,
     )
@@ -180,15 +181,15 @@ def _settings_while_moving(dialect: Dialect) -> Claim:
         check,
         section=dialect.by_verb[Verb.RUN_SPEED].section,
         at_best=Certainty.LIKELY,
-        risks={*risks, *moving.risks(dialect, Risk.UNBOUNDED)},
-        settings=moving.settings(dialect, *fields),
+        risks={*risks, *motion.risks(dialect, Risk.UNBOUNDED)},
+        settings=motion.settings(dialect, *fields),
         commands=tuple(c.name for c in commands),
         quirks=quirks,
     )
 
 
 def _still_runs(probe: Probe, before: float, what: str, exchange: Exchange) -> None:
-    now = moving.speed(probe).value
+    now = motion.speed(probe).value
     if exchange.silent or abs(now - before) > _NEAR:
         raise Refuted(
             what, expected=f"an answer, and {before:.0f} rpm", got=f"{came(exchange)}, and {now:.0f} rpm", exchange=exchange
@@ -202,7 +203,7 @@ def _noise_while_moving(dialect: Dialect) -> Claim:
             made = garblers(probe)[0]
             for what, item in [*made.wrong_checks(), *made.truncated()]:
                 sent = probe.send(item, timeout_ns=PAUSE_NS)
-                now = moving.speed(probe).value
+                now = motion.speed(probe).value
                 if abs(now - before) > _NEAR:
                     raise Refuted(
                         f"a damaged read ({what}) changes the speed",
@@ -222,8 +223,8 @@ def _noise_while_moving(dialect: Dialect) -> Claim:
         "another speed",
         check,
         section=dialect.by_verb[Verb.RUN_SPEED].section,
-        risks=moving.risks(dialect, Risk.UNBOUNDED),
-        settings=moving.settings(dialect),
+        risks=motion.risks(dialect, Risk.UNBOUNDED),
+        settings=motion.settings(dialect),
     )
 
 
@@ -232,7 +233,7 @@ def _sums_of_moves(dialect: Dialect, command: Command) -> Claim:
     count = 100
 
     def check(probe: Probe) -> None:
-        moving.ready_to_move(probe)
+        motion.ready_to_move(probe)
         here = probe.read(Verb.READ_POSITION, "position")
         exchanges = [probe.ask(command, {"position": here, "max_speed": 6_000}, quiet_ns=0) for _ in range(count)]
         bad = [e for e in exchanges if not e.silent and not is_answered(e)]
@@ -259,7 +260,7 @@ def _sums_of_moves(dialect: Dialect, command: Command) -> Claim:
         "a reply that is garbled",
         check,
         command=command,
-        risks=moving.risks(dialect),
+        risks=motion.risks(dialect),
         quirks=known(dialect, OFF_SUM),
     )
 

@@ -14,12 +14,13 @@ from collections.abc import Iterator
 from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Verb
-from conformance import journey, moving
 from conformance.claim import Claim, Inconclusive
 from conformance.claims.motion_claim import motion_claim, refute
-from conformance.exchange import Exchange
-from conformance.moving import MS, QUICK, SECOND_NS
-from conformance.probe import Probe, Until
+from conformance.motion import motion
+from conformance.motion import moves as journey
+from conformance.motion.motion import MS, QUICK, SECOND_NS
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe, Until
 
 #: What is read and set to see that a drive is not silent altogether.
 _ANSWERED = (Verb.READ_POSITION, Verb.READ_STATUS, Verb.READ_ENABLED, Verb.READ_SPEED)
@@ -80,14 +81,14 @@ def _set(probe: Probe, respond: int, active: int) -> None:
 def _motion(probe: Probe, name: str, until: Until) -> tuple[Command, Exchange, float]:
     """Ask for a motion and let it happen; return what came back meanwhile and how far the shaft went (degrees)."""
     command = probe.command(name)
-    before = moving.position(probe)
+    before = motion.position(probe)
     if command.verb is Verb.RUN_SPEED:
-        values = moving.run_values(command, _RPM, QUICK)
+        values = motion.run_values(command, _RPM, QUICK)
         exchange = probe.ask(command, values, until=until, timeout_ns=SECOND_NS)
     else:
         exchange = journey.ask(probe, command, _AMOUNT_TURNS, until=until)
     probe.wait(2 * SECOND_NS)
-    return command, exchange, moving.position(probe).value - before.value
+    return command, exchange, motion.position(probe).value - before.value
 
 
 def _statuses(probe: Probe, since: int, command: Command) -> list[int]:
@@ -101,7 +102,7 @@ def _silent_motion(name: str, probe: Probe, setting: Command) -> None:
     command, exchange, went = _motion(probe, name, Until.TIMEOUT)
     statuses = _statuses(probe, since, command)
     _set(probe, 1, 1)
-    moving.stand_still(probe)
+    motion.stand_still(probe)
     if statuses:
         text = f"{name} is answered with respond 0"
         raise refute(exchange, text, expected="silence", got=", ".join(map(str, statuses)))
@@ -115,7 +116,7 @@ def _stop(probe: Probe, name: str) -> tuple[Exchange, list[int]]:
     stop = probe.command(name)
     since = len(probe.traffic)
     exchange = probe.ask(stop, {"acceleration": _RAMP}, until=Until.TIMEOUT, timeout_ns=2 * SECOND_NS)
-    moving.wait_standing(probe)
+    motion.wait_standing(probe)
     return exchange, _statuses(probe, since, stop)
 
 
@@ -123,7 +124,7 @@ def _set_going(probe: Probe, name: str) -> None:
     command = probe.command(name)
     journey.prepare(probe, command)
     if command.verb is Verb.RUN_SPEED:
-        moving.run_at(probe, _RPM, QUICK)
+        motion.run_at(probe, _RPM, QUICK)
     else:
         journey.begin(probe, command, 8.0, speed=_RPM, acceleration=QUICK)
     probe.wait(300 * MS)
@@ -132,7 +133,7 @@ def _set_going(probe: Probe, name: str) -> None:
 def _silent_stop(name: str, stop_name: str, probe: Probe, setting: Command) -> None:
     _set_going(probe, name)
     _set(probe, 0, 1)
-    if abs(moving.speed(probe).value) < _RPM / 2:
+    if abs(motion.speed(probe).value) < _RPM / 2:
         raise Inconclusive("the shaft does not turn before the stop")
     exchange, statuses = _stop(probe, stop_name)
     if statuses:
@@ -145,7 +146,7 @@ def _inactive_move(name: str, probe: Probe, setting: Command) -> None:
     _set(probe, 1, 0)
     since = len(probe.traffic)
     command, exchange, _ = _motion(probe, name, Until.REPLY)
-    moving.wait_standing(probe)
+    motion.wait_standing(probe)
     statuses = _statuses(probe, since, command)
     if statuses != [1]:
         text = f"{name} with active 0 is not answered at its begin alone"
@@ -162,7 +163,7 @@ def _inactive_stop(name: str, stop_name: str, probe: Probe, setting: Command) ->
 
 
 def _reads_answered(probe: Probe, setting: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     for exchange in [probe.ask(verb) for verb in _ANSWERED]:
         if exchange.silent:
             raise Inconclusive("a read is not answered with respond 1 either")
@@ -177,7 +178,7 @@ def _reads_answered(probe: Probe, setting: Command) -> None:
 
 
 def _answers_again(probe: Probe, setting: Command) -> None:
-    moving.ready_to_move(probe)
+    motion.ready_to_move(probe)
     for respond, active in ((0, 0), (1, 1)):
         _set(probe, respond, active)
     since = len(probe.traffic)

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 from analyzer.catalogue import Verb
 from conformance.claim import Inconclusive
 from conformance.claims.answers import plain_read
-from conformance.exchange import Exchange
-from conformance.moving import MS, SECOND_NS
+from conformance.motion.motion import MS, SECOND_NS
+from conformance.talk.exchange import Exchange
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 #: A restarting drive hears nothing for a while; asking at once would only make the first read be waited for in vain.
 DEAF_NS = 300 * MS

@@ -12,11 +12,11 @@ from functools import partial
 
 from analyzer.catalogue import Command, Dialect, Verb
 from analyzer.protocols.mks_shared import COUNTS_PER_TURN
-from conformance import journey, moving
 from conformance.claim import Claim
 from conformance.claims.motion_claim import expect_stays, motion_claim, refute
-from conformance.moving import QUICK, SECOND_NS
-from conformance.probe import Probe
+from conformance.motion import motion, moves
+from conformance.motion.motion import QUICK, SECOND_NS
+from conformance.talk.probe import Probe
 
 _JITTER = 3
 #: What reads 0 after 92: the read, in words, and its fields.
@@ -44,8 +44,8 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
 
 
 def _away(probe: Probe) -> None:
-    moving.ready_to_move(probe)
-    journey.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 1.3, speed=180, acceleration=QUICK)
+    motion.ready_to_move(probe)
+    moves.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 1.3, speed=180, acceleration=QUICK)
 
 
 def _zero(verb: Verb, names: tuple[str, ...], probe: Probe, command: Command) -> None:
@@ -62,26 +62,26 @@ def _zero(verb: Verb, names: tuple[str, ...], probe: Probe, command: Command) ->
 def _zero_stands(probe: Probe, command: Command) -> None:
     _away(probe)
     probe.do(command)
-    before = moving.position(probe)
+    before = motion.position(probe)
     probe.wait(SECOND_NS)
     exchange = probe.traffic[-1]
-    expect_stays(before, moving.position(probe), exchange, "92 turns the shaft")
-    trip = journey.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 0.25)
-    if abs(abs(trip.degrees) - 90) > moving.SAME:
+    expect_stays(before, motion.position(probe), exchange, "92 turns the shaft")
+    trip = moves.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 0.25)
+    if abs(abs(trip.degrees) - 90) > motion.SAME:
         text = "a move after 92 goes another way than was asked"
         raise refute(trip.exchange, text, expected="90 degrees", got=f"{trip.degrees:+.2f} degrees")
 
 
 def _zero_is_target(verb: Verb, probe: Probe, command: Command) -> None:
     move = probe.command(verb)
-    journey.prepare(probe, move)
+    moves.prepare(probe, move)
     _away(probe)
     probe.do(command)
-    there = journey.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 0.4)
-    exchange = probe.do(move, journey.values_of(move, 0, 120, QUICK))
+    there = moves.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 0.4)
+    exchange = probe.do(move, moves.values_of(move, 0, 120, QUICK))
     probe.wait(SECOND_NS)
-    end = moving.wait_standing(probe)
+    end = motion.wait_standing(probe)
     went = end.value - there.end.value
-    if abs(went + there.degrees) > moving.SAME:
+    if abs(went + there.degrees) > motion.SAME:
         text = f"{verb.value} to 0 does not come back to where 92 was given"
         raise refute(exchange, text, expected=f"{-there.degrees:+.2f} degrees", got=f"{went:+.2f} degrees")

@@ -19,7 +19,6 @@ from weakref import WeakKeyDictionary
 
 from analyzer.catalogue import Certainty, Command, Dialect, Verb
 from analyzer.layout import Field, Kind
-from conformance.anatomy import COUNTS, heard, replies, templates
 from conformance.claim import Aspect, Claim, Refuted, Theme
 from conformance.claims.declare import declare
 from conformance.claims.known_quirks import known
@@ -44,11 +43,12 @@ from conformance.claims.shape_judges import (
     shown,
 )
 from conformance.claims.shape_parameters import parameters
-from conformance.exchange import Exchange
+from conformance.talk.exchange import Exchange
+from conformance.talk.reply_match import COUNTS, heard, replies, templates
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
-    from conformance.rig import Rig
+    from conformance.suite.rig import Rig
+    from conformance.talk.probe import Probe
 
 #: How long nothing may come unasked.
 _LISTEN_NS = 5_000_000_000

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Form
 from analyzer.codec import codec
-from conformance.anatomy import COUNTS, Reading, Replies, heard, replies, templates
 from conformance.claim import Inconclusive, Refuted
 from conformance.claims.requests import plain_exchange
-from conformance.exchange import Exchange, hex_of
+from conformance.talk.exchange import Exchange, hex_of
+from conformance.talk.reply_match import COUNTS, Reading, Replies, heard, replies, templates
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 Judge = Callable[["Probe", Exchange, Replies], None]
 

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Command, Dialect, Verb
 from analyzer.codec import codec
-from conformance.anatomy import Reading, replies
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims.declare import declare
 from conformance.claims.known_quirks import known
-from conformance.exchange import Exchange
+from conformance.talk.exchange import Exchange
+from conformance.talk.reply_match import Reading, replies
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 OTHER_FIRMWARE = "lk-firmware-235"
 #: Parameters of which the manual does not say what they are before they are set.

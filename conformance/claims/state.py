@@ -3,8 +3,8 @@
     settings    settings, allowed and not, restarts          motion    runs, moves, stops, zero
     mixed       all of it, with the settings that motion depends on, enabling and disabling
 
-One claim for each variant. Sequences are drawn by Hypothesis (`conformance.machine`) and compared with a model of the drive
-(`conformance.session`) after each step; what refutes it is a list of steps, shortened.
+One claim for each variant. Sequences are drawn by Hypothesis (`model.machine`) and compared with a model of the drive
+(`conformance.model.session`) after each step; what refutes it is a list of steps, shortened.
 """
 
 from __future__ import annotations
@@ -13,12 +13,13 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
-from conformance import journey, moving
 from conformance.claim import Aspect, Claim, Theme
 from conformance.claims.answers import sane
 from conformance.claims.declare import declare
 from conformance.claims.known_quirks import known
-from conformance.probe import Probe
+from conformance.motion import motion
+from conformance.motion import moves as journey
+from conformance.talk.probe import Probe
 
 #: Errata on which the models rest that are not certain.
 _ERRATA = ("mks-rs485-27", "mks-can-38", "mks-rs485-35", "mks-can-61", "mks-rs485-42", "mks-can-74", "lk-rs485-28")
@@ -53,7 +54,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
 def _check(variant: str) -> Callable[[Probe], None]:
     def check(probe: Probe) -> None:
         # Hypothesis is imported where it is used, and nowhere else.
-        from conformance import machine
+        from conformance.model import machine
 
         sane(probe)
         machine.check(probe, variant)
@@ -65,8 +66,8 @@ def _needs(dialect: Dialect, variant: str) -> dict[str, Any]:
     about = [c for c in dialect.commands if _covers(c, variant)]
     settings = [n for c in about if Risk.SETTING in c.all_risks for f in c.request_forms for n in f.layout.named]
     return {
-        "risks": moving.risks(dialect, *_RISKS[variant]),
-        "settings": tuple(dict.fromkeys((*moving.settings(dialect), *settings))),
+        "risks": motion.risks(dialect, *_RISKS[variant]),
+        "settings": tuple(dict.fromkeys((*motion.settings(dialect), *settings))),
         "commands": tuple(c.name for c in about),
         "covers": tuple((c.name, Aspect.STATE) for c in about),
     }

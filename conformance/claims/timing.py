@@ -10,15 +10,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from analyzer.catalogue import Certainty, Command, Dialect, Verb
-from conformance import journey
 from conformance.claim import Aspect, Claim, Inconclusive, Theme
 from conformance.claims import motion_lk_limits, timing_moves, timing_ramps, timing_replies
 from conformance.claims.answers import plain_read
 from conformance.claims.declare import declare
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import refute
-from conformance.moving import MS, SECOND_NS
-from conformance.probe import Probe, Until
+from conformance.motion import moves
+from conformance.motion.motion import MS, SECOND_NS
+from conformance.talk.probe import Probe, Until
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
@@ -30,7 +30,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
         yield _about_settings(dialect)
     if dialect.link.__class__.__name__ == "ModbusLink":
         yield from _about_silence(dialect)
-    if journey.is_mks(dialect):
+    if moves.is_mks(dialect):
         yield from timing_ramps.claims(dialect)
         yield from timing_moves.claims(dialect)
     if Verb.MOVE_SINGLE_TURN in dialect.by_verb:
@@ -110,7 +110,7 @@ def _about_settings(dialect: Dialect) -> Claim:
 def _in_a_row(probe: Probe) -> None:
     command = probe.command(Verb.SET_SUBDIVISION)
     for _ in range(3):
-        probe.do(command, {"subdivision": journey.SUBDIVISION})
+        probe.do(command, {"subdivision": moves.SUBDIVISION})
     probe.wait(probe.rig.write_gap_ns)
     exchanges = []
     for subdivision in (32, 16, 32, 16):

@@ -13,13 +13,14 @@ from collections.abc import Iterator
 from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect
-from conformance import journey, moving, ramp
 from conformance.claim import Claim, Inconclusive, Theme
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import expect_speed, motion_claim, refute
 from conformance.claims.timing_ramps import LATE, moment, too_late
-from conformance.moving import MS, QUICK, SECOND_NS
-from conformance.probe import Probe, Until
+from conformance.motion import motion, ramp
+from conformance.motion import moves as journey
+from conformance.motion.motion import MS, QUICK, SECOND_NS
+from conformance.talk.probe import Probe, Until
 
 #: What a move may take longer or less long than the law, beside its uncertainty.
 _SHARE = 0.03
@@ -105,12 +106,12 @@ def _told_in_time(probe: Probe, command: Command) -> None:
     journey.prepare(probe, command)
     since = len(probe.traffic)
     exchange = journey.begin(probe, command, 0.25, acceleration=QUICK, quiet_ns=0)
-    seen = moving.sampled(probe, 3 * SECOND_NS, 60 * MS)
+    seen = motion.sampled(probe, 3 * SECOND_NS, 60 * MS)
     told = [a for a in journey.told(probe.traffic[since:], command) if a.values[command.replies.status] == 2]
     if not told:
         raise Inconclusive(f"{command.name} did not say that it was complete")
     end = seen[-1].value
-    stood = next(s for s in seen if abs(s.value - end) <= moving.SAME)
+    stood = next(s for s in seen if abs(s.value - end) <= motion.SAME)
     late_ns = told[-1].first_ns - stood.t_ns
     if late_ns > _HALF_SECOND_NS:
         raise refute(
@@ -126,7 +127,7 @@ def _stop_told_in_time(name: str, probe: Probe, stop: Command) -> None:
     journey.prepare(probe, move)
     journey.begin(probe, move, 5.0, speed=rpm, acceleration=QUICK)
     probe.wait(500 * MS)
-    turning = moving.speed(probe)
+    turning = motion.speed(probe)
     expect_speed(turning, rpm, probe.traffic[-1], f"{name} does not turn at its speed before the stop")
     law_ns = ramp.ramp_ns(rpm, 0, acceleration)
     exchange = probe.ask(stop, {"acceleration": acceleration}, until=Until.DONE, timeout_ns=int(law_ns) + 5 * SECOND_NS)

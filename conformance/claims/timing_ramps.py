@@ -17,14 +17,15 @@ from dataclasses import dataclass
 from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Verb
-from conformance import journey, moving, ramp
 from conformance.claim import Claim, Inconclusive, Theme
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import motion_claim, refute
-from conformance.exchange import Exchange
-from conformance.moving import MS, QUICK, SECOND_NS, Sample
-from conformance.probe import Probe
-from conformance.ramp import Fit, Judgement
+from conformance.motion import motion, ramp
+from conformance.motion import moves as journey
+from conformance.motion.motion import MS, QUICK, SECOND_NS, Sample
+from conformance.motion.ramp import Fit, Judgement
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
 
 _SLOW_RAMP, LATE = "ramp-4-percent-slow", "slow-replies-in-motion"
 #: A reply that leaves a moment uncertain by more than this is late.
@@ -123,28 +124,28 @@ def _steady(probe: Probe, rpm: float, *, last: bool = False) -> _Steady:
 
     The position is that at the beginning, or with `last` that at the end: the one that is nearer to the ramp.
     """
-    first = moving.position(probe)
+    first = motion.position(probe)
     if not rpm:
         return _Steady(0.0, 0.0, first)
     probe.wait(_STEADY_NS)
-    second = moving.position(probe)
-    speed, spread = moving.speed_between(first, second)
+    second = motion.position(probe)
+    speed, spread = motion.speed_between(first, second)
     return _Steady(abs(speed), spread, second if last else first)
 
 
 def _change(probe: Probe, last: float, acceleration: int) -> Exchange:
     if last:  # its sign is the direction
         command = probe.command(Verb.RUN_SPEED)
-        return probe.ask(command, moving.run_values(command, last, acceleration), quiet_ns=0)
+        return probe.ask(command, motion.run_values(command, last, acceleration), quiet_ns=0)
     return probe.ask(Verb.STOP_SPEED, {"acceleration": acceleration}, quiet_ns=0)
 
 
 def _ramp(probe: Probe, first: int, last: int, acceleration: int) -> tuple[float, float, Exchange] | None:
     """Measure the time of a ramp and its uncertainty (ns); None where a known quirk leaves nothing to measure."""
-    mode = moving.bus_modes(probe.dialect)[-1] if max(first, abs(last)) > 400 else ""
-    moving.ready_to_move(probe, mode, subdivision=journey.SUBDIVISION)
+    mode = motion.bus_modes(probe.dialect)[-1] if max(first, abs(last)) > 400 else ""
+    motion.ready_to_move(probe, mode, subdivision=journey.SUBDIVISION)
     if first:
-        moving.run_at(probe, first, QUICK)
+        motion.run_at(probe, first, QUICK)
         probe.wait(int(ramp.ramp_ns(0, first, QUICK)) + 200 * MS)
     before = _steady(probe, first, last=True)
     exchange = _change(probe, last, acceleration)
@@ -153,8 +154,8 @@ def _ramp(probe: Probe, first: int, last: int, acceleration: int) -> tuple[float
     probe.wait(int(2.2 * law_ns) + 100 * MS)
     last = abs(last)
     after = _steady(probe, last)
-    moving.stop(probe, QUICK)
-    moving.wait_standing(probe)
+    motion.stop(probe, QUICK)
+    motion.wait_standing(probe)
     if too_late(probe, before.at.spread_ns, begun_spread, after.at.spread_ns):
         return None
     if abs(after.rpm - last) > 1 + last * 0.03 + after.spread:
@@ -208,7 +209,7 @@ def _even(probe: Probe, command: Command) -> None:
     # What another command was given is not what counts here.
     journey.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 0.05, acceleration=QUICK)
     if command.verb is Verb.RUN_SPEED:
-        exchange = probe.ask(command, moving.run_values(command, rpm, acceleration), quiet_ns=0)
+        exchange = probe.ask(command, motion.run_values(command, rpm, acceleration), quiet_ns=0)
     else:
         exchange = journey.ask(probe, command, 4.0, speed=rpm, acceleration=acceleration, quiet_ns=0)
     if journey.refused(probe, exchange):
@@ -220,14 +221,14 @@ def _even(probe: Probe, command: Command) -> None:
     wrong = ""
     for eighth in range(1, 8):
         probe.wait(int(begun_ns + eighth * rpm * step_ns / 8 - probe.gate.now_ns()))
-        seen = moving.speed(probe)
+        seen = motion.speed(probe)
         spreads.append(seen.spread_ns)
         expected = min(rpm, (seen.t_ns - begun_ns) / step_ns)
         points.append(((seen.t_ns - begun_ns) / 1e9, abs(seen.value)))
         if abs(abs(seen.value) - expected) > 2 + 0.06 * rpm + (seen.spread_ns + begun_spread) / step_ns:
             wrong = wrong or f"{abs(seen.value):g} rpm after {points[-1][0] * 1000:.0f} ms, where the law has {expected:.0f}"
     probe.series["speed"] = points
-    moving.stand_still(probe)
+    motion.stand_still(probe)
     if too_late(probe, *spreads):
         return
     if wrong:

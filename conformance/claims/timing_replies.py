@@ -13,15 +13,15 @@ from itertools import pairwise
 from math import ceil
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
-from conformance import journey, moving
 from conformance.claim import Claim, Inconclusive, Observed, Theme
 from conformance.claims.answers import plain_read
 from conformance.claims.declare import declare
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import motion_claim, refute
-from conformance.exchange import Answer, Exchange
-from conformance.moving import MS, QUICK, SECOND_NS
-from conformance.probe import Probe
+from conformance.motion import motion, moves
+from conformance.motion.motion import MS, QUICK, SECOND_NS
+from conformance.talk.exchange import Answer, Exchange
+from conformance.talk.probe import Probe
 
 #: A reply later than this is late, and so long is waited for one that is.
 _LATE_NS, _LATEST_NS = SECOND_NS, 6 * SECOND_NS
@@ -56,7 +56,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
             _in_one_piece,
             at_best=Certainty.LIKELY,
         )
-    if journey.is_mks(dialect):
+    if moves.is_mks(dialect):
         yield motion_claim(
             dialect,
             dialect.by_verb[Verb.READ_SPEED],
@@ -69,7 +69,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
             quirks=known(dialect, "slow-replies-in-motion"),
             risks=dialect.by_verb[Verb.RUN_SPEED].all_risks,
         )
-        for verb in (*journey.STOP_OF, *journey.STOP_OF.values()):
+        for verb in (*moves.STOP_OF, *moves.STOP_OF.values()):
             command = dialect.by_verb[verb]
             yield motion_claim(
                 dialect,
@@ -174,11 +174,11 @@ def _is_frame(dialect: Dialect, data: bytes) -> bool:
 
 
 def _while_moving(probe: Probe, command: Command) -> None:
-    moving.ready_to_move(probe)
-    moving.run_at(probe, 120, QUICK)
+    motion.ready_to_move(probe)
+    motion.run_at(probe, 120, QUICK)
     probe.wait(300 * MS)
     timed = [_timed(probe, command) for _ in range(_TIMES)]
-    moving.stand_still(probe)
+    motion.stand_still(probe)
     latencies = [answer.latency_ns for _, answer in timed]
     _summary(probe, "reply", latencies)
     if max(latencies) <= _BUSY_NS:
@@ -191,16 +191,16 @@ def _while_moving(probe: Probe, command: Command) -> None:
 
 
 def _motion_answered(probe: Probe, command: Command) -> None:
-    journey.prepare(probe, command)
+    moves.prepare(probe, command)
     if command.verb is Verb.RUN_SPEED:
-        values = moving.run_values(command, 60, 56)
-    elif command.verb in journey.MOVES:
-        values = journey.values_of(command, journey.units_per_turn(command) // 2, 30, 56, journey.place(probe, command))
+        values = motion.run_values(command, 60, 56)
+    elif command.verb in moves.MOVES:
+        values = moves.values_of(command, moves.units_per_turn(command) // 2, 30, 56, moves.place(probe, command))
     else:
         values = {"acceleration": 56}
     exchange = probe.ask(command, values, timeout_ns=_LATEST_NS, quiet_ns=0)
-    moving.stop(probe, QUICK)
-    moving.wait_standing(probe)
+    motion.stop(probe, QUICK)
+    motion.wait_standing(probe)
     answer = exchange.reply
     if answer is None:
         raise Inconclusive(f"{command.name} was not answered")

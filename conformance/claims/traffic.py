@@ -1,6 +1,6 @@
 """Traffic: the analyzer finds nothing wrong with what a drive answers.
 
-The claims are those of `conformance.traffic` that are about the drive, one for each rule. In a run of the suite a short
+The claims are those of `claims.traffic_rules` that are about the drive, one for each rule. In a run of the suite a short
 session of reads is judged by them; `servotap check` judges any recording by them, and by those about hosts and wires.
 
 Rules kept here:
@@ -24,11 +24,11 @@ from conformance.claims.declare import declare
 from conformance.claims.hearing import section
 from conformance.claims.known_quirks import known
 from conformance.claims.known_reads import plain_reads
-from conformance.traffic import ROWS, Count, Judge, Party, Row, Seen
+from conformance.claims.traffic_rules import ROWS, Count, Judge, Party, Row, Seen
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
-    from conformance.rig import Rig
+    from conformance.suite.rig import Rig
+    from conformance.talk.probe import Probe
 
 _PORT = "bus"
 _ROUNDS = 2

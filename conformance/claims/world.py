@@ -16,12 +16,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from conformance.claim import NotRun
-from conformance.drives.lk_rs485 import LkDrive
-from conformance.drives.mks import MksDrive
+from conformance.drives.lk.drive import LkDrive
+from conformance.drives.mks.drive import MksDrive
 from conformance.drives.motor import Switch
 
 if TYPE_CHECKING:
-    from conformance.probe import Probe
+    from conformance.talk.probe import Probe
 
 
 def drive_of(probe: Probe) -> MksDrive:

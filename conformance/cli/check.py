@@ -18,7 +18,7 @@ from analyzer.values import near, quote
 if TYPE_CHECKING:
     from analyzer.cli.reading import Reading
     from conformance.claim import Verdict
-    from conformance.traffic import Count, Example, Judge
+    from conformance.claims.traffic_rules import Count, Example, Judge
 
 EXAMPLES = """\
 examples:
@@ -80,9 +80,9 @@ def _about(text: str) -> tuple[str, ...]:
 
 def _check(path: str, arguments: argparse.Namespace, about: tuple[str, ...]) -> bool:
     """Judge one file and print what came of it; return whether a claim is refuted."""
-    from conformance import traffic
+    from conformance.claims import traffic_rules
     from conformance.claims.traffic import verdicts
-    from conformance.traffic import Judge, Party
+    from conformance.claims.traffic_rules import Judge, Party
 
     reading = open_reading(path, arguments)
     try:
@@ -92,7 +92,7 @@ def _check(path: str, arguments: argparse.Namespace, about: tuple[str, ...]) -> 
             pipeline.run(reading)
     finally:
         reading.source.close()
-    spoken = [d for d in judge.dialects if judge.seen[d][traffic.Seen.FRAMES]]
+    spoken = [d for d in judge.dialects if judge.seen[d][traffic_rules.Seen.FRAMES]]
     found = [(v, c) for v, c in verdicts(judge, [Party(w) for w in about]) if not spoken or c.dialect in spoken or c.found]
     show = _show_json if arguments.json else _show
     show(path, reading, judge, found, arguments)

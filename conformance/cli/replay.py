@@ -15,19 +15,19 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from analyzer import endpoint as endpoints
 from analyzer.catalogue import Dialect
 from analyzer.cli.reading import Reading, add_reading_arguments, clean, open_reading, progress
 from analyzer.errors import UsageError
-from conformance.acquaint import acquaint
+from analyzer.live import endpoint as endpoints
+from conformance.bus import open_line
 from conformance.cli.scan import parse_addresses
-from conformance.dialogue import Dialogue
-from conformance.ends import as_interrupt
-from conformance.gate import Gate, Judge, add_gate_arguments, allowance_from, shown
-from conformance.lines import open_line
-from conformance.replay import Rehearsal, Replay, rehearse
-from conformance.replay_plan import Plan, Step, make_plan
-from conformance.replay_result import DEVIATIONS, Match, Result, Sent
+from conformance.gate.gate import Gate, Judge, add_gate_arguments, allowance_from, shown
+from conformance.safety.signals import as_interrupt
+from conformance.talk.dialogue import Dialogue
+from conformance.talk.drive_state import acquaint
+from conformance.tools.replay import Rehearsal, Replay, rehearse
+from conformance.tools.replay_plan import Plan, Step, make_plan
+from conformance.tools.replay_result import DEVIATIONS, Match, Result, Sent
 
 EXAMPLES = """\
 exit status: 0 answered as then, 1 otherwise (or something may still move), 2 wrong use or not allowed.

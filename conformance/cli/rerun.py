@@ -11,14 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from analyzer.errors import ServotapError, UnreadableError
-from conformance import engine, suite, target
-from conformance.allowance import add_gate_arguments, allowance_from
+from conformance.bus.line import LineLost
 from conformance.claim import Outcome, Verdict
 from conformance.cli.test import seconds
-from conformance.ends import as_interrupt
-from conformance.line import LineLost
+from conformance.gate.permissions import add_gate_arguments, allowance_from
 from conformance.report.log import METADATA
-from conformance.rig import NotStopped, RigFault
+from conformance.safety.signals import as_interrupt
+from conformance.suite import engine, target
+from conformance.suite import plan as suite
+from conformance.suite.rig import NotStopped, RigFault
 
 EXAMPLES = """\
 examples:

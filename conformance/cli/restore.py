@@ -8,11 +8,11 @@ import argparse
 import sys
 from pathlib import Path
 
-from analyzer import endpoint as endpoints
 from analyzer.errors import UnreadableError
-from conformance.gate import Allowance, Gate
-from conformance.line import LineLost
-from conformance.lines import open_line
+from analyzer.live import endpoint as endpoints
+from conformance.bus import open_line
+from conformance.bus.line import LineLost
+from conformance.gate.gate import Allowance, Gate
 from conformance.safety import journal
 from conformance.safety.restoring import restore
 

@@ -14,15 +14,15 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from analyzer import dialects as registry
-from analyzer import endpoint as endpoints
 from analyzer.catalogue import Dialect
-from analyzer.endpoint import Endpoint
 from analyzer.errors import UsageError
+from analyzer.live import endpoint as endpoints
+from analyzer.live.endpoint import Endpoint
 from analyzer.values import quote
-from conformance.allowance import Allowance
-from conformance.gate import Gate
-from conformance.lines import open_line
-from conformance.scan import PATIENCE_NS, Found, Heard, Progress, Report, scan
+from conformance.bus import open_line
+from conformance.gate.gate import Gate
+from conformance.gate.permissions import Allowance
+from conformance.tools.scan import PATIENCE_NS, Found, Heard, Progress, Report, scan
 
 EXAMPLES = """\
 exit status: 0 a drive was found, 1 none was, 2 wrong use.

@@ -15,7 +15,6 @@ from dataclasses import replace
 from typing import Any
 
 from analyzer import dialects as registry
-from analyzer import endpoint as endpoints
 from analyzer.catalogue import Command, Dialect
 from analyzer.cli.frame import parse_target, parse_values
 from analyzer.cli.reading import clean
@@ -23,14 +22,15 @@ from analyzer.cli.show import fields_text, names_of
 from analyzer.decoder import physical
 from analyzer.encoder import assemble
 from analyzer.errors import UsageError
-from analyzer.hextext import read_frame
+from analyzer.live import endpoint as endpoints
 from analyzer.lookup import find_one
 from analyzer.pipeline import Entry
 from analyzer.records import CanFrame, Message
-from conformance.acquaint import acquaint, item_of
-from conformance.dialogue import MS, Dialogue, Outcome, Talk
-from conformance.gate import Allowance, Gate, Item, Judge, Refused, add_gate_arguments, allowance_from, shown
-from conformance.lines import open_line
+from analyzer.reference.frame_text import read_frame
+from conformance.bus import open_line
+from conformance.gate.gate import Allowance, Gate, Item, Judge, Refused, add_gate_arguments, allowance_from, shown
+from conformance.talk.dialogue import MS, Dialogue, Outcome, Talk
+from conformance.talk.drive_state import acquaint, item_of
 
 EXAMPLES = """\
 exit status: 0 answered (or nothing answers it), 1 no answer or a refusal by the drive, 2 wrong use or not allowed.

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Role
 from analyzer.cli.record import add_recording_arguments, asked_duration_ns, configure, display_of, record, target_of
-from analyzer.endpoint import Endpoint, parse
 from analyzer.errors import UsageError
+from analyzer.live.endpoint import Endpoint, parse
 
 if TYPE_CHECKING:
     from analyzer.live.children import Child, Heard

@@ -19,16 +19,17 @@ from typing import TYPE_CHECKING
 from analyzer import __version__
 from analyzer.cli.reading import now_text
 from analyzer.errors import ServotapError
-from conformance import suite, target
-from conformance.allowance import add_gate_arguments, allowance_from
+from conformance.bus.line import LineLost
 from conformance.claim import Outcome
-from conformance.ends import as_interrupt
-from conformance.line import LineLost
+from conformance.gate.permissions import add_gate_arguments, allowance_from
 from conformance.report.record import RunRecord, VerdictRecord
-from conformance.rig import NotStopped, RigFault
+from conformance.safety.signals import as_interrupt
+from conformance.suite import plan as suite
+from conformance.suite import target
+from conformance.suite.rig import NotStopped, RigFault
 
 if TYPE_CHECKING:
-    from conformance.suite import Plan
+    from conformance.suite.plan import Plan
 
 EXAMPLES = """\
 examples:
@@ -99,11 +100,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.list:
         return _list(plan)
     if arguments.mutants:
-        from conformance.mutants import run_mutants
+        from conformance.tools.mutants import run_mutants
 
         return run_mutants(plan, jobs=arguments.jobs or os.cpu_count() or 1, as_json=arguments.json)
     if arguments.dry_run:
-        from conformance.safety.dry_run import dry_run
+        from conformance.suite.dry_run import dry_run
 
         return dry_run(plan)
     return _test(plan, arguments)

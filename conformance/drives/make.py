@@ -37,13 +37,13 @@ class Kind(NamedTuple):
     quirks: str
 
 
-_MKS = ("conformance.drives.mks_faults", "conformance.drives.mks_quirks")
-_LK = ("conformance.drives.lk_faults", "conformance.drives.lk_quirks")
+_MKS = ("conformance.drives.faults.mks", "conformance.drives.mks.quirks")
+_LK = ("conformance.drives.faults.lk", "conformance.drives.lk.quirks")
 KINDS: Mapping[str, Kind] = {
-    "mks-rs485": Kind("conformance.drives.mks_serial", "MksSerialDrive", *_MKS),
-    "mks-modbus": Kind("conformance.drives.mks_serial", "MksSerialDrive", *_MKS),
-    "mks-can": Kind("conformance.drives.mks_can", "MksCanDrive", *_MKS),
-    "lk-rs485": Kind("conformance.drives.lk_rs485", "LkDrive", *_LK),
+    "mks-rs485": Kind("conformance.drives.mks.serial", "MksSerialDrive", *_MKS),
+    "mks-modbus": Kind("conformance.drives.mks.serial", "MksSerialDrive", *_MKS),
+    "mks-can": Kind("conformance.drives.mks.can", "MksCanDrive", *_MKS),
+    "lk-rs485": Kind("conformance.drives.lk.drive", "LkDrive", *_LK),
 }
 #: Words of a specification that are no settings.
 _WORDS = ("model", "quirk", "fault", "baud", "bitrate")

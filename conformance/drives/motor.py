@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from conformance.drives.motor_path import TURN, Number, Phase, divided, move_path, rest_path, run_path, size
+from conformance.drives.mks.paths import TURN, Number, Phase, divided, move_path, rest_path, run_path, size
 
 
 @dataclass(slots=True)

@@ -10,7 +10,7 @@ import msgspec
 from analyzer.catalogue import Role
 from analyzer.records import CanFrame, Chunk
 from conformance.claim import Outcome, Verdict
-from conformance.exchange import Exchange
+from conformance.talk.exchange import Exchange
 
 
 class Traffic(msgspec.Struct, frozen=True, array_like=True):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from analyzer.catalogue import Certainty, Dialect, Risk
 from conformance.claim import Claim, Theme
-from conformance.gate import Gate
-from conformance.probe import Probe
-from conformance.rig import Rig
+from conformance.gate.gate import Gate
+from conformance.suite.rig import Rig
+from conformance.talk.probe import Probe
 
 
 class BareRig(Rig):

@@ -12,10 +12,10 @@ from analyzer import dialects
 from analyzer.catalogue import Command, Dialect, Verb
 from analyzer.errors import UsageError
 from conformance.drives.speed import SPEEDS
-from conformance.gate import Gate
-from conformance.probe import Probe
+from conformance.gate.gate import Gate
 from conformance.safety.bare import bare_probe
 from conformance.safety.journal import values_text
+from conformance.talk.probe import Probe
 
 _LINKS = frozenset({Verb.SET_ADDRESS, Verb.SET_MODBUS, Verb.SET_BAUD_RATE, Verb.SET_BIT_RATE})
 _READS = (Verb.READ_STATUS, Verb.READ_SPEED, Verb.READ_STATE_1, Verb.READ_STATE_2, Verb.READ_POSITION, Verb.READ_ENCODER)

@@ -27,22 +27,22 @@ from typing import IO
 import msgspec
 
 from analyzer import dialects
-from analyzer import endpoint as endpoints
 from analyzer.catalogue import Dialect, Risk, Verb
 from analyzer.errors import ServotapError
+from analyzer.live import endpoint as endpoints
 from analyzer.records import CanFrame
-from conformance.acquaint import acquaint
-from conformance.bounds import STOPS
-from conformance.dialogue import Dialogue
-from conformance.gate import Allowance, Budget, Gate, Reading, Refused
-from conformance.line import LineLost
-from conformance.lines import open_line
-from conformance.rig import NotStopped, RigFault
+from conformance.bus import open_line
+from conformance.bus.line import LineLost
+from conformance.gate.bounds import STOPS
+from conformance.gate.gate import Allowance, Budget, Gate, Reading, Refused
 from conformance.safety import journal as journals
 from conformance.safety import messages as say
 from conformance.safety.keeper import PUTTING_BACK
 from conformance.safety.restoring import moved_away, restore
 from conformance.safety.stopping import MAY_MOVE, seen_standing, stop_or_cut, stopping
+from conformance.suite.rig import NotStopped, RigFault
+from conformance.talk.dialogue import Dialogue
+from conformance.talk.drive_state import acquaint
 
 NOT_STOPPED = 20
 #: The subdivision that is sent as 0.

@@ -18,15 +18,15 @@ from typing import IO, Any, cast
 
 import msgspec
 
-from analyzer.endpoint import Endpoint
 from analyzer.errors import ServotapError, UsageError
+from analyzer.live.endpoint import Endpoint
 from analyzer.records import CanFrame, Chunk
+from conformance.bus.line import Line, LineLost
 from conformance.claim import Inconclusive
-from conformance.gate import Refused
-from conformance.line import Line, LineLost
-from conformance.rig import NotStopped
+from conformance.gate.gate import Refused
 from conformance.safety import messages as say
 from conformance.safety.stopping import GuardLost
+from conformance.suite.rig import NotStopped
 
 _ROOT = Path(__file__).parents[2]
 #: How long the guard may take to stop motors and put settings back before it is left alone.

@@ -17,18 +17,18 @@ from dataclasses import dataclass, field
 
 from analyzer.catalogue import Command, Dialect, Risk, Verb
 from analyzer.layout import Field
-from conformance import moving
-from conformance.allowance import Allowance
-from conformance.budget import Budget
 from conformance.claim import NotRun
 from conformance.drives.speed import SPEEDS
-from conformance.gate import Gate
-from conformance.gate_readings import Reading
-from conformance.probe import Probe
+from conformance.gate.budget import Budget
+from conformance.gate.gate import Gate
+from conformance.gate.interpretations import Reading
+from conformance.gate.permissions import Allowance
+from conformance.motion import motion
 from conformance.safety import following, settings
 from conformance.safety.bare import bare_probe
 from conformance.safety.following import has, says_itself
 from conformance.safety.journal import Entry, Journal, values_text
+from conformance.talk.probe import Probe
 
 #: What may be sent to put back what was there: no motion, nothing that wipes, nothing that nobody knows.
 PUTTING_BACK = Allowance(
@@ -240,7 +240,7 @@ class Keeper:
         command = self._dialect.by_verb.get(Verb.SET_WORK_MODE)
         if command is None or not self._can_keep(command):
             return False
-        mode = {"work_mode": moving.choice(command, "work_mode", moving.bus_modes(self._dialect)[-1])}
+        mode = {"work_mode": motion.choice(command, "work_mode", motion.bus_modes(self._dialect)[-1])}
         try:
             self._keep(command, mode)
         except NotRun:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from analyzer import dialects
 from analyzer.catalogue import Dialect
-from conformance.gate import Gate
+from conformance.gate.gate import Gate
 from conformance.safety import journal as journals
 from conformance.safety.journal import Entry, Journal
 from conformance.safety.keeper import Keeper

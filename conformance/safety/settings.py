@@ -17,7 +17,7 @@ from analyzer.catalogue import Command, Dialect, Risk, Verb, all_fields
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.layout import Field
 from analyzer.values import near, parse_value, quote, refusal
-from conformance.probe import Probe
+from conformance.talk.probe import Probe
 
 Given = Mapping[str, str]
 

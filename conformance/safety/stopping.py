@@ -12,14 +12,14 @@ import sys
 
 from analyzer.catalogue import Dialect, Risk, Verb
 from analyzer.errors import ServotapError
-from conformance import moving
-from conformance.allowance import Allowance
+from conformance.bus.line import LineLost
 from conformance.claim import Inconclusive
-from conformance.gate import Gate
-from conformance.line import LineLost
-from conformance.probe import Probe
-from conformance.rig import NotStopped
+from conformance.gate.gate import Gate
+from conformance.gate.permissions import Allowance
+from conformance.motion import motion
 from conformance.safety.bare import bare_probe
+from conformance.suite.rig import NotStopped
+from conformance.talk.probe import Probe
 
 #: The stops of all ways to move, gentlest first. What a dialect does not have is left out.
 RAMPED = (
@@ -73,7 +73,7 @@ def _ask(probe: Probe, verb: Verb) -> None:
     command = probe.command(verb)
     named = command.request_forms[0].layout.named
     # Whether it is answered says nothing about the shaft: that is looked at.
-    probe.ask(command, {"acceleration": moving.GENTLE} if "acceleration" in named else None, timeout_ns=_LOOK_NS, quiet_ns=0)
+    probe.ask(command, {"acceleration": motion.GENTLE} if "acceleration" in named else None, timeout_ns=_LOOK_NS, quiet_ns=0)
 
 
 def stands(probe: Probe, limit_ns: int) -> str:
@@ -85,13 +85,13 @@ def stands(probe: Probe, limit_ns: int) -> str:
     before: float | None = None
     while probe.gate.now_ns() < until_ns:
         try:
-            speed = moving.speed(probe).value
-            position = moving.position(probe).value
+            speed = motion.speed(probe).value
+            position = motion.position(probe).value
         except Inconclusive as error:
             seen, before, told = 0, None, str(error)
             probe.wait(_LOOK_NS)
             continue
-        still = before is not None and abs(position - before) <= moving.SAME and abs(speed) < 1
+        still = before is not None and abs(position - before) <= motion.SAME and abs(speed) < 1
         seen = seen + 1 if still else 0
         if seen >= PROOFS:
             return ""

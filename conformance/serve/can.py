@@ -4,7 +4,7 @@
 
 Rules:
 
-1. The drives' own frames are never taken for requests (`conformance.can_port`).
+1. The drives' own frames are never taken for requests (`conformance.bus.python_can`).
 2. Frames that are no CAN 2.0 data frames with 11 bits are logged and reach no drive.
 3. With `bitrate` drives at another rate are not there; without it each drive's rate is right.
 """
@@ -17,7 +17,7 @@ from typing import Any
 
 from analyzer.errors import UsageError
 from analyzer.values import quote
-from conformance.can_port import CanPort
+from conformance.bus.python_can import CanPort
 from conformance.drives.can_bus import CanBus
 from conformance.serve.clock import Clock
 from conformance.serve.stop import Stop

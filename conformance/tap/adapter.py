@@ -14,7 +14,7 @@ import termios
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
-from analyzer.endpoint import Endpoint
+from analyzer.live.endpoint import Endpoint
 from analyzer.live.reader_port import Opened, Stop, Unopened
 from analyzer.live.reader_serial import find_adapter, holders, precision, refused, set_raw
 from analyzer.live.reader_tcp import TcpPort

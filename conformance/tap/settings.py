@@ -12,7 +12,7 @@ import struct
 import termios
 from dataclasses import dataclass
 
-from analyzer.endpoint import Endpoint
+from analyzer.live.endpoint import Endpoint
 from analyzer.live.reader_serial import TCGETS2, TERMIOS2, set_raw
 from conformance.serve.line_speed import line_speed
 

@@ -12,7 +12,7 @@ from analyzer.cli import main
 from analyzer.codec import codec
 from analyzer.layout import Kind
 from analyzer.lookup import code_text, find
-from analyzer.picture import picture
+from analyzer.reference.picture import picture
 
 ALL = dialects.every()
 LAYOUTS = [

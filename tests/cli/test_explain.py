@@ -16,13 +16,13 @@ from analyzer import dialects
 from analyzer.catalogue import Command, Dialect, Risk, Role, Vector, Verb, always
 from analyzer.cli import explain as module
 from analyzer.cli import main
-from analyzer.cli.explain_text import explanation_lines
 from analyzer.decoder import slots_of
 from analyzer.errors import UnreadableError
-from analyzer.explanation import Explainer
-from analyzer.hextext import read_frame
 from analyzer.layout import Layout, u8, u16
 from analyzer.link import HeadLink
+from analyzer.reference.explanation import Explainer
+from analyzer.reference.explanation_text import explanation_lines
+from analyzer.reference.frame_text import read_frame
 
 VECTORS = [
     pytest.param(dialect, command, vector, id=f"{dialect.name}-{command.name}-{vector.printed}-{number}")

@@ -16,8 +16,8 @@ from mcap.reader import make_reader
 
 from analyzer.cli import main
 from analyzer.errors import UsageError
-from analyzer.moments import iso, parse
 from analyzer.sources import open_source
+from analyzer.sources.moments import iso, parse
 from tests.collect import sum8
 from tests.live.spooled import UTC, Spools, content, metadata, port, raw_of, read
 

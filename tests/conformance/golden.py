@@ -15,10 +15,12 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from conformance import engine, mutants, suite
 from conformance.claim import Outcome
 from conformance.drives import make
-from conformance.target import every_emulated
+from conformance.suite import engine
+from conformance.suite import plan as suite
+from conformance.suite.target import every_emulated
+from conformance.tools import mutants
 
 FOLDER = Path(__file__).with_name("golden")
 #: Claims that are tried against each fault: those that are likeliest to refute it.

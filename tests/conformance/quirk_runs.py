@@ -10,10 +10,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from conformance import claims as registry
-from conformance import engine
 from conformance.claim import Claim, Outcome
 from conformance.drives import make
-from conformance.rig_emulated import EmulatedRig
+from conformance.suite import engine
+from conformance.suite.rig_emulated import EmulatedRig
 
 DIALECTS = ("mks-rs485", "mks-modbus", "mks-can", "lk-rs485")
 #: Quirks that a listener cannot tell from what the manual has, in these dialects: Modbus echoes a calibration anyway.

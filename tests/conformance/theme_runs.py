@@ -6,11 +6,11 @@ from collections.abc import Iterable
 from dataclasses import replace
 from types import ModuleType
 
-from conformance import engine
 from conformance.claim import Claim, Outcome, Verdict
 from conformance.drives import make
 from conformance.drives.drive import Fault
-from conformance.rig_emulated import EmulatedRig
+from conformance.suite import engine
+from conformance.suite.rig_emulated import EmulatedRig
 
 #: One drive of each dialect, with the model that has most commands.
 DRIVES = ("mks-rs485@1,model=42D", "mks-modbus@1,model=42D", "mks-can@1,model=42E", "lk-rs485@1,model=MF")

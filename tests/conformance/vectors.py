@@ -9,7 +9,7 @@ from analyzer.catalogue import Command, Dialect, Risk, Role
 from analyzer.codec import codec
 from analyzer.decoder import slots_of
 from analyzer.records import CanFrame
-from conformance.gate import Item
+from conformance.gate.gate import Item
 
 READS = frozenset({Risk.READ})
 EVERYTHING = frozenset(Risk)

@@ -13,8 +13,8 @@ import sys
 import threading
 from pathlib import Path
 
-from analyzer.endpoint import parse
 from analyzer.live.config import PortConfig, RecordingConfig
+from analyzer.live.endpoint import parse
 from analyzer.live.spool import Kind, SpoolReader
 
 ROOT = Path(__file__).parents[2]

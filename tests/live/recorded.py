@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from analyzer.live.spool import last_record, spool_folder, stems
-from tests.drives.served import wait_for
+from tests.conformance.drives.served import wait_for
 
 ROOT = Path(__file__).parents[2]
 READY_S = 20.0

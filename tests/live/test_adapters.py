@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from analyzer.cli import ports
-from analyzer.endpoint import parse
 from analyzer.live.adapters import can_interfaces, detected, serial_adapters
+from analyzer.live.endpoint import parse
 
 
 class Tree:

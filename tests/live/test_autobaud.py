@@ -14,11 +14,11 @@ from mcap.reader import make_reader
 from analyzer import dialects
 from analyzer.catalogue import Dialect, Role
 from analyzer.encoder import build
-from analyzer.endpoint import parse
 from analyzer.errors import UsageError
 from analyzer.live import autobaud
 from analyzer.live.autobaud import decide, find_all, judge, rates, score, search, table
 from analyzer.live.autobaud_ears import ear_of
+from analyzer.live.endpoint import parse
 from analyzer.records import Chunk
 from conformance.drives.uart import BITS, SECOND_NS, Sent, hear
 from conformance.serve.line_speed import line_speed

@@ -19,9 +19,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analyzer.endpoint import parse
 from analyzer.errors import UsageError
 from analyzer.live import reader_can, reader_can_socket
+from analyzer.live.endpoint import parse
 from analyzer.live.reader import make_port
 from analyzer.live.reader_can import LISTEN_ONLY, notes_of_link, options_for
 from analyzer.live.reader_can_library import CanLibraryPort
@@ -30,7 +30,7 @@ from analyzer.live.reader_can_socket import CanSocketPort, dissect_kernel, disse
 from analyzer.live.reader_port import Lost, Stop, Unopened
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import CanFlag, Kind, SpoolReader, SpoolWriter
-from tests.drives.served import wait_for
+from tests.conformance.drives.served import wait_for
 from tests.live.readers import ReaderProcess, fill
 from tests.live.recorded import pty_pair
 

@@ -14,13 +14,13 @@ from contextlib import contextmanager, suppress
 
 import pytest
 
-from analyzer.endpoint import parse
 from analyzer.live import reader_serial
+from analyzer.live.endpoint import parse
 from analyzer.live.reader_port import Lost, Stop, Unopened
 from analyzer.live.reader_serial import TCGETS2, TERMIOS2, SerialPort, find_adapter, holders, set_raw
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import Kind, SpoolReader, SpoolWriter
-from tests.drives.served import wait_for
+from tests.conformance.drives.served import wait_for
 from tests.live.readers import ReaderProcess, fill
 from tests.live.recorded import pty_pair
 

@@ -8,11 +8,11 @@ from contextlib import closing
 
 import pytest
 
-from analyzer.endpoint import parse
 from analyzer.live import reader_tcp
+from analyzer.live.endpoint import parse
 from analyzer.live.reader_port import Lost, Stop, Unopened
 from analyzer.live.reader_tcp import TcpPort
-from tests.drives.served import wait_for
+from tests.conformance.drives.served import wait_for
 from tests.live.readers import ReaderProcess
 
 

@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 from analyzer.live.spool import Record, last_record
 from analyzer.records import CanFrame, Chunk
 from analyzer.sources import open_source
-from tests.drives.served import Emulated, wait_for
+from tests.conformance.drives.served import Emulated, wait_for
 from tests.live.recorded import ROOT, Recorded, gone, pty_pair
 
 CAPTURES = Path(__file__).parents[2] / "captures"

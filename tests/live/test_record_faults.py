@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 
 import pytest
 
-from tests.drives.served import wait_for
+from tests.conformance.drives.served import wait_for
 from tests.live.recorded import Recorded, gone, pty_pair
 from tests.live.test_reader_serial import terminal
 from tests.live.test_record import POLL, events, raw, servotap

@@ -12,8 +12,8 @@ from analyzer.live import config
 from analyzer.live.log_parts import LogParts
 from analyzer.live.recorder import Recorder
 from analyzer.live.recording import Recording
-from analyzer.parts import base_of, look, part_path, parts_named
 from analyzer.sources import open_source
+from analyzer.sources.log_files import base_of, look, part_path, parts_named
 from tests.collect import sum8
 from tests.live.spooled import START, Spools, content, decoded_of, metadata, port, raw_of, read
 from tests.live.test_recorder_killed import ARM, LEFT, RIGHT, fill, once

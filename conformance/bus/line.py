@@ -1,0 +1,79 @@
+"""A line: the host's end of a bus, for those who send. Real ones run on the real clock, emulated ones on a virtual one.
+
+Nothing but a gate (`conformance.gate.gate`) may call `write`: it is where bytes leave. Whoever sends holds a gate.
+
+Times are nanoseconds of the line's own clock, which begins anywhere and never goes back; `anchor_ns` is UTC at its zero.
+An emulated line's clock moves only while somebody waits, so a program that waits needs no time.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from analyzer.errors import ServotapError
+from analyzer.live.endpoint import Endpoint
+from analyzer.records import CanFrame, Chunk
+
+
+class LineLost(ServotapError):
+    """The port has gone: unplugged, closed by the other end, or failing."""
+
+
+class Line(ABC):
+    """The host's end of one bus.
+
+    `endpoint`: what it was opened from. `emulated`: no real drive is on the other end, nothing can break.
+    """
+
+    endpoint: Endpoint
+    emulated: bool = False
+    anchor_ns: int = 0
+    #: When a setting was last written, on this line's clock; None: none was. Hasty writes are dropped by real drives.
+    setting_ns: int | None = None
+
+    @property
+    def is_can(self) -> bool:
+        """Whether frames of CAN are sent, else bytes of a serial line."""
+        return self.endpoint.bus_kind == "can"
+
+    @property
+    def byte_ns(self) -> int:
+        """Time of one byte on a serial line; 0 on CAN, and where no line speed is known."""
+        return self.endpoint.byte_ns
+
+    @abstractmethod
+    def now_ns(self) -> int:
+        """Return the time of this line's clock."""
+
+    @abstractmethod
+    def write(self, item: bytes | CanFrame) -> int:
+        """Send bytes (serial) or one frame (CAN) and return the time at which the last of it is on the wire.
+
+        Only a gate calls this. Raises ServotapError (`LineLost`) when the port is gone.
+        """
+
+    @abstractmethod
+    def receive(self, timeout_ns: int) -> Chunk | CanFrame | None:
+        """Return what comes next, with its time, or None when `timeout_ns` have passed without anything.
+
+        What this host sent itself never comes back here, whatever the adapter or interface does.
+        Raises ServotapError (`LineLost`) when the port is gone.
+        """
+
+    def wait(self, duration_ns: int) -> list[Chunk | CanFrame]:
+        """Let time pass and return what came meanwhile."""
+        until_ns = self.now_ns() + duration_ns
+        got = []
+        while (left_ns := until_ns - self.now_ns()) > 0:
+            item = self.receive(left_ns)
+            if item is not None:
+                got.append(item)
+        return got
+
+    @abstractmethod
+    def set_speed(self, bits_per_second: int) -> None:
+        """Change this end's speed (baud or bit rate). Raises UsageError where it cannot be changed (TCP)."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Give the port back; it may be done twice."""

@@ -1,0 +1,154 @@
+"""A serial port as a line.
+
+    serial:/dev/ttyUSB0,baud=38400      serial:,serial=A50285BI,baud=115200
+
+Opening disturbs as little as an opening can: the port is taken for this process alone, RTS and DTR are held active as the
+user's own programs have them (many RS485 adapters live on one of them; those with a direction pin of their own switch it by
+themselves), no flow control. Adapters with a latency timer are asked for their quick mode, where the system can.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import serial
+from serial.tools import list_ports
+
+from analyzer.errors import UsageError
+from analyzer.live.endpoint import Endpoint
+from conformance.bus.stream import StreamLine, read_all
+
+_HAS_SELECT = os.name == "posix"
+_MOST_LISTED = 8
+
+
+class SerialLine(StreamLine):
+    """A serial port. Raises UsageError where it cannot be opened, with what to do about it."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        super().__init__(endpoint)
+        self.path = endpoint.place or _path_of(endpoint)
+        self._port: Any = serial.Serial()
+        port = self._port
+        port.port = self.path
+        port.baudrate = endpoint.bits_per_second
+        port.bytesize = 8
+        port.parity = endpoint.parity
+        port.stopbits = endpoint.stop_bits
+        port.timeout = 0
+        port.exclusive = True if _HAS_SELECT else None
+        try:
+            port.open()
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise UsageError(why_not(self.path, error)) from None
+        # Terminals, and adapters without such a timer, have no such mode.
+        with contextlib.suppress(NotImplementedError, AttributeError, OSError, ValueError, serial.SerialException):
+            port.set_low_latency_mode(True)
+
+    def fileno(self) -> int:
+        """Return the port's descriptor."""
+        return int(self._port.fileno())
+
+    def _read(self) -> bytes:
+        if not _HAS_SELECT:
+            return bytes(self._port.read(self._port.in_waiting or 1))
+        try:
+            return read_all(self.fileno())
+        except EOFError:
+            raise self.lost("the other end has closed") from None
+
+    def _wait(self, timeout_ns: int) -> bool:
+        if _HAS_SELECT:
+            return super()._wait(timeout_ns)
+        # Handles cannot be waited for there: the port is asked, a thousand times a second.
+        until_ns = self.now_ns() + timeout_ns
+        while not (waiting := bool(self._port.in_waiting)) and self.now_ns() < until_ns:
+            time.sleep(0.001)
+        return waiting
+
+    def _put(self, data: bytes) -> int:
+        if _HAS_SELECT:
+            return os.write(self.fileno(), data)
+        return int(self._port.write(data) or 0)
+
+    def set_speed(self, bits_per_second: int) -> None:
+        """Change the port's baud rate, when all that was written has left; what was heard before is dropped."""
+        self._check()
+        left_ns = self._free_ns - self.now_ns()
+        try:
+            if left_ns > 0:
+                time.sleep(left_ns / 1e9)
+            self._port.flush()
+            self._port.baudrate = bits_per_second
+            self._port.reset_input_buffer()
+        except (OSError, serial.SerialException) as error:
+            raise self.lost(str(error)) from None
+        except ValueError:
+            raise UsageError(f"{self.path} cannot be set to {bits_per_second} baud") from None
+        self._ready.clear()
+        self.echo.reset()
+        self.endpoint = self.endpoint.at(bits_per_second)
+
+    def _shut(self) -> None:
+        # A port that has gone cannot be closed any more.
+        with contextlib.suppress(OSError, serial.SerialException):
+            self._port.close()
+
+
+def _path_of(endpoint: Endpoint) -> str:
+    found = [p for p in list_ports.comports() if p.serial_number == endpoint.adapter]
+    if not found:
+        numbers = ", ".join(f"{p.serial_number} ({p.device})" for p in list_ports.comports() if p.serial_number)
+        raise UsageError(f"no adapter has the serial number {endpoint.adapter}; there are {numbers or 'none'}")
+    return str(found[0].device)
+
+
+# --- why a port cannot be opened ----------------------------------------------------------------------------------
+
+
+def why_not(path: str, error: Exception) -> str:
+    """Return why a port cannot be opened, and what to do about it."""
+    number = getattr(error, "errno", None)
+    text = str(error)
+    if number == errno.EACCES or "Permission denied" in text:
+        return f"{path}: permission denied. {permission_hint(path)}"
+    if number == errno.ENOENT or "No such file" in text:
+        names = [p.device for p in list_ports.comports()][:_MOST_LISTED]
+        return f"{path} is not there; serial ports here: {', '.join(names) or 'none: is the adapter plugged in?'}"
+    if number in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK) or "lock" in text or "busy" in text:
+        holders = who_has(path)
+        who = f" by {', '.join(holders)}" if holders else " by another program"
+        return f"{path} is in use{who}: end it, or let it share the port with servotap tap"
+    return f"{path} cannot be opened: {text or type(error).__name__}"
+
+
+def permission_hint(path: str) -> str:
+    """Return the command that lets this user use a port."""
+    try:
+        import grp
+        import pwd
+
+        group = grp.getgrgid(Path(path).stat().st_gid).gr_name
+        user = pwd.getpwuid(os.getuid()).pw_name
+    except (ImportError, OSError, KeyError):
+        return "Ports belong to a group, often dialout: sudo usermod -aG dialout $USER, then log in again."
+    if group == "root":
+        return f"It belongs to root alone: sudo chmod a+rw {path}, or a udev rule that gives it to the group dialout."
+    return f"It belongs to the group {group}: sudo usermod -aG {group} {user}, then log in again."
+
+
+def who_has(path: str) -> list[str]:
+    """Return the programs that have a port open, as far as this user may see them."""
+    found = []
+    real = os.path.realpath(path)
+    for entry in Path("/proc").glob("[0-9]*/fd/*"):
+        with contextlib.suppress(OSError):
+            if os.path.realpath(entry) == real and entry.parts[2] != str(os.getpid()):
+                name = Path("/proc", entry.parts[2], "comm").read_text().strip()
+                found.append(f"{name} (process {entry.parts[2]})")
+    return sorted(set(found))

@@ -1,0 +1,153 @@
+"""Lines of bytes on a descriptor: what serial ports and TCP connections share.
+
+    receive: wait for the descriptor, read all there is, stamp it at once
+
+The stamp is taken right behind the wait, in the thread that waits: a thread of its own would be late by what Python's lock
+costs it. Who does other work between two calls finds what came meanwhile stamped late; exchanges wait for their reply.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import time
+from abc import abstractmethod
+from collections import deque
+
+from analyzer.catalogue import Role
+from analyzer.live.endpoint import Endpoint
+from analyzer.records import CanFrame, Chunk
+from conformance.bus.echo import EchoFilter
+from conformance.bus.line import Line, LineLost
+
+SECOND_NS = 1_000_000_000
+#: How long a port may take no bytes before it is taken to be stuck.
+_STUCK_NS = 5 * SECOND_NS
+READ_SIZE = 65536
+
+
+class StreamLine(Line):
+    """A line of bytes. Its clock is the system's monotonic one, so that lines of several processes have one time."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self.endpoint = endpoint
+        self.anchor_ns = time.time_ns() - time.monotonic_ns()
+        self.echo = EchoFilter()
+        self._ready: deque[Chunk] = deque()
+        self._free_ns = 0
+        self._closed = False
+
+    def now_ns(self) -> int:
+        """Return the system's monotonic time."""
+        return time.monotonic_ns()
+
+    # --- what a kind of stream differs in -------------------------------------------------------------------------
+
+    @abstractmethod
+    def fileno(self) -> int:
+        """Return the descriptor to wait for."""
+
+    @abstractmethod
+    def _read(self) -> bytes:
+        """Return what is there, b"" for nothing. Raises LineLost, OSError."""
+
+    @abstractmethod
+    def _put(self, data: bytes) -> int:
+        """Write what the port takes and return how many bytes that was. Raises OSError."""
+
+    @abstractmethod
+    def _shut(self) -> None:
+        """Close the port. May raise OSError."""
+
+    # --- the line -------------------------------------------------------------------------------------------------
+
+    def write(self, item: bytes | CanFrame) -> int:
+        """Send bytes and return when the last of them is on the wire, as its speed tells. Only a gate calls this."""
+        if isinstance(item, CanFrame):
+            raise TypeError("expected bytes for a serial line, got a CAN frame")
+        self._check()
+        now_ns = self.now_ns()
+        self._free_ns = max(now_ns, self._free_ns) + len(item) * self.byte_ns
+        self.echo.sent(item, self._free_ns)
+        rest = memoryview(item)
+        deadline_ns = now_ns + _STUCK_NS
+        try:
+            while rest:
+                written = self._put_some(rest)
+                rest = rest[written:]
+                if not written and self.now_ns() > deadline_ns:
+                    raise self.lost("it takes no more bytes")
+        except OSError as error:
+            raise self.lost(error.strerror or str(error)) from None
+        return self._free_ns
+
+    def _put_some(self, rest: memoryview) -> int:
+        try:
+            return self._put(bytes(rest))
+        except BlockingIOError:
+            select.select([], [self.fileno()], [], 0.1)
+            return 0
+
+    def receive(self, timeout_ns: int) -> Chunk | None:
+        """Return the next bytes that are not this host's own, None when the time is over."""
+        self._check()
+        deadline_ns = self.now_ns() + timeout_ns
+        while not self._ready:
+            left_ns = deadline_ns - self.now_ns()
+            if self.echo.holds:
+                held = self.echo.late(self.now_ns())
+                if held:
+                    return self._chunk(held, self.now_ns())
+            if not self._wait(max(0, min(left_ns, 20_000_000) if self.echo.holds else left_ns)):
+                if left_ns <= 0:
+                    return None
+                continue
+            t_ns = self.now_ns()
+            try:
+                data = self._read()
+            except OSError as error:
+                raise self.lost(error.strerror or str(error)) from None
+            if data:
+                self._ready.extend(self.echo.heard(self._chunk(data, t_ns)))
+        return self._ready.popleft()
+
+    def _wait(self, timeout_ns: int) -> bool:
+        try:
+            return bool(select.select([self.fileno()], [], [], timeout_ns / SECOND_NS)[0])
+        except (OSError, ValueError) as error:
+            raise self.lost(str(error)) from None
+
+    def _chunk(self, data: bytes, t_ns: int) -> Chunk:
+        return Chunk(t_ns, self.endpoint.name, data, Role.REPLY)
+
+    def _check(self) -> None:
+        if self._closed:
+            raise self.lost("it was closed")
+
+    def lost(self, why: str) -> LineLost:
+        """Return the error that the port has gone."""
+        return LineLost(f"{self.endpoint.place or self.endpoint.text} is gone: {why}")
+
+    def close(self) -> None:
+        """Give the port back."""
+        if not self._closed:
+            self._closed = True
+            self._shut()
+
+
+def read_all(descriptor: int) -> bytes:
+    """Return what a descriptor that does not block has, b"" for nothing; None of it is left. Raises OSError, EOFError."""
+    parts: list[bytes] = []
+    while True:
+        try:
+            part = os.read(descriptor, READ_SIZE)
+        except BlockingIOError:
+            break
+        if not part:
+            if parts:
+                break
+            raise EOFError
+        parts.append(part)
+        if len(part) < READ_SIZE:
+            break
+    return b"".join(parts)

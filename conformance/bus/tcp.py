@@ -1,0 +1,52 @@
+"""A TCP connection as a line: a terminal server, or emulated drives. `tcp:HOST:PORT[,baud=N]`
+
+The line behind it has a speed of its own that cannot be set from here; `baud` says what it is, for times on the wire.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+
+from analyzer.errors import UsageError
+from analyzer.live.endpoint import Endpoint
+from conformance.bus.stream import READ_SIZE, StreamLine
+
+_CONNECT_S = 5.0
+
+
+class TcpLine(StreamLine):
+    """A TCP connection. Raises UsageError where nobody answers."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        super().__init__(endpoint)
+        try:
+            self._socket = socket.create_connection(endpoint.host, timeout=_CONNECT_S)
+        except OSError as error:
+            raise UsageError(f"{endpoint.place}: nobody answers there ({error.strerror or error})") from None
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.setblocking(False)
+
+    def fileno(self) -> int:
+        """Return the socket's descriptor."""
+        return self._socket.fileno()
+
+    def _read(self) -> bytes:
+        try:
+            data = self._socket.recv(READ_SIZE)
+        except BlockingIOError:
+            return b""
+        if not data:
+            raise self.lost("the other end has closed the connection")
+        return data
+
+    def _put(self, data: bytes) -> int:
+        return self._socket.send(data)
+
+    def set_speed(self, bits_per_second: int) -> None:
+        """Raise UsageError: the speed of the line behind a connection is set where it is."""
+        raise UsageError(f"{self.endpoint.text}: the speed of a line behind TCP cannot be set from here")
+
+    def _shut(self) -> None:
+        with contextlib.suppress(OSError):
+            self._socket.close()

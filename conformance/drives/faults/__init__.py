@@ -1,0 +1,1 @@
+"""Faults of emulated drives: defects by name, each of which a good suite refutes."""

@@ -1,0 +1,1 @@
+"""The emulated LK drive: commands, motor and quirks."""

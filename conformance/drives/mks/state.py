@@ -1,0 +1,220 @@
+"""What an MKS drive is at a moment: its settings, its memory, its motor, its switches, and what follows from them.
+
+Rules kept here:
+- In bus modes a command enables the motor, in pulse modes the En pin.
+- Left is the side to which homing goes, whichever way that is; right is the other one. A closed switch pulls its pin low,
+  so that with `home_trigger` high an open switch is the effective one.
+- A drive has a port for the right switch if it is a 57 or its ports are remapped.
+- The real speed is the speed as sent at 16, 32 and 64 subdivisions, else speed x 16 / subdivision; the limit of the work
+  mode is one of the speed as sent.
+
+Not emulated: which port a switch is wired to; the drive finds it at the port where it looks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from fractions import Fraction
+
+from analyzer.catalogue import Verb
+from analyzer.errors import UsageError
+from analyzer.protocols import mks_shared
+from conformance.drives.drive import Drive, Fault, Quirk
+from conformance.drives.mks.paths import Number, divided, ramp_step_ns
+from conformance.drives.mks.speaker import Speaker
+from conformance.drives.mks.store import Memory, catalogued
+from conformance.drives.motor import Motor, Switch
+
+COUNTS_PER_TURN = mks_shared.COUNTS_PER_TURN
+#: Full steps of a turn: a turn has so many times `subdivision` pulses.
+STEPS_PER_TURN = 200
+#: The byte of the subdivision cannot hold 256, so 0 stands for it.
+WIDEST_SUBDIVISION = 256
+#: At these subdivisions the shaft turns at the speed as sent; at others the speed is reckoned from the first.
+PLAIN_SUBDIVISIONS = (16, 32, 64)
+#: The position error at which a locked rotor counts as one where no setting says: that of the CAN drives.
+STALL_COUNTS = COUNTS_PER_TURN // 2
+DEGREES = 360
+
+
+def way_of(direction: int) -> int:
+    """Return the way of a direction in a setting: 1 raises the encoder."""
+    return 1 if direction == mks_shared.ConfigDirection.CCW else -1
+
+
+class MksState(Drive):
+    """The state of one drive. `speakers`: its dialects, by the value of the setting `modbus`.
+
+    `settings`: start values by field name, in place of the defaults; raises UsageError for a name that is no setting and
+    for a value that it cannot have. Times and laws that a quirk or a fault may change are attributes: `reply_delay_ns`,
+    `start_ns`, `calibration_ns`, `ramp` (time of one rpm by acceleration as sent), `home_settings` (by which it homes),
+    `heedless` (names of settings that have no effect), `forgetful` (settings that a restart puts back to their default),
+    `clinging` (settings that a restore leaves alone).
+    """
+
+    def __init__(
+        self,
+        speakers: Sequence[Speaker],
+        address: int,
+        *,
+        settings: Mapping[str, int] | None = None,
+        quirks: Iterable[Quirk] = (),
+        faults: Iterable[Fault] = (),
+        seed: int = 0,
+    ) -> None:
+        self.speakers = tuple(speakers)
+        super().__init__(speakers[0].dialect, address, quirks=quirks, faults=faults, seed=seed)
+        self.model = self.dialect.model
+        self.fields, self.factory = catalogued(self.dialect)
+        self.settings = self._checked({"new_address": address} | dict(settings or {}))
+        self.ramp: Callable[[int], int] = ramp_step_ns
+        self.home_settings: Callable[[], Mapping[str, int]] = lambda: self.settings
+        self.reply_delay_ns = 1_000_000
+        self.start_ns = 200_000_000
+        self.calibration_ns = 5_000_000_000
+        self.heedless: set[str] = set()
+        self.forgetful: set[str] = set()
+        self.clinging: set[str] = set()
+        self.motor = Motor(COUNTS_PER_TURN)
+        self.memory = Memory()
+        self.starting = False
+        self.powered = True
+        self.enable_pin = int(mks_shared.Level.LOW)
+        self.switches: dict[str, Switch] = {"left": Switch(-1), "right": Switch(1)}
+        self.tune()
+
+    def _checked(self, given: Mapping[str, int]) -> dict[str, int]:
+        for name, value in given.items():
+            if name not in self.factory:
+                known = ", ".join(sorted(self.fields))
+                raise UsageError(f"{self.dialect.name} has no setting {name!r}, expected one of {known}")
+            field = self.fields.get(name)
+            if field is not None and not field.allows(value) and value != self.factory[name]:
+                raise UsageError(f"{name}: got {value}, expected {field.low}..{field.high} or what the manual lists")
+        return {**self.factory, **given}
+
+    def tune(self) -> None:
+        """Take what the settings say of the link and of the loop."""
+        self.dialect = self.speaker.dialect
+        self.address = self.settings["new_address"]
+        self.motor.closed_loop = "open" not in self.mode
+
+    # --- link and mode --------------------------------------------------------------------------------------------
+
+    @property
+    def speaker(self) -> Speaker:
+        """The dialect that the drive speaks now."""
+        return self.speakers[min(self.settings.get("modbus", 0), len(self.speakers) - 1)]
+
+    @property
+    def mode(self) -> str:
+        """The name of the work mode."""
+        return self.fields["work_mode"].choice_names.get(self.settings["work_mode"], "")
+
+    @property
+    def by_bus(self) -> bool:
+        """Whether the work mode takes motion from the bus."""
+        return self.mode in self.speakers[0].dialect.by_verb[Verb.RUN_SPEED].modes
+
+    @property
+    def enabled(self) -> bool:
+        """Whether the motor is to hold: by command in bus modes, by the En pin in pulse modes."""
+        if self.by_bus:
+            return self.memory.enabled
+        return self.settings["enable_level"] in (mks_shared.EnableLevel.ALWAYS, self.enable_pin)
+
+    @property
+    def supplied(self) -> bool:
+        """Whether the supply is within what the manual asks for."""
+        low, high = self.speaker.supply
+        return low <= self.motor.volts <= high
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing is wrong with supply, encoder and rotor."""
+        blind = self.motor.encoder_fails and self.motor.closed_loop
+        return self.supplied and not blind and not self.memory.protected
+
+    # --- units ----------------------------------------------------------------------------------------------------
+
+    @property
+    def subdivision(self) -> int:
+        """The pulses of a full step."""
+        return self.settings["subdivision"] or WIDEST_SUBDIVISION
+
+    @property
+    def bus_sense(self) -> int:
+        """-1 where the setting of the motor's direction turns motion by the bus, else 1."""
+        turned = self.speaker.turns_bus_motion and self.settings["motor_direction"] == mks_shared.ConfigDirection.CCW
+        return -1 if turned else 1
+
+    @property
+    def pulse_counts(self) -> Number:
+        """The encoder counts of one pulse, below 0 where pulses lower the encoder."""
+        return Fraction(self.bus_sense * COUNTS_PER_TURN, STEPS_PER_TURN * self.subdivision)
+
+    @property
+    def pulses(self) -> int:
+        """The count of pulses."""
+        return round((self.motor.wanted(self.now_ns) - self.memory.pulse_zero) / self.pulse_counts)
+
+    @property
+    def axis(self) -> int:
+        """The encoder's running count."""
+        return round(self.motor.position(self.now_ns) - self.memory.zero)
+
+    def highest_speed(self, declared: int) -> int:
+        """Return the speed as sent that the work mode allows at most; `declared` is that of the command."""
+        return mks_shared.MODE_MAXIMUM_SPEEDS.get(self.mode, declared)
+
+    def real_speed(self, speed: int) -> Number:
+        """Return the rpm of the shaft for a speed as sent."""
+        plain = self.subdivision in PLAIN_SUBDIVISIONS
+        return speed if plain else divided(speed * PLAIN_SUBDIVISIONS[0], self.subdivision)
+
+    @property
+    def stall_counts(self) -> Number:
+        """The position error at which a locked rotor counts as one, in counts."""
+        declared = self.fields.get("stall_tolerance")
+        if declared is None:
+            return STALL_COUNTS
+        return divided(self.settings["stall_tolerance"] * declared.scale * COUNTS_PER_TURN, DEGREES)
+
+    # --- switches -------------------------------------------------------------------------------------------------
+
+    def side_way(self, side: str) -> int:
+        """Return the way in which a side lies: left is where homing goes."""
+        home = way_of(self.settings["home_direction"])
+        return home if side == "left" else -home
+
+    def side_wired(self, side: str) -> bool:
+        """Say whether the drive has a port for the switch of a side."""
+        return side == "left" or self.model.startswith("57") or bool(self.settings["limit_remap"])
+
+    def level(self, side: str) -> int:
+        """Return the level at the pin of a switch."""
+        return int(not self.switches[side].closed(self.motor.position(self.now_ns)))
+
+    def effective(self, side: str) -> bool:
+        """Say whether the switch of a side stands at its effective level."""
+        return self.side_wired(side) and self.level(side) == self.settings["home_trigger"]
+
+    def until_effective(self, side: str, wanted: bool) -> Number | None:
+        """Return when the switch of a side will (or will no longer) stand at its effective level, or None."""
+        if self.effective(side) == wanted:
+            return self.now_ns
+        return self.motor.changes(self.switches[side], self.now_ns) if self.side_wired(side) else None
+
+    # --- the shaft ------------------------------------------------------------------------------------------------
+
+    def let_go(self) -> None:
+        """Let the shaft go; the count of pulses stays as it is."""
+        self.memory.pulse_zero -= self.motor.error(self.now_ns)
+        self.motor.release(self.now_ns)
+
+    def grip(self) -> None:
+        """Hold the shaft, or let it go, as the state says."""
+        if self.enabled and self.sound:
+            self.motor.hold(self.now_ns)
+        elif self.motor.holding:
+            self.let_go()

@@ -1,0 +1,171 @@
+"""What a user allows to be sent: risks, bounds, addresses, a budget. And the options by which it is said.
+
+    --allow setting,motion --max-speed 300 --max-turns 2 --max-acceleration 200 --max-current 1500 --budget commands=500
+
+Reads are always allowed, and nothing else is unless it is said. Every risk of a frame has to be allowed: `motion` brings
+neither `torque` nor `unbounded`. (`unbounded` brings `motion`: who may run for ever may move, and must be able to stop.)
+
+Neighbours: where addresses are named, all others need `alone`, and so do a broadcast, a package and a change of the link
+anywhere. A reading that is no good frame and only reads has no address: no drive would answer it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from analyzer.catalogue import Risk
+from analyzer.errors import UsageError
+from analyzer.values import near, quote
+from conformance.gate.bounds import Bounds, Knowledge
+from conformance.gate.budget import Budget, parse_budget
+from conformance.gate.interpretations import Reading
+
+#: The order in which risks are listed.
+WORDS = tuple(risk.value for risk in Risk if risk is not Risk.READ)
+READS = frozenset({Risk.READ})
+
+
+@dataclass(frozen=True)
+class Objection:
+    """Why a reading may not leave. `hint`: what would allow it."""
+
+    reading: Reading
+    reasons: tuple[str, ...]
+    hint: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.reading}: {'; '.join(self.reasons)}" + (f" ({self.hint})" if self.hint else "")
+
+
+@dataclass(frozen=True)
+class Allowance:
+    """What may be sent.
+
+    `risks`: reads are always among them. `addresses`: the drives that are meant, None: whichever. `alone`: no other drive is
+    on the bus. `subdivision`: what the drives are set to, where the user says so. `budget` None: no limits but the default
+    wear.
+    """
+
+    risks: frozenset[Risk] = READS
+    speed: float | None = None
+    turns: float | None = None
+    acceleration: float | None = None
+    current: float | None = None
+    addresses: frozenset[int] | None = None
+    alone: bool = False
+    budget: Budget = field(default_factory=Budget)
+    subdivision: int | None = None
+
+    def __post_init__(self) -> None:
+        more = READS | ({Risk.MOTION} if Risk.UNBOUNDED in self.risks else frozenset())
+        object.__setattr__(self, "risks", frozenset(self.risks) | more)
+
+    @property
+    def bounds(self) -> Bounds:
+        """The bounds of one command."""
+        return Bounds(self.speed, self.turns, self.acceleration, self.current)
+
+    def described(self) -> dict[str, str]:
+        """Return the bounds as the options have them, for reports."""
+        numbers = {"max-speed": self.speed, "max-turns": self.turns, "max-acceleration": self.acceleration}
+        numbers |= {"max-current": self.current, "subdivision": self.subdivision}
+        shown = {name: f"{value:g}" for name, value in numbers.items() if value is not None}
+        budget = ",".join(f"{n}={v}" for n, v in self.budget.described().items())
+        return shown | ({"budget": budget} if budget else {}) | ({"alone": "yes"} if self.alone else {})
+
+    def objection(self, reading: Reading, known: Knowledge) -> Objection | None:
+        """Return why a reading may not leave, None where it may; the budget aside."""
+        if reading.reads_only and (self.addresses is None or self.alone) and not reading.to_many:
+            return None
+        missing = [risk.value for risk in Risk if risk in reading.risks - self.risks]
+        reasons = [f"needs {', '.join(missing)}"] * bool(missing)
+        hint = [f"--allow {','.join(missing)}"] * bool(missing)
+        neighbour = "" if self.alone else self._neighbour(reading)
+        if neighbour:
+            reasons.append(neighbour)
+            hint.append("--alone if no other drive is on the bus")
+        reasons += known.problems(reading, self.bounds)
+        return Objection(reading, tuple(reasons), " ".join(hint)) if reasons else None
+
+    def _neighbour(self, reading: Reading) -> str:
+        if reading.reads_only and not reading.sound:
+            return ""
+        if reading.slot or (reading.to_many and reading.address is None):
+            return "a package, which several drives obey"
+        if reading.to_many:
+            return "meant for all drives"
+        if Risk.LINK in reading.risks:
+            return "it changes the link, and may put a drive where another one is"
+        if self.addresses is not None and reading.address is not None and reading.address not in self.addresses:
+            return f"meant for {reading.address}, and the drive is {_listed(self.addresses)}"
+        return ""
+
+
+def _listed(addresses: Iterable[int]) -> str:
+    return " or ".join(str(a) for a in sorted(addresses)) or "none"
+
+
+# --- options ------------------------------------------------------------------------------------------------------
+
+
+def parse_allow(text: str) -> frozenset[Risk]:
+    """Return the risks of `setting,motion`; reads are always among them.
+
+    Raises UsageError for a word that is none, with all that there are.
+    """
+    found = {Risk.READ}
+    for word in (w.strip().lower().replace("_", "-") for w in text.split(",")):
+        if word and word not in (*WORDS, Risk.READ.value):
+            raise UsageError(f"--allow: got {quote(word)}{near(word, WORDS)}, expected some of {', '.join(WORDS)}")
+        if word:
+            found.add(Risk(word))
+    return frozenset(found)
+
+
+def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options by which a user says what may be sent."""
+    group = parser.add_argument_group("what may be sent (reads alone, unless it is said)")
+    group.add_argument("--allow", action="append", default=[], metavar="RISKS", help=f"some of {','.join(WORDS)}")
+    group.add_argument("--max-speed", type=_above_zero, metavar="RPM", help="highest speed of the shaft, by its subdivision")
+    group.add_argument("--max-turns", type=_above_zero, metavar="N", help="longest move; runs without an end are `unbounded`")
+    group.add_argument("--max-acceleration", type=_above_zero, metavar="N", help="as sent, 1..255; 0, at once, is above all")
+    group.add_argument("--max-current", type=_above_zero, metavar="MA", help="highest current that is set or held")
+    group.add_argument("--alone", action="store_true", help="no other drive is on the bus: broadcasts, packages, link changes")
+    group.add_argument(
+        "--budget", action="append", default=[], metavar="WORD=N,...", help="of the whole run: commands, seconds, turns, wear"
+    )
+    group.add_argument("--subdivision", type=_subdivision, metavar="N", help="what MKS drives are set to (else taken as 1)")
+
+
+def allowance_from(arguments: argparse.Namespace, *, addresses: Iterable[int] | None = None) -> Allowance:
+    """Return what the options of `add_gate_arguments` allow. `addresses`: the drives that are meant.
+
+    Raises UsageError for words that are none.
+    """
+    return Allowance(
+        parse_allow(",".join(arguments.allow or ())),
+        arguments.max_speed,
+        arguments.max_turns,
+        arguments.max_acceleration,
+        arguments.max_current,
+        None if addresses is None else frozenset(addresses),
+        bool(arguments.alone),
+        parse_budget(list(arguments.budget or ())),
+        getattr(arguments, "subdivision", None),
+    )
+
+
+def _above_zero(text: str) -> float:
+    value = float(text)
+    if not 0 < value < 1e12:
+        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text}")
+    return value
+
+
+def _subdivision(text: str) -> int:
+    value = int(text)
+    if not 1 <= value <= 256:
+        raise argparse.ArgumentTypeError(f"expected a subdivision 1..256, got {text}")
+    return value

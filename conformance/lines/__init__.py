@@ -1,7 +1,0 @@
-"""Lines: the host's end of real and emulated buses, for those who send. Only a gate writes to one."""
-
-from __future__ import annotations
-
-from conformance.lines.open import open_line
-
-__all__ = ["open_line"]

@@ -1,0 +1,96 @@
+"""The limits of fields and layouts as lists of integers: at them, beside them, and the bits that are to be 0.
+
+    edges(field)             the limits, or every choice           beyond(field)        the nearest forbidden values
+    allowed(field)           stretches of allowed values           forbidden(field)     stretches of forbidden ones
+    reserved_masks(layout)   the reserved bits, as data            with_bits(layout, values, mask)
+
+Strategies (`conformance.model.strategies`) and claims are both made from these; nothing here draws anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from analyzer.catalogue import Command
+from analyzer.codec import codec
+from analyzer.layout import Field, Kind, Layout
+from conformance.gate.drawing import ROOMY, Room, Span, span
+
+
+def listed(field: Field) -> tuple[int, ...] | None:
+    """Return all allowed values of a field that has a list of them, None for one that has a range."""
+    if field.fixed is not None:
+        return (field.fixed,)
+    if field.kind is Kind.RESERVED:
+        return (0,)
+    if field.values is None and field.choices is None:
+        return None
+    return tuple(v for v in sorted(field.values or field.choice_names) if field.allows(v))
+
+
+def edges(field: Field, room: Room = ROOMY) -> tuple[int, ...]:
+    """Return the limits of a field, or all its choices, within the bounds of `room`; empty where they leave nothing."""
+    kept = span(field, room)
+    choices = listed(field)
+    if choices is not None:
+        return tuple(v for v in choices if kept[0] <= v <= kept[1])
+    return tuple(sorted(set(kept))) if kept[0] <= kept[1] else ()
+
+
+def allowed(field: Field, room: Room = ROOMY, without: Sequence[Span] = (), command: Command | None = None) -> list[Span]:
+    """Return the stretches of values that the manual, the bounds of `room` and `without` leave.
+
+    `command`: the one that has the field, where it matters what that does.
+    """
+    choices = listed(field)
+    kept = span(field, room, command)
+    if choices is not None:
+        left = [(v, v) for v in choices if kept[0] <= v <= kept[1]]
+    else:
+        left = [kept] if kept[0] <= kept[1] else []
+    for low, high in without:
+        cut = [((a, min(b, low - 1)), (max(a, high + 1), b)) for a, b in left]
+        left = [each for pair in cut for each in pair if each[0] <= each[1]]
+    return left
+
+
+def forbidden(field: Field) -> list[Span]:
+    """Return the stretches of values that the manual forbids and the bits can hold."""
+    if field.kind is Kind.BYTES or field.kind is Kind.RESERVED or field.fixed is not None:
+        return []
+    result, at = [], field.wire_minimum
+    for low, high in allowed(field):
+        if at < low:
+            result.append((at, low - 1))
+        at = high + 1
+    if at <= field.wire_maximum:
+        result.append((at, field.wire_maximum))
+    return result
+
+
+def beyond(field: Field) -> tuple[int, ...]:
+    """Return the forbidden values next to the limits and in the gaps between choices, and the last the bits can hold."""
+    ends = {end for stretch in forbidden(field) for end in stretch}
+    near = {v + step for low, high in allowed(field) for v in (low, high) for step in (-1, 1)}
+    outermost = {field.wire_minimum, field.wire_maximum}
+    return tuple(sorted(ends & (near | outermost)))
+
+
+def reserved_masks(layout: Layout) -> tuple[int, ...]:
+    """Return the reserved bits of a layout, each alone, the lowest first, as numbers over its whole data."""
+    total = layout.byte_length * 8
+    return tuple(
+        sorted(
+            1 << (total - 1 - bit)
+            for offset, field in layout
+            if field.kind is Kind.RESERVED
+            for bit in range(offset, offset + field.bit_width)
+        )
+    )
+
+
+def with_bits(layout: Layout, values: Mapping[str, Any], mask: int) -> bytes:
+    """Return the data of values with the bits of a mask set too."""
+    data = codec(layout).encode(values)
+    return (int.from_bytes(data, "big") | mask).to_bytes(len(data), "big")

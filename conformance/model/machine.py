@@ -1,0 +1,234 @@
+"""A Hypothesis state machine per dialect: random sequences of all that is allowed, compared with a model after each step.
+
+    check(probe, "mixed")                  what a claim does: draw, run, and refute with the shortest sequence that shows it
+    machine(probe, "mixed", recorder)      the RuleBasedStateMachine itself, for those who run it otherwise
+    replay(probe, steps)                   the same steps again, on whatever drive
+
+The rules are the kinds of steps of the dialect (`mks_steps`, `lk_steps`), those whose risks are allowed. Their
+values are drawn within the bounds of the gate. A run is derandomised: the same seed draws the same sequences.
+
+A failure is shortened by taking out steps and running what is left on a new emulated drive, as long as it fails in the same
+way; so the time that it takes is bounded. On hardware it is told as it came: whoever has an emulated drive shortens it there.
+
+Rules kept here:
+- All sequences of a run go to one drive, each from the state that `Session.begin` brings about.
+- What raises Inconclusive ends the run: another claim judges that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from hypothesis import HealthCheck, Phase, Verbosity, seed, settings
+from hypothesis.errors import FlakyStrategyDefinition
+from hypothesis.stateful import RuleBasedStateMachine, precondition, rule, run_state_machine_as_test
+from hypothesis.strategies import runner
+
+from analyzer.catalogue import Dialect, Risk
+from conformance.claim import Inconclusive, NotRun, Refuted
+from conformance.model import lk_steps, mks_steps
+from conformance.model.lk import LkSession
+from conformance.model.mks import MksSession
+from conformance.model.session import Kind, Session, Step
+from conformance.motion import moves
+
+if TYPE_CHECKING:
+    from conformance.talk.probe import Probe
+
+#: Sequences and steps of a run: on emulated drives, and on real ones, where each takes seconds.
+EXAMPLES, STEPS = 6, 24
+REAL_EXAMPLES, REAL_STEPS = 2, 10
+#: How many shorter sequences are tried at most.
+SHORTER = 60
+
+
+def session_of(dialect: Dialect) -> type[Session]:
+    """Return the kind of session that a dialect's drives have. Raises KeyError where there is none."""
+    if moves.is_mks(dialect):
+        return MksSession
+    if "move_increment_limited" in dialect.by_name:
+        return LkSession
+    raise KeyError(f"{dialect.name} has no model")
+
+
+#: What is drawn for each kind of session.
+_DRAWN: Mapping[type[Session], ModuleType] = {MksSession: mks_steps, LkSession: lk_steps}
+
+
+def variants(dialect: Dialect) -> Mapping[str, tuple[str, ...]]:
+    """Return the variants of a dialect's machine: which kinds of steps each draws, by name."""
+    found: Mapping[str, tuple[str, ...]] = _DRAWN[session_of(dialect)].VARIANTS
+    return found
+
+
+def kinds(dialect: Dialect, variant: str) -> list[Kind]:
+    """Return the kinds of steps of a variant."""
+    known: Mapping[str, Kind] = _DRAWN[session_of(dialect)].KINDS
+    return [known[name] for name in variants(dialect)[variant]]
+
+
+@dataclass
+class Recorder:
+    """What came of a run: how many sequences and steps were done (`before` the present one), the first failure, its steps."""
+
+    sequences: int = 0
+    steps: int = 0
+    before: int = 0
+    failure: Refuted | Inconclusive | None = None
+    failed: list[Step] = field(default_factory=list)
+
+
+# --- the machine ------------------------------------------------------------------------------------------------------
+
+
+def machine(probe: Probe, variant: str, recorder: Recorder) -> type[RuleBasedStateMachine]:
+    """Return the state machine of a drive's dialect: one rule for each kind of step whose risks are allowed."""
+
+    def start(self: Any) -> None:
+        RuleBasedStateMachine.__init__(self)
+        recorder.sequences += 1
+        recorder.before = recorder.steps
+        self.session = session_of(probe.dialect)(probe)
+
+    def teardown(self: Any) -> None:
+        if recorder.failure is None:
+            self.session.end()
+
+    body: dict[str, Any] = {"__init__": start, "teardown": teardown}
+    for number, kind in enumerate(kinds(probe.dialect, variant)):
+        if kind.risks <= probe.rig.allowed | {Risk.READ}:
+            body[f"step_{number:02}_{kind.name}"] = _rule(kind, recorder)
+    return type(f"{variant.title()}Machine", (RuleBasedStateMachine,), body)
+
+
+def _rule(kind: Kind, recorder: Recorder) -> Any:
+    def act(self: Any, values: dict[str, int]) -> None:
+        try:
+            self.session.do(Step(kind.name, values))
+            recorder.steps = self.session.done + recorder.before
+        except (Refuted, Inconclusive) as error:
+            if recorder.failure is None:
+                recorder.failure, recorder.failed = error, list(self.session.steps)
+            raise
+
+    drawn = runner().flatmap(lambda self: kind.draw(self.session))
+    return precondition(lambda self: kind.possible(self.session))(rule(values=drawn)(act))
+
+
+def run(probe: Probe, variant: str) -> Recorder:
+    """Run the machine and return what came of it; it stops at the first failure.
+
+    Raises what is neither a refutation nor Inconclusive (a lost port).
+    """
+    recorder = Recorder()
+    real = probe.drive is None
+    chosen = seed(getattr(probe.rig, "seed", 0))(machine(probe, variant, recorder))
+    try:
+        run_state_machine_as_test(
+            chosen,
+            settings=settings(
+                max_examples=REAL_EXAMPLES if real else EXAMPLES,
+                stateful_step_count=REAL_STEPS if real else STEPS,
+                phases=(Phase.generate,),
+                database=None,
+                # The seed decides what is drawn, whatever profile Hypothesis finds for this machine.
+                derandomize=False,
+                deadline=None,
+                print_blob=False,
+                report_multiple_bugs=False,
+                verbosity=Verbosity.quiet,
+                suppress_health_check=list(HealthCheck),
+            ),
+        )
+    except (Refuted, Inconclusive) as error:
+        recorder.failure = recorder.failure or error
+    except FlakyStrategyDefinition:
+        # A drive that is the same one all the time is elsewhere when a sequence is tried again, and what is drawn hangs on
+        # where it is. What was done until then was compared.
+        if recorder.failure is None and not (real and recorder.steps):
+            raise
+    except Exception:
+        # Hypothesis repeats a failure and may find that it does not come again: the first one is what was seen.
+        if recorder.failure is None:
+            raise
+    return recorder
+
+
+# --- failures ---------------------------------------------------------------------------------------------------------
+
+
+def replay(probe: Probe, steps: Sequence[Step]) -> Refuted | None:
+    """Do steps again from the beginning; return what refutes the drive, None where nothing does.
+
+    Raises Inconclusive where the steps cannot be done.
+    """
+    try:
+        session = session_of(probe.dialect)(probe)
+        for step in steps:
+            session.do(step)
+    except Refuted as error:
+        return error
+    session.end()
+    return None
+
+
+def shortened(probe: Probe, steps: Sequence[Step], key: str) -> tuple[list[Step], Refuted | None]:
+    """Return the shortest sequence found that refutes a new emulated drive in the same way, and how; None: none does.
+
+    Steps are taken out in halves, quarters and so on, then one by one.
+    """
+    budget = SHORTER
+
+    def fails(candidate: Sequence[Step]) -> Refuted | None:
+        nonlocal budget
+        budget -= 1
+        fresh = probe.rig.probe(probe.claim)
+        try:
+            error = replay(fresh, candidate)
+        except (Inconclusive, KeyError, IndexError):
+            return None  # without the steps that were taken out it cannot be done
+        finally:
+            probe.rig.settle(fresh)
+        return error if error is not None and error.key == key else None
+
+    best, error = list(steps), fails(steps)
+    if error is None:
+        return best, None
+    size = max(1, len(best) // 2)
+    while size and budget > 0:
+        at = 0
+        while at < len(best) - 1 and budget > 0:
+            candidate = best[:at] + best[min(at + size, len(best) - 1) :]
+            shorter = fails(candidate) if len(candidate) < len(best) else None
+            if shorter is None:
+                at += size
+            else:
+                best, error = candidate, shorter
+        size //= 2
+    return best, error
+
+
+def check(probe: Probe, variant: str) -> None:
+    """Run a variant's machine on a drive.
+
+    Raises Refuted, where it can be with the shortest steps that show it, Inconclusive, NotRun where nothing may be sent.
+    """
+    recorder = run(probe, variant)
+    probe.measured["sequences"], probe.measured["steps"] = recorder.sequences, recorder.steps
+    failure = recorder.failure
+    if failure is None:
+        if not recorder.steps:
+            raise NotRun("no step of any sequence may be sent")
+        return
+    if isinstance(failure, Refuted) and probe.drive is not None:
+        steps, shorter = shortened(probe, recorder.failed, failure.key)
+        if shorter is not None:
+            shorter.steps = tuple(steps)
+            raise shorter from None
+    if isinstance(failure, Refuted):
+        # A real drive is not told the same again and again: whoever has an emulated one shortens it there.
+        failure.steps = tuple(recorder.failed)
+    raise failure

@@ -1,0 +1,222 @@
+"""Hypothesis strategies from the catalogue: values of fields, of layouts and whole requests, inside, at and outside the limits.
+
+    inside(field)           integers as sent that the manual allows       edges(field)    the limits, or every choice
+    outside(field)          those that it forbids and the bits can hold   beyond(field)   the nearest of them, and the last
+    layouts(layout)         {name: value}, all inside                     strays(layout)  exactly one of them outside
+    reserved_set(layout)    data whose reserved bits are not all 0
+    requests(dialect, risks, room)     whole requests, every risk of which is allowed
+    packages(dialect, risks, room)     packages of such requests
+    drawn(strategy, count, seed)        so many different values, the same for the same seed
+
+All take a `room`: bounds (how fast, far, hard and strong a motion may be) and what is known of the drive. Values are drawn
+within it and within the risks; nothing is drawn and thrown away. A field that no bound is about is not narrowed. Where all
+bits of a field are used, there is nothing outside: `beyond` is empty, `outside` draws nothing.
+
+    @given(strategies.requests(dialect, {Risk.READ, Risk.MOTION}, Room(Bounds(speed=300, turns=2))))
+    def test_mine(request):
+        probe.ask(request.command, request.values, form=request.form)
+
+Numbers are integers as sent, as everywhere in the catalogue. Not known here: links, and what a drive does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Any, NamedTuple, TypeVar
+
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
+from hypothesis.strategies import SearchStrategy
+
+from analyzer.catalogue import Command, Dialect, Form, Risk, Verb
+from analyzer.layout import Field, Kind, Layout
+from conformance.gate.bounds import Bounds
+from conformance.gate.drawing import ROOMY, Room, Span, untold
+from conformance.model.limits import allowed, beyond, edges, forbidden, reserved_masks, with_bits
+
+__all__ = [
+    "ROOMY",
+    "Bounds",
+    "Request",
+    "Room",
+    "Stray",
+    "beyond",
+    "drawn",
+    "edges",
+    "inside",
+    "layouts",
+    "outside",
+    "packages",
+    "request",
+    "requests",
+    "reserved_masks",
+    "reserved_set",
+    "strays",
+    "with_bits",
+]
+
+_Drawn = TypeVar("_Drawn")
+#: The longest bytes that are drawn for a field without a length.
+_LONGEST = 64
+
+
+class Request(NamedTuple):
+    """A request to draw from. `values`: integers as sent, of all fields of `form`."""
+
+    command: Command
+    form: Form
+    values: dict[str, Any]
+
+
+class Stray(NamedTuple):
+    """Values of a layout of which one, `field`, is outside its limits."""
+
+    field: str
+    values: dict[str, Any]
+
+
+# --- fields -----------------------------------------------------------------------------------------------------------
+
+
+def inside(field: Field, room: Room = ROOMY) -> SearchStrategy[Any]:
+    """Draw a value that the manual allows, the limits more often than others."""
+    return _from(allowed(field, room), field)
+
+
+def outside(field: Field) -> SearchStrategy[int]:
+    """Draw a value that the manual forbids and the bits can hold; nothing where there is none."""
+    return _from(forbidden(field), field)
+
+
+# --- layouts ----------------------------------------------------------------------------------------------------------
+
+
+def layouts(layout: Layout, room: Room = ROOMY) -> SearchStrategy[dict[str, Any]]:
+    """Draw values of a layout, all of them allowed."""
+    return st.fixed_dictionaries({name: inside(field, room) for name, field in layout.named.items()})
+
+
+def strays(layout: Layout, room: Room = ROOMY) -> SearchStrategy[Stray]:
+    """Draw values of a layout of which exactly one is forbidden; nothing where all bits are used."""
+    wrong = [name for name, field in layout.named.items() if beyond(field)]
+    return st.one_of([_stray(layout, name, room) for name in wrong]) if wrong else st.nothing()
+
+
+def _stray(layout: Layout, name: str, room: Room) -> SearchStrategy[Stray]:
+    drawn = {n: outside(f) if n == name else inside(f, room) for n, f in layout.named.items()}
+    return st.fixed_dictionaries(drawn).map(lambda values: Stray(name, values))
+
+
+def reserved_set(layout: Layout, room: Room = ROOMY) -> SearchStrategy[bytes]:
+    """Draw data of a layout, all named values allowed and some reserved bits set; nothing where none are reserved."""
+    masks = reserved_masks(layout)
+    if not masks:
+        return st.nothing()
+    drawn = st.lists(st.sampled_from(masks), min_size=1, unique=True).map(sum)
+    return st.builds(lambda values, mask: with_bits(layout, values, mask), layouts(layout, room), drawn)
+
+
+# --- requests ---------------------------------------------------------------------------------------------------------
+
+
+def requests(
+    dialect: Dialect, risks: Collection[Risk], room: Room = ROOMY, *, commands: Collection[str] | None = None
+) -> SearchStrategy[Request]:
+    """Draw requests of a dialect with allowed values, every risk of which is among `risks`.
+
+    `commands`: only these, by name. Packages are left out (see `packages`). Draws nothing where nothing is allowed.
+    """
+    chosen = [c for c in dialect.commands if c.slots is None and (commands is None or c.name in commands)]
+    drawn = [s for c in chosen for s in (request(c, f, risks, room) for f in c.request_forms) if s is not None]
+    return st.one_of(drawn) if drawn else st.nothing()
+
+
+def request(command: Command, form: Form, risks: Collection[Risk], room: Room = ROOMY) -> SearchStrategy[Request] | None:
+    """Return the strategy of one form of a request, None where no values of it are allowed."""
+    open_ended = any(f.kind is Kind.BYTES for f in form.layout.named.values())
+    closed = [rule for rule in command.risk if not rule.risks <= {*risks, Risk.READ}]
+    if open_ended or any(not rule.field for rule in closed) or untold(command, form, room.bounds):
+        return None
+    taken = _taken(command, form)
+    drawn: dict[str, SearchStrategy[Any]] = {}
+    for name, field in form.layout.named.items():
+        without = [(rule.low, rule.high) for rule in closed if rule.field == name]
+        if command.verb is Verb.RUN_SPEED and room.bounds.turns is not None and name == "speed":
+            without.append((0, 0))  # a run that does not turn: to the gate a run whose end nobody can tell
+        left = allowed(field, room, [*without, *((v, v) for v in taken.get(name, ()))], command)
+        if not left:
+            return None
+        drawn[name] = _from(left, field)
+    if any(rule.field not in drawn for rule in closed):
+        return None  # a rule about a field that this form does not have counts as the worst case
+    return st.fixed_dictionaries(drawn).map(lambda values: Request(command, form, values))
+
+
+def packages(
+    dialect: Dialect, risks: Collection[Risk], room: Room = ROOMY, *, addresses: Sequence[int] = (1,)
+) -> SearchStrategy[Request]:
+    """Draw packages whose slots hold requests to these addresses, at most one slot for each."""
+    package = next((c for c in dialect.commands if c.slots is not None), None)
+    if package is None or package.slots is None:
+        return st.nothing()
+    size = package.slots.size - 2
+    fitting = {
+        c.name for c in dialect.commands if c.slots is None and all(f.layout.byte_length <= size for f in c.request_forms)
+    }
+    slot = requests(dialect, risks, room, commands=fitting)
+    places = st.lists(st.sampled_from(addresses), unique=True, min_size=1, max_size=package.slots.count)
+    form, command = package.request_forms[0], package
+
+    def packed(places: list[int], asked: list[Request]) -> Request:
+        slots = [{"address": a, "command": r.command.name, **r.values} for a, r in zip(places, asked, strict=False)]
+        return Request(command, form, {"slots": slots})
+
+    count = package.slots.count
+    return st.builds(packed, places, st.lists(slot, min_size=count, max_size=count))
+
+
+def _taken(command: Command, form: Form) -> dict[str, set[int]]:
+    """Return the values by which earlier forms of a command are known: with these the data would be one of them."""
+    taken: dict[str, set[int]] = {}
+    for other in command.request_forms:
+        if other is form:
+            break
+        for name, field in other.layout.named.items():
+            mine = form.layout.named.get(name)
+            if field.fixed is not None and mine is not None and mine.fixed is None:
+                taken.setdefault(name, set()).add(field.fixed)
+    return taken
+
+
+def _from(spans: Sequence[Span], field: Field) -> SearchStrategy[Any]:
+    """Draw from stretches of values, their ends more often than what is between."""
+    if field.kind is Kind.BYTES:
+        return st.binary(max_size=_LONGEST)
+    if not spans:
+        return st.nothing()
+    ends = sorted({end for each in spans for end in each})
+    wide = [st.integers(low, high) for low, high in spans if high - low > 1]
+    return st.one_of(st.sampled_from(ends), *wide) if wide else st.sampled_from(ends)
+
+
+# --- without a test ---------------------------------------------------------------------------------------------------
+
+
+def drawn(strategy: SearchStrategy[_Drawn], count: int, start: int = 0) -> list[_Drawn]:
+    """Return up to `count` different values of a strategy, the same for the same `start`; none where it draws nothing."""
+    if strategy.is_empty:
+        return []
+    found: dict[str, _Drawn] = {}
+
+    @seed(start)
+    @settings(
+        max_examples=2 * count, phases=(Phase.generate,), database=None, deadline=None, derandomize=False,
+        suppress_health_check=list(HealthCheck),
+    )  # fmt: skip
+    @given(strategy)
+    def keep(value: _Drawn) -> None:
+        if len(found) < count:
+            found.setdefault(repr(value), value)
+
+    keep()
+    return list(found.values())

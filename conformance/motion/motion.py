@@ -1,0 +1,286 @@
+"""Motion by verbs: making a drive ready to move, watching it, and bringing it to rest. For claims of any dialect.
+
+    ready_to_move(probe)          a bus work mode and enabled (MKS), switched on (LK)
+    position(probe), speed(probe) in degrees and rpm, whatever the dialect counts in
+    run_at(probe, 60)             a run at 60 rpm, by the dialect's own command and units
+    wait_standing(probe)          until speed 0 and a position that does not change
+    stand_still(probe)            a stop by a ramp that keeps the torque, verified
+
+Rules kept here:
+- What a read means is the catalogue's word (`StatePart`); nothing here knows a code or a unit.
+- A value is known to have been true at some moment between the end of the request and the begin of the reply (`Sample`).
+- Whatever does not work raises Inconclusive: a claim about it judges it.
+- Nothing here disables a motor or goes faster than it is told.
+
+Not known here: in which work mode a native MKS drive is, since none can be read. A drive that refuses to be enabled is in
+a pulse mode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from analyzer.catalogue import Command, Dialect, Risk, Verb
+from analyzer.layout import Field
+from conformance.claim import Inconclusive
+from conformance.motion import ramp
+from conformance.talk.exchange import Exchange
+
+if TYPE_CHECKING:
+    from conformance.talk.probe import Probe
+
+MS = 1_000_000
+SECOND_NS = 1_000_000_000
+#: Degrees in which two positions are one: two counts of the coarsest encoder.
+SAME = 2 * 360 / 16384
+#: The acceleration (as sent) of stops that end a claim: 2.8 ms for one rpm.
+GENTLE = 200
+#: The acceleration of motion whose ramps do not matter: 0.4 ms for one rpm. Not 250: FA begins a frame, and a gate would
+#: read one in the middle of a request.
+QUICK = 248
+#: Between two looks at a shaft that may still turn.
+_LOOK_NS = 100 * MS
+#: How long a shaft may take to come to rest.
+_REST_NS = 30 * SECOND_NS
+#: How often a measurement is taken again whose reply cannot be read.
+_AGAIN = 2
+
+_POSITION = (Verb.READ_POSITION, Verb.READ_ENCODER_CARRY)
+_SPEED = (Verb.READ_SPEED, Verb.READ_STATE_2)
+_ENABLING = (Verb.ENABLE, Verb.MOTOR_ON)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A measured value: it held at some moment within `spread_ns` of `t_ns`. `step`: the smallest difference it shows."""
+
+    t_ns: float
+    spread_ns: float
+    value: float
+    step: float
+
+    def minus(self, other: Sample) -> tuple[float, float]:
+        """Return the difference of two values and of their times (ns)."""
+        return self.value - other.value, self.t_ns - other.t_ns
+
+
+def can_move(dialect: Dialect) -> bool:
+    """Say whether a dialect has what this module needs of one."""
+    verbs = dialect.by_verb
+    return any(v in verbs for v in _ENABLING) and Verb.RUN_SPEED in verbs and any(v in verbs for v in _POSITION)
+
+
+# --- making ready -----------------------------------------------------------------------------------------------------
+
+
+def bus_modes(dialect: Dialect) -> tuple[str, ...]:
+    """Return the work modes in which the bus moves the motor, by name; the last is the one that can do most."""
+    return dialect.by_verb[Verb.RUN_SPEED].modes
+
+
+def risks(dialect: Dialect, *more: Risk) -> frozenset[Risk]:
+    """Return the risks of what `ready_to_move` and `stand_still` send, and more."""
+    found: set[Risk] = {Risk.MOTION, *more}
+    for verb in (Verb.SET_WORK_MODE, Verb.SET_SUBDIVISION):
+        if verb in dialect.by_verb:
+            found |= dialect.by_verb[verb].all_risks
+    return frozenset(found)
+
+
+def settings(dialect: Dialect, *more: str) -> tuple[str, ...]:
+    """Return the settings that `ready_to_move` may change, and more."""
+    verbs = ((Verb.SET_WORK_MODE, "work_mode"), (Verb.SET_SUBDIVISION, "subdivision"))
+    return (*(name for verb, name in verbs if verb in dialect.by_verb), *more)
+
+
+def choice(command: Command, field: str, name: str) -> int:
+    """Return the integer as sent of a named choice of a request's field."""
+    for form in command.request_forms:
+        if field in form.layout.named:
+            return next(value for value, known in form.layout.named[field].choice_names.items() if known == name)
+    raise KeyError(f"{command.name} has no field {field}")
+
+
+def ready_to_move(probe: Probe, mode: str = "", *, subdivision: int | None = None) -> None:
+    """Bring a drive into a state in which the bus moves it.
+
+    `mode`: the work mode by name; without one, the mode that the drive has is kept if the bus moves the motor in it.
+    `subdivision`: set it to this (as sent); None: leave it. Raises Inconclusive where the drive refuses.
+    """
+    verbs = probe.dialect.by_verb
+    if Verb.MOTOR_ON in verbs:
+        probe.do(Verb.MOTOR_ON)
+    else:
+        if mode or not _enabled_now(probe):
+            set_mode(probe, mode or bus_modes(probe.dialect)[-1])
+            probe.do(Verb.ENABLE, {"enabled": 1})
+        if subdivision is not None and Verb.SET_SUBDIVISION in verbs:
+            probe.do(Verb.SET_SUBDIVISION, {"subdivision": subdivision})
+
+
+def set_mode(probe: Probe, mode: str) -> None:
+    """Set a work mode by its name."""
+    command = probe.command(Verb.SET_WORK_MODE)
+    probe.do(command, {"work_mode": choice(command, "work_mode", mode)})
+
+
+def _enabled_now(probe: Probe) -> bool:
+    exchange = probe.ask(Verb.ENABLE, {"enabled": 1})
+    probe.reply(exchange)
+    return not probe.refused(exchange)
+
+
+# --- measuring --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """A command whose reply holds a quantity, and the fields that add up to it."""
+
+    command: Command
+    fields: tuple[Field, ...]
+
+    def value(self, values: Mapping[str, int]) -> float:
+        return sum(f.physical(values[f.name]) * f.state.factor for f in self.fields if f.state is not None)
+
+    @property
+    def step(self) -> float:
+        return min(abs(float(f.scale) * f.state.factor) for f in self.fields if f.state is not None)
+
+
+def _reading(dialect: Dialect, quantity: str, verbs: Iterable[Verb]) -> _Reading:
+    for verb in verbs:
+        command = dialect.by_verb.get(verb)
+        if command is None or not command.reply_forms:
+            continue
+        named = command.reply_forms[0].layout.named.values()
+        fields = tuple(f for f in named if f.state is not None and f.state.quantity == quantity)
+        if fields:
+            return _Reading(command, fields)
+    raise Inconclusive(f"{dialect.name} has no command that reads the {quantity}")
+
+
+def _measure(probe: Probe, reading: _Reading) -> Sample:
+    exchange = probe.ask(reading.command, quiet_ns=0)
+    for _ in range(_AGAIN):
+        if readable(exchange):
+            break
+        # What a motion says at its end can collide with a request or its reply.
+        probe.wait(_LOOK_NS // 4)
+        exchange = probe.ask(reading.command, quiet_ns=0)
+    answer = probe.reply(exchange)
+    names = [f.name for f in reading.fields]
+    if any(n not in answer.values for n in names):
+        raise Inconclusive(f"the answer to {reading.command.name} has no {' and '.join(names)}")
+    between_ns = max(0, answer.first_ns - exchange.sent_ns)
+    return Sample(exchange.sent_ns + between_ns / 2, between_ns / 2, reading.value(answer.values), reading.step)
+
+
+def readable(exchange: Exchange) -> bool:
+    """Say whether a reply to a request is there and whole."""
+    answer = exchange.reply
+    return answer is not None and answer.message.form is not None and answer.message.frame.checksum_ok
+
+
+def position(probe: Probe) -> Sample:
+    """Measure where the shaft is, in degrees over all turns. Raises Inconclusive where it cannot be read.
+
+    The gate is told: it bounds moves to a place by where the shaft is.
+    """
+    sample = _measure(probe, _reading(probe.dialect, "position", _POSITION))
+    probe.gate.note_position(sample.value, probe.address)
+    return sample
+
+
+def speed(probe: Probe) -> Sample:
+    """Measure the speed, in rpm, positive where the position rises. Raises Inconclusive where it cannot be read."""
+    return _measure(probe, _reading(probe.dialect, "speed", _SPEED))
+
+
+def speed_between(first: Sample, second: Sample) -> tuple[float, float]:
+    """Return the mean speed between two positions in rpm, and its uncertainty."""
+    degrees, elapsed_ns = second.minus(first)
+    if elapsed_ns <= 0:
+        raise Inconclusive("two positions of one moment tell no speed")
+    rpm = degrees / 6 / (elapsed_ns / SECOND_NS)
+    spread_ns = first.spread_ns + second.spread_ns
+    uncertain = abs(rpm) * spread_ns / elapsed_ns + second.step / 6 / (elapsed_ns / SECOND_NS)
+    return rpm, uncertain
+
+
+def sampled(probe: Probe, duration_ns: int, every_ns: int, what: str = "position") -> list[Sample]:
+    """Measure again and again for a time; `what`: position or speed."""
+    measure = {"position": position, "speed": speed}[what]
+    until_ns = probe.gate.now_ns() + duration_ns
+    found = []
+    while True:
+        begun_ns = probe.gate.now_ns()
+        found.append(measure(probe))
+        now_ns = probe.gate.now_ns()
+        if now_ns >= until_ns:
+            return found
+        probe.wait(min(every_ns - (now_ns - begun_ns), until_ns - now_ns))
+
+
+# --- moving and coming to rest ----------------------------------------------------------------------------------------
+
+
+def run_values(command: Command, rpm: float, acceleration: int = GENTLE) -> dict[str, int]:
+    """Return the values of a run at a speed (rpm, its sign the direction: positive is the choice 0 or the plain sign).
+
+    A command without a direction takes the speed with its sign, in its own unit; one without an acceleration takes none.
+    """
+    fields = command.request_forms[0].layout.named
+    declared = fields["speed"]
+    factor = 6.0 if declared.unit == "deg/s" else 1.0
+    values = {"speed": declared.wire(rpm * factor)}
+    if "direction" in fields:
+        values = {"speed": declared.wire(abs(rpm) * factor), "direction": int(rpm < 0)}
+    if "acceleration" in fields:
+        values["acceleration"] = acceleration
+    return values
+
+
+def run_at(probe: Probe, rpm: float, acceleration: int = GENTLE) -> Exchange:
+    """Begin a run at a speed; see `run_values`. Raises Inconclusive where the drive refuses or does not answer."""
+    command = probe.command(Verb.RUN_SPEED)
+    return probe.do(command, run_values(command, rpm, acceleration))
+
+
+def stop(probe: Probe, acceleration: int = GENTLE) -> Exchange:
+    """Ask for a stop by a ramp (0: at once) that keeps the torque, and return what came at first. Judges nothing."""
+    for verb in (Verb.STOP_SPEED, Verb.STOP):
+        if verb in probe.dialect.by_verb:
+            command = probe.command(verb)
+            named = command.request_forms[0].layout.named
+            return probe.ask(command, {"acceleration": acceleration} if "acceleration" in named else None)
+    raise Inconclusive(f"{probe.dialect.name} has no stop")
+
+
+def wait_standing(probe: Probe, *, limit_ns: int = _REST_NS) -> Sample:
+    """Wait until the speed reads 0 and the position stays; return where that is.
+
+    Raises Inconclusive where that does not come within `limit_ns`.
+    """
+    until_ns = probe.gate.now_ns() + limit_ns
+    before, turning = position(probe), 0.0
+    while True:
+        # A fast shaft takes as long as its ramp; there is nothing to see before.
+        probe.wait(max(_LOOK_NS, min(int(turning * ramp.step_ns(GENTLE)), limit_ns)))
+        now, turning = position(probe), abs(speed(probe).value)
+        if abs(now.value - before.value) <= SAME and turning < 1:
+            return now
+        if probe.gate.now_ns() >= until_ns:
+            raise Inconclusive(f"the shaft does not come to rest within {limit_ns / 1e9:.0f} s")
+        before = now
+
+
+def stand_still(probe: Probe, *, limit_ns: int = _REST_NS) -> Sample:
+    """Stop by a ramp, keeping the torque, and wait until the shaft stands; return where that is.
+
+    Raises Inconclusive where it does not come to rest.
+    """
+    stop(probe)
+    return wait_standing(probe, limit_ns=limit_ns)

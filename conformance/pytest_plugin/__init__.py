@@ -1,0 +1,1 @@
+"""The suite in pytest: options, collection, fixtures, workers and reports."""

@@ -1,0 +1,118 @@
+"""Between pytest and the suite: the plan from pytest's options, and what a test's report carries."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NoReturn
+
+import msgspec
+import pytest
+
+from conformance.bus.line import LineLost
+from conformance.claim import Verdict
+from conformance.gate.permissions import allowance_from
+from conformance.pytest_plugin.plugin import BUDGET, OPTIONS, RUN, end_with
+from conformance.report.record import record
+from conformance.suite import target as targets
+from conformance.suite.plan import Plan
+from conformance.suite.rig import NotStopped, RigFault
+from conformance.suite.target import Target
+
+WRONG_USE, RIG_FAULT, NOT_STOPPED = pytest.ExitCode.USAGE_ERROR.value, 10, 20
+
+
+def plan_of(config: pytest.Config) -> Plan:
+    """Return the plan of this run, made once. Raises ServotapError for options that do not fit together."""
+    plan = config.stash.get(RUN, None)
+    if plan is None:
+        plan = config.stash[RUN] = _plan(config)
+    return plan
+
+
+def arguments_of(config: pytest.Config) -> argparse.Namespace:
+    """Return the suite's options by their names."""
+    values = {name.replace("-", "_"): config.getoption("servotap_" + name.replace("-", "_")) for name, _ in OPTIONS}
+    return argparse.Namespace(**values)
+
+
+def _plan(config: pytest.Config) -> Plan:
+    arguments = arguments_of(config)
+    found = targets.parse_all(arguments.drive, arguments.on)
+    given = allowance_from(arguments)
+    allowance = None if all(t.emulated for t in found) and not arguments.allow else given
+    settings: dict[str, dict[str, str]] = {}
+    if arguments.settings:
+        from conformance.safety.settings import load
+
+        settings = load(Path(arguments.settings))
+    plan = Plan(
+        tuple(found),
+        allowance,
+        tuple(arguments.claim),
+        tuple(arguments.theme),
+        arguments.servo_seed,
+        settings=settings,
+        journal=arguments.journal or "",
+        cut_power=arguments.cut_power,
+        longest_run=arguments.max_run,
+        traffic=bool(arguments.log),
+        short=arguments.short,
+    )
+    plan.check()
+    return plan
+
+
+def label(target: Target, among: Sequence[Target]) -> str:
+    """Return what names a target in the ids of its tests: its text, with its place where another one has the same text."""
+    alone = sum(each.text == target.text for each in among) == 1
+    return target.text if alone else f"{target.text} on {target.on}"
+
+
+def keep(item: pytest.Item, verdict: Verdict, target: Target, plan: Plan, firmware: str = "") -> str:
+    """Give a test what its reports carry, and return what a person reads if it fails."""
+    claim = verdict.claim
+    kept = record(verdict, target.text, firmware=firmware, traffic=plan.traffic)
+    item.servotap_verdict = msgspec.json.encode(kept).decode()  # type: ignore[attr-defined]
+    properties = {
+        "claim": claim.id,
+        "drive": target.text,
+        "on": target.on,
+        "outcome": verdict.outcome.value,
+        "certainty": claim.certainty.value,
+        "section": claim.section,
+        "seed": str(plan.seed),
+    }
+    if firmware:
+        properties["firmware"] = firmware
+    if plan.allowance is not None:
+        properties["allowed"] = ",".join(sorted(risk.value for risk in plan.allowance.risks))
+        properties |= {f"bound {name}": value for name, value in plan.allowance.described().items()}
+    item.user_properties += list(properties.items())
+    lines = [f"{claim.id}  ({target.text})", f"{claim.statement}  [manual {claim.section}, {claim.certainty}]", verdict.reason]
+    lines += [f"expected  {verdict.expected}"] * bool(verdict.expected) + [f"got       {verdict.got}"] * bool(verdict.got)
+    return "\n".join([*lines, *kept.lines])
+
+
+def give_up(error: Exception, request: pytest.FixtureRequest) -> NoReturn:
+    """End the whole run: the rig is at fault, or a motor does not stop."""
+    told = f"servotap: {error}"
+    status = note(error, request.config)
+    if hasattr(request.config, "workerinput"):
+        # A worker ends as its controller expects it to, with a test that failed; the controller then ends the others.
+        request.node.servotap_gave_up = told
+        request.session.shouldstop = told
+        raise pytest.fail.Exception(told, pytrace=False) from None
+    raise pytest.exit.Exception(told, returncode=status) from None
+
+
+def note(error: Exception, config: pytest.Config) -> int:
+    """Have the run end with what an error means, whatever else comes of it; return that."""
+    kinds = ((NotStopped, NOT_STOPPED), ((LineLost, RigFault), RIG_FAULT))
+    status = next((number for kind, number in kinds if isinstance(error, kind)), WRONG_USE)
+    end_with(config, status)
+    return status
+
+
+__all__ = ["BUDGET", "arguments_of", "give_up", "keep", "label", "note", "plan_of"]

@@ -1,0 +1,177 @@
+"""The pytest plugin: options of the suite, and what its reports carry. It is there in every pytest run and does nothing there.
+
+    pytest --pyargs conformance --drive mks-rs485@1 --on serial:/dev/ttyUSB0,baud=38400
+
+Refuted is failed, confirmed and observed are passed, inconclusive and not run are skipped with their reason. Nothing of the
+suite, Hypothesis included, is imported before a test of it is collected.
+
+With pytest-xdist, tests on one real port go to one worker, for a port has one owner, and all workers draw from one budget
+(`conformance.pytest_plugin.workers`).
+An option that another plugin has already taken is there as `--servotap-NAME`.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+#: Name, and what argparse is told. `--on` and `--drive` may be repeated.
+OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("drive", {"action": "append", "default": [], "metavar": "DRIVE", "help": "DIALECT@ADDRESS[,model=M]; may be repeated"}),
+    ("on", {"action": "append", "default": [], "metavar": "ENDPOINT", "help": "serial:, tcp:, can:, or emulated (default)"}),
+    ("allow", {"action": "append", "default": [], "metavar": "RISKS", "help": "what may be sent beside reads"}),
+    ("alone", {"action": "store_true", "default": False, "help": "no other drive is on the bus"}),
+    ("max-speed", {"type": float, "default": None, "metavar": "RPM", "help": "highest speed that may be sent"}),
+    ("max-turns", {"type": float, "default": None, "metavar": "N", "help": "longest move that may be sent"}),
+    ("max-acceleration", {"type": float, "default": None, "metavar": "N", "help": "highest acceleration that may be sent"}),
+    ("max-current", {"type": float, "default": None, "metavar": "MA", "help": "highest current that may be set"}),
+    ("subdivision", {"type": int, "default": None, "metavar": "N", "help": "what MKS drives are set to"}),
+    ("budget", {"action": "append", "default": [], "metavar": "…", "help": "commands=N,seconds=N,turns=N for the whole run"}),
+    ("claim", {"action": "append", "default": [], "metavar": "ID", "help": "only these claims; * and ? are patterns"}),
+    ("theme", {"action": "append", "default": [], "metavar": "T", "help": "only this theme"}),
+    ("short", {"action": "store_true", "default": False, "help": "one claim for each command and each theme"}),
+    ("servo-seed", {"type": int, "default": 0, "metavar": "N", "help": "of what is drawn at random"}),
+    ("settings", {"default": None, "metavar": "FILE", "help": "JSON: what to put back where the drive cannot be asked"}),
+    ("journal", {"default": None, "metavar": "FILE", "help": "where changes are written down before they are made"}),
+    ("cut-power", {"default": "", "metavar": "COMMAND", "help": "runs when no stop can be verified"}),
+    ("max-run", {"type": float, "default": 30.0, "metavar": "S", "help": "longest run without an end, in seconds"}),
+    ("report", {"default": None, "metavar": "OUT.html", "help": "one self-contained page"}),
+    ("log", {"default": None, "metavar": "OUT.mcap", "help": "all traffic of the run, with a /tests topic"}),
+    ("failures", {"default": None, "metavar": "FOLDER", "help": "a small log of each refuted claim"}),
+)
+#: Environment of all workers of one run: the file in which the budget is kept.
+BUDGET = "SERVOTAP_BUDGET_FILE"
+RUN: pytest.StashKey[Any] = pytest.StashKey()
+#: Of a run that ended early: 10 a fault of the rig, 20 a motor that was not stopped. From a worker to its controller by name.
+STATUS: pytest.StashKey[int] = pytest.StashKey()
+_STATUS = "servotap_status"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the suite's options."""
+    group = parser.getgroup("servotap", "drives against their manuals (servotap)")
+    for name, about in OPTIONS:
+        destination = "servotap_" + name.replace("-", "_")
+        try:
+            group.addoption(f"--{name}", dest=destination, **about)
+        except ValueError:
+            group.addoption(f"--servotap-{name}", dest=destination, **about)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep the tests of one port together, and give all workers one budget."""
+    if not config.getoption("servotap_drive") or hasattr(config, "workerinput"):
+        return
+    config.pluginmanager.register(_Controller(config), "servotap-controller")
+    real = any(place != "emulated" for place in config.getoption("servotap_on"))
+    if real or config.getoption("servotap_budget"):
+        handle, path = tempfile.mkstemp(prefix="servotap-budget-")
+        os.close(handle)
+        os.environ[BUDGET] = path
+        config.add_cleanup(lambda: Path(path).unlink(missing_ok=True))
+
+
+class _Controller:
+    """What the controller of several workers does: one worker for each port, and none goes on when one has given up."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_xdist_make_scheduler(self, config: pytest.Config, log: Any) -> Any:
+        """Keep the tests of one real port together; with emulated drives alone tests go anywhere."""
+        if all(place == "emulated" for place in config.getoption("servotap_on")):
+            return None
+        from conformance.pytest_plugin.workers import scheduler
+
+        return scheduler(config, log)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Stop where a worker gave up: no other one may go on with its port."""
+        gave_up = getattr(report, "servotap_gave_up", None)
+        session = self._config.pluginmanager.getplugin("dsession")
+        if gave_up is not None and session is not None:
+            session.shouldstop = gave_up
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Keep the verdict of a test for the reports at the end."""
+    verdict = getattr(report, "servotap", None)
+    if verdict is not None and report.when == "call":
+        _verdicts.append(verdict)
+
+
+_verdicts: list[str] = []
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Any:
+    """Give the report of a claim its verdict, as text that passes from a worker to its controller."""
+    outcome = yield
+    verdict = getattr(item, "servotap_verdict", None)
+    if verdict is not None:
+        outcome.get_result().servotap = verdict
+    gave_up = getattr(item, "servotap_gave_up", None)
+    if gave_up is not None:
+        outcome.get_result().servotap_gave_up = gave_up
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Show the claims by theme, and write the reports that were asked for."""
+    if not _verdicts or hasattr(config, "workerinput"):
+        return
+    from conformance.pytest_plugin.reports import summarise
+
+    summarise(terminalreporter, config, _verdicts)
+
+
+def end_with(config: pytest.Config, status: int) -> None:
+    """Have the run end with an exit status of its own; of several the highest counts."""
+    config.stash[STATUS] = max(status, config.stash.get(STATUS, 0))
+    output = getattr(config, "workeroutput", None)
+    if output is not None:
+        output[_STATUS] = config.stash[STATUS]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any, error: object) -> None:
+    """Take over what a worker says of its end."""
+    status = getattr(node, "workeroutput", {}).get(_STATUS, 0)
+    if status:
+        end_with(node.config, status)
+
+
+@pytest.hookimpl(hookwrapper=True, tryfirst=True)
+def pytest_sessionfinish(session: pytest.Session) -> Any:
+    """Give the run its exit status, after the drives were stopped and put back."""
+    yield
+    status = session.config.stash.get(STATUS, 0)
+    if status:
+        session.exitstatus = status
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Forget the run."""
+    _verdicts.clear()
+
+
+@pytest.fixture
+def servo_port() -> Any:
+    """Serve emulated drives on a pseudo-terminal: `servo_port("mks-rs485@1")` is the path that a program opens."""
+    from conformance.pytest_plugin.fixtures import ports
+
+    with ports() as serve:
+        yield serve
+
+
+@pytest.fixture
+def servo_line() -> Any:
+    """Put emulated drives on a line in virtual time: `servo_line("mks-can@1")` is a `conformance.bus.line.Line`."""
+    from conformance.pytest_plugin.fixtures import line_of
+
+    return line_of

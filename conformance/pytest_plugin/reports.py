@@ -1,0 +1,63 @@
+"""The end of a pytest run of the suite: the table of claims, and the reports that were asked for."""
+
+from __future__ import annotations
+
+import io
+import shlex
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from analyzer import __version__
+from conformance.pytest_plugin.plan import arguments_of, plan_of
+from conformance.report import terminal
+from conformance.report.record import RunRecord, VerdictRecord
+
+
+def summarise(reporter: Any, config: pytest.Config, verdicts: Sequence[str]) -> None:
+    """Print the claims by theme and write the reports."""
+    from rich.console import Console
+
+    records = [msgspec.json.decode(text, type=VerdictRecord) for text in verdicts]
+    run = _run(config, reporter)
+    text = io.StringIO()
+    terminal.show_counts(records, Console(file=text, width=160))
+    reporter.section("claims")
+    reporter.write(text.getvalue())
+    arguments = arguments_of(config)
+    if arguments.report:
+        from conformance.report.html import write_html
+
+        write_html(Path(arguments.report), records, run)
+    if arguments.log:
+        from conformance.report.log import write_log
+
+        write_log(Path(arguments.log), records, run)
+    if arguments.failures:
+        from conformance.report.log import write_failures
+
+        write_failures(Path(arguments.failures), records, run)
+
+
+def _run(config: pytest.Config, reporter: Any) -> RunRecord:
+    plan = plan_of(config)
+    allowance = plan.allowance
+    # pytest keeps the start under one of two names, by its version.
+    start = getattr(reporter, "_session_start", None)
+    began = float(getattr(start, "time", None) or getattr(reporter, "_sessionstarttime", None) or time.time())
+    return RunRecord(
+        targets=tuple(t.text for t in plan.targets),
+        on=tuple(t.on for t in plan.targets),
+        version=__version__,
+        started_at=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(began)),
+        seconds=round(time.time() - began, 3),
+        seed=plan.seed,
+        allowed=() if allowance is None else tuple(sorted(risk.value for risk in allowance.risks)),
+        bounds={} if allowance is None else allowance.described(),
+        command=shlex.join(["pytest", *sys.argv[1:]]),
+    )

@@ -1,0 +1,237 @@
+"""A suite run: which claims on which targets, what may be done, and the verdicts as records.
+
+`servotap test` and the pytest plugin both stand on this; neither holds a rule of its own about what runs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fnmatch
+import multiprocessing
+import os
+import signal
+import tempfile
+from collections import Counter
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from analyzer.catalogue import Dialect
+from analyzer.errors import UsageError
+from analyzer.values import near, quote
+from conformance import claims as registry
+from conformance.claim import Claim, Theme
+from conformance.gate.permissions import READS, Allowance
+from conformance.report.record import VerdictRecord, record
+from conformance.suite import engine
+from conformance.suite.rig import Rig
+from conformance.suite.target import Target
+
+if TYPE_CHECKING:
+    from multiprocessing.pool import Pool
+
+#: Claims that a worker takes at once.
+_BATCH = 12
+#: Claims of each theme that a short run has at least.
+_OF_EACH_THEME = 1
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run is to do.
+
+    `allowance`: what may be sent, None: everything for emulated drives, reads alone for others. `claims`: ids or patterns
+    (`*/shape/*`), empty: all. `themes`: empty: all. `seed` of Hypothesis and of emulated drives. `settings`: what to put
+    back where a dialect cannot read it (by drive and field). `longest_run`: seconds of motion without an end. `traffic`:
+    keep what went over the lines. `short`: one claim for each command, for lines on which time passes.
+    """
+
+    targets: tuple[Target, ...]
+    allowance: Allowance | None = None
+    claims: tuple[str, ...] = ()
+    themes: tuple[str, ...] = ()
+    seed: int = 0
+    settings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    journal: str = ""
+    cut_power: str = ""
+    longest_run: float = 30.0
+    dry_run: bool = False
+    traffic: bool = False
+    short: bool = False
+
+    def selected(self, target: Target) -> list[Claim]:
+        """Return the claims about a target, in order. Raises UsageError for a theme or an id that there is not."""
+        known = every_claim(target)
+        _check_themes(self.themes)
+        wanted = [c for c in known if self._wants(c)]
+        if not self.short:
+            return wanted
+        return shortened(wanted if target.emulated else [c for c in wanted if self._can_run(c)])
+
+    def _can_run(self, claim: Claim) -> bool:
+        """Say whether a claim can run on a real drive with what is allowed, as far as that is known before."""
+        given = self.allowance or Allowance(READS)
+        named = not claim.by_name or claim.id in self.claims
+        return claim.risks <= given.risks and (given.alone or not claim.alone) and not claim.emulated and named
+
+    def _wants(self, claim: Claim) -> bool:
+        if self.themes and claim.theme.value not in self.themes:
+            return False
+        return not self.claims or any(fnmatch.fnmatchcase(claim.id, pattern) for pattern in self.claims)
+
+    def check(self) -> None:
+        """Raise UsageError for patterns that name no claim of any target."""
+        ids = [c.id for target in self.targets for c in every_claim(target)]
+        for pattern in self.claims:
+            if not any(fnmatch.fnmatchcase(i, pattern) for i in ids):
+                raise UsageError(f"no claim {quote(pattern)}{near(pattern, ids)} (servotap test --list lists all)")
+
+
+def shortened(claims: Sequence[Claim]) -> list[Claim]:
+    """Return one claim for each command, of another theme for each, and one of each theme; in their order.
+
+    It is for lines on which time passes: a look at everything, in a minute or two.
+    """
+    groups: dict[str, dict[str, list[Claim]]] = {}
+    for claim in claims:
+        about = claim.commands[0] if claim.commands else claim.id.split("/")[2]
+        groups.setdefault(about, {}).setdefault(claim.theme.value, []).append(claim)
+    counts: Counter[str] = Counter()
+    chosen = set()
+    for number, themes in enumerate(groups.values()):
+        theme = min(themes, key=lambda name: counts[name])
+        counts[theme] += 1
+        chosen.add(themes[theme][number % len(themes[theme])].id)
+    for claim in claims:
+        if counts[claim.theme.value] < _OF_EACH_THEME and claim.id not in chosen:
+            counts[claim.theme.value] += 1
+            chosen.add(claim.id)
+    return [claim for claim in claims if claim.id in chosen]
+
+
+def _check_themes(themes: Sequence[str]) -> None:
+    known = [theme.value for theme in Theme]
+    for theme in themes:
+        if theme not in known:
+            raise UsageError(f"no theme {quote(theme)}, expected one of {', '.join(known)}")
+
+
+#: Dialects as their models speak them: claims are kept with the dialect they were made for.
+_dialects: dict[tuple[str, str], Dialect] = {}
+
+
+def _dialect(dialect: Dialect, model: str) -> Dialect:
+    key = (dialect.name, model)
+    if key not in _dialects:
+        _dialects[key] = dialect.for_model(model) if model else dialect
+    return _dialects[key]
+
+
+def every_claim(target: Target) -> tuple[Claim, ...]:
+    """Return all claims about a target's dialect and model, in order."""
+    return registry.every(_dialect(target.dialect, target.model))
+
+
+def open_rig(plan: Plan, target: Target) -> Rig:
+    """Return the rig of a target. Raises UsageError where its line cannot be opened or it cannot be tested as asked."""
+    if target.specification is not None:
+        from conformance.suite.rig_emulated import EmulatedRig
+
+        return EmulatedRig(target.specification, seed=plan.seed, allowance=plan.allowance)
+    from conformance.suite.rig_real import RealRig
+
+    return RealRig(plan, target)
+
+
+def run(plan: Plan, jobs: int = 1) -> Generator[VerdictRecord]:
+    """Run a plan and yield its verdicts as they come; with several jobs, in any order.
+
+    Emulated drives are spread over `jobs` processes; drives on real lines run here, one after the other, for a line has
+    one owner. Raises LineLost, NotStopped.
+    """
+    emulated = [t for t in plan.targets if t.emulated]
+    for target in plan.targets:
+        if not target.emulated:
+            yield from _run_target(plan, target)
+    if jobs > 1 and emulated:
+        with _one_budget(plan) as shared:
+            yield from _spread(shared, emulated, jobs)
+        return
+    for target in emulated:
+        yield from _run_target(plan, target)
+
+
+@contextlib.contextmanager
+def _one_budget(plan: Plan) -> Iterator[Plan]:
+    """Return a plan whose budget several processes spend together, by a file."""
+    allowance = plan.allowance
+    if allowance is None or allowance.budget.path is not None:
+        yield plan
+        return
+    handle, name = tempfile.mkstemp(prefix="servotap-budget-")
+    os.close(handle)
+    path = Path(name)
+    try:
+        path.write_bytes(msgspec.json.encode(allowance.budget.spent))
+        yield replace(plan, allowance=replace(allowance, budget=replace(allowance.budget, path=path)))
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def _run_target(plan: Plan, target: Target) -> Iterator[VerdictRecord]:
+    selected = plan.selected(target)
+    rig = open_rig(plan, target)
+    try:
+        for verdict in engine.run(selected, rig):
+            yield record(verdict, target.text, firmware=rig.firmware, traffic=plan.traffic)
+    finally:
+        rig.close()
+
+
+# --- several processes ------------------------------------------------------------------------------------------------
+
+_plan: Plan | None = None
+
+
+def be_worker() -> None:
+    """Leave the signals to the process that started this one: it ends its workers by one of them."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+def _begin(plan: Plan) -> None:
+    be_worker()
+    global _plan
+    _plan = plan
+
+
+def _batch(work: tuple[int, tuple[str, ...]]) -> list[VerdictRecord]:
+    assert _plan is not None  # every worker begins with `_begin`
+    target = _plan.targets[work[0]]
+    wanted = set(work[1])
+    rig = open_rig(_plan, target)
+    try:
+        found = [c for c in every_claim(target) if c.id in wanted]
+        return [record(v, target.text, traffic=_plan.traffic) for v in engine.run(found, rig)]
+    finally:
+        rig.close()
+
+
+def _spread(plan: Plan, targets: Sequence[Target], jobs: int) -> Iterator[VerdictRecord]:
+    work: list[tuple[int, tuple[str, ...]]] = []
+    for index, target in enumerate(plan.targets):
+        if target in targets:
+            ids = [claim.id for claim in plan.selected(target)]
+            work += [(index, tuple(ids[at : at + _BATCH])) for at in range(0, len(ids), _BATCH)]
+    # A forked worker has the claims and the catalogue already; where there is no fork it makes them anew.
+    methods = multiprocessing.get_all_start_methods()
+    context = multiprocessing.get_context("fork" if "fork" in methods else "spawn")
+    pool: Pool
+    with context.Pool(min(jobs, max(1, len(work))), _begin, (plan,)) as pool:
+        for records in pool.imap(_batch, work):
+            yield from records

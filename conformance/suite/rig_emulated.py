@@ -1,0 +1,68 @@
+"""A rig with an emulated drive: made anew for each claim, on a line in virtual time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from analyzer.catalogue import Risk
+from conformance.bus.emulated import EmulatedLine
+from conformance.claim import Claim
+from conformance.drives import make
+from conformance.drives.make import Specification
+from conformance.gate.budget import Budget
+from conformance.gate.gate import Gate
+from conformance.gate.permissions import Allowance
+from conformance.suite.rig import MS, SECOND_NS, Rig
+from conformance.talk.probe import Probe
+
+if TYPE_CHECKING:
+    from conformance.drives.drive import Drive
+
+EVERYTHING = frozenset(Risk)
+#: An emulated flash does not wear.
+UNLIMITED = 1 << 60
+
+
+class EmulatedRig(Rig):
+    """A rig that makes the drive of a specification for each claim. Nothing can break, so everything is allowed.
+
+    `allowance`: what may be sent all the same, to try a bounded run; by default everything. Waits cost nothing and are long.
+    """
+
+    emulated = True
+
+    def __init__(self, specification: Specification, *, seed: int = 0, allowance: Allowance | None = None) -> None:
+        self.specification = specification
+        self.name = specification.name
+        self.model = specification.model
+        self.seed = seed
+        self._allowance = allowance or Allowance(EVERYTHING, alone=True, budget=Budget(wear=UNLIMITED))
+        self.allowed = self._allowance.risks
+        self.alone = self._allowance.alone
+        self.named: frozenset[str] = frozenset()
+        self.address = specification.address
+        dialect = specification.dialect
+        self.dialect = dialect.for_model(self.model) if self.model else dialect
+        self.quiet_ns = 100 * MS
+        self.silence_ns = 3 * SECOND_NS
+        self.done_ns = 120 * SECOND_NS
+
+    def make_drive(self) -> Drive:
+        """Return a new drive of the specification."""
+        return make.make(self.specification, seed=self.seed)
+
+    def probe(self, claim: Claim) -> Probe:
+        """Return a probe of a new drive."""
+        drive = self.make_drive()
+        line = EmulatedLine([drive])
+        self.gate = Gate(line, self._allowance)
+        self.byte_ns = line.byte_ns
+        return Probe(self, claim, drive)
+
+    def settle(self, probe: Probe) -> str:
+        """Do nothing: the next claim gets a new drive."""
+        probe.gate.close()
+        return ""
+
+    def close(self) -> None:
+        """Do nothing: there is no port."""

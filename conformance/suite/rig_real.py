@@ -1,0 +1,254 @@
+"""A rig with a drive on a real port: the port is a guard's, and what claims change is put back.
+
+After each claim the drive is stopped, if the claim may have moved it, and proved to stand; then its settings are put back,
+so that each claim finds the drive as the one before found it.
+
+Whatever goes wrong in the end, somebody stops the motor: the rig itself; a new guard, where the old one has died; the guard
+alone, where the rig cannot.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from analyzer.catalogue import Risk
+from analyzer.errors import ServotapError
+from analyzer.records import CanFrame
+from conformance.bus.line import Line, LineLost
+from conformance.claim import Claim
+from conformance.gate.gate import Gate
+from conformance.gate.permissions import READS, Allowance
+from conformance.safety import messages as say
+from conformance.safety import settings
+from conformance.safety.guarded import GuardedLine
+from conformance.safety.journal import Entry, Journal
+from conformance.safety.keeper import Keeper
+from conformance.safety.signals import undisturbed
+from conformance.safety.stopping import MAY_MOVE, GuardLost, cut_power, stop_or_cut
+from conformance.suite.preflight import check
+from conformance.suite.rig import SECOND_NS, NotStopped, Rig, RigFault
+from conformance.suite.target import Target
+from conformance.talk.dialogue import Dialogue
+from conformance.talk.drive_state import acquaint
+from conformance.talk.probe import Probe
+
+if TYPE_CHECKING:
+    from conformance.suite.plan import Plan
+
+
+class RealRig(Rig):
+    """A drive on a real port. Raises UsageError where the port cannot be opened, DriveNotFound where nobody answers."""
+
+    emulated = False
+    #: The longest move that the manual prints takes 27 s.
+    done_ns = 60 * SECOND_NS
+
+    def __init__(self, plan: Plan, target: Target) -> None:
+        assert target.endpoint is not None  # a target without one is emulated
+        self.name = f"{target.dialect.name}@{target.address}"
+        self.model = target.model
+        self.seed = plan.seed
+        self.dialect = target.dialect.for_model(target.model) if target.model else target.dialect
+        self.address = target.address
+        given = plan.allowance or Allowance(READS)
+        self._allowance = replace(given, addresses=frozenset({self.address}))
+        self.allowed = self._allowance.risks
+        self.alone = self._allowance.alone
+        self.named = frozenset(plan.claims)
+        self._plan, self._target = plan, target
+        known = settings.known(self.dialect, self.name, plan.settings)
+        if self._allowance.subdivision is None and "subdivision" in known:
+            # What the user says the drive is set to also says how fast a speed is.
+            self._allowance = replace(self._allowance, subdivision=known["subdivision"] or 256)
+        self._journal = self._open_journal() if Risk.SETTING in self.allowed else None
+        try:
+            self._line = self._open_line()
+        except ServotapError:
+            self._end_journal(clean=True)
+            raise
+        self.gate = self._open_gate()
+        self.byte_ns = target.endpoint.byte_ns
+        self.keeper = Keeper(
+            self.gate, self.dialect, self.address, known, self._journal, target.endpoint.text, alone=self.alone
+        )
+        self._moved = False
+        self._closed = False
+        self._not_stopped = False
+        try:
+            self.firmware = check(self.gate, self.dialect, self.address, alone=self.alone)
+            self._tell(say.Looked())
+        except BaseException:
+            self.close()
+            raise
+
+    # --- the port -----------------------------------------------------------------------------------------------------
+
+    def _open_line(self) -> Line:
+        assert self._target.endpoint is not None
+        return GuardedLine(self._target.endpoint, self._begin())
+
+    def _open_gate(self) -> Gate:
+        return Gate(self._line, self._allowance)
+
+    def _tell(self, message: say.Looked | say.Acquaint | say.Stands | say.Back) -> None:
+        """Tell the guard something, where there is one."""
+        if isinstance(self._line, GuardedLine):
+            self._line.tell(message)
+
+    def _begin(self) -> say.Begin:
+        allowance, target = self._allowance, self._target
+        budget = allowance.budget
+        assert target.endpoint is not None
+        return say.Begin(
+            target.endpoint.text,
+            (say.Drive(self.dialect.name, self.model, self.address),),
+            tuple(sorted(risk.value for risk in allowance.risks)),
+            allowance.speed,
+            allowance.turns,
+            allowance.acceleration,
+            allowance.current,
+            allowance.subdivision,
+            allowance.alone,
+            budget.commands,
+            budget.seconds,
+            budget.turns,
+            budget.wear,
+            longest_run_ns=int(self._plan.longest_run * 1e9),
+            journal="" if self._journal is None else str(self._journal.path),
+            cut_power=self._plan.cut_power,
+        )
+
+    def _open_journal(self) -> Journal | None:
+        named = f"servotap-{self.name.replace('@', '-')}-{time.strftime('%Y%m%d-%H%M%S')}.journal"
+        return Journal(Path(self._plan.journal or named))
+
+    def _end_journal(self, *, clean: bool) -> None:
+        if self._journal is None:
+            return
+        if not clean:
+            print(
+                f"servotap: {self._journal.path} says what was not put back: servotap restore {self._journal.path}",
+                file=sys.stderr,
+            )
+        self._journal.close(remove=clean)
+
+    # --- claims -------------------------------------------------------------------------------------------------------
+
+    def missing(self, claim: Claim) -> str:
+        """Return why a claim cannot run here, or nothing."""
+        return super().missing(claim) or self.keeper.why_not(claim.settings)
+
+    def probe(self, claim: Claim) -> Probe:
+        """Return a probe of the drive."""
+        bounded = self._allowance.turns is not None or self._allowance.speed is not None
+        if bounded and MAY_MOVE & claim.risks:
+            # A move to a place is as long as the way there, and a speed is as fast as the subdivision makes it.
+            acquaint(Dialogue(self.gate, [self.dialect]), self.dialect, self.address)
+            self._tell(say.Acquaint())
+        return Probe(self, claim)
+
+    def before_send(self, item: bytes | CanFrame) -> None:
+        """Keep what an item is about to change, and know that it may move the motor."""
+        readings = self.gate.judge(item)
+        # What the gate refuses changes nothing, so there is nothing to keep.
+        if not self.gate.objections(item):
+            self.keeper.before(readings)
+        if any(reading.risks & MAY_MOVE for reading in readings):
+            self._moved = True
+
+    def settle(self, probe: Probe | None = None) -> str:
+        """Stop the motor if the claim may have moved it, and put back what it changed.
+
+        Raises NotStopped, LineLost.
+        """
+        if self._not_stopped:
+            return "not put back: nothing more was sent to a drive that could not be stopped" * self.keeper.changed
+        told = self.keeper.put_back(link_only=True) if self.keeper.moved_away else ""
+        if self._moved:
+            self._stop()
+        if self.keeper.changed:
+            told = self.keeper.put_back()
+            if not told:
+                self._is_back()
+        return f"not put back: {told}" if told else ""
+
+    def _stop(self) -> None:
+        try:
+            earlier = getattr(self._line, "not_stopped", None)
+            if earlier is not None:
+                raise earlier
+            stop_or_cut(self.gate, self.dialect, self.address, self._plan.cut_power)
+        except NotStopped:
+            self._not_stopped = True
+            raise
+        self._moved = False
+        self._tell(say.Stands())
+
+    def _is_back(self) -> None:
+        """Say that the settings are what they were: the subdivision, which says how fast a speed is, among them."""
+        if self._allowance.subdivision is not None:
+            self.gate.note_subdivision(self._allowance.subdivision)
+        self._tell(say.Back())
+
+    # --- the end ------------------------------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Stop, put back, and give the port back. No signal breaks in.
+
+        Raises NotStopped; RigFault where something could not be put back.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        with undisturbed():
+            told, done = "", False
+            try:
+                told = self._last()
+                done = True
+            finally:
+                if done or self._not_stopped or not isinstance(self._line, GuardedLine):
+                    self._line.close()
+                else:
+                    # Whatever it was that went wrong here: the guard does it alone.
+                    self._line.abandon()
+                self._end_journal(clean=done and not told)
+        if told and not self._not_stopped:
+            raise RigFault(told)
+
+    def _last(self) -> str:
+        """Settle for the last time; return what could not be put back. Where the guard has died, by a new one."""
+        if (self._moved or self.keeper.changed) and not self._not_stopped:
+            print(f"servotap: {self.name}: stopping it and putting back what it was", file=sys.stderr, flush=True)
+        try:
+            told = self.settle()
+        except GuardLost as error:
+            if not (self._moved or self.keeper.changed):
+                return ""
+            print(f"servotap: {error}; another one takes over", file=sys.stderr, flush=True)
+            told = self._settle_anew()
+        except LineLost as error:
+            told = f"not put back: {error}" if self.keeper.changed else ""
+        if not told and self._journal is not None:
+            self._journal.write(Entry(event="end", target=self.name))
+        return told
+
+    def _settle_anew(self) -> str:
+        """Open the port again and settle."""
+        self._line.close()
+        try:
+            self._line = self._open_line()
+            self._tell(say.Looked())
+        except ServotapError as error:
+            if self._moved:
+                self._not_stopped = True
+                told = f"NOT STOPPED: {self.name}: {error}; {cut_power(self._plan.cut_power)}"
+                print(told, file=sys.stderr, flush=True)
+                raise NotStopped(told) from None
+            return f"not put back: {error}"
+        self.gate = self._open_gate()
+        self.keeper.by(self.gate)
+        return self.settle()

@@ -1,0 +1,127 @@
+"""Targets: the drives under test as a user names them, and where they are.
+
+    mks-rs485@1,model=57D    on serial:/dev/ttyUSB0,baud=38400
+    mks-can@0x12             on can:socketcan:can0,bitrate=500000
+    mks-rs485@1,fault=late-reply    on emulated
+
+A drive on hardware has an address and perhaps a model; an emulated one can have all that `servotap emulate` takes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from analyzer import dialects as registry
+from analyzer.catalogue import Dialect
+from analyzer.errors import UsageError
+from analyzer.live import endpoint as endpoints
+from analyzer.live.endpoint import Endpoint
+from analyzer.values import quote
+from conformance.drives import make
+from conformance.drives.make import Specification
+
+EMULATED = "emulated"
+
+
+@dataclass(frozen=True)
+class Target:
+    """One drive under test. `text` as named; `endpoint` None: emulated, and `specification` says which drive."""
+
+    text: str
+    dialect: Dialect
+    address: int
+    model: str
+    endpoint: Endpoint | None
+    specification: Specification | None
+
+    @property
+    def emulated(self) -> bool:
+        """Whether no real bus is used."""
+        return self.endpoint is None
+
+    @property
+    def on(self) -> str:
+        """Where it is, as named."""
+        return EMULATED if self.endpoint is None else self.endpoint.text
+
+    @property
+    def port(self) -> str:
+        """What drives on one wire have in common: tests on them cannot run at the same time."""
+        return f"{self.text}" if self.endpoint is None else f"{self.endpoint.kind}:{self.endpoint.place}"
+
+
+def every_emulated() -> list[Target]:
+    """Return emulated drives of all dialects, so that each command is had by one: what is tested where nothing is said."""
+    return [
+        parse(f"{name}@1" + (f",model={model}" if model else ""), EMULATED)
+        for name in make.KINDS
+        for model in telling_models(registry.get(name))
+    ]
+
+
+def telling_models(dialect: Dialect) -> list[str]:
+    """Return as few models of a dialect as have all its commands between them; one empty name where there are none."""
+    chosen = list(dialect.models[:1]) or [""]
+    for command in dialect.commands:
+        if command.models and not set(command.models) & set(chosen):
+            chosen.append(command.models[0])
+    return chosen
+
+
+def parse_all(drives: Sequence[str], places: Sequence[str]) -> list[Target]:
+    """Return the targets of `--drive` and `--on`: one place for all drives, or one for each in their order.
+
+    Raises UsageError for what does not fit together.
+    """
+    if not drives:
+        if any(place != EMULATED for place in places):
+            raise UsageError(f"which drive is on {places[0]}? expected --drive DIALECT@ADDRESS, as in --drive mks-rs485@1")
+        return every_emulated()
+    where = list(places) or [EMULATED]
+    if len(where) == 1:
+        where *= len(drives)
+    if len(where) != len(drives):
+        raise UsageError(f"got {len(drives)} drives and {len(where)} places: give one --on for all drives or one for each")
+    targets = [parse(drive, place) for drive, place in zip(drives, where, strict=True)]
+    for index, target in enumerate(targets):
+        for other in targets[:index]:
+            same = target.port == other.port and target.address == other.address and target.dialect.bus == other.dialect.bus
+            if same and not (target.emulated and target.text != other.text):
+                raise UsageError(f"{target.text} on {target.on} stands there twice")
+    return targets
+
+
+def parse(drive: str, place: str = EMULATED) -> Target:
+    """Return the target that a drive and a place name. Raises UsageError that says what was expected."""
+    if place == EMULATED:
+        text = drive if "@" in drive else _with_address(drive)
+        specification = make.parse(text)
+        return Target(text, specification.dialect, specification.address, specification.model, None, specification)
+    endpoint = endpoints.parse(place)
+    head, *parts = drive.split(",")
+    name, at, _ = head.partition("@")
+    if not at:
+        raise UsageError(f"{quote(drive)} on {place}: which address? expected DIALECT@ADDRESS, as in {name}@1")
+    options = dict(_option(drive, part) for part in parts)
+    strange = [word for word in options if word != "model"]
+    if strange:
+        raise UsageError(f"{quote(drive)}: a drive on hardware has no {strange[0]}, expected model=M (--on emulated has more)")
+    specification = make.parse(drive)
+    if specification.dialect.bus != endpoint.bus_kind:
+        raise UsageError(f"{head} is a drive on {specification.dialect.bus}, and {place} is a {endpoint.bus_kind} bus")
+    dialect = specification.dialect
+    return Target(drive, dialect, specification.address, specification.model, endpoint, None)
+
+
+def _option(drive: str, part: str) -> tuple[str, str]:
+    name, equals, value = part.partition("=")
+    if not equals or not value:
+        raise UsageError(f"{quote(drive)}: got {quote(part)}, expected model=M")
+    return name.strip(), value
+
+
+def _with_address(drive: str) -> str:
+    head, comma, rest = drive.partition(",")
+    registry.get(head)
+    return f"{head}@1{comma}{rest}"

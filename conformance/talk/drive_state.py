@@ -1,0 +1,66 @@
+"""What a gate has to know of a drive before it can bound what is sent to it: asked of the drive itself, by reads alone.
+
+Where the shaft is (for absolute moves), and the subdivision (for speeds and pulses) where the dialect can read it: native
+MKS cannot, there the user says it.
+"""
+
+from __future__ import annotations
+
+from analyzer.catalogue import Dialect, Verb
+from analyzer.codec import codec
+from analyzer.encoder import build
+from analyzer.errors import UsageError
+from analyzer.protocols.mks_shared import COUNTS_PER_TURN
+from analyzer.records import CanFrame
+from conformance.gate.bounds import DEGREES
+from conformance.gate.gate import Item
+from conformance.talk.dialogue import MS, Dialogue
+
+_TIMEOUT_NS = 1000 * MS
+
+
+def item_of(dialect: Dialect, frame: bytes, address: int) -> Item:
+    """Return the bytes of a frame as a line takes them: on CAN with the identifier."""
+    return CanFrame(None, "host", address, frame) if dialect.bus == "can" else frame
+
+
+def acquaint(dialogue: Dialogue, dialect: Dialect, address: int) -> None:
+    """Ask a drive what the gate needs to know, as far as its bounds need any. What it does not answer stays unknown."""
+    gate = dialogue.gate
+    bounds = gate.allowance.bounds
+    if not dialect.addresses[0] <= address <= dialect.addresses[1]:
+        return
+    if bounds.turns is not None:
+        position = _read(dialogue, dialect, address, Verb.READ_POSITION, "position")
+        pulses = _read(dialogue, dialect, address, Verb.READ_PULSES, "pulses")
+        if position is not None:
+            command = dialect.by_verb[Verb.READ_POSITION]
+            field = command.reply_forms[0].layout.named["position"]
+            counts = field.unit == "counts"
+            degrees = position * DEGREES / COUNTS_PER_TURN if counts else float(field.physical(position))
+            gate.note_position(degrees, address, pulses)
+    wanted = bounds.turns is not None or bounds.speed is not None
+    if wanted and gate.allowance.subdivision is None and Verb.SET_SUBDIVISION in dialect.by_verb:
+        setting = dialect.by_verb[Verb.SET_SUBDIVISION]
+        if setting.readable and Verb.READ_PARAMETER in dialect.by_verb:
+            subdivision = _read(dialogue, dialect, address, Verb.READ_PARAMETER, "subdivision", parameter=setting.code)
+            if subdivision is not None:
+                gate.note_subdivision(subdivision, address)
+
+
+def _read(dialogue: Dialogue, dialect: Dialect, address: int, verb: Verb, name: str, **values: int) -> int | None:
+    """Return a field of the reply to a read as sent, None where there is none."""
+    command = dialect.by_verb.get(verb)
+    if command is None:
+        return None
+    try:
+        frame = build(dialect, command, address, values)
+    except UsageError:
+        return None
+    talk = dialogue.ask(item_of(dialect, frame, address), _TIMEOUT_NS)
+    for entry in talk.replies:
+        message = entry.message
+        if message.form is not None and message.frame.checksum_ok and name in message.form.layout.named:
+            value = codec(message.form.layout).wire(message.data)[name]
+            return value if isinstance(value, int) else None
+    return None

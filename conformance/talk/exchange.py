@@ -1,0 +1,145 @@
+"""An exchange: what was sent, what came back, when, and what the analyzer makes of it.
+
+The bytes of both directions go through the analyzer's own pipeline, so that a claim judges the same messages and findings
+that a listener would have seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from analyzer.catalogue import Command, Role
+from analyzer.decoder import physical
+from analyzer.pipeline import Entry
+from analyzer.records import CanFrame, Finding, Junk, Message
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One frame that came back. `first_ns`, `last_ns`: on the line's clock; `latency_ns`: since the end of the request.
+
+    `bare`: it came without its checksum, as was seen of old firmware (`conformance.talk.no_checksum`).
+    """
+
+    entry: Entry
+    latency_ns: int
+    bare: bool = False
+
+    @property
+    def message(self) -> Message:
+        """The frame decoded."""
+        return self.entry.message
+
+    @property
+    def command(self) -> Command | None:
+        """The command it answers, None where its code is not in the catalogue."""
+        return self.entry.message.command
+
+    @property
+    def values(self) -> Mapping[str, Any]:
+        """Integers as sent, by field; empty where no layout fits."""
+        return self.entry.message.values
+
+    @property
+    def data(self) -> bytes:
+        """The whole frame; on CAN the data bytes."""
+        return self.entry.message.frame.data
+
+    @property
+    def rules(self) -> tuple[str, ...]:
+        """Rules of the analyzer that the frame breaks."""
+        return tuple(f.rule for f in self.entry.findings)
+
+    @property
+    def last_ns(self) -> int:
+        """When its last byte had come."""
+        return self.entry.message.frame.last_ns
+
+    @property
+    def first_ns(self) -> int:
+        """When it began on the wire, as far as that can be told."""
+        return self.entry.message.frame.first_ns
+
+
+@dataclass
+class Exchange:
+    """What was sent at one go and what came back until the probe stopped listening.
+
+    `sent`: bytes or the CAN frame, None where only was listened. `sent_ns`: when its last bit was on the wire. `command`
+    and `values` (integers as sent): what was asked, where it was built from a command. `until_ns`: how long was listened.
+    """
+
+    sent: bytes | CanFrame | None
+    sent_ns: int
+    command: Command | None = None
+    address: int | None = None
+    values: Mapping[str, Any] = field(default_factory=dict)
+    answers: list[Answer] = field(default_factory=list)
+    junk: list[Junk] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
+    until_ns: int = 0
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing at all came back."""
+        return not self.answers and not self.junk
+
+    @property
+    def data(self) -> bytes:
+        """What was sent: the bytes, on CAN the data bytes."""
+        if isinstance(self.sent, CanFrame):
+            return self.sent.data
+        return self.sent or b""
+
+    @property
+    def reply(self) -> Answer | None:
+        """The first answer of the asked command (or the first of all, where none was asked), or None."""
+        replies = [a for a in self.answers if a.message.role is not Role.REQUEST]
+        # What an earlier command says at its end may come first.
+        for answer in replies:
+            if self.command is not None and answer.command is not None and answer.command.name == self.command.name:
+                return answer
+        for answer in replies:
+            if self.command is None or answer.command is not None:
+                return answer
+        return self.answers[0] if self.answers else None
+
+    def status(self, name: str = "status") -> list[int]:
+        """Return the statuses that were answered, in order."""
+        return [a.values[name] for a in self.answers if name in a.values]
+
+    def lines(self) -> list[str]:
+        """Return the exchange for people: one line a frame, hex and decoded, with times since the request's end."""
+        result = []
+        if self.sent is not None:
+            what = f"{self.command.name} {_shown(self.values)}".rstrip() if self.command is not None else ""
+            result.append(f"  > {hex_of(self.sent)}   {what}".rstrip())
+        parts: list[tuple[int, str]] = [(a.last_ns, _answer_line(a)) for a in self.answers]
+        parts += [(j.last_ns, f"  ! {j.data.hex(' ').upper()}   {j.reason}") for j in self.junk]
+        result += [text for _, text in sorted(parts, key=lambda part: part[0])]
+        if not parts:
+            result.append(f"  < nothing within {(self.until_ns - self.sent_ns) / 1e6:.0f} ms")
+        result += [f"    {f.rule}: {f.text}" for f in self.findings]
+        return result
+
+
+def hex_of(item: bytes | CanFrame) -> str:
+    """Return what was sent as hex text; on CAN the identifier before `#`."""
+    if isinstance(item, CanFrame):
+        return f"{item.id:03X}#{item.data.hex(' ').upper()}"
+    return item.hex(" ").upper()
+
+
+def _shown(values: Mapping[str, Any]) -> str:
+    return " ".join(f"{name}={value}" for name, value in values.items())
+
+
+def _answer_line(answer: Answer) -> str:
+    message = answer.message
+    frame = message.frame
+    data = hex_of(frame.can) if frame.can is not None else frame.data.hex(" ").upper()
+    name = message.command.name if message.command is not None else "unknown"
+    wrong = "  NO CHECKSUM" if answer.bare else "" if frame.checksum_ok else "  CHECKSUM WRONG"
+    return f"  < {data}   +{answer.latency_ns / 1e6:.2f} ms  {name} {_shown(physical(message))}{wrong}".rstrip()

@@ -1,0 +1,122 @@
+"""Replies without a checksum: read all the same where real drives were seen to send such.
+
+    FB 01 31 00 00 00 00 10 00        the reply to 31 as firmware of an older model has it: all of it but its sum
+
+One old firmware (quirk no-checksum) has no checksum in any reply. If nothing of it could be read, every claim would be
+inconclusive; so the probe reads such a reply, and the claims about checksums and lengths alone say what they met.
+
+Rules kept here:
+- Only what lacks its checksum and nothing else is read: with the sum that fits, it is a whole reply of the dialect.
+- Only dialects of which such drives are known; elsewhere a missing checksum stays what it is, bytes that are no frame.
+- The bytes stay as they came: whoever looks at them sees that the sum is not there.
+"""
+
+from __future__ import annotations
+
+from msgspec.structs import replace
+
+from analyzer.catalogue import Dialect, Role
+from analyzer.pipeline import Entry, Options, Pipeline
+from analyzer.records import Chunk, Comment, Finding, Junk, JunkReason
+from conformance.talk.exchange import Exchange
+
+#: Dialects of which drives without checksums were seen.
+DIALECTS = frozenset({"mks-rs485"})
+_PORT = "bus"
+#: Head, address and code.
+_HEAD = 3
+
+
+class _One:
+    """A sink that keeps the frames."""
+
+    def __init__(self) -> None:
+        self.entries: list[Entry] = []
+
+    def entry(self, entry: Entry) -> None:
+        """Keep a frame."""
+        self.entries.append(entry)
+
+    def junk(self, junk: Junk, sequence: int, topic: str) -> None:
+        """Do nothing: what is no frame even so is junk already."""
+
+    def finding(self, found: Finding) -> None:
+        """Do nothing: findings were made of the bytes as they came."""
+
+    def comment(self, comment: Comment) -> None:
+        """Do nothing: a line has no comments."""
+
+
+class Bare:
+    """What came as a drive without checksums would send it. One for each probe, so that its pipeline is made once."""
+
+    def __init__(self, dialect: Dialect) -> None:
+        self._dialect = dialect
+        self._sink = _One()
+        self._pipeline: Pipeline | None = None
+        #: The request that the pipeline was last shown.
+        self._shown: Exchange | None = None
+        #: Whether the drive is known to send no checksums, and the replies that it can then send: code and length.
+        self._met = False
+        self._replies: frozenset[tuple[int, int]] = frozenset()
+
+    def completed(self, chunk: Chunk) -> Chunk | None:
+        """Return a chunk with the checksum that it lacks, None where it is no such reply.
+
+        Only once a reply without one was read: the bytes of a drive that is known to send none need no second look, and
+        two replies that follow each other closely stay two.
+        """
+        data = chunk.data
+        if not self._met or len(data) < _HEAD or (data[2], len(data) - _HEAD) not in self._replies:
+            return None
+        return replace(chunk, data=self._dialect.link.completed(data, None))
+
+    def stripped(self, entry: Entry) -> Entry:
+        """Return a frame that `completed` gave its checksum, as it came."""
+        frame = entry.message.frame
+        return replace(entry, message=replace(entry.message, frame=replace(frame, data=frame.data[:-1])))
+
+    def of_junk(self, junk: Junk, exchange: Exchange) -> Entry | None:
+        """Return the reply that a piece of junk is but for its checksum, None where it is not."""
+        if self._dialect.name not in DIALECTS or junk.reason is not JunkReason.TRUNCATED:
+            return None
+        return self._read(junk.data, junk.first_ns, junk.last_ns, junk.offset, exchange)
+
+    def of_entry(self, entry: Entry, exchange: Exchange) -> Entry | None:
+        """Return the reply that a frame of no known form is, where its last byte only looks like a checksum."""
+        message = entry.message
+        if self._dialect.name not in DIALECTS or message.form is not None or message.role is not Role.REPLY:
+            return None
+        frame = message.frame
+        return self._read(frame.data, frame.first_ns, frame.last_ns, frame.offset, exchange)
+
+    def _read(self, data: bytes, first_ns: int, last_ns: int, offset: int, exchange: Exchange) -> Entry | None:
+        if self._pipeline is None:
+            self._pipeline = Pipeline((self._dialect,), (self._sink,), Options())
+        pipeline, sent = self._pipeline, exchange.sent
+        if self._shown is not exchange and exchange.command is not None and isinstance(sent, bytes):
+            # The request tells a stop's reply from that of its run.
+            pipeline.feed(Chunk(exchange.sent_ns, _PORT, sent, Role.REQUEST, True))
+            self._shown = exchange
+        self._sink.entries = []
+        whole = self._dialect.link.completed(data, None)
+        pipeline.feed(Chunk(max(last_ns, exchange.sent_ns), _PORT, whole, Role.REPLY))
+        pipeline.silence(_PORT)
+        found = self._sink.entries
+        if len(found) != 1:
+            return None
+        frame = found[0].message.frame
+        if frame.data != whole or not frame.checksum_ok or found[0].message.form is None:
+            return None
+        self._learn()
+        as_it_came = replace(frame, data=data, first_ns=first_ns, last_ns=last_ns, offset=offset)
+        return replace(found[0], message=replace(found[0].message, frame=as_it_came))
+
+    def _learn(self) -> None:
+        if not self._met:
+            self._met = True
+            self._replies = frozenset(
+                (c.code if f.code is None else f.code, f.layout.byte_length)
+                for c in self._dialect.commands
+                for f in c.reply_forms
+            )

@@ -1,0 +1,362 @@
+"""A probe: how a claim talks to the drive under test.
+
+    exchange = probe.ask("read_speed")
+    exchange = probe.ask(Verb.RUN_SPEED, {"speed": 60, "acceleration": 200}, until=Until.DONE)
+    exchange = probe.send(bytes.fromhex("FA 01 31 00"))          raw bytes, expecting silence or anything
+
+Everything goes through the gate of the line; whatever comes back goes through the analyzer's pipeline. A probe serves one
+claim: its pipeline knows nothing of what was said before.
+
+Rules: an emulated drive's time costs nothing, so the waits are long there; on a real line they end as soon as the drive has
+answered and a short quiet has passed (in which a second reply would show). Writes of settings keep a distance
+(`Rig.write_gap_ns`), for real drives were seen to drop hasty ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from enum import Enum
+from typing import TYPE_CHECKING, Any
+
+from analyzer import encoder
+from analyzer.catalogue import Command, Dialect, Form, Risk, Role, Verb
+from analyzer.pipeline import Entry, Options, Pipeline
+from analyzer.records import CanFrame, Chunk, Comment, Finding, Junk
+from conformance.claim import Claim, Inconclusive
+from conformance.talk.exchange import Answer, Exchange
+from conformance.talk.no_checksum import Bare
+
+if TYPE_CHECKING:
+    from conformance.drives.drive import Drive
+    from conformance.suite.rig import Rig
+
+#: A pause after which what came is decoded as it stands, although more might have belonged to it.
+_PAUSE_NS = 30_000_000
+_BUS = "bus"
+#: Latencies that are kept of one claim.
+_KEPT_LATENCIES = 400
+
+
+class Until(Enum):
+    """How long a probe listens: to the first reply, to one that ends the command, or to the end of the time-out."""
+
+    REPLY = "reply"
+    DONE = "done"
+    TIMEOUT = "timeout"
+
+
+class _Heard:
+    """A sink that keeps what came since it was last emptied. `own`: bytes of the bus that the probe itself sent."""
+
+    def __init__(self) -> None:
+        self.entries: list[Entry] = []
+        self.junk_pieces: list[Junk] = []
+        self.findings: list[Finding] = []
+        self.own: list[range] = []
+
+    def _is_own(self, offset: int) -> bool:
+        return any(offset in span for span in self.own)
+
+    def entry(self, entry: Entry) -> None:
+        """Keep a frame that came from others."""
+        if not self._is_own(entry.message.frame.offset):
+            self.entries.append(entry)
+
+    def junk(self, junk: Junk, sequence: int, topic: str) -> None:
+        """Keep bytes that are no frame."""
+        if not self._is_own(junk.offset):
+            self.junk_pieces.append(junk)
+
+    def finding(self, found: Finding) -> None:
+        """Keep a finding about what came."""
+        if not self._is_own(found.offset):
+            self.findings.append(found)
+
+    def comment(self, comment: Comment) -> None:
+        """Do nothing: a line has no comments."""
+
+
+class Probe:
+    """The drive under test as one claim sees it."""
+
+    def __init__(self, rig: Rig, claim: Claim, drive: Drive | None = None) -> None:
+        self.rig = rig
+        self.claim = claim
+        self.dialect: Dialect = rig.dialect
+        self.address: int = rig.address
+        self.gate = rig.gate
+        #: The emulated drive itself, for claims that act on it; None for a real one.
+        self.drive = drive
+        self.traffic: list[Exchange] = []
+        #: What went over the line, as it was: sent (direction `request`) and received, in order.
+        self.raw: list[Chunk | CanFrame] = []
+        self.quirks: list[str] = []
+        self.measured: dict[str, float] = {}
+        #: Curves by name, as (x, y) points: `speed` in rpm over seconds.
+        self.series: dict[str, list[tuple[float, float]]] = {}
+        #: Command and ns from the end of its request to the beginning of its first reply.
+        self.latencies: list[tuple[str, int]] = []
+        self.first_ns = self.gate.now_ns()
+        self._heard = _Heard()
+        self._bare = Bare(self.dialect)
+        #: When chunks came that were given their missing checksum.
+        self._completed: set[int] = set()
+        self._pipeline = Pipeline((self.dialect,), (self._heard,), Options(byte_ns=rig.byte_ns, late_ns=rig.late_ns))
+
+    # --- asking ---------------------------------------------------------------------------------------------------
+
+    def command(self, what: Command | Verb | str) -> Command:
+        """Return a command of the dialect by its name or by what it does. Raises KeyError where there is none."""
+        if isinstance(what, Command):
+            return what
+        return self.dialect.by_verb[what] if isinstance(what, Verb) else self.dialect.by_name[what]
+
+    def build(
+        self,
+        what: Command | Verb | str,
+        values: Mapping[str, Any] | None = None,
+        *,
+        address: int | None = None,
+        form: Form | str | None = None,
+    ) -> encoder.Built:
+        """Return the frame of a request to the drive (or to another address), whether or not the manual allows it."""
+        to = self.address if address is None else address
+        return encoder.assemble(self.dialect, self.command(what), to, values, form=form)
+
+    def ask(
+        self,
+        what: Command | Verb | str,
+        values: Mapping[str, Any] | None = None,
+        *,
+        address: int | None = None,
+        form: Form | str | None = None,
+        until: Until = Until.REPLY,
+        timeout_ns: int | None = None,
+        quiet_ns: int | None = None,
+    ) -> Exchange:
+        """Send a request and return what came back.
+
+        `values`: integers as sent. `timeout_ns`: how long to wait for what `until` says; the rig's time by default
+        (for DONE, the longest that a move of the suite takes). `quiet_ns`: how long to listen after that for more; the
+        rig's time by default, 0 where the next request is to follow at once.
+        """
+        built = self.build(what, values, address=address, form=form)
+        return self.ask_built(built, until=until, timeout_ns=timeout_ns, quiet_ns=quiet_ns)
+
+    def ask_built(
+        self, built: encoder.Built, *, until: Until = Until.REPLY, timeout_ns: int | None = None, quiet_ns: int | None = None
+    ) -> Exchange:
+        """Ask as `ask` does, by a frame that was built already: of values that `build` cannot send (reserved bits)."""
+        if Risk.SETTING in built.risks:
+            self._keep_distance()
+        exchange = self._exchange(self.item(built.frame, built.address), until, timeout_ns, built, quiet_ns)
+        if Risk.SETTING in built.risks:
+            self.gate.line.setting_ns = self.gate.now_ns()
+        return exchange
+
+    def item(self, frame: bytes, address: int | None = None) -> bytes | CanFrame:
+        """Return the bytes of a frame as the line takes them: on CAN with the identifier."""
+        if self.dialect.bus != "can":
+            return frame
+        return CanFrame(None, _BUS, self.address if address is None else address, frame)
+
+    def send(self, item: bytes | CanFrame, *, until: Until = Until.TIMEOUT, timeout_ns: int | None = None) -> Exchange:
+        """Send bytes as they are (on CAN a frame) and return what came back; by default for the time of a silence."""
+        return self._exchange(item, until, timeout_ns, None)
+
+    def listen(self, duration_ns: int) -> Exchange:
+        """Send nothing and return what comes meanwhile."""
+        return self._exchange(None, Until.TIMEOUT, duration_ns, None)
+
+    def wait(self, duration_ns: int) -> None:
+        """Let time pass; what comes meanwhile is kept in the claim's traffic."""
+        if duration_ns > 0:
+            self.listen(duration_ns)
+
+    def _keep_distance(self) -> None:
+        # By the line, not by the probe: what puts settings back, and the next claim, follow closely.
+        before_ns = self.gate.line.setting_ns
+        left_ns = 0 if before_ns is None else before_ns + self.rig.write_gap_ns - self.gate.now_ns()
+        if left_ns > 0:
+            self.raw += self.gate.wait(left_ns)
+
+    # --- one exchange ---------------------------------------------------------------------------------------------
+
+    def _exchange(
+        self,
+        item: bytes | CanFrame | None,
+        until: Until,
+        timeout_ns: int | None,
+        built: encoder.Built | None,
+        quiet_ns: int | None = None,
+    ) -> Exchange:
+        if timeout_ns is None:
+            timeout_ns = self.rig.timeout_ns(until)
+        if quiet_ns is None:
+            quiet_ns = self.rig.quiet_ns
+        exchange = Exchange(item, self.gate.now_ns())
+        if built is not None:
+            exchange.command, exchange.address, exchange.values = built.command, built.address, dict(built.values)
+        if item is not None:
+            self.rig.before_send(item)
+            exchange.sent_ns = self.gate.send(item)
+            self.raw.append(_sent(item, exchange.sent_ns))
+            if built is not None:
+                self._feed_own(item, exchange.sent_ns)
+        self.traffic.append(exchange)
+        ended = _ENDS[until]
+        deadline_ns = exchange.sent_ns + timeout_ns
+        pending = done = False
+        while (now_ns := self.gate.now_ns()) < deadline_ns:
+            left_ns = deadline_ns - now_ns
+            got = self.gate.receive(min(left_ns, _PAUSE_NS) if pending else left_ns)
+            if got is not None:
+                self.raw.append(got)
+                self._feed(got)
+                pending = True
+            elif pending:
+                self._pipeline.silence(_BUS)
+                pending = False
+            self._take(exchange)
+            if not done and ended(exchange):
+                done = True
+                deadline_ns = min(deadline_ns, self.gate.now_ns() + quiet_ns)
+        self._pipeline.silence(_BUS)
+        self._take(exchange)
+        exchange.until_ns = self.gate.now_ns()
+        if built is not None and exchange.answers and len(self.latencies) < _KEPT_LATENCIES:
+            self.latencies.append((built.command.name, exchange.answers[0].latency_ns))
+        return exchange
+
+    def _feed_own(self, item: bytes | CanFrame, t_ns: int) -> None:
+        """Show the pipeline what was asked, so that the answer is known for one."""
+        data = item.data if isinstance(item, CanFrame) else item
+        port = self._pipeline.ports.get(_BUS)
+        start = port.bytes_in if port is not None else 0
+        self._heard.own = [range(start, start + len(data))]
+        if isinstance(item, CanFrame):
+            self._pipeline.feed(CanFrame(t_ns, _BUS, item.id, data, Role.REQUEST))
+        else:
+            self._pipeline.feed(Chunk(t_ns, _BUS, data, Role.REQUEST, True))
+
+    def _feed(self, got: Chunk | CanFrame) -> None:
+        if isinstance(got, CanFrame):
+            flags = (got.extended, got.remote, got.error, got.fd)
+            self._pipeline.feed(CanFrame(got.t_ns, _BUS, got.id, got.data, Role.UNKNOWN, *flags))
+        else:
+            chunk = Chunk(got.t_ns, _BUS, got.data, Role.REPLY)
+            whole = self._bare.completed(chunk)
+            if whole is not None and got.t_ns is not None:
+                self._completed.add(got.t_ns)
+            self._pipeline.feed(whole or chunk)
+
+    def _take(self, exchange: Exchange) -> None:
+        heard = self._heard
+        for entry in heard.entries:
+            frame = entry.message.frame
+            if frame.last_ns in self._completed:
+                bare: Entry | None = self._bare.stripped(entry)
+            else:
+                bare = self._bare.of_entry(entry, exchange)
+            latency_ns = max(0, frame.first_ns - exchange.sent_ns)
+            exchange.answers.append(Answer(bare or entry, latency_ns, bare is not None))
+        heard.entries = []
+        for junk in heard.junk_pieces:
+            bare = self._bare.of_junk(junk, exchange)
+            if bare is None:
+                exchange.junk.append(junk)
+            else:
+                exchange.answers.append(Answer(bare, max(0, junk.first_ns - exchange.sent_ns), True))
+        heard.junk_pieces = []
+        if heard.findings:
+            exchange.findings += heard.findings
+            heard.findings = []
+
+    # --- what claims share ----------------------------------------------------------------------------------------
+
+    def meets(self, quirk: str) -> None:
+        """Say that the drive has a quirk that the claim names: its verdict will be observed, not confirmed."""
+        if quirk not in self.claim.quirks:
+            raise ValueError(f"{self.claim.id} does not name the quirk {quirk!r}")
+        if quirk not in self.quirks:
+            self.quirks.append(quirk)
+
+    def reply(self, exchange: Exchange) -> Answer:
+        """Return the reply of an exchange that another claim judges.
+
+        Raises Inconclusive where there is none, or none that can be read.
+        """
+        answer = exchange.reply
+        asked = exchange.command.name if exchange.command is not None else "the request"
+        if answer is None:
+            raise Inconclusive(f"{asked} was not answered")
+        if answer.command is None or answer.message.form is None or not answer.message.frame.checksum_ok:
+            raise Inconclusive(f"the answer to {asked} cannot be read: {answer.data.hex(' ').upper()}")
+        return answer
+
+    def read(self, what: Command | Verb | str, name: str = "", values: Mapping[str, Any] | None = None) -> int:
+        """Ask and return one field of the reply as sent (the only one, where no name is given).
+
+        Raises Inconclusive where there is no readable reply.
+        """
+        got = self.reply(self.ask(what, values)).values
+        if not name and len(got) == 1:
+            return int(next(iter(got.values())))
+        if name not in got:
+            raise Inconclusive(f"the answer to {self.command(what).name} has no {name or 'single field'}")
+        return int(got[name])
+
+    def refused(self, exchange: Exchange) -> bool:
+        """Say whether the reply to a request says that it failed, by its status or its form."""
+        command, answer = exchange.command, exchange.reply
+        if command is None or answer is None:
+            return False
+        failed_form = answer.message.form is not None and answer.message.form.name in command.replies.failed_forms
+        return failed_form or answer.values.get(command.replies.status) in command.replies.failed
+
+    def do(self, what: Command | Verb | str, values: Mapping[str, Any] | None = None) -> Exchange:
+        """Ask for something that a claim needs done before it can judge.
+
+        Raises Inconclusive where the drive does not do it.
+        """
+        exchange = self.ask(what, values)
+        answer = self.reply(exchange)
+        if self.refused(exchange):
+            name = self.command(what).name
+            raise Inconclusive(f"{name} {dict(exchange.values)} was refused ({answer.data.hex(' ').upper()})")
+        return exchange
+
+
+def _sent(item: bytes | CanFrame, t_ns: int) -> Chunk | CanFrame:
+    if isinstance(item, CanFrame):
+        return CanFrame(t_ns, item.port, item.id, item.data, Role.REQUEST, item.extended, item.remote, item.error, item.fd)
+    return Chunk(t_ns, _BUS, item, Role.REQUEST, True)
+
+
+def _answered(exchange: Exchange) -> bool:
+    """Say whether a reply is there; what an earlier command says at its end is none."""
+    asked = exchange.command
+    return any(asked is None or a.command is None or a.command.name == asked.name for a in exchange.answers)
+
+
+def _ended(exchange: Exchange) -> bool:
+    """Say whether the command is done or refused, by the meaning of its statuses."""
+    command = exchange.command
+    if command is None:
+        return bool(exchange.answers)
+    replies = command.replies
+    for answer in exchange.answers:
+        form = answer.message.form
+        status = answer.values.get(replies.status)
+        if form is not None and form.name in replies.failed_forms:
+            return True
+        if status in replies.failed or status in replies.final or not (replies.interim or replies.final):
+            return True
+    return False
+
+
+_ENDS: Mapping[Until, Callable[[Exchange], bool]] = {
+    Until.REPLY: _answered,
+    Until.DONE: _ended,
+    Until.TIMEOUT: lambda exchange: False,
+}

@@ -1,0 +1,306 @@
+"""Replaying: the requests of a recording, at their times, through the gate; and what came back, beside what came then.
+
+    steps -> rehearsal (all judged, nothing sent) -> the gate, step by step -> comparison
+
+Times. Each step has its own time from the start, so nothing adds up: one that was late does not make the next one late.
+The last stretch before it is waited out without sleeping. Only one thing holds a step back, and only on a serial line,
+where two who speak at once spoil both: the reply to the step before, where one came then and has not come yet
+(`PATIENCE_NS` at most).
+
+Permission. A file brings none: what is in it is judged as a whole before its first byte leaves, and again byte by byte as it
+leaves. When it is stopped (Ctrl-C, a lost port), what it set in motion is stopped by a ramp, and looked at until it stands;
+so is, at the end, a run that the recording left running.
+"""
+
+from __future__ import annotations
+
+import gc
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from msgspec.structs import replace
+
+from analyzer.catalogue import Command, Dialect, Risk, Role
+from analyzer.codec import codec
+from analyzer.decoder import slots_of
+from analyzer.encoder import build
+from analyzer.errors import ServotapError
+from analyzer.pipeline import Entry, Options, Pipeline
+from analyzer.records import CanFrame, Chunk, Comment, Finding, Junk
+from conformance.gate.bounds import MOVES, OWN_WAYS, RUNS, STOPS
+from conformance.gate.gate import Gate, Judge, Objection, Refused
+from conformance.safety.signals import undisturbed
+from conformance.talk.drive_state import item_of
+from conformance.tools.replay_plan import Plan, Step, told
+from conformance.tools.replay_result import Result, Sent
+
+MS = 1_000_000
+#: From the last look at the line to the sending: waited out without sleeping.
+SPIN_NS = 300_000
+#: How long a step waits for the reply to the one before.
+PATIENCE_NS = 100 * MS
+#: From the beginning to the first step.
+_LEAD_NS = 50 * MS
+#: Steps whose replies may still come: a completion comes long after the request.
+_OPEN = 256
+#: How long is listened behind the last step, beside the time its replies took then.
+_TAIL_NS = 300 * MS
+#: The acceleration as sent of a stop to all, and the pause between the stops of several ways to move.
+_GENTLE = 200
+_STOP_GAP_NS = 20 * MS
+
+
+# --- rehearsal ----------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Rehearsal:
+    """What of a plan may be sent. `allowed`: the steps, in order; `refused`: an objection for each of the others."""
+
+    allowed: list[Step] = field(default_factory=list)
+    refused: list[tuple[Step, Objection]] = field(default_factory=list)
+
+    def by_command(self) -> list[tuple[str, int, Objection]]:
+        """Return what is refused by drive and command: name, how often, and the first objection."""
+        counts: Counter[str] = Counter()
+        first: dict[str, Objection] = {}
+        for step, objection in self.refused:
+            name = f"{step.dialect.name}@{step.address} {step.name}"
+            counts[name] += 1
+            first.setdefault(name, objection)
+        return [(name, count, first[name]) for name, count in counts.most_common()]
+
+
+def rehearse(judge: Judge, plan: Plan, speed: float) -> Rehearsal:
+    """Judge all of a plan, in order and by its times, as if what is refused did not leave; nothing is sent or spent."""
+    result = Rehearsal()
+    first_ns = plan.steps[0].t_ns if plan.steps else 0
+    for step in plan.steps:
+        try:
+            judge.admit(step.item, int((step.t_ns - first_ns) / speed))
+        except Refused as error:
+            result.refused.append((step, error.objections[0]))
+        else:
+            result.allowed.append(step)
+    return result
+
+
+# --- sending ------------------------------------------------------------------------------------------------------
+
+
+class _Heard:
+    """A sink that ties what comes back to the steps. `own`: frames that leave belong to the step that is current."""
+
+    def __init__(self, result: Result) -> None:
+        self._result = result
+        self._by_sequence: dict[int, Sent] = {}
+        self._own: list[tuple[range, Sent]] = []
+
+    def leaves(self, offset: int, size: int, sent: Sent) -> None:
+        """Take it that the bytes from `offset` on are a step's."""
+        self._own = [*self._own[-3:], (range(offset, offset + max(1, size)), sent)]
+
+    def entry(self, entry: Entry) -> None:
+        """Take a frame."""
+        offset = entry.message.frame.offset
+        own = next((sent for span, sent in self._own if offset in span), None)
+        if own is not None:
+            self._by_sequence[entry.sequence] = own
+            return
+        sent = self._by_sequence.get(entry.request_sequence) if entry.request_sequence is not None else None
+        if sent is None:
+            self._result.others += 1
+        else:
+            sent.replies.append(told(entry.message))
+
+    def junk(self, junk: Junk, sequence: int, topic: str) -> None:
+        """Count junk that came."""
+        if not any(junk.offset in span for span, _ in self._own):
+            self._result.junk += 1
+
+    def finding(self, found: Finding) -> None:
+        """Do nothing: the comparison is with the recording, not with the manual."""
+
+    def comment(self, comment: Comment) -> None:
+        """Do nothing: a line has no comments."""
+
+
+class Replay:
+    """Sends the steps of a plan on a gate. `speed`: 2 is twice as fast as it was recorded."""
+
+    def __init__(self, gate: Gate, dialects: Sequence[Dialect], *, speed: float = 1.0) -> None:
+        self.gate = gate
+        self.result = Result()
+        self._speed = speed
+        self._name = gate.line.endpoint.name
+        self._serial = not gate.line.is_can
+        self._spin_ns = 0 if gate.line.emulated else SPIN_NS
+        self._sink = _Heard(self.result)
+        self._pipeline = Pipeline(tuple(dialects), (self._sink,), Options(byte_ns=gate.line.byte_ns))
+        self._awaited = 0
+        self._awaited_until_ns = 0
+        self._pending = False
+        self._open: deque[Sent] = deque()
+        #: Drives that were set in motion and not stopped since.
+        self.moving: dict[tuple[str, int], _Moving] = {}
+
+    def run(
+        self, steps: Sequence[Step], period_ns: int = 0, loops: int = 1, advance: Callable[[Sent], None] | None = None
+    ) -> Result:
+        """Send the steps, `loops` times (0: until Ctrl-C), each time `period_ns` after the last; return what came of it.
+
+        What it sets in motion is stopped if it ends early. Raises nothing for Ctrl-C, a lost port or a refusal: the result
+        says so.
+        """
+        if not steps:
+            return self.result
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        try:
+            self._run(steps, period_ns, loops, advance)
+            # What runs on without an end does so in the recording too, but there somebody watched it.
+            self.stop(only_runs=True)
+        except (KeyboardInterrupt, ServotapError) as error:
+            self.result.stopped = "Ctrl-C" if isinstance(error, KeyboardInterrupt) else str(error)
+            with undisturbed():
+                self.stop()
+        finally:
+            gc.enable()
+            gc.unfreeze()
+        while self._open:
+            self.result.settle(self._open.popleft())
+        return self.result
+
+    def _run(self, steps: Sequence[Step], period_ns: int, loops: int, advance: Callable[[Sent], None] | None) -> None:
+        start_ns = self.gate.now_ns() + _LEAD_NS
+        first_ns = steps[0].t_ns
+        number = 0
+        while not loops or number < loops:
+            for step in steps:
+                due_ns = start_ns + int((number * period_ns + step.t_ns - first_ns) / self._speed)
+                sent = self._send(step, due_ns)
+                if advance is not None:
+                    advance(sent)
+            number += 1
+        last_ns = max((s.reply_ns for s in steps[-8:]), default=0)
+        self._listen(self.gate.now_ns() + last_ns + _TAIL_NS)
+        self._pipeline.silence(self._name)
+
+    def _send(self, step: Step, due_ns: int) -> Sent:
+        gate = self.gate
+        self._listen(due_ns - self._spin_ns)
+        held = self._hold(due_ns)
+        while gate.now_ns() < due_ns:
+            if not self._spin_ns:
+                self._listen(due_ns)
+        late_ns = gate.now_ns() - due_ns
+        sent_ns = gate.send(step.item)
+        sent = Sent(step, late_ns, held)
+        result = self.result
+        result.sent += 1
+        result.held += held
+        if not held:
+            result.late_ns.append(late_ns)
+        self._open.append(sent)
+        if len(self._open) > _OPEN:
+            result.settle(self._open.popleft())
+        self._leaves(step, sent, sent_ns)
+        return sent
+
+    def _hold(self, due_ns: int) -> bool:
+        """Wait for the reply to the step before, where one is due; say whether that made this step late."""
+        if not self._serial or self._awaited <= 0:
+            return False
+        while self._awaited > 0 and self.gate.now_ns() < self._awaited_until_ns:
+            self._receive(self._awaited_until_ns)
+        self._awaited = 0
+        return self.gate.now_ns() > due_ns
+
+    def _leaves(self, step: Step, sent: Sent, sent_ns: int) -> None:
+        item = step.item
+        port = self._pipeline.ports.get(self._name)
+        data = item.data if isinstance(item, CanFrame) else item
+        self._sink.leaves(port.bytes_in if port is not None else 0, len(data), sent)
+        if isinstance(item, CanFrame):
+            self._pipeline.feed(replace(item, t_ns=sent_ns, port=self._name, direction=Role.REQUEST))
+        else:
+            self._pipeline.feed(Chunk(sent_ns, self._name, item, Role.REQUEST, True))
+        self._awaited = _wire_size(step) if step.replies else 0
+        self._awaited_until_ns = sent_ns + PATIENCE_NS
+        self._watch(step)
+
+    def _listen(self, until_ns: int) -> None:
+        while self.gate.now_ns() < until_ns:
+            self._receive(until_ns)
+
+    def _receive(self, until_ns: int) -> None:
+        left_ns = max(0, until_ns - self.gate.now_ns())
+        got = self.gate.receive(min(left_ns, 15 * MS) if self._pending else left_ns)
+        if got is not None:
+            self._awaited -= len(got.data)
+            self._pipeline.feed(replace(got, port=self._name))
+            self._pending = True
+        elif self._pending:
+            self._pipeline.silence(self._name)
+            self._pending = False
+
+    # --- what moves -----------------------------------------------------------------------------------------------
+
+    def _watch(self, step: Step) -> None:
+        """Remember what a step sets in motion, and what it stops."""
+        message = step.message
+        told_to: list[tuple[int, Command | None, Mapping[str, Any]]] = [(step.address, message.command, message.values)]
+        if message.command is not None and message.command.slots is not None:
+            slots = slots_of(step.dialect, message.command, message.data)
+            told_to = [(s.address, s.command, codec(s.form.layout).wire(s.data) if s.form else {}) for s in slots]
+        for address, command, values in told_to:
+            if command is not None and command.verb in STOPS:
+                self.moving.pop((step.dialect.name, address), None)
+            elif command is not None and command.verb in RUNS | MOVES | OWN_WAYS:
+                self.moving[step.dialect.name, address] = _Moving(step.dialect, Risk.UNBOUNDED in command.risks(values))
+
+    def stop(self, *, only_runs: bool = False) -> None:
+        """Stop by a ramp what was set in motion, and look until it stands. `only_runs`: what would run on for ever."""
+        from conformance.safety.stopping import stop
+
+        for (name, address), moving in list(self.moving.items()):
+            if only_runs and not moving.for_ever:
+                continue
+            del self.moving[name, address]
+            try:
+                if address == moving.dialect.broadcast:
+                    said = self._stop_all(moving.dialect)
+                else:
+                    said = stop(self.gate, moving.dialect, address)
+            except ServotapError as error:
+                said = str(error)
+            if said:
+                self.result.left_moving.append(f"{name}@{address}: {said}")
+
+    def _stop_all(self, dialect: Dialect) -> str:
+        from conformance.safety.stopping import RAMPED
+
+        for verb in RAMPED:
+            command = dialect.by_verb.get(verb)
+            if command is not None and dialect.broadcast is not None:
+                named = command.request_forms[0].layout.named
+                values = {"acceleration": _GENTLE} if "acceleration" in named else {}
+                frame = build(dialect, command, dialect.broadcast, values)
+                self.gate.send(item_of(dialect, frame, dialect.broadcast))
+                self.gate.wait(_STOP_GAP_NS)
+        return "a stop was sent to all; whether they stand cannot be asked of all"
+
+
+class _Moving(NamedTuple):
+    """A drive that was set in motion. `for_ever`: it goes on until it is stopped."""
+
+    dialect: Dialect
+    for_ever: bool
+
+
+def _wire_size(step: Step) -> int:
+    """Return the bytes of the first reply on the wire."""
+    return len(step.replies[0].data)

@@ -1,0 +1,168 @@
+"""What a recording is replayed by: its requests in order, each with its time and the replies that it got then.
+
+    capture or log -> the analyzer's pipeline -> steps
+
+A step is a request as its bytes were, good or bad: the analyzer tells it from replies. What it cannot tell (a frame of an
+unknown role, junk, a CAN frame of 29 bits) is left out and counted; so is the echo of an adapter, which nobody sent.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+
+from analyzer.catalogue import Dialect, Role
+from analyzer.pipeline import Entry, Item, Pipeline, Sink
+from analyzer.records import CanFrame, Comment, Finding, Junk, Message
+from conformance.gate import gate
+
+#: The finding of a request that nobody sent.
+_ECHO = "host_echo"
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """A reply, as far as two of them are compared. `values`: integers as sent."""
+
+    name: str
+    form: str
+    status: int | None
+    data: bytes
+    reads: bool
+
+    @property
+    def kind(self) -> tuple[str, str, int | None]:
+        """What has to be the same: command, form and status."""
+        return (self.name, self.form, self.status)
+
+
+def told(message: Message) -> Told:
+    """Return what is compared of a reply."""
+    command, form = message.command, message.form
+    name = command.name if command is not None else "unknown"
+    if command is None or form is None:
+        return Told(name, "unreadable", None, message.frame.data, True)
+    reads = all(not rule.risks - {"read"} for rule in command.risk)
+    named = command.replies.status
+    judged = command.judged and named in form.layout.named
+    status = message.values.get(named) if judged and not reads else None
+    shape = form.name if message.frame.checksum_ok else f"{form.name}, its checksum wrong"
+    return Told(name, shape, status, message.frame.data, reads)
+
+
+@dataclass(slots=True)
+class Step:
+    """One request: when it was sent then, what is sent, and what came back then."""
+
+    t_ns: int
+    item: gate.Item
+    message: Message
+    replies: list[Told] = field(default_factory=list)
+    reply_ns: int = 0
+
+    @property
+    def name(self) -> str:
+        """The command's name."""
+        return self.message.command.name if self.message.command is not None else "unknown"
+
+    @property
+    def address(self) -> int:
+        """The address it is for."""
+        return self.message.address
+
+    @property
+    def dialect(self) -> Dialect:
+        """The dialect it was read in."""
+        return self.message.frame.dialect
+
+
+@dataclass
+class Plan:
+    """The steps of a recording, in order. `left_out`: what is not sent, by reason."""
+
+    steps: list[Step] = field(default_factory=list)
+    buses: Counter[str] = field(default_factory=Counter)
+    left_out: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def duration_ns(self) -> int:
+        """From the first request to the last one."""
+        return self.steps[-1].t_ns - self.steps[0].t_ns if self.steps else 0
+
+    @property
+    def period_ns(self) -> int:
+        """After what time it can be begun again: its duration and one usual gap."""
+        return self.duration_ns + (self.duration_ns // (len(self.steps) - 1) if len(self.steps) > 1 else 10**9)
+
+
+class _Reader:
+    """A sink that makes steps."""
+
+    def __init__(self, bus: str, addresses: frozenset[int] | None) -> None:
+        self.plan = Plan()
+        self._bus = bus
+        self._addresses = addresses
+        self._open: dict[int, Step] = {}
+        self._same: dict[gate.Item, gate.Item] = {}
+
+    def entry(self, entry: Entry) -> None:
+        """Take a frame."""
+        message = entry.message
+        frame = message.frame
+        if message.role is Role.REQUEST:
+            self.plan.buses[frame.port] += 1
+        if self._bus and frame.port != self._bus:
+            return
+        if message.role is Role.REQUEST:
+            self._request(entry)
+        elif message.role is Role.UNKNOWN:
+            self.plan.left_out["frames of which nobody knows who sent them"] += 1
+        elif entry.request_sequence is not None and entry.request_sequence in self._open:
+            step = self._open[entry.request_sequence]
+            if not step.replies:
+                step.reply_ns = max(0, frame.last_ns - step.t_ns)
+            step.replies.append(told(message))
+
+    def _request(self, entry: Entry) -> None:
+        message = entry.message
+        frame = message.frame
+        if any(f.rule == _ECHO for f in entry.findings):
+            self.plan.left_out["echoes of an adapter"] += 1
+            return
+        if self._addresses is not None and message.address not in self._addresses:
+            self.plan.left_out["requests to other addresses"] += 1
+            return
+        item: gate.Item = frame.data if frame.can is None else CanFrame(None, "host", frame.can.id, frame.can.data)
+        item = self._same.setdefault(item, item)
+        step = Step(frame.first_ns, item, message)
+        self.plan.steps.append(step)
+        self._open[entry.sequence] = step
+
+    def junk(self, junk: Junk, sequence: int, topic: str) -> None:
+        """Count a piece of junk."""
+        if not self._bus or junk.port == self._bus:
+            self.plan.left_out["pieces of junk"] += 1
+
+    def finding(self, found: Finding) -> None:
+        """Do nothing: what was wrong then is not what is sent now."""
+
+    def comment(self, comment: Comment) -> None:
+        """Do nothing: a comment is not traffic."""
+
+
+def make_plan(
+    items: Iterable[Item],
+    pipeline: Callable[[Sequence[Sink]], Pipeline],
+    *,
+    bus: str = "",
+    addresses: frozenset[int] | None = None,
+) -> Plan:
+    """Return the plan of a recording.
+
+    `pipeline`: makes what decodes it into sinks. `bus`: of this one alone; `addresses`: of requests to these alone.
+    """
+    reader = _Reader(bus, addresses)
+    pipeline([reader]).run(items)
+    reader.plan.steps.sort(key=lambda step: step.t_ns)
+    return reader.plan

@@ -1,0 +1,98 @@
+"""The theme addressing: own, other, broadcast, group, package, another address."""
+
+from __future__ import annotations
+
+import pytest
+
+from analyzer.records import Frame, Message
+from conformance.claim import Outcome
+from conformance.claims import addressing
+from conformance.drives.drive import Drive, Fault
+from conformance.drives.mks.core import MksCore
+from tests.conformance.theme_runs import DRIVES, OTHERS, not_confirmed, refuted, run
+
+
+@pytest.mark.parametrize("drive", [*DRIVES, *OTHERS])
+def test_conforming_drives_confirm_every_claim(drive):
+    assert not_confirmed(addressing, drive) == {}
+
+
+@pytest.mark.parametrize(
+    ("fault", "dialect", "names"),
+    [
+        ("answers-another-address", "mks-rs485", {"other/neighbours", "other/every", "other/not_executed"}),
+        ("executes-another-address", "mks-modbus", {"other/not_executed"}),
+        ("answers-next-address", "mks-can", {"other/neighbours", "other/not_executed"}),
+        ("address-low-byte-only", "mks-can", {"other/low_byte"}),
+        ("answers-broadcast-reads", "mks-modbus", {"broadcast/read"}),
+        ("ignores-broadcast", "mks-can", {"broadcast/executed"}),
+        ("answers-group", "mks-rs485", {"group/read", "group/silent"}),
+        ("ignores-group", "mks-can", {"group/executed"}),
+        ("group-replaces-address", "mks-can", {"group/own"}),
+        ("lk-answers-address-0", "lk-rs485", {"other/zero"}),
+        ("address-not-stored", "mks-rs485", {"set_address/moves"}),
+    ],
+)
+def test_a_fault_of_addresses_is_refuted_by_the_claims_that_say_so(fault, dialect, names):
+    assert names <= refuted(addressing, f"{dialect}@1,fault={fault}", "other", "broadcast", "group", "set_address")
+
+
+@pytest.mark.parametrize(
+    ("fault", "name"),
+    [
+        ("package-answered", "package/silent"),
+        ("package-ignored", "package/slot_3"),
+        ("package-any-length", "package/length"),
+        ("package-both-slots", "package/first_of_two"),
+        ("package-last-slot", "package/first_of_two"),
+        ("package-next-slot", "package/own_slot"),
+        ("package-first-slot-only", "package/own_slot"),
+        ("package-every-slot", "package/others"),
+        ("package-broadcast-slot", "package/broadcast_slot"),
+    ],
+)
+def test_a_fault_of_packages_is_refuted_by_the_claim_about_it(fault, name):
+    assert name in refuted(addressing, f"mks-rs485@1,fault={fault}", "package")
+
+
+def test_a_package_that_is_executed_whatever_its_sum_is_refuted():
+    def any_sum(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        return wanted or frame.data[:1] == b"\xfc"
+
+    fault = Fault("sum", ("mks-rs485",), "packages are not checked", "package", lambda h: h.accept.append(any_sum))
+    assert refuted(addressing, "mks-rs485@1", "package", fault=fault) == {"package/checksum", "package/length"}
+
+
+def test_a_broadcast_that_is_executed_twice_is_refuted():
+    def again(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        assert isinstance(drive, MksCore)
+        if wanted and message.address == 0:
+            order = drive.speaker.order(message, drive.now_ns, False)
+            if order is not None:
+                drive.obey(order)
+                drive.motor.jump(drive.now_ns, 1_000)
+        return wanted
+
+    fault = Fault("twice", ("mks-rs485",), "broadcasts are executed twice", "broadcast", lambda h: h.accept.append(again))
+    assert "broadcast/executed" in refuted(addressing, "mks-rs485@1", "broadcast", fault=fault)
+
+
+def test_settings_alone_may_be_deaf_to_broadcasts():
+    def no_settings(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        command = message.command
+        is_setting = command is not None and command.name == "set_zero"
+        return wanted and not (message.address == 0 and is_setting)
+
+    fault = Fault("deaf", ("mks-rs485",), "settings by broadcast are ignored", "broadcast",
+                  lambda hooks: hooks.accept.append(no_settings))  # fmt: skip
+    assert refuted(addressing, "mks-rs485@1", "broadcast", fault=fault) == {"broadcast/setting/executed"}
+
+
+def test_a_drive_that_executes_nothing_proves_nothing_about_other_addresses():
+    verdicts = run(addressing, "mks-can@1,fault=user-id-not-stored", "other/not_executed")
+    assert verdicts["other/not_executed"].outcome is Outcome.INCONCLUSIVE
+
+
+def test_the_reply_from_the_new_address_is_observed():
+    verdicts = run(addressing, "mks-rs485@1,quirk=new-address-answers", "set_address/")
+    assert verdicts["set_address/moves"].outcome is Outcome.OBSERVED

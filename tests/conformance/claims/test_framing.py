@@ -1,0 +1,91 @@
+"""The theme framing: bad frames are ignored, good ones behind them are not."""
+
+from __future__ import annotations
+
+import pytest
+
+from analyzer import dialects, encoder
+from analyzer.catalogue import Risk
+from conformance.claim import Outcome
+from conformance.claims import framing
+from conformance.drives import make
+from conformance.gate.gate import Allowance
+from conformance.suite import engine
+from conformance.suite.rig_emulated import EmulatedRig
+from conformance.talk.garbling import Garbler, harmless
+from tests.conformance.theme_runs import DRIVES, OTHERS, claims_of, not_confirmed, refuted, run
+
+#: How long a frame may pause: no manual says, so it is told and not judged.
+OPEN = {"pieces/answered"}
+
+
+@pytest.mark.parametrize("drive", [*DRIVES, *OTHERS])
+def test_conforming_drives_confirm_every_claim(drive):
+    assert set(not_confirmed(framing, drive)) <= OPEN
+
+
+@pytest.mark.parametrize(
+    ("fault", "dialect", "names"),
+    [
+        ("hears-bad-checksum", "mks-rs485", {"checksum_bit/ignored", "checksum_value/ignored", "checksum_bit/not_executed"}),
+        ("hears-bad-checksum", "mks-modbus", {"checksum_bit/ignored", "flipped_bit/ignored"}),
+        ("executes-bad-checksum", "mks-can", {"checksum_bit/not_executed", "flipped_bit/not_executed"}),
+        ("hears-reply-head", "mks-rs485", {"head/ignored"}),
+        ("answers-unknown-code", "mks-can", {"unknown_code/ignored"}),
+        ("deaf-after-bad-frame", "mks-modbus", {"checksum_bit/next", "checksum_value/next"}),
+        ("lk-answers-wrong-data-sum", "lk-rs485", {"checksum_bit/ignored"}),
+        ("lk-answers-wrong-head-sum", "lk-rs485", {"checksum_bit/ignored"}),
+        ("lk-answers-unknown-code", "lk-rs485", {"unknown_code/ignored"}),
+        ("lk-answers-wrong-length", "lk-rs485", {"overlong/ignored"}),
+    ],
+)
+def test_a_fault_of_hearing_is_refuted_by_the_claims_that_say_so(fault, dialect, names):
+    kinds = ("checksum", "flipped", "head", "unknown_code", "overlong")
+    found = refuted(framing, f"{dialect}@1,fault={fault}", *kinds)
+    assert names <= found
+    if fault == "deaf-after-bad-frame":
+        assert all(name.endswith("/next") for name in found)
+
+
+@pytest.mark.parametrize("fault", ["lost-reply", "first-reply-only", "flaky-checksum"])
+def test_a_line_that_loses_replies_is_not_called_deaf(fault):
+    assert refuted(framing, f"mks-rs485@1,fault={fault}") == set()
+
+
+def test_how_long_a_frame_may_pause_is_observed_and_measured():
+    verdict = run(framing, "mks-rs485@1", "pieces/answered")["pieces/answered"]
+    assert verdict.outcome is Outcome.OBSERVED
+    assert verdict.measured["longest_pause_in_a_frame_ms"] == 16
+
+
+def test_codes_of_other_firmware_are_tolerated_and_no_others():
+    verdicts = run(framing, "lk-rs485@1,quirk=lk-firmware-235", "unknown_code/")
+    assert verdicts["unknown_code/ignored"].outcome is Outcome.OBSERVED
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+def test_what_a_claim_sends_needs_no_more_than_it_says(drive):
+    specification = make.parse(drive)
+    for claim in claims_of(framing, EmulatedRig(specification)):
+        if claim.emulated or claim.alone:
+            continue
+        allowance = Allowance(claim.risks | {Risk.READ}, addresses=frozenset({specification.address}))
+        verdict = engine.run_claim(claim, EmulatedRig(specification, allowance=allowance))
+        assert verdict.outcome in (Outcome.CONFIRMED, Outcome.OBSERVED), verdict.reason
+
+
+def test_garbled_frames_are_built_from_reads_alone():
+    dialect = dialects.get("mks-rs485")
+    with pytest.raises(ValueError, match="built from a read"):
+        Garbler(dialect, encoder.assemble(dialect, "run_speed", 1, {"speed": 60}))
+
+
+@pytest.mark.parametrize("dialect", ["mks-rs485", "mks-modbus", "mks-can", "lk-rs485"])
+def test_every_variant_reads_as_nothing_but_a_read(dialect):
+    spoken = dialects.get(dialect)
+    made = Garbler(spoken, encoder.assemble(spoken, "read_position", 1))
+    several = [*made.check_bits(), *made.body_bits(), *made.wrong_checks(), *made.truncated(), *made.overlong()]
+    assert len(several) > 10
+    assert len({item if isinstance(item, bytes) else item.data for _, item in several}) > 10
+    assert all(harmless(item, 1) for _, item in several)
+    assert len({what for what, _ in made.check_bits()}) == (16 if dialect == "mks-modbus" else 8)

@@ -1,0 +1,88 @@
+"""Claims about what is stored: that it reads as it was set, does what it says, survives a restart and is restored."""
+
+from __future__ import annotations
+
+import pytest
+
+from analyzer.catalogue import Risk
+from conformance.claim import Outcome
+from conformance.claims import read_back
+from conformance.drives import make
+from conformance.gate.permissions import Allowance
+from conformance.suite import engine
+from conformance.suite.rig_emulated import EmulatedRig
+from tests.conformance import theme_runs
+
+#: A 57 has a port for each switch, so that nothing shows whether they are remapped.
+ELSEWHERE = {"mks-rs485@255,model=57D": {"set_limit_remap/effect"}}
+
+
+@pytest.mark.parametrize("drive", [*theme_runs.DRIVES, "mks-rs485@255,model=57D", "mks-rs485@3,baud=115200"])
+def test_a_drive_as_its_manual_has_it_confirms_every_claim(drive):
+    assert set(theme_runs.not_confirmed(read_back, drive)) == ELSEWHERE.get(drive, set())
+
+
+FAULTS = (
+    ("mks-can", "current-bytes-swapped", "set_current/read"),
+    ("mks-can", "current-stored-as-home-current", "set_current/others"),
+    ("mks-can", "parameter-off-by-one", "set_work_mode/read"),
+    ("mks-can", "parameter-defaults", "set_direction/read"),
+    ("mks-can", "user-id-not-stored", "write_user_id/read"),
+    ("mks-can", "user-id-lost", "write_user_id/restart"),
+    ("mks-can", "current-lost", "set_current/restart"),
+    ("mks-rs485", "work-mode-not-stored", "set_work_mode/effect"),
+    ("mks-modbus", "subdivision-not-stored", "set_subdivision/effect"),
+    ("mks-rs485", "respond-stored-as-active", "set_respond/effect"),
+    ("mks-rs485", "group-not-stored", "set_group_address/effect"),
+    ("mks-can", "group-lost", "set_group_address/restart"),
+    ("mks-rs485", "group-lost", "set_group_address/power"),
+    ("mks-modbus", "home-speed-low-byte", "set_home/home_speed"),
+    ("mks-rs485", "home-direction-not-stored", "set_home/home_direction"),
+    ("mks-can", "home-trigger-not-stored", "set_home/home_trigger"),
+    ("mks-rs485", "limit-remap-ignored", "set_limit_remap/effect"),
+    ("mks-modbus", "address-lost", "set_address/restart"),
+    ("mks-rs485", "saved-run-lost", "save_speed/restart"),
+    ("mks-can", "saved-direction-lost", "save_speed/restart"),
+    ("mks-modbus", "clean-ignored", "save_speed/clean"),
+    ("mks-modbus", "zero-mode-ignored", "set_zero_mode/restart"),
+    ("mks-rs485", "restore-lies", "restore/settings"),
+    ("mks-can", "current-kept", "restore/settings"),
+    ("mks-rs485", "address-kept", "restore/link"),
+    ("mks-modbus", "dialect-kept", "restore/link"),
+    ("lk-rs485", "lk-parameter-elsewhere", "parameter/speed_ramp/others"),
+    ("lk-rs485", "lk-gains-swapped", "parameter/current_pid/written"),
+    ("lk-rs485", "lk-parameter-int16", "parameter/angle_limit/written"),
+    ("lk-rs485", "lk-parameter-survives", "parameter/torque_limit/power"),
+)
+
+
+@pytest.mark.parametrize(("dialect", "fault", "claim"), FAULTS)
+def test_a_fault_is_refuted_by_the_claim_about_it(dialect, fault, claim):
+    model = ",model=42D" if dialect == "mks-rs485" else ""
+    verdicts = theme_runs.run(read_back, f"{dialect}@1{model},fault={fault}", claim)
+    assert (verdicts[claim].outcome, verdicts[claim].reason) == (Outcome.REFUTED, verdicts[claim].reason)
+
+
+def test_a_setting_that_cannot_be_read_is_observed():
+    (verdict,) = theme_runs.run(read_back, "mks-can@1,fault=subdivision-unreadable", "set_subdivision/read").values()
+    assert verdict.outcome is Outcome.OBSERVED
+
+
+@pytest.mark.parametrize("fault", ["position-low-byte-first", "position-half-width", "speed-low-byte-first", "speed-doubled"])
+def test_what_reads_wrongly_is_not_taken_for_a_setting_that_is_not_stored(fault):
+    assert theme_runs.refuted(read_back, f"mks-rs485@1,fault={fault}", "set_subdivision", "set_home") == set()
+
+
+def test_a_firmware_without_parameters_is_observed():
+    verdicts = theme_runs.run(read_back, "lk-rs485@1,quirk=lk-firmware-235", "parameter/speed_limit")
+    assert {v.outcome for v in verdicts.values()} == {Outcome.OBSERVED}
+    assert {v.quirks for v in verdicts.values()} == {("lk-firmware-235",)}
+
+
+@pytest.mark.parametrize("drive", theme_runs.DRIVES)
+def test_a_claim_sends_nothing_that_its_risks_do_not_name(drive):
+    specification = make.parse(drive)
+    for claim in theme_runs.claims_of(read_back, EmulatedRig(specification)):
+        allowance = Allowance(claim.risks | {Risk.READ}, alone=claim.alone, addresses=frozenset({1}))
+        verdict = engine.run_claim(claim, EmulatedRig(specification, allowance=allowance))
+        assert (claim.id, verdict.outcome, verdict.reason) == (claim.id, Outcome.CONFIRMED, "")

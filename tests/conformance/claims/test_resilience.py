@@ -1,0 +1,67 @@
+"""The theme resilience: many requests, floods, noise, idle hours, lost power, and a drive that is busy."""
+
+from __future__ import annotations
+
+import pytest
+
+from analyzer.records import Frame, Message
+from conformance.claim import Outcome
+from conformance.claims import resilience
+from conformance.drives.drive import Drive, Fault, Hooks
+from conformance.drives.mks.core import MksCore
+from tests.conformance.theme_runs import DRIVES, not_confirmed, refuted, run
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+def test_conforming_drives_confirm_every_claim(drive):
+    assert not_confirmed(resilience, drive) == {}
+
+
+@pytest.mark.parametrize(
+    ("fault", "dialect", "name"),
+    [
+        ("lost-reply", "mks-rs485", "reads/answered"),
+        ("first-reply-only", "mks-can", "reads/answered"),
+        ("lk-reply-lost", "lk-rs485", "reads/answered"),
+        ("flaky-checksum", "mks-modbus", "reads/good"),
+        ("unanswered-reads", "mks-can", "moving/reads"),
+    ],
+)
+def test_a_fault_is_refuted_by_the_claim_about_it(fault, dialect, name):
+    assert name in refuted(resilience, f"{dialect}@1,fault={fault}", "reads", "moving/reads")
+
+
+@pytest.mark.parametrize(
+    ("quirk", "drive", "name"),
+    [
+        ("hasty-writes-dropped", "mks-rs485@1", "hasty_settings"),
+        ("lk-off-sum", "lk-rs485@1", "moves/good"),
+        ("lk-firmware-235", "lk-rs485@1", "moving/settings"),
+    ],
+)
+def test_a_quirk_is_observed(quirk, drive, name):
+    assert run(resilience, f"{drive},quirk={quirk}", name)[name].outcome is Outcome.OBSERVED
+
+
+def test_a_drive_that_lets_a_setting_stop_it_is_refuted():
+    def stored(drive: Drive, name: str, value: int) -> tuple[str, int]:
+        assert isinstance(drive, MksCore)
+        drive.motor.halt(drive.now_ns)
+        return name, value
+
+    fault = Fault("halts", ("mks-can",), "settings stop the shaft", "stop", lambda hooks: hooks.stored.append(stored))
+    assert refuted(resilience, "mks-can@1", "moving", fault=fault) == {"moving/settings"}
+
+
+def test_a_drive_that_is_deaf_after_power_comes_back_is_refuted():
+    deaf: list[Drive] = []
+
+    def accept(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        return wanted and drive not in deaf
+
+    def install(hooks: Hooks) -> None:
+        hooks.powered.append(deaf.append)
+        hooks.accept.append(accept)
+
+    fault = Fault("deaf", ("lk-rs485",), "it hears nothing after power-up", "power", install)
+    assert refuted(resilience, "lk-rs485@1", "power", "idle", fault=fault) == {"power/back", "power/in_frame"}

@@ -1,0 +1,444 @@
+"""Each named fault of the LK drive shows on the bus: an exchange whose answer differs from the conforming drive's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from analyzer.link import sum8
+from conformance.drives.drive import Fault
+from conformance.drives.faults.lk import FAULTS
+from tests.conformance.drives.lk_bench import Bench
+
+Script = Callable[[Bench], None]
+
+
+# --- exchanges --------------------------------------------------------------------------------------------------------
+
+
+def echoes(bench: Bench) -> None:
+    for name in ("motor_off", "motor_on", "stop", "clear_turns"):
+        bench.ask(name)
+    bench.ask("set_position", position=-123456)
+
+
+def readings(bench: Bench) -> None:
+    bench.drive.supply(19.5)
+    bench.drive.hot(-7)
+    bench.ask("run_speed", speed=-30_000)
+    bench.wait(0.5)
+    for name in ("read_state_1", "read_state_2", "read_encoder", "read_position", "read_single_turn"):
+        bench.ask(name)
+    for number in (10, 30, 32):
+        bench.ask("read_parameter", parameter=number)
+
+
+def phases(bench: Bench) -> None:
+    bench.ask("run_torque", torque_current=700)
+    bench.wait(1)
+    bench.ask("read_state_3")
+
+
+def look(bench: Bench) -> None:
+    bench.ask("read_state_2")
+    bench.ask("read_position")
+    bench.ask("read_single_turn")
+
+
+def asking(command: str, seconds: float = 2.0, /, **values: int) -> Script:
+    """Give one command at 50 degrees, called 100, and look during and after it."""
+
+    def script(bench: Bench) -> None:
+        bench.drive.turn_shaft(50.0)
+        bench.ask("set_position", position=10_000)
+        bench.ask(command, **values)
+        for _ in range(3):
+            bench.wait(0.145)
+            look(bench)
+        bench.wait(seconds)
+        look(bench)
+
+    return script
+
+
+def off(bench: Bench) -> None:
+    bench.ask("run_speed", speed=30_000)
+    bench.wait(0.5)
+    bench.ask("motor_off")
+    bench.ask("read_state_1")
+    bench.wait(2)
+    look(bench)
+    bench.ask("move_increment", position=9000)
+    bench.wait(1)
+    look(bench)
+    bench.ask("motor_on")
+    bench.ask("read_state_1")
+    bench.wait(1)
+    look(bench)
+
+
+def stop(bench: Bench) -> None:
+    bench.ask("run_speed", speed=50_000)
+    bench.wait(2)
+    bench.ask("stop")
+    bench.wait(0.05)
+    look(bench)
+    bench.ask("read_state_1")
+    bench.wait(1)
+    look(bench)
+
+
+def errors(bench: Bench) -> None:
+    bench.ask("read_state_1")
+    bench.drive.supply(8)
+    bench.ask("read_state_1")
+    bench.ask("clear_errors")
+    bench.drive.supply(24)
+    bench.ask("clear_errors")
+    bench.ask("run_speed", speed=1000)
+    bench.wait(0.5)
+    look(bench)
+
+
+def brake(bench: Bench) -> None:
+    for control in (0x10, 0x00, 0x10, 0x10):
+        bench.ask("brake", brake_control=control)
+    bench.ask("move_increment", position=500)
+    bench.wait(0.5)
+    look(bench)
+    bench.ask("brake", brake_control=0x01)
+
+
+def far(bench: Bench) -> None:
+    bench.ask("set_position", position=2**31 - 10)
+    bench.ask("move_increment", position=100)
+    bench.wait(1)
+    bench.ask("read_position")
+    bench.ask("set_position", position=0)
+    bench.ask("move_multi_turn", position=2**32 - 100)
+    bench.wait(0.5)
+    bench.ask("read_position")
+
+
+def zero(bench: Bench) -> None:
+    bench.drive.turn_shaft(100.0)
+    bench.ask("set_zero")
+    bench.ask("read_encoder")
+    bench.drive.power_cycle(bench.t_ns)
+    bench.ask("read_encoder")
+    bench.drive.turn_shaft(10.0)
+    bench.ask("set_zero")
+    bench.ask("read_encoder")
+
+
+def position_and_power(bench: Bench) -> None:
+    bench.ask("set_position", position=500)
+    bench.ask("read_position")
+    bench.drive.power_cycle(bench.t_ns)
+    bench.ask("read_position")
+
+
+def turns(bench: Bench) -> None:
+    bench.ask("move_multi_turn", position=100_000)
+    bench.wait(3)
+    look(bench)
+    bench.ask("clear_turns")
+    look(bench)
+
+
+def limits(bench: Bench) -> None:
+    bench.ask("write_parameter", parameter=32, speed_limit=20_000)
+    bench.ask("write_parameter", parameter=30, torque_limit=100)
+    bench.ask("write_parameter", parameter=38, speed_ramp=150_000)
+    bench.ask("write_parameter", parameter=34, angle_limit=4000)
+    for number in (30, 32, 34, 38):
+        bench.ask("read_parameter", parameter=number)
+    bench.ask("run_speed", speed=60_000)
+    bench.wait(0.1)
+    look(bench)
+    bench.wait(1)
+    look(bench)
+    bench.ask("motor_off")
+    bench.wait(2)
+    bench.ask("motor_on")
+    bench.ask("set_position", position=0)
+    bench.ask("move_multi_turn", position=9000)
+    bench.wait(2)
+    look(bench)
+
+
+def torque_limit(bench: Bench) -> None:
+    bench.ask("write_parameter", parameter=30, torque_limit=100)
+    bench.ask("run_torque", torque_current=300)
+    bench.wait(1)
+    look(bench)
+
+
+def gains(bench: Bench) -> None:
+    bench.ask("write_parameter", parameter=11, speed_kp=1, speed_ki=2, speed_kd=3)
+    for number in (10, 11, 12):
+        bench.ask("read_parameter", parameter=number)
+
+
+def parameters_and_power(bench: Bench) -> None:
+    bench.ask("write_parameter", parameter=32, speed_limit=20_000)
+    bench.drive.power_cycle(bench.t_ns)
+    bench.ask("read_parameter", parameter=32)
+
+
+def strangers(bench: Bench) -> None:
+    for address in (0, 2, 33):
+        bench.send(bench.request("read_state_2", address=address))
+    bench.send(raw(0x9F))
+    bench.send(raw(0xA2, b"\1\2"))
+    for frame in (bench.request("run_speed", speed=30_000), bench.request("read_position")):
+        for at in (4, len(frame) - 1):
+            spoiled = bytearray(frame)
+            spoiled[at] ^= 1
+            bench.send(bytes(spoiled))
+    bench.wait(0.3)
+    look(bench)
+
+
+def raw(code: int, data: bytes = b"") -> bytes:
+    head = bytes((0x3E, code, 1, len(data)))
+    return head + bytes((sum8(head),)) + (data + bytes((sum8(data),)) if data else b"")
+
+
+def other_models(bench: Bench) -> None:
+    bench.send(raw(0xA0, b"\x64\0"))
+    bench.send(raw(0xA1, b"\x64\0"))
+    bench.wait(0.5)
+    look(bench)
+
+
+SCRIPTS: dict[str, Script] = {
+    "echoes": echoes,
+    "readings": readings,
+    "phases": phases,
+    "off": off,
+    "stop": stop,
+    "errors": errors,
+    "brake": brake,
+    "far": far,
+    "zero": zero,
+    "position and power": position_and_power,
+    "turns": turns,
+    "limits": limits,
+    "torque limit": torque_limit,
+    "gains": gains,
+    "parameters and power": parameters_and_power,
+    "strangers": strangers,
+    "other models": other_models,
+    "speed": asking("run_speed", speed=-30_000),
+    "crawl": asking("run_speed", speed=100),
+    "fast": asking("run_speed", speed=70_000),
+    "torque": asking("run_torque", torque_current=-500),
+    "highest torque": asking("run_torque", torque_current=2048),
+    "too much torque": asking("run_torque", torque_current=2049),
+    "lowest torque": asking("run_torque", torque_current=-2048),
+    "too little torque": asking("run_torque", torque_current=-2049),
+    "far too much torque": asking("run_torque", torque_current=9999),
+    "lowest power": asking("run_open_loop", power=-850),
+    "too little power": asking("run_open_loop", power=-851),
+    "far too much power": asking("run_open_loop", power=9999),
+    "highest power": asking("run_open_loop", power=850),
+    "too much power": asking("run_open_loop", power=851),
+    "multi-turn": asking("move_multi_turn", position=25_000),
+    "slow": asking("move_multi_turn_limited", position=25_000, max_speed=5000),
+    "clockwise": asking("move_single_turn", direction=0, angle=26_000),
+    "counter-clockwise": asking("move_single_turn", direction=1, angle=1000),
+    "highest angle": asking("move_single_turn", direction=0, angle=35_999),
+    "lowest angle": asking("move_single_turn", direction=0, angle=0),
+    "360 degrees": asking("move_single_turn", direction=0, angle=36_000),
+    "too high an angle": asking("move_single_turn", direction=0, angle=40_000),
+    "no direction": asking("move_single_turn", direction=2, angle=9000),
+    "increment": asking("move_increment", position=-9000),
+}
+MS_SCRIPTS = {name for name in SCRIPTS if "power" in name} - {"parameters and power", "position and power"}
+
+#: The exchange that shows each fault.
+SHOWN_BY: dict[str, str] = {
+    "lk-data-sum-wrong": "readings",
+    "lk-head-sum-wrong": "readings",
+    "lk-data-sum-missing": "readings",
+    "lk-data-sum-of-nothing": "echoes",
+    "lk-data-sum-with-head": "readings",
+    "lk-head-sum-without-start": "echoes",
+    "lk-reply-start-wrong": "echoes",
+    "lk-reply-code-wrong": "speed",
+    "lk-echo-code-wrong": "echoes",
+    "lk-reply-address-wrong": "readings",
+    "lk-reply-length-wrong": "readings",
+    "lk-reply-short": "speed",
+    "lk-motion-reply-empty": "multi-turn",
+    "lk-set-position-reply-empty": "echoes",
+    "lk-echo-with-status": "echoes",
+    "lk-parameter-bytes-shifted": "gains",
+    "lk-answers-other-address": "strangers",
+    "lk-answers-address-0": "strangers",
+    "lk-answers-wrong-data-sum": "strangers",
+    "lk-answers-wrong-head-sum": "strangers",
+    "lk-answers-unknown-code": "strangers",
+    "lk-answers-wrong-length": "strangers",
+    "lk-silent-while-off": "off",
+    "lk-reply-late": "readings",
+    "lk-reply-lost": "readings",
+    "lk-reply-twice": "readings",
+    "lk-reply-cut": "readings",
+    "lk-reply-noise": "readings",
+    "lk-speed-bytes-swapped": "readings",
+    "lk-angle-bytes-swapped": "readings",
+    "lk-voltage-bytes-swapped": "readings",
+    "lk-asked-speed-swapped": "speed",
+    "lk-asked-angle-swapped": "clockwise",
+    "lk-speed-sign-lost": "speed",
+    "lk-position-sign-lost": "readings",
+    "lk-torque-sign-lost": "torque",
+    "lk-asked-speed-sign-lost": "speed",
+    "lk-increment-sign-lost": "increment",
+    "lk-temperature-unsigned": "readings",
+    "lk-position-int32": "far",
+    "lk-target-int32": "far",
+    "lk-asked-speed-int16": "fast",
+    "lk-parameter-int16": "limits",
+    "lk-asked-speed-tenfold": "speed",
+    "lk-speed-tenth": "speed",
+    "lk-position-tenth": "multi-turn",
+    "lk-target-tenfold": "multi-turn",
+    "lk-voltage-tenth": "readings",
+    "lk-torque-half": "torque",
+    "lk-max-speed-tenfold": "slow",
+    "lk-torque-any": "too much torque",
+    "lk-power-any": "too much power",
+    "lk-torque-short": "highest torque",
+    "lk-power-short": "highest power",
+    "lk-torque-short-below": "lowest torque",
+    "lk-torque-one-more": "too much torque",
+    "lk-torque-one-less": "too little torque",
+    "lk-power-short-below": "lowest power",
+    "lk-power-one-more": "too much power",
+    "lk-power-one-less": "too little power",
+    "lk-angle-one-more": "360 degrees",
+    "lk-angle-not-0": "lowest angle",
+    "lk-direction-not-1": "counter-clockwise",
+    "lk-angle-any": "too high an angle",
+    "lk-angle-short": "highest angle",
+    "lk-direction-any": "no direction",
+    "lk-state-1-swapped": "readings",
+    "lk-state-always-on": "off",
+    "lk-error-bits-shifted": "errors",
+    "lk-error-bits-hidden": "errors",
+    "lk-error-bits-frozen": "errors",
+    "lk-encoder-not-offset": "zero",
+    "lk-encoder-offset-added": "zero",
+    "lk-encoder-coarse": "readings",
+    "lk-single-turn-runs-on": "turns",
+    "lk-position-single-turn": "turns",
+    "lk-phases-in-step": "phases",
+    "lk-zero-not-raw": "zero",
+    "lk-parameter-other": "gains",
+    "lk-gains-swapped": "gains",
+    "lk-parameter-write-zeros": "gains",
+    "lk-brake-state-inverted": "brake",
+    "lk-brake-read-releases": "brake",
+    "lk-single-turn-inverted": "clockwise",
+    "lk-single-turn-shortest": "clockwise",
+    "lk-speed-inverted": "speed",
+    "lk-increment-absolute": "increment",
+    "lk-multi-turn-relative": "multi-turn",
+    "lk-max-speed-ignored": "slow",
+    "lk-speed-limit-ignored": "limits",
+    "lk-speed-ramp-ignored": "limits",
+    "lk-torque-limit-ignored": "torque limit",
+    "lk-angle-limit-ignored": "limits",
+    "lk-ramp-fast": "multi-turn",
+    "lk-ramp-slow": "multi-turn",
+    "lk-overshoot": "multi-turn",
+    "lk-stops-short": "multi-turn",
+    "lk-stop-is-off": "stop",
+    "lk-stop-coasts": "stop",
+    "lk-stop-ignored": "stop",
+    "lk-stop-clears-turns": "stop",
+    "lk-off-still-moves": "off",
+    "lk-off-keeps-running": "off",
+    "lk-off-ignored": "off",
+    "lk-on-needed-twice": "off",
+    "lk-on-resumes": "off",
+    "lk-off-at-power-up": "speed",
+    "lk-brake-without-effect": "brake",
+    "lk-brake-backwards": "brake",
+    "lk-clear-errors-always": "errors",
+    "lk-clear-errors-never": "errors",
+    "lk-set-position-ignored": "position and power",
+    "lk-set-position-kept": "position and power",
+    "lk-clear-turns-ignored": "turns",
+    "lk-zero-at-once": "zero",
+    "lk-zero-lost": "zero",
+    "lk-parameter-not-stored": "gains",
+    "lk-parameter-elsewhere": "gains",
+    "lk-parameter-survives": "parameters and power",
+    "lk-ms-runs-torque": "other models",
+    "lk-runs-open-loop": "other models",
+}
+
+
+def model_of(script: str, fault: str = "") -> str:
+    return "MS" if script in MS_SCRIPTS or fault == "lk-ms-runs-torque" else "MF"
+
+
+def played(script: str, model: str, *faults: Fault) -> list[list[tuple[int, str]]]:
+    bench = Bench(model=model, faults=faults)
+    SCRIPTS[script](bench)
+    return bench.trace
+
+
+def test_each_fault_has_its_exchange() -> None:
+    names = [fault.name for fault in FAULTS]
+    assert len(names) == len(set(names)) >= 30
+    assert set(SHOWN_BY) == set(names)
+    assert set(SHOWN_BY.values()) <= set(SCRIPTS)
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f.name)
+def test_fault_shows(fault: Fault) -> None:
+    script = SHOWN_BY[fault.name]
+    model = model_of(script, fault.name)
+    assert played(script, model) == played(script, model)
+    assert played(script, model, fault) != played(script, model)
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f.name)
+def test_fault_says_what_it_is(fault: Fault) -> None:
+    assert fault.name.startswith("lk-")
+    assert fault.name == fault.name.lower()
+    assert " " not in fault.name
+    assert "_" not in fault.name
+    assert fault.dialects == ("lk-rs485",)
+    assert fault.text
+    assert not fault.text.endswith(".")
+    assert fault.breaks
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f.name)
+def test_fault_never_raises(fault: Fault) -> None:
+    for script in SCRIPTS.values():
+        script(Bench(model="MS", faults=(fault,)))
+
+
+def test_no_two_faults_are_one() -> None:
+    """Over all exchanges, two faults differ somewhere."""
+    shown = {}
+    for fault in FAULTS:
+        key = repr([played(name, model_of(name, fault.name), fault) for name in SCRIPTS])
+        assert key not in shown, (fault.name, shown[key])
+        shown[key] = fault.name
+
+
+def test_faults_of_one_drive_are_not_those_of_another() -> None:
+    faulty, good = Bench(faults=FAULTS[:1]), Bench()
+    readings(faulty)
+    readings(good)
+    assert good.trace == played("readings", "MF")
+    assert faulty.trace != good.trace

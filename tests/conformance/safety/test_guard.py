@@ -1,0 +1,140 @@
+"""The guard: whatever ends the suite, the motor stands and the settings are what they were."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from analyzer import dialects
+from analyzer.catalogue import Risk
+from analyzer.live import endpoint as endpoints
+from conformance.bus import open_line
+from conformance.gate.gate import Allowance, Gate
+from conformance.motion import motion
+from conformance.safety import journal
+from conformance.safety.bare import bare_probe
+from tests.conformance.drives.served import on_pty, wait_for
+
+ROOT = Path(__file__).parents[3]
+#: A suite that sets the work mode, runs the motor at 60 rpm, says so, and then does what the test says.
+SUITE = """
+import os, signal, sys, time
+from analyzer.catalogue import Risk
+from conformance.motion import motion
+from conformance.suite import plan as suite
+from conformance.gate.gate import Allowance
+from conformance.safety.bare import bare_probe
+from conformance.suite.target import parse
+
+path, ending = sys.argv[1:3]
+risks = frozenset({Risk.READ, Risk.SETTING, Risk.MOTION, Risk.TORQUE, Risk.UNBOUNDED})
+plan = suite.Plan((parse("mks-can@1" if path.startswith("can") else "mks-rs485@1", path),), Allowance(risks, 300.0),
+                  settings={"": {"work_mode": "cr_vfoc", "subdivision": "16"}}, journal=sys.argv[3])
+rig = suite.open_rig(plan, plan.targets[0])
+from conformance.claim import Claim, Theme
+probe = rig.probe(Claim("mks-rs485/state/x", Theme.STATE, "mks-rs485", "x", "", "x", lambda p: None))
+motion.ready_to_move(probe, "sr_vfoc")
+motion.run_at(probe, 60)
+probe.wait(500_000_000)
+print("speed", motion.speed(probe).value, flush=True)
+if ending == "raise":
+    raise RuntimeError("a claim went wrong")
+if ending == "close":
+    rig.close()
+    sys.exit(0)
+time.sleep(60)
+"""
+
+
+def started(path: str, ending: str, journal_path: Path) -> subprocess.Popen[str]:
+    process = subprocess.Popen(
+        [sys.executable, "-c", SUITE, f"serial:{path},baud=38400", ending, str(journal_path)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,
+    )  # fmt: skip
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    assert line.startswith("speed"), line + (process.stderr.read() if process.stderr else "")
+    assert float(line.split()[1]) == pytest.approx(60, abs=2)
+    return process
+
+
+def looked_at(path: str) -> tuple[float, bool]:
+    """Return the drive's speed, and whether the bus may enable it (it may not in the work mode that was put back)."""
+    line = open_line(endpoints.parse(f"serial:{path},baud=38400"))
+    try:
+        gate = Gate(line, Allowance(frozenset({Risk.READ, Risk.MOTION, Risk.TORQUE}), addresses=frozenset({1})))
+        probe = bare_probe(dialects.get("mks-rs485"), 1, gate, "look")
+        speed = motion.speed(probe).value
+        return speed, not probe.refused(probe.ask("enable", {"enabled": 1}))
+    finally:
+        line.close()
+
+
+def guards() -> list[int]:
+    found = []
+    for each in Path("/proc").iterdir():
+        if each.name.isdigit():
+            try:
+                words = (each / "cmdline").read_bytes()
+            except OSError:
+                continue
+            if b"conformance.safety.guard" in words:
+                found.append(int(each.name))
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="needs /proc to see processes")
+@pytest.mark.parametrize("ending", ["SIGKILL", "SIGHUP", "raise", "close"])
+def test_the_motor_stands_and_settings_are_back_whatever_ends_the_suite(ending, tmp_path):
+    path_of_journal = tmp_path / "run.journal"
+    with on_pty("mks-rs485@1") as path:
+        before = set(guards())
+        process = started(path, ending, path_of_journal)
+        mine = set(guards()) - before
+        assert mine
+        if ending.startswith("SIG"):
+            process.send_signal(getattr(signal, ending))
+        process.communicate(timeout=60)
+        assert wait_for(lambda: not mine & set(guards()), 60)
+        speed, enabled = looked_at(path)
+    assert speed == 0
+    assert not enabled, "the work mode was not put back"
+    if path_of_journal.exists():
+        assert journal.open_changes(journal.read(path_of_journal)) == []
+    if ending == "close":
+        assert not path_of_journal.exists(), "a clean end leaves no journal"
+
+
+def test_a_killed_guard_leaves_a_journal_for_restore(tmp_path):
+    path_of_journal = tmp_path / "run.journal"
+    with on_pty("mks-rs485@1") as path:
+        before = set(guards())
+        process = started(path, "wait", path_of_journal)
+        (guard,) = set(guards()) - before
+        os.kill(guard, signal.SIGKILL)
+        process.kill()
+        process.communicate(timeout=20)
+        changes = journal.open_changes(journal.read(path_of_journal))
+        assert [(c.command, c.values) for c in changes] == [("set_work_mode", {"work_mode": 2})]
+        done = subprocess.run(
+            [sys.executable, "-c", "import sys; from analyzer.cli import _run; from conformance.cli import restore;"
+             "sys.exit(_run('restore', restore, sys.argv[1:]))", str(path_of_journal)],
+            capture_output=True, text=True, cwd=ROOT, timeout=60, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        assert "all 1 put back" in done.stdout
+        assert journal.open_changes(journal.read(path_of_journal)) == []
+        _, enabled = looked_at(path)
+        assert not enabled
+
+
+def test_a_torn_last_line_of_a_journal_is_left_out(tmp_path):
+    path = tmp_path / "a.journal"
+    entry = b'{"event":"change","target":"mks-can@1","command":"set_work_mode","address":1,"values":{"work_mode":2}}\n'
+    path.write_bytes(entry + b'{"event":"back","tar')
+    assert len(journal.open_changes(journal.read(path))) == 1

@@ -1,0 +1,221 @@
+"""The guard against a suite that goes wrong, and the suite against a guard that dies: real processes on a pseudo-terminal."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from analyzer.encoder import build
+from analyzer.live import endpoint as endpoints
+from conformance.bus import open_line
+from conformance.claim import Claim, Inconclusive, Outcome, Theme
+from conformance.gate.gate import Gate, Refused
+from conformance.gate.permissions import READS, Allowance, parse_allow
+from conformance.motion import motion
+from conformance.safety.bare import bare_probe
+from conformance.safety.stopping import stop, stopping
+from conformance.suite import engine
+from conformance.suite import plan as suite
+from conformance.suite.rig import NotStopped
+from conformance.suite.target import parse
+from tests.conformance.drives.served import on_pty
+
+ROOT = Path(__file__).parents[3]
+MOVING = parse_allow("setting,motion,torque,unbounded")
+NO_STOPS = "mks-rs485@1,work_mode=sr_vfoc,fault=speed-stop-ignored,fault=move-stop-ignored,fault=emergency-stop-ignored"
+KNOWN = {"": {"work_mode": "cr_vfoc", "subdivision": "16"}}
+
+
+def open_rig(path, tmp_path, risks=MOVING, **more):
+    plan = suite.Plan(
+        (parse("mks-rs485@1", f"serial:{path},baud=38400"),), Allowance(frozenset(risks), 300.0),
+        settings=more.pop("settings", KNOWN), journal=str(tmp_path / "j"), **more,
+    )  # fmt: skip
+    return suite.open_rig(plan, plan.targets[0])
+
+
+def probe_of(rig):
+    return rig.probe(claim(lambda p: None))
+
+
+def claim(check, *risks):
+    return Claim("mks-rs485/state/x", Theme.STATE, "mks-rs485", "x", "", "x", check, risks=frozenset(risks))
+
+
+def speed_of(path):
+    line = open_line(endpoints.parse(f"serial:{path},baud=38400"))
+    try:
+        dialect = parse("mks-rs485@1").dialect
+        return motion.speed(bare_probe(dialect, 1, Gate(line, Allowance(READS)), "look")).value
+    finally:
+        line.close()
+
+
+def test_a_suite_whose_own_gate_is_wide_open_sends_no_more_than_was_allowed(tmp_path):
+    with on_pty("mks-rs485@1,work_mode=sr_vfoc") as path:
+        rig = open_rig(path, tmp_path, READS)
+        try:
+            # As if the suite had been changed: its own gate lets everything through.
+            rig.gate = Gate(rig.gate.line, Allowance(MOVING, alone=True))
+            rig.allowed = MOVING
+            probe = probe_of(rig)
+            with pytest.raises(Refused, match="needs motion"):
+                probe.ask("enable", {"enabled": 1})
+            with pytest.raises(Refused, match="meant for 2"):
+                probe.ask("read_speed", address=2)
+            verdict = engine.run_claim(claim(lambda p: motion.run_at(p, 60)), rig)
+            assert verdict.outcome is Outcome.NOT_RUN
+            assert "needs motion" in verdict.reason
+            # A stop always passes.
+            assert stop(rig.gate.under(stopping(1)), rig.dialect, 1) == ""
+        finally:
+            rig.close()
+
+
+def test_a_run_without_an_end_is_stopped_after_its_time_and_the_suite_goes_on(tmp_path):
+    with on_pty("mks-rs485@1,work_mode=sr_vfoc") as path:
+        rig = open_rig(path, tmp_path, longest_run=0.4)
+        try:
+
+            def check(probe):
+                motion.ready_to_move(probe)
+                motion.run_at(probe, 60)
+                probe.wait(900_000_000)
+
+            verdict = engine.run_claim(claim(check), rig)
+            assert verdict.outcome is Outcome.INCONCLUSIVE
+            assert "longer than 0.4 s (--max-run)" in verdict.reason
+            assert engine.run_claim(claim(lambda p: p.read("read_speed") and None), rig).outcome is Outcome.CONFIRMED
+        finally:
+            rig.close()
+
+
+def test_where_the_guard_dies_another_one_stops_the_motor_and_puts_back(tmp_path, capfd):
+    with on_pty("mks-rs485@1") as path:
+        rig = open_rig(path, tmp_path)
+        probe = probe_of(rig)
+        motion.ready_to_move(probe, "sr_vfoc")
+        motion.run_at(probe, 60)
+        rig.gate.line._process.kill()
+        rig.gate.line._process.wait(10)
+        rig.close()
+        assert not (tmp_path / "j").exists(), "all was put back"
+        assert speed_of(path) == 0
+    assert "another one takes over" in capfd.readouterr().err
+
+
+def test_where_nothing_stops_the_motor_the_guard_cuts_the_power_by_itself(tmp_path):
+    cut = tmp_path / "cut"
+    with on_pty(NO_STOPS) as path:
+        rig = open_rig(path, tmp_path, cut_power=f"touch {cut}")
+        probe = probe_of(rig)
+        probe.do("enable", {"enabled": 1})
+        motion.run_at(probe, 60)
+        assert rig.gate.line.abandon() == 20
+        assert cut.exists()
+        rig._not_stopped = True
+        rig.close()
+
+
+def test_a_drive_that_does_not_tell_its_position_is_not_stopped(tmp_path, monkeypatch):
+    """Unplugged while it may be moving: nobody can say that it stands."""
+    with on_pty("mks-rs485@1") as path:
+        rig = open_rig(path, tmp_path, cut_power=f"touch {tmp_path / 'cut'}")
+        monkeypatch.setattr("conformance.safety.stopping._RAMP_NS", 300_000_000)
+        monkeypatch.setattr("conformance.safety.stopping._AT_ONCE_NS", 300_000_000)
+        monkeypatch.setattr("conformance.motion.motion.position", _unread)
+        rig._moved = True
+        with pytest.raises(NotStopped, match="no position"):
+            rig.settle()
+        assert (tmp_path / "cut").exists()
+        rig.close()
+
+
+def _unread(probe):
+    raise Inconclusive("no position")
+
+
+def test_the_budget_holds_in_the_guard_too(tmp_path):
+    with on_pty("mks-rs485@1,work_mode=sr_vfoc") as path:
+        plan = suite.Plan((parse("mks-rs485@1", f"serial:{path},baud=38400"),), Allowance(MOVING), journal=str(tmp_path / "j"))
+        limited = replace(plan.allowance.budget, commands=1)
+        plan = replace(plan, allowance=replace(plan.allowance, budget=limited))
+        rig = suite.open_rig(plan, plan.targets[0])
+        try:
+            rig.gate = Gate(rig.gate.line, Allowance(MOVING))
+            rig.gate.send(build(rig.dialect, "enable", 1, {"enabled": 1}))
+            with pytest.raises(Refused, match="budget of 1 commands"):
+                rig.gate.send(build(rig.dialect, "enable", 1, {"enabled": 1}))
+        finally:
+            rig.close()
+
+
+# --- whole runs -------------------------------------------------------------------------------------------------------
+
+RUN = ["-c", "import sys; from analyzer.cli import main; sys.exit(main(sys.argv[1:]))", "test", "mks-rs485@1"]
+
+
+def started(path, tmp_path, *more):
+    words = [*RUN, "--on", f"serial:{path},baud=38400", "--allow", "setting,motion,torque,unbounded", "--subdivision", "16",
+             "--settings", str(tmp_path / "s.json"), "--journal", str(tmp_path / "j"), *more]  # fmt: skip
+    (tmp_path / "s.json").write_text('{"work_mode": "cr_vfoc", "subdivision": 16}')
+    return subprocess.Popen(
+        [sys.executable, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("signals", [(signal.SIGINT, signal.SIGINT, signal.SIGINT), (signal.SIGTERM,)])
+def test_ctrl_c_once_or_again_and_again_stops_the_motor_and_puts_back(signals, tmp_path):
+    with on_pty("mks-rs485@1") as path:
+        report = tmp_path / "r.html"
+        process = started(path, tmp_path, "--claim", "*/motion/run_speed/*", "--json", "--report", str(report))
+        process.stdout.readline()
+        time.sleep(0.3)
+        for number in signals:
+            process.send_signal(number)
+            time.sleep(0.15)
+        _, err = process.communicate(timeout=60)
+        assert process.returncode in (130, 0, 1) if len(signals) > 1 else process.returncode == 130, err
+        assert "stopped after" in err
+        assert "Traceback" not in err
+        assert speed_of(path) == 0
+        assert not (tmp_path / "j").exists()
+        assert report.exists(), "verdicts so far are told"
+
+
+def test_a_motor_that_does_not_stop_ends_the_run_with_20(tmp_path):
+    cut = tmp_path / "cut"
+    with on_pty(NO_STOPS) as path:
+        process = started(
+            path, tmp_path, "--claim", "*/motion/stop_speed/by-ramp", "--claim", "*/shape/read_speed/once",
+            "--cut-power", f"echo cut >> {cut}", "--report", str(tmp_path / "r.html"),
+        )  # fmt: skip
+        out, err = process.communicate(timeout=90)
+    assert process.returncode == 20, err
+    assert "NOT STOPPED" in err
+    assert cut.read_text().split() == ["cut"], "once"
+    assert "1 of 2 claims" in out, "what was judged before is told"
+    assert (tmp_path / "r.html").exists()
+
+
+@pytest.mark.parametrize("workers", [(), ("-n", "2")], ids=["alone", "xdist"])
+def test_a_motor_that_does_not_stop_ends_pytest_with_20(workers, tmp_path):
+    (tmp_path / "s.json").write_text('{"work_mode": "cr_vfoc", "subdivision": 16}')
+    with on_pty(NO_STOPS) as path:
+        done = subprocess.run(
+            [sys.executable, "-m", "pytest", "--pyargs", "conformance", "-q", "-p", "no:cacheprovider", *workers,
+             "--drive", "mks-rs485@1", "--on", f"serial:{path},baud=38400", "--settings", "s.json", "--journal", "j",
+             "--allow", "setting,motion,torque,unbounded", "--claim", "*/motion/stop_speed/*"],
+            cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=120, check=False,
+        )  # fmt: skip
+    assert done.returncode == 20, done.stdout[-2000:]
+    assert "NOT STOPPED" in done.stdout + done.stderr
+    assert done.stdout.count("FAILED") <= 1, "no other worker went on with the port"

@@ -1,0 +1,76 @@
+"""A refutation on a real port is repeated; a sequence of steps is shortened on an emulated drive that fails alike."""
+
+from __future__ import annotations
+
+from conformance.claim import Claim, Outcome, Refuted, Theme
+from conformance.gate.permissions import Allowance
+from conformance.model.session import Step, parse_steps, steps_text
+from conformance.suite import engine, plan
+from tests.conformance.safety.test_keeper import EVERYTHING, EmulatedPort
+
+#: What a user would say of a drive that tells none of its settings.
+KNOWN = {
+    "work_mode": "cr_vfoc", "subdivision": "16", "motor_direction": "0", "current": "800", "holding_current": "4",
+    "enable_level": "0", "screen_off": "0", "protection": "0", "interpolation": "1", "respond": "1", "active": "1",
+    "key_lock": "0", "home_trigger": "0", "home_direction": "0", "home_speed": "60", "end_limit": "0", "limit_remap": "0",
+    "return_angle": "8192", "home_mode": "0", "home_current": "400", "zero_mode": "0", "set_zero": "0", "zero_speed": "0",
+    "zero_direction": "0",
+}  # fmt: skip
+
+
+def only(check, dialect="mks-rs485"):
+    return Claim(f"{dialect}/state/x", Theme.STATE, dialect, "x", "", "x", check)
+
+
+def test_what_fails_once_of_two_times_is_refuted_and_says_so(tmp_path):
+    rig = EmulatedPort("mks-rs485@1", tmp_path)
+    times = []
+
+    def check(probe):
+        times.append(probe.read("read_speed"))
+        if len(times) == 1:
+            raise Refuted("it was slow")
+
+    verdict = engine.run_claim(only(check), rig)
+    rig.close()
+    assert verdict.outcome is Outcome.REFUTED
+    assert "1 of 2 times" in verdict.reason
+    assert len(times) == 2
+
+
+def test_a_sequence_of_steps_is_shortened_where_an_emulated_drive_has_the_same_fault(tmp_path):
+    """The real drive's fault is one that the suite knows; the one that the manual describes does not have it."""
+    rig = EmulatedPort("mks-rs485@1,fault=set-zero-ignored", tmp_path, settings=KNOWN,
+                       allowance=Allowance(EVERYTHING))  # fmt: skip
+    from conformance.model import machine
+
+    steps = [
+        Step("run_speed", {"direction": 0, "speed": 60, "acceleration": 200}), Step("stop", {"motion": 0, "acceleration": 200}),
+        Step("look"), Step("set_zero"), Step("look"),
+    ]  # fmt: skip
+    assert parse_steps(steps_text(steps)) == steps
+
+    def check(probe):
+        error = machine.replay(probe, steps)
+        assert error is not None
+        error.steps = tuple(steps)
+        raise error
+
+    verdict = engine.run_claim(only(check), rig)
+    rig.close()
+    assert verdict.outcome is Outcome.REFUTED, verdict.reason
+    assert "2 of 2 times" in verdict.reason
+    assert len(verdict.steps) < len(steps), verdict.reason
+    assert f"{len(verdict.steps)} of {len(steps)} steps" in verdict.reason
+
+
+def test_the_machine_tells_the_steps_of_a_real_drive(tmp_path):
+    rig = EmulatedPort("mks-rs485@1,fault=set-zero-ignored", tmp_path, settings=KNOWN,
+                       allowance=Allowance(EVERYTHING))  # fmt: skip
+    (state,) = [c for c in plan.every_claim(rig._target) if c.id == "mks-rs485/state/motion"]
+    verdict = engine.run_claim(state, rig)
+    rig.close()
+    if verdict.outcome is Outcome.REFUTED:
+        assert verdict.steps
+    else:
+        assert verdict.outcome is Outcome.CONFIRMED, verdict.reason

@@ -1,0 +1,29 @@
+"""What the suite says stays what it was: claims whole, verdicts whole, a sample of the faults (`golden.py` has the rest)."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from conformance.tools import mutants
+from tests.conformance import golden
+
+#: Every so many of the faults is tried here.
+STEP = 67
+
+
+def test_claims_are_those_that_are_kept():
+    assert list(golden.claims()) == golden.kept("claims")
+
+
+def test_verdicts_are_those_that_are_kept():
+    assert list(golden.verdicts()) == golden.kept("verdicts")
+
+
+@pytest.mark.parametrize("line", golden.kept("faults")[::STEP], ids=lambda line: "/".join(list(json.loads(line).values())[:2]))
+def test_a_fault_is_refuted_by_the_claims_that_refuted_it(line):
+    kept = json.loads(line)
+    targets = mutants.telling_targets([kept["dialect"]])
+    (mutant,) = mutants.mutants(targets, only=[kept["fault"]], full=True, most=golden.LIKELIEST)
+    assert sorted(claim for claim, _ in mutant.refuted) == kept["refuted"]

@@ -1,0 +1,79 @@
+"""Quirks: with each of them nothing is refuted, and exactly the claims that name it change their verdict.
+
+All quirks, over all themes. The claims that name a quirk are run in full; of all others, a sample that differs from quirk
+to quirk. Everything at once (two minutes): python -m tests.conformance.quirk_runs
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from conformance import claims as registry
+from conformance.claim import Claim, Outcome
+from conformance.drives import make
+from conformance.suite.engine import Verdict
+from conformance.suite.rig_emulated import EmulatedRig
+from tests.conformance.quirk_runs import UNSEEN, changes, pairs, run
+
+#: Of the claims that do not name a quirk, each of so many is run with it.
+_SAMPLE = 40
+_before: dict[str, dict[str, Verdict]] = {}
+
+
+def chosen(dialect: str, quirk: str) -> tuple[list[Claim], dict[str, Verdict]]:
+    """Return the claims to run with a quirk, and their verdicts without one."""
+    every = registry.every(EmulatedRig(make.parse(f"{dialect}@1")).dialect)
+    first = [q for _, q in pairs(dialect)].index(quirk)
+    others = [c for c in every if quirk not in c.quirks][first::_SAMPLE]
+    wanted = [c for c in every if quirk in c.quirks] + others
+    known = _before.setdefault(dialect, {})
+    known.update(run(f"{dialect}@1", [c for c in wanted if c.id not in known]))
+    return wanted, known
+
+
+@pytest.mark.parametrize(("dialect", "quirk"), list(pairs()))
+def test_a_quirk_changes_the_claims_that_name_it_and_no_others(dialect, quirk):
+    wanted, before = chosen(dialect, quirk)
+    found = changes(dialect, quirk, wanted, before)
+    assert (found.refuted, found.inconclusive, found.unnamed, found.unmoved) == ([], [], [], [])
+
+
+@pytest.mark.parametrize(("dialect", "quirk"), list(pairs()))
+def test_every_quirk_is_named_by_a_claim(dialect, quirk):
+    named = [c for c in registry.every(EmulatedRig(make.parse(f"{dialect}@1")).dialect) if quirk in c.quirks]
+    assert named or (dialect, quirk) in UNSEEN
+
+
+@pytest.mark.parametrize("dialect", ["mks-rs485", "mks-modbus", "mks-can", "lk-rs485"])
+def test_a_claim_names_only_quirks_that_drives_of_its_dialect_have(dialect):
+    had = {quirk.name for quirk in make.every_quirk() if dialect in quirk.dialects}
+    for claim in registry.every(EmulatedRig(make.parse(f"{dialect}@1")).dialect):
+        assert set(claim.quirks) <= had, claim.id
+
+
+def test_a_reply_without_checksum_is_read_and_shown_as_one():
+    rig = EmulatedRig(make.parse("mks-rs485@1,quirk=no-checksum"))
+    claim = next(c for c in registry.every(rig.dialect) if c.id == "mks-rs485/motion/read_speed/at-rest")
+    probe = rig.probe(claim)
+    exchange = probe.ask("read_position")
+    assert exchange.answers[0].bare
+    assert exchange.answers[0].values == {"position": 0}
+    assert exchange.answers[0].data == bytes.fromhex("FB 01 31 00 00 00 00 00 00")
+    assert "NO CHECKSUM" in "\n".join(exchange.lines())
+
+
+@pytest.mark.parametrize("drive", ["mks-rs485@1,fault=half-frame", "mks-modbus@1,fault=checksum-missing"])
+def test_other_damage_is_not_taken_for_a_missing_checksum(drive):
+    rig = EmulatedRig(make.parse(drive))
+    claim = next(c for c in registry.every(rig.dialect) if c.id.endswith("/motion/read_speed/at-rest"))
+    exchange = rig.probe(claim).ask("read_position")
+    assert not any(answer.bare for answer in exchange.answers)
+
+
+def test_every_verdict_with_a_quirk_says_which():
+    verdict = run("mks-rs485@1,quirk=slow-restart", [c for c in registry.every(EmulatedRig(
+        make.parse("mks-rs485@1")).dialect) if c.id.endswith("timing/restart/time")])  # fmt: skip
+    (only,) = verdict.values()
+    assert only.outcome is Outcome.OBSERVED
+    assert only.quirks == ("slow-restart",)
+    assert "slow-restart" in only.reason

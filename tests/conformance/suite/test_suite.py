@@ -1,0 +1,206 @@
+"""`servotap test` and the pytest plugin as people run them: exit statuses, reports, baselines, stored failures."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from mcap.reader import make_reader
+
+from analyzer.cli import main
+from analyzer.errors import UsageError
+from conformance.report.log import METADATA
+from conformance.suite import target
+from tests.conformance.drives.served import on_pty
+
+ROOT = Path(__file__).parents[3]
+FEW = ["--claim", "*/shape/read_speed/*", "--jobs", "1"]
+
+
+def pytest_run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    words = [sys.executable, "-m", "pytest", "--pyargs", "conformance", "-q", "-p", "no:cacheprovider", *arguments]
+    return subprocess.run(words, cwd=cwd, capture_output=True, text=True, timeout=120, check=False)
+
+
+# --- exit statuses ----------------------------------------------------------------------------------------------------
+
+
+def test_a_drive_as_the_manual_has_it_exits_with_0(capsys):
+    assert main(["test", "mks-rs485@1", *FEW]) == 0
+    out = capsys.readouterr().out
+    assert "confirmed" in out
+    assert "REFUTED" not in out
+
+
+def test_a_refuted_claim_exits_with_1_and_shows_everything(capsys):
+    assert main(["test", "mks-rs485@1,fault=checksum-wrong", *FEW]) == 1
+    out = capsys.readouterr().out
+    assert "REFUTED  mks-rs485/shape/read_speed/checksum  (mks-rs485@1,fault=checksum-wrong)" in out
+    assert "FA 01 32 2D" in out
+    assert "servotap test mks-rs485@1,fault=checksum-wrong --claim mks-rs485/shape/read_speed/checksum" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["mks-rs485"], ""),
+        (["mks-rs485@1", "--claim", "nothing/*"], "no claim 'nothing/*'"),
+        (["mks-rs485@1", "--theme", "shapes"], "no theme 'shapes'"),
+        (["mks-rs485@1", "--allow", "moton"], "did you mean motion"),
+        (["mks-rs485@1", "--on", "can:virtual:0"], "is a drive on serial"),
+        (["--on", "serial:/dev/null,baud=38400"], "which drive"),
+        (["mks-rs485@1,fault=nothing"], "no fault 'nothing'"),
+        (["mks-rs485", "--on", "serial:/dev/nowhere,baud=38400"], "which address"),
+        (["mks-rs485@1", "--on", "serial:/dev/nowhere,baud=38400"], "/dev/nowhere"),
+        (["mks-rs485@1", "mks-rs485@2", "mks-rs485@3", "--on", "emulated", "--on", "emulated"], "3 drives and 2 places"),
+    ],
+)
+def test_wrong_use_exits_with_2_and_says_what_was_expected(words, told, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    if words == ["mks-rs485"]:
+        assert main(["test", *words, *FEW]) == 0, "an emulated drive needs no address"
+        return
+    assert main(["test", *words, "--jobs", "1"]) == 2
+    err = capsys.readouterr().err
+    assert told in err
+    assert "Traceback" not in err
+
+
+def test_a_drive_that_is_not_there_exits_with_10(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with on_pty("mks-rs485@2") as path:
+        status = main(["test", "mks-rs485@1", "--on", f"serial:{path},baud=38400", *FEW])
+    assert status == 10
+    assert "mks-rs485@1" in capsys.readouterr().err
+
+
+def test_reads_alone_are_sent_to_a_real_port_unless_more_is_allowed(capsys):
+    with on_pty("mks-rs485@1") as path:
+        arguments = ["test", "mks-rs485@1", "--on", f"serial:{path},baud=38400", "--claim", "*/shape/*/answered", "--json"]
+        assert main(arguments) == 0
+    records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    outcomes = {r["id"]: r["outcome"] for r in records if "id" in r}
+    assert outcomes["mks-rs485/shape/read_speed/answered"] == "confirmed"
+    assert outcomes["mks-rs485/shape/run_speed/answered"] == "not run"
+    assert all("--allow" in r["reason"] or "alone" in r["reason"] or "name it" in r["reason"]
+               for r in records if r.get("outcome") == "not run")  # fmt: skip
+
+
+# --- reports ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_reports_of_a_run_say_the_same(tmp_path, capsys):
+    page, junit, log, failures = (tmp_path / name for name in ("r.html", "j.xml", "run.mcap", "failures"))
+    words = ["--report", str(page), "--junitxml", str(junit), "--log", str(log), "--failures", str(failures)]
+    assert main(["test", "mks-can@1,fault=checksum-wrong", *FEW, *words]) == 1
+    text = page.read_text()
+    assert "http" not in text.replace("http-equiv", ""), "a page that needs nothing else"
+    assert "mks-can/shape/read_speed/checksum" in text
+    cases = ElementTree.parse(junit).getroot().findall("./testsuite/testcase")
+    assert len(cases) == len({c.get("name") for c in cases}) > 3
+    refuted = [c.get("name") for c in cases if c.find("failure") is not None]
+    assert "mks-can/shape/read_speed/checksum" in refuted
+    with log.open("rb") as stream:
+        told = [json.loads(m.data) for s, c, m in make_reader(stream).iter_messages(topics=["/tests"])]
+    assert {t["claim"] for t in told if t["event"] == "end"} == {c.get("name") for c in cases}
+    assert {t["claim"] for t in told if t.get("outcome") == "refuted"} == set(refuted)
+    stored = sorted(failures.iterdir())
+    assert len(stored) == len(refuted)
+    with stored[0].open("rb") as stream:
+        about = next(m.metadata for m in make_reader(stream).iter_metadata() if m.name == METADATA)
+    assert about["claim"] in refuted
+
+
+def test_a_log_of_a_run_is_a_log_like_any_other(tmp_path, capsys):
+    log = tmp_path / "run.mcap"
+    assert main(["test", "mks-rs485@1", *FEW, "--log", str(log)]) == 0
+    assert main(["decode", str(log), "-o", str(tmp_path / "again.mcap")]) == 0
+    assert "read_speed" in capsys.readouterr().out
+
+
+def test_a_stored_failure_is_run_again(tmp_path, capsys):
+    failures = tmp_path / "failures"
+    words = ["--claim", "*/shape/read_speed/checksum", "--jobs", "1", "--failures", str(failures)]
+    assert main(["test", "mks-rs485@1,fault=checksum-wrong", *words]) == 1
+    (stored,) = failures.iterdir()
+    assert main(["rerun", str(stored)]) == 1
+    assert "failing: 3 of 3" in capsys.readouterr().out
+    assert main(["rerun", str(stored), "--drive", "mks-rs485@1"]) == 0
+    assert "fixed: 3 of 3" in capsys.readouterr().out
+    assert main(["rerun", str(ROOT / "README.md")]) == 2
+    assert "expected a stored failure" in capsys.readouterr().err
+
+
+# --- baselines --------------------------------------------------------------------------------------------------------
+
+
+def test_a_baseline_accepts_what_is_known_and_nothing_else(tmp_path, capsys):
+    baseline = tmp_path / "known.json"
+    faulty = ["test", "mks-rs485@1,fault=checksum-wrong", "--jobs", "1"]
+    assert main([*faulty, "--claim", "*/shape/read_speed/*", "--write-baseline", str(baseline)]) == 1
+    assert main([*faulty, "--claim", "*/shape/read_speed/*", "--baseline", str(baseline)]) == 0
+    assert main([*faulty, "--claim", "*/shape/read_*/*", "--baseline", str(baseline)]) == 1
+    assert "new: mks-rs485/shape/read_position/checksum" in capsys.readouterr().err
+    assert main(["test", "mks-rs485@1", *FEW, "--baseline", str(baseline)]) == 0
+    assert "fixed: mks-rs485/shape/read_speed/checksum" in capsys.readouterr().err
+    assert main([*faulty, "--claim", "*/shape/read_position/answered", "--baseline", str(baseline)]) == 1
+    assert "not looked at: mks-rs485/shape/read_speed/checksum" in capsys.readouterr().err
+
+
+# --- pytest -----------------------------------------------------------------------------------------------------------
+
+
+def test_pytest_runs_the_claims(tmp_path):
+    done = pytest_run("--drive", "mks-can@1", "--claim", "*/shape/read_speed/*", cwd=tmp_path)
+    assert done.returncode == 0, done.stdout
+    assert "confirmed" in done.stdout
+
+
+def test_pytest_fails_what_is_refuted_and_junit_carries_claim_ids(tmp_path):
+    junit = tmp_path / "j.xml"
+    words = ["--drive", "mks-rs485@1,fault=checksum-wrong", "--claim", "*/shape/read_speed/*", f"--junitxml={junit}"]
+    done = pytest_run(*words, "-n", "2", cwd=tmp_path)
+    assert done.returncode == 1, done.stdout
+    cases = ElementTree.parse(junit).getroot().iter("testcase")
+    found = {
+        p.get("value"): c.find("failure") is not None
+        for c in cases for p in c.iter("property") if p.get("name") == "claim"
+    }  # fmt: skip
+    assert found["mks-rs485/shape/read_speed/checksum"]
+    assert not found["mks-rs485/shape/read_speed/answered"]
+
+
+def test_pytest_says_wrong_use_in_one_line(tmp_path):
+    done = pytest_run("--drive", "mks-rs485@1,fault=nothing", cwd=tmp_path)
+    assert done.returncode not in (0, 1)
+    assert "no fault 'nothing'" in done.stdout + done.stderr
+
+
+def test_other_peoples_runs_import_nothing_of_the_suite(tmp_path):
+    (tmp_path / "test_mine.py").write_text("def test_mine():\n    assert True\n")
+    code = (
+        "import sys, pytest; status = pytest.main(['-q', '-p', 'no:cacheprovider', '-p', 'no:hypothesispytest']);"
+        "bad = [m for m in sys.modules if m.startswith(('conformance.', 'analyzer')) and "
+        "m not in ('conformance.pytest_plugin', 'conformance.pytest_plugin.plugin')];"
+        "bad += ['hypothesis'] * ('hypothesis' in sys.modules); print('LOADED', bad); sys.exit(status)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    assert "LOADED []" in done.stdout
+
+
+# --- targets ----------------------------------------------------------------------------------------------------------
+
+
+def test_one_place_is_for_all_drives_and_several_are_for_each():
+    both = target.parse_all(["mks-rs485@1", "mks-rs485@2"], ["serial:/dev/ttyUSB0,baud=38400"])
+    assert [t.port for t in both] == ["serial:/dev/ttyUSB0"] * 2
+    each = target.parse_all(["mks-rs485@1", "lk-rs485@1"], ["serial:/dev/a", "tcp:127.0.0.1:5000"])
+    assert [t.port for t in each] == ["serial:/dev/a", "tcp:127.0.0.1:5000"]
+    with pytest.raises(UsageError, match="twice"):
+        target.parse_all(["mks-rs485@1", "mks-rs485@1"], ["serial:/dev/a"])
+    assert {t.dialect.name for t in target.parse_all([], [])} == {"mks-rs485", "mks-modbus", "mks-can", "lk-rs485"}

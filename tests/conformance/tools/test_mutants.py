@@ -1,0 +1,34 @@
+"""The suite is tested too: it refutes drives that are known to be wrong. A sample here; `benchmarks/mutation.py` runs all."""
+
+from __future__ import annotations
+
+import pytest
+
+from conformance.drives import make
+from conformance.suite.target import parse
+from conformance.tools import mutants
+
+#: Every so many of a dialect's faults, another one for each dialect.
+STEP = 29
+
+
+@pytest.mark.parametrize("dialect", make.KINDS)
+def test_a_sample_of_faults_is_refuted(dialect):
+    targets = mutants.telling_targets([dialect])
+    names = [f.name for f in mutants.faults_of(targets[0].dialect)][len(dialect) :: STEP]
+    found = list(mutants.mutants(targets, only=names))
+    assert len(found) == len(names) >= 4
+    assert [m.fault for m in found if m.survived] == []
+
+
+def test_a_claim_that_says_the_right_thing_refutes():
+    target = parse("mks-rs485@1,model=42D")
+    fault = next(f for f in mutants.faults_of(target.dialect) if f.name == "checksum-wrong")
+    (mutant,) = mutants.mutants([target], only=[fault.name])
+    assert "checksum" in mutant.refuted[0][0]
+
+
+def test_a_fault_that_nothing_can_see_survives(monkeypatch):
+    target = parse("mks-rs485@1,model=42D")
+    fault = mutants.faults_of(target.dialect)[0]
+    assert mutants.judge(target, fault, []).survived

@@ -1,0 +1,282 @@
+"""`servotap scan` and looking for one drive: who answers, who does not, and what is said about it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from analyzer import cli as analyzer_cli
+from analyzer import dialects
+from analyzer.catalogue import Dialect, Risk, Role
+from analyzer.encoder import build
+from analyzer.errors import UsageError
+from analyzer.records import CanFrame, Chunk
+from conformance.bus.emulated import EmulatedLine
+from conformance.cli import scan as command
+from conformance.cli.scan import parse_addresses
+from conformance.drives import make
+from conformance.drives.serial_bus import SerialBus
+from conformance.gate.gate import Allowance, Gate
+from conformance.serve.pty import PtyPort
+from conformance.suite.sighting import look, neighbours
+from conformance.tools.scan import Look, Report, question, scan
+from tests.conformance.drives.served import drives, on_port, on_pty
+
+SERIAL = [d for d in dialects.every() if d.bus == "serial"]
+MKS, MODBUS, LK, CAN = (dialects.get(n) for n in ("mks-rs485", "mks-modbus", "lk-rs485", "mks-can"))
+
+
+def gate(*names: str, speed: int | None = 38400, **options: Any) -> Gate:
+    line = EmulatedLine([make.make(make.parse(name)) for name in names], speed=speed, **options)
+    return Gate(line, Allowance())
+
+
+def names(report: Report) -> list[str]:
+    return [f"{found.name} {found.speed}" for found in report.found]
+
+
+# --- scanning ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dialect", dialects.every(), ids=lambda d: d.name)
+def test_what_is_asked_changes_nothing(dialect: Dialect):
+    asked = question(dialect)
+    assert asked.all_risks == {Risk.READ}
+    assert asked.reply_forms
+
+
+def test_drives_of_all_dialects_at_all_rates():
+    found = scan(
+        gate("mks-rs485@1", "mks-modbus@2,baud=9600", "lk-rs485@3", "mks-rs485@31"), SERIAL, rates=(38400, 9600, 115200)
+    )
+    assert names(found) == ["mks-rs485@1 38400", "mks-rs485@31 38400", "mks-modbus@2 9600", "lk-rs485@3 115200"]
+    assert found.rates == [38400, 9600, 115200]
+    assert found.hints == []
+    assert found.found[3].said["temperature"] == 30
+    assert found.found[3].identity == "24 V"
+    assert 0 < found.found[0].latency_ns < 2_000_000
+
+
+def test_can_drives_tell_their_type():
+    report = scan(gate("mks-can@1", "mks-can@0x7FF,model=57E", speed=500_000), [CAN], addresses=[1, 2, 0x7FF])
+    assert names(report) == ["mks-can@1 500000", "mks-can@2047 500000"]
+    assert report.found[0].identity == "s42e_can, firmware 1.0.1"
+    assert report.found[1].identity.startswith("s57e_can")
+
+
+def test_nothing_but_reads_leave():
+    logged: list[Chunk | CanFrame] = []
+    scanned = gate("mks-rs485@1")
+    scanned.log = logged.append
+    scan(scanned, SERIAL, addresses=range(1, 256))
+    sent = [r for r in logged if r.direction is Role.REQUEST]
+    assert len(sent) > 255 + 247 + 32
+    readings = [r for item in sent for r in gate("mks-rs485@1").judge(item.data)]
+    assert all(r.reads_only for r in readings)
+
+
+def test_a_scan_leaves_the_line_as_it_was():
+    scanned = gate("mks-rs485@1")
+    scan(scanned, [MKS], rates=(9600, 115200), addresses=[1])
+    assert scanned.line.endpoint.bits_per_second == 38400
+
+
+def test_what_each_dialect_can_have_is_asked():
+    report = scan(gate("mks-rs485@1"), SERIAL, addresses={"mks-rs485": [1], "mks-modbus": [248, 300], "lk-rs485": [33, 0]})
+    assert report.asked == 1
+
+
+def test_it_ends_with_the_first_that_is_enough():
+    report = scan(gate("mks-rs485@1", "mks-rs485@2"), [MKS], enough=lambda found: True)
+    assert names(report) == ["mks-rs485@1 38400"]
+
+
+def test_progress_is_told():
+    seen: list[tuple[int, int, str]] = []
+    scan(gate("mks-rs485@1"), [MKS], addresses=[1, 2], progress=lambda *told: seen.append(told))
+    assert seen == [(0, 2, "mks-rs485 at 38400, address 1"), (1, 2, "mks-rs485 at 38400, address 2")]
+
+
+# --- what is heard and hinted -----------------------------------------------------------------------------------------
+
+
+def test_silence_has_hints():
+    report = scan(gate("mks-rs485@1"), [LK], addresses=[1])
+    assert not report.found
+    assert not report.heard
+    text = " ".join(report.hints)
+    for word in ("wiring", "swap", "rate", "mode", "adapter"):
+        assert word in text
+    assert "termination" in " ".join(scan(gate("mks-can@1", speed=125_000), [CAN], addresses=[1]).hints)
+
+
+def test_two_drives_of_one_address_are_told():
+    crowd = scan(gate("mks-rs485@1", "lk-rs485@1,baud=38400"), SERIAL, addresses=[1])
+    assert any("two drives have one address" in hint for hint in crowd.hints)
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"), [("wrong-reply-address", "it answered for"), ("checksum-wrong", "its checksum is wrong")]
+)
+def test_a_wrong_answer_is_one_and_is_told(fault: str, told: str):
+    report = scan(gate(f"mks-rs485@2,fault={fault}"), [MKS], addresses=[2])
+    assert told in report.found[0].wrong
+    assert any(told in hint for hint in report.hints)
+
+
+class Scripted(EmulatedLine):
+    """A line on which something is heard besides: bytes, once each, at the first moments of listening."""
+
+    def __init__(self, *pieces: bytes) -> None:
+        super().__init__([make.make(make.parse("mks-rs485@99"))], speed=38400)
+        self.pieces = list(pieces)
+
+    def receive(self, timeout_ns: int) -> Chunk | CanFrame | None:
+        if self.pieces:
+            self.bus.run_until(self.bus.now_ns + 1_000_000)
+            return Chunk(self.bus.now_ns, "emulated", self.pieces.pop(0), Role.REPLY)
+        return super().receive(timeout_ns)
+
+
+def heard(*pieces: bytes, **options: Any) -> Report:
+    return scan(Gate(Scripted(*pieces), Allowance()), SERIAL, addresses=[1], **options)
+
+
+def test_a_bus_in_use_is_left_alone():
+    request, reply = build(MKS, "read_speed", 5), build(MKS, "read_speed", 5, {}, Role.REPLY)
+    report = heard(request, reply)
+    assert report.asked == 0
+    assert "others speak on this bus" in report.stopped
+    assert report.heard[0].look is Look.REQUEST
+    assert "--busy" in report.hints[0]
+    assert heard(request, reply, busy=True).asked == 3
+
+
+def test_a_low_line_and_noise_are_told_apart():
+    low = heard(bytes(20))
+    assert low.heard[0].look is Look.LOW
+    assert any("A and B are swapped" in hint for hint in low.hints)
+    noise = heard(bytes.fromhex("F8 78 E0 1E 98 66 FE"))
+    assert noise.heard[0].look is Look.WRONG_RATE
+    assert any("another rate" in hint for hint in noise.hints)
+
+
+def test_an_echoing_adapter_is_told(capsys: pytest.CaptureFixture[str]):
+    with on_port(SerialBus(drives("mks-rs485@1"), echo=True), PtyPort(speed=38400)) as place:
+        assert run(f"serial:{place},baud=38400", "--dialects", "mks-rs485", "--addresses", "1,2") == 0
+    out = capsys.readouterr().out
+    assert "mks-rs485@1" in out
+    assert "mks-rs485@2" not in out
+    assert "hands back what it sends" in out
+
+
+# --- looking for one drive --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("there", "told"),
+    [
+        ("mks-rs485@1", "mks-rs485@1 answers at 38400"),
+        ("mks-modbus@1", "but mks-modbus@1 does at 38400 bit/s: it speaks another dialect"),
+        ("mks-rs485@7", "but mks-rs485@7 does: it has another address"),
+        ("mks-rs485@1,baud=9600", "at 9600 bit/s: the line is at another rate than the drive"),
+        ("mks-rs485@200", "nothing came"),
+    ],
+)
+def test_where_a_drive_is_instead(there: str, told: str):
+    # The gate allows its own drive alone: looking for it elsewhere is reading, and passes all the same.
+    line = EmulatedLine([make.make(make.parse(there))], speed=38400)
+    sighting = look(Gate(line, Allowance(addresses=frozenset({1}))), MKS, 1)
+    assert told in sighting.text
+    assert (sighting.there is not None) == (there == "mks-rs485@1")
+    assert line.endpoint.bits_per_second == 38400
+
+
+def test_a_slow_drive_is_waited_for():
+    line = EmulatedLine([make.make(make.parse("mks-rs485@1"), reply_delay_ns=700_000_000)], speed=38400)
+    assert look(Gate(line, Allowance()), MKS, 1).there
+
+
+def test_neighbours():
+    near = gate("mks-rs485@1", "mks-rs485@2", "lk-rs485@5,baud=38400")
+    assert [f.name for f in neighbours(near, SERIAL, range(1, 10), own=[1])] == ["mks-rs485@2", "lk-rs485@5"]
+    assert neighbours(gate("mks-rs485@1"), SERIAL, range(1, 10), own=[1]) == []
+
+
+# --- the command ------------------------------------------------------------------------------------------------------
+
+
+def run(*words: str) -> int:
+    return analyzer_cli._run("scan", command, words)
+
+
+@pytest.fixture(scope="module")
+def path() -> Iterator[str]:
+    with on_pty("mks-rs485@1,baud=19200", "lk-rs485@3,baud=19200") as found:
+        yield found
+
+
+def test_a_port_without_a_rate(path: str, capsys: pytest.CaptureFixture[str]):
+    words = (f"serial:{path}", "--addresses", "1,3", "--timeout", "8")
+    assert run(*words, "--rates", "9600,19200") == 0
+    out = capsys.readouterr().out
+    assert "mks-rs485@1" in out
+    assert "19200 bit/s" in out
+    assert "lk-rs485@3" in out
+
+
+def test_json(path: str, capsys: pytest.CaptureFixture[str]):
+    assert run(f"serial:{path},baud=19200", "--addresses", "1-3", "--dialects", "lk-rs485", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [(f["dialect"], f["address"], f["speed"]) for f in found["found"]] == [("lk-rs485", 3, 19200)]
+    assert found["asked"] == 3
+
+
+def test_nothing_found_is_1(path: str, capsys: pytest.CaptureFixture[str]):
+    assert run(f"serial:{path},baud=9600", "--addresses", "1", "--timeout", "5") == 1
+    out = capsys.readouterr().out
+    assert "no drive answered" in out
+    assert "wiring" in out
+
+
+def test_ctrl_c_shows_what_was_found(path: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    def until_three(*arguments: Any, **options: Any) -> Report:
+        def stop(done: int, total: int, where: str) -> None:
+            if done == 2:
+                raise KeyboardInterrupt
+
+        return scan(*arguments, **options | {"progress": stop})
+
+    monkeypatch.setattr(command, "scan", until_three)
+    assert run(f"serial:{path},baud=19200", "--dialects", "mks-rs485", "--addresses", "1-9") == 0
+    out = capsys.readouterr().out
+    assert "mks-rs485@1" in out
+    assert "stopped by Ctrl-C" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("serial:/dev/none",), "is not there"),
+        (("tcp:127.0.0.1:1",), "nobody answers"),
+        (("serial:x", "--addresses", "0-5"), "--addresses"),
+        (("serial:x", "--addresses", "5-1"), "--addresses"),
+        (("serial:x", "--rates", "fast"), "--rates"),
+        (("serial:x", "--dialects", "mks-can"), "is a dialect of can"),
+        (("serial:x", "--dialects", "mks"), "no dialect"),
+        (("serial:x", "--timeout", "0"), "--timeout"),
+        (("can:nothing:0",), "no CAN interface"),
+    ],
+)
+def test_wrong_use(words: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]):
+    assert run(*words) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_addresses():
+    assert parse_addresses("1-3,2,0x10-0x11") == [1, 2, 3, 16, 17]
+    with pytest.raises(UsageError):
+        parse_addresses("1-9999")
