@@ -16,9 +16,9 @@ from analyzer.records import CanFrame, Chunk
 from conformance.bus.emulated import EmulatedLine
 from conformance.bus.line import Line, LineLost
 from conformance.drives import make
+from conformance.gate import budget as budgets
 from conformance.gate.budget import Budget, Cost, parse_budget
 from conformance.gate.gate import Allowance, Gate, Judge, Refused, add_gate_arguments, allowance_from, parse_allow
-from conformance.gate import budget as budgets
 from conformance.gate.permissions import WORDS
 from tests.conformance.vectors import EVERYTHING, on_can
 
