@@ -1,0 +1,30 @@
+"""Links: how the frames of a dialect are delimited, checked and addressed; one module for each link."""
+
+from __future__ import annotations
+
+from analyzer.link.can import CanLink
+from analyzer.link.head import HeadLink, Package
+from analyzer.link.interface import MORE, TIE, Check, Head, Link, Part, Slicer, sum8
+from analyzer.link.lk import LkLink
+from analyzer.link.modbus import FUNCTIONS, READS, WRITE_MANY, WRITE_ONE, ModbusLink, modbus_crc
+
+__all__ = [
+    "FUNCTIONS",
+    "MORE",
+    "READS",
+    "TIE",
+    "WRITE_MANY",
+    "WRITE_ONE",
+    "CanLink",
+    "Check",
+    "Head",
+    "HeadLink",
+    "Link",
+    "LkLink",
+    "ModbusLink",
+    "Package",
+    "Part",
+    "Slicer",
+    "modbus_crc",
+    "sum8",
+]

@@ -1,0 +1,187 @@
+"""Links with a head byte, an address and a code, and packages of several commands.
+
+    FA 01 F6 | 01 40 02 | 34        head, address, code | data | 8-bit check over all before it
+    FC | 5 slots of 10 bytes | 34   a package: 52 bytes, an address and a code in each slot
+
+The head tells the role. Lengths come from the layouts of the catalogue, by head and code.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import TYPE_CHECKING
+
+from analyzer.catalogue import Role
+from analyzer.link.interface import MORE, TIE, Check, Head, Link, Part, Slicer, data_lengths, sum8
+
+if TYPE_CHECKING:
+    from analyzer.catalogue import Command, Dialect, Form
+
+
+@dataclass(frozen=True)
+class Package:
+    """A frame of one head and a fixed length that carries several commands."""
+
+    head: int
+    length: int
+
+
+@dataclass(frozen=True)
+class HeadLink(Link):
+    """Frames of a head byte that tells the role, an address, a code, data and an 8-bit check over all before it."""
+
+    heads: Mapping[int, Role]
+    check: Callable[[bytes], int] = sum8
+    package: Package | None = None
+    deciding_bytes = 3
+
+    def slicer(self, dialect: Dialect, expects: Callable[[int, int], int]) -> Slicer:
+        """Return a slicer; lengths come from the dialect's layouts."""
+        return _HeadSlicer(self, dialect)
+
+    def parse(self, frame: bytes, can_id: int | None = None) -> Head:
+        """Return the head; a package is addressed to all (0) and has its head as code."""
+        if self.package is not None and frame[:1] == bytes((self.package.head,)):
+            return Head(0, Role.REQUEST, self.package.head, None, 1, max(1, len(frame) - 1))
+        padded = frame[:3].ljust(3, b"\0")
+        role = self.heads.get(padded[0], Role.UNKNOWN)
+        return Head(padded[1], role, padded[2], None, 3, max(3, len(frame) - 1))
+
+    def checks(self, frame: bytes, can_id: int | None = None) -> tuple[Check, ...]:
+        """Return the one check at the end."""
+        return (Check("checksum", len(frame) - 1, frame[-1:], bytes((self.check(frame[:-1]),))),)
+
+    def build(self, command: Command, form: Form, address: int, data: bytes, role: Role) -> bytes:
+        """Return the frame of a command."""
+        if self.package is not None and command.code == self.package.head:
+            return self.completed(bytes((self.package.head,)) + data)
+        head = next(h for h, r in self.heads.items() if r is role)
+        code = command.code if form.code is None else form.code
+        return self.completed(bytes((head, address, code)) + data)
+
+    def completed(self, body: bytes, can_id: int | None = None) -> bytes:
+        """Return the body with its check."""
+        return body + bytes((self.check(body),))
+
+    def parts(self, frame: bytes, can_id: int | None = None) -> tuple[Part, ...]:
+        """Return head, address and code."""
+        if self.package is not None and frame[0] == self.package.head:
+            return (Part(0, 1, "head", "package to several drives"),)
+        role = self.heads.get(frame[0])
+        return (
+            Part(0, 1, "head", f"a {role}" if role else "not a head of this dialect"),
+            Part(1, 2, "address", str(frame[1]) if len(frame) > 1 else ""),
+            Part(2, 3, "code", f"0x{frame[2]:02X}" if len(frame) > 2 else ""),
+        )
+
+
+#: In the table of lengths: several lengths have this head and code.
+_SEVERAL = -1
+_NO_CODES = (0,) * 256
+
+
+class _HeadSlicer(Slicer):
+    """A table of head and code gives the length: 0 unknown, `_SEVERAL` where `_choices` lists them."""
+
+    def __init__(self, link: HeadLink, dialect: Dialect) -> None:
+        # `sum` itself saves a call for each frame; the low byte is taken where it is compared.
+        self._total: Callable[[bytes], int] = sum if link.check is sum8 else link.check
+        self._package = link.package
+        self._choices: dict[tuple[int, int], tuple[int, ...]] = {}
+        self._table: list[tuple[int, ...]] = [_NO_CODES] * 256
+        self._known: set[int] = set()
+        longest = 4
+        for head, role in link.heads.items():
+            row = [0] * 256
+            for code, sizes in data_lengths(dialect, role).items():
+                if 0 <= code <= 0xFF:
+                    lengths = tuple(sorted(n + 4 for n in sizes))
+                    self._choices[head, code] = lengths
+                    row[code] = lengths[0] if len(lengths) == 1 else _SEVERAL
+                    longest = max(longest, lengths[-1])
+                    if role is Role.REQUEST:
+                        self._known.add(code)
+            self._table[head] = tuple(row)
+        self.heads = bytes(link.heads)
+        if link.package is not None:
+            self._table[link.package.head] = (link.package.length,) * 256
+            self.heads = bytes({*self.heads, link.package.head})
+            longest = max(longest, link.package.length)
+        self.longest = longest
+        self.starts = b"[" + re.escape(self.heads) + b"]"
+
+    def look(self, buffer: bytes, at: int, end: int, closed: bool) -> int:
+        row = self._table[buffer[at]]
+        if row is _NO_CODES:
+            return 0
+        if at + 3 > end:
+            return 0 if closed else MORE
+        length = row[buffer[at + 2]]
+        if length > 0:
+            last = at + length - 1
+            if last >= end:
+                return 0 if closed else MORE
+            return length if self._total(buffer[at:last]) & 0xFF == buffer[last] else 0
+        if length == 0:
+            return 0
+        found = self.lengths(buffer, at, end)
+        if len(found) > 1 and found[1] == found[0] + 1:
+            return TIE
+        if not found or (found[0] == MORE and closed):
+            return 0
+        if len(found) > 1 and found[1] == MORE and not closed and self._adjoining(buffer, at, end, found[0]):
+            return MORE
+        return found[0]
+
+    def _adjoining(self, buffer: bytes, at: int, end: int, length: int) -> bool:
+        """Say whether one byte more could make a tie."""
+        return at + length >= end and length + 1 in self._choices[buffer[at], buffer[at + 2]]
+
+    def _sizes(self, buffer: bytes, at: int, end: int) -> tuple[int, ...]:
+        package = self._package
+        if package is not None and buffer[at] == package.head:
+            return (package.length,)
+        return self._choices.get((buffer[at], buffer[at + 2]), ()) if at + 3 <= end else ()
+
+    def lengths(self, buffer: bytes, at: int, end: int) -> list[int]:
+        result: list[int] = []
+        if buffer[at] in self.heads and at + 3 > end:
+            return [MORE]
+        for length in self._sizes(buffer, at, end):
+            last = at + length - 1
+            if last >= end:
+                return [*result, MORE]
+            if self._total(buffer[at:last]) & 0xFF == buffer[last]:
+                result.append(length)
+        return result
+
+    def damaged(self, buffer: bytes, at: int, end: int) -> list[int]:
+        if buffer[at] in self.heads and at + 3 > end:
+            return [MORE]
+        lengths = self._sizes(buffer, at, end)
+        complete = [n for n in lengths if at + n <= end]
+        return complete if len(complete) == len(lengths) else [*complete, MORE]
+
+    def foreign(self, buffer: bytes, at: int) -> bool:
+        return buffer[at] in self.heads and at + 2 < len(buffer) and self._table[buffer[at]][buffer[at + 2]] == 0
+
+    def whole(self, data: bytes) -> bool:
+        if len(data) < 4 or data[0] not in self.heads or self._total(data[:-1]) & 0xFF != data[-1]:
+            return False
+        return self._package is None or data[0] != self._package.head or len(data) <= self._package.length
+
+    def shortened(self, buffer: bytes, at: int, end: int) -> list[int]:
+        package = self._package
+        if package is None or buffer[at] != package.head or end - at < 4:
+            return []
+        # A slot holds a command that is known; what else begins so is noise.
+        if buffer[at + 2] not in self._known:
+            return []
+        if self._total is not sum:
+            sums = [self._total(buffer[at : at + n]) for n in range(min(package.length - 1, end - at))]
+        else:
+            sums = [0, *accumulate(buffer[at : min(at + package.length - 2, end)])]
+        return [n for n in range(4, min(package.length, end - at + 1)) if sums[n - 1] & 0xFF == buffer[at + n - 1]]

@@ -1,0 +1,172 @@
+"""What all links have in common: the head and the checks of a frame, and finding frames in a stream of bytes.
+
+A `Link` says how the frames of a dialect are delimited and checked, and what stands in their heads. It knows bytes and
+lengths, no command. A `Slicer` is a link that has been told which data lengths the codes of one dialect have.
+
+`Slicer.look` returns the length of a complete frame whose check fits, 0 for none, `MORE` while that is open, and `TIE`
+where two lengths check. It never raises, whatever the bytes.
+
+Rules of every slicer:
+- An answer other than `MORE` rests on bytes that have come. Later bytes do not change it, so the cuts between reads do
+  not matter.
+- The shortest length that checks is the answer. What follows the frame can still speak for another one
+  (`Slicer.lengths`). Only lengths one byte apart are a `TIE`.
+
+Not known here: whether bytes that check are a frame. Where that is doubtful, `analyzer.framer` decides.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+from analyzer.catalogue import Role
+
+if TYPE_CHECKING:
+    from analyzer.catalogue import Command, Dialect, Form
+
+#: `Slicer.look`: a frame that may begin here is still arriving.
+MORE = -1
+#: `Slicer.look`: frames of two lengths begin here, one byte apart, and both check.
+TIE = -2
+
+
+def sum8(data: bytes) -> int:
+    """Return the low byte of the sum of `data`."""
+    return sum(data) & 0xFF
+
+
+class Head(NamedTuple):
+    """What a frame says of itself, before any command is known.
+
+    `code` None: the frame does not carry it (a Modbus read reply, an exception). `start`, `stop`: the own data.
+    """
+
+    address: int
+    role: Role
+    code: int | None
+    function: int | None
+    start: int
+    stop: int
+    quantity: int | None = None
+    exception: int | None = None
+
+
+class Check(NamedTuple):
+    """One check of a frame: where it stands, what it says and what it should say."""
+
+    name: str
+    start: int
+    got: bytes
+    expected: bytes
+
+    @property
+    def ok(self) -> bool:
+        """Whether the check fits."""
+        return self.got == self.expected
+
+
+class Part(NamedTuple):
+    """A stretch of a frame's head and what it is, for people."""
+
+    start: int
+    stop: int
+    name: str
+    text: str
+
+
+class Slicer(ABC):
+    """Finds the frames of one dialect in a stream of bytes. One instance per port.
+
+    `heads`: values of the first byte of a frame. `starts`: a regular expression for places where a frame may begin.
+    `strong_head`: a frame begins with a byte that is rare elsewhere. `strong_check`: bytes that are no frame check so
+    seldom (one in 65536) that a fitting check is believed against what follows. `longest`: bytes of the longest frame.
+    """
+
+    heads: bytes = bytes(range(256))
+    starts: bytes = b"."
+    strong_head = True
+    strong_check = False
+    longest = 64
+
+    @abstractmethod
+    def look(self, buffer: bytes, at: int, end: int, closed: bool) -> int:
+        """Return the length of the frame at `at` whose check fits, 0 for none, `MORE` if bytes are wanting, or `TIE`.
+
+        `end`: where the bytes end; `closed`: no more will follow.
+        """
+
+    @abstractmethod
+    def lengths(self, buffer: bytes, at: int, end: int) -> list[int]:
+        """Return all lengths at which a frame at `at` checks, in ascending order, then `MORE` if bytes are wanting."""
+
+    def preferred(self, buffer: bytes, at: int, lengths: Sequence[int]) -> int:
+        """Return which of several lengths that check an open request awaits, 0 if none does."""
+        return 0
+
+    def damaged(self, buffer: bytes, at: int, end: int) -> list[int]:
+        """Return the lengths of known frames at `at` whose check alone is wrong, then `MORE` if bytes are wanting."""
+        return []
+
+    def foreign(self, buffer: bytes, at: int) -> bool:
+        """Say whether what begins at `at` has the head of this dialect and a code that is not in the catalogue."""
+        return False
+
+    def whole(self, data: bytes) -> bool:
+        """Say whether a burst is one frame, of whatever code and length: its head and its check fit."""
+        return False
+
+    def shortened(self, buffer: bytes, at: int, end: int) -> list[int]:
+        """Return the lengths at which a package that lost zeros would check, in ascending order."""
+        return []
+
+
+class Link(ABC):
+    """How frames of a dialect are delimited and checked. Subclasses are immutable."""
+
+    kind = "serial"
+    #: Bytes at the beginning that, with the length, tell address and code; 0 where the bytes alone never do.
+    deciding_bytes = 0
+
+    @abstractmethod
+    def slicer(self, dialect: Dialect, expects: Callable[[int, int], int]) -> Slicer:
+        """Return a slicer for the commands of `dialect`.
+
+        `expects(address, function)`: data bytes of the reply that an open request awaits, 0 for none.
+        """
+
+    @abstractmethod
+    def parse(self, frame: bytes, can_id: int | None = None) -> Head:
+        """Return the head of a complete frame."""
+
+    @abstractmethod
+    def checks(self, frame: bytes, can_id: int | None = None) -> tuple[Check, ...]:
+        """Return the checks of a complete frame, in the order in which they stand."""
+
+    def fits(self, frame: bytes, can_id: int | None = None) -> bool:
+        """Say whether every check of a complete frame fits."""
+        return all(check.ok for check in self.checks(frame, can_id))
+
+    @abstractmethod
+    def build(self, command: Command, form: Form, address: int, data: bytes, role: Role) -> bytes:
+        """Return the bytes of a frame; on CAN its data bytes."""
+
+    @abstractmethod
+    def parts(self, frame: bytes, can_id: int | None = None) -> tuple[Part, ...]:
+        """Return what the bytes of the head are."""
+
+    @abstractmethod
+    def completed(self, body: bytes, can_id: int | None = None) -> bytes:
+        """Return a frame that lacks its last check with that check added."""
+
+
+def data_lengths(dialect: Dialect, role: Role) -> dict[int, set[int]]:
+    """Return the data lengths of each code for one role; an open-ended layout has none to go by."""
+    result: dict[int, set[int]] = {}
+    for command in dialect.commands:
+        for form in command.request_forms if role is Role.REQUEST else command.reply_forms:
+            if not form.layout.open_ended:
+                code = command.code if form.code is None else form.code
+                result.setdefault(code, set()).add(form.layout.byte_length)
+    return result

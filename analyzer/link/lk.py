@@ -1,0 +1,129 @@
+"""Lingkong: frames that carry their length.
+
+    3E A2 01 04 E5 | 10 27 00 00 | 37      head, code, address, length, sum8 of the head | data | sum8 of the data
+
+Frames without data have 5 bytes and one sum. The length is believed only behind a fitting sum of the head.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from analyzer.catalogue import Role
+from analyzer.link.interface import MORE, Check, Head, Link, Part, Slicer, data_lengths, sum8
+
+if TYPE_CHECKING:
+    from analyzer.catalogue import Command, Dialect, Form
+
+_LK_HEAD = 0x3E
+_LK_LONGEST = 100
+
+
+@dataclass(frozen=True)
+class LkLink(Link):
+    """Lingkong: the head carries the length and its own sum; data, where there is any, has another."""
+
+    deciding_bytes = 3
+
+    def slicer(self, dialect: Dialect, expects: Callable[[int, int], int]) -> Slicer:
+        """Return a slicer; frames carry their length, codes matter only where there are no data."""
+        return _LkSlicer(dialect)
+
+    def parse(self, frame: bytes, can_id: int | None = None) -> Head:
+        """Return the head; who sent a frame is not in it."""
+        padded = frame[:4].ljust(4, b"\0")
+        end = max(5, len(frame) - 1) if len(frame) > 5 else 5
+        return Head(padded[2], Role.UNKNOWN, padded[1], None, 5, end)
+
+    def checks(self, frame: bytes, can_id: int | None = None) -> tuple[Check, ...]:
+        """Return the sum of the head and, where there are data, theirs."""
+        head = Check("head checksum", 4, frame[4:5], bytes((sum8(frame[:4]),)))
+        if len(frame) <= 5:
+            return (head,)
+        return (head, Check("data checksum", len(frame) - 1, frame[-1:], bytes((sum8(frame[5:-1]),))))
+
+    def build(self, command: Command, form: Form, address: int, data: bytes, role: Role) -> bytes:
+        """Return the frame of a command."""
+        code = command.code if form.code is None else form.code
+        head = bytes((_LK_HEAD, code, address, len(data)))
+        frame = head + bytes((sum8(head),))
+        return frame + data + bytes((sum8(data),)) if data else frame
+
+    def completed(self, body: bytes, can_id: int | None = None) -> bytes:
+        """Return the body with its last sum: the head's, or the data's where there are any."""
+        return body + bytes((sum8(body if len(body) <= 4 else body[5:]),))
+
+    def parts(self, frame: bytes, can_id: int | None = None) -> tuple[Part, ...]:
+        """Return head, code, address and length."""
+        padded = frame[:5].ljust(5, b"\0")
+        return (
+            Part(0, 1, "head", "" if padded[0] == _LK_HEAD else "not the head 0x3E"),
+            Part(1, 2, "code", f"0x{padded[1]:02X}"),
+            Part(2, 3, "address", str(padded[2])),
+            Part(3, 4, "length", str(padded[3])),
+        )
+
+
+class _LkSlicer(Slicer):
+    heads = bytes((_LK_HEAD,))
+    starts = re.escape(heads)
+    longest = _LK_LONGEST + 6
+
+    def __init__(self, dialect: Dialect) -> None:
+        self._known: dict[int, set[int]] = {}
+        for role in (Role.REQUEST, Role.REPLY):
+            for code, sizes in data_lengths(dialect, role).items():
+                self._known.setdefault(code, set()).update(sizes)
+        # Five bytes with one sum are weak evidence: only a code that can come without data is enough.
+        self._bare = frozenset(code for code, sizes in self._known.items() if 0 in sizes)
+
+    def look(self, buffer: bytes, at: int, end: int, closed: bool) -> int:
+        if buffer[at] != _LK_HEAD:
+            return 0
+        if at + 5 > end:
+            return 0 if closed else MORE
+        head, code, address, size, check = buffer[at : at + 5]
+        if (head + code + address + size) & 0xFF != check:
+            return 0
+        if size == 0:
+            return 5 if code in self._bare else 0
+        if size > _LK_LONGEST:
+            return 0
+        last = at + 5 + size
+        if last >= end:
+            return 0 if closed else MORE
+        return 6 + size if sum(buffer[at + 5 : last]) & 0xFF == buffer[last] else 0
+
+    def lengths(self, buffer: bytes, at: int, end: int) -> list[int]:
+        found = self.look(buffer, at, end, False)
+        return [found] if found else []
+
+    def damaged(self, buffer: bytes, at: int, end: int) -> list[int]:
+        if buffer[at] != _LK_HEAD:
+            return []
+        if at + 4 > end:
+            return [MORE] if at + 2 > end or buffer[at + 1] in self._known else []
+        size = buffer[at + 3]
+        if size not in self._known.get(buffer[at + 1], ()):
+            return []
+        if size == 0:
+            return [5] if at + 5 <= end else [MORE]
+        stop = at + 6 + size
+        if stop > end:
+            return [MORE]
+        # Of its two sums one is wrong; where neither fits, nothing says that this is a head.
+        head_fits = sum(buffer[at : at + 4]) & 0xFF == buffer[at + 4]
+        return [6 + size] if head_fits or sum(buffer[at + 5 : stop - 1]) & 0xFF == buffer[stop - 1] else []
+
+    def foreign(self, buffer: bytes, at: int) -> bool:
+        return buffer[at] == _LK_HEAD and at + 1 < len(buffer) and buffer[at + 1] not in self._known
+
+    def whole(self, data: bytes) -> bool:
+        if len(data) < 5 or data[0] != _LK_HEAD or sum(data[:4]) & 0xFF != data[4]:
+            return False
+        if data[3] == 0:
+            return len(data) == 5
+        return len(data) == data[3] + 6 and sum(data[5:-1]) & 0xFF == data[-1]

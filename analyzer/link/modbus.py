@@ -1,0 +1,222 @@
+"""Modbus-RTU.
+
+    01 06 00 82 | 00 05 | 28 21              address, function, register | value | CRC16, low byte first
+    01 10 00 F6 00 02 04 | data | CRC16      ... quantity, byte count | data
+
+Lengths follow the standard functions, whether or not the register is in the catalogue.
+
+Rules kept here:
+- First bytes above 0xF7 are never taken for addresses.
+- A frame whose CRC ends in 00 also checks one byte short: that is a `TIE`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from fastcrc import crc16 as _crc16
+
+from analyzer.catalogue import Role
+from analyzer.link.interface import MORE, TIE, Check, Head, Link, Part, Slicer
+
+if TYPE_CHECKING:
+    from analyzer.catalogue import Command, Dialect, Form
+
+modbus_crc: Callable[[bytes], int] = _crc16.modbus
+
+READS = frozenset({0x01, 0x02, 0x03, 0x04})
+WRITE_ONE = frozenset({0x05, 0x06})
+WRITE_MANY = frozenset({0x0F, 0x10})
+FUNCTIONS = READS | WRITE_ONE | WRITE_MANY
+#: The highest address, and the last exception code, that Modbus has.
+_MODBUS_HIGHEST = 247
+_MODBUS_LAST_EXCEPTION = 11
+
+
+@dataclass(frozen=True)
+class ModbusLink(Link):
+    """Modbus-RTU. `odd_counts`: registers whose write has another byte count than twice its quantity."""
+
+    odd_counts: Mapping[int, int] = field(default_factory=dict)
+
+    def slicer(self, dialect: Dialect, expects: Callable[[int, int], int]) -> Slicer:
+        """Return a slicer; lengths come from the Modbus functions, catalogued or not."""
+        return _ModbusSlicer(self, expects)
+
+    def byte_count(self, function: int, register: int, quantity: int) -> int:
+        """Return the byte count that a write of several registers or coils must have."""
+        if function == 0x0F:
+            return (quantity + 7) // 8
+        return self.odd_counts.get(register, 2 * quantity)
+
+    def parse(self, frame: bytes, can_id: int | None = None) -> Head:
+        """Return the head; a read's role is told from its length, since a reply's byte count fills it exactly."""
+        frame = frame or b"\0"
+        address, function = frame[0], frame[1] if len(frame) > 1 else 0
+        size = len(frame)
+        end = max(2, size - 2)
+        if function & 0x80:
+            return Head(address, Role.REPLY, None, function & 0x7F, 2, end, exception=frame[2] if size > 2 else 0)
+        if function in READS:
+            is_reply = size > 3 and size == 5 + frame[2]
+            is_request = size == 8
+            if is_reply and not is_request:
+                return Head(address, Role.REPLY, None, function, 3, end)
+            role = Role.REQUEST if is_request and not is_reply else Role.UNKNOWN
+            return Head(address, role, _u16(frame, 2), function, min(6, end), end, _u16(frame, 4))
+        if function in WRITE_MANY:
+            register, quantity = _u16(frame, 2), _u16(frame, 4)
+            if size == 8:
+                return Head(address, Role.REPLY, register, function, 4, end, quantity)
+            return Head(address, Role.REQUEST, register, function, min(7, end), end, quantity)
+        if function in WRITE_ONE:
+            return Head(address, Role.UNKNOWN, _u16(frame, 2), function, min(4, end), end, 1)
+        return Head(address, Role.UNKNOWN, None, function, 2, end)
+
+    def checks(self, frame: bytes, can_id: int | None = None) -> tuple[Check, ...]:
+        """Return the CRC, low byte first."""
+        return (Check("CRC16", len(frame) - 2, frame[-2:], modbus_crc(frame[:-2]).to_bytes(2, "little")),)
+
+    def build(self, command: Command, form: Form, address: int, data: bytes, role: Role) -> bytes:
+        """Return the frame of a command."""
+        function = command.function or 0
+        head = bytes((address, function))
+        register = command.code.to_bytes(2, "big")
+        quantity = command.quantity.to_bytes(2, "big")
+        if function in READS:
+            body = head + (register + quantity if role is Role.REQUEST else bytes((len(data),)) + data)
+        elif function in WRITE_MANY and role is Role.REQUEST:
+            body = head + register + quantity + bytes((len(data),)) + data
+        else:
+            body = head + register + data
+        return self.completed(body)
+
+    def completed(self, body: bytes, can_id: int | None = None) -> bytes:
+        """Return the body with its CRC."""
+        return body + modbus_crc(body).to_bytes(2, "little")
+
+    def parts(self, frame: bytes, can_id: int | None = None) -> tuple[Part, ...]:
+        """Return address, function and what stands before the own data."""
+        head = self.parse(frame)
+        parts = [Part(0, 1, "address", str(frame[0])), Part(1, 2, "function", f"0x{frame[1]:02X}")]
+        if head.exception is not None:
+            parts.append(Part(2, 3, "exception", f"0x{head.exception:02X}"))
+        elif head.code is None and head.function in READS:
+            parts.append(Part(2, 3, "byte count", str(frame[2])))
+        elif head.code is not None and len(frame) >= 6:
+            parts.append(Part(2, 4, "register", f"0x{head.code:04X}"))
+            if head.start >= 6:
+                parts.append(Part(4, 6, "quantity", str(head.quantity)))
+            if head.start >= 7:
+                parts.append(Part(6, 7, "byte count", str(frame[6])))
+        return tuple(parts)
+
+
+def _u16(data: bytes, at: int) -> int:
+    return int.from_bytes(data[at : at + 2], "big")
+
+
+class _ModbusSlicer(Slicer):
+    """Lengths by function: a read has 8 bytes, or 5 and its byte count; a write of several 8, or 9 and its count."""
+
+    heads = bytes(range(_MODBUS_HIGHEST + 1))
+    # Address, then a function or an exception of one; a look-ahead keeps the search at the address.
+    starts = rb"[\x00-\xf7](?=[\x01-\x06\x0f\x10\x81-\x86\x8f\x90]|\Z)"
+    strong_head = False
+    strong_check = True
+    longest = 256
+
+    def __init__(self, link: ModbusLink, expects: Callable[[int, int], int]) -> None:
+        self._link = link
+        self._expects = expects
+
+    def _sizes(self, buffer: bytes, at: int, end: int) -> tuple[int, ...]:
+        """Return the lengths that a frame at `at` can have, ascending, or `MORE` while that cannot be told."""
+        have = end - at
+        if have < 2:
+            return (MORE,)
+        function = buffer[at + 1]
+        if function in READS:
+            if have < 6:
+                # The quantity is not there yet: a request is 8 bytes, and a shorter reply may come before it.
+                return (MORE,)
+            count = buffer[at + 2]
+            quantity = buffer[at + 4] << 8 | buffer[at + 5]
+            is_request = 1 <= quantity <= (2000 if function < 3 else 125)
+            if 1 <= count <= 250 and (function < 3 or count % 2 == 0) and buffer[at] != 0:
+                if not is_request or count == 3:
+                    return (5 + count,)
+                return (5 + count, 8) if count < 3 else (8, 5 + count)
+            return (8,) if is_request else ()
+        if function in WRITE_ONE:
+            return (8,)
+        if function in WRITE_MANY:
+            if have < 7:
+                return (MORE,)
+            quantity = buffer[at + 4] << 8 | buffer[at + 5]
+            count = buffer[at + 6]
+            if quantity and count == self._link.byte_count(function, buffer[at + 2] << 8 | buffer[at + 3], quantity):
+                return (8, 9 + count)
+            return (8,)
+        if function & 0x80 and function & 0x7F in FUNCTIONS:
+            if have < 3:
+                return (MORE,)
+            return (5,) if 1 <= buffer[at + 2] <= _MODBUS_LAST_EXCEPTION else ()
+        return ()
+
+    def look(self, buffer: bytes, at: int, end: int, closed: bool) -> int:
+        if buffer[at] > _MODBUS_HIGHEST:
+            return 0
+        found = 0
+        for length in self._sizes(buffer, at, end):
+            if found and length != found + 1:
+                break
+            stop = at + length
+            if length == MORE or stop > end:
+                return found if closed else MORE
+            if modbus_crc(buffer[at : stop - 2]) == buffer[stop - 2] | buffer[stop - 1] << 8:
+                if found:
+                    return TIE
+                found = length
+        return found
+
+    def lengths(self, buffer: bytes, at: int, end: int) -> list[int]:
+        result: list[int] = []
+        if buffer[at] > _MODBUS_HIGHEST:
+            return result
+        for length in self._sizes(buffer, at, end):
+            stop = at + length
+            if length == MORE or stop > end:
+                return [*result, MORE]
+            if modbus_crc(buffer[at : stop - 2]) == buffer[stop - 2] | buffer[stop - 1] << 8:
+                result.append(length)
+        return result
+
+    def preferred(self, buffer: bytes, at: int, lengths: Sequence[int]) -> int:
+        awaited = self._expects(buffer[at], buffer[at + 1])
+        return 5 + awaited if awaited and 5 + awaited in lengths else 0
+
+    def damaged(self, buffer: bytes, at: int, end: int) -> list[int]:
+        result: list[int] = []
+        if buffer[at] > _MODBUS_HIGHEST:
+            return result
+        for length in self._sizes(buffer, at, end):
+            if length == MORE or at + length > end:
+                return [*result, MORE]
+            result.append(length)
+        return result
+
+    def foreign(self, buffer: bytes, at: int) -> bool:
+        known = at + 1 >= len(buffer) or buffer[at + 1] in FUNCTIONS or buffer[at + 1] ^ 0x80 in FUNCTIONS
+        return buffer[at] <= _MODBUS_HIGHEST and not known
+
+    def whole(self, data: bytes) -> bool:
+        size = len(data)
+        if not 4 <= size <= self.longest or data[0] > _MODBUS_HIGHEST:
+            return False
+        if modbus_crc(data[:-2]) != data[-2] | data[-1] << 8:
+            return False
+        # A frame that lost the 00 at its end checks too.
+        return self.look(data + b"\0", 0, size + 1, True) != size + 1
