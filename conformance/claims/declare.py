@@ -1,26 +1,147 @@
-"""Declaring claims: what every theme of claims does alike.
+"""Declaring claims: a check becomes claims, one for each case of a dialect.
 
-    declare(dialect, Theme.SHAPE, "read_speed/code", "The reply to ...", "another code", check, command=command)
+    @claim(Theme.MOTION, each=stops_of_motions, refuted_by="a shaft that moves again", risks=of_run)
+    def stays_stopped(probe: Probe, run: Command, stop: Command) -> None:
+        '''After {stop} the shaft stays where it stopped.'''
+
+The docstring is the claim's statement, the function's name the last part of its id. A `Case` says what one claim is about: its
+command, the other arguments of the check, and facts that differ from case to case. What `claim` is given may be a value or a
+function of the case.
 
 Rules kept here:
 - The section and the coverage of a claim about one command are that command's.
 - A claim about a command that only some models have runs where the model is known.
-- How sure a claim is comes from the errata that it names: it is as sure as the least sure of them; those of another
-  dialect are passed over, so that a theme names what it rests on once for all dialects.
+- A claim is as sure as the least sure of the errata that it rests on. Errata of another dialect are passed over, so that a
+  theme names them once for all dialects.
+- A command among the arguments of a check is the one of the drive's model.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any
+import inspect
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Risk
+from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from conformance.claim import Aspect, Claim, NotRun, Theme
-
-if TYPE_CHECKING:
-    from conformance.talk.probe import Probe
+from conformance.talk.probe import Probe
 
 _ORDER = (Certainty.CERTAIN, Certainty.LIKELY, Certainty.OPEN)
+#: The checks of each module, in the order of their declaration.
+_declared: dict[str, list[_Declaration]] = defaultdict(list)
+
+Check = Callable[..., None]
+
+
+@dataclass(frozen=True)
+class Case:
+    """What one claim of a check is about.
+
+    `command`: the one that the claim covers; the check gets it as `command`. `given`: other arguments of the check by name;
+    they stand in its statement too (`{run}`, a command by its name). `facts`: what `claim` takes, for this case alone; `name`
+    is the id behind the theme, `statement` what holds.
+    """
+
+    dialect: Dialect
+    command: Command | None = None
+    given: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def words(self) -> dict[str, Any]:
+        """What the texts of a claim can name."""
+        every = {"command": self.command, "dialect": self.dialect, **self.given}
+        return {name: getattr(value, "name", value) for name, value in every.items()}
+
+    def __getitem__(self, name: str) -> Any:
+        return self.given[name]
+
+
+Cases = Callable[[Dialect], Iterable[Case]]
+
+
+def once(dialect: Dialect) -> Iterator[Case]:
+    """Yield one case for a dialect, about no single command."""
+    yield Case(dialect)
+
+
+def commands(*verbs: Verb) -> Cases:
+    """Return cases of the commands that a dialect has for these verbs."""
+    return lambda dialect: (Case(dialect, dialect.by_verb[verb]) for verb in verbs if verb in dialect.by_verb)
+
+
+@dataclass(frozen=True)
+class _Declaration:
+    theme: Theme
+    each: Cases
+    check: Check
+    facts: Mapping[str, Any]
+
+    def claims(self, dialect: Dialect) -> Iterator[Claim]:
+        for case in self.each(dialect):
+            yield self._claim(case)
+
+    def _claim(self, case: Case) -> Claim:
+        facts = dict(self.facts) | dict(case.facts)
+        facts = {name: value(case) if callable(value) else value for name, value in facts.items()}
+        words = case.words
+        own = self.check.__name__.strip("_").replace("_", "-")
+        default = f"{words['command']}/{own}" if case.command is not None else own
+        name = facts.pop("name", default).format_map(words)
+        statement = facts.pop("statement", None) or _first_paragraph(self.check)
+        facts.setdefault("parameters", {n: v for n, v in case.given.items() if not isinstance(v, Command)})
+        return declare(
+            case.dialect,
+            self.theme,
+            name,
+            statement.format_map(words),
+            facts.pop("refuted_by").format_map(words),
+            _Bound(self.check, case),
+            command=case.command,
+            **facts,
+        )
+
+
+class _Bound:
+    """A check with the arguments of a case; its commands are those of the drive's model."""
+
+    def __init__(self, check: Check, case: Case) -> None:
+        self.check = check
+        given = dict(case.given) | ({} if case.command is None else {"command": case.command})
+        self._arguments = {name: given[name] for name in list(inspect.signature(check).parameters)[1:]}
+
+    def __call__(self, probe: Probe) -> None:
+        known = probe.dialect.by_name
+        self.check(probe, **{n: known[v.name] if isinstance(v, Command) else v for n, v in self._arguments.items()})
+
+
+def _first_paragraph(check: Check) -> str:
+    text = inspect.getdoc(check)
+    if not text:
+        raise ValueError(f"{check.__module__}.{check.__name__}: the docstring of a check says what holds")
+    return " ".join(text.split("\n\n")[0].split())
+
+
+def claim(theme: Theme, *, refuted_by: Any, each: Cases = once, **facts: Any) -> Callable[[Check], Check]:
+    """Declare the decorated check as claims of a theme, one for each case.
+
+    `facts`: `name` of the id behind the theme, `at_best`, `errata`, `risks`, `settings`, `quirks`, `section`, `aspect`, and the
+    other attributes of a `Claim`. Each is a value, or a function of the case.
+    """
+
+    def declared(check: Check) -> Check:
+        _declared[check.__module__].append(_Declaration(theme, each, check, {"refuted_by": refuted_by, **facts}))
+        return check
+
+    return declared
+
+
+def declared_in(module: str, dialect: Dialect) -> Iterator[Claim]:
+    """Make the claims that the checks of a module declare for a dialect, in order."""
+    for declaration in _declared[module]:
+        yield from declaration.claims(dialect)
 
 
 def surety(dialect: Dialect, *errata: str, at_best: Certainty = Certainty.CERTAIN) -> Certainty:

@@ -1,15 +1,18 @@
 """Which quirks a claim may meet: those that drives of its dialect were seen to have.
 
     quirks=known(dialect, "settling")      ("settling",) on CAN, () elsewhere
+    @claim(..., quirks=may_meet("settling"))    the same for a claim that is declared for all dialects
 
 The quirks, with where each was seen, stand beside the emulated drives (`servotap emulate --list-quirks`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 
 from analyzer.catalogue import Dialect
+from conformance.claims.declare import Case
 from conformance.drives.make import every_quirk
 
 
@@ -21,3 +24,8 @@ def _dialects() -> dict[str, tuple[str, ...]]:
 def known(dialect: Dialect, *names: str) -> tuple[str, ...]:
     """Return those of these quirks that drives of a dialect were seen to have. Raises KeyError for a name that is none."""
     return tuple(name for name in names if dialect.name in _dialects()[name])
+
+
+def may_meet(*names: str) -> Callable[[Case], tuple[str, ...]]:
+    """Return what tells the quirks of a case: those of these that drives of its dialect were seen to have."""
+    return lambda case: known(case.dialect, *names)

@@ -14,7 +14,7 @@ from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Risk
 from conformance.claim import Aspect, Claim, Refuted, Theme
-from conformance.claims.declare import declare
+from conformance.claims.declare import Case, Cases, claim, declare
 from conformance.motion import motion
 from conformance.motion.motion import SAME, Sample
 from conformance.talk.exchange import Exchange
@@ -59,6 +59,42 @@ def motion_claim(
         settings=tuple(settings) if still else motion.settings(dialect, *settings),
         **more,
     )
+
+
+def of_motion(
+    *,
+    each: Cases,
+    refuted_by: Any,
+    theme: Theme = Theme.MOTION,
+    risks: Callable[[Case], Iterable[Risk]] | Iterable[Risk] = (),
+    settings: Iterable[str] = (),
+    still: bool = False,
+    **facts: Any,
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Declare a check of a command that moves, or of one that a moving drive is asked; see `motion_claim` and `claim`."""
+
+    def named(case: Case) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(n for f in _command(case).request_forms for n in f.layout.named))
+
+    def all_risks(case: Case) -> frozenset[Risk]:
+        more = {*(risks(case) if callable(risks) else risks), *(_command(case).all_risks - {Risk.UNKNOWN})}
+        return frozenset(more) if still else motion.risks(case.dialect, *more)
+
+    def all_settings(case: Case) -> tuple[str, ...]:
+        return tuple(settings) if still else motion.settings(case.dialect, *settings)
+
+    facts = {"aspect": Aspect.MOTION, "fields": named, **facts}
+    return claim(theme, each=each, refuted_by=refuted_by, risks=all_risks, settings=all_settings, **facts)
+
+
+def _command(case: Case) -> Command:
+    assert case.command is not None  # a claim about motion is about a command
+    return case.command
+
+
+def risks_of(*names: str) -> Callable[[Case], frozenset[Risk]]:
+    """Return the risks of commands among the arguments of a case, by their names there, or by their verbs."""
+    return lambda case: frozenset().union(*(case[name].all_risks for name in names))
 
 
 def _run(check: Check, name: str, probe: Probe) -> None:

@@ -14,7 +14,8 @@ answered and a short quiet has passed (in which a second reply would show). Writ
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Collection, Mapping
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,7 @@ from analyzer import encoder
 from analyzer.catalogue import Command, Dialect, Form, Risk, Role, Verb
 from analyzer.pipeline import Entry, Options, Pipeline
 from analyzer.records import CanFrame, Chunk, Comment, Finding, Junk
-from conformance.claim import Claim, Inconclusive
+from conformance.claim import Claim, Inconclusive, Refuted
 from conformance.talk.exchange import Answer, Exchange
 from conformance.talk.no_checksum import Bare
 
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 #: A pause after which what came is decoded as it stands, although more might have belonged to it.
 _PAUSE_NS = 30_000_000
 _BUS = "bus"
+#: A condition that was not given.
+_ANYTHING = object()
 #: Latencies that are kept of one claim.
 _KEPT_LATENCIES = 400
 
@@ -272,6 +275,55 @@ class Probe:
             exchange.findings += heard.findings
             heard.findings = []
 
+    # --- judging --------------------------------------------------------------------------------------------------
+
+    def expect(
+        self,
+        got: Any,
+        *,
+        refutes: str,
+        holds: bool | None = None,
+        equal: Any = _ANYTHING,
+        among: Collection[Any] = (),
+        near: float | None = None,
+        within: float = 0.0,
+        at_least: float = -math.inf,
+        at_most: float = math.inf,
+        unit: str = "",
+        expected: str = "",
+        exchange: Exchange | None = None,
+        key: str = "",
+    ) -> None:
+        """Refute the claim unless what was got is as expected.
+
+        `got`: a number, a measurement (its `value` counts), a list of numbers, or text beside `holds`. One or several
+        conditions: `holds` itself, `equal`, `among` several, `near` a number `within` a distance, `at_least`, `at_most`.
+        `refutes`: what a drive does that is otherwise, as a sentence without a stop. `expected` says it where the conditions do
+        not. `exchange` shows it; the last one where none is given. `key`: what makes two failures one; `refutes` by default.
+
+        Raises Refuted.
+        """
+        value = getattr(got, "value", got)
+        told = []
+        if holds is not None:
+            told.append((holds, ""))
+        if equal is not _ANYTHING:
+            told.append((value == equal, _text(equal, unit)))
+        if among:
+            told.append((value in among, " or ".join(_text(v, unit) for v in among)))
+        if near is not None:
+            told.append((abs(value - near) <= within, f"{_text(near, unit)} +-{within:.3g}"))
+        if at_least > -math.inf:
+            told.append((value >= at_least, f"at least {_text(at_least, unit)}"))
+        if at_most < math.inf:
+            told.append((value <= at_most, f"at most {_text(at_most, unit)}"))
+        if not told:
+            raise ValueError(f"{self.claim.id}: expect needs a condition")
+        if not all(kept for kept, _ in told):
+            shown = expected or " and ".join(text for _, text in told if text)
+            shown_in = exchange or (self.traffic[-1] if self.traffic else None)
+            raise Refuted(refutes, expected=shown, got=_text(value, unit), exchange=shown_in, key=key)
+
     # --- what claims share ----------------------------------------------------------------------------------------
 
     def meets(self, quirk: str) -> None:
@@ -325,6 +377,15 @@ class Probe:
             name = self.command(what).name
             raise Inconclusive(f"{name} {dict(exchange.values)} was refused ({answer.data.hex(' ').upper()})")
         return exchange
+
+
+def _text(value: Any, unit: str) -> str:
+    """Return a number with its unit, several numbers with commas between them, or a text as it is."""
+    if isinstance(value, float):
+        value = f"{value:.6g}"
+    elif isinstance(value, list | tuple):
+        value = ", ".join(map(str, value)) or "none"
+    return f"{value} {unit}".rstrip()
 
 
 def _sent(item: bytes | CanFrame, t_ns: int) -> Chunk | CanFrame:

@@ -114,14 +114,14 @@ def with_fault(target: Target, fault: Fault) -> make.Specification:
 
 
 def _likely_first(claims: Iterable[Claim], fault: Fault) -> list[Claim]:
-    """Return claims with those first whose words are those of the fault; the order of the others stays."""
+    """Return claims with those first whose words are those of the fault; those alike by id."""
     words = set(fault.name.replace("-", " ").split()) | set(fault.text.lower().split()) | set(fault.breaks.lower().split())
 
     def distance(claim: Claim) -> int:
         own = set(claim.id.replace("/", " ").replace("_", " ").replace("-", " ").split())
         return -len(own & words)
 
-    return sorted(claims, key=distance)
+    return sorted(claims, key=lambda claim: (distance(claim), claim.id))
 
 
 # --- the command ------------------------------------------------------------------------------------------------------

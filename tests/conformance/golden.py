@@ -28,9 +28,9 @@ LIKELIEST = 40
 
 
 def claims() -> Iterator[str]:
-    """Yield a line for each claim: id, statement, certainty, risks and what else decides when it runs."""
+    """Yield a line for each claim, by id: statement, certainty, risks and what else decides when it runs."""
     for target in every_emulated():
-        for claim in suite.every_claim(target):
+        for claim in sorted(suite.every_claim(target), key=lambda c: c.id):
             flags = [name for name in ("alone", "by_name", "emulated") if getattr(claim, name)]
             fact = {
                 "target": target.text,
@@ -52,7 +52,7 @@ def verdicts() -> Iterator[str]:
         plan = suite.Plan((target,))
         rig = suite.open_rig(plan, target)
         confirmed = 0
-        for claim in plan.selected(target):
+        for claim in sorted(plan.selected(target), key=lambda c: c.id):
             verdict = engine.run_claim(claim, rig)
             confirmed += verdict.outcome is Outcome.CONFIRMED
             if verdict.outcome is not Outcome.CONFIRMED:
