@@ -18,7 +18,7 @@ from enum import StrEnum
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from analyzer.layout import Field, Layout
+from analyzer.layout import Effect, Field, Layout
 
 if TYPE_CHECKING:
     from analyzer.link import Link
@@ -215,6 +215,82 @@ def when(field: str, low: int, high: int | None, *risks: Risk) -> RiskRule:
     return RiskRule(frozenset(risks), field, low, low if high is None else high)
 
 
+class MotionKind(StrEnum):
+    """How a command moves the shaft.
+
+    `run`: at a speed, without an end. `move_by`: by a distance. `move_to`: to a place counted over all turns.
+    `move_in_turn`: to an angle within one turn. `torque`: with a force, without an end. `home`, `calibrate`: by the drive's
+    own rules. `hold`: the motor takes hold of the shaft and covers no distance of its own. `stop`: ends motion.
+    """
+
+    RUN = "run"
+    MOVE_BY = "move_by"
+    MOVE_TO = "move_to"
+    MOVE_IN_TURN = "move_in_turn"
+    TORQUE = "torque"
+    HOME = "home"
+    CALIBRATE = "calibrate"
+    HOLD = "hold"
+    STOP = "stop"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """What a command does to the shaft, by the names of its request's fields; the unit of each is that of its field.
+
+    `distance`: the length of a move, or the place it goes to. `direction`: 0 raises the position. `tells_end`: a second
+    reply says that the motion is done. `stops`: the commands that end it, the gentlest first. `counted_by`: the read whose
+    value has the origin and unit of a place.
+    """
+
+    kind: MotionKind
+    speed: str = ""
+    distance: str = ""
+    direction: str = ""
+    acceleration: str = ""
+    tells_end: bool = False
+    stops: tuple[str, ...] = ()
+    counted_by: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ramp:
+    """The law of a ramp: at acceleration a, 1 up to `steps` - 1, one rpm takes (`steps` - a) x `unit_ns`; 0 is at once."""
+
+    unit_ns: int
+    steps: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Subdivision:
+    """What a subdivision does to pulses and speeds.
+
+    A turn has `full_steps` x subdivision pulses. The shaft turns at the speed as sent where the subdivision is in `plain`, and
+    elsewhere at speed x `counted_at` / subdivision. `largest`: what 0 stands for.
+    """
+
+    full_steps: int
+    counted_at: int
+    plain: frozenset[int]
+    largest: int
+
+
+class Trait(StrEnum):
+    """A way in which drives of one family differ by dialect."""
+
+    LETS_GO_AT_END_LIMIT = "lets_go_at_end_limit"
+    DIRECTION_TURNS_BUS_MOTION = "direction_turns_bus_motion"
+    SEEN_WITHOUT_CHECKSUM = "seen_without_checksum"
+
+
+class Subject(StrEnum):
+    """A subject that a manual describes apart from its commands."""
+
+    FRAMING = "framing"
+    ADDRESSING = "addressing"
+    SILENCE = "silence"
+
+
 @dataclass(frozen=True, slots=True)
 class Vector:
     """A frame as the manual prints it (or, where it prints none, as computed from its rules).
@@ -279,7 +355,8 @@ class Command:
     layout, or forms in the order in which they are tried; a reply of None means that the command is never answered.
     `modes`: the work modes it needs, by name; empty: any. `models`: the models that have it; empty: all. `silenced`:
     its replies are those that `respond = 0` silences. `readable`: its value can be read back by the dialect's
-    parameter read. `slots`: the data is a package of requests to several drives.
+    parameter read. `slots`: the data is a package of requests to several drives. `motion`: what it does to the shaft; a
+    command that risks motion without one moves in an unknown way.
     """
 
     name: str
@@ -301,6 +378,7 @@ class Command:
     modes: tuple[str, ...] = ()
     models: tuple[str, ...] = ()
     slots: Slots | None = None
+    motion: Motion | None = None
     printed: str = ""
     notes: tuple[str, ...] = ()
     vectors: tuple[Vector, ...] = ()
@@ -365,6 +443,14 @@ class Dialect:
     that `--model` takes. `baud_rates`: what the drive can be set to, the default first. `fallbacks`: for links with standard
     functions, the command that stands for an uncatalogued use of each; its own data begin after the function.
     `exception`: the form of a reply that refuses by an exception code, whatever the command.
+
+    `family`: the make of drive, the same for all its dialects. `siblings`: the other dialects that the same drive can speak;
+    `chosen_by`: the value of the field with `Effect.DIALECT` that makes it speak this one. `sections`: where the manual
+    describes what belongs to no command. `ramp`, `subdivision`: None where the drive has none. `counts_per_turn`: of the
+    encoder, 0 where it is not known. `mode_speeds`: the highest speed (rpm) of each work mode, by its name; a mode that is
+    not listed has that of the command's field. `rates`: bits per second of each value of the field with
+    `Effect.BAUD_RATE`. `unlisted_codes`: codes that drives were seen to answer without the manual
+    listing them.
     """
 
     name: str
@@ -381,6 +467,17 @@ class Dialect:
     fallbacks: Mapping[int, Command] = field(default_factory=dict)
     exception: Form | None = None
     model: str = ""
+    family: str = ""
+    siblings: tuple[str, ...] = ()
+    chosen_by: int | None = None
+    sections: Mapping[Subject, str] = field(default_factory=dict)
+    traits: frozenset[Trait] = frozenset()
+    ramp: Ramp | None = None
+    subdivision: Subdivision | None = None
+    counts_per_turn: int = 0
+    mode_speeds: Mapping[str, int] = field(default_factory=dict)
+    rates: Mapping[int, int] = field(default_factory=dict)
+    unlisted_codes: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         names = [c.name for c in self.commands]
@@ -408,6 +505,36 @@ class Dialect:
         for command in self.commands:
             result[command.code] = (*result.get(command.code, ()), command)
         return result
+
+    def motions(self, *kinds: MotionKind) -> tuple[Command, ...]:
+        """Return the commands whose motion is of one of these kinds, in the manual's order."""
+        return tuple(c for c in self.commands if c.motion is not None and c.motion.kind in kinds)
+
+    def stops_of(self, command: Command) -> tuple[Command, ...]:
+        """Return the commands that end the motion of another, the gentlest first."""
+        names = () if command.motion is None else command.motion.stops
+        return tuple(self.by_name[name] for name in names if name in self.by_name)
+
+    @cached_property
+    def _effects(self) -> dict[Effect, tuple[tuple[Command, Field], ...]]:
+        result: dict[Effect, tuple[tuple[Command, Field], ...]] = {}
+        for command in self.commands:
+            for declared in all_fields(command.request_forms).values():
+                if declared.effect is not None:
+                    result[declared.effect] = (*result.get(declared.effect, ()), (command, declared))
+        return result
+
+    def effects(self, effect: Effect) -> tuple[tuple[Command, Field], ...]:
+        """Return every command with a field of this effect, and that field."""
+        return self._effects.get(effect, ())
+
+    def effect(self, effect: Effect) -> tuple[Command, Field] | None:
+        """Return the first command with a field of this effect, and that field; None where there is none."""
+        return next(iter(self.effects(effect)), None)
+
+    def switched(self, value: int) -> str:
+        """Return the name of the dialect that a drive speaks once its field with `Effect.DIALECT` has a value."""
+        return self.name if value == self.chosen_by else self.siblings[0]
 
     def for_model(self, model: str) -> Dialect:
         """Return this dialect as one model speaks it, the same object each time.

@@ -39,6 +39,21 @@ class Kind(StrEnum):
     RESERVED = "reserved"
 
 
+class Effect(StrEnum):
+    """What a field of a request changes about the drive or its link."""
+
+    ADDRESS = "address"
+    BAUD_RATE = "baud_rate"
+    GROUP = "group"
+    DIALECT = "dialect"
+    RESPOND = "respond"
+    ACTIVE = "active"
+    WORK_MODE = "work_mode"
+    SUBDIVISION = "subdivision"
+    CURRENT = "current"
+    HOME_SPEED = "home_speed"
+
+
 #: Names that a decoded message or a filter uses for something else; no field may take one.
 RESERVED_NAMES = frozenset({"address", "command", "role", "dialect", "bus", "time", "slots"})
 
@@ -74,7 +89,8 @@ class Field:
     """One run of bits.
 
     `minimum`, `maximum`, `default`, `fixed` and the members of `choices` are integers as sent. `bit_width` 0 means the
-    rest of the data (kind `bytes`, last field only). `fixed` is a value that makes a layout what it is: data that holds
+    rest of the data (kind `bytes`, last field only). `effect`: what the field sets; several fields can set a current, which
+    includes a torque or a power. `fixed` is a value that makes a layout what it is: data that holds
     another one is not of this layout. A reserved field expects 0. `values` are allowed values with gaps that have no
     names (CAN subdivisions).
     """
@@ -95,6 +111,7 @@ class Field:
     note: str = ""
     models: Mapping[str, ModelLimits] | None = None
     state: StatePart | None = None
+    effect: Effect | None = None
 
     def __post_init__(self) -> None:
         if self.name in RESERVED_NAMES or self.name.startswith("_"):

@@ -31,8 +31,9 @@ from enum import IntEnum
 from fractions import Fraction
 from functools import partial
 
-from analyzer.catalogue import Command, Dialect, Form, Risk, Role, Vector, Verb, always, when
+from analyzer.catalogue import Command, Dialect, Form, Motion, MotionKind, Risk, Role, Subject, Vector, Verb, always, when
 from analyzer.layout import (
+    Effect,
     Field,
     Layout,
     ModelLimits,
@@ -168,7 +169,10 @@ PARAMETER_FORMS = (
     _parameter_form(Parameter.SPEED_PID, *_gains("speed")),
     _parameter_form(Parameter.CURRENT_PID, *_gains("current")),
     _parameter_form(
-        Parameter.TORQUE_LIMIT, reserved(16), i16le("torque_limit", unit="LSB", printed="inputTorqueLimit"), reserved(16)
+        Parameter.TORQUE_LIMIT,
+        reserved(16),
+        i16le("torque_limit", unit="LSB", printed="inputTorqueLimit", effect=Effect.CURRENT),
+        reserved(16),
     ),
     _parameter_form(Parameter.SPEED_LIMIT, reserved(16), i32le("speed_limit", unit="LSB", printed="inputSpeedLimit")),
     _parameter_form(Parameter.ANGLE_LIMIT, reserved(16), i32le("angle_limit", unit="LSB", printed="inputAngleLimit")),
@@ -182,6 +186,13 @@ PARAMETER_FORMS = (
 )
 #: The numbers between those of `Parameter`, first and last.
 UNLISTED_PARAMETERS = ((0, 9), (13, 29), (31, 31), (33, 33), (35, 35), (37, 37), (39, 255))
+
+
+def _motion(kind: MotionKind, distance: str = "", *, speed: str = "", direction: str = "", counted_by: str = "") -> Motion:
+    return Motion(kind=kind, speed=speed, distance=distance, direction=direction, counted_by=counted_by, stops=("stop",))
+
+
+HOLD = Motion(kind=MotionKind.HOLD)
 
 
 def _request(printed: str, models: tuple[str, ...] = (), /, **values: int) -> Vector:
@@ -234,6 +245,7 @@ COMMANDS = (
         risk=(always(Risk.SETTING, Risk.MOTION),),
         request=EMPTY,
         reply=STATE_1,
+        motion=HOLD,
         notes=("a flag whose cause lasts stays set",),
         vectors=(
             _request("3E 9B 01 00 DA"),
@@ -331,6 +343,7 @@ COMMANDS = (
         risk=(always(Risk.MOTION),),
         request=EMPTY,
         reply=EMPTY,
+        motion=HOLD,
         vectors=(_request("3E 88 01 00 C7"), _reply("3E 88 01 00 C7"), _request("3E 88 0E 00 D4"), _reply("3E 88 0E 00 D4")),
     ),
     Command(
@@ -342,6 +355,7 @@ COMMANDS = (
         risk=(always(Risk.MOTION),),
         request=EMPTY,
         reply=EMPTY,
+        motion=Motion(kind=MotionKind.STOP),
         vectors=(_request("3E 81 01 00 C0"), _reply("3E 81 01 00 C0"), _request("3E 81 20 00 DF"), _reply("3E 81 20 00 DF")),
     ),
     Command(
@@ -374,8 +388,9 @@ COMMANDS = (
         section="9",
         summary="Drive an MS motor with a voltage, without feedback.",
         risk=(always(Risk.UNBOUNDED, Risk.TORQUE),),
-        request=Layout(i16le("power", minimum=-850, maximum=850, unit="LSB", printed="powerControl")),
+        request=Layout(i16le("power", minimum=-850, maximum=850, unit="LSB", printed="powerControl", effect=Effect.CURRENT)),
         reply=POWER_STATE_2,
+        motion=_motion(MotionKind.TORQUE),
         models=POWER_MODELS,
         vectors=(
             _request("3E A0 01 02 E1 78 00 78", POWER_MODELS, power=120),
@@ -402,9 +417,11 @@ COMMANDS = (
                 printed="iqControl",
                 note="the limits are 16.5 A of an MF and 33 A of an MG",
                 models=CURRENT_SCALES,
+                effect=Effect.CURRENT,
             )
         ),
         reply=TORQUE_STATE_2,
+        motion=_motion(MotionKind.TORQUE),
         models=CURRENT_MODELS,
         vectors=(
             _request("3E A1 01 02 E2 C8 00 C8", CURRENT_MODELS, torque_current=200),
@@ -440,6 +457,7 @@ COMMANDS = (
         ),
         request=Layout(i32le("speed", unit="deg/s", scale=HUNDREDTH, printed="speedControl")),
         reply=STATE_2,
+        motion=_motion(MotionKind.RUN, speed="speed"),
         notes=("limited by Max Speed, Max Acceleration and Max Torque Current (MS: Max Power) of the setup program",),
         vectors=(
             _request("3E A2 01 04 E5 A0 8C 00 00 2C", speed=36000),
@@ -467,6 +485,7 @@ COMMANDS = (
         risk=(always(Risk.MOTION),),
         request=Layout(POSITION_TARGET),
         reply=STATE_2,
+        motion=_motion(MotionKind.MOVE_TO, "position", counted_by="read_position"),
         notes=(
             "the sign of target minus present position is the direction",
             "limited by Max Angle, Max Speed, Max Acceleration and Max Torque Current (MS: Max Power) of the setup program",
@@ -501,6 +520,7 @@ COMMANDS = (
         risk=(always(Risk.MOTION),),
         request=Layout(POSITION_TARGET, MAX_SPEED),
         reply=STATE_2,
+        motion=_motion(MotionKind.MOVE_TO, "position", speed="max_speed", counted_by="read_position"),
         notes=(
             "limited by Max Angle, Max Acceleration and Max Torque Current (MS: Max Power) of the setup program",
             "max_speed 0 has no meaning of its own in print; a drive was seen to move with it",
@@ -528,6 +548,7 @@ COMMANDS = (
         risk=(always(Risk.MOTION),),
         request=Layout(DIRECTION, ANGLE_TARGET, reserved(8)),
         reply=STATE_2,
+        motion=_motion(MotionKind.MOVE_IN_TURN, "angle", direction="direction", counted_by="read_single_turn"),
         notes=("limited by Max Speed, Max Acceleration and Max Torque Current (MS: Max Power) of the setup program",),
         vectors=(
             _request("3E A5 01 04 E8 00 28 23 00 4B", direction=0, angle=9000),
@@ -559,6 +580,9 @@ COMMANDS = (
         risk=(always(Risk.MOTION),),
         request=Layout(DIRECTION, ANGLE_TARGET, reserved(8), MAX_SPEED),
         reply=STATE_2,
+        motion=_motion(
+            MotionKind.MOVE_IN_TURN, "angle", speed="max_speed", direction="direction", counted_by="read_single_turn"
+        ),
         notes=("limited by Max Acceleration and Max Torque Current (MS: Max Power) of the setup program",),
         vectors=(
             _request("3E A6 01 08 ED 01 50 46 00 A0 8C 00 00 C3", direction=1, angle=18000, max_speed=36000),
@@ -583,6 +607,7 @@ COMMANDS = (
         risk=(always(Risk.MOTION),),
         request=Layout(DISTANCE),
         reply=STATE_2,
+        motion=_motion(MotionKind.MOVE_BY, "position"),
         notes=("limited by Max Speed, Max Acceleration and Max Torque Current (MS: Max Power) of the setup program",),
         vectors=(
             _request("3E A7 01 04 EA 60 73 FF FF D1", position=-36000),
@@ -614,6 +639,7 @@ COMMANDS = (
         risk=(always(Risk.MOTION),),
         request=Layout(DISTANCE, MAX_SPEED),
         reply=STATE_2,
+        motion=_motion(MotionKind.MOVE_BY, "position", speed="max_speed"),
         notes=("limited by Max Acceleration and Max Torque Current (MS: Max Power) of the setup program",),
         vectors=(
             _request("3E A8 01 08 EF 94 11 00 00 F0 D2 00 00 67", position=4500, max_speed=54000),
@@ -806,4 +832,7 @@ DIALECT = Dialect(
     addresses=(1, 32),
     broadcast=None,
     baud_rates=(115200, 9600, 19200, 38400, 57600, 230400, 460800, 1000000, 2000000, 4000000),
+    family="lk",
+    sections=dict.fromkeys(Subject, "Single motor command"),
+    unlisted_codes=(0x12,),
 )

@@ -30,8 +30,8 @@ from enum import IntEnum
 from fractions import Fraction
 from typing import Any
 
-from analyzer.catalogue import Command, Dialect, Form, Replies, Risk, Vector, Verb, always, when
-from analyzer.layout import Field, Layout, ModelLimits, bits, fixed, reserved, u8, u16, u32
+from analyzer.catalogue import Command, Dialect, Form, Replies, Risk, Subject, Trait, Vector, Verb, always, when
+from analyzer.layout import Effect, Field, Layout, ModelLimits, bits, fixed, reserved, u8, u16, u32
 from analyzer.link import CanLink
 from analyzer.protocols import mks_shared as mks
 from analyzer.protocols.mks_can_errata import ERRATA
@@ -140,19 +140,21 @@ class Hardware(IntEnum):
 
 # ---- Fields that only this manual has, or has otherwise
 
-_WORK_MODE = u8("work_mode", choices=WorkMode, default=WorkMode.PULSE_DIRECTION_CLOSED, printed="mode")
+_WORK_MODE = u8("work_mode", choices=WorkMode, default=WorkMode.PULSE_DIRECTION_CLOSED, printed="mode", effect=Effect.WORK_MODE)
 _CURRENT = replace(
     mks.CURRENT,
     printed="ma",
     models={"42E": ModelLimits(maximum=3000, default=1600), "57E": ModelLimits(maximum=5200, default=3200)},
 )
-_SUBDIVISION = u8("subdivision", values=SUBDIVISIONS, default=16, printed="micstep", note="0 stands for 256")
+_SUBDIVISION = u8(
+    "subdivision", values=SUBDIVISIONS, default=16, printed="micstep", note="0 stands for 256", effect=Effect.SUBDIVISION
+)
 _PULSE_DELAY = u8("pulse_delay", choices=PulseDelay, default=PulseDelay.MS_20, printed="delay")
 _PROTECTION = replace(mks.PROTECTION, default=mks.Switch.ENABLED)
 _STALL_TOLERANCE = u16("stall_tolerance", maximum=0x7FFF, default=0x64, unit="deg", scale=Fraction(9, 5), printed="value")
-_BIT_RATE = u8("bit_rate", choices=BitRate, default=BitRate.BIT_RATE_500K, printed="bitRate")
-_NEW_ADDRESS = u16("new_address", minimum=1, maximum=0x7FF, default=1, printed="ID")
-_GROUP_ADDRESS = u16("group_address", minimum=1, maximum=0x7FF, printed="ID")
+_BIT_RATE = u8("bit_rate", choices=BitRate, default=BitRate.BIT_RATE_500K, printed="bitRate", effect=Effect.BAUD_RATE)
+_NEW_ADDRESS = u16("new_address", minimum=1, maximum=0x7FF, default=1, printed="ID", effect=Effect.ADDRESS)
+_GROUP_ADDRESS = u16("group_address", minimum=1, maximum=0x7FF, printed="ID", effect=Effect.GROUP)
 _AXIS_LOCK = u8("axis_lock", choices=AxisLock, default=AxisLock.LOCKED, printed="enable")
 _HOME_SPEED = replace(mks.HOME_SPEED, default=60)
 _HOME_CURRENT = replace(
@@ -186,7 +188,13 @@ def _read(verb: Verb, code: int, section: str, summary: str, *fields: Field, **o
 
 def _do(verb: Verb, code: int, section: str, summary: str, *fields: Field, status: Field = _STATUS, **options: Any) -> Command:
     """Declare a command with `fields` as data that is answered with a status."""
-    facts: dict[str, Any] = {"risk": mks.SETTING_RISK, "replies": mks.SET, "request": Layout(*fields), "reply": Layout(status)}
+    facts: dict[str, Any] = {
+        "risk": mks.SETTING_RISK,
+        "replies": mks.SET,
+        "request": Layout(*fields),
+        "reply": Layout(status),
+        "motion": mks.MOTIONS.get(verb),
+    }
     return Command(name=verb.value, verb=verb, code=code, section=section, summary=summary, **facts | options)
 
 
@@ -625,4 +633,11 @@ DIALECT = Dialect(
     addresses=(1, 0x7FF),
     broadcast=0,
     baud_rates=(500_000, 125_000, 250_000, 1_000_000),
+    family="mks",
+    sections=dict.fromkeys(Subject, "3"),
+    traits=frozenset({Trait.DIRECTION_TURNS_BUS_MOTION}),
+    ramp=mks.RAMP,
+    subdivision=mks.SUBDIVISION,
+    counts_per_turn=mks.COUNTS_PER_TURN,
+    rates=BIT_RATES,
 )

@@ -24,8 +24,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from analyzer.catalogue import Command, Dialect, Form, Replies, Vector, Verb
-from analyzer.layout import Field, Layout, fixed, reserved, u8, u16
+from analyzer.catalogue import Command, Dialect, Form, Replies, Subject, Trait, Vector, Verb
+from analyzer.layout import Effect, Field, Layout, fixed, reserved, u8, u16
 from analyzer.link import ModbusLink
 from analyzer.protocols import mks_rs485
 from analyzer.protocols import mks_shared as mks
@@ -50,6 +50,8 @@ def _command(verb: Verb, code: int, function: int, quantity: int, section: str, 
         "modes": native.modes,
         "printed": native.printed,
         "notes": native.notes,
+        # A write is answered once.
+        "motion": native.motion and replace(native.motion, tells_end=False),
     }
     return Command(
         name=verb.value, verb=verb, code=code, function=function, quantity=quantity, section=section, **facts | options
@@ -175,7 +177,7 @@ COMMANDS = (
     _write(Verb.SET_HOLDING_CURRENT, 0x009B, "8.2.7", _BYTE, mks.HOLDING_CURRENT),
     _write(
         Verb.SET_SUBDIVISION, 0x0084, "8.2.8",
-        u16("subdivision", maximum=256, default=16, printed="micstep", note="0 is taken as 256"),
+        u16("subdivision", maximum=256, default=16, printed="micstep", note="0 is taken as 256", effect=Effect.SUBDIVISION),
     ),
     _write(Verb.SET_ENABLE_LEVEL, 0x0085, "8.2.9", _BYTE, mks.ENABLE_LEVEL),
     _write(Verb.SET_DIRECTION, 0x0086, "8.2.10", _BYTE, mks.MOTOR_DIRECTION),
@@ -255,4 +257,14 @@ DIALECT = Dialect(
     baud_rates=(38400, 9600, 19200, 25000, 57600, 115200, 256000),
     fallbacks=FALLBACKS,
     exception=EXCEPTION,
+    family="mks",
+    siblings=("mks-rs485",),
+    chosen_by=mks.Switch.ENABLED,
+    sections=dict.fromkeys(Subject, "8"),
+    traits=frozenset({Trait.LETS_GO_AT_END_LIMIT}),
+    ramp=mks.RAMP,
+    subdivision=mks.SUBDIVISION,
+    counts_per_turn=mks.COUNTS_PER_TURN,
+    mode_speeds=mks.MODE_MAXIMUM_SPEEDS,
+    rates=mks.BAUD_RATES,
 )

@@ -22,8 +22,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from analyzer.catalogue import Command, Dialect, Form, Risk, RiskRule, Role, Slots, Vector, Verb
-from analyzer.layout import Field, Layout, reserved, rest, u8
+from analyzer.catalogue import Command, Dialect, Form, Risk, RiskRule, Role, Slots, Subject, Trait, Vector, Verb
+from analyzer.layout import Effect, Field, Layout, reserved, rest, u8
 from analyzer.link import HeadLink, Package, sum8
 from analyzer.protocols import mks_shared as mks
 from analyzer.protocols.mks_rs485_errata import ERRATA
@@ -43,7 +43,13 @@ def _read(verb: Verb, code: int, section: str, summary: str, *fields: Field, **o
 
 def _do(verb: Verb, code: int, section: str, summary: str, *fields: Field, status: Field = _STATUS, **options: Any) -> Command:
     """Declare a command with `fields` as data that is answered with a status; `printed` is its name on the display."""
-    facts: dict[str, Any] = {"risk": mks.SETTING_RISK, "replies": mks.SET, "request": Layout(*fields), "reply": Layout(status)}
+    facts: dict[str, Any] = {
+        "risk": mks.SETTING_RISK,
+        "replies": mks.SET,
+        "request": Layout(*fields),
+        "reply": Layout(status),
+        "motion": mks.MOTIONS.get(verb),
+    }
     return Command(name=verb.value, verb=verb, code=code, section=section, summary=summary, **facts | options)
 
 
@@ -154,7 +160,7 @@ _PARAMETERS = (
     ),
     _do(
         Verb.SET_SUBDIVISION, 0x84, "5.2.5", "Set the pulses of a full step.",
-        u8("subdivision", default=16, printed="micstep", note="0 stands for 256"), printed="MStep",
+        u8("subdivision", default=16, printed="micstep", note="0 stands for 256", effect=Effect.SUBDIVISION), printed="MStep",
         notes=("at another subdivision than 16, 32 or 64 a speed turns the shaft at speed x 16 / subdivision",),
     ),
     _do(
@@ -197,7 +203,7 @@ _PARAMETERS = (
     _do(Verb.SET_KEY_LOCK, 0x8F, "5.2.15", "Lock or unlock the keys.", mks.KEY_LOCK),
     _do(
         Verb.SET_GROUP_ADDRESS, 0x8D, "5.2.16", "Set a second address that several drives share.",
-        u8("group_address", minimum=1, maximum=255, printed="addr"), risk=mks.LINK_RISK,
+        u8("group_address", minimum=1, maximum=255, printed="addr", effect=Effect.GROUP), risk=mks.LINK_RISK,
         notes=("what is sent to a group address is executed and not answered",),
     ),
     # 5.3 Home
@@ -446,4 +452,14 @@ DIALECT = Dialect(
     addresses=(1, 255),
     broadcast=0,
     baud_rates=(38400, 9600, 19200, 25000, 57600, 115200, 256000),
+    family="mks",
+    siblings=("mks-modbus",),
+    chosen_by=mks.Switch.DISABLED,
+    sections=dict.fromkeys(Subject, "4"),
+    traits=frozenset({Trait.LETS_GO_AT_END_LIMIT, Trait.SEEN_WITHOUT_CHECKSUM}),
+    ramp=mks.RAMP,
+    subdivision=mks.SUBDIVISION,
+    counts_per_turn=mks.COUNTS_PER_TURN,
+    mode_speeds=mks.MODE_MAXIMUM_SPEEDS,
+    rates=mks.BAUD_RATES,
 )

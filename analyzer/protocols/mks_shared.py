@@ -23,8 +23,8 @@ from enum import IntEnum
 from fractions import Fraction
 from typing import Any
 
-from analyzer.catalogue import Replies, Risk, RiskRule, Role, Vector, always, when
-from analyzer.layout import Field, Layout, ModelLimits, StatePart, bits, i16, reserved, sint, u8, u16, u32, uint
+from analyzer.catalogue import Motion, MotionKind, Ramp, Replies, Risk, RiskRule, Role, Subdivision, Vector, Verb, always, when
+from analyzer.layout import Effect, Field, Layout, ModelLimits, StatePart, bits, i16, reserved, sint, u8, u16, u32, uint
 
 #: Encoder counts of one turn of the shaft.
 COUNTS_PER_TURN = 16384
@@ -42,12 +42,52 @@ MODE_MAXIMUM_SPEEDS: Mapping[str, int] = {
     "sr_vfoc": 3000,
 }
 
+#: The law of every ramp, and what a subdivision does.
+RAMP = Ramp(unit_ns=50_000, steps=256)
+SUBDIVISION = Subdivision(full_steps=200, counted_at=16, plain=frozenset({16, 32, 64}), largest=256)
+
 #: Bits per second of each member of `BaudRate`.
 BAUD_RATES: Mapping[int, int] = {1: 9600, 2: 19200, 3: 25000, 4: 38400, 5: 57600, 6: 115200, 7: 256000}
 
 #: The names of the commands that run at a speed or to a position, and of those that stop such a run.
 RUNS = ("run_speed", "move_relative_pulses", "move_absolute_pulses", "move_relative_axis", "move_absolute_axis")
 STOPS = ("stop_speed", "stop_relative_pulses", "stop_absolute_pulses", "stop_relative_axis", "stop_absolute_axis")
+
+
+def _motion(kind: MotionKind, *names: str, stop: str = "", tells_end: bool = True, counted_by: str = "") -> Motion:
+    """Declare a motion whose fields have the names of their roles, but for the distance, which is given behind them."""
+    known = {name: name for name in ("speed", "direction", "acceleration") if name in names}
+    distance = next((name for name in names if name not in known), "")
+    stops = (stop, "emergency_stop") if stop else ("emergency_stop",)
+    return Motion(kind=kind, distance=distance, stops=stops, tells_end=tells_end, counted_by=counted_by, **known)
+
+
+_RAMPED_STOP = Motion(kind=MotionKind.STOP, acceleration="acceleration", tells_end=True)
+_HOLD = Motion(kind=MotionKind.HOLD)
+#: What each motion command does, on every link; a link that does not tell the end of a motion says so.
+MOTIONS: Mapping[Verb, Motion] = {
+    Verb.RELEASE_PROTECTION: _HOLD,
+    Verb.ENABLE: _HOLD,
+    Verb.CALIBRATE: _motion(MotionKind.CALIBRATE),
+    Verb.HOME: _motion(MotionKind.HOME),
+    Verb.EMERGENCY_STOP: Motion(kind=MotionKind.STOP),
+    Verb.RUN_SPEED: _motion(MotionKind.RUN, "direction", "speed", "acceleration", stop="stop_speed", tells_end=False),
+    Verb.MOVE_RELATIVE_PULSES: _motion(
+        MotionKind.MOVE_BY, "direction", "speed", "acceleration", "pulses", stop="stop_relative_pulses"
+    ),
+    Verb.MOVE_ABSOLUTE_PULSES: _motion(
+        MotionKind.MOVE_TO, "speed", "acceleration", "position", stop="stop_absolute_pulses", counted_by="read_pulses"
+    ),
+    Verb.MOVE_RELATIVE_AXIS: _motion(MotionKind.MOVE_BY, "speed", "acceleration", "position", stop="stop_relative_axis"),
+    Verb.MOVE_ABSOLUTE_AXIS: _motion(
+        MotionKind.MOVE_TO, "speed", "acceleration", "position", stop="stop_absolute_axis", counted_by="read_position"
+    ),
+    Verb.STOP_SPEED: _RAMPED_STOP,
+    Verb.STOP_RELATIVE_PULSES: _RAMPED_STOP,
+    Verb.STOP_ABSOLUTE_PULSES: _RAMPED_STOP,
+    Verb.STOP_RELATIVE_AXIS: _RAMPED_STOP,
+    Verb.STOP_ABSOLUTE_AXIS: _RAMPED_STOP,
+}
 
 
 # ---- What the numbers of a field mean
@@ -313,12 +353,13 @@ ANGLE_ERROR = sint("angle_error", 32, unit="deg", scale=Fraction(360, 51200), pr
 
 # ---- Fields of settings
 
-WORK_MODE = u8("work_mode", choices=WorkMode, default=WorkMode.CR_VFOC, printed="mode")
+WORK_MODE = u8("work_mode", choices=WorkMode, default=WorkMode.CR_VFOC, printed="mode", effect=Effect.WORK_MODE)
 CURRENT = u16(
     "current",
     maximum=5200,
     unit="mA",
     printed="Current",
+    effect=Effect.CURRENT,
     models={
         "42D": ModelLimits(maximum=3000, default=1600),
         "57D": ModelLimits(maximum=5200, default=3200),
@@ -326,23 +367,25 @@ CURRENT = u16(
         "35D": ModelLimits(maximum=3000, default=800),
     },
 )
-HOLDING_CURRENT = u8("holding_current", choices=HoldingCurrent, default=HoldingCurrent.PERCENT_50, printed="holdMa")
+HOLDING_CURRENT = u8(
+    "holding_current", choices=HoldingCurrent, default=HoldingCurrent.PERCENT_50, printed="holdMa", effect=Effect.CURRENT
+)
 ENABLE_LEVEL = u8("enable_level", choices=EnableLevel, default=EnableLevel.ACTIVE_LOW, printed="enable")
 MOTOR_DIRECTION = u8("motor_direction", choices=ConfigDirection, default=ConfigDirection.CW, printed="dir")
 SCREEN_OFF = u8("screen_off", choices=Switch, default=Switch.DISABLED, printed="enable")
 PROTECTION = u8("protection", choices=Switch, default=Switch.DISABLED, printed="enable")
 INTERPOLATION = u8("interpolation", choices=Switch, default=Switch.ENABLED, printed="enable")
-BAUD_RATE = u8("baud_rate", choices=BaudRate, default=BaudRate.BAUD_38400, printed="baud")
-RESPOND = u8("respond", choices=Switch, default=Switch.ENABLED, printed="respon")
-ACTIVE = u8("active", choices=Switch, default=Switch.ENABLED, printed="active")
-MODBUS = u8("modbus", choices=Switch, default=Switch.DISABLED, printed="enable")
+BAUD_RATE = u8("baud_rate", choices=BaudRate, default=BaudRate.BAUD_38400, printed="baud", effect=Effect.BAUD_RATE)
+RESPOND = u8("respond", choices=Switch, default=Switch.ENABLED, printed="respon", effect=Effect.RESPOND)
+ACTIVE = u8("active", choices=Switch, default=Switch.ENABLED, printed="active", effect=Effect.ACTIVE)
+MODBUS = u8("modbus", choices=Switch, default=Switch.DISABLED, printed="enable", effect=Effect.DIALECT)
 KEY_LOCK = u8("key_lock", choices=KeyLock, printed="enable")
 LIMIT_REMAP = u8("limit_remap", choices=Switch, printed="enable")
 ENABLED = u8("enabled", choices=Switch, printed="en")
 
 HOME_TRIGGER = u8("home_trigger", choices=Level, default=Level.LOW, printed="HmTrig")
 HOME_DIRECTION = u8("home_direction", choices=ConfigDirection, default=ConfigDirection.CW, printed="HmDir")
-HOME_SPEED = u16("home_speed", maximum=3000, unit="rpm", printed="HmSpeed")
+HOME_SPEED = u16("home_speed", maximum=3000, unit="rpm", printed="HmSpeed", effect=Effect.HOME_SPEED)
 END_LIMIT = u8("end_limit", choices=Switch, default=Switch.DISABLED, printed="EndLimit")
 
 RETURN_ANGLE = u32("return_angle", unit="counts", default=0x2000, printed="retValue", note="0x4000 is a whole turn")
@@ -352,6 +395,7 @@ HOME_CURRENT = u16(
     maximum=5200,
     unit="mA",
     printed="ma",
+    effect=Effect.CURRENT,
     models={
         "42D": ModelLimits(maximum=3000, default=800),
         "57D": ModelLimits(maximum=5200, default=400),
@@ -370,7 +414,8 @@ SAVE_STATE = u8("save_state", choices=SaveState, printed="state")
 
 def new_address(maximum: int, **options: Any) -> Field:
     """Declare the address a drive is to take, 1..`maximum`; 0 is that of all drives and is refused."""
-    return u8("new_address", **{"minimum": 1, "maximum": maximum, "default": 1, "printed": "addr"} | options)
+    facts: dict[str, Any] = {"minimum": 1, "maximum": maximum, "default": 1, "printed": "addr", "effect": Effect.ADDRESS}
+    return u8("new_address", **facts | options)
 
 
 #: The reply of a setting.

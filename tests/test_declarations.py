@@ -1,0 +1,247 @@
+"""What the catalogue says of motion, effects and dialects: each declaration equals the table that a reader kept before."""
+
+from __future__ import annotations
+
+import pytest
+
+from analyzer import dialects
+from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Subject, Trait, Verb
+from analyzer.layout import Effect, Field
+from analyzer.protocols import mks_can, mks_shared
+from conformance.claims import framing, hearing, homing, motion_runs, shape
+from conformance.drives.mks import paths, state
+from conformance.drives.speed import SPEEDS
+from conformance.gate import bounds
+from conformance.motion import moves, ramp
+from conformance.safety import stopping
+from conformance.talk import no_checksum
+
+ALL = tuple(dialects.every())
+MKS = tuple(d for d in ALL if d.family == "mks")
+MOVES = (MotionKind.MOVE_BY, MotionKind.MOVE_TO)
+EVERY = pytest.mark.parametrize("dialect", ALL, ids=lambda d: d.name)
+EVERY_MKS = pytest.mark.parametrize("dialect", MKS, ids=lambda d: d.name)
+
+
+def verbs(dialect: Dialect, *kinds: MotionKind) -> set[Verb]:
+    return {c.verb for c in dialect.motions(*kinds)}
+
+
+def having(dialect: Dialect, *wanted: Verb) -> set[Verb]:
+    return set(dialect.by_verb) & set(wanted)
+
+
+def named(command: Command) -> dict[str, Field]:
+    return command.request_forms[0].layout.named
+
+
+# --- motion -----------------------------------------------------------------------------------------------------------
+
+
+@EVERY
+def test_the_bounds_knew_these_motions(dialect: Dialect) -> None:
+    known = set(dialect.by_verb)
+    assert verbs(dialect, MotionKind.STOP) == bounds.STOPS & known
+    assert verbs(dialect, MotionKind.RUN, MotionKind.TORQUE) == bounds.RUNS & known
+    assert verbs(dialect, *MOVES, MotionKind.MOVE_IN_TURN) == bounds.MOVES & known
+    assert verbs(dialect, MotionKind.HOME, MotionKind.CALIBRATE) == bounds.OWN_WAYS & known
+    assert verbs(dialect, MotionKind.MOVE_IN_TURN) == {Verb.MOVE_SINGLE_TURN} & known
+    assert verbs(dialect, MotionKind.RUN) == {Verb.RUN_SPEED} & known
+
+
+@EVERY
+def test_stops_come_gentlest_first(dialect: Dialect) -> None:
+    stops = [c.verb for c in dialect.motions(MotionKind.STOP)]
+    assert set(stops) == having(dialect, *stopping.RAMPED, *stopping.AT_ONCE)
+    for command in dialect.commands:
+        ends = [c.verb for c in dialect.stops_of(command)]
+        assert len(ends) == len(command.motion.stops if command.motion else ())
+        if ends and dialect.family == "mks":
+            assert ends == [*(s for s in (moves.STOP_OF.get(command.verb),) if s), Verb.EMERGENCY_STOP]
+        elif ends:
+            assert ends == [Verb.STOP]
+
+
+@EVERY
+def test_what_risks_motion_says_which(dialect: Dialect) -> None:
+    risky = {c.name for c in dialect.commands if c.moves and c.slots is None}
+    assert risky == {c.name for c in dialect.commands if c.motion is not None}
+
+
+@EVERY
+def test_a_motion_names_fields_and_commands_that_are_there(dialect: Dialect) -> None:
+    for command in dialect.commands:
+        motion = command.motion
+        if motion is None:
+            continue
+        fields = named(command)
+        assert {motion.speed, motion.distance, motion.direction, motion.acceleration} - {""} <= fields.keys()
+        assert {*motion.stops, motion.counted_by} - {""} <= dialect.by_name.keys()
+        assert all(dialect.by_name[s].motion.kind is MotionKind.STOP for s in motion.stops)  # type: ignore[union-attr]
+        if motion.kind is MotionKind.STOP:
+            continue
+        # Nothing that bears on a motion is left unsaid.
+        assert motion.speed == next((n for n, f in fields.items() if f.unit in ("rpm", "deg/s")), "")
+        assert motion.distance == next((n for n in ("pulses", "position", "angle") if n in fields), "")
+        assert bool(motion.direction) == ("direction" in fields)
+        assert bool(motion.acceleration) == ("acceleration" in fields)
+        assert bool(motion.counted_by) == (motion.kind in (MotionKind.MOVE_TO, MotionKind.MOVE_IN_TURN))
+
+
+@EVERY
+def test_a_motion_whose_end_is_told_has_an_interim_reply(dialect: Dialect) -> None:
+    for command in dialect.commands:
+        if command.motion is not None:
+            assert command.motion.tells_end == bool(command.replies.interim), command.name
+
+
+@EVERY
+def test_the_claims_knew_these_moves(dialect: Dialect) -> None:
+    assert moves.is_mks(dialect) == (dialect.ramp is not None)
+    if dialect.ramp is None:
+        return
+    moving = dialect.motions(*MOVES)
+    assert moves.moves(dialect) == moving
+    assert {c.motion.tells_end for c in moving if c.motion} == {moves.tells(dialect)}
+    for command in moving:
+        motion = command.motion
+        assert motion is not None
+        assert moves.is_absolute(command) == (motion.kind is MotionKind.MOVE_TO)
+        assert moves.by_pulses(command) == (named(command)[motion.distance].unit == "pulses")
+        if motion.counted_by:
+            assert dialect.by_name[motion.counted_by].verb is moves._COUNTED[command.verb]
+    assert tuple(c.name for c in dialect.motions(MotionKind.RUN, *MOVES)) == mks_shared.RUNS
+    assert tuple(c.name for c in dialect.motions(MotionKind.STOP) if c.motion and c.motion.acceleration) == mks_shared.STOPS
+
+
+# --- effects ----------------------------------------------------------------------------------------------------------
+
+#: Effect -> the settings that had it, by their fields.
+SETTINGS = {
+    Effect.ADDRESS: {Verb.SET_ADDRESS: "new_address"},
+    Effect.BAUD_RATE: {Verb.SET_BAUD_RATE: "baud_rate", Verb.SET_BIT_RATE: "bit_rate"},
+    Effect.GROUP: {Verb.SET_GROUP_ADDRESS: "group_address"},
+    Effect.RESPOND: {Verb.SET_RESPOND: "respond"},
+    Effect.ACTIVE: {Verb.SET_RESPOND: "active"},
+    Effect.DIALECT: {Verb.SET_MODBUS: "modbus"},
+    Effect.SUBDIVISION: {Verb.SET_SUBDIVISION: "subdivision"},
+    Effect.WORK_MODE: {Verb.SET_WORK_MODE: "work_mode"},
+    Effect.HOME_SPEED: {Verb.SET_HOME: "home_speed"},
+}
+
+
+@EVERY
+@pytest.mark.parametrize("effect", SETTINGS)
+def test_what_a_setting_changes(dialect: Dialect, effect: Effect) -> None:
+    expected = {verb: name for verb, name in SETTINGS[effect].items() if verb in dialect.by_verb}
+    assert {command.verb: field.name for command, field in dialect.effects(effect)} == expected
+    assert (dialect.effect(effect) is None) == (not expected)
+
+
+@EVERY
+def test_currents_are_those_that_the_bounds_knew(dialect: Dialect) -> None:
+    expected = {
+        (c.name, name)
+        for c in dialect.commands
+        for form in c.request_forms
+        for name, field in form.layout.named.items()
+        if bounds._is_current(name, field)
+    }
+    assert {(c.name, f.name) for c, f in dialect.effects(Effect.CURRENT)} == expected
+
+
+@EVERY
+def test_speeds_of_the_line(dialect: Dialect) -> None:
+    found = dialect.effect(Effect.BAUD_RATE)
+    if found is None:
+        assert not dialect.rates
+        return
+    field = found[1]
+    assert dialect.rates == SPEEDS[field.name]
+    assert set(dialect.rates) == set(field.choice_names)
+    assert field.default is not None
+    default = dialect.rates[field.default]
+    assert dialect.baud_rates == (default, *(r for r in dialect.rates.values() if r != default))
+
+
+# --- dialects ---------------------------------------------------------------------------------------------------------
+
+
+def test_families_and_siblings() -> None:
+    assert {d.name: d.family for d in ALL} == {d.name: d.name.split("-")[0] for d in ALL}
+    assert {d.name: d.siblings for d in ALL if d.siblings} == {"mks-rs485": ("mks-modbus",), "mks-modbus": ("mks-rs485",)}
+
+
+@EVERY
+def test_a_drive_that_speaks_several_dialects_says_by_which_value(dialect: Dialect) -> None:
+    assert bool(dialect.siblings) == (dialect.effect(Effect.DIALECT) is not None) == (dialect.chosen_by is not None)
+    if dialect.siblings:
+        assert [dialect.switched(value) for value in (0, 1)] == ["mks-rs485", "mks-modbus"]
+        assert dialect.chosen_by == int(dialect.name.endswith("modbus"))
+
+
+@EVERY
+def test_sections_of_what_belongs_to_no_command(dialect: Dialect) -> None:
+    assert set(dialect.sections) == set(Subject)
+    assert dialect.sections[Subject.FRAMING] == dialect.sections[Subject.ADDRESSING] == hearing.section(dialect)
+    assert dialect.sections[Subject.SILENCE] == shape._QUIET_SECTIONS.get(dialect.name, "4")
+
+
+@EVERY
+def test_traits(dialect: Dialect) -> None:
+    assert (Trait.LETS_GO_AT_END_LIMIT in dialect.traits) == homing._LETS_GO.get(dialect.name, False)
+    assert (Trait.DIRECTION_TURNS_BUS_MOTION in dialect.traits) == motion_runs._DIRECTION_TURNS_BUS.get(dialect.name, False)
+    assert (Trait.SEEN_WITHOUT_CHECKSUM in dialect.traits) == (dialect.name in no_checksum.DIALECTS)
+    assert dialect.unlisted_codes == framing._FIRMWARE_CODES.get(dialect.name, ())
+    assert not set(dialect.unlisted_codes) & {c.code for c in dialect.commands}
+
+
+@EVERY_MKS
+def test_the_ramp(dialect: Dialect) -> None:
+    law = dialect.ramp
+    assert law is not None
+    for acceleration in range(1, law.steps):
+        expected = (law.steps - acceleration) * law.unit_ns
+        assert ramp.step_ns(acceleration) == paths.ramp_step_ns(acceleration) == expected
+    assert {ramp.UNIT_NS, paths.RAMP_UNIT_NS} == {law.unit_ns}
+
+
+@EVERY_MKS
+def test_the_subdivision(dialect: Dialect) -> None:
+    rule = dialect.subdivision
+    assert rule is not None
+    assert rule.full_steps == bounds.STEPS_PER_TURN == moves.STEPS_PER_TURN == state.STEPS_PER_TURN
+    assert rule.plain == bounds.PLAIN_SUBDIVISIONS == set(state.PLAIN_SUBDIVISIONS)
+    assert rule.counted_at == bounds.SPEED_SUBDIVISION == state.PLAIN_SUBDIVISIONS[0]
+    assert rule.largest == bounds._LARGEST_SUBDIVISION == state.WIDEST_SUBDIVISION
+    setting = dialect.effect(Effect.SUBDIVISION)
+    assert setting is not None
+    assert setting[1].default == moves.SUBDIVISION
+
+
+@EVERY
+def test_only_a_drive_with_the_setting_has_a_rule(dialect: Dialect) -> None:
+    assert (dialect.subdivision is not None) == bounds.has_subdivision(dialect)
+
+
+@EVERY_MKS
+def test_the_encoder_and_the_speeds_of_the_modes(dialect: Dialect) -> None:
+    assert dialect.counts_per_turn == mks_shared.COUNTS_PER_TURN == mks_shared.ENCODER.high + 1
+    setting = dialect.effect(Effect.WORK_MODE)
+    modes = set(dialect.by_name["run_speed"].modes)
+    assert setting is not None
+    assert modes <= set(setting[1].choice_names.values())
+    if dialect.mode_speeds:
+        assert dialect.mode_speeds == mks_shared.MODE_MAXIMUM_SPEEDS
+        assert set(dialect.mode_speeds) == set(setting[1].choice_names.values())
+    else:
+        assert modes == set(mks_can.BUS_MODES)
+        assert not modes & mks_shared.MODE_MAXIMUM_SPEEDS.keys()
+
+
+@EVERY
+def test_what_may_not_end_is_declared_so(dialect: Dialect) -> None:
+    for command in dialect.motions(*MOVES, MotionKind.MOVE_IN_TURN, MotionKind.HOLD, MotionKind.STOP):
+        assert Risk.UNBOUNDED not in command.all_risks
+    for command in dialect.motions(MotionKind.RUN, MotionKind.TORQUE, MotionKind.HOME, MotionKind.CALIBRATE):
+        assert Risk.UNBOUNDED in command.all_risks
