@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
-from analyzer.catalogue import Command, Dialect, Risk
+from analyzer.catalogue import Command, Dialect, Risk, Verb
 from conformance.claim import Aspect, Claim, Refuted, Theme
 from conformance.claims.declare import Case, Cases, claim, declare
-from conformance.motion import motion
+from conformance.motion import motion, moves
 from conformance.motion.motion import SAME, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
@@ -67,7 +67,8 @@ def of_motion(
     refuted_by: Any,
     theme: Theme = Theme.MOTION,
     risks: Callable[[Case], Iterable[Risk]] | Iterable[Risk] = (),
-    settings: Iterable[str] = (),
+    own: Callable[[Case], Iterable[Risk]] | None = None,
+    settings: Callable[[Case], Iterable[str]] | Iterable[str] = (),
     still: bool = False,
     **facts: Any,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -77,11 +78,13 @@ def of_motion(
         return tuple(dict.fromkeys(n for f in _command(case).request_forms for n in f.layout.named))
 
     def all_risks(case: Case) -> frozenset[Risk]:
-        more = {*(risks(case) if callable(risks) else risks), *(_command(case).all_risks - {Risk.UNKNOWN})}
+        of_command = _command(case).all_risks - {Risk.UNKNOWN} if own is None else own(case)
+        more = {*(risks(case) if callable(risks) else risks), *of_command}
         return frozenset(more) if still else motion.risks(case.dialect, *more)
 
     def all_settings(case: Case) -> tuple[str, ...]:
-        return tuple(settings) if still else motion.settings(case.dialect, *settings)
+        more = settings(case) if callable(settings) else settings
+        return tuple(more) if still else motion.settings(case.dialect, *more)
 
     facts = {"aspect": Aspect.MOTION, "fields": named, **facts}
     return claim(theme, each=each, refuted_by=refuted_by, risks=all_risks, settings=all_settings, **facts)
@@ -93,8 +96,18 @@ def _command(case: Case) -> Command:
 
 
 def risks_of(*names: str) -> Callable[[Case], frozenset[Risk]]:
-    """Return the risks of commands among the arguments of a case, by their names there, or by their verbs."""
+    """Return what tells all risks of some arguments of a case, which are commands."""
     return lambda case: frozenset().union(*(case[name].all_risks for name in names))
+
+
+def risks_by(*verbs: Verb) -> Callable[[Case], frozenset[Risk]]:
+    """Return what tells all risks of the commands of some verbs, those that the dialect has."""
+    return lambda case: frozenset().union(*(c.all_risks for v in verbs if (c := case.dialect.by_verb.get(v)) is not None))
+
+
+def that_tell_their_end(each: Cases) -> Cases:
+    """Return those of some cases whose dialect tells the end of a motion by a reply of its own."""
+    return lambda dialect: each(dialect) if moves.tells(dialect) else ()
 
 
 def _run(check: Check, name: str, probe: Probe) -> None:
