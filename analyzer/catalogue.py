@@ -12,7 +12,7 @@ behind one code, replies that carry another command's code, and models that answ
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
@@ -60,6 +60,33 @@ class Damage(StrEnum):
 
     MANUAL = "manual"
     SCAN = "scan"
+
+
+class Doubt(StrEnum):
+    """What an erratum leaves in doubt about a command, a field or a whole dialect.
+
+    `effect`: what a setting does. `meaning`: what a value or a stored parameter stands for. `values`: which are allowed.
+    `limits`: what happens beyond them. `layout`: which bytes there are. `example`: what a printed frame is answered with.
+    `sequence`: how commands act on one another.
+    """
+
+    ADDRESSING = "addressing"
+    CHECK = "check"
+    CHECK_OF_ADDRESS = "check_of_address"
+    DELAY = "delay"
+    ECHO = "echo"
+    EFFECT = "effect"
+    EXAMPLE = "example"
+    LAYOUT = "layout"
+    LIMITS = "limits"
+    MEANING = "meaning"
+    REFUSAL = "refusal"
+    REPLY_COUNT = "reply_count"
+    REPLY_VALUES = "reply_values"
+    RESERVED = "reserved"
+    SEQUENCE = "sequence"
+    SIGN = "sign"
+    VALUES = "values"
 
 
 class Verb(StrEnum):
@@ -322,7 +349,8 @@ class Erratum:
     """A place where the manual contradicts itself, its arithmetic, a standard or its scan.
 
     `section`: one or several, with commas between them; a range is written `8.3.3 to 8.3.7`. `commands`: the names of
-    commands that it is about without standing in their sections.
+    commands that it is about without standing in their sections. `bears_on`: what it leaves in doubt, each with the names of
+    the commands or fields for which; without any it is so for the whole dialect.
     """
 
     id: str
@@ -334,6 +362,12 @@ class Erratum:
     certainty: Certainty
     damage: Damage = Damage.MANUAL
     commands: tuple[str, ...] = ()
+    bears_on: Mapping[Doubt, tuple[str, ...]] = field(default_factory=dict)
+
+    def doubts(self, doubt: Doubt, names: Collection[str]) -> bool:
+        """Say whether it leaves a thing in doubt about commands and fields of these names."""
+        about = self.bears_on.get(doubt)
+        return about is not None and (not about or any(name in about for name in names))
 
 
 @dataclass(frozen=True, slots=True)

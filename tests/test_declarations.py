@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from analyzer import dialects
-from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Subject, Trait, Verb
+from analyzer.catalogue import Command, Dialect, Doubt, MotionKind, Risk, Subject, Trait, Verb
 from analyzer.layout import Effect, Field
 from analyzer.protocols import mks_can, mks_shared
 from conformance.claims import framing, hearing, homing, motion_runs, shape
@@ -245,3 +245,23 @@ def test_what_may_not_end_is_declared_so(dialect: Dialect) -> None:
         assert Risk.UNBOUNDED not in command.all_risks
     for command in dialect.motions(MotionKind.RUN, MotionKind.TORQUE, MotionKind.HOME, MotionKind.CALIBRATE):
         assert Risk.UNBOUNDED in command.all_risks
+
+
+# --- errata -----------------------------------------------------------------------------------------------------------
+
+
+@EVERY
+def test_an_erratum_bears_on_commands_and_fields_that_are_there(dialect: Dialect) -> None:
+    fields = {name for c in dialect.commands for form in c.request_forms for name in form.layout.named}
+    for erratum in dialect.errata:
+        named = {name for names in erratum.bears_on.values() for name in names}
+        assert named <= dialect.by_name.keys() | fields, erratum.id
+
+
+def test_an_erratum_leaves_in_doubt_what_it_names() -> None:
+    erratum = next(e for e in dialects.get("mks-can").errata if e.id == "mks-can-42")
+    assert erratum.doubts(Doubt.LIMITS, ("write_io", "pend_mask"))
+    assert not erratum.doubts(Doubt.LIMITS, ("write_io",))
+    assert not erratum.doubts(Doubt.VALUES, ("pend_mask",))
+    whole = next(e for e in dialects.get("lk-rs485").errata if e.id == "lk-rs485-28")
+    assert whole.doubts(Doubt.SIGN, ())

@@ -8,7 +8,7 @@ the pages before the first command go by their own headings.
 
 from __future__ import annotations
 
-from analyzer.catalogue import Certainty, Damage, Erratum
+from analyzer.catalogue import Certainty, Damage, Doubt, Erratum
 
 ERRATA: tuple[Erratum, ...] = (
     # --- contents and the pages before the first command ---
@@ -56,6 +56,7 @@ ERRATA: tuple[Erratum, ...] = (
         taken_as="a reply with the same address follows; its delay is observed; the emulated drive waits 0.25 ms",
         why="the sentence is cut in two; the vendor's CAN manual has replies within 0.25 ms, on another bus",
         certainty=Certainty.OPEN,
+        bears_on={Doubt.DELAY: ()},
     ),
     Erratum(
         id="lk-rs485-06",
@@ -65,6 +66,7 @@ ERRATA: tuple[Erratum, ...] = (
         taken_as="each command has its own length",
         why="the tables have lengths from 0x00 to 0x0C",
         certainty=Certainty.CERTAIN,
+        bears_on={Doubt.LAYOUT: ()},
     ),
     Erratum(
         id="lk-rs485-07",
@@ -74,6 +76,7 @@ ERRATA: tuple[Erratum, ...] = (
         taken_as="the length counts the data bytes without their check byte",
         why="section 1 has length 0x07 with seven DATA bytes and a DATA_SUM, eight bytes in all",
         certainty=Certainty.CERTAIN,
+        bears_on={Doubt.LAYOUT: ()},
     ),
     Erratum(
         id="lk-rs485-08",
@@ -83,6 +86,7 @@ ERRATA: tuple[Erratum, ...] = (
         taken_as="the low byte of the sum of the four bytes before it, also when the length is 0",
         why="every table says CMD[0]~CMD[3]",
         certainty=Certainty.CERTAIN,
+        bears_on={Doubt.CHECK: ()},
     ),
     Erratum(
         id="lk-rs485-09",
@@ -92,6 +96,7 @@ ERRATA: tuple[Erratum, ...] = (
         taken_as="there when the length is above 0, absent when it is 0; it sums the data alone",
         why="tables with length 0x00 end at CMD_SUM, all others end at DATA_SUM over the DATA bytes",
         certainty=Certainty.CERTAIN,
+        bears_on={Doubt.CHECK: ()},
     ),
     Erratum(
         id="lk-rs485-10",
@@ -157,6 +162,7 @@ ERRATA: tuple[Erratum, ...] = (
         taken_as="one byte of two values; another value is reported as unlisted",
         why="only bit 4 differs between the two, and no other bit is explained",
         certainty=Certainty.LIKELY,
+        bears_on={Doubt.REPLY_VALUES: ("read_state_1", "clear_errors")},
     ),
     Erratum(
         id="lk-rs485-16",
@@ -247,6 +253,7 @@ ERRATA: tuple[Erratum, ...] = (
         taken_as="the state after switching is expected; what is seen is reported",
         why="the manual describes the byte without saying when it is taken",
         certainty=Certainty.OPEN,
+        bears_on={Doubt.REPLY_VALUES: ("brake",), Doubt.EXAMPLE: ("brake",)},
     ),
     # --- 9 to 17: motion ---
     Erratum(
@@ -275,6 +282,7 @@ ERRATA: tuple[Erratum, ...] = (
         taken_as="positive is clockwise, and raises the position that 0x92 reads",
         why="0x92 and 0x94 count clockwise upward; a position that is commanded must be the one that is read",
         certainty=Certainty.LIKELY,
+        bears_on={Doubt.SIGN: (), Doubt.SEQUENCE: ()},
     ),
     Erratum(
         id="lk-rs485-29",
@@ -284,6 +292,7 @@ ERRATA: tuple[Erratum, ...] = (
         taken_as="limits that the vendor's setup program sets; no tie to parameters 30 to 38 is assumed",
         why="inputSpeedLimit, inputAngleLimit and inputTorqueLimit sound like three of them; no text joins them",
         certainty=Certainty.OPEN,
+        bears_on={Doubt.EFFECT: ("write_parameter",)},
     ),
     Erratum(
         id="lk-rs485-30",
@@ -293,6 +302,7 @@ ERRATA: tuple[Erratum, ...] = (
         taken_as="any value is allowed, 0 too; what the drive does with 0 is observed",
         why="the range has no lower end in print; a drive was seen to move at 600 to 800 deg/s with 0",
         certainty=Certainty.OPEN,
+        bears_on={Doubt.MEANING: ("max_speed",)},
     ),
     Erratum(
         id="lk-rs485-31",
@@ -348,6 +358,7 @@ ERRATA: tuple[Erratum, ...] = (
         taken_as="the reply is what the drive holds, whether or not it equals what was sent",
         why="the text says after writing, and no limits are printed",
         certainty=Certainty.OPEN,
+        bears_on={Doubt.ECHO: ("write_parameter",), Doubt.EXAMPLE: ("write_parameter",), Doubt.LIMITS: ("write_parameter",)},
     ),
     Erratum(
         id="lk-rs485-37",
@@ -438,6 +449,7 @@ ERRATA: tuple[Erratum, ...] = (
         taken_as="an echo of the ten bytes, data included",
         why="the words are those of 0x80, 0x81, 0x88 and 0x93, which are echoed whole; eight is a CAN frame's data",
         certainty=Certainty.LIKELY,
+        bears_on={Doubt.ECHO: ("set_position",)},
     ),
     Erratum(
         id="lk-rs485-47",
@@ -458,6 +470,7 @@ ERRATA: tuple[Erratum, ...] = (
         why="0.01 deg/s and 0.01 deg would fit speed and angle, but nothing says so",
         certainty=Certainty.OPEN,
         commands=("read_parameter", "write_parameter"),
+        bears_on={Doubt.EFFECT: ("write_parameter",), Doubt.LIMITS: ("write_parameter",)},
     ),
     Erratum(
         id="lk-rs485-49",
@@ -468,6 +481,7 @@ ERRATA: tuple[Erratum, ...] = (
         why="section 18 sends unused bytes as 0x00",
         certainty=Certainty.LIKELY,
         commands=("read_parameter", "write_parameter"),
+        bears_on={Doubt.RESERVED: ("read_parameter", "write_parameter")},
     ),
     Erratum(
         id="lk-rs485-50",

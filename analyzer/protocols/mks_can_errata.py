@@ -10,7 +10,7 @@ Not known here: what the figures show; they are not in the text.
 
 from __future__ import annotations
 
-from analyzer.catalogue import Certainty, Damage, Erratum
+from analyzer.catalogue import Certainty, Damage, Doubt, Erratum
 from analyzer.protocols.mks_shared import RUNS, STOPS
 
 _CERTAIN, _LIKELY, _OPEN = Certainty.CERTAIN, Certainty.LIKELY, Certainty.OPEN
@@ -101,6 +101,7 @@ ERRATA = (
         "3000 rpm",
         "1.2, 3.2.2 and each speed parameter of Part 4 end at 3000",
         _LIKELY, commands=RUNS,
+        bears_on={Doubt.LIMITS: ("speed",)},
     ),
     Erratum(
         "mks-can-13", "1.2, 1.3", "2048 slave addresses; 1 broadcast address, 2047 slave addresses",
@@ -123,6 +124,7 @@ ERRATA = (
         "the low byte of the sum of the ID and all bytes before it",
         "every complete frame but two fits it, those of IDs 00, 50 and 51 too",
         _CERTAIN,
+        bears_on={Doubt.CHECK: ()},
     ),
     Erratum(
         "mks-can-16", "3.2.11, 3.2.14", "IDs up to 7FF; a checksum over the ID",
@@ -130,6 +132,7 @@ ERRATA = (
         "the whole ID is added, so that only its low byte counts",
         "a sum of one byte over a number takes just that; adding both bytes of the ID would need a split",
         _LIKELY,
+        bears_on={Doubt.CHECK_OF_ADDRESS: ()},
     ),
     Erratum(
         "mks-can-17", "3.1.5 to 3.1.9", "Command5, Command7, Command8, Command10, Command11 as items 5 to 9",
@@ -165,6 +168,7 @@ ERRATA = (
         "counter-clockwise raises what 30 and 31 return; cal is about the bare encoder",
         "30 and 31 would otherwise depend on the wiring, which a calibration is there to even out",
         _OPEN,
+        bears_on={Doubt.SIGN: ("read_encoder_carry", "read_position", "read_version")},
     ),
     Erratum(
         "mks-can-22", "3.1.2", "0xFFFFFFFFF0",
@@ -186,6 +190,7 @@ ERRATA = (
         "42E: in_1 home or left limit, in_2 the level of En; 57E: in_2 home or left limit, in_1 right limit",
         "1.4 gives the 42E one input beside En",
         _LIKELY,
+        bears_on={Doubt.EFFECT: ("set_limit_remap",)},
     ),
     Erratum(
         "mks-can-25", "1.4, 3.1.5, 3.3", "ALM 1: no alarm; PEND 1: in place; both outputs close when it happens",
@@ -193,6 +198,7 @@ ERRATA = (
         "read as printed; written values are levels in the sense of the read ones",
         "only 3.1.5 names bits",
         _OPEN,
+        bears_on={Doubt.EFFECT: ("write_io",)},
     ),
     Erratum(
         "mks-can-26", "3.1.6", "an error of 1 degree is returned as 142.222",
@@ -207,6 +213,7 @@ ERRATA = (
         "whether the motor is enabled, by pin or by F3",
         "the values are named Enabled and Disabled, and in bus modes F3 decides instead of the pin",
         _LIKELY,
+        bears_on={Doubt.MEANING: ("read_enabled", "set_enable_level")},
     ),
     Erratum(
         "mks-can-28", "3.1.8", "3D under the commands that read",
@@ -229,6 +236,7 @@ ERRATA = (
         "0..3000 mA, on the 57E 0..5200 mA",
         "1.3 has 0-3000 mA and 0-5200 mA",
         _LIKELY,
+        bears_on={Doubt.VALUES: ("current",)},
     ),
     Erratum(
         "mks-can-31", "3.2.4, 1.3", "micstep(00~FF); 0, 2, 4, ..., 200; 2/4/8/.../256",
@@ -236,6 +244,7 @@ ERRATA = (
         "the sixteen values of the note, others are refused; 0 stands for 256",
         "with 0 read as 256 the note and 1.3 list the same subdivisions",
         _LIKELY,
+        bears_on={Doubt.VALUES: ("subdivision",), Doubt.EFFECT: ("set_subdivision",)},
     ),
     Erratum(
         "mks-can-32", "3.2.4", "reply: 3 | byte1 byte2 | CRC",
@@ -285,6 +294,7 @@ ERRATA = (
         "a drive has an ID of 1..7FF; setting 0 is refused",
         "a drive with the ID of all could not be told from the others; 1.3 counts 2047",
         _LIKELY,
+        bears_on={Doubt.VALUES: ("new_address",)},
     ),
     Erratum(
         "mks-can-38", "3.2.12", "respond 0: no information at all is returned",
@@ -292,6 +302,7 @@ ERRATA = (
         "respond 0 silences the replies of F6, FD, FE, F4 and F5",
         "the setting is explained by a motion command, and what replaces its replies is a read",
         _LIKELY, commands=(*RUNS, *STOPS),
+        bears_on={Doubt.EFFECT: ("set_respond",), Doubt.SEQUENCE: ()},
     ),
     Erratum(
         "mks-can-39", "3.2.14", "no answer if a group address is used",
@@ -299,6 +310,7 @@ ERRATA = (
         "neither is answered",
         "replies of six drives under one ID would collide",
         _LIKELY,
+        bears_on={Doubt.ADDRESSING: ()},
     ),
     Erratum(
         "mks-can-40", "3.2.14", "group ID(01~0x7FF), no default",
@@ -306,6 +318,7 @@ ERRATA = (
         "1..7FF can be set; what is read before that is observed",
         "the range begins with 1",
         _OPEN,
+        bears_on={Doubt.MEANING: ("group_address",)},
     ),
     # 3.3 to 3.5
     Erratum(
@@ -314,6 +327,7 @@ ERRATA = (
         "bits 7-6 alm_mask, 5-4 pend_mask, 3 ALM, 2 PEND, 1-0 zero",
         "the masks take three values, so two bits each; ALM and PEND then stand where 34 reads them",
         _LIKELY, Damage.SCAN,
+        bears_on={Doubt.EFFECT: ("write_io",)},
     ),
     Erratum(
         "mks-can-42", "3.3", "mask 0: do not write; 2: the port remains unchanged; nothing on 3",
@@ -321,6 +335,7 @@ ERRATA = (
         "0 gives the port back to its alarm or in-place signal, 2 keeps what was written; 3 is refused",
         "0 alone names the default signal of the port",
         _OPEN,
+        bears_on={Doubt.EFFECT: ("write_io",), Doubt.LIMITS: ("alm_mask", "pend_mask")},
     ),
     Erratum(
         "mks-can-43", "3.4.1, 3.4.5", "level, homeTrig, HmTrig; trig; hmTrig = 2",
@@ -363,6 +378,7 @@ ERRATA = (
         "93, current in mA as uint16, check",
         "the heads leave two bytes, the text gives a current up to 5200 mA, and 83 has the same columns",
         _LIKELY,
+        bears_on={Doubt.LAYOUT: ("set_no_limit_current",)},
     ),
     Erratum(
         "mks-can-48", "3.4.5, 3.4.4", "94: DLC 6; Byte2-5 retValue, Byte6-7 ma, Byte8 check",
@@ -370,6 +386,7 @@ ERRATA = (
         "eight bytes; the six-byte form is understood too",
         "head and field of the table both have the current; which of the two a drive takes is only observed",
         _OPEN,
+        bears_on={Doubt.LAYOUT: ("set_no_limit_home",)},
     ),
     Erratum(
         "mks-can-49", "3.4.5", "trig 0, 1, 2: what starts homing",
@@ -384,6 +401,7 @@ ERRATA = (
         "0..0xFFFFFFFF",
         "bytes 2 to 5 hold eight digits",
         _LIKELY,
+        bears_on={Doubt.VALUES: ("return_angle",)},
     ),
     Erratum(
         "mks-can-51", "1.4, 3.4.6", "remapped, pulse control fails; invalid for the 57E and in pulse control",
@@ -391,6 +409,7 @@ ERRATA = (
         "a command of the 42E that has its effect in bus modes",
         "1.4 has the 57E use IN1 as its right limit",
         _OPEN,
+        bears_on={Doubt.EFFECT: ("set_limit_remap",)},
     ),
     # 3.6 to 3.9
     Erratum(
@@ -413,6 +432,7 @@ ERRATA = (
         "bit 7 series, bit 6 zero",
         "series takes two values, and a 42E was seen to answer 92: E, cal 1, S42E_CAN",
         _LIKELY,
+        bears_on={Doubt.REPLY_VALUES: ("read_version",), Doubt.RESERVED: ("read_version",)},
     ),
     Erratum(
         "mks-can-57", "3.9", "00 code: system parameters; a parameter that cannot be read",
@@ -427,6 +447,7 @@ ERRATA = (
         "not readable",
         "0xFFFF is outside the range of every setting of two bytes; the others differ in length",
         _LIKELY,
+        bears_on={Doubt.REFUSAL: ("read_parameter",)},
     ),
     # Part 4
     Erratum(
@@ -449,6 +470,7 @@ ERRATA = (
         "at 16, 32 and 64 the speed as sent; else speed x 16 / subdivision",
         "the three worked values (8: 2400, 16/32/64: 1200, 128: 150) fit it",
         _LIKELY, commands=("set_subdivision", *RUNS),
+        bears_on={Doubt.SEQUENCE: ()},
     ),
     Erratum(
         "mks-can-62", "4.1, 4.4.1", "speed 0 to 3000, in 12 or 16 bits",
@@ -456,6 +478,7 @@ ERRATA = (
         "the drive runs at 3000 and answers success",
         "the RS485 drives, whose text this is, are said to do so",
         _LIKELY, commands=RUNS,
+        bears_on={Doubt.LIMITS: ("speed",)},
     ),
     Erratum(
         "mks-can-63", "4.1", "acc 0: no acceleration; (256 - acc) x 50 us",
@@ -491,6 +514,7 @@ ERRATA = (
         "C8 saves, CA cleans",
         "the RS485 drives have the same command with both values, and its title has both acts",
         _LIKELY,
+        bears_on={Doubt.VALUES: ("save_state",)},
     ),
     Erratum(
         "mks-can-78", "4.5, 4.7", "relative motion; to the specified position, to the specified axis",
@@ -512,6 +536,7 @@ ERRATA = (
         "-8388608 is out of range",
         "the same range is printed three times",
         _LIKELY,
+        bears_on={Doubt.LIMITS: ("position",)},
     ),
     Erratum(
         "mks-can-70", "3.1.2, 4.7, 4.8", "axis: the value that 31 reads (int48); field: int24_t",
@@ -548,6 +573,7 @@ ERRATA = (
         "1 when the stop begins, 2 when the shaft stands still, if active is on",
         "4.4.2 lists both, and the stop of 5.5 gets both",
         _LIKELY,
+        bears_on={Doubt.SEQUENCE: ()},
     ),
     Erratum(
         "mks-can-75", "title, 3.1.1, 3.2.12, 3.4.2, 3.4.3, 4.1, 4.5 to 4.8",

@@ -9,7 +9,7 @@ of the vendor has.
 
 from __future__ import annotations
 
-from analyzer.catalogue import Certainty, Damage, Erratum
+from analyzer.catalogue import Certainty, Damage, Doubt, Erratum
 
 _CERTAIN, _LIKELY, _OPEN = Certainty.CERTAIN, Certainty.LIKELY, Certainty.OPEN
 
@@ -20,6 +20,7 @@ ERRATA = (
         "low byte first",
         "the CRC of every printed frame but one fits so, as Modbus asks",
         _CERTAIN,
+        bears_on={Doubt.CHECK: ()},
     ),
     Erratum(
         "mks-modbus-02", "8", "F4(30), F6(3F), F16(F6) in file names",
@@ -83,6 +84,7 @@ ERRATA = (
         "whether the motor is enabled, by pin or by F3",
         "the values are named Enabled and Disabled, and in serial modes F3 decides",
         _LIKELY,
+        bears_on={Doubt.MEANING: ("read_enabled", "set_enable_level")},
     ),
     Erratum(
         "mks-modbus-31", "5.2.13, 5.2.16, 5.3.4, 8.2.20, 8.3", "no register for 8C, 8D and 94",
@@ -111,6 +113,7 @@ ERRATA = (
         "1..256 as a 16-bit number; 0 is taken as 256",
         "3.5 supports 1 to 256, and the table leaves both bytes to the value",
         _LIKELY,
+        bears_on={Doubt.VALUES: ("subdivision",), Doubt.EFFECT: ("set_subdivision",)},
     ),
     Erratum(
         "mks-modbus-14", "8.2.15, 4", "addr; 0 is the broadcast address; 00~255",
@@ -118,6 +121,7 @@ ERRATA = (
         "1..247; 0 is refused",
         "248 to 255 are reserved in Modbus, and a drive with the address of all could not be told from the others",
         _LIKELY,
+        bears_on={Doubt.VALUES: ("new_address",), Doubt.ADDRESSING: ()},
     ),
     Erratum(
         "mks-modbus-15", "8.2.20", "quantity 03H, bytes 05H",
@@ -125,6 +129,7 @@ ERRATA = (
         "five bytes, as printed",
         "the five bytes fit the fields of the table; the vendor's later manual prints a whole frame of this kind",
         _CERTAIN,
+        bears_on={Doubt.LAYOUT: ("set_home",)},
     ),
     Erratum(
         "mks-modbus-16", "8.2.20", "hmTrig, hmDir, HmSpeed, hmSpeed, enable",

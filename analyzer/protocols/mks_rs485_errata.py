@@ -9,7 +9,7 @@ Not known here: what the figures show; they are not in the text.
 
 from __future__ import annotations
 
-from analyzer.catalogue import Certainty, Damage, Erratum
+from analyzer.catalogue import Certainty, Damage, Doubt, Erratum
 from analyzer.protocols.mks_shared import RUNS, STOPS
 
 _CERTAIN, _LIKELY, _OPEN = Certainty.CERTAIN, Certainty.LIKELY, Certainty.OPEN
@@ -86,6 +86,7 @@ ERRATA = (
         "00 stands for 256",
         "256 is the only value of the range that is left for the only byte that is left",
         _LIKELY,
+        bears_on={Doubt.VALUES: ("subdivision",), Doubt.EFFECT: ("set_subdivision",)},
     ),
     Erratum(
         "mks-rs485-11", "3.12, 4", "menu addresses 01..16; 01~10 can be set in the menu",
@@ -122,6 +123,7 @@ ERRATA = (
         "the low byte of the sum of all bytes before it",
         "the worked sum of Part 4 and every complete frame but one fit it",
         _CERTAIN,
+        bears_on={Doubt.CHECK: ()},
     ),
     Erratum(
         "mks-rs485-16", "4, 5.2.12", "slave address 00~255; addr(00~FF)",
@@ -129,6 +131,7 @@ ERRATA = (
         "a drive has an address of 1..255; setting 0 is refused",
         "a drive with the address of all could not be told from the others",
         _LIKELY,
+        bears_on={Doubt.VALUES: ("new_address",)},
     ),
     # Part 5
     Erratum(
@@ -186,6 +189,7 @@ ERRATA = (
         "whether the motor is enabled, by pin or by F3",
         "the values are named Enabled and Disabled, and in serial modes F3 decides",
         _LIKELY,
+        bears_on={Doubt.MEANING: ("read_enabled", "set_enable_level")},
     ),
     Erratum(
         "mks-rs485-24", "5.1.9", "3D under the commands that read",
@@ -207,6 +211,7 @@ ERRATA = (
         "0..8",
         "nine steps from 10 to 90 % need nine values; Part 8 lists 00 too",
         _CERTAIN,
+        bears_on={Doubt.VALUES: ("holding_current",)},
     ),
     Erratum(
         "mks-rs485-26", "5.2.7, 5.3.1, 5.4.1, 6.5.1, 6.6.1", "dir 00 CW, 01 CCW; dir 0/1 (CCW/CW)",
@@ -221,6 +226,7 @@ ERRATA = (
         "respond 0 silences the replies of F6, FD, FE, F4 and F5",
         "exactly these carry the note that their replies can be switched off",
         _LIKELY, commands=(*RUNS, *STOPS),
+        bears_on={Doubt.EFFECT: ("set_respond",), Doubt.SEQUENCE: ()},
     ),
     Erratum(
         "mks-rs485-28", "5.3.4", "94: no limit of ma is printed",
@@ -228,6 +234,7 @@ ERRATA = (
         "0..3000 mA, on the 57D 0..5200 mA",
         "the command refers to the options of the menu",
         _LIKELY,
+        bears_on={Doubt.VALUES: ("home_current",)},
     ),
     Erratum(
         "mks-rs485-29", "5.4.1, 3.16", "9A takes mode 0 together with set zero",
@@ -278,6 +285,7 @@ ERRATA = (
         "at 16, 32 and 64 the speed as sent; else speed x 16 / subdivision",
         "the three worked values (8: 2400, 16/32/64: 1200, 128: 150) fit it",
         _LIKELY, commands=("set_subdivision", *RUNS),
+        bears_on={Doubt.SEQUENCE: ()},
     ),
     Erratum(
         "mks-rs485-36", "6.1", "speed 0 to 3000; more than the mode's maximum runs at that maximum",
@@ -292,6 +300,7 @@ ERRATA = (
         "the drive runs at the maximum of its mode and answers success",
         "6.1 says what happens to a greater speed, and 12 bits hold up to 4095",
         _LIKELY, commands=RUNS,
+        bears_on={Doubt.LIMITS: ("speed",)},
     ),
     Erratum(
         "mks-rs485-38", "6.1", "acc 0: no acceleration; (256 - acc) x 50 us",
@@ -327,6 +336,7 @@ ERRATA = (
         "1 when the stop begins, 2 when the shaft stands still, if active is on",
         "6.5.2 lists both, and the stop of 7.5 gets both",
         _LIKELY,
+        bears_on={Doubt.SEQUENCE: ()},
     ),
     Erratum(
         "mks-rs485-43", "6.5.2, 6.6.2", "stops of F6 and FD: statuses 0 to 2; of FE, F4, F5: 0 to 3",
@@ -341,6 +351,7 @@ ERRATA = (
         "one reply, 1",
         "the worked example; 2, or 1 and then 2, are taken too",
         _OPEN,
+        bears_on={Doubt.REPLY_COUNT: ("save_speed",), Doubt.EXAMPLE: ("save_speed",)},
     ),
     Erratum(
         "mks-rs485-45", "5.1.4, 6.6.1", "pulses 0 - 0xFFFFFFFF; pulses(int32_t)",

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from analyzer.catalogue import Command, Dialect, Risk, Verb
+from analyzer.catalogue import Command, Dialect, Doubt, Risk, Verb
 from conformance.claim import Claim, Refuted, Theme
 from conformance.claims.declare import declare
 from conformance.claims.hearing import ask_first, came, is_answered, judge_next, plain_read, section
@@ -97,7 +97,7 @@ def _to_many(
     where: str,
     shown: Witness,
     join: Callable[[Probe], int],
-    errata: Sequence[str],
+    rests_on: Sequence[Doubt],
     more: Iterable[Risk] = (),
     changed: tuple[str, ...] = (),
 ) -> Iterator[Claim]:
@@ -130,7 +130,7 @@ def _to_many(
         "alone": True,
         "risks": {*shown.risks, *more},
         "settings": (*shown.settings, *changed),
-        "errata": errata,
+        "rests_on": rests_on,
         "section": where,
     }
     statement = f"A command by {what} is executed."
@@ -143,7 +143,7 @@ def _to_many(
 
 #: A group address, and another one where the drive itself has it.
 _GROUP, _OTHER_GROUP = 0x50, 0x60
-_GROUP_ERRATA = ("mks-can-39",)
+_RESTS_ON = (Doubt.ADDRESSING,)
 
 
 def group_of(own: int) -> int:
@@ -160,7 +160,7 @@ def _join(probe: Probe) -> int:
 def _group(dialect: Dialect, shown: Witness | None) -> Iterator[Claim]:
     command = dialect.by_verb[Verb.SET_GROUP_ADDRESS]
     where, more, changed = command.section, command.all_risks, ("group_address",)
-    demands: dict[str, Any] = {"section": where, "alone": True, "risks": more, "settings": changed, "errata": _GROUP_ERRATA}
+    demands: dict[str, Any] = {"section": where, "alone": True, "risks": more, "settings": changed, "rests_on": _RESTS_ON}
 
     def read(probe: Probe) -> None:
         ask_first(probe)
@@ -190,10 +190,10 @@ def _group(dialect: Dialect, shown: Witness | None) -> Iterator[Claim]:
         "silence, or another answer", own, **demands,
     )  # fmt: skip
     if shown is not None:
-        yield from _to_many(dialect, "group", "a group address", where, shown, _join, _GROUP_ERRATA, more, changed)
+        yield from _to_many(dialect, "group", "a group address", where, shown, _join, _RESTS_ON, more, changed)
         zero = effects.setting(dialect)
         if zero is not None:
-            yield from _to_many(dialect, "group/setting", "a group address", where, zero, _join, _GROUP_ERRATA, more, changed)
+            yield from _to_many(dialect, "group/setting", "a group address", where, zero, _join, _RESTS_ON, more, changed)
         yield _other_group(dialect, shown, demands)
 
 

@@ -11,8 +11,8 @@ function of the case.
 Rules kept here:
 - The section and the coverage of a claim about one command are that command's.
 - A claim about a command that only some models have runs where the model is known.
-- A claim is as sure as the least sure of the errata that it rests on. Errata of another dialect are passed over, so that a
-  theme names them once for all dialects.
+- A claim says what it rests on (`Doubt`) and is as sure as the least sure of the errata that leave that in doubt about its
+  command or its fields.
 - A command among the arguments of a check is the one of the drive's model.
 """
 
@@ -20,11 +20,11 @@ from __future__ import annotations
 
 import inspect
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from conformance.claim import Aspect, Claim, NotRun, Theme
 from conformance.talk.probe import Probe
 
@@ -127,8 +127,8 @@ def _first_paragraph(check: Check) -> str:
 def claim(theme: Theme, *, refuted_by: Any, each: Cases = once, **facts: Any) -> Callable[[Check], Check]:
     """Declare the decorated check as claims of a theme, one for each case.
 
-    `facts`: `name` of the id behind the theme, `at_best`, `errata`, `risks`, `settings`, `quirks`, `section`, `aspect`, and the
-    other attributes of a `Claim`. Each is a value, or a function of the case.
+    `facts`: `name` of the id behind the theme, `at_best`, `rests_on`, `risks`, `settings`, `quirks`, `section`, `aspect`, and
+    the other attributes of a `Claim`. Each is a value, or a function of the case.
     """
 
     def declared(check: Check) -> Check:
@@ -144,10 +144,18 @@ def declared_in(module: str, dialect: Dialect) -> Iterator[Claim]:
         yield from declaration.claims(dialect)
 
 
-def surety(dialect: Dialect, *errata: str, at_best: Certainty = Certainty.CERTAIN) -> Certainty:
-    """Return how sure a claim is that rests on these errata (by id)."""
-    known = {erratum.id: erratum.certainty for erratum in dialect.errata}
-    return max([at_best, *(known[name] for name in errata if name in known)], key=_ORDER.index)
+def surety(
+    dialect: Dialect,
+    rests_on: Iterable[Doubt],
+    names: Collection[str],
+    *,
+    errata: Collection[str] = (),
+    at_best: Certainty = Certainty.CERTAIN,
+) -> Certainty:
+    """Return how sure a claim is that rests on these points about commands and fields of these names, and on these errata."""
+    doubts = tuple(rests_on)
+    found = (e for e in dialect.errata if e.id in errata or any(e.doubts(doubt, names) for doubt in doubts))
+    return max([at_best, *(erratum.certainty for erratum in found)], key=_ORDER.index)
 
 
 def declare(
@@ -160,7 +168,9 @@ def declare(
     *,
     command: Command | None = None,
     section: str = "",
-    errata: Iterable[str] = (),
+    rests_on: Iterable[Doubt] = (),
+    about: Iterable[str] = (),
+    errata: Collection[str] = (),
     at_best: Certainty = Certainty.CERTAIN,
     risks: Iterable[Risk] = (),
     aspect: Aspect | None = None,
@@ -169,7 +179,9 @@ def declare(
     """Return a claim with the id `<dialect>/<theme>/<name>`.
 
     `command`: the one that it is about, whose section it has where none is given, and which it covers in `aspect`.
-    `errata`: ids of those that it rests on; `at_best`: how sure it is without them. `risks`: what it sends beside reads.
+    `rests_on`: what must be as the manual is read, about the command, the claim's fields and what else `about` names.
+    `errata`: ids of those that its printed frames name. `at_best`: how sure it is without any erratum. `risks`: what it sends
+    beside reads.
     """
     if command is not None:
         check = _of_models(command, check)
@@ -178,6 +190,7 @@ def declare(
         if aspect is not None:
             rest.setdefault("covers", ((command.name, aspect),))
         section = section or command.section
+    names = {*about, *rest.get("fields", ()), *(() if command is None else (command.name,))}
     return Claim(
         id=f"{dialect.name}/{theme.value}/{name}",
         theme=theme,
@@ -186,7 +199,7 @@ def declare(
         section=section,
         refuted_by=refuted_by,
         check=check,
-        certainty=surety(dialect, *errata, at_best=at_best),
+        certainty=surety(dialect, rests_on, names, errata=errata, at_best=at_best),
         risks=frozenset(risks) - {Risk.READ},
         **rest,
     )

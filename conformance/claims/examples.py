@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from analyzer import encoder
-from analyzer.catalogue import Command, Dialect, Role, Vector, Verb
+from analyzer.catalogue import Command, Dialect, Doubt, Role, Vector, Verb
 from analyzer.codec import codec
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims import examples_many
@@ -40,12 +40,6 @@ if TYPE_CHECKING:
 OTHER_FIRMWARE, NO_CHECKSUM, SLOW_REPLIES = "lk-firmware-235", "no-checksum", "slow-replies-in-motion"
 #: How late a reply of a drive with slow replies can be.
 _SLOWEST_NS = 1_000_000_000
-#: Errata of an example that does not name them itself.
-_ERRATA: Mapping[str, tuple[str, ...]] = {
-    "save_speed": ("mks-rs485-44",),
-    "brake": ("lk-rs485-25",),
-    "write_parameter": ("lk-rs485-36",),
-}
 #: What stands before a stop, so that there is something to stop: the run of each stop.
 _RUNS: Mapping[Verb, Verb] = {
     Verb.STOP_SPEED: Verb.RUN_SPEED,
@@ -157,7 +151,8 @@ def _claim(dialect: Dialect, example: Example, number: int) -> Claim:
         command=command,
         section=example.section,
         aspect=Aspect.EXAMPLE,
-        errata=(*errata, *_ERRATA.get(command.name, ())),
+        rests_on=(Doubt.EXAMPLE,),
+        errata=errata,
         quirks=quirks,
         parameters={"printed": shown.printed},
         **required,

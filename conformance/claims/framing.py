@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-from analyzer.catalogue import Certainty, Dialect, Risk
+from analyzer.catalogue import Certainty, Dialect, Doubt, Risk
 from analyzer.link import CanLink, HeadLink, Link, LkLink, ModbusLink
 from analyzer.records import CanFrame
 from conformance.claim import Claim, Refuted, Theme
@@ -38,7 +38,6 @@ Makes = Callable[["Probe"], Iterable[Variant]]
 #: The most variants of one kind: enough to see each bit of a short frame, few enough for a real line.
 _MOST = 24
 OTHER_FIRMWARE, FRAGMENTS = "lk-firmware-235", "other-dialect-fragments"
-_CHECK_ERRATA = ("mks-rs485-15", "mks-modbus-01", "mks-can-15", "lk-rs485-08", "lk-rs485-09")
 #: First bytes that begin no request, by link.
 _OTHER_HEADS: Mapping[type[Link], tuple[int, ...]] = {
     HeadLink: (0xFB, 0xF9, 0x3E, 0xFD, 0xFE, 0x7A, 0x00, 0xFF),
@@ -70,7 +69,7 @@ class _Kind:
     following: Certainty = Certainty.LIKELY
     links: tuple[type[Link], ...] | None = None
     risks: frozenset[Risk] = frozenset()
-    errata: tuple[str, ...] = ()
+    rests_on: tuple[Doubt, ...] = ()
     quirks: tuple[str, ...] = ()
 
 
@@ -142,15 +141,15 @@ _UNKNOWN = frozenset({Risk.UNKNOWN})
 _FIRMWARE_CODES: Mapping[str, tuple[int, ...]] = {"lk-rs485": (0x12,)}
 
 _KINDS = (
-    _Kind("checksum_bit", "a request with one bit of its checksum flipped", _each(Garbler.check_bits), errata=_CHECK_ERRATA),
+    _Kind("checksum_bit", "a request with one bit of its checksum flipped", _each(Garbler.check_bits), rests_on=(Doubt.CHECK,)),
     _Kind("checksum_value", "a request whose checksum is reckoned otherwise", _each(Garbler.wrong_checks),
-          errata=(*_CHECK_ERRATA, "mks-can-16")),
+          rests_on=(Doubt.CHECK, Doubt.CHECK_OF_ADDRESS)),
     _Kind("flipped_bit", "a request with one bit flipped before its checksum", _each(Garbler.body_bits)),
     _Kind("truncated", "a request that breaks off", _each(Garbler.truncated)),
     _Kind("overlong", "a request with data that its command does not have", _each(Garbler.overlong),
-          ignored=Certainty.LIKELY, errata=("lk-rs485-06", "lk-rs485-07")),
+          ignored=Certainty.LIKELY, rests_on=(Doubt.LAYOUT,)),
     _Kind("underlong", "a request with less data than its command has", _each(Garbler.underlong),
-          ignored=Certainty.LIKELY, links=(LkLink, CanLink), errata=("lk-rs485-06", "lk-rs485-07")),
+          ignored=Certainty.LIKELY, links=(LkLink, CanLink), rests_on=(Doubt.LAYOUT,)),
     _Kind("noise", "noise", _noise, links=(HeadLink, LkLink, ModbusLink)),
     _Kind("head", "a frame with another head than a request's", _other_heads, links=(HeadLink, LkLink)),
     _Kind("other_dialect", "a good request in another dialect", _other_dialects, ignored=Certainty.LIKELY,
@@ -196,7 +195,7 @@ def _ignored(dialect: Dialect, kind: _Kind) -> Claim:
         "any answer",
         check,
         section=section(dialect),
-        errata=kind.errata,
+        rests_on=kind.rests_on,
         at_best=kind.ignored,
         risks=kind.risks,
         quirks=quirks,

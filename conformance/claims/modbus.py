@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from analyzer.catalogue import Certainty, Command, Dialect, Risk
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk
 from analyzer.link import READS, WRITE_MANY, WRITE_ONE, ModbusLink
 from analyzer.protocols.modbus import ModbusException
 from conformance.claim import Claim, Refuted, Theme
@@ -215,7 +215,7 @@ def _reserved_addresses(dialect: Dialect) -> Claim:
         check,
         section="8.2.15; Modbus over Serial Line V1.02, 2.2",
         alone=True,
-        errata=("mks-modbus-14",),
+        rests_on=(Doubt.ADDRESSING,),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from analyzer.link import WRITE_MANY, WRITE_ONE, ModbusLink
 from analyzer.protocols.modbus import ModbusException
 from conformance.claim import Claim, Inconclusive, Refuted, Theme
@@ -208,7 +208,7 @@ def _counts(dialect: Dialect, commands: list[Command]) -> Iterator[Claim]:
         yield _make(
             dialect, "byte_count/odd", f"Register {listed} is written with the byte count that is printed, and no other.",
             "a refusal of the printed count, or anything but exception 03 to another", odd, commands,
-            section="8.2.20", errata=("mks-modbus-15",), risks=risks,
+            section="8.2.20", rests_on=(Doubt.LAYOUT,), about=("set_home",), risks=risks,
         )  # fmt: skip
     yield _make(
         dialect, "byte_count/others", "A write by 10h with another quantity or byte count than its register's is refused"

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from functools import partial
 
-from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from conformance.claim import Claim, Inconclusive
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import expect_stays, motion_claim, refute
@@ -64,7 +64,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
             )  # fmt: skip
             yield made(
                 "max-speed-0", f"{name} with max_speed 0 turns nothing: 0 is a limit like any other.", "motion",
-                _max_speed_0, errata=("lk-rs485-30",), quirks=known(dialect, "lk-zero-speed-moves"),
+                _max_speed_0, rests_on=(Doubt.MEANING,), quirks=known(dialect, "lk-zero-speed-moves"),
             )  # fmt: skip
     for name in _MULTI:
         made = partial(motion_claim, dialect, named[name])

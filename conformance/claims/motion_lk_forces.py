@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from functools import partial
 
 from analyzer import dialects, encoder
-from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from analyzer.protocols.lk_rs485 import CURRENT_MODELS, POWER_MODELS
 from conformance.claim import Claim, NotRun, Theme
 from conformance.claims.declare import declare
@@ -70,7 +70,7 @@ def _about_brake(dialect: Dialect) -> Iterator[Claim]:
     )  # fmt: skip
     yield made(
         "answers-new", "Switching the brake is answered with the state after it.", "the state before",
-        _brake_answers_new, errata=("lk-rs485-25",),
+        _brake_answers_new, rests_on=(Doubt.REPLY_VALUES,),
     )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """What the control parameters of LK motors (C1) do to motion: observed, for the manual does not say that they are limits.
 
 The manual has parameters called speed limit, angle limit, torque limit and speed ramp, gives them no unit, and speaks
-elsewhere of limits that a setup program sets (lk-rs485-29, lk-rs485-48). That they act on motion, at once and until the
+elsewhere of limits that a setup program sets. That they act on motion, at once and until the
 power goes, in the units of the commands, is how they are taken; a drive that does otherwise is not refuted.
 
 Rules kept here:
@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import partial
 
-from analyzer.catalogue import Command, Dialect, Risk
+from analyzer.catalogue import Command, Dialect, Doubt, Risk
 from conformance.claim import Claim, Inconclusive, Theme
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import motion_claim, refute
@@ -24,7 +24,6 @@ from conformance.motion.motion import MS, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
-_OPEN = ("lk-rs485-29", "lk-rs485-48")
 _TORQUE_LIMIT, _SPEED_LIMIT, _ANGLE_LIMIT, _SPEED_RAMP = 30, 32, 34, 38
 _FIRMWARE = "lk-firmware-235"
 
@@ -34,7 +33,13 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     write = dialect.by_name["write_parameter"]
     fields = ("speed_limit", "angle_limit", "torque_limit", "speed_ramp")
     made = partial(
-        motion_claim, dialect, write, settings=fields, errata=_OPEN, own={Risk.SETTING}, quirks=known(dialect, _FIRMWARE)
+        motion_claim,
+        dialect,
+        write,
+        settings=fields,
+        rests_on=(Doubt.EFFECT,),
+        own={Risk.SETTING},
+        quirks=known(dialect, _FIRMWARE),
     )
     spins = dialect.by_name["run_speed"].all_risks
     yield made("speed-limit", "The speed limit holds at once for a run.", "a faster shaft", _speed_limit, risks=spins)

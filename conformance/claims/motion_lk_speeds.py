@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 
-from analyzer.catalogue import Command, Dialect
+from analyzer.catalogue import Command, Dialect, Doubt
 from conformance.claim import Claim
 from conformance.claims.motion_claim import motion_claim, refute
 from conformance.motion import motion
@@ -18,8 +18,8 @@ from conformance.motion.motion import MS, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
-#: How sure it is which way a positive number turns: lk-rs485-28.
-_ON_SIGN = ("lk-rs485-28",)
+#: How sure it is which way a positive number turns.
+_ON_SIGN = (Doubt.SIGN,)
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
@@ -35,7 +35,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
             parameters={"speed": sent},
         )
     yield made(
-        "sign", "A positive speed raises the position, a negative one lowers it.", "the other way", _sign, errata=_ON_SIGN
+        "sign", "A positive speed raises the position, a negative one lowers it.", "the other way", _sign, rests_on=_ON_SIGN
     )
     yield made("opposite", "Speeds of opposite signs turn opposite ways.", "one way for both", _opposite)
     yield made("lasts", "A run goes on until it is told otherwise.", "a shaft that stops by itself", _lasts)

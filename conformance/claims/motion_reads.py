@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 
-from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from analyzer.protocols.mks_shared import COUNTS_PER_TURN
 from conformance.claim import Aspect, Claim, Inconclusive, Theme
 from conformance.claims import world
@@ -121,7 +121,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
             _calibration,
             command=version,
             aspect=Aspect.STATE,
-            errata=("mks-can-21",),
+            rests_on=(Doubt.SIGN,),
             at_best=Certainty.OPEN,
             quirks=known(dialect, "version-cal-1"),
         )

@@ -21,7 +21,7 @@ from functools import cache
 from typing import Any
 
 from analyzer import dialects as registry
-from analyzer.catalogue import Certainty, Command, Dialect, Form, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, Risk, Verb
 from analyzer.layout import Field, Kind
 from conformance.claim import Aspect, Claim, Inconclusive, NotRun, Refuted, Theme
 from conformance.claims import effects, ranges_link, ranges_lk, ranges_motion
@@ -33,20 +33,6 @@ from conformance.motion import motion
 from conformance.talk import samples
 from conformance.talk.probe import Probe
 
-#: Errata by field, of whatever dialect: they say which values are allowed.
-ERRATA: Mapping[str, tuple[str, ...]] = {
-    "new_address": ("mks-rs485-16", "mks-modbus-14", "mks-can-37"),
-    "home_current": ("mks-rs485-28",),
-    "current": ("mks-can-30",),
-    "subdivision": ("mks-rs485-10", "mks-modbus-13", "mks-can-31"),
-    "holding_current": ("mks-rs485-25",),
-    "return_angle": ("mks-can-50",),
-    "save_state": ("mks-can-67",),
-}
-#: Those that make it open what happens outside, but not what happens inside.
-OPEN_OUTSIDE: Mapping[str, tuple[str, ...]] = {"alm_mask": ("mks-can-42",), "pend_mask": ("mks-can-42",)}
-#: Errata by command.
-COMMAND_ERRATA: Mapping[str, tuple[str, ...]] = {"set_no_limit_home": ("mks-can-48",), "set_no_limit_current": ("mks-can-47",)}
 #: Values of these do something that no claim about ranges needs; that they are executed is judged elsewhere.
 NOT_ACCEPTED = frozenset({Verb.RESTART, Verb.RESTORE, Verb.CALIBRATE, Verb.HOME})
 #: How many values between the limits, and far outside them, are tried.
@@ -182,10 +168,9 @@ def shown(field: Field, value: int) -> str:
     return f"{field.name} {number}"
 
 
-def errata_of(command: Command, field: Field, *, outside: bool = False) -> tuple[str, ...]:
-    """Return the errata on which a claim about a field rests."""
-    more = OPEN_OUTSIDE.get(field.name, ()) if outside else ()
-    return (*ERRATA.get(field.name, ()), *COMMAND_ERRATA.get(command.name, ()), *more)
+def rests_on(*, outside: bool) -> tuple[Doubt, ...]:
+    """Return what a claim about the values of a field rests on."""
+    return (Doubt.VALUES, Doubt.LAYOUT, *((Doubt.LIMITS,) if outside else ()))
 
 
 def needs(dialect: Dialect, command: Command, every: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
@@ -283,7 +268,7 @@ def _unchanged(dialect: Dialect, command: Command, form: Form, field: Field, eff
     claim_needs["emulated"] = effect.emulated
     return declare(
         dialect, Theme.RANGES, f"{command.name}/{field.name}/unchanged", statement, "what the drive had before has changed",
-        check, command=command, errata=errata_of(command, field, outside=True), at_best=Certainty.LIKELY, aspect=Aspect.RANGE,
+        check, command=command, rests_on=rests_on(outside=True), at_best=Certainty.LIKELY, aspect=Aspect.RANGE,
         fields=(field.name,), parameters={"field": field.name, "values": bad}, quirks=effect.quirks, **claim_needs,
     )  # fmt: skip
 
@@ -325,7 +310,7 @@ def _claim(
     inside = what in ("inside", "listed", "unlisted")
     return declare(
         dialect, Theme.RANGES, f"{command.name}/{field.name}/{what}", statement, refuted_by, check,
-        command=command, errata=errata_of(command, field, outside=what in _OUTSIDE), at_best=at_best,
+        command=command, rests_on=rests_on(outside=what in _OUTSIDE), at_best=at_best,
         aspect=Aspect.RANGE if inside else Aspect.BOUNDARY, fields=(field.name,),
         parameters={"field": field.name, "values": values}, **needs(dialect, command, sent),
     )  # fmt: skip

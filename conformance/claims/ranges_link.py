@@ -17,7 +17,7 @@ from typing import Any
 
 from analyzer import dialects as registry
 from analyzer import encoder
-from analyzer.catalogue import Command, Dialect, Risk, Verb
+from analyzer.catalogue import Command, Dialect, Doubt, Risk, Verb
 from analyzer.errors import UsageError
 from analyzer.layout import Field
 from conformance.claim import Aspect, Claim, Inconclusive, NotRun, Refuted, Theme
@@ -35,7 +35,6 @@ NEW_ADDRESS_ANSWERS = "new-address-answers"
 #: Head, address and check are no reply yet.
 _SHORTEST = 4
 _AWAY = 0x5A
-_ERRATA = ("mks-rs485-16", "mks-modbus-14", "mks-can-37")
 _NEEDS: dict[str, Any] = {"risks": {Risk.SETTING, Risk.LINK}, "alone": True}
 
 
@@ -101,7 +100,8 @@ def _address(dialect: Dialect, command: Command, field: Field, what: str, value:
         dialect, Theme.RANGES, f"{command.name}/{field.name}/{what}", statement,
         "a refusal, or an answer at the old address", check, command=command,
         aspect=Aspect.RANGE if what == "inside" else Aspect.BOUNDARY, fields=(field.name,), settings=(field.name,),
-        errata=_ERRATA, quirks=known(dialect, NEW_ADDRESS_ANSWERS), parameters={"field": field.name, "value": value}, **_NEEDS,
+        rests_on=(Doubt.VALUES,), quirks=known(dialect, NEW_ADDRESS_ANSWERS),
+        parameters={"field": field.name, "value": value}, **_NEEDS,
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from analyzer.layout import Field
 from conformance.claim import Claim, Inconclusive, Refuted
 from conformance.claims.ranges_lk_angles import angles, brake, positions
@@ -78,7 +78,7 @@ def _obeying(dialect: Dialect, command: Command, field: Field, what: str, values
     words = {"lowest": "The lowest value", "highest": "The highest value"}.get(what, "A value between the limits")
     return claim_of(
         dialect, command, field, what, f"{words} of {field.name} is obeyed, its sign the direction.",
-        "a shaft that stays, or turns the other way", check, values, set(command.all_risks), errata=("lk-rs485-28",),
+        "a shaft that stays, or turns the other way", check, values, set(command.all_risks), rests_on=(Doubt.SIGN,),
     )  # fmt: skip
 
 
@@ -191,7 +191,7 @@ def _max_speeds(dialect: Dialect, command: Command, field: Field) -> Iterator[Cl
     )  # fmt: skip
     yield claim_of(
         dialect, command, field, "lowest", f"With {field.name} 0 nothing moves.", "a shaft that moves", lowest, (0,), risks,
-        errata=("lk-rs485-30",), quirks=(ZERO_SPEED,), settings=changed,
+        rests_on=(Doubt.MEANING,), quirks=(ZERO_SPEED,), settings=changed,
     )  # fmt: skip
     yield claim_of(
         dialect, command, field, "width", f"All bytes of {field.name} count.", "the speed of its low bytes alone", width,

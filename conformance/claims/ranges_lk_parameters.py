@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 from analyzer import dialects as registry
 from analyzer import encoder
-from analyzer.catalogue import Certainty, Command, Dialect, Form, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, Risk, Verb
 from analyzer.layout import Field
 from conformance.claim import Aspect, Claim, Inconclusive, Observed, Refuted, Theme
 from conformance.claims.answers import with_reserved
@@ -70,7 +70,7 @@ def _parameter(dialect: Dialect, command: Command, form: Form) -> Iterator[Claim
 
         yield declare(
             dialect, Theme.RANGES, f"{command.name}/{form.name}/reserved", f"The reserved bytes of {form.name} change nothing.",
-            "another value of the parameter", check, command=command, errata=("lk-rs485-49",), aspect=Aspect.RANGE,
+            "another value of the parameter", check, command=command, rests_on=(Doubt.RESERVED,), aspect=Aspect.RANGE,
             risks=risks, quirks=(OTHER_FIRMWARE,), settings=(form.name,), parameters={"mask": sum(masks)},
         )  # fmt: skip
 
@@ -92,7 +92,7 @@ def _parameter_edge(dialect: Dialect, command: Command, form: Form, field: Field
 
     return declare(
         dialect, Theme.RANGES, f"{command.name}/{field.name}/{what}", f"The {what} {field.name} is held as it was sent.",
-        "another value", check, command=command, errata=("lk-rs485-36", "lk-rs485-48"), aspect=Aspect.BOUNDARY,
+        "another value", check, command=command, rests_on=(Doubt.LIMITS,), aspect=Aspect.BOUNDARY,
         fields=(field.name,), risks=command.risks({"parameter": number}), quirks=(OTHER_FIRMWARE,), settings=(form.name,),
         parameters={"field": field.name, "value": value},
     )  # fmt: skip

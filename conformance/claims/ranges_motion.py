@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from analyzer.layout import Field, Kind
 from analyzer.protocols.mks_shared import MODE_MAXIMUM_SPEEDS
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
@@ -42,8 +42,6 @@ SPEED_SHARE = 0.015
 #: Turns of a move that is to reach the highest speed and is stopped then.
 FAR_TURNS = 160
 #: What the speed rests on.
-SPEED_ERRATA = ("mks-rs485-37", "mks-can-62", "mks-can-12")
-SYMMETRY_ERRATA = ("mks-can-69",)
 #: Speeds one bit pattern of which has both bytes filled.
 _TELLING_RPM = 257
 
@@ -163,10 +161,10 @@ def _accepted(dialect: Dialect, command: Command, field: Field, what: str, value
             probe.wait(100 * MS)
             end(probe, command)
 
-    errata = SPEED_ERRATA if field.name == "speed" else SYMMETRY_ERRATA if field.name == "position" else ()
     return declare(
         dialect, Theme.RANGES, f"{command.name}/{field.name}/{what}", f"{words} of {field.name} is accepted.", "a refusal",
-        check, command=command, aspect=Aspect.BOUNDARY if what in ("lowest", "highest") else Aspect.RANGE, errata=errata,
+        check, command=command, aspect=Aspect.BOUNDARY if what in ("lowest", "highest") else Aspect.RANGE,
+        rests_on=(Doubt.LIMITS,),
         fields=(field.name,), parameters={"field": field.name, "values": values or ()},
         **_needs(dialect, command, stands=field.name == "speed" and values == (0,)),
     )  # fmt: skip
@@ -188,10 +186,9 @@ def _refused(dialect: Dialect, command: Command, field: Field, what: str, values
                     key=f"{command.name} refused and moved",
                 )  # fmt: skip
 
-    errata = SYMMETRY_ERRATA if field.name == "position" else ()
     return declare(
         dialect, Theme.RANGES, f"{command.name}/{field.name}/{what}", f"{words} of {field.name} is refused.",
-        "success, silence, or a shaft that moves", check, command=command, errata=errata, at_best=Certainty.LIKELY,
+        "success, silence, or a shaft that moves", check, command=command, rests_on=(Doubt.LIMITS,), at_best=Certainty.LIKELY,
         aspect=Aspect.BOUNDARY if what != "unlisted" else Aspect.RANGE, fields=(field.name,),
         parameters={"field": field.name, "values": values}, **_needs(dialect, command),
     )  # fmt: skip
@@ -266,7 +263,7 @@ def _too_fast(dialect: Dialect, command: Command, field: Field, values: tuple[in
 
     return declare(
         dialect, Theme.RANGES, f"{command.name}/speed/above", f"A speed above {field.high} runs at the highest of the mode.",
-        "a refusal, or another speed", check, command=command, errata=SPEED_ERRATA, aspect=Aspect.BOUNDARY,
+        "a refusal, or another speed", check, command=command, rests_on=(Doubt.LIMITS,), aspect=Aspect.BOUNDARY,
         fields=("speed",), parameters={"field": "speed", "values": values}, **_needs(dialect, command),
     )  # fmt: skip
 
@@ -299,7 +296,7 @@ def _mode_limit(dialect: Dialect, mode: str) -> Claim:
     statement = f"In {mode} the shaft turns at {highest} rpm at most, and at less as sent."
     return declare(
         dialect, Theme.RANGES, f"run_speed/speed/{mode}", statement,
-        "a refusal, or another speed", check, command=command, errata=SPEED_ERRATA, aspect=Aspect.BOUNDARY,
+        "a refusal, or another speed", check, command=command, rests_on=(Doubt.LIMITS,), aspect=Aspect.BOUNDARY,
         fields=("speed", "work_mode"), parameters={"mode": mode}, **_needs(dialect, command),
     )  # fmt: skip
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from analyzer.catalogue import Command, Dialect, Verb
+from analyzer.catalogue import Command, Dialect, Doubt, Verb
 from conformance.claim import Aspect, Claim, Inconclusive, Observed, Refuted, Theme
 from conformance.claims import effects, ranges, read_back_effects, read_back_lk, read_back_restart, read_back_restore
 from conformance.claims.answers import resting
@@ -104,7 +104,7 @@ def _read(dialect: Dialect, command: Command) -> Claim:
 
     return declare(
         dialect, Theme.READ_BACK, f"{command.name}/read", f"What {command.name} sets is what is read.", "another value", check,
-        command=command, aspect=Aspect.STATE, errata=ranges.COMMAND_ERRATA.get(command.name, ()),
+        command=command, aspect=Aspect.STATE, rests_on=(Doubt.LAYOUT,),
         fields=tuple(form.layout.named), **needs(dialect, command),
     )  # fmt: skip
 

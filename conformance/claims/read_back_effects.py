@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims import effects, ranges
 from conformance.claims.declare import declare
@@ -69,14 +69,8 @@ def _effects(dialect: Dialect, command: Command, effect: Effect) -> Iterator[Cla
         check, command=command, aspect=Aspect.STATE, fields=tuple(command.request_forms[0].layout.named),
         risks=needs["risks"] | effect.risks(dialect), alone=needs["alone"] or effect.alone,
         settings=tuple(dict.fromkeys((*needs["settings"], *effect.settings(dialect)))),
-        errata=_ERRATA.get(command.verb, ()),
+        rests_on=(Doubt.EFFECT,),
     )  # fmt: skip
-
-
-_ERRATA: Mapping[Verb, tuple[str, ...]] = {
-    Verb.SET_RESPOND: ("mks-rs485-27", "mks-can-38"),
-    Verb.SET_SUBDIVISION: ("mks-rs485-10", "mks-modbus-13", "mks-can-31"),
-}
 
 
 # --- home -------------------------------------------------------------------------------------------------------------
@@ -156,7 +150,7 @@ def _enable_level(dialect: Dialect, command: Command) -> Iterator[Claim]:
         dialect, Theme.READ_BACK, f"{command.name}/effect", statement,
         "a motor that holds at both levels, or lets go", check, command=command, aspect=Aspect.STATE, at_best=Certainty.LIKELY,
         fields=("enable_level",), risks=command.all_risks | setter.all_risks, settings=("enable_level", "work_mode"),
-        errata=("mks-rs485-23", "mks-modbus-10", "mks-can-27"),
+        rests_on=(Doubt.MEANING,),
     )  # fmt: skip
 
 
@@ -203,7 +197,7 @@ def _ports(dialect: Dialect, command: Command) -> Iterator[Claim]:
 
     yield declare(
         dialect, Theme.READ_BACK, f"{command.name}/effect", "A written port reads as it was written, until it is given back.",
-        "another level", check, command=command, aspect=Aspect.STATE, errata=("mks-can-41", "mks-can-42", "mks-can-25"),
+        "another level", check, command=command, aspect=Aspect.STATE, rests_on=(Doubt.EFFECT,),
         fields=tuple(command.request_forms[0].layout.named), risks=command.all_risks,
     )  # fmt: skip
 
@@ -235,7 +229,7 @@ def _remap(dialect: Dialect, command: Command) -> Iterator[Claim]:
         dialect, Theme.READ_BACK, f"{command.name}/effect", "With the ports remapped the right switch shows at in_2.",
         "a switch that does not show", check, command=command, aspect=Aspect.STATE, at_best=Certainty.LIKELY, emulated=True,
         models=models, fields=("limit_remap",), risks=command.all_risks | motion.risks(dialect),
-        settings=motion.settings(dialect, "limit_remap"), errata=("mks-can-51", "mks-can-24"),
+        settings=motion.settings(dialect, "limit_remap"), rests_on=(Doubt.EFFECT,),
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from analyzer.protocols.mks_shared import COUNTS_PER_TURN
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims import effects, ranges, ranges_link, read_back
@@ -196,14 +196,14 @@ def _saved_run(dialect: Dialect, command: Command) -> Iterator[Claim]:
 
     risks = command.risks({"save_state": 0xC8}) | command.risks({"save_state": 0xCA})
     risks |= motion.risks(dialect, Risk.UNBOUNDED) | dialect.by_verb[Verb.RESTART].all_risks
-    errata = ("mks-can-67",)
     for name, statement, refuted_by, check in (
         ("restart", "A run that was kept begins again after a restart, the same way.", "another speed, or none", again(-_RPM)),
         ("clean", "A run that was forgotten does not begin after a restart.", "a shaft that turns", clean),
     ):
         yield declare(
             dialect, Theme.READ_BACK, f"{command.name}/{name}", statement, refuted_by, check, command=command,
-            aspect=Aspect.STATE, errata=errata, risks=risks, settings=motion.settings(dialect), fields=("save_state",),
+            aspect=Aspect.STATE, rests_on=(Doubt.VALUES,), risks=risks, settings=motion.settings(dialect),
+            fields=("save_state",),
         )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
-from analyzer.catalogue import Certainty, Command, Dialect, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Verb
 from analyzer.layout import Field, Kind
 from conformance.claim import Aspect, Claim, Refuted, Theme
 from conformance.claims.declare import declare
@@ -54,17 +54,12 @@ if TYPE_CHECKING:
 _LISTEN_NS = 5_000_000_000
 #: Settings as the drives know them: what a second reply was seen after.
 _SETTING = ("set_", "write_user_id")
-#: Errata that make a claim about a command less sure: what the claim is about -> command -> erratum.
-_ERRATA: Mapping[str, Mapping[str, tuple[str, ...]]] = {
-    "once": {"save_speed": ("mks-rs485-44",)},
-    "echo": {"write_parameter": ("lk-rs485-36",), "set_position": ("lk-rs485-46",)},
-    "values": {
-        "brake": ("lk-rs485-25",),
-        "read_state_1": ("lk-rs485-15",),
-        "clear_errors": ("lk-rs485-15",),
-        "read_version": ("mks-can-54",),
-    },
-    "reserved": {"read_parameter": ("lk-rs485-49",), "write_parameter": ("lk-rs485-49",), "read_version": ("mks-can-54",)},
+#: What a claim rests on that names more than one thing of a reply, by the end of its id.
+_RESTS_ON: Mapping[str, tuple[Doubt, ...]] = {
+    "once": (Doubt.REPLY_COUNT,),
+    "echo": (Doubt.ECHO,),
+    "values": (Doubt.REPLY_VALUES,),
+    "reserved": (Doubt.RESERVED,),
 }
 
 
@@ -150,7 +145,7 @@ class _Maker:
             check,
             command=command,
             aspect=Aspect.SHAPE,
-            errata=_ERRATA.get(name, {}).get(command.name, ()),
+            rests_on=_RESTS_ON.get(name, ()),
             at_best=at_best,
             quirks=met,
             **self._demands,

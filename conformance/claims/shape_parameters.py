@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from analyzer.catalogue import Command, Dialect, Verb
+from analyzer.catalogue import Command, Dialect, Doubt, Verb
 from analyzer.codec import codec
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims.declare import declare
@@ -23,10 +23,6 @@ if TYPE_CHECKING:
     from conformance.talk.probe import Probe
 
 OTHER_FIRMWARE = "lk-firmware-235"
-#: Parameters of which the manual does not say what they are before they are set.
-_ERRATA = {"group_address": ("mks-can-40",)}
-#: What an answer to a parameter that does not exist rests on.
-_UNREADABLE_ERRATA = ("mks-can-58",)
 
 
 def parameters(dialect: Dialect) -> Iterator[Claim]:
@@ -78,7 +74,8 @@ def _listed(dialect: Dialect, command: Command, name: str, value: int, choice: s
         check,
         command=command,
         aspect=Aspect.SHAPE,
-        errata=_ERRATA.get(choice, ()),
+        rests_on=(Doubt.MEANING,),
+        about=(choice,),
         quirks=quirks,
         parameters={name: value},
     )
@@ -113,7 +110,7 @@ def _unreadable(dialect: Dialect, command: Command, name: str, value: int) -> Cl
         check,
         command=command,
         aspect=Aspect.SHAPE,
-        errata=_UNREADABLE_ERRATA,
+        rests_on=(Doubt.REFUSAL,),
         parameters={name: value},
     )
 

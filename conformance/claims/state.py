@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from conformance.claim import Aspect, Claim, Theme
 from conformance.claims.answers import sane
 from conformance.claims.declare import declare
@@ -21,8 +21,6 @@ from conformance.motion import motion
 from conformance.motion import moves as journey
 from conformance.talk.probe import Probe
 
-#: Errata on which the models rest that are not certain.
-_ERRATA = ("mks-rs485-27", "mks-can-38", "mks-rs485-35", "mks-can-61", "mks-rs485-42", "mks-can-74", "lk-rs485-28")
 _WORDS = {
     "settings": "After any sequence of settings the drive has what was set, and nothing else has changed.",
     "motion": "After any sequence of motion commands the drive is where and as fast as they say.",
@@ -46,8 +44,8 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     for variant, statement in _WORDS.items():
         yield declare(
             dialect, Theme.STATE, variant, statement, "another answer, position, speed or setting than the model's",
-            _check(variant), section="all", errata=_ERRATA, at_best=Certainty.LIKELY, parameters={"variant": variant},
-            quirks=known(dialect, *_QUIRKS.get(variant, ())), **_needs(dialect, variant),
+            _check(variant), section="all", rests_on=(Doubt.SEQUENCE,), at_best=Certainty.LIKELY,
+            parameters={"variant": variant}, quirks=known(dialect, *_QUIRKS.get(variant, ())), **_needs(dialect, variant),
         )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from math import ceil
 
-from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from conformance.claim import Claim, Inconclusive, Observed, Theme
 from conformance.claims.answers import plain_read
 from conformance.claims.declare import declare
@@ -87,7 +87,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
             "A reply begins 0.25 ms after the request.",
             "another time",
             _lk_delay,
-            errata=("lk-rs485-05",),
+            rests_on=(Doubt.DELAY,),
             quirks=known(dialect, "lk-reply-within"),
         )
 
