@@ -1,19 +1,25 @@
-"""Which dialects there are: those of this package, and those that other packages bring by an entry point.
+"""Which dialects there are, and which of their commands a name or a code means.
 
-A package adds a dialect by an entry point of the group `servotap.dialects` that names a `Dialect` object. Nothing else is
-needed: framing, decoding, logging, `explain` and the reference pages follow from the declaration.
+Dialects are those of this package, and those that other packages add by an entry point.
+
+An entry point stands in the group `servotap.dialects` and names a `Dialect` object. Nothing else is needed: framing,
+decoding, logging, `explain` and the reference pages follow from the declaration.
+
+A command is found by its name, its code (`0xF6`, `F6`) or its register (`0x0030`, `04:0030`).
 """
 
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
 
-from analyzer.catalogue import Dialect
+from analyzer.catalogue import Command, Dialect
 from analyzer.errors import UsageError
+from analyzer.values import near, quote
 
 #: Dialects of this package: name -> module with a `DIALECT`.
 _OWN = {
@@ -23,6 +29,7 @@ _OWN = {
     "lk-rs485": "analyzer.protocols.lk_rs485",
 }
 GROUP = "servotap.dialects"
+_CODE = re.compile(r"(?:(?:0x)?([0-9a-f]{1,2})[:/])?(?:0x)?([0-9a-f]{1,4})h?", re.IGNORECASE)
 
 
 @cache
@@ -52,8 +59,8 @@ def get(name: str) -> Dialect:
         return dialect
     if name in _added():
         return _added()[name]
-    near = difflib.get_close_matches(name.lower(), names(), 1, 0.4)
-    hint = f"; did you mean {near[0]}?" if near else ""
+    close = difflib.get_close_matches(name.lower(), names(), 1, 0.4)
+    hint = f"; did you mean {close[0]}?" if close else ""
     raise UsageError(f"no dialect {name!r}{hint} (there are {', '.join(names())})")
 
 
@@ -74,3 +81,59 @@ def for_model(dialects: Sequence[Dialect], model: str | None) -> list[Dialect]:
         known = sorted({m for d in dialects for m in d.models})
         raise UsageError(f"no model {model!r} in {', '.join(d.name for d in dialects)}; there are {', '.join(known)}")
     return [d.for_model(wanted) if wanted in d.models else d for d in dialects]
+
+
+def by_name(model: str = "") -> dict[str, Dialect]:
+    """Return every dialect by its name, as a model speaks it. Raises UsageError for an unknown model."""
+    return {d.name: d for d in for_model(every(), model or None)}
+
+
+# --- commands -----------------------------------------------------------------------------------------------------------
+
+
+def code_text(code: int, function: int | None = None) -> str:
+    """Return a code as the manuals write it: two digits, four for the register of a function."""
+    return f"0x{code:02X}" if function is None else f"0x{code:04X}"
+
+
+def find_commands(dialects: Sequence[Dialect], text: str) -> list[tuple[Dialect, Command]]:
+    """Return the commands of a name or code, in the order of the dialects and their manuals.
+
+    A code of up to two digits means function codes, one of more digits registers, unless there is none of that kind.
+    Raises UsageError, with the nearest names, where there is none.
+    """
+    word = text.strip().lower().replace("-", "_").replace(" ", "_")
+    pairs = [(d, c) for d in dialects for c in d.commands]
+    found = [(d, c) for d, c in pairs if c.name == word]
+    if found:
+        return found
+    match = _CODE.fullmatch(text.strip())
+    if match is not None:
+        code = int(match[2], 16)
+        found = [(d, c) for d, c in pairs if c.code == code]
+        if match[1] is not None:
+            return _some([(d, c) for d, c in found if c.function == int(match[1], 16)], dialects, text)
+        wide = len(match[2]) > 2
+        return _some([(d, c) for d, c in found if (c.function is not None) == wide] or found, dialects, text)
+    return _some([], dialects, text)
+
+
+def _some(found: list[tuple[Dialect, Command]], dialects: Sequence[Dialect], text: str) -> list[tuple[Dialect, Command]]:
+    if found:
+        return found
+    known = sorted({c.name for d in dialects for c in d.commands})
+    where = dialects[0].name if len(dialects) == 1 else "no dialect"
+    told = f"{where} has no command {quote(text)}" if len(dialects) == 1 else f"{where} has a command {quote(text)}"
+    raise UsageError(told + near(text.replace("-", "_"), known))
+
+
+def find_command(dialect: Dialect, text: str) -> Command:
+    """Return the one command of a dialect that a name or code means.
+
+    Raises UsageError where there is none, or where a code means several.
+    """
+    found = find_commands([dialect], text)
+    if len(found) > 1:
+        names = " or ".join(c.name for _, c in found)
+        raise UsageError(f"{dialect.name}: {quote(text)} is the code of several commands, expected {names}")
+    return found[0][1]

@@ -21,9 +21,9 @@ from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Form, Risk, Role, all_fields
 from analyzer.codec import codec
+from analyzer.dialects import find_command
 from analyzer.errors import UsageError
 from analyzer.layout import Field
-from analyzer.lookup import find_one
 from analyzer.values import near, parse_value, quote, refusal
 
 __all__ = ["Built", "address_refusal", "assemble", "build", "choose_form", "parse_value", "refusals"]
@@ -81,7 +81,7 @@ def assemble(
 ) -> Built:
     """Build as `build` does, and return with the frame what it is made of and what the manual forbids in it."""
     if isinstance(command, str):
-        command = find_one(dialect, command)
+        command = find_command(dialect, command)
     forbidden = [*address_refusal(dialect, address)]
     values = {} if values is None else values
     if command.slots is not None and SLOTS in values:
@@ -226,7 +226,7 @@ def _package(
     data, risks, forbidden = b"", frozenset[Risk](), list[str]()
     seen: set[int] = set()
     for number, slot in enumerate(slots, 1):
-        command = find_one(dialect, str(slot["command"]))
+        command = find_command(dialect, str(slot["command"]))
         if command.slots is not None:
             raise UsageError(f"slot {number}: {command.name} cannot stand in a slot")
         address = int(slot["address"])

@@ -10,11 +10,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from analyzer import dialects as registry
 from analyzer.catalogue import Dialect, Role
 from analyzer.context import Context
 from analyzer.decoder import Decoder
 from analyzer.framer import SILENCE_NS, Framer
-from analyzer.records import Frame, Junk, Message
+from analyzer.records import Event, Frame, Junk, Message
 from analyzer.transactions import Transactions
 
 
@@ -147,3 +148,22 @@ class Port:
 def usual_setup(dialects: Sequence[Dialect]) -> PortSetup:
     """Return the setup of a bus of which nothing else is known."""
     return PortSetup(tuple(dialects))
+
+
+class Setups:
+    """Answers for `Pipeline.on_setup`. `dialects`: by name, as the wanted model speaks them."""
+
+    def __init__(self, dialects: Mapping[str, Dialect]) -> None:
+        self.dialects = dict(dialects)
+
+    def __call__(self, event: Event) -> PortSetup | None:
+        """Return what a bus is set up for from an event on, None where the event names no dialect.
+
+        Raises UsageError for a dialect that there is none of here.
+        """
+        names = event.values.get("dialects")
+        if not names:
+            return None
+        chosen = tuple(self.dialects.get(name) or registry.get(name) for name in names)
+        byte_ns, offset = event.values.get("byte_ns"), event.values.get("offset", 0)
+        return PortSetup(chosen, byte_ns if isinstance(byte_ns, int) else None, offset if isinstance(offset, int) else 0)

@@ -14,7 +14,7 @@ from analyzer.encoder import assemble, build, choose_form
 from analyzer.errors import UsageError
 from analyzer.layout import Kind, fixed, i16, rest, u8
 from analyzer.reference.explanation import Explainer
-from analyzer.reference.frame_text import Given, read_frame, write_frame
+from analyzer.reference.hex_frame import Given, read_frame, write_frame
 from analyzer.values import decimal, parse_value, range_text, refusal, value_text
 
 FORMS = [

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect
-from analyzer.lookup import find
+from analyzer.dialects import find_commands
 from analyzer.reference.objects import concerns, reference
 from analyzer.reference.pages import errata, overview, page
 
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     chosen: dict[str, list[Command]] | None = None
     if arguments.command is not None:
         chosen = {}
-        for dialect, command in find(dialects, arguments.command):
+        for dialect, command in find_commands(dialects, arguments.command):
             chosen.setdefault(dialect.name, []).append(command)
         dialects = [d for d in dialects if d.name in chosen]
     if arguments.json:

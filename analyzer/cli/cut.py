@@ -13,15 +13,15 @@ from typing import IO, Any
 import msgspec
 from mcap.records import Channel
 
-from analyzer.cli.interrupt import Interrupt
 from analyzer.cli.log_copy import Copy, Log, Taken, write_or_drop
 from analyzer.cli.reading import clean, showing_progress
-from analyzer.cli.stretch import add_stretch_arguments
+from analyzer.cli.signals import Interrupt
+from analyzer.cli.time_range import add_time_range_arguments
 from analyzer.errors import UsageError
 from analyzer.events import SETUPS, TOPIC
-from analyzer.sources.log_files import METADATA
 from analyzer.sources.mcap_scan import LogMessage
-from analyzer.sources.moments import iso
+from analyzer.sources.recording_parts import METADATA
+from analyzer.sources.times import iso
 
 EXAMPLES = """\
 examples:
@@ -37,7 +37,7 @@ _EVERYTHING = -1, 1 << 64
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("file", metavar="FILE", help="a log (MCAP), or a folder of its parts")
-    add_stretch_arguments(parser)
+    add_time_range_arguments(parser)
     parser.add_argument("--bus", action="append", default=[], metavar="NAME", help="only this bus; may be repeated")
     parser.add_argument("-o", "--output", required=True, metavar="OUT.mcap", help="the smaller log")
     parser.add_argument("--force", action="store_true", help="replace a log that exists")

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from analyzer import __version__
-from analyzer.cli.interrupt import Interrupt
 from analyzer.cli.output import Output
 from analyzer.cli.reading import Reading, add_reading_arguments, clean, now_text, open_reading, progress
+from analyzer.cli.signals import Interrupt
 from analyzer.errors import ServotapError, UnreadableError, UsageError
 from analyzer.pipeline import Pipeline, Sink
 from analyzer.records import Severity
@@ -188,7 +188,7 @@ def _metadata(
     reading: Reading, pipeline: Pipeline, summary: Summary, arguments: argparse.Namespace, stopped: str
 ) -> dict[str, str]:
     source = reading.source
-    total = sum(port.bytes_in - port.start for port in pipeline.ports.values()) - reading.stretch.unseen_bytes
+    total = sum(port.bytes_in - port.start for port in pipeline.ports.values()) - reading.time_range.unseen_bytes
     _account(total, summary)
     values = {
         "source": source.name,
@@ -210,7 +210,7 @@ def _metadata(
         values["source_sha256"] = source.sha256
     if reading.model:
         values["model"] = reading.model
-    values |= reading.stretch.about()
+    values |= reading.time_range.about()
     if arguments.baud:
         values["bit_rate" if reading.dialects[0].bus == "can" else "baud"] = str(arguments.baud)
     if stopped:

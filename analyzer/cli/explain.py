@@ -17,13 +17,13 @@ from analyzer import dialects as registry
 from analyzer.catalogue import Dialect, Role
 from analyzer.codec import codec
 from analyzer.decoder import physical, slots_of
+from analyzer.dialects import code_text
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.findings import RULES
-from analyzer.lookup import code_text
 from analyzer.records import Message
 from analyzer.reference.explanation import Explainer, Explanation
 from analyzer.reference.explanation_text import explanation_lines
-from analyzer.reference.frame_text import Given, read_frame, write_frame
+from analyzer.reference.hex_frame import Given, read_frame, write_frame
 
 EXAMPLES = """\
 exit status: 0 readable, with or without findings; 2 no frame.

@@ -13,11 +13,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
-from analyzer.cli.interrupt import Interrupt
 from analyzer.cli.option_types import positive
 from analyzer.cli.output import Output
 from analyzer.cli.reading import clean, progress
-from analyzer.cli.stretch import Stretch, add_stretch_arguments
+from analyzer.cli.signals import Interrupt
+from analyzer.cli.time_range import TimeRange, add_time_range_arguments
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.export import CAN, FORMATS, SERIAL, Choices, Count, Export, Outcome, writer
 from analyzer.live.endpoint import DEFAULT_BAUD, DEFAULT_BITRATE
@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--baud", type=positive, metavar="N", help="line speed or bit rate, for a capture without times")
     parser.add_argument("--format", metavar="F", help="capture format, where it is not to be found by content")
     parser.add_argument("--force", action="store_true", help="replace a file that exists")
-    add_stretch_arguments(parser)
+    add_time_range_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -125,7 +125,7 @@ def _write(source: Source, stream: IO[bytes], arguments: argparse.Namespace, int
     export = Export(target, held, speed)
     broken: list[str] = []
     with progress(source, f"exporting {source.name}"):
-        items = _stretch(source, arguments)
+        items = _in_time_range(source, arguments)
         export.run(interrupt.items(_until_broken(items, export.outcome, broken)))
     outcome = export.finish()
     if not outcome.written and not interrupt.asked:
@@ -137,12 +137,12 @@ def _write(source: Source, stream: IO[bytes], arguments: argparse.Namespace, int
     return outcome, "".join(broken)
 
 
-def _stretch(source: Source, arguments: argparse.Namespace) -> Iterator[Chunk | CanFrame | Comment]:
+def _in_time_range(source: Source, arguments: argparse.Namespace) -> Iterator[Chunk | CanFrame | Comment]:
     """Yield the traffic and the comments of the stretch that is wanted."""
-    stretch = Stretch(source, arguments.since, arguments.until)
-    for item in stretch.items(source):
+    time_range = TimeRange(source, arguments.since, arguments.until)
+    for item in time_range.items(source):
         # What else stands in a log of a recording (pauses, what happened to it) has no place in an export.
-        if isinstance(item, Chunk | CanFrame | Comment) and (item.t_ns is None or item.t_ns >= stretch.since_ns):
+        if isinstance(item, Chunk | CanFrame | Comment) and (item.t_ns is None or item.t_ns >= time_range.since_ns):
             yield item
 
 

@@ -14,10 +14,10 @@ from typing import Any
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect, Role
+from analyzer.dialects import code_text, find_command
 from analyzer.encoder import SLOTS, Built, assemble
 from analyzer.errors import UsageError
-from analyzer.lookup import code_text, find_one
-from analyzer.reference.frame_text import write_frame
+from analyzer.reference.hex_frame import write_frame
 from analyzer.values import quote
 
 EXAMPLES = """\
@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     dialect, address = parse_target(arguments.target, arguments.model)
     if arguments.candump and dialect.link.kind != "can":
         raise UsageError(f"--candump is for CAN, got {dialect.name}")
-    command = find_one(dialect, arguments.command)
+    command = find_command(dialect, arguments.command)
     role = Role.REPLY if arguments.reply else Role.REQUEST
     values = parse_values(arguments.values)
     built = assemble(dialect, command, address, values, role, arguments.form, physical=not arguments.wire)

@@ -18,14 +18,14 @@ from typing import IO, Any
 import msgspec
 from mcap.records import Channel
 
-from analyzer.cli.interrupt import Interrupt
 from analyzer.cli.log_copy import Copy, Log, Taken, write_or_drop
 from analyzer.cli.reading import clean, showing_progress
+from analyzer.cli.signals import Interrupt
 from analyzer.errors import UsageError
 from analyzer.pipeline import topic_name
-from analyzer.sources.log_files import METADATA
 from analyzer.sources.mcap_scan import LogMessage
-from analyzer.sources.moments import iso
+from analyzer.sources.recording_parts import METADATA
+from analyzer.sources.times import iso
 
 EXAMPLES = """\
 examples:

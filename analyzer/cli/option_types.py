@@ -1,8 +1,34 @@
-"""Types of options that several commands share: each returns the value of a text, and says what was expected of it."""
+"""Values that several commands take as options, and how such values are shown.
+
+A type of an option returns the value of a text, or says what it expected. Times are written as 10s, 5min, 2h; sizes as 500kB,
+100MB, 2GiB.
+"""
 
 from __future__ import annotations
 
 import argparse
+import re
+from fractions import Fraction
+
+from analyzer.errors import UsageError
+from analyzer.values import quote
+
+_SECOND = 1_000_000_000
+DURATIONS = {
+    "ms": _SECOND // 1000,
+    "s": _SECOND,
+    "min": 60 * _SECOND,
+    "m": 60 * _SECOND,
+    "h": 3600 * _SECOND,
+    "d": 86400 * _SECOND,
+}
+SIZES = {
+    "B": 1,
+    "kB": 1000, "MB": 1000**2, "GB": 1000**3, "TB": 1000**4,
+    "KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30, "TiB": 1 << 40,
+}  # fmt: skip
+_ANY_CASE = {name.lower(): size for name, size in SIZES.items()}
+_AMOUNT = re.compile(r"(\d+(?:\.\d+)?)\s*([A-Za-z]+)")
 
 
 def positive(text: str) -> int:
@@ -27,3 +53,51 @@ def milliseconds(text: str) -> float:
     if not 0 < value < 1e9:
         raise argparse.ArgumentTypeError(f"expected milliseconds above 0, got {text}")
     return value
+
+
+def duration_ns(text: str) -> int:
+    """Return a time in nanoseconds: 10s, 1.5h, 250ms. Raises UsageError."""
+    found = _amount(text, DURATIONS)
+    if not found:
+        raise UsageError(f"got {quote(text)}, expected a time above 0, as in 10s, 5min or 2h")
+    return found
+
+
+def size_bytes(text: str) -> int:
+    """Return a size in bytes: 500kB, 100MB, 2GiB; the letters' case does not count. Raises UsageError."""
+    found = _amount(text.lower(), _ANY_CASE)
+    if not found:
+        raise UsageError(f"got {quote(text)}, expected a size above 0, as in 100MB or 2GiB")
+    return found
+
+
+def is_size(text: str) -> bool:
+    """Say whether a text has the unit of a size."""
+    match = _AMOUNT.fullmatch(text.strip())
+    return match is not None and match[2].lower() in _ANY_CASE
+
+
+def _amount(text: str, units: dict[str, int]) -> int:
+    match = _AMOUNT.fullmatch(text.strip())
+    if match is None or match[2] not in units:
+        return 0
+    return int(Fraction(match[1]) * units[match[2]])
+
+
+def size_text(size: float) -> str:
+    """Return a size for reading: 1.4 MB."""
+    for unit, factor in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if size >= factor:
+            return f"{size / factor:.1f} {unit}"
+    return f"{size:.0f} B"
+
+
+def duration_text(ns: int) -> str:
+    """Return a time for reading: 2.5 s, 4:07 min, 1:02:33 h."""
+    seconds = ns / 1e9
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(int(seconds), 60)
+    if minutes < 60:
+        return f"{minutes}:{rest:02d} min"
+    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d} h"

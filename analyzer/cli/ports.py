@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     serial, can = serial_adapters(), can_interfaces()
     why = ""
     if not arguments.no_detect:
-        from analyzer.live.can_detection import detect
+        from analyzer.live.can_adapters import detect
 
         configs, why = detect()
         can += detected(configs)

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
 from analyzer.cli.option_types import address, milliseconds, positive
-from analyzer.cli.stretch import Stretch, add_stretch_arguments
+from analyzer.cli.time_range import TimeRange, add_time_range_arguments
 from analyzer.detect import Choice, choose
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.events import SETUPS
 from analyzer.framer import SILENCE_NS
 from analyzer.pipeline import Item, Options, Pipeline, PortSetup, Sink
+from analyzer.port import Setups
 from analyzer.records import CanFrame, Chunk, Event
-from analyzer.setups import Setups, as_model
 
 if TYPE_CHECKING:
     from analyzer.sources import Source
@@ -50,7 +50,7 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
         help="an address that several drives listen to and none answers; may be repeated",
     )  # fmt: skip
     parser.add_argument("--late", type=milliseconds, metavar="MS", help="replies later than this are late (default 1000)")
-    add_stretch_arguments(parser)
+    add_time_range_arguments(parser)
 
 
 class Reading:
@@ -64,8 +64,8 @@ class Reading:
         self.source = source
         self._arguments = arguments
         since, until = getattr(arguments, "since", None), getattr(arguments, "until", None)
-        self.stretch = Stretch(source, since, until)
-        self._iterator = self.stretch.items(source)
+        self.time_range = TimeRange(source, since, until)
+        self._iterator = self.time_range.items(source)
         brief = source.path == "-" or source.follow is not None
         sample = self._sample(PIPE_SAMPLE_BYTES if brief else SAMPLE_BYTES)
         self._items = chain(sample, self._iterator)
@@ -93,7 +93,7 @@ class Reading:
     def pipeline(self, sinks: Sequence[Sink]) -> Pipeline:
         """Return the pipeline that decodes this capture into sinks."""
         on_setup: Callable[[Event], PortSetup | None] | None = self._set_up if self._known else None
-        return Pipeline(self.dialects, self.stretch.sinks(sinks), self.options, ports=self.ports, on_setup=on_setup)
+        return Pipeline(self.dialects, self.time_range.sinks(sinks), self.options, ports=self.ports, on_setup=on_setup)
 
     @property
     def possible(self) -> tuple[Dialect, ...]:
@@ -135,7 +135,7 @@ class Reading:
 
     def _choose_by_bus(self, traffic: Sequence[Chunk | CanFrame]) -> Choice:
         """Choose for each bus by itself: as the user says, as the recording found it, or by its traffic."""
-        known = self._known = as_model(self.model)
+        known = self._known = registry.by_name(self.model)
         kinds = {**{item.port: _kind(item) for item in traffic}, **self._said.kinds}
         for bus, kind in kinds.items():
             given = [known.get(d.name, d) for d in self._given if d.bus == kind]

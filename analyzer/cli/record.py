@@ -8,17 +8,21 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import os
 import shlex
+import shutil
+import signal
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING
 
 from analyzer import dialects as registry
-from analyzer.cli.amounts import duration_ns, is_size, size_bytes
-from analyzer.cli.option_types import address, milliseconds, positive
+from analyzer.cli.option_types import address, duration_ns, is_size, milliseconds, positive, size_bytes
+from analyzer.cli.signals import ENDING, handled
 from analyzer.errors import UsageError
 from analyzer.live.endpoint import Endpoint, parse, parse_all
 
@@ -26,9 +30,11 @@ if TYPE_CHECKING:
     from analyzer.catalogue import Dialect
     from analyzer.cli.record_display import Display
     from analyzer.live.config import PortConfig, RecordingConfig
-    from analyzer.live.supervisor import ReaderMaker
+    from analyzer.live.supervisor import ReaderMaker, Supervisor
 
 FOXGLOVE = "127.0.0.1:8765"
+#: A Ctrl-C this soon after the one before belongs to it.
+_SAME_PRESS_S = 1.0
 
 EXAMPLES = """\
 endpoints:
@@ -123,13 +129,12 @@ def record(
 ) -> int:
     """Record as configured; return the exit status. Signals end it in order. `readers`: see `Supervisor`."""
     from analyzer.cli.record_report import summarize
-    from analyzer.cli.record_signals import Signals
     from analyzer.live.supervisor import Supervisor
 
     supervisor = Supervisor(
         config, duration_ns=duration_ns, on_note=display.note, on_snapshot=display.snapshot, plain=plain, readers=readers
     )
-    with Signals(supervisor, display.say):
+    with handled(_Ending(supervisor, display.say)):
         supervisor.start()
         display.begin(supervisor)
         thread = threading.Thread(target=supervisor.run, name="supervisor")
@@ -142,6 +147,27 @@ def record(
     summary = summarize(supervisor)
     display.end(summary)
     return 1 if summary.lost else 0
+
+
+class _Ending:
+    """Ends a recording at a signal.
+
+    The second signal says that the log is being finished. A third Ctrl-C leaves that to `servotap recover`.
+    """
+
+    def __init__(self, supervisor: Supervisor, say: Callable[[str], None]) -> None:
+        self._supervisor = supervisor
+        self._say = say
+        self._told = 0.0
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        if not self._supervisor.reason:
+            self._supervisor.stop(ENDING[number])
+        elif not self._told:
+            self._told = time.monotonic()
+            self._say("the log is being finished; Ctrl-C once more leaves that to servotap recover")
+        elif number == signal.SIGINT and time.monotonic() - self._told > _SAME_PRESS_S:
+            self._supervisor.give_up()
 
 
 # --- what was asked for ---------------------------------------------------------------------------------------------------
@@ -160,16 +186,46 @@ def _endpoints(arguments: argparse.Namespace) -> list[Endpoint]:
 
 def target_of(arguments: argparse.Namespace) -> Path:
     """Return the log to write. Raises UsageError where something is in the way."""
-    from analyzer.live.target import check_target
-
     name = time.strftime("recording-%Y%m%d-%H%M%S.mcap")
     target = Path(arguments.output or name)
     if target.is_dir():
         target = target / name
     if target.suffix != ".mcap" and (target.is_file() or not target.exists()):
         raise UsageError(f"got {str(target)!r}, expected a name that ends in .mcap, by which logs are known")
-    check_target(target, arguments.force, parts=bool(arguments.rotate or arguments.max_total))
+    _check_target(target, arguments.force, parts=bool(arguments.rotate or arguments.max_total))
     return target
+
+
+def _check_target(log: Path, force: bool, *, parts: bool = False) -> None:
+    """Check that a log may be written. Raises UsageError where something is in the way; `force` removes it.
+
+    In the way are the log itself, with `parts` the parts of its name, and the spools of an unfinished recording.
+    """
+    from analyzer.live.lock import running
+    from analyzer.live.spool import spool_folder
+    from analyzer.sources.recording_parts import parts_named
+
+    if log.exists() and not log.is_file():
+        raise UsageError(f"{log} is no regular file, and a log cannot be written there")
+    if not log.parent.is_dir():
+        raise UsageError(f"{log.parent} is no folder")
+    if not os.access(log.parent, os.W_OK):
+        raise UsageError(f"{log.parent}: no permission to write there")
+    folder = spool_folder(log)
+    if folder.exists():
+        if running(folder):
+            raise UsageError(f"a recording to {log} is running")
+        if not force:
+            raise UsageError(
+                f"{folder} exists: a recording to {log} was not finished; servotap recover {log} does that, --force throws it "
+                "away"
+            )
+        shutil.rmtree(folder)
+    for path in parts_named(log) if parts else [log]:
+        if path.exists():
+            if not force:
+                raise UsageError(f"{path} exists; --force replaces it")
+            path.unlink()
 
 
 def _at_its_speed(endpoint: Endpoint, dialects: Sequence[Dialect], notes: list[str], *, quiet: bool) -> Endpoint:
@@ -178,7 +234,7 @@ def _at_its_speed(endpoint: Endpoint, dialects: Sequence[Dialect], notes: list[s
         if endpoint.kind == "serial" and endpoint.speed is None:
             notes.append(f"{endpoint.name}: no baud given: {endpoint.bits_per_second}")
         return endpoint
-    from analyzer.live.autobaud import find
+    from analyzer.live.autobaud_ports import find
 
     def say(text: str) -> None:
         notes.append(f"{endpoint.name}: {text}")
@@ -221,8 +277,8 @@ def configure(
 
 
 def _port(number: int, endpoint: Endpoint, dialects: Sequence[Dialect]) -> PortConfig:
+    from analyzer.live.can_listen_only import NO_BITRATE
     from analyzer.live.config import PortConfig
-    from analyzer.live.reader_can import NO_BITRATE
 
     direction = endpoint.direction.value
     speed: int | None = endpoint.bits_per_second

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
-from analyzer.cli.amounts import duration_text, size_text
+from analyzer.cli.option_types import duration_text, size_text
 from analyzer.cli.reading import clean
 from analyzer.cli.record_report import Summary, as_text
 from analyzer.live.snapshot import BusCounts, Snapshot

@@ -8,9 +8,9 @@ from typing import Any
 
 import msgspec
 
-from analyzer.cli.amounts import duration_text, size_text
+from analyzer.cli.option_types import duration_text, size_text
 from analyzer.cli.reading import clean
-from analyzer.live.losses import LOSING, PortTally
+from analyzer.live.port_status import LOSING, PortStatus
 from analyzer.live.supervisor import Supervisor
 from analyzer.reference.columns import columns
 
@@ -23,7 +23,7 @@ class Summary(msgspec.Struct, kw_only=True):
 
     reason: str
     seconds: float
-    ports: list[PortTally]
+    ports: list[PortStatus]
     buses: dict[str, dict[str, Any]]
     rules: dict[str, int]
     files: list[str]
@@ -84,7 +84,7 @@ def as_text(summary: Summary) -> list[str]:
     return lines
 
 
-def _lost(port: PortTally) -> str:
+def _lost(port: PortStatus) -> str:
     parts = []
     gaps = [gap for gap in port.gaps if not gap.kept]
     if gaps:
@@ -97,13 +97,13 @@ def _lost(port: PortTally) -> str:
     return ", ".join(parts) or "nothing"
 
 
-def _garbled(port: PortTally) -> str:
+def _garbled(port: PortStatus) -> str:
     parts = [f"{n} {name}" for name, n in port.counters.items() if name not in LOSING]
     parts += [f"{reason} ({n})" for reason, n in port.bus_errors.items()]
     return ", ".join(parts)
 
 
-def _gaps(port: PortTally, utc_ns: int) -> list[str]:
+def _gaps(port: PortStatus, utc_ns: int) -> list[str]:
     lines = []
     for gap in port.gaps[:_GAPS_NAMED]:
         start = clock_text(gap.from_ns + utc_ns)

@@ -14,9 +14,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-from analyzer.cli.interrupt import Interrupt
 from analyzer.cli.output import Output
 from analyzer.cli.reading import clean, showing_progress
+from analyzer.cli.signals import Interrupt
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.live import checkpoint, config
 from analyzer.live.lock import RUNNING, Lock
@@ -24,8 +24,8 @@ from analyzer.live.log_parts import log_of
 from analyzer.live.recorder import Recorder
 from analyzer.live.spool import segments, spool_folder, stems
 from analyzer.sinks.mcap_repair import Outcome, is_whole, repair
-from analyzer.sources.log_files import base_of, parts_named
-from analyzer.sources.moments import iso
+from analyzer.sources.recording_parts import base_of, parts_named
+from analyzer.sources.times import iso
 
 EXAMPLES = """\
 examples:

@@ -24,7 +24,7 @@ from analyzer.live.lock import running
 from analyzer.live.spool import spool_folder
 from analyzer.pipeline import Entry
 from analyzer.records import Comment, Event, Finding, Junk
-from analyzer.sources.log_files import base_of
+from analyzer.sources.recording_parts import base_of
 from analyzer.sources.tail import Follow
 
 EXAMPLES = """\

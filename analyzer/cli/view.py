@@ -16,7 +16,7 @@ from analyzer.cli.reading import add_reading_arguments, clean, open_reading
 from analyzer.errors import UsageError
 from analyzer.live.lock import running
 from analyzer.live.spool import spool_folder
-from analyzer.sources.log_files import base_of
+from analyzer.sources.recording_parts import base_of
 from analyzer.sources.tail import Follow
 from analyzer.view import require_terminal, run_capture
 

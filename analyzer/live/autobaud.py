@@ -6,7 +6,7 @@ At a wrong rate a UART makes other bytes of the same line, and next to none of t
 bytes end in good frames is the one, if no other comes near.
 
 Rules: the most usual rate comes first; a rate without doubt ends the search. A quiet line is listened to for the whole time
-at every rate, and then said to be quiet. Nothing is opened here: see `autobaud_ears`.
+at every rate, and then said to be quiet. Nothing is opened here: see `autobaud_ports`.
 
 What it cannot know: parity and stop bits, which are those of the endpoint, and rates that no manual lists.
 """
@@ -17,7 +17,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
 from analyzer.detect import Evidence, choose, weigh
 from analyzer.errors import UsageError
@@ -79,7 +78,7 @@ class Found:
     evidence: tuple[Heard, ...]
 
 
-class Ear(Protocol):
+class Listener(Protocol):
     """Listens to a port."""
 
     def listen(self, rate: int, seconds: float, enough: Callable[[Sequence[Chunk]], bool]) -> Sequence[Chunk]:
@@ -156,7 +155,7 @@ def _percent(share: float) -> str:
 
 def search(
     endpoint: Endpoint,
-    ear: Ear,
+    listener: Listener,
     candidates: Sequence[Dialect],
     *,
     seconds: float = 3.0,
@@ -174,7 +173,7 @@ def search(
                 continue
             got = chunks.setdefault(rate, [])
             # Two turns at a rate are two stretches of time; the framer is told of no pause, so each is judged with the other.
-            got += ear.listen(rate, seconds, _Enough(rate, got, candidates))
+            got += listener.listen(rate, seconds, _Enough(rate, got, candidates))
             heard = judge(rate, got, candidates)
             say(_said(heard))
             if heard.sure:
@@ -220,40 +219,3 @@ def _found(
     choice = choose([d for d in candidates if best.rate in d.baud_rates], chunks[best.rate])
     say(f"{quote(endpoint.name)}: {best.rate} baud, {', '.join(d.name for d in choice.dialects)} ({choice.reason})")
     return Found(endpoint.at(best.rate), choice.dialects, choice.reason, tuple(heard))
-
-
-def find(
-    endpoint: Endpoint,
-    *,
-    seconds: float = 3.0,
-    say: Callable[[str], None] = lambda text: None,
-    candidates: Sequence[Dialect] | None = None,
-) -> Endpoint:
-    """Return a serial endpoint at the rate that was found for it; `find_all` returns the dialect, too.
-
-    `candidates`: the dialects that may be spoken, all serial ones if None. Raises UsageError where no rate is clear, or where
-    the port cannot be opened.
-    """
-    return find_all(endpoint, seconds=seconds, say=say, candidates=candidates).endpoint
-
-
-def find_all(
-    endpoint: Endpoint,
-    *,
-    seconds: float = 3.0,
-    say: Callable[[str], None] = lambda text: None,
-    candidates: Sequence[Dialect] | None = None,
-) -> Found:
-    """Return what `find` does, with the dialects and the evidence."""
-    if endpoint.kind != "serial":
-        raise UsageError(f"{quote(str(endpoint))}: baud=auto is for serial ports, which can be set to a rate")
-    fitting = [d for d in (candidates if candidates is not None else registry.every()) if d.bus == "serial" and d.baud_rates]
-    if not fitting:
-        raise UsageError("baud=auto: expected a dialect of serial lines, got none")
-    from analyzer.live.autobaud_ears import ear_of
-
-    ear = ear_of(endpoint, rates(fitting)[0])
-    try:
-        return search(endpoint, ear, fitting, seconds=seconds, say=say)
-    finally:
-        ear.close()

@@ -1,20 +1,32 @@
-"""One bus of a recording while it is recorded: its ports, how far it has come, and what it is in."""
+"""The buses of a recording: their ports, how far each has come, its dialects, and the records held until these are known.
+
+At the first traffic of a bus of unknown dialect everything stops, for half a second of traffic at most (`Detection`). So the
+log stays in order, and its decoded frames bear their own times. A dialect that is found later waits for a pause on its bus:
+within a frame it would cut it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from analyzer.catalogue import Dialect, Role
+from analyzer.detect import Choice
 from analyzer.live.checkpoint import BusState
 from analyzer.live.config import PortConfig, RecordingConfig
 from analyzer.live.detection import Detection
-from analyzer.setups import names
+from analyzer.live.spool import CanFlag, Kind, Record
+from analyzer.live.spool_merge import Spool
+from analyzer.records import CanFrame, Chunk
 from analyzer.sinks.mcap_log import Speed
 from analyzer.sources.marks import Heard
 
 #: Notes of a bus that are kept.
 NOTES_LIMIT = 20
+#: The longest that a new dialect waits for a pause on its bus.
+CHANGE_LIMIT_NS = 2_000_000_000
+#: Time between two checks whether the dialect has changed.
+CHECK_NS = 1_000_000_000
 
 
 class Bus:
@@ -71,7 +83,7 @@ class Bus:
         if directions:
             values["direction"] = " and ".join(directions)
         if self.dialects:
-            values["dialects"] = names(self.dialects)
+            values["dialects"] = [d.name for d in self.dialects]
         return values
 
     def state(self) -> BusState:
@@ -81,7 +93,7 @@ class Bus:
             last_ns=self.last_ns,
             sounded=self.sounded,
             sent=self.heard.sent,
-            dialects=names(self.dialects),
+            dialects=[d.name for d in self.dialects],
             guessing=self.detection is not None and self.detection.guessing,
             reason=self.reason,
             notes=list(self.notes),
@@ -104,7 +116,7 @@ class Bus:
         prefix = f"bus.{self.name}."
         values = {
             "endpoint": "; ".join(p.endpoint for p in self.ports),
-            "dialect": ",".join(names(self.dialects)),
+            "dialect": ",".join([d.name for d in self.dialects]),
             "dialect_reason": self.reason,
             "bit_rate" if self.kind == "can" else "baud": str(self.speed or ""),
             "direction": "; ".join(p.direction for p in self.ports if p.direction != Role.UNKNOWN),
@@ -121,3 +133,70 @@ def buses_of(config: RecordingConfig, known: Mapping[str, Dialect]) -> dict[str,
     for port in config.ports:
         grouped.setdefault(port.bus, []).append(port)
     return {name: Bus(ports, known) for name, ports in grouped.items()}
+
+
+class HeldRecords:
+    """Records held back until the dialect of their bus is known.
+
+    `change` gets a bus, the choice of its dialects, and the monotonic time of the traffic that decided it.
+    """
+
+    def __init__(self, change: Callable[[Bus, Choice, int], None]) -> None:
+        self._change = change
+        self._held: list[tuple[Spool, Record]] | None = None
+        self._bus: Bus
+        self._first_ns = 0
+        #: Dialects that were found later and wait for a pause: since when, and which.
+        self._wanted: dict[str, tuple[int, Choice]] = {}
+        self._looked_ns = 0
+
+    @property
+    def active(self) -> bool:
+        """Something is held back."""
+        return self._held is not None
+
+    def begin(self, bus: Bus, record: Record) -> None:
+        """Hold back from this record on, the first of a bus of which it is not known what it is in."""
+        self._held, self._bus, self._first_ns = [], bus, record.t_ns
+
+    def add(self, spool: Spool, record: Record, bus: Bus | None) -> None:
+        """Hold a record back. `bus`: of its spool."""
+        assert self._held is not None
+        self._held.append((spool, record))
+        detection = self._bus.detection
+        if bus is not self._bus or detection is None:
+            return
+        if record.kind == Kind.DATA:
+            detection.add(Chunk(record.t_ns, bus.name, record.data))
+        elif record.kind == Kind.CAN:
+            can_id, flags, data = record.can
+            detection.add(CanFrame(record.t_ns, bus.name, can_id, data, extended=bool(flags & CanFlag.EXTENDED)))
+
+    def release(self, t_ns: int, *, final: bool = False) -> list[tuple[Spool, Record]]:
+        """Decide what the bus is in, if that can be or has to be, and return what was held back; else nothing."""
+        assert self._held is not None
+        detection = self._bus.detection
+        assert detection is not None  # or nothing would be held
+        choice = detection.first(t_ns, final=final)
+        if choice is None:
+            return []
+        held, self._held = self._held, None
+        self._change(self._bus, choice, self._first_ns)
+        return held
+
+    def look_again(self, buses: Iterable[Bus], now_ns: int) -> None:
+        """Once a second: find out whether what a bus is in has changed; make the change where a pause has come."""
+        known = {bus.name: bus for bus in buses}
+        for name, (since_ns, choice) in list(self._wanted.items()):
+            if not known[name].sounded or now_ns - since_ns > CHANGE_LIMIT_NS:
+                del self._wanted[name]
+                self._change(known[name], choice, now_ns)
+        if now_ns - self._looked_ns < CHECK_NS:
+            return
+        self._looked_ns = now_ns
+        for name, bus in known.items():
+            detection = bus.detection
+            if detection is not None and detection.dialects and name not in self._wanted:
+                found = detection.again(now_ns)
+                if found is not None:
+                    self._wanted[name] = now_ns, found

@@ -1,7 +1,7 @@
-"""The files of a recording's log: begun, gone on with, ended, and dropped when there are too many.
+"""The files of a recording's log: begun, resumed, ended, and deleted when there are too many.
 
-Without rotation there is one, called as the log. With it there are parts (`sources.log_files`), each a complete log by itself.
-What a part's summary will hold stands in the folder of the spools until it is written.
+Without rotation the log is one file. With rotation it has parts (`sources.recording_parts`), each a complete log by itself.
+The index for a part's summary stands in the folder of the spools until the summary is written.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from analyzer.live.config import RecordingConfig
 from analyzer.sinks.mcap_file import LogFile, McapFile
 from analyzer.sinks.mcap_index import FileIndex, WholeWrites
 from analyzer.sinks.mcap_log import LIBRARY, PROFILE
-from analyzer.sources import log_files
-from analyzer.sources.moments import iso
+from analyzer.sources import recording_parts
+from analyzer.sources.times import iso
 
 #: Where only the sum of all parts is bounded, a part has this share of it, and at least so many bytes.
 _SHARE = 10
@@ -39,7 +39,7 @@ def log_of(folder: Path, config: RecordingConfig) -> Path:
 class LogParts:
     """The parts of one recording. `number`, `path`: of the part that is being written."""
 
-    METADATA = log_files.METADATA
+    METADATA = recording_parts.METADATA
 
     def __init__(self, folder: Path, config: RecordingConfig, wrap: Wrap | None = None) -> None:
         self._folder = folder
@@ -176,7 +176,7 @@ class LogParts:
         config = self._config
         if not (self.rotating and (config.keep or config.max_total)):
             return []
-        older = [path for path in log_files.parts_named(self.log) if path != self.path and self._is_own(path)]
+        older = [path for path in recording_parts.parts_named(self.log) if path != self.path and self._is_own(path)]
         sizes = {path: path.stat().st_size for path in older}
         total = sum(sizes.values()) + self.file.position
         dropped = []
@@ -212,19 +212,19 @@ class LogParts:
     # --- names ----------------------------------------------------------------------------------------------------
 
     def _path(self, number: int) -> Path:
-        return log_files.part_path(self.log, number) if self.rotating else self.log
+        return recording_parts.part_path(self.log, number) if self.rotating else self.log
 
     def _index_path(self, number: int) -> Path:
         return self._folder / f"index.{number:04d}"
 
     def _is_own(self, path: Path) -> bool:
         """Say whether a log is of this recording, or was begun and never written to."""
-        return path.stat().st_size == 0 or log_files.look(path).recording == self.recording
+        return path.stat().st_size == 0 or recording_parts.look(path).recording == self.recording
 
     def _drop_later(self) -> None:
         """Delete what a process began behind the checkpoint: all of it is still in the spools."""
         if self.rotating:
-            named = log_files.parts_named(self.log)
+            named = recording_parts.parts_named(self.log)
             later = named[named.index(self.path) + 1 :] if self.path in named else []
             for path in later:
                 if self._is_own(path):

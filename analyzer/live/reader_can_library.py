@@ -11,8 +11,8 @@ import time
 from typing import Any
 
 from analyzer.errors import UsageError
+from analyzer.live.can_listen_only import options_for
 from analyzer.live.endpoint import Endpoint
-from analyzer.live.reader_can import options_for
 from analyzer.live.reader_port import IDLE_NS, Lost, Opened, Stop, Ticks, Unopened
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import CanFlag

@@ -21,8 +21,8 @@ from pathlib import Path
 
 import msgspec
 
+from analyzer.live.can_listen_only import kernel_notes
 from analyzer.live.endpoint import Endpoint
-from analyzer.live.reader_can import kernel_notes
 from analyzer.live.reader_port import IDLE_NS, Lost, Opened, Stop, Ticks, Unopened
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import CanFlag

@@ -28,11 +28,11 @@ from pathlib import Path
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live import config as settings
 from analyzer.live.config import RecordingConfig
-from analyzer.live.feed import Feed
 from analyzer.live.lock import DECODING, RUNNING, Lock
 from analyzer.live.log_parts import LogParts, Wrap
 from analyzer.live.recording import Recording
 from analyzer.live.snapshot_pipe import SnapshotWriter
+from analyzer.live.snapshot_sink import SnapshotSink
 from analyzer.records import Event
 
 #: Time between two looks at the spools, two flushes, two snapshots.
@@ -75,7 +75,7 @@ class Recorder:
         self._ending = ""
         self._new_ns = 0
         self._snapshot_ns = 0
-        self._feed: Feed | None = None
+        self._feed: SnapshotSink | None = None
         self._writer: SnapshotWriter | None = None
         self._lock = Lock(folder, DECODING, taken=f"{folder}: another process decodes this recording")
         self._running = None if final else Lock(folder, RUNNING, shared=True)
@@ -93,7 +93,7 @@ class Recorder:
         assert self._open is not None  # only while it is being opened
         return self._open
 
-    def _opened(self, watch: Sequence[Feed]) -> Recording:
+    def _opened(self, watch: Sequence[SnapshotSink]) -> Recording:
         """Open the recording, as soon as there is room for its beginning."""
         opened: list[Recording] = []
         self._patiently(
@@ -212,10 +212,10 @@ class Recorder:
         self._writer.offer(self._feed.snapshot(t_ns, ended=ended))
 
 
-def _feed_of(config: RecordingConfig) -> Feed:
+def _feed_of(config: RecordingConfig) -> SnapshotSink:
     byte_ns = {p.bus: p.byte_ns for p in config.ports if p.byte_ns and p.kind == "serial"}
     bit_ns = {p.bus: 1_000_000_000 // p.speed for p in config.ports if p.kind == "can" and p.speed}
-    return Feed(byte_ns=byte_ns, bit_ns=bit_ns)
+    return SnapshotSink(byte_ns=byte_ns, bit_ns=bit_ns)
 
 
 def wrap_of(config: RecordingConfig, say: Callable[[str], None]) -> Wrap | None:

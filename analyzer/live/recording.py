@@ -12,31 +12,36 @@ Not known here: processes, clocks, when to flush.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from analyzer import dialects as registry
 from analyzer import events
 from analyzer.catalogue import Role
 from analyzer.detect import Choice
 from analyzer.framer import SILENCE_NS
-from analyzer.live import checkpoint, going_on
-from analyzer.live.bus import Bus, buses_of
+from analyzer.live import checkpoint
+from analyzer.live.bus import Bus, HeldRecords, buses_of
+from analyzer.live.checkpoint import Checkpoint, SpoolState
 from analyzer.live.config import CONTROL, PortConfig, RecordingConfig
-from analyzer.live.happening import values_of
-from analyzer.live.holding import Holding
+from analyzer.live.counts import RecordingCounts
 from analyzer.live.log_parts import LogParts
-from analyzer.live.merge import NEVER_NS, Merger, Spool
 from analyzer.live.spool import CanFlag, Kind, Record
-from analyzer.live.tally import Tally
-from analyzer.pipeline import Options, Pipeline, Sink
+from analyzer.live.spool_merge import NEVER_NS, Merger, Spool
+from analyzer.pipeline import Options, Pipeline, PortSetup, Sink
+from analyzer.port import Setups
 from analyzer.records import CanFrame, Chunk, Comment, Event
-from analyzer.setups import Setups, as_model, names
 from analyzer.sinks.object_table import Table
 from analyzer.sinks.recording_log import RecordingLog
+from analyzer.sources.times import iso
 
 #: A part is rotated in the midst of a frame when there was no better place for this long.
 SEAM_NS = 1_000_000_000
+#: Monotonic times and durations: name in a spool -> name in the log.
+_TIMES = {"from_ns": "from", "to_ns": "to"}
+_DURATIONS = {"gap_ns": "gap", "step_ns": "step", "offset_ns": "drift"}
 
 
 class Follow:
@@ -62,7 +67,7 @@ class Recording:
         self.folder = folder
         self.config = config
         self.parts = parts
-        known = as_model(config.model)
+        known = registry.by_name(config.model)
         self.known = known
         self.table = Table(list(known.values()))
         self.buses = buses_of(config, known)
@@ -76,11 +81,11 @@ class Recording:
         #: Why the recording ended, empty until then.
         self.ended = ""
         self.drift_ns = 0
-        self._holding = Holding(self._change)
+        self._held = HeldRecords(self._change)
         self._due_ns: int | None = None
         #: Events of this process that wait for a place between records.
         self._own: list[tuple[str, dict[str, Any]]] = []
-        self.tally = Tally(self._junk)
+        self.counts = RecordingCounts(self._junk)
         speeds = {bus.name: bus.load for bus in self.buses.values()}
         found = checkpoint.load(folder)
         start = found if found is not None and found.position else None
@@ -88,17 +93,17 @@ class Recording:
         self.merger = Merger(folder, list(self.follows), places)
         self.spools = {spool.stem: spool for spool in self.merger.spools}
         if start is None:
-            file = parts.begin(1, lambda: going_on.save_beginning(self), mine=found is not None)
+            file = parts.begin(1, self._save_beginning, mine=found is not None)
         else:
             file = parts.resume(start)
         self.log = RecordingLog(file, speeds=speeds)
-        sinks: tuple[Sink, ...] = (self.log, self.tally, *watch)
+        sinks: tuple[Sink, ...] = (self.log, self.counts, *watch)
         options = Options(late_ns=config.late_ns, groups=frozenset(config.groups))
         self.pipeline = Pipeline(list(known.values()), sinks, options, on_setup=Setups(known))
         if start is None:
             self._open_part()
         else:
-            going_on.go_on(self, start)
+            self._resume(start)
 
     # --- parts of the log -----------------------------------------------------------------------------------------
 
@@ -128,8 +133,8 @@ class Recording:
         return values
 
     def _about(self) -> dict[str, str]:
-        values = {**self.parts.about(), **self.tally.about(), "drift_ns": str(self.drift_ns)}
-        used = {name: self.known[name] for bus in self.buses.values() for name in names(bus.dialects)}
+        values = {**self.parts.about(), **self.counts.about(), "drift_ns": str(self.drift_ns)}
+        used = {d.name: self.known[d.name] for bus in self.buses.values() for d in bus.dialects}
         values["dialect"] = ",".join(used)
         values["manual"] = "; ".join(d.manual for d in used.values())
         values["dialect_reason"] = "; ".join(f"{bus.name}: {bus.reason}" for bus in self.buses.values() if bus.reason)
@@ -149,7 +154,7 @@ class Recording:
     @property
     def rotation_due(self) -> bool:
         """It is time for another part, and here no frame is cut in two (or that was waited for long enough)."""
-        if not self.parts.full(self.clock_ns) or not self.tally.part_bytes:
+        if not self.parts.full(self.clock_ns) or not self.counts.part_bytes:
             return False
         if self._due_ns is None:
             self._due_ns = self.clock_ns
@@ -164,7 +169,7 @@ class Recording:
         patiently(lambda: self.log.finish(metadata))
         patiently(self.parts.sync)
         patiently(lambda: self.log.go_over(self.parts.begin(self.parts.number + 1)))
-        self.tally.begin_part()
+        self.counts.begin_part()
         self._due_ns = None
         patiently(self._begun_part())
         patiently(self.flush)
@@ -188,7 +193,7 @@ class Recording:
         """Bring everything so far into the log and note where it stands. Raises OSError; then call it again."""
         self.log.tick(self.clock_ns)
         self.log.flush()
-        going_on.save(self)
+        self._save()
         for spool in self.spools.values():
             spool.reader.drop_before(spool.position[0])
 
@@ -215,6 +220,90 @@ class Recording:
         """Every reader has said that it ends."""
         return all(follow.ended for follow in self.follows.values() if follow.bus is not None)
 
+    # --- checkpoints ----------------------------------------------------------------------------------------------
+
+    def _save_beginning(self) -> None:
+        """Save which part is about to begin, before its file exists."""
+        parts = self.parts
+        Checkpoint(part=parts.number, path=parts.path.name, position=0).save(self.folder)
+
+    def _save(self) -> None:
+        """Save the checkpoint, right after the log was flushed. Raises OSError with the checkpoint before still there."""
+        buses = {}
+        for name, bus in self.buses.items():
+            state = buses[name] = bus.state()
+            port = self.pipeline.ports.get(name)
+            if port is not None and port.framer is not None:
+                state.pending, state.pending_ns = port.framer.pending, bus.last_ns
+        Checkpoint(
+            **self.parts.state(),
+            log=self.log.state(),
+            spools={
+                stem: SpoolState(
+                    segment=spool.position[0],
+                    place=spool.position[1],
+                    expected=self.follows[stem].expected,
+                    ended=self.follows[stem].ended,
+                )
+                for stem, spool in self.spools.items()
+            },
+            buses=buses,
+            counts=self.counts.state(),
+            clock_ns=self.clock_ns,
+            sequence=self.pipeline.sequence,
+            digest=self.table.digest,
+            decoding=checkpoint.dump_state(self.pipeline.state(), self.table),
+            ended=self.ended,
+            drift_ns=self.drift_ns,
+            moved=(self.moved, self.moved_ns),
+        ).save(self.folder)
+
+    def _resume(self, start: Checkpoint) -> None:
+        """Resume from a checkpoint; the log is open already."""
+        self.log.restore(start.log, self.parts.file)
+        for name, state in start.buses.items():
+            bus = self.buses.get(name)
+            if bus is not None:
+                bus.restore(state, self.known)
+                if state.byte_ns is not None:
+                    self.set_speed(bus, state.speed, state.byte_ns)
+                    self.log.learn(name, bus.load)
+        for stem, spool in start.spools.items():
+            if stem in self.follows:
+                self.follows[stem].expected = spool.expected
+                self.follows[stem].ended = spool.ended
+        self.counts.restore(start.counts)
+        self.clock_ns = start.clock_ns
+        self.ended, self.drift_ns = start.ended, start.drift_ns
+        self.moved, self.moved_ns = start.moved
+        self.declare()
+        setups = self._port_setups()
+        if start.digest == self.table.digest:
+            with contextlib.suppress(ValueError, KeyError):
+                self.pipeline.restore(checkpoint.load_state(start.decoding, self.table), setups)
+                return
+        self._resume_from_bytes(start, setups)
+
+    def _port_setups(self) -> dict[str, PortSetup]:
+        asked = Setups(self.known)
+        found = {name: asked(Event(0, name, events.PORT, bus.setup())) for name, bus in self.buses.items()}
+        return {name: setup for name, setup in found.items() if setup is not None}
+
+    def _resume_from_bytes(self, start: Checkpoint, setups: Mapping[str, PortSetup]) -> None:
+        """Resume without the decoder's state: half frames are decoded again from their bytes, and no request is open."""
+        pipeline = self.pipeline
+        pipeline.ports.clear()
+        pipeline.sequence = start.sequence
+        for name, setup in setups.items():
+            state = start.buses.get(name)
+            if state is None:
+                continue
+            begin = state.offset - len(state.pending)
+            pipeline.set_up(name, PortSetup(setup.dialects, setup.byte_ns, begin))
+            if state.pending:
+                self.decode(self.buses[name], Chunk(state.pending_ns, name, state.pending))
+        self.happened("note", text="another version of servotap resumed this recording: open requests were given up")
+
     # --- records --------------------------------------------------------------------------------------------------
 
     def take(self, records: Iterable[tuple[Spool, Record]]) -> int:
@@ -226,7 +315,7 @@ class Recording:
         return count
 
     def _take(self, spool: Spool, record: Record) -> None:
-        if self._holding.active:
+        if self._held.active:
             self._hold(spool, record)
             return
         kind = record.kind
@@ -235,7 +324,7 @@ class Recording:
             bus = follow.bus
             assert bus is not None  # the spool of the recording itself has no traffic
             if bus.detection is not None and not bus.detection.dialects and not self.config.raw_only:
-                self._holding.begin(bus, record)
+                self._held.begin(bus, record)
                 self._hold(spool, record)
                 return
         if follow.expected is not None and record.before > follow.expected:
@@ -280,7 +369,7 @@ class Recording:
             if bus.detection is not None:
                 bus.detection.add(chunk)
             self.decode(bus, chunk)
-        self.tally.bytes += size
+        self.counts.bytes += size
         self.log.raw(chunk, offset, t_ns - size * follow.byte_ns)
 
     def _can(self, follow: Follow, record: Record) -> None:
@@ -302,7 +391,7 @@ class Recording:
         offset = bus.offset
         bus.offset = offset + len(data)
         bus.last_ns = t_ns
-        self.tally.bytes += len(data)
+        self.counts.bytes += len(data)
         if self.config.raw_only:
             self.log.raw_can(frame, offset)
             return
@@ -354,7 +443,7 @@ class Recording:
         if bus is None and name == "mark":
             self.pipeline.feed(Comment(t_ns, "", str(noted.get("text", ""))))
             return
-        values = values_of(noted, self.config.utc_ns)
+        values = _event_values(noted, self.config.utc_ns)
         if bus is not None:
             follow.ended = name == "closed"
             for note in values.get("notes", ()):
@@ -400,26 +489,26 @@ class Recording:
     def settle(self, horizon_ns: int) -> None:
         """Do what waits for a place between records, everything before `horizon_ns` (monotonic) being dealt with."""
         self._release(horizon_ns)
-        if not self._holding.active:
+        if not self._held.active:
             self._feed_own()
-            self._holding.look_again(self.buses.values(), self.clock_ns - self._shift_ns)
+            self._held.look_again(self.buses.values(), self.clock_ns - self._shift_ns)
 
     def _feed_own(self) -> None:
         own, self._own = self._own, []
         for bus, noted in own:
-            self._feed_event(bus, noted["event"], values_of(noted, self.config.utc_ns))
+            self._feed_event(bus, noted["event"], _event_values(noted, self.config.utc_ns))
 
     # --- dialects -------------------------------------------------------------------------------------------------
 
     def _hold(self, spool: Spool, record: Record) -> None:
         """Keep a record back, for the dialect of a bus is not known yet; deal with all when it is."""
-        self._holding.add(spool, record, self.follows[spool.stem].bus)
+        self._held.add(spool, record, self.follows[spool.stem].bus)
         self._release(record.t_ns)
 
     def _release(self, t_ns: int, *, final: bool = False) -> None:
         # What was held back of one bus may be the first that comes of another.
-        while self._holding.active:
-            held = self._holding.release(t_ns, final=final)
+        while self._held.active:
+            held = self._held.release(t_ns, final=final)
             if not held:
                 return
             for spool, record in held:
@@ -434,3 +523,22 @@ class Recording:
         bus = self.buses.get(port)
         if bus is not None and bus.detection is not None:
             bus.detection.junk(size)
+
+
+def _event_values(noted: Mapping[str, Any], utc_ns: Callable[[int], int]) -> dict[str, Any]:
+    """Return the values of an event from what was noted; `utc_ns` gives the log's time of a monotonic one."""
+    values: dict[str, Any] = {}
+    for name, value in noted.items():
+        if name == "event" or value is None:
+            continue
+        if name in _TIMES and isinstance(value, int):
+            values[_TIMES[name]] = iso(utc_ns(value))
+        elif name in _DURATIONS and isinstance(value, int):
+            values[_DURATIONS[name]] = value / 1e9
+        elif isinstance(value, (list, tuple)):
+            values[name] = [str(each) for each in value]
+        elif isinstance(value, (str, int, float)):
+            values[name] = value
+        else:
+            values[name] = str(value)
+    return values

@@ -1,6 +1,6 @@
 """A snapshot: what somebody who watches a recording is told, about ten times a second, as one line of JSON.
 
-    Feed (decoding process) -> Snapshot -> one line -> pipe -> terminal view, counts a line a second, anything else
+    SnapshotSink (decoding process) -> Snapshot -> one line -> pipe -> terminal view, counts a line a second, anything else
 
 A snapshot can be lost without harm: all counts are cumulative, and `number` shows that one is missing. What is too much for
 one is left out and counted, never queued. It holds what the capture says, unchanged: who shows it on a terminal makes control

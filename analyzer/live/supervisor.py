@@ -25,11 +25,11 @@ from analyzer.live import clock
 from analyzer.live.children import SAYS, Child, DecoderChild, Heard, ReaderChild
 from analyzer.live.config import CONTROL, RecordingConfig
 from analyzer.live.lock import RUNNING, Lock
-from analyzer.live.losses import PortTally, take
+from analyzer.live.port_status import PortStatus, take
 from analyzer.live.reader_store import Store
 from analyzer.live.snapshot import Snapshot
 from analyzer.live.spool import SpoolWriter, spool_folder
-from analyzer.sources.log_files import parts_named
+from analyzer.sources.recording_parts import parts_named
 
 #: How long a port may take to open at the start (an Arduino behind slcan needs two seconds).
 OPEN_S = 15.0
@@ -71,7 +71,7 @@ class Supervisor:
         self.config = config
         self.folder = spool_folder(Path(config.log))
         self.tallies = {
-            p.stem: PortTally(bus=p.bus, endpoint=p.endpoint, unit="frames" if p.kind == "can" else "bytes")
+            p.stem: PortStatus(bus=p.bus, endpoint=p.endpoint, unit="frames" if p.kind == "can" else "bytes")
             for p in config.ports
         }
         self.snapshot: Snapshot | None = None

@@ -25,7 +25,7 @@ from analyzer.errors import UnreadableError
 from analyzer.findings import Issue, of_message
 from analyzer.link import Check, Head, Link
 from analyzer.records import CanFrame, Frame, Message
-from analyzer.reference.frame_text import CAN_DATA_LIMIT, CAN_ID_LIMIT, Given, write_frame
+from analyzer.reference.hex_frame import CAN_DATA_LIMIT, CAN_ID_LIMIT, Given, write_frame
 
 #: A frame told by its head alone has this many bytes at least.
 _LEAST_BY_HEAD = 4

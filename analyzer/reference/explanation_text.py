@@ -18,13 +18,13 @@ from typing import NamedTuple
 from analyzer.catalogue import Command, Form, Risk, Role
 from analyzer.codec import codec
 from analyzer.decoder import slots_of
+from analyzer.dialects import code_text
 from analyzer.findings import RULES
 from analyzer.layout import Field, Kind
-from analyzer.lookup import code_text
 from analyzer.records import Message, Severity
 from analyzer.reference.columns import columns, styled
 from analyzer.reference.explanation import Explanation
-from analyzer.reference.frame_text import write_frame
+from analyzer.reference.hex_frame import write_frame
 from analyzer.values import range_text, value_text
 
 _COLOURS = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Erratum, Form, RiskRule, Vector, all_fields
+from analyzer.dialects import code_text
 from analyzer.layout import Field, Kind, Layout, ModelLimits
-from analyzer.lookup import code_text
 
 
 def reference(

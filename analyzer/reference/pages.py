@@ -7,12 +7,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from analyzer.catalogue import Command, Dialect, Erratum, Form, RiskRule, Role, Vector, Verb, all_fields
 from analyzer.codec import codec
 from analyzer.decoder import slots_of
+from analyzer.dialects import code_text
 from analyzer.encoder import SLOTS, assemble
 from analyzer.layout import Field, Layout
-from analyzer.lookup import code_text
 from analyzer.reference.columns import WIDTH, columns, paragraph, styled
 from analyzer.reference.field_table import field_table
-from analyzer.reference.frame_text import write_frame
+from analyzer.reference.hex_frame import write_frame
 from analyzer.reference.objects import concerns, risk_values
 from analyzer.reference.picture import picture
 from analyzer.values import value_text

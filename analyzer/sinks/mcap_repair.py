@@ -28,7 +28,7 @@ from analyzer.errors import UnreadableError
 from analyzer.sinks.mcap_file import Writable, record_bytes
 from analyzer.sinks.mcap_taken import TakenFile
 from analyzer.sources import mcap_scan as scan
-from analyzer.sources.log_files import METADATA
+from analyzer.sources.recording_parts import METADATA
 
 #: Name of the metadata record that says what was done.
 RECOVERED = "servotap.recovered"

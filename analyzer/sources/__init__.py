@@ -115,15 +115,15 @@ def _files(path: str) -> tuple[list[str], list[str]]:
     if there and not is_folder:
         return [path], []
     # Only now: it brings the library for logs with it.
-    from analyzer.sources import log_files
+    from analyzer.sources import recording_parts
 
     if is_folder:
-        found, notes = log_files.in_folder(given)
+        found, notes = recording_parts.in_folder(given)
     else:
-        found, notes = log_files.ordered([log_files.look(each) for each in log_files.parts_named(given)]), []
+        found, notes = recording_parts.ordered([recording_parts.look(each) for each in recording_parts.parts_named(given)]), []
     if not found:
         return [path], []
-    return [str(part.path) for part in found], [*notes, *log_files.gaps(found)]
+    return [str(part.path) for part in found], [*notes, *recording_parts.gaps(found)]
 
 
 def _module(name: str) -> ModuleType:

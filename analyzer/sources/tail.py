@@ -78,7 +78,7 @@ class Tail:
 
     def wait_for(self, path: Path) -> Path | None:
         """Return the next part when it is there; a later one where it was dropped already; None if none comes."""
-        from analyzer.sources.log_files import base_of, parts_named
+        from analyzer.sources.recording_parts import base_of, parts_named
 
         for _ in range(10 * _ASK_EVERY):
             if path.exists():

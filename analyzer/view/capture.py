@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from analyzer.errors import ServotapError, UsageError
-from analyzer.live.feed import Feed
-from analyzer.live.lines import event_line, finding_line, frame_line, junk_line
 from analyzer.live.snapshot import EVENT, FindingLine, FrameLine, Snapshot
+from analyzer.live.snapshot_lines import event_line, finding_line, frame_line, junk_line
+from analyzer.live.snapshot_sink import SnapshotSink
 from analyzer.pipeline import Entry
 from analyzer.records import Comment, Event, Finding, Frame, Junk, Lane
 from analyzer.view.condition import Condition
@@ -225,7 +225,7 @@ class CaptureSource:
         # The speed is known where it was given; a guess would make up a load, and so would made-up times.
         unit_ns = reading.options.byte_ns if reading.has_times else 0
         told = {bus: setup.byte_ns for bus, setup in reading.ports.items() if setup.byte_ns}
-        self._feed = Feed(byte_ns={"": unit_ns, **told}, bit_ns={"": unit_ns and reading.options.synthetic_bit_ns})
+        self._feed = SnapshotSink(byte_ns={"": unit_ns, **told}, bit_ns={"": unit_ns and reading.options.synthetic_bit_ns})
         self.note = "" if reading.has_times else f"times are {reading.time_source}"
         self._snapshots: deque[Snapshot] = deque(maxlen=4)
         self._stop = threading.Event()

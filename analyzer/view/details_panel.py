@@ -15,7 +15,7 @@ from analyzer.errors import ServotapError
 from analyzer.live.snapshot import EVENT, JUNK, FindingLine, FrameLine
 from analyzer.reference.explanation import Explainer
 from analyzer.reference.explanation_text import explanation_lines
-from analyzer.reference.frame_text import Given
+from analyzer.reference.hex_frame import Given
 from analyzer.view.findings_panel import finding_text
 from analyzer.view.lines import SECOND, SEVERITIES, bytes_text, clean, fields_text, time_text
 

@@ -22,8 +22,8 @@ import msgspec
 import zstandard
 
 from analyzer.catalogue import Dialect, Role
-from analyzer.live.lines import frame_line
 from analyzer.live.snapshot import FrameLine
+from analyzer.live.snapshot_lines import frame_line
 from analyzer.pipeline import Entry
 from analyzer.records import CanFrame, Frame, Lane
 

@@ -20,13 +20,13 @@ from analyzer.cli.frame import parse_target, parse_values
 from analyzer.cli.reading import clean
 from analyzer.cli.show import fields_text, names_of
 from analyzer.decoder import physical
+from analyzer.dialects import find_command
 from analyzer.encoder import assemble
 from analyzer.errors import UsageError
 from analyzer.live import endpoint as endpoints
-from analyzer.lookup import find_one
 from analyzer.pipeline import Entry
 from analyzer.records import CanFrame, Message
-from analyzer.reference.frame_text import read_frame
+from analyzer.reference.hex_frame import read_frame
 from conformance.bus import open_line
 from conformance.gate.gate import Allowance, Gate, Item, Judge, Refused, add_gate_arguments, allowance_from, shown
 from conformance.talk.dialogue import MS, Dialogue, Outcome, Talk
@@ -128,7 +128,7 @@ def _command(arguments: argparse.Namespace) -> _Given:
     if arguments.target is None or arguments.command is None:
         raise UsageError('what? expected DIALECT@ADDRESS COMMAND FIELD=VALUE..., or --hex "FA 01 31 2C"')
     dialect, address = parse_target(arguments.target, arguments.model)
-    command = find_one(dialect, arguments.command)
+    command = find_command(dialect, arguments.command)
     values = parse_values(arguments.values)
     built = assemble(dialect, command, address, values, form=arguments.form, physical=not arguments.wire)
     if built.refusals and not arguments.force:

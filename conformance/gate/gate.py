@@ -20,7 +20,7 @@ from analyzer import dialects as registry
 from analyzer.catalogue import Dialect, Risk, Role, Verb
 from analyzer.errors import ServotapError
 from analyzer.records import CanFrame, Chunk
-from analyzer.reference.frame_text import write_frame
+from analyzer.reference.hex_frame import write_frame
 from conformance.bus.line import Line
 from conformance.gate.bounds import STOPS, Knowledge, moves
 from conformance.gate.budget import Budget, Cost

@@ -35,7 +35,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from analyzer.catalogue import Command, Dialect, Form, Risk
-from analyzer.lookup import code_text
+from analyzer.dialects import code_text
 from analyzer.records import CanFrame
 from analyzer.values import value_text
 from conformance.gate.links import LONGEST, ear

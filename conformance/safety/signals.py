@@ -5,38 +5,17 @@ Signals that end a process raise KeyboardInterrupt, as Ctrl-C does; while a stop
 
 from __future__ import annotations
 
-import contextlib
 import signal
-from collections.abc import Iterator
-from typing import Any
+from contextlib import AbstractContextManager
 
-#: Not every system has all of them.
-_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+from analyzer.cli.signals import handled
 
 
-@contextlib.contextmanager
-def as_interrupt() -> Iterator[None]:
+def as_interrupt() -> AbstractContextManager[None]:
     """Let SIGTERM and SIGHUP raise KeyboardInterrupt, as Ctrl-C does."""
-    with _handled(signal.default_int_handler):
-        yield
+    return handled(signal.default_int_handler)
 
 
-@contextlib.contextmanager
-def undisturbed() -> Iterator[None]:
+def undisturbed() -> AbstractContextManager[None]:
     """Let no signal break in."""
-    with _handled(signal.SIG_IGN):
-        yield
-
-
-@contextlib.contextmanager
-def _handled(handler: Any) -> Iterator[None]:
-    before: dict[int, Any] = {}
-    # Elsewhere than in the main thread signals cannot be taken over, and do not arrive.
-    with contextlib.suppress(ValueError):
-        for number in _SIGNALS:
-            before[number] = signal.signal(number, handler)
-    try:
-        yield
-    finally:
-        for number, old in before.items():
-            signal.signal(number, old)
+    return handled(signal.SIG_IGN)

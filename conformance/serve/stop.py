@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import socket
 from collections.abc import Iterator
 from types import FrameType
 
-#: Signals that end a server; SIGHUP where there is one.
-SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+from analyzer.cli.signals import handled
 
 
 class Stop:
@@ -43,9 +41,5 @@ def on_signals(stop: Stop) -> Iterator[None]:
     def handle(number: int, frame: FrameType | None) -> None:
         stop.set()
 
-    before = {number: signal.signal(number, handle) for number in SIGNALS}
-    try:
+    with handled(handle):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -10,8 +10,8 @@ import pytest
 from analyzer import dialects
 from analyzer.cli import main
 from analyzer.codec import codec
+from analyzer.dialects import code_text, find_commands
 from analyzer.layout import Kind
-from analyzer.lookup import code_text, find
 from analyzer.reference.picture import picture
 
 ALL = dialects.every()
@@ -336,7 +336,7 @@ def test_parameter_replies_say_what_they_answer(whole):
 
 def test_every_layout_has_its_codec():
     for dialect, command in ((d, c) for d in ALL for c in d.commands):
-        assert find([dialect], command.name) == [(dialect, command)]
+        assert find_commands([dialect], command.name) == [(dialect, command)]
         for form in (*command.request_forms, *command.reply_forms):
             named = [f for f in form.layout.fields if f.kind is not Kind.RESERVED]
             assert len(codec(form.layout).wire(bytes(form.layout.byte_length))) == len(named)

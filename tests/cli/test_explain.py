@@ -22,7 +22,7 @@ from analyzer.layout import Layout, u8, u16
 from analyzer.link import HeadLink
 from analyzer.reference.explanation import Explainer
 from analyzer.reference.explanation_text import explanation_lines
-from analyzer.reference.frame_text import read_frame
+from analyzer.reference.hex_frame import read_frame
 
 VECTORS = [
     pytest.param(dialect, command, vector, id=f"{dialect.name}-{command.name}-{vector.printed}-{number}")

@@ -235,7 +235,7 @@ def test_the_command_on_this_machine(capsys: pytest.CaptureFixture[str]) -> None
 
 
 def test_vendors_interfaces_are_asked_in_a_process_of_their_own() -> None:
-    from analyzer.live.can_detection import detect
+    from analyzer.live.can_adapters import detect
 
     configs, why = detect()
     assert why == ""

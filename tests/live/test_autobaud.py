@@ -15,9 +15,9 @@ from analyzer import dialects
 from analyzer.catalogue import Dialect, Role
 from analyzer.encoder import build
 from analyzer.errors import UsageError
-from analyzer.live import autobaud
-from analyzer.live.autobaud import decide, find_all, judge, rates, score, search, table
-from analyzer.live.autobaud_ears import ear_of
+from analyzer.live import autobaud_ports
+from analyzer.live.autobaud import decide, judge, rates, score, search, table
+from analyzer.live.autobaud_ports import find_all, listener_for
 from analyzer.live.endpoint import parse
 from analyzer.records import Chunk
 from conformance.drives.uart import BITS, SECOND_NS, Sent, hear
@@ -218,7 +218,7 @@ def test_a_real_port_is_listened_to_at_one_rate_after_the_other() -> None:
         found = find_all(parse(f"serial:{talker.path},baud=auto"), seconds=0.4, say=said.append)
         assert found.endpoint.speed == 19200
         assert found.endpoint.place == talker.path
-        only = autobaud.find(parse(f"serial:{talker.path},baud=auto"), seconds=0.4, candidates=serial_only("mks-rs485"))
+        only = autobaud_ports.find(parse(f"serial:{talker.path},baud=auto"), seconds=0.4, candidates=serial_only("mks-rs485"))
         assert only.speed == 19200
     finally:
         talker.close()
@@ -242,11 +242,11 @@ def test_the_same_through_pyserial() -> None:
     talker = Talker("mks-rs485", 115200)
     try:
         endpoint = parse(f"serial:{talker.path},baud=auto")
-        assert search(endpoint, ear_of(endpoint, 38400, plain=True), SERIAL, seconds=0.4).endpoint.speed == 115200
+        assert search(endpoint, listener_for(endpoint, 38400, plain=True), SERIAL, seconds=0.4).endpoint.speed == 115200
     finally:
         talker.close()
     with pytest.raises(UsageError, match="serial:/dev/none"):
-        search(parse("serial:/dev/none"), ear_of(parse("serial:/dev/none"), 38400, plain=True), SERIAL)
+        search(parse("serial:/dev/none"), listener_for(parse("serial:/dev/none"), 38400, plain=True), SERIAL)
 
 
 def test_a_port_that_cannot_be_opened() -> None:

@@ -12,7 +12,7 @@ POLL = bytes.fromhex(sum8("FA 01 32") + sum8("FB 01 32 FE D4"))
 
 
 def fed(detection, pieces, start_ms=0):
-    """Feed pieces 10 ms apart; return what was decided first and when, in ms."""
+    """SnapshotSink pieces 10 ms apart; return what was decided first and when, in ms."""
     for number, data in enumerate(pieces):
         at = (start_ms + 10 * number) * MS
         detection.add(Chunk(at, "x", data))

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.findings import RULES
-from analyzer.live import feed as feeds
-from analyzer.live.feed import Feed
+from analyzer.live import snapshot_sink as feeds
 from analyzer.live.snapshot import BusCounts, Snapshot, decode, encode
 from analyzer.live.snapshot_pipe import SnapshotReader, SnapshotWriter
+from analyzer.live.snapshot_sink import SnapshotSink
 from analyzer.pipeline import Options, Pipeline
 from analyzer.records import CanFrame, Chunk, Comment, Event
 from tests.collect import Collect, sum8
@@ -28,7 +28,7 @@ POLL = sum8("FA 01 32") + sum8("FB 01 32 01 40")
 
 
 def feed_of(items, names="mks-rs485", **options):
-    feed, collect = Feed(**options), Collect()
+    feed, collect = SnapshotSink(**options), Collect()
     Pipeline([dialects.get(n) for n in names.split()], (feed, collect), Options()).run(items)
     return feed, collect
 
@@ -68,7 +68,7 @@ def test_latency_is_last_mean_and_most():
 
 
 def test_rates_and_load_are_of_the_last_second():
-    feed = Feed(byte_ns={"left": 1 * MS})
+    feed = SnapshotSink(byte_ns={"left": 1 * MS})
     pipeline = Pipeline([dialects.get("mks-rs485")], (feed,), Options())
     feed.snapshot(START)
     pipeline.run(polls(10))
@@ -97,7 +97,7 @@ def test_the_load_is_left_out_where_the_speed_is_not_known():
 @settings(deadline=None, max_examples=20)
 @given(st.lists(st.integers(0, 200), max_size=8), st.randoms(use_true_random=False))
 def test_each_frame_is_shown_once_or_counted_as_left_out(sizes, random):
-    feed = Feed()
+    feed = SnapshotSink()
     pipeline = Pipeline([dialects.get("mks-rs485")], (feed,), Options())
     shown: list[int] = []
     left_out = count = 0

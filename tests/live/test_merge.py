@@ -7,8 +7,8 @@ import random
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analyzer.live.merge import NEVER_NS, PATIENCE_NS, Merger
 from analyzer.live.spool import Kind, SpoolWriter, pack
+from analyzer.live.spool_merge import NEVER_NS, PATIENCE_NS, Merger
 
 MS = 1_000_000
 T0 = 10_000 * MS

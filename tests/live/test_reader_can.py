@@ -20,10 +20,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from analyzer.errors import UsageError
-from analyzer.live import reader_can, reader_can_socket
+from analyzer.live import can_listen_only, reader_can_socket
+from analyzer.live.can_listen_only import LISTEN_ONLY, notes_of_link, options_for
 from analyzer.live.endpoint import parse
 from analyzer.live.reader import make_port
-from analyzer.live.reader_can import LISTEN_ONLY, notes_of_link, options_for
 from analyzer.live.reader_can_library import CanLibraryPort
 from analyzer.live.reader_can_slcan import SlcanPort, dissect_line
 from analyzer.live.reader_can_socket import CanSocketPort, dissect_kernel, dissect_multicast, trouble
@@ -463,8 +463,8 @@ def test_what_the_kernel_says_of_an_interface():
 
 
 def test_the_tool_that_is_asked_answers_for_what_is_there():
-    assert reader_can._link("no_such_interface") is None
-    found = reader_can._link("lo")
+    assert can_listen_only._link("no_such_interface") is None
+    found = can_listen_only._link("lo")
     assert found is None or found["ifname"] == "lo"
 
 

@@ -13,7 +13,7 @@ from analyzer.live.log_parts import LogParts
 from analyzer.live.recorder import Recorder
 from analyzer.live.recording import Recording
 from analyzer.sources import open_source
-from analyzer.sources.log_files import base_of, look, part_path, parts_named
+from analyzer.sources.recording_parts import base_of, look, part_path, parts_named
 from tests.collect import sum8
 from tests.live.spooled import START, Spools, content, decoded_of, metadata, port, raw_of, read
 from tests.live.test_recorder_killed import ARM, LEFT, RIGHT, fill, once

@@ -8,7 +8,7 @@ import pytest
 
 from analyzer import dialects
 from analyzer.errors import UsageError
-from analyzer.live.feed import Feed
+from analyzer.live.snapshot_sink import SnapshotSink
 from analyzer.pipeline import Options, Pipeline
 from analyzer.records import Chunk, Comment, Event
 from tests.collect import sum8
@@ -23,7 +23,7 @@ class Bus:
     """A feed with traffic of its own."""
 
     def __init__(self) -> None:
-        self.feed = Feed(byte_ns={"left": 260_000})
+        self.feed = SnapshotSink(byte_ns={"left": 260_000})
         self.pipeline = Pipeline([dialects.get("mks-rs485")], (self.feed,), Options())
         self.t_ns = START
 
@@ -211,7 +211,7 @@ def test_what_happens_to_the_recording_stands_among_the_frames(live, bus):
 
 
 def test_a_reply_is_explained_with_its_request(live):
-    feed = Feed()
+    feed = SnapshotSink()
     pipeline = Pipeline([dialects.get("mks-modbus")], (feed,), Options())
     for at, text in ((0, "01 04 00 32 00 01 90 05"), (5, "01 04 02 01 40 B9 50")):
         pipeline.feed(Chunk(START + at * MS, "left", bytes.fromhex(text), burst=True))

@@ -102,12 +102,12 @@ def test_it_ends_when_its_terminal_goes():
 
 LIVE = """
 import os, signal, sys, threading, time
-from analyzer.live.feed import Feed
+from analyzer.live.snapshot_sink import SnapshotSink
 from analyzer.live.snapshot_pipe import SnapshotWriter
 from analyzer.view import run_live
 signal.signal(signal.SIGHUP, signal.SIG_IGN)
 read, write = os.pipe()
-writer, feed = SnapshotWriter(write), Feed()
+writer, feed = SnapshotWriter(write), SnapshotSink()
 def go_on():
     while True:
         feed.event(time.time_ns(), "left", "note", "still here")

@@ -1,4 +1,4 @@
-"""Asks python-can's interfaces what is connected, in a process of its own: `python -m analyzer.live.can_detection`.
+"""Asks python-can's interfaces what is connected, in a process of its own: `python -m analyzer.live.can_adapters`.
 
 The interfaces load the vendors' libraries, which may hang, print or crash; none of that may reach the command that asks.
 It prints one JSON list on standard output. SocketCAN is left out, sysfs tells more of it; so are buses of software alone.

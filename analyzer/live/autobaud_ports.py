@@ -1,4 +1,4 @@
-"""Listening to a serial port at one rate after the other, for `autobaud`. It only reads.
+"""Finding the rate of a serial port: it is listened to at one rate after the other. It only reads.
 
 On Linux the port is opened once, read-only, and set to each rate; elsewhere pyserial opens it anew for each.
 """
@@ -12,29 +12,67 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 
+from analyzer import dialects as registry
+from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
-from analyzer.live.autobaud import Ear
+from analyzer.live.autobaud import Found, Listener, rates, search
 from analyzer.live.endpoint import Endpoint
 from analyzer.live.reader_port import Lost, Stop, Unopened
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import SpoolWriter
 from analyzer.records import Chunk
+from analyzer.values import quote
 
 _PORT = "line"
 Enough = Callable[[Sequence[Chunk]], bool]
 
 
-def ear_of(endpoint: Endpoint, first_rate: int, *, plain: bool = False) -> Ear:
+def find(
+    endpoint: Endpoint,
+    *,
+    seconds: float = 3.0,
+    say: Callable[[str], None] = lambda text: None,
+    candidates: Sequence[Dialect] | None = None,
+) -> Endpoint:
+    """Return a serial endpoint at the rate that was found for it; `find_all` returns the dialect, too.
+
+    `candidates`: the dialects that may be spoken, all serial ones if None. Raises UsageError where no rate is clear, or where
+    the port cannot be opened.
+    """
+    return find_all(endpoint, seconds=seconds, say=say, candidates=candidates).endpoint
+
+
+def find_all(
+    endpoint: Endpoint,
+    *,
+    seconds: float = 3.0,
+    say: Callable[[str], None] = lambda text: None,
+    candidates: Sequence[Dialect] | None = None,
+) -> Found:
+    """Return what `find` does, with the dialects and the evidence."""
+    if endpoint.kind != "serial":
+        raise UsageError(f"{quote(str(endpoint))}: baud=auto is for serial ports, which can be set to a rate")
+    fitting = [d for d in (candidates if candidates is not None else registry.every()) if d.bus == "serial" and d.baud_rates]
+    if not fitting:
+        raise UsageError("baud=auto: expected a dialect of serial lines, got none")
+    listener = listener_for(endpoint, rates(fitting)[0])
+    try:
+        return search(endpoint, listener, fitting, seconds=seconds, say=say)
+    finally:
+        listener.close()
+
+
+def listener_for(endpoint: Endpoint, first_rate: int, *, plain: bool = False) -> Listener:
     """Return what listens to a serial endpoint. `plain`: as where there is no Linux.
 
     Raises UsageError where the port cannot be opened.
     """
     if plain or sys.platform != "linux":
-        return PlainEar(endpoint)
-    return LinuxEar(endpoint, first_rate)
+        return PyserialListener(endpoint)
+    return LinuxListener(endpoint, first_rate)
 
 
-class LinuxEar:
+class LinuxListener:
     """Listens to a port that is opened once. Raises UsageError where it cannot be opened, or is lost."""
 
     def __init__(self, endpoint: Endpoint, first_rate: int) -> None:
@@ -90,7 +128,7 @@ class LinuxEar:
         self._port.close()
 
 
-class PlainEar:
+class PyserialListener:
     """Listens through pyserial, which opens the port anew for each rate."""
 
     def __init__(self, endpoint: Endpoint) -> None:

@@ -12,7 +12,7 @@ from analyzer.records import Comment, Finding, Frame, Junk, Lane
 _NAMES = ("bytes", "frames", "frame_bytes", "junk_bytes", "marks")
 
 
-class Tally:
+class RecordingCounts:
     """A sink that counts. `junk_of`: told of bytes that are no frame, with their port."""
 
     def __init__(self, junk_of: Callable[[str, int], None]) -> None:

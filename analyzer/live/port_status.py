@@ -26,7 +26,7 @@ class Gap(msgspec.Struct, omit_defaults=True):
     kept: bool = False
 
 
-class PortTally(msgspec.Struct, omit_defaults=True):
+class PortStatus(msgspec.Struct, omit_defaults=True):
     """What happened to one port.
 
     `state`: `opening`, `listening`, `lost` or `closed`. `count`: bytes or frames, by `unit`, as the reader counted them
@@ -56,26 +56,26 @@ class PortTally(msgspec.Struct, omit_defaults=True):
         return bool(gaps or self.dropped or self.kernel_dropped or self.counters.keys() & LOSING)
 
 
-def take(port: PortTally, event: Mapping[str, Any]) -> str:
-    """Take an event of a port into its tally; return what it says, for somebody who watches, or nothing."""
+def take(port: PortStatus, event: Mapping[str, Any]) -> str:
+    """Take an event of a port into the status; return what it says, for somebody who watches, or nothing."""
     handler = _HANDLERS.get(str(event.get("event")))
     return handler(port, event) if handler is not None else ""
 
 
-def _open(port: PortTally, event: Mapping[str, Any]) -> str:
+def _open(port: PortStatus, event: Mapping[str, Any]) -> str:
     port.state = "listening"
     port.precision = str(event.get("precision", ""))
     return "; ".join(_notes(port, event))
 
 
-def _notes(port: PortTally, event: Mapping[str, Any]) -> list[str]:
+def _notes(port: PortStatus, event: Mapping[str, Any]) -> list[str]:
     """Remember the notes of an event; return those that are new."""
     new = [str(note) for note in event.get("notes", ()) if note not in port.notes]
     port.notes += new[: max(0, REMEMBERED - len(port.notes))]
     return new
 
 
-def _note(port: PortTally, event: Mapping[str, Any]) -> str:
+def _note(port: PortStatus, event: Mapping[str, Any]) -> str:
     if event.get("kept"):
         port.state = "listening"
         from_ns = int(event["from_ns"])
@@ -83,23 +83,23 @@ def _note(port: PortTally, event: Mapping[str, Any]) -> str:
     return str(event["text"])
 
 
-def _speed(port: PortTally, event: Mapping[str, Any]) -> str:
+def _speed(port: PortStatus, event: Mapping[str, Any]) -> str:
     return str(event["text"])
 
 
-def _remember(port: PortTally, gap: Gap) -> None:
+def _remember(port: PortStatus, gap: Gap) -> None:
     port.gap_count += 1
     if len(port.gaps) < REMEMBERED:
         port.gaps.append(gap)
 
 
-def _lost(port: PortTally, event: Mapping[str, Any]) -> str:
+def _lost(port: PortStatus, event: Mapping[str, Any]) -> str:
     port.state = "lost"
     _remember(port, Gap(int(event["t_ns"]), None, str(event["reason"])))
     return f"lost: {event['reason']}; it is tried again"
 
 
-def _back(port: PortTally, event: Mapping[str, Any]) -> str:
+def _back(port: PortStatus, event: Mapping[str, Any]) -> str:
     # After the death of a reader nobody could say that the port was lost.
     if port.state != "lost":
         _remember(port, Gap(int(event["from_ns"]), None, "its reader process died"))
@@ -109,7 +109,7 @@ def _back(port: PortTally, event: Mapping[str, Any]) -> str:
     return "; ".join([f"back after {int(event['gap_ns']) / 1e9:.3f} s", *_notes(port, event)])
 
 
-def _overrun(port: PortTally, event: Mapping[str, Any]) -> str:
+def _overrun(port: PortStatus, event: Mapping[str, Any]) -> str:
     risen = {k: int(v) for k, v in event.items() if isinstance(v, int) and k not in ("t_ns", "from_ns")}
     port.counters = dict(Counter(port.counters) + Counter(risen))
     return ", ".join(f"{n} {_COUNTED.get(name, name)}" for name, n in risen.items())
@@ -125,37 +125,37 @@ _COUNTED = {
 }
 
 
-def _dropped(port: PortTally, event: Mapping[str, Any]) -> str:
+def _dropped(port: PortStatus, event: Mapping[str, Any]) -> str:
     count = int(event.get("bytes", event.get("frames", 0)))
     port.dropped += count
     return f"{count} {port.unit} could not be stored and are lost: {event['reason']}"
 
 
-def _kernel_dropped(port: PortTally, event: Mapping[str, Any]) -> str:
+def _kernel_dropped(port: PortStatus, event: Mapping[str, Any]) -> str:
     port.kernel_dropped += int(event["frames"])
     return f"{event['frames']} frames lost in the kernel (buffer full)"
 
 
-def _bus_error(port: PortTally, event: Mapping[str, Any]) -> str:
+def _bus_error(port: PortStatus, event: Mapping[str, Any]) -> str:
     reason = str(event["reason"])
     known = reason in port.bus_errors or len(port.bus_errors) < REMEMBERED
     port.bus_errors[reason if known else "others"] = port.bus_errors.get(reason if known else "others", 0) + int(event["count"])
     return reason
 
 
-def _count(port: PortTally, event: Mapping[str, Any]) -> str:
+def _count(port: PortStatus, event: Mapping[str, Any]) -> str:
     port.count = int(event.get(port.unit, 0))
     return ""
 
 
-def _closed(port: PortTally, event: Mapping[str, Any]) -> str:
+def _closed(port: PortStatus, event: Mapping[str, Any]) -> str:
     port.state = "closed"
     port.records += int(event.get("records", 0))
     port.count = int(event.get(port.unit, 0))
     return ""
 
 
-def _failed(port: PortTally, event: Mapping[str, Any]) -> str:
+def _failed(port: PortStatus, event: Mapping[str, Any]) -> str:
     return str(event["reason"])
 
 

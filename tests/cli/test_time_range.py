@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from analyzer.cli import main
 from analyzer.errors import UsageError
 from analyzer.sources import open_source
-from analyzer.sources.moments import iso, parse
+from analyzer.sources.times import iso, parse_time
 from tests.collect import sum8
 from tests.live.spooled import UTC, Spools, content, metadata, port, raw_of, read
 
@@ -90,17 +90,17 @@ def bare(rows):
     ],
 )  # fmt: skip
 def test_moments(text, anchor, ns):
-    assert parse(text)[:2] == (anchor, ns)
+    assert parse_time(text)[:2] == (anchor, ns)
 
 
 @pytest.mark.parametrize("text", ["", "10s", "yesterday", "2026-13-01", "+5y", "2026-11-21T25:00:00Z", "+-3s"])
 def test_no_moments(text):
-    with pytest.raises(UsageError, match="is no moment"):
-        parse(text)
+    with pytest.raises(UsageError, match="is not a time"):
+        parse_time(text)
 
 
 def test_a_time_as_text_is_a_moment():
-    assert parse(iso(UTC + 123)).ns == UTC + 123
+    assert parse_time(iso(UTC + 123)).ns == UTC + 123
 
 
 # --- since and until ------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from analyzer.errors import UsageError
 from analyzer.events import SETUPS
 from analyzer.pipeline import Entry, EventSink, Sink
 from analyzer.records import CanFrame, Chunk, Comment, Event, Finding, Junk
-from analyzer.sources.moments import Moment, iso, parse
+from analyzer.sources.times import TimeOption, iso, parse_time
 
 if TYPE_CHECKING:
     from analyzer.sources import Source
@@ -29,24 +29,24 @@ _AFTER_ALL_NS = 1 << 63
 T = TypeVar("T")
 
 
-def add_stretch_arguments(parser: argparse.ArgumentParser) -> None:
+def add_time_range_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of every command that can read a stretch."""
     moment = "2026-11-21T16:22:11Z, +10s (from the start) or -5min (from the end)"
     parser.add_argument("--since", type=_moment, metavar="T", help=f"only what came from then on: {moment}")
     parser.add_argument("--until", type=_moment, metavar="T", help="only what came until then, written likewise")
 
 
-def _moment(text: str) -> Moment:
+def _moment(text: str) -> TimeOption:
     try:
-        return parse(text)
+        return parse_time(text)
     except UsageError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-class Stretch:
+class TimeRange:
     """The stretch of one source. `since_ns`, `until_ns` are known as soon as the first item is, or before."""
 
-    def __init__(self, source: Source, since: Moment | None, until: Moment | None) -> None:
+    def __init__(self, source: Source, since: TimeOption | None, until: TimeOption | None) -> None:
         self._source = source
         self._since, self._until = since, until
         self.since_ns, self.until_ns = _BEFORE_ALL_NS, _AFTER_ALL_NS
@@ -115,7 +115,7 @@ class Stretch:
 class _Within:
     """A sink before a sink: it lets pass what is not before the stretch. `counts`: it counts the bytes that it does not."""
 
-    def __init__(self, sink: Sink, stretch: Stretch, *, counts: bool) -> None:
+    def __init__(self, sink: Sink, stretch: TimeRange, *, counts: bool) -> None:
         self._sink = sink
         self._stretch = stretch
         self._counts = counts

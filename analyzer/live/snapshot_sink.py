@@ -17,8 +17,8 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
-from analyzer.live.lines import command_name, event_line, finding_line, frame_line, junk_line
 from analyzer.live.snapshot import EVENT, BusCounts, FrameLine, RowCounts, Snapshot
+from analyzer.live.snapshot_lines import command_name, event_line, finding_line, frame_line, junk_line
 from analyzer.pipeline import CAN_OVERHEAD_BITS, Entry
 from analyzer.records import Comment, Event, Finding, Frame, Junk, Lane, Message, Severity
 
@@ -77,7 +77,7 @@ class _Bus:
         self.rates: tuple[float, float, float | None] = (0.0, 0.0, None)
 
 
-class Feed:
+class SnapshotSink:
     """A sink to be watched. Used from one thread.
 
     `byte_ns`: bus -> time of one byte on a serial line, `bit_ns`: bus -> time of one bit of a CAN bus, for the load, where

@@ -1,0 +1,79 @@
+"""Signals that end a program: Ctrl-C (SIGINT), SIGTERM and SIGHUP, and how a command ends in order at one of them.
+
+Signals reach the main thread alone. In another thread nothing is taken over, and nothing changes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+from collections.abc import Iterable, Iterator
+from types import FrameType
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+#: Number of each signal that ends a program -> its name for users. Not every system has all of them.
+ENDING = {
+    number: text
+    for name, text in (("SIGINT", "Ctrl-C"), ("SIGTERM", "SIGTERM"), ("SIGHUP", "a terminal that closed (SIGHUP)"))
+    if (number := getattr(signal, name, None)) is not None
+}
+
+
+@contextlib.contextmanager
+def handled(handler: Any) -> Iterator[None]:
+    """Let `handler` take the signals that end a program, as `signal.signal` does."""
+    before: dict[int, Any] = {}
+    with contextlib.suppress(ValueError):
+        for number in ENDING:
+            before[number] = signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)
+
+
+class _Stop(Exception):
+    """A signal arrived while the program waited for input."""
+
+
+class Interrupt:
+    """While this is entered, a signal ends `items` instead of raising; `asked` is its name.
+
+    It acts between items: what was read is decoded to its end, and nothing is cut in two.
+    """
+
+    def __init__(self) -> None:
+        self.asked = ""
+        self._reading = False
+        self._handled: contextlib.AbstractContextManager[None]
+
+    def __enter__(self) -> Interrupt:
+        self._handled = handled(self._arrived)
+        self._handled.__enter__()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._handled.__exit__(None, None, None)
+
+    def _arrived(self, number: int, frame: FrameType | None) -> None:
+        self.asked = ENDING[number]
+        if self._reading:
+            # A read that waits would go on waiting: only there the signal has to break in.
+            raise _Stop
+
+    def items(self, source: Iterable[T]) -> Iterator[T]:
+        """Yield the items of a source until it ends or a signal arrives."""
+        iterator = iter(source)
+        try:
+            while not self.asked:
+                self._reading = True
+                item = next(iterator)
+                self._reading = False
+                yield item
+        except (_Stop, StopIteration):
+            return
+        finally:
+            self._reading = False
