@@ -9,7 +9,7 @@ import shutil
 
 import pytest
 
-from analyzer.cli import amounts, record
+from analyzer.cli import option_types, record
 from analyzer.errors import UsageError
 from analyzer.live.config import RecordingConfig
 
@@ -40,7 +40,7 @@ def test_each_command_of_the_help_is_understood(tmp_path, monkeypatch, command):
     assert config.ports
     assert config.log.startswith(str(tmp_path))
     if arguments.duration:
-        assert amounts.duration_ns(arguments.duration) == 600 * 10**9
+        assert option_types.duration_ns(arguments.duration) == 600 * 10**9
 
 
 def test_the_help_shows_enough_commands():
@@ -167,30 +167,30 @@ def test_what_is_in_the_way_goes_with_force(tmp_path):
     ("text", "seconds"), [("10s", 10), ("1.5h", 5400), ("5min", 300), ("2m", 120), ("250ms", 0.25), ("1d", 86400)]
 )
 def test_times(text, seconds):
-    assert amounts.duration_ns(text) == seconds * 10**9
+    assert option_types.duration_ns(text) == seconds * 10**9
 
 
 @pytest.mark.parametrize(
     ("text", "size"), [("500kB", 500_000), ("100mb", 10**8), ("2GiB", 2 << 30), ("0.5 TB", 5 * 10**11), ("7B", 7)]
 )
 def test_sizes(text, size):
-    assert amounts.size_bytes(text) == size
-    assert amounts.is_size(text)
+    assert option_types.size_bytes(text) == size
+    assert option_types.is_size(text)
 
 
 @pytest.mark.parametrize("text", ["", "10", "s", "-5s", "0s", "1e3s", "5 parsecs", "10MB", "ten s"])
 def test_no_times(text):
     with pytest.raises(UsageError, match="expected a time"):
-        amounts.duration_ns(text)
+        option_types.duration_ns(text)
 
 
 @pytest.mark.parametrize("text", ["", "10", "MB", "-5MB", "0B", "5min", "10 s"])
 def test_no_sizes(text):
     with pytest.raises(UsageError, match="expected a size"):
-        amounts.size_bytes(text)
+        option_types.size_bytes(text)
 
 
 def test_amounts_for_reading():
-    assert [amounts.size_text(n) for n in (0, 999, 1500, 2_500_000, 7.25e9)] == ["0 B", "999 B", "1.5 kB", "2.5 MB", "7.2 GB"]
-    times = [amounts.duration_text(int(s * 1e9)) for s in (0.25, 59.9, 247, 3753)]
+    assert [option_types.size_text(n) for n in (0, 999, 1500, 2_500_000, 7.25e9)] == ["0 B", "999 B", "1.5 kB", "2.5 MB", "7.2 GB"]
+    times = [option_types.duration_text(int(s * 1e9)) for s in (0.25, 59.9, 247, 3753)]
     assert times == ["0.2 s", "59.9 s", "4:07 min", "1:02:33 h"]
