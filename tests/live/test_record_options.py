@@ -191,6 +191,12 @@ def test_no_sizes(text):
 
 
 def test_amounts_for_reading():
-    assert [option_types.size_text(n) for n in (0, 999, 1500, 2_500_000, 7.25e9)] == ["0 B", "999 B", "1.5 kB", "2.5 MB", "7.2 GB"]
+    assert [option_types.size_text(n) for n in (0, 999, 1500, 2_500_000, 7.25e9)] == [
+        "0 B",
+        "999 B",
+        "1.5 kB",
+        "2.5 MB",
+        "7.2 GB",
+    ]
     times = [option_types.duration_text(int(s * 1e9)) for s in (0.25, 59.9, 247, 3753)]
     assert times == ["0.2 s", "59.9 s", "4:07 min", "1:02:33 h"]
