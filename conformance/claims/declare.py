@@ -24,7 +24,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
 from conformance.claim import Aspect, Claim, NotRun, Theme
 from conformance.talk.probe import Probe
 
@@ -70,6 +70,11 @@ def once(dialect: Dialect) -> Iterator[Case]:
 def commands(*verbs: Verb) -> Cases:
     """Return cases of the commands that a dialect has for these verbs."""
     return lambda dialect: (Case(dialect, dialect.by_verb[verb]) for verb in verbs if verb in dialect.by_verb)
+
+
+def motions(*kinds: MotionKind) -> Cases:
+    """Return cases of the commands whose motion is of these kinds, in the manual's order."""
+    return lambda dialect: (Case(dialect, command) for command in dialect.motions(*kinds))
 
 
 @dataclass(frozen=True)

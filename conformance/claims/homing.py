@@ -6,21 +6,18 @@ Rules kept here:
 - `home_direction` 0 is clockwise, and clockwise lowers the counts.
 - Where the drive tells the end (native, CAN) that is listened to; where it does not (Modbus), F1 is asked until it is no
   longer 5.
-- Which dialects let the shaft go at the end stop while the end limit is on stands in a table: the CAN manual has no such
-  note.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from functools import partial
+from collections.abc import Callable, Iterator
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
-from analyzer.protocols.mks_shared import COUNTS_PER_TURN
+from analyzer.catalogue import Certainty, Command, Dialect, Trait, Verb
 from conformance.claim import Claim, Inconclusive
 from conformance.claims import world
-from conformance.claims.motion_claim import motion_claim, refute
+from conformance.claims.declare import Case, Cases, commands, declared_in
+from conformance.claims.motion_claim import of_motion, risks_by, that_tell_their_end
 from conformance.motion import motion, moves
 from conformance.motion.motion import MS, SECOND_NS
 from conformance.talk.exchange import Exchange
@@ -28,108 +25,40 @@ from conformance.talk.probe import Probe, Until
 
 _CW, _CCW = 0, 1
 _SWITCH = 3000
-#: Four seconds at 60 rpm.
-_COUNTS_FAR = 4 * COUNTS_PER_TURN
 _JITTER = 3
 _HOMING = 5
 _LIMIT_NS = 20 * SECOND_NS
-#: With the end limit on, the shaft is let go where homing meets the end stop (5.3.1, Note 2).
-_LETS_GO: Mapping[str, bool] = {"mks-rs485": True, "mks-modbus": True, "mks-can": False}
 _WAYS = {_CW: -1, _CCW: 1}
-_NAMES = {_CW: "cw", _CCW: "ccw"}
+_DIRECTIONS = {"cw": _CW, "ccw": _CCW}
+_homings = commands(Verb.HOME)
+_WITHOUT_WAY_BACK = (Verb.SET_HOME,)
+_WITH_WAY_BACK = (Verb.SET_HOME, Verb.SET_NO_LIMIT_HOME)
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims about homing."""
-    home, setting = dialect.by_verb[Verb.HOME], dialect.by_verb[Verb.SET_HOME]
-    risks = home.all_risks | setting.all_risks
-    made = partial(motion_claim, dialect, home, emulated=True, risks=risks, settings=_fields(dialect))
-    for direction, name in _NAMES.items():
-        yield made(
-            f"finds-switch-{name}",
-            f"Homing with direction {name} turns the shaft {name} until the end stop closes, and it stands there.",
-            "a shaft that goes the other way or stops elsewhere",
-            partial(_finds_switch, direction),
-        )
-        yield made(
-            f"from-closed-{name}",
-            "From a closed end stop the shaft first turns the other way, then comes back to it.",
-            "a shaft that does not leave the end stop, or stops elsewhere",
-            partial(_from_closed, direction),
-            risks=risks | _way_back_risks(dialect),
-        )
-    yield made("zero", "Where homing ends is zero, of the encoder and of the pulses.", "another number", _zero_at_home)
-    for rpm in (60, 120, 300):
-        yield made(
-            f"speed-{rpm}", f"With home_speed {rpm} homing turns the shaft at {rpm} rpm.", "another speed",
-            partial(_speed, rpm),
-        )  # fmt: skip
-    yield made("status", "While homing F1 reads 5, and afterwards 1.", "another status", _status)
-    yield made(
-        "trigger", "With home_trigger 1 the end stop counts as reached when its pin is high: when it opens.",
-        "a shaft that stops at the low level, or runs on", _trigger,
-    )  # fmt: skip
-    yield made(
-        "disabled", "Homing is refused while the motor is disabled.", "a motion, or an answer that says success",
-        _refused_disabled, at_best=Certainty.LIKELY,
-    )  # fmt: skip
-    yield made(
-        "stopped", "An emergency stop ends homing, and it is not told as done.", "a shaft that goes on, or success",
-        _stopped, at_best=Certainty.LIKELY,
-    )  # fmt: skip
-    lets_go = _LETS_GO[dialect.name]
-    yield made(
-        "end-limit", f"With the end limit on the shaft is {'let go' if lets_go else 'held'} at the end stop.",
-        "a motor that is enabled" if lets_go else "a motor that is disabled", partial(_held_after, 1, not lets_go),
-        at_best=Certainty.CERTAIN if lets_go else Certainty.LIKELY,
-    )  # fmt: skip
-    yield made(
-        "holds", "With the end limit off the shaft is held at the end stop.", "a motor that is disabled",
-        partial(_held_after, 0, True), at_best=Certainty.LIKELY,
-    )  # fmt: skip
-    if moves.tells(dialect):
-        yield made("replies", "Homing is answered by 1 when it begins and by 2 when home is found.", "others", _replies)
-    if _mode_setting(dialect) is not None:
-        for direction, name in _NAMES.items():
-            for angle in (0x1000, 0x3000):
-                yield made(
-                    f"without-switch-{name}-{angle:x}",
-                    f"Without an end stop the shaft turns {name} until it is held, goes back by {angle:#x} counts, and "
-                    "that point is zero.",
-                    "another place",
-                    partial(_without_switch, direction, angle),
-                    risks=risks | _way_back_risks(dialect),
-                )
+    return declared_in(__name__, dialect)
 
 
-def _way_back_risks(dialect: Dialect) -> frozenset[Risk]:
-    """Return the risks of setting the way back, where a dialect has a command for it."""
-    command = dialect.by_verb.get(Verb.SET_NO_LIMIT_HOME)
-    return frozenset() if command is None else command.all_risks
+def _fields(case: Case) -> tuple[str, ...]:
+    found = [c for v in _WITH_WAY_BACK if (c := case.dialect.by_verb.get(v)) is not None]
+    return tuple(dict.fromkeys(n for c in found for f in c.request_forms for n in f.layout.named))
 
 
-def _fields(dialect: Dialect) -> tuple[str, ...]:
-    commands = [dialect.by_verb.get(v) for v in (Verb.SET_HOME, Verb.SET_NO_LIMIT_HOME)]
-    names = [n for c in commands if c is not None for f in c.request_forms for n in f.layout.named]
-    return tuple(dict.fromkeys(names))
+def _of_homing(
+    refuted_by: str, *, each: Cases = _homings, sets: tuple[Verb, ...] = _WITHOUT_WAY_BACK, **facts: Any
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    facts = {"emulated": True, "risks": risks_by(*sets), "settings": _fields, **facts}
+    return of_motion(each=each, refuted_by=refuted_by, **facts)
 
 
 # --- homing -----------------------------------------------------------------------------------------------------------
 
 
-def _mode_setting(dialect: Dialect) -> Command | None:
-    """Return the command that sets the method of homing, None where a dialect has none."""
-    for verb in (Verb.SET_NO_LIMIT_HOME, Verb.SET_HOME):
-        command = dialect.by_verb.get(verb)
-        if command is not None and any("home_mode" in f.layout.named for f in command.request_forms):
-            return command
-    return None
-
-
 def set_home(probe: Probe, **values: int) -> None:
     """Set how the drive homes; what is not given: clockwise, at 60 rpm, a low pin, no end limit, by a switch."""
     wanted = {"home_trigger": 0, "home_direction": _CW, "home_speed": 60, "end_limit": 0, "home_mode": 0, **values}
-    for verb in (Verb.SET_HOME, Verb.SET_NO_LIMIT_HOME):
+    for verb in _WITH_WAY_BACK:
         command = probe.dialect.by_verb.get(verb)
         if command is None:
             continue
@@ -167,166 +96,228 @@ def _prepared(probe: Probe, **values: int) -> float:
     return world.shaft(probe)
 
 
-def _expect_at(probe: Probe, exchange: Exchange, expected: float, what: str) -> None:
+def _expect_shaft(probe: Probe, exchange: Exchange, refutes: str, *, near: float, within: float = _JITTER, **how: Any) -> None:
+    """Expect the shaft at a place (counts of its own); where it is elsewhere, stop it."""
     at = world.shaft(probe)
-    if abs(at - expected) > _JITTER:
+    if abs(at - near) > within:
         _halt(probe)
-        raise refute(exchange, what, expected=f"{expected:.0f} counts", got=f"{at:.0f} counts")
+    probe.expect(at, near=near, within=within, unit="counts", refutes=refutes, exchange=exchange, **how)
+
+
+def _expect_still(probe: Probe, exchange: Exchange, wait_ns: int, refutes: str) -> None:
+    at = world.shaft(probe)
+    probe.wait(wait_ns)
+    _expect_shaft(probe, exchange, refutes, near=at, expected="a shaft that stands")
 
 
 def _halt(probe: Probe) -> None:
     probe.ask(Verb.EMERGENCY_STOP)
 
 
-def _finds_switch(direction: int, probe: Probe, command: Command) -> None:
+# --- where it ends ----------------------------------------------------------------------------------------------------
+
+
+def _both_ways(dialect: Dialect) -> Iterator[Case]:
+    for way in _DIRECTIONS:
+        yield Case(dialect, dialect.by_verb[Verb.HOME], {"way": way})
+
+
+@_of_homing("a shaft that goes the other way or stops elsewhere", each=_both_ways, name="{command}/finds-switch-{way}")
+def _finds_switch(probe: Probe, way: str) -> None:
+    """Homing with direction {way} turns the shaft {way} until the end stop closes, and it stands there."""
+    direction = _DIRECTIONS[way]
     start = _prepared(probe, home_direction=direction)
-    way = _WAYS[direction]
-    world.left_switch(probe, way * _SWITCH)
+    world.left_switch(probe, _WAYS[direction] * _SWITCH)
     exchange = find_home(probe)
     probe.wait(500 * MS)
-    _expect_at(probe, exchange, start + way * _SWITCH, "homing does not end at the end stop")
+    _expect_shaft(probe, exchange, "homing does not end at the end stop", near=start + _WAYS[direction] * _SWITCH)
 
 
-def _from_closed(direction: int, probe: Probe, command: Command) -> None:
+@_of_homing(
+    "a shaft that does not leave the end stop, or stops elsewhere",
+    each=_both_ways,
+    name="{command}/from-closed-{way}",
+    sets=_WITH_WAY_BACK,
+)
+def _from_closed(probe: Probe, command: Command, way: str) -> None:
+    """From a closed end stop the shaft first turns the other way, then comes back to it."""
+    direction = _DIRECTIONS[way]
     start = _prepared(probe, home_direction=direction, return_angle=0x2000)
-    way = _WAYS[direction]
-    world.switch_here(probe, way, 1000)
+    world.switch_here(probe, _WAYS[direction], 1000)
     exchange = probe.ask(command, quiet_ns=0)
     probe.reply(exchange)
     probe.wait(50 * MS)
-    first = (world.shaft(probe) - start) * way
-    if moves.tells(probe.dialect):
-        probe.listen(5 * SECOND_NS)
-    else:
-        probe.wait(5 * SECOND_NS)
+    first = (world.shaft(probe) - start) * _WAYS[direction]
+    probe.wait(5 * SECOND_NS)
     if first >= 0:
         _halt(probe)
-        text = "homing from a closed end stop does not leave it first"
-        raise refute(exchange, text, expected="motion away from it", got=f"{first:.0f} counts towards it")
-    _expect_at(probe, exchange, start - way * 1000, "homing from a closed end stop does not end at it")
+    text = "homing from a closed end stop does not leave it first"
+    got = f"{first:.0f} counts towards it"
+    probe.expect(got, holds=first < 0, expected="motion away from it", refutes=text, exchange=exchange)
+    text = "homing from a closed end stop does not end at it"
+    _expect_shaft(probe, exchange, text, near=start - _WAYS[direction] * 1000)
 
 
-def _zero_at_home(probe: Probe, command: Command) -> None:
+@_of_homing("another number")
+def _zero(probe: Probe) -> None:
+    """Where homing ends is zero, of the encoder and of the pulses."""
     _prepared(probe)
     world.left_switch(probe, -_SWITCH)
     exchange = find_home(probe)
     probe.wait(500 * MS)
     for verb, name in ((Verb.READ_POSITION, "position"), (Verb.READ_PULSES, "pulses")):
-        seen = probe.read(verb, name)
-        if abs(seen) > _JITTER:
-            raise refute(exchange, f"the {name} is not zero where homing ended", expected="0", got=str(seen))
+        text = f"the {name} is not zero where homing ended"
+        probe.expect(probe.read(verb, name), near=0, within=_JITTER, refutes=text, exchange=exchange)
 
 
-def _speed(rpm: int, probe: Probe, command: Command) -> None:
+def _without_switch(dialect: Dialect) -> Iterator[Case]:
+    modes = [v for v in _WITH_WAY_BACK if (c := dialect.by_verb.get(v)) and _has_mode(c)]
+    for way in _DIRECTIONS if modes else ():
+        for angle in (0x1000, 0x3000):
+            yield Case(dialect, dialect.by_verb[Verb.HOME], {"way": way, "angle": angle})
+
+
+def _has_mode(command: Command) -> bool:
+    return any("home_mode" in form.layout.named for form in command.request_forms)
+
+
+@_of_homing("another place", each=_without_switch, name="{command}/without-switch-{way}-{angle:x}", sets=_WITH_WAY_BACK)
+def _is_held_then_zero(probe: Probe, way: str, angle: int) -> None:
+    """Without an end stop the shaft turns {way} until it is held, goes back by {angle:#x} counts, and that point is zero."""
+    direction = _DIRECTIONS[way]
+    start = _prepared(probe, home_direction=direction, home_mode=1, return_angle=angle)
+    world.wall(probe, _WAYS[direction] * _SWITCH)
+    exchange = find_home(probe)
+    probe.wait(500 * MS)
+    end = start + _WAYS[direction] * (_SWITCH - angle)
+    _expect_shaft(probe, exchange, "homing without an end stop ends elsewhere", near=end)
+    seen = probe.read(Verb.READ_POSITION, "position")
+    text = "the position is not zero where homing ended"
+    probe.expect(seen, near=0, within=_JITTER, refutes=text, exchange=exchange)
+
+
+# --- on the way -------------------------------------------------------------------------------------------------------
+
+
+def _at_speeds(dialect: Dialect) -> Iterator[Case]:
+    for rpm in (60, 120, 300):
+        yield Case(dialect, dialect.by_verb[Verb.HOME], {"rpm": rpm})
+
+
+@_of_homing("another speed", each=_at_speeds, name="{command}/speed-{rpm}")
+def _speed(probe: Probe, command: Command, rpm: int) -> None:
+    """With home_speed {rpm} homing turns the shaft at {rpm} rpm."""
     _prepared(probe, home_speed=rpm)
     exchange = probe.do(command)
     probe.wait(SECOND_NS)
-    seen = motion.speed(probe)
+    seen = abs(motion.speed(probe).value)
     _halt(probe)
-    if abs(abs(seen.value) - rpm) > 1 + rpm / 100:
-        text = "homing does not turn at the speed that was set"
-        raise refute(exchange, text, expected=f"{rpm} rpm", got=f"{abs(seen.value):g} rpm")
+    text = "homing does not turn at the speed that was set"
+    probe.expect(seen, near=rpm, within=1 + rpm / 100, unit="rpm", refutes=text, exchange=exchange)
 
 
+@_of_homing("another status")
 def _status(probe: Probe, command: Command) -> None:
+    """While homing F1 reads 5, and afterwards 1."""
     _prepared(probe)
-    world.left_switch(probe, -_COUNTS_FAR)
+    # Four seconds at 60 rpm.
+    world.left_switch(probe, -4 * probe.dialect.counts_per_turn)
     exchange = probe.do(command)
     probe.wait(300 * MS)
     during = _status_now(probe)
     probe.wait(6 * SECOND_NS)
-    after = _status_now(probe)
+    seen = (during, _status_now(probe))
     _halt(probe)
-    if (during, after) != (_HOMING, 1):
-        text = "the status does not tell of homing and of its end"
-        raise refute(exchange, text, expected="5, then 1", got=f"{during}, then {after}")
+    text = "the status does not tell of homing and of its end"
+    probe.expect(seen, equal=(_HOMING, 1), refutes=text, exchange=exchange)
 
 
+@_of_homing("a shaft that stops at the low level, or runs on")
 def _trigger(probe: Probe, command: Command) -> None:
+    """With home_trigger 1 the end stop counts as reached when its pin is high: when it opens."""
     _prepared(probe, home_trigger=1)
     world.press(probe)
     start = world.shaft(probe)
     exchange = probe.do(command)
     probe.wait(SECOND_NS)
-    went = world.shaft(probe) - start
-    if went > -COUNTS_PER_TURN / 4:
+    turn, went = probe.dialect.counts_per_turn, world.shaft(probe) - start
+    if went > -turn / 4:
         _halt(probe)
-        text = "with home_trigger 1 a low pin stops homing, or turns it round"
-        raise refute(exchange, text, expected="about -16000 counts in a second", got=f"{went:+.0f} counts")
+    text = "with home_trigger 1 a low pin stops homing, or turns it round"
+    probe.expect(went, at_most=-turn / 4, unit="counts in a second", refutes=text, exchange=exchange)
     world.press(probe, False)
     probe.wait(300 * MS)
-    at = world.shaft(probe)
-    probe.wait(SECOND_NS)
-    if abs(world.shaft(probe) - at) > _JITTER:
-        _halt(probe)
-        text = "with home_trigger 1 a high pin does not end homing"
-        raise refute(exchange, text, expected="a shaft that stands", got="a shaft that turns")
+    _expect_still(probe, exchange, SECOND_NS, "with home_trigger 1 a high pin does not end homing")
 
 
-def _refused_disabled(probe: Probe, command: Command) -> None:
+@_of_homing("a motion, or an answer that says success", at_best=Certainty.LIKELY)
+def _disabled(probe: Probe, command: Command) -> None:
+    """Homing is refused while the motor is disabled."""
     start = _prepared(probe)
     probe.do(Verb.ENABLE, {"enabled": 0})
     exchange = probe.ask(command)
     answer = probe.reply(exchange)
     probe.wait(SECOND_NS)
-    went = world.shaft(probe) - start
-    if abs(went) > _JITTER:
-        _halt(probe)
-        raise refute(exchange, "homing turns a disabled motor", expected="no motion", got=f"{went:+.0f} counts")
-    if not probe.refused(exchange):
-        text = "homing is not refused while the motor is disabled"
-        raise refute(exchange, text, expected="a refusal", got=answer.data.hex(" ").upper())
+    _expect_shaft(probe, exchange, "homing turns a disabled motor", near=start, expected="no motion")
+    text = "homing is not refused while the motor is disabled"
+    got = answer.data.hex(" ").upper()
+    probe.expect(got, holds=probe.refused(exchange), expected="a refusal", refutes=text, exchange=exchange)
 
 
+def _statuses(probe: Probe, since: int, command: Command) -> list[int]:
+    return [a.values["status"] for a in moves.told(probe.traffic[since:], command)]
+
+
+@_of_homing("a shaft that goes on, or success", at_best=Certainty.LIKELY)
 def _stopped(probe: Probe, command: Command) -> None:
+    """An emergency stop ends homing, and it is not told as done."""
     _prepared(probe)
     since = len(probe.traffic)
     exchange = probe.do(command)
     probe.wait(SECOND_NS)
     _halt(probe)
-    at = world.shaft(probe)
-    probe.wait(3 * SECOND_NS)
-    went = world.shaft(probe) - at
-    if abs(went) > _JITTER:
-        text = "an emergency stop does not end homing"
-        raise refute(exchange, text, expected="a shaft that stands", got=f"{went:+.0f} counts")
+    _expect_still(probe, exchange, 3 * SECOND_NS, "an emergency stop does not end homing")
     if moves.tells(probe.dialect):
-        told = [a.values["status"] for a in moves.told(probe.traffic[since:], command)]
-        if 2 in told:
-            text = "homing that was stopped is told as done"
-            raise refute(exchange, text, expected="no status 2", got=", ".join(map(str, told)))
+        statuses = _statuses(probe, since, command)
+        text = "homing that was stopped is told as done"
+        probe.expect(statuses, holds=2 not in statuses, expected="no status 2", refutes=text, exchange=exchange)
 
 
-def _held_after(end_limit: int, held: bool, probe: Probe, command: Command) -> None:
+@_of_homing("others", each=that_tell_their_end(_homings))
+def _replies(probe: Probe, command: Command) -> None:
+    """Homing is answered by 1 when it begins and by 2 when home is found."""
+    _prepared(probe)
+    world.left_switch(probe, -2 * probe.dialect.counts_per_turn)
+    since = len(probe.traffic)
+    exchange = find_home(probe)
+    probe.wait(2 * SECOND_NS)
+    text = "homing is not answered by 1 and then 2"
+    probe.expect(_statuses(probe, since, command), equal=[1, 2], refutes=text, exchange=exchange)
+
+
+# --- held at the end stop ---------------------------------------------------------------------------------------------
+
+
+def _with_end_limit(dialect: Dialect) -> Iterator[Case]:
+    home, lets_go = dialect.by_verb[Verb.HOME], Trait.LETS_GO_AT_END_LIMIT in dialect.traits
+    facts = {
+        "name": "home/end-limit",
+        "statement": f"With the end limit on the shaft is {'let go' if lets_go else 'held'} at the end stop.",
+        "refuted_by": "a motor that is enabled" if lets_go else "a motor that is disabled",
+        "at_best": Certainty.CERTAIN if lets_go else Certainty.LIKELY,
+    }
+    yield Case(dialect, home, {"end_limit": 1, "held": not lets_go}, facts)
+    yield Case(dialect, home, {"end_limit": 0, "held": True})
+
+
+@_of_homing("a motor that is disabled", each=_with_end_limit, name="{command}/holds", at_best=Certainty.LIKELY)
+def _held_after(probe: Probe, end_limit: int, held: bool) -> None:
+    """With the end limit off the shaft is held at the end stop."""
     _prepared(probe, end_limit=end_limit)
     world.left_switch(probe, -_SWITCH)
     exchange = find_home(probe)
     probe.wait(500 * MS)
-    if bool(probe.read(Verb.READ_ENABLED, "enabled")) is not held:
-        names = ("let go", "held")
-        text = f"with end_limit {end_limit} the shaft is {names[not held]} after homing"
-        raise refute(exchange, text, expected=names[held], got=names[not held])
-
-
-def _replies(probe: Probe, command: Command) -> None:
-    _prepared(probe)
-    world.left_switch(probe, -_COUNTS_FAR // 2)
-    since = len(probe.traffic)
-    exchange = find_home(probe)
-    probe.wait(2 * SECOND_NS)
-    told = [a.values["status"] for a in moves.told(probe.traffic[since:], command)]
-    if told != [1, 2]:
-        got = ", ".join(map(str, told)) or "none"
-        raise refute(exchange, "homing is not answered by 1 and then 2", expected="1, 2", got=got)
-
-
-def _without_switch(direction: int, angle: int, probe: Probe, command: Command) -> None:
-    start = _prepared(probe, home_direction=direction, home_mode=1, return_angle=angle)
-    way = _WAYS[direction]
-    world.wall(probe, way * _SWITCH)
-    exchange = find_home(probe)
-    probe.wait(500 * MS)
-    _expect_at(probe, exchange, start + way * (_SWITCH - angle), "homing without an end stop ends elsewhere")
-    seen = probe.read(Verb.READ_POSITION, "position")
-    if abs(seen) > _JITTER:
-        raise refute(exchange, "the position is not zero where homing ended", expected="0", got=str(seen))
+    names = ("let go", "held")
+    is_held = bool(probe.read(Verb.READ_ENABLED, "enabled"))
+    text = f"with end_limit {end_limit} the shaft is {names[not held]} after homing"
+    probe.expect(names[is_held], equal=names[held], refutes=text, exchange=exchange)
