@@ -10,14 +10,15 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
+from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
-from analyzer.protocols.mks_shared import COUNTS_PER_TURN
 from conformance.claim import Claim, Inconclusive
 from conformance.claims import world
-from conformance.claims.motion_claim import motion_claim, refute
+from conformance.claims.declare import Case, Cases, commands, declared_in
+from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion, moves
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.probe import Probe
@@ -28,103 +29,23 @@ _BACK_NS = 20 * SECOND_NS
 _JITTER = 3
 _OFF, _BY_DIRECTION, _NEAR = 0, 1, 2
 _CW, _CCW = 0, 1
+_ZERO_SETTINGS = ("zero_mode", "set_zero", "zero_speed", "zero_direction")
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims about power-on."""
-    run = dialect.by_verb[Verb.RUN_SPEED]
-    zero = dialect.by_verb.get(Verb.SET_ZERO_MODE)
-    if zero is not None:
-        yield from _about_zero(dialect, zero)
-    save = dialect.by_verb[Verb.SAVE_SPEED]
-    made = partial(motion_claim, dialect, save, emulated=True, risks=run.all_risks)
-    for direction in (0, 1):
-        yield made(
-            f"runs-direction-{direction}",
-            f"A run of direction {direction} that was saved goes on at its speed and that way when power comes on.",
-            "no run, another speed, or the other way",
-            partial(_saved_run, direction),
-        )
-    yield made("clean", "A run that was cleaned does not begin when power comes on.", "a shaft that turns", _cleaned)
-    made = partial(motion_claim, dialect, save, emulated=True, risks=run.all_risks, own=())
-    yield made("none", "Without a saved run nothing turns when power comes on.", "a shaft that turns", _none_saved)
-    lock = dialect.by_verb.get(Verb.SET_AXIS_LOCK)
-    if lock is not None:
-        for value in (0, 1):
-            yield motion_claim(
-                dialect,
-                lock,
-                f"at-power-on-{value}",
-                f"With axis_lock {value} the motor is {'enabled' if value else 'disabled'} when power comes on in a bus mode.",
-                "the other state",
-                partial(_locked, value),
-                emulated=True,
-                settings=("axis_lock",),
-            )
-    restart = dialect.by_verb[Verb.RESTART]
-    yield motion_claim(
-        dialect,
-        restart,
-        "ends-motion",
-        "A restart ends a motion, and it is not taken up again.",
-        "a shaft that still turns",
-        _restart_ends,
-        risks=run.all_risks,
-        at_best=Certainty.LIKELY,
-    )
+    return declared_in(__name__, dialect)
 
 
 # --- the way back to zero ---------------------------------------------------------------------------------------------
 
 
-def _about_zero(dialect: Dialect, zero: Command) -> Iterator[Claim]:
-    made = partial(
-        motion_claim,
-        dialect,
-        zero,
-        emulated=True,
-        settings=("zero_mode", "set_zero", "zero_speed", "zero_direction"),
-        risks={Risk.POWER_ON},
-    )
-    for turns in (0.3, 0.7, -0.2):
-        yield made(
-            f"near-{turns:+g}".replace(".", "_"),
-            f"In near mode a shaft {turns:+g} turns from its zero goes back the shorter way when power comes on.",
-            "another place, or the longer way",
-            partial(_back, _NEAR, _CW, turns),
-            parameters={"turns": turns},
-        )
-    for direction, name in ((_CW, "cw"), (_CCW, "ccw")):
-        yield made(
-            f"direction-{name}",
-            f"In direction mode {name} the shaft goes back to its zero {name}.",
-            "another place, or the other way",
-            partial(_back, _BY_DIRECTION, direction, 0.3),
-        )
-    yield made(
-        "off", "With zero mode 0 nothing turns when power comes on.", "a shaft that turns", partial(_stays, _OFF, 1),
-        risks=(), own=zero.risks({"zero_mode": _OFF}),
-    )  # fmt: skip
-    yield made(
-        "clean",
-        "Without a zero that was kept (set_zero 0) nothing turns when power comes on.",
-        "a shaft that turns",
-        partial(_stays, _NEAR, 0),
-        at_best=Certainty.LIKELY,
-    )
-    yield made("faster", "A higher zero_speed brings the shaft back faster.", "one that takes as long, or longer", _faster)
-    status = dialect.by_verb[Verb.READ_ZERO_STATUS]
-    yield motion_claim(
-        dialect,
-        status,
-        "tells",
-        "3B reads 0 on the way back to zero and 1 when it is over.",
-        "other numbers",
-        _zero_status,
-        emulated=True,
-        settings=("zero_mode", "set_zero", "zero_speed", "zero_direction"),
-        risks=zero.all_risks,
-    )
+def _of_zero(refuted_by: str, *, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    facts = {"risks": {Risk.POWER_ON}, **facts}
+    return of_motion(each=each, refuted_by=refuted_by, emulated=True, settings=_ZERO_SETTINGS, **facts)
+
+
+_zero_modes = commands(Verb.SET_ZERO_MODE)
 
 
 def _keep_zero(probe: Probe, mode: int, direction: int, turns: float, speed: int = 4, keep: int = 1) -> float:
@@ -140,59 +61,101 @@ def _keep_zero(probe: Probe, mode: int, direction: int, turns: float, speed: int
     return zero
 
 
-def _back(mode: int, direction: int, turns: float, probe: Probe, command: Command) -> None:
+def _ways_back(dialect: Dialect) -> Iterator[Case]:
+    for case in _zero_modes(dialect):
+        for turns in (0.3, 0.7, -0.2):
+            how = {"mode": _NEAR, "direction": _CW, "turns": turns}
+            facts = {"name": f"set_zero_mode/near-{turns:+g}".replace(".", "_"), "parameters": {"turns": turns}}
+            yield Case(dialect, case.command, how, facts)
+        for name, direction in (("cw", _CW), ("ccw", _CCW)):
+            facts = {
+                "name": f"set_zero_mode/direction-{name}",
+                "statement": f"In direction mode {name} the shaft goes back to its zero {name}.",
+                "refuted_by": "another place, or the other way",
+            }
+            yield Case(dialect, case.command, {"mode": _BY_DIRECTION, "direction": direction, "turns": 0.3}, facts)
+
+
+@_of_zero("another place, or the longer way", each=_ways_back)
+def _goes_back(probe: Probe, mode: int, direction: int, turns: float) -> None:
+    """In near mode a shaft {turns:+g} turns from its zero goes back the shorter way when power comes on."""
     zero = _keep_zero(probe, mode, direction, turns)
     probe.wait(_START_NS + _BACK_NS)
-    if mode == _NEAR:
-        expected = zero + round(turns) * COUNTS_PER_TURN
-    else:
-        expected = zero if direction == _CW else zero + COUNTS_PER_TURN
-    at = world.shaft(probe)
-    if abs(at - expected) > _JITTER:
-        text = "the shaft does not go back to its zero as it was set"
-        raise refute(probe.traffic[-1], text, expected=f"{expected:.0f} counts", got=f"{at:.0f} counts")
+    whole_turns = round(turns) if mode == _NEAR else int(direction == _CCW)
+    text = "the shaft does not go back to its zero as it was set"
+    near = zero + whole_turns * probe.dialect.counts_per_turn
+    probe.expect(world.shaft(probe), near=near, within=_JITTER, unit="counts", refutes=text)
 
 
-def _stays(mode: int, keep: int, probe: Probe, command: Command) -> None:
+def _no_zeros(dialect: Dialect) -> Iterator[Case]:
+    for case in _zero_modes(dialect):
+        assert case.command is not None
+        facts = {
+            "name": "set_zero_mode/off",
+            "statement": "With zero mode 0 nothing turns when power comes on.",
+            "at_best": Certainty.CERTAIN,
+            "risks": motion.risks(dialect, *case.command.risks({"zero_mode": _OFF})),
+        }
+        yield Case(dialect, case.command, {"mode": _OFF, "keep": 1}, facts)
+        yield Case(dialect, case.command, {"mode": _NEAR, "keep": 0})
+
+
+@_of_zero("a shaft that turns", each=_no_zeros, at_best=Certainty.LIKELY)
+def _clean(probe: Probe, mode: int, keep: int) -> None:
+    """Without a zero that was kept (set_zero 0) nothing turns when power comes on."""
     _keep_zero(probe, mode, _CW, 0.3, keep=keep)
     before = world.shaft(probe)
     probe.wait(_START_NS + _BACK_NS)
-    went = world.shaft(probe) - before
-    if abs(went) > _JITTER:
-        text = "the shaft goes back although there is no zero to go to"
-        raise refute(probe.traffic[-1], text, expected="no motion", got=f"{went:+.0f} counts")
+    text = "the shaft goes back although there is no zero to go to"
+    probe.expect(world.shaft(probe) - before, near=0, within=_JITTER, unit="counts", refutes=text)
 
 
-def _faster(probe: Probe, command: Command) -> None:
+@_of_zero("one that takes as long, or longer", each=_zero_modes)
+def _faster(probe: Probe) -> None:
+    """A higher zero_speed brings the shaft back faster."""
     took = []
     for speed in (0, 2, 4):
         zero = _keep_zero(probe, _NEAR, _CW, 0.4, speed)
         begun_ns = probe.gate.now_ns()
         moves.watch(probe, partial(_is_at, probe, zero), every_ns=5 * MS, limit_ns=_START_NS + _BACK_NS)
         took.append((probe.gate.now_ns() - begun_ns) / 1e6)
-    if not took[0] > took[1] > took[2]:
-        text = "a higher zero_speed does not bring the shaft back faster"
-        got = ", ".join(f"{t:.0f} ms" for t in took)
-        raise refute(probe.traffic[-1], text, expected="less time for each of 0, 2, 4", got=got)
+    probe.expect(
+        ", ".join(f"{t:.0f} ms" for t in took),
+        holds=took[0] > took[1] > took[2],
+        expected="less time for each of 0, 2, 4",
+        refutes="a higher zero_speed does not bring the shaft back faster",
+    )
 
 
 def _is_at(probe: Probe, place: float) -> bool:
     return abs(world.shaft(probe) - place) <= _JITTER
 
 
-def _zero_status(probe: Probe, command: Command) -> None:
+def _zero_statuses(dialect: Dialect) -> Iterator[Case]:
+    if Verb.SET_ZERO_MODE in dialect.by_verb:
+        yield Case(dialect, dialect.by_verb[Verb.READ_ZERO_STATUS])
+
+
+@_of_zero("other numbers", each=_zero_statuses, risks=risks_by(Verb.SET_ZERO_MODE))
+def _tells(probe: Probe, command: Command) -> None:
+    """3B reads 0 on the way back to zero and 1 when it is over."""
     _keep_zero(probe, _NEAR, _CW, 0.49, 0)
     moves.watch(probe, lambda: not probe.ask(command, quiet_ns=0).silent, every_ns=50 * MS, limit_ns=5 * SECOND_NS)
     # The first answer since the start: at the slowest the way back takes a second.
     during = probe.reply(probe.traffic[-1]).values["status"]
     probe.wait(_BACK_NS)
-    after = probe.read(command, "status")
-    if (during, after) != (0, 1):
-        text = "3B does not tell of the way back"
-        raise refute(probe.traffic[-1], text, expected="0, then 1", got=f"{during}, then {after}")
+    seen = (during, probe.read(command, "status"))
+    probe.expect(seen, equal=(0, 1), refutes="3B does not tell of the way back")
 
 
 # --- a kept run -------------------------------------------------------------------------------------------------------
+
+
+def _of_kept_run(refuted_by: str, *, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    return of_motion(each=each, refuted_by=refuted_by, emulated=True, risks=risks_by(Verb.RUN_SPEED), **facts)
+
+
+_saves = commands(Verb.SAVE_SPEED)
 
 
 def _save(probe: Probe, state: str) -> None:
@@ -201,7 +164,7 @@ def _save(probe: Probe, state: str) -> None:
 
 
 def _run_and_save(probe: Probe, direction: int) -> float:
-    """Run, save the run and stop; return the speed that the shaft had."""
+    """Run and save the run; return the speed that the shaft had."""
     motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
     motion.run_at(probe, -90 if direction else 90, QUICK)
     probe.wait(500 * MS)
@@ -212,61 +175,83 @@ def _run_and_save(probe: Probe, direction: int) -> float:
     return speed
 
 
-def _after_power(probe: Probe) -> float:
+def _speed_after_power(probe: Probe) -> float:
     world.power_cycle(probe)
     probe.wait(_START_NS)
     return motion.speed(probe).value
 
 
-def _saved_run(direction: int, probe: Probe, command: Command) -> None:
+def _expect_no_run(probe: Probe, refutes: str) -> None:
+    after = _speed_after_power(probe)
+    probe.expect(after, holds=abs(after) < 1, expected="0 rpm", unit="rpm", refutes=refutes)
+
+
+def _directions(dialect: Dialect) -> Iterator[Case]:
+    for direction in (0, 1):
+        yield Case(dialect, dialect.by_verb[Verb.SAVE_SPEED], {"direction": direction})
+
+
+@_of_kept_run("no run, another speed, or the other way", each=_directions, name="{command}/runs-direction-{direction}")
+def _goes_on(probe: Probe, direction: int) -> None:
+    """A run of direction {direction} that was saved goes on at its speed and that way when power comes on."""
     before = _run_and_save(probe, direction)
     motion.stand_still(probe)
-    after = _after_power(probe)
-    if abs(after - before) > 2:
-        text = "a saved run does not go on when power comes on"
-        raise refute(probe.traffic[-1], text, expected=f"{before:+g} rpm", got=f"{after:+g} rpm")
+    after = _speed_after_power(probe)
+    text = "a saved run does not go on when power comes on"
+    probe.expect(after, near=before, within=2, unit="rpm", refutes=text)
 
 
-def _expect_no_run(probe: Probe, what: str) -> None:
-    after = _after_power(probe)
-    if abs(after) >= 1:
-        raise refute(probe.traffic[-1], f"the shaft turns at power-on {what}", expected="0 rpm", got=f"{after:+g} rpm")
-
-
-def _cleaned(probe: Probe, command: Command) -> None:
+@_of_kept_run("a shaft that turns", each=_saves, name="{command}/clean")
+def _cleaned(probe: Probe) -> None:
+    """A run that was cleaned does not begin when power comes on."""
     _run_and_save(probe, 0)
     _save(probe, "clean")
-    _expect_no_run(probe, "although its run was cleaned")
+    _expect_no_run(probe, "the shaft turns at power-on although its run was cleaned")
 
 
-def _none_saved(probe: Probe, command: Command) -> None:
+@_of_kept_run("a shaft that turns", each=_saves, name="{command}/none", own=lambda case: ())
+def _never_saved(probe: Probe) -> None:
+    """Without a saved run nothing turns when power comes on."""
     motion.ready_to_move(probe)
     motion.run_at(probe, 90, QUICK)
     probe.wait(500 * MS)
-    _expect_no_run(probe, "although no run was saved")
+    _expect_no_run(probe, "the shaft turns at power-on although no run was saved")
 
 
-def _locked(value: int, probe: Probe, command: Command) -> None:
+# --- the lock and the restart -----------------------------------------------------------------------------------------
+
+
+def _locks(dialect: Dialect) -> Iterator[Case]:
+    for case in commands(Verb.SET_AXIS_LOCK)(dialect):
+        for value, word in ((0, "disabled"), (1, "enabled")):
+            yield Case(dialect, case.command, {"value": value, "word": word})
+
+
+@of_motion(
+    each=_locks, name="{command}/at-power-on-{value}", refuted_by="the other state", emulated=True, settings=("axis_lock",)
+)
+def _locked(probe: Probe, command: Command, value: int) -> None:
+    """With axis_lock {value} the motor is {word} when power comes on in a bus mode."""
     motion.ready_to_move(probe)
     probe.do(command, {"axis_lock": value})
     world.power_cycle(probe)
     probe.wait(_START_NS)
-    seen = probe.read(Verb.READ_ENABLED, "enabled")
-    if seen != value:
-        text = f"with axis_lock {value} the motor reads {seen} at power-on"
-        raise refute(probe.traffic[-1], text, expected=str(value), got=str(seen))
+    text = f"with axis_lock {value} the motor is in the other state at power-on"
+    probe.expect(probe.read(Verb.READ_ENABLED, "enabled"), equal=value, refutes=text)
 
 
-# --- the restart ------------------------------------------------------------------------------------------------------
-
-
-def _restart_ends(probe: Probe, command: Command) -> None:
+@of_motion(
+    each=commands(Verb.RESTART), refuted_by="a shaft that still turns", risks=risks_by(Verb.RUN_SPEED), at_best=Certainty.LIKELY
+)
+def _ends_motion(probe: Probe, command: Command) -> None:
+    """A restart ends a motion, and it is not taken up again."""
     motion.ready_to_move(probe)
     motion.run_at(probe, 60, QUICK)
     probe.wait(500 * MS)
     exchange = probe.ask(command)
     probe.wait(_START_NS)
-    seen = motion.speed(probe)
-    if abs(seen.value) >= 1:
+    seen = motion.speed(probe).value
+    if abs(seen) >= 1:
         motion.stop(probe)
-        raise refute(exchange, "a run goes on after a restart", expected="0 rpm", got=f"{seen.value:g} rpm")
+    text = "a run goes on after a restart"
+    probe.expect(seen, holds=abs(seen) < 1, expected="0 rpm", unit="rpm", refutes=text, exchange=exchange)

@@ -10,12 +10,13 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import partial
+from collections.abc import Callable, Iterator
+from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Claim, Inconclusive
-from conformance.claims.motion_claim import motion_claim, refute
+from conformance.claims.declare import Case, Cases, commands, declared_in
+from conformance.claims.motion_claim import of_motion, risks_of
 from conformance.motion import motion
 from conformance.motion import moves as journey
 from conformance.motion.motion import MS, QUICK, SECOND_NS
@@ -24,166 +25,155 @@ from conformance.talk.probe import Probe, Until
 
 #: What is read and set to see that a drive is not silent altogether.
 _ANSWERED = (Verb.READ_POSITION, Verb.READ_STATUS, Verb.READ_ENABLED, Verb.READ_SPEED)
-_AMOUNT_TURNS = 0.2
+_TURNS = 0.2
 #: 60 rpm, and 0.6 s from it to a stop.
 _RPM, _RAMP = 60, 56
+_settings = commands(Verb.SET_RESPOND)
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims about respond and active, where a dialect has them."""
-    setting = dialect.by_verb.get(Verb.SET_RESPOND)
-    if setting is None:
-        return
-    run = dialect.by_verb[Verb.RUN_SPEED]
-    made = partial(motion_claim, dialect, setting, settings=("respond", "active"), at_best=Certainty.LIKELY)
-    for command in (run, *journey.moves(dialect)):
-        yield made(
-            f"0-silences-{command.name}",
-            f"With respond 0 {command.name} is carried out and not answered, neither at its begin nor at its end.",
-            "an answer, or no motion",
-            partial(_silent_motion, command.name),
-            risks=command.all_risks,
-        )
-        stop = dialect.by_verb[journey.STOP_OF[command.verb]]
-        yield made(
-            f"0-silences-{stop.name}",
-            f"With respond 0 {stop.name} is carried out and not answered.",
-            "an answer, or a shaft that goes on",
-            partial(_silent_stop, command.name, stop.name),
-            risks=command.all_risks,
-        )
-        if command.verb is not Verb.RUN_SPEED:
-            yield made(
-                f"inactive-{command.name}",
-                f"With active 0 {command.name} is answered when it begins and not when it is done.",
-                "no first reply, or a completion",
-                partial(_inactive_move, command.name),
-            )
-        yield made(
-            f"inactive-{stop.name}",
-            f"With active 0 {stop.name} is answered when it begins and not when the shaft stands.",
-            "no first reply, or a completion",
-            partial(_inactive_stop, command.name, stop.name),
-            risks=command.all_risks,
-        )
-    yield made(
-        "0-leaves-reads", "With respond 0 reads, settings and enabling are answered as before.", "silence", _reads_answered
-    )
-    yield made(
-        "1-answers-again", "With respond and active 1 again a move is answered 1 and then 2.", "other replies", _answers_again
-    )
+    return declared_in(__name__, dialect)
+
+
+def _motions(*kinds: MotionKind) -> Cases:
+    def cases(dialect: Dialect) -> Iterator[Case]:
+        for case in _settings(dialect):
+            for run in dialect.motions(*kinds):
+                yield Case(dialect, case.command, {"run": run, "stop": dialect.stops_of(run)[0]})
+
+    return cases
+
+
+_moves = _motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO)
+_runs_and_moves = _motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO)
+
+
+def _of_respond(refuted_by: str, *, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    settings = ("respond", "active")
+    return of_motion(each=each, refuted_by=refuted_by, settings=settings, at_best=Certainty.LIKELY, **facts)
+
+
+# --- asking with other settings ---------------------------------------------------------------------------------------
 
 
 def _set(probe: Probe, respond: int, active: int) -> None:
     probe.do(Verb.SET_RESPOND, {"respond": respond, "active": active})
 
 
-def _motion(probe: Probe, name: str, until: Until) -> tuple[Command, Exchange, float]:
-    """Ask for a motion and let it happen; return what came back meanwhile and how far the shaft went (degrees)."""
-    command = probe.command(name)
-    before = motion.position(probe)
-    if command.verb is Verb.RUN_SPEED:
-        values = motion.run_values(command, _RPM, QUICK)
-        exchange = probe.ask(command, values, until=until, timeout_ns=SECOND_NS)
+def _is_run(command: Command) -> bool:
+    return command.motion is not None and command.motion.kind is MotionKind.RUN
+
+
+def _move(probe: Probe, command: Command, until: Until) -> tuple[Exchange, list[int], float]:
+    """Ask for a motion and let it happen; return the exchange, the statuses of all replies, and how far the shaft went."""
+    since, before = len(probe.traffic), motion.position(probe)
+    if _is_run(command):
+        exchange = probe.ask(command, motion.run_values(command, _RPM, QUICK), until=until, timeout_ns=SECOND_NS)
     else:
-        exchange = journey.ask(probe, command, _AMOUNT_TURNS, until=until)
+        exchange = journey.ask(probe, command, _TURNS, until=until)
     probe.wait(2 * SECOND_NS)
-    return command, exchange, motion.position(probe).value - before.value
+    return exchange, _statuses(probe, since, command), motion.position(probe).value - before.value
 
 
 def _statuses(probe: Probe, since: int, command: Command) -> list[int]:
     return [a.values[command.replies.status] for a in journey.told(probe.traffic[since:], command)]
 
 
-def _silent_motion(name: str, probe: Probe, setting: Command) -> None:
-    journey.prepare(probe, probe.command(name))
-    _set(probe, 0, 1)
-    since = len(probe.traffic)
-    command, exchange, went = _motion(probe, name, Until.TIMEOUT)
-    statuses = _statuses(probe, since, command)
-    _set(probe, 1, 1)
-    motion.stand_still(probe)
-    if statuses:
-        text = f"{name} is answered with respond 0"
-        raise refute(exchange, text, expected="silence", got=", ".join(map(str, statuses)))
-    if abs(went) < _AMOUNT_TURNS * 360 / 2:
-        text = f"{name} is not carried out with respond 0"
-        raise refute(exchange, text, expected="motion", got=f"{went:+.2f} degrees")
-
-
-def _stop(probe: Probe, name: str) -> tuple[Exchange, list[int]]:
-    """Stop by a slow ramp; return what was asked and all statuses that came until the shaft stood."""
-    stop = probe.command(name)
-    since = len(probe.traffic)
-    exchange = probe.ask(stop, {"acceleration": _RAMP}, until=Until.TIMEOUT, timeout_ns=2 * SECOND_NS)
-    motion.wait_standing(probe)
-    return exchange, _statuses(probe, since, stop)
-
-
-def _set_going(probe: Probe, name: str) -> None:
-    command = probe.command(name)
+def _set_going(probe: Probe, command: Command) -> None:
     journey.prepare(probe, command)
-    if command.verb is Verb.RUN_SPEED:
+    if _is_run(command):
         motion.run_at(probe, _RPM, QUICK)
     else:
         journey.begin(probe, command, 8.0, speed=_RPM, acceleration=QUICK)
     probe.wait(300 * MS)
 
 
-def _silent_stop(name: str, stop_name: str, probe: Probe, setting: Command) -> None:
-    _set_going(probe, name)
+def _stop(probe: Probe, stop: Command) -> tuple[Exchange, list[int]]:
+    """Stop by a slow ramp; return what was asked and all statuses that came until the shaft stood."""
+    since = len(probe.traffic)
+    exchange = probe.ask(stop, {"acceleration": _RAMP}, until=Until.TIMEOUT, timeout_ns=2 * SECOND_NS)
+    motion.wait_standing(probe)
+    return exchange, _statuses(probe, since, stop)
+
+
+# --- respond 0 --------------------------------------------------------------------------------------------------------
+
+
+@_of_respond("an answer, or no motion", each=_runs_and_moves, name="{command}/0-silences-{run}", risks=risks_of("run"))
+def _silent_motion(probe: Probe, run: Command) -> None:
+    """With respond 0 {run} is carried out and not answered, neither at its begin nor at its end."""
+    journey.prepare(probe, run)
+    _set(probe, 0, 1)
+    exchange, statuses, degrees = _move(probe, run, Until.TIMEOUT)
+    _set(probe, 1, 1)
+    motion.stand_still(probe)
+    text = f"{run.name} is answered with respond 0"
+    probe.expect(statuses, equal=[], expected="silence", refutes=text, exchange=exchange)
+    text = f"{run.name} is not carried out with respond 0"
+    probe.expect(abs(degrees), at_least=_TURNS * 360 / 2, unit="degrees", refutes=text, exchange=exchange)
+
+
+@_of_respond(
+    "an answer, or a shaft that goes on", each=_runs_and_moves, name="{command}/0-silences-{stop}", risks=risks_of("run")
+)
+def _silent_stop(probe: Probe, run: Command, stop: Command) -> None:
+    """With respond 0 {stop} is carried out and not answered."""
+    _set_going(probe, run)
     _set(probe, 0, 1)
     if abs(motion.speed(probe).value) < _RPM / 2:
         raise Inconclusive("the shaft does not turn before the stop")
-    exchange, statuses = _stop(probe, stop_name)
-    if statuses:
-        text = f"{stop_name} is answered with respond 0"
-        raise refute(exchange, text, expected="silence", got=", ".join(map(str, statuses)))
+    exchange, statuses = _stop(probe, stop)
+    text = f"{stop.name} is answered with respond 0"
+    probe.expect(statuses, equal=[], expected="silence", refutes=text, exchange=exchange)
 
 
-def _inactive_move(name: str, probe: Probe, setting: Command) -> None:
-    journey.prepare(probe, probe.command(name))
-    _set(probe, 1, 0)
-    since = len(probe.traffic)
-    command, exchange, _ = _motion(probe, name, Until.REPLY)
-    motion.wait_standing(probe)
-    statuses = _statuses(probe, since, command)
-    if statuses != [1]:
-        text = f"{name} with active 0 is not answered at its begin alone"
-        raise refute(exchange, text, expected="1", got=", ".join(map(str, statuses)) or "silence")
-
-
-def _inactive_stop(name: str, stop_name: str, probe: Probe, setting: Command) -> None:
-    _set_going(probe, name)
-    _set(probe, 1, 0)
-    exchange, statuses = _stop(probe, stop_name)
-    if statuses != [1]:
-        text = f"{stop_name} with active 0 is not answered at its begin alone"
-        raise refute(exchange, text, expected="1", got=", ".join(map(str, statuses)) or "silence")
-
-
-def _reads_answered(probe: Probe, setting: Command) -> None:
+@_of_respond("silence", each=_settings, name="{command}/0-leaves-reads")
+def _others_answered(probe: Probe) -> None:
+    """With respond 0 reads, settings and enabling are answered as before."""
     motion.ready_to_move(probe)
-    for exchange in [probe.ask(verb) for verb in _ANSWERED]:
-        if exchange.silent:
-            raise Inconclusive("a read is not answered with respond 1 either")
+    if any(probe.ask(verb).silent for verb in _ANSWERED):
+        raise Inconclusive("a read is not answered with respond 1 either")
     _set(probe, 0, 0)
     asked = [probe.ask(verb) for verb in _ANSWERED]
     asked.append(probe.ask(Verb.ENABLE, {"enabled": 1}))
     asked.append(probe.ask(Verb.SET_RESPOND, {"respond": 1, "active": 1}))
     for exchange in asked:
-        if exchange.silent:
-            name = exchange.command.name if exchange.command is not None else "a request"
-            raise refute(exchange, f"{name} is not answered with respond 0", expected="a reply", got="silence")
+        assert exchange.command is not None
+        text = f"{exchange.command.name} is not answered with respond 0"
+        probe.expect("silence", holds=not exchange.silent, expected="a reply", refutes=text, exchange=exchange)
 
 
-def _answers_again(probe: Probe, setting: Command) -> None:
+# --- active 0, and both again -----------------------------------------------------------------------------------------
+
+
+@_of_respond("no first reply, or a completion", each=_moves, name="{command}/inactive-{run}")
+def _inactive_move(probe: Probe, run: Command) -> None:
+    """With active 0 {run} is answered when it begins and not when it is done."""
+    journey.prepare(probe, run)
+    _set(probe, 1, 0)
+    exchange, statuses, _ = _move(probe, run, Until.REPLY)
+    motion.wait_standing(probe)
+    text = f"{run.name} with active 0 is not answered at its begin alone"
+    probe.expect(statuses, equal=[1], refutes=text, exchange=exchange)
+
+
+@_of_respond("no first reply, or a completion", each=_runs_and_moves, name="{command}/inactive-{stop}", risks=risks_of("run"))
+def _inactive_stop(probe: Probe, run: Command, stop: Command) -> None:
+    """With active 0 {stop} is answered when it begins and not when the shaft stands."""
+    _set_going(probe, run)
+    _set(probe, 1, 0)
+    exchange, statuses = _stop(probe, stop)
+    text = f"{stop.name} with active 0 is not answered at its begin alone"
+    probe.expect(statuses, equal=[1], refutes=text, exchange=exchange)
+
+
+@_of_respond("other replies", each=_settings, name="{command}/1-answers-again")
+def _answered_again(probe: Probe) -> None:
+    """With respond and active 1 again a move is answered 1 and then 2."""
     motion.ready_to_move(probe)
     for respond, active in ((0, 0), (1, 1)):
         _set(probe, respond, active)
-    since = len(probe.traffic)
-    command, exchange, _ = _motion(probe, probe.command(Verb.MOVE_RELATIVE_AXIS).name, Until.DONE)
-    statuses = _statuses(probe, since, command)
-    if statuses != [1, 2]:
-        text = "a move is not answered 1 and 2 after respond and active were set to 1 again"
-        raise refute(exchange, text, expected="1, 2", got=", ".join(map(str, statuses)) or "silence")
+    exchange, statuses, _ = _move(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), Until.DONE)
+    text = "a move is not answered 1 and 2 after respond and active were set to 1 again"
+    probe.expect(statuses, equal=[1, 2], refutes=text, exchange=exchange)
