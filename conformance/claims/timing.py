@@ -15,7 +15,7 @@ from itertools import pairwise
 from math import ceil
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
 from analyzer.link import ModbusLink
 from conformance.claim import Aspect, Claim, Inconclusive, Observed, Theme
 from conformance.claims import durations, motion_lk_limits, ramps
@@ -171,7 +171,7 @@ def _lk_motors(dialect: Dialect) -> Iterable[Case]:
     return once(dialect) if dialect.family == "lk" else ()
 
 
-@_of_reads("another time", each=_lk_motors, name="replies/delay", errata=("lk-rs485-05",), quirks=may_meet("lk-reply-within"))
+@_of_reads("another time", each=_lk_motors, name="replies/delay", rests_on=(Doubt.DELAY,), quirks=may_meet("lk-reply-within"))
 def _delay(probe: Probe) -> None:
     """A reply begins 0.25 ms after the request."""
     latencies = []
