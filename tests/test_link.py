@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.codec import codec
+from analyzer.layout import Layout, rest
 from analyzer.link import MORE, TIE, HeadLink, ModbusLink, modbus_crc, sum8
 from tests.bytestreams import SERIAL, exchanges, noise, vectors
 
@@ -328,3 +329,71 @@ def test_layouts_of_the_serial_dialects_have_codecs_of_their_lengths():
             for form in (*command.request_forms, *command.reply_forms):
                 if not form.layout.open_ended:
                     assert len(codec(form.layout).encode({})) == form.layout.byte_length
+
+
+# --- candidates -------------------------------------------------------------------------------------------------------
+
+
+def requests_of(name):
+    """Return the requests that the manual prints, whole, with their identifiers."""
+    dialect = dialects.get(name)
+    for command in dialect.commands:
+        for vector in command.vectors:
+            if vector.role is Role.REQUEST and vector.checksum and not vector.erratum:
+                can_id, data = (vector.data[0], vector.data[1:]) if dialect.bus == "can" else (None, vector.data)
+                yield command, can_id, data
+
+
+@pytest.mark.parametrize("name", dialects.names())
+def test_a_request_is_a_candidate_however_it_is_spoiled_or_cut(name):
+    dialect = dialects.get(name)
+    finder = dialect.link.finder(dialect)
+    for command, can_id, data in requests_of(name):
+        before = b"" if can_id is not None else b"\xff\xff"
+        start = len(before)
+
+        def candidates(item, before=before, can_id=can_id, code=command.code):
+            return [c for c in finder.at(before + item, len(before), can_id).found if c.known and c.code == code and not c.slot]
+
+        whole = candidates(data)
+        assert [(c.start, c.stop, c.fits, c.complete) for c in whole] == [(start, start + len(data), True, True)], data.hex(" ")
+        assert whole[0].address == (can_id if can_id is not None else dialect.link.parse(data).address) or command.slots
+        spoiled = candidates(data[:-1] + bytes((data[-1] ^ 0x55,)))
+        assert [(c.fits, c.complete) for c in spoiled] == [(False, True)]
+        for cut in range(dialect.link.deciding_bytes or 4, len(data)):
+            found = candidates(data[:cut])
+            assert found
+            assert not any(c.fits and c.complete and c.stop == start + len(data) for c in found)
+
+
+@pytest.mark.parametrize("name", ["mks-rs485", "mks-modbus", "lk-rs485"])
+def test_a_place_stays_open_until_its_request_is_whole(name):
+    dialect = dialects.get(name)
+    finder = dialect.link.finder(dialect)
+    for _, _, data in requests_of(name):
+        assert all(finder.at(data[:cut], 0).open for cut in range(1, len(data)))
+
+
+def test_an_uncatalogued_code_is_a_candidate_too():
+    finder = NATIVE.link.finder(NATIVE)
+    (unknown,) = finder.at(bytes.fromhex("FA 01 55"), 0).found
+    assert (unknown.known, unknown.complete, unknown.code) == (False, False, 0x55)
+    (head,) = finder.at(bytes.fromhex("FA 01 FB"), 0).found
+    assert head.weak, "the head of the next frame"
+    modbus = MODBUS.link.finder(MODBUS)
+    frame = MODBUS.link.completed(bytes.fromhex("01 2B 0E 01 00"))
+    assert modbus.at(frame, 0).found == ()
+    assert [c.stop for c in modbus.checked(frame, 0, 1)] == [len(frame)]
+
+
+def test_an_open_ended_request_is_no_less_than_an_unknown_one():
+    read = next(c for c in NATIVE.commands if c.slots is None)
+    dialect = replace(NATIVE, commands=(replace(read, code=0x55, request=Layout(rest("text"))),))
+    (found,) = dialect.link.finder(dialect).at(bytes.fromhex("FA 01 55 41 42 D3"), 0).found
+    assert not found.known
+
+
+def test_only_a_can_frame_has_an_identifier():
+    can = dialects.get("mks-can")
+    assert can.link.identifier(can.commands[0], 0x123) == 0x123
+    assert NATIVE.link.identifier(NATIVE.commands[0], 1) is None

@@ -23,6 +23,9 @@ class CanLink(Link):
     kind = "can"
     deciding_bytes = 1
 
+    def identifier(self, command: Command, address: int) -> int | None:
+        return address
+
     def slicer(self, dialect: Dialect, expects: Callable[[int, int], int]) -> Slicer:
         """Raise: a CAN bus delimits its frames itself."""
         raise TypeError(f"{dialect.name} is a CAN dialect; CAN frames need no slicer")

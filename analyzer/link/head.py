@@ -15,7 +15,21 @@ from itertools import accumulate
 from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Role
-from analyzer.link.interface import MORE, TIE, Check, Head, Link, Part, Slicer, data_lengths, sum8
+from analyzer.link.interface import (
+    MORE,
+    TIE,
+    Candidate,
+    Candidates,
+    Check,
+    Finder,
+    Head,
+    Link,
+    Part,
+    Slicer,
+    data_lengths,
+    request_sizes,
+    sum8,
+)
 
 if TYPE_CHECKING:
     from analyzer.catalogue import Command, Dialect, Form
@@ -37,6 +51,13 @@ class HeadLink(Link):
     check: Callable[[bytes], int] = sum8
     package: Package | None = None
     deciding_bytes = 3
+
+    @property
+    def first_bytes(self) -> frozenset[int]:
+        return frozenset(self.heads) | ({self.package.head} if self.package is not None else frozenset())
+
+    def finder(self, dialect: Dialect) -> Finder:
+        return _HeadFinder(self, dialect)
 
     def slicer(self, dialect: Dialect, expects: Callable[[int, int], int]) -> Slicer:
         """Return a slicer; lengths come from the dialect's layouts."""
@@ -185,3 +206,93 @@ class _HeadSlicer(Slicer):
         else:
             sums = [0, *accumulate(buffer[at : min(at + package.length - 2, end)])]
         return [n for n in range(4, min(package.length, end - at + 1)) if sums[n - 1] & 0xFF == buffer[at + n - 1]]
+
+
+#: The longest frame of an unknown code that is looked for behind a head.
+_UNKNOWN_LONGEST = 52
+#: Where the code of a command stands in a slot: behind its address.
+_SLOT_CODE = 1
+
+
+class _HeadFinder(Finder):
+    """Requests behind a head, and those in the slots of a package."""
+
+    def __init__(self, link: HeadLink, dialect: Dialect) -> None:
+        self._check = link.check
+        self._package = link.package
+        self._heads = link.first_bytes
+        self._slots = next((c.slots for c in dialect.commands if c.slots is not None), None)
+        self._sizes = request_sizes(dialect)
+        sizes = [n + 4 for each in self._sizes.values() for n in each]
+        self.longest = max(_UNKNOWN_LONGEST, link.package.length if link.package else 0, *sizes)
+
+    def at(self, buffer: bytes, start: int, can_id: int | None = None) -> Candidates:
+        head, end = buffer[start], len(buffer)
+        if head not in self._heads:
+            return Candidates()
+        if self._package is not None and head == self._package.head:
+            return self._packed(buffer, start, self._package)
+        if start + 3 > end:
+            return Candidates(open=True)
+        address, code = buffer[start + 1], buffer[start + 2]
+        sizes = self._sizes.get(code)
+        if not sizes:
+            return Candidates((self._unknown(buffer, start, address, code),))
+        found = []
+        for size in sizes:
+            stop = start + 4 + size
+            complete = stop <= end
+            fits = complete and self._check(buffer[start : stop - 1]) == buffer[stop - 1]
+            data = buffer[start + 3 : start + 3 + size]
+            found.append(
+                Candidate(start, min(stop, end), end, address, None, code, start + 2, True, fits, complete, data, (size,))
+            )
+        return Candidates(tuple(found), any(not c.complete for c in found))
+
+    def _unknown(self, buffer: bytes, start: int, address: int, code: int) -> Candidate:
+        """Return the candidate of an unknown code: the shortest frame whose check fits, else all that is there."""
+        end = len(buffer)
+        lasts = range(start + 3, min(end, start + _UNKNOWN_LONGEST))
+        stop = next((last + 1 for last in lasts if self._check(buffer[start:last]) == buffer[last]), 0)
+        fits = stop > 0
+        # A head where a code is expected is that of the next frame.
+        weak = code in self._heads
+        return Candidate(start, stop or end, start + 3, address, None, code, start + 2, False, fits, fits, weak=weak)
+
+    def _packed(self, buffer: bytes, start: int, package: Package) -> Candidates:
+        end = len(buffer)
+        stop = start + package.length
+        complete = stop <= end
+        if self._slots is None:
+            return Candidates(open=not complete)
+        fits = complete and self._check(buffer[start : stop - 1]) == buffer[stop - 1]
+        stop = min(stop, end)
+        found = []
+        for number in range(1, self._slots.count + 1):
+            first = start + 1 + (number - 1) * self._slots.size
+            slot = buffer[first : first + self._slots.size]
+            if len(slot) <= _SLOT_CODE or not any(slot):
+                continue
+            address, code, code_at = slot[0], slot[_SLOT_CODE], first + _SLOT_CODE
+            sizes = self._sizes.get(code)
+            found.append(
+                Candidate(
+                    start,
+                    stop,
+                    stop if fits else code_at + 1,
+                    address,
+                    None,
+                    code,
+                    code_at,
+                    bool(sizes),
+                    fits,
+                    complete,
+                    slot[_SLOT_CODE + 1 :],
+                    sizes or (),
+                    weak=not sizes and code in self._heads,
+                    slot=number,
+                )
+            )
+        good = fits and all(candidate.known for candidate in found)
+        found.append(Candidate(start, stop, stop, None, None, package.head, start, True, good, complete))
+        return Candidates(tuple(found), not complete)

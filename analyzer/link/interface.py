@@ -18,7 +18,7 @@ Not known here: whether bytes that check are a frame. Where that is doubtful, `a
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from analyzer.catalogue import Role
@@ -76,6 +76,66 @@ class Part(NamedTuple):
     text: str
 
 
+class Candidate(NamedTuple):
+    """A frame that could be read from `start` to `stop`, as far as its bytes are there.
+
+    `judged_to`: behind the last byte that says what it is; later bytes change nothing. `address` None: it has not come, or no
+    one drive is meant. `known`: its code is in the catalogue. `complete`: all its bytes are there; `fits`: and its checks are
+    right. `code_at`: the last byte that tells the code. `data`: its own data, as far as they are there; `sizes`: how many
+    bytes they can have, empty where that cannot be told yet. `misfit`: its length is none of its code.
+
+    How much an incomplete or damaged one is worth: `first_only`: nothing but at the beginning of a sending; `weak`: nothing.
+    `slot`: number of the slot of a package, from 1; 0: none.
+    """
+
+    start: int
+    stop: int
+    judged_to: int
+    address: int | None
+    function: int | None
+    code: int
+    code_at: int
+    known: bool
+    fits: bool
+    complete: bool
+    data: bytes = b""
+    sizes: tuple[int, ...] = ()
+    misfit: bool = False
+    first_only: bool = False
+    weak: bool = False
+    slot: int = 0
+    note: str = ""
+
+
+class Candidates(NamedTuple):
+    """All frames that could begin at one place. `open`: bytes to come can add one or change one."""
+
+    found: tuple[Candidate, ...] = ()
+    open: bool = False
+
+
+class Finder(ABC):
+    """Finds every request that could begin at a place: of known and unknown code, whole or cut off, whatever its checks.
+
+    A slicer looks for the frames that are there; a finder must miss none that a careless drive could take to be there. A
+    frame with the head of a reply counts as a request of its code.
+
+    `longest`: bytes of the longest frame. `headless`: any byte can begin a frame, so that those of an unknown function only
+    show by their check (`checked`).
+    """
+
+    longest = 64
+    headless = False
+
+    @abstractmethod
+    def at(self, buffer: bytes, start: int, can_id: int | None = None) -> Candidates:
+        """Return all candidates that begin at `start`."""
+
+    def checked(self, buffer: bytes, start: int, stop: int) -> Iterator[Candidate]:
+        """Yield the candidates of an unknown function that begin at `start`, end at `stop` or later, and check."""
+        return iter(())
+
+
 class Slicer(ABC):
     """Finds the frames of one dialect in a stream of bytes. One instance per port.
 
@@ -128,6 +188,8 @@ class Link(ABC):
     kind = "serial"
     #: Bytes at the beginning that, with the length, tell address and code; 0 where the bytes alone never do.
     deciding_bytes = 0
+    #: Characters of silence that end a frame; 0 where only its bytes tell its end.
+    silence_characters = 0.0
 
     @abstractmethod
     def slicer(self, dialect: Dialect, expects: Callable[[int, int], int]) -> Slicer:
@@ -135,6 +197,19 @@ class Link(ABC):
 
         `expects(address, function)`: data bytes of the reply that an open request awaits, 0 for none.
         """
+
+    @property
+    def first_bytes(self) -> frozenset[int]:
+        """The bytes that begin a frame; empty where any byte can."""
+        return frozenset()
+
+    def finder(self, dialect: Dialect) -> Finder:
+        """Return what finds the candidates of the commands of `dialect`."""
+        return FrameFinder(self, dialect) if self.kind == "can" else SlicerFinder(self, dialect)
+
+    def identifier(self, command: Command, address: int) -> int | None:
+        """Return the CAN identifier of a frame; None where the bus has none."""
+        return None
 
     @abstractmethod
     def parse(self, frame: bytes, can_id: int | None = None) -> Head:
@@ -170,3 +245,83 @@ def data_lengths(dialect: Dialect, role: Role) -> dict[int, set[int]]:
                 code = command.code if form.code is None else form.code
                 result.setdefault(code, set()).add(form.layout.byte_length)
     return result
+
+
+def request_sizes(dialect: Dialect) -> dict[int, tuple[int, ...]]:
+    """Return the data lengths of the requests of each code, ascending; packages left out."""
+    sizes = data_lengths(dialect, Role.REQUEST)
+    codes = {command.code for command in dialect.commands if command.slots is None}
+    return {code: tuple(sorted(sizes.get(code, ()))) for code in codes}
+
+
+class FrameFinder(Finder):
+    """For links whose bus delimits the frames: the buffer is one frame."""
+
+    def __init__(self, link: Link, dialect: Dialect) -> None:
+        self._link = link
+        self._codes = {(command.function, command.code) for command in dialect.commands}
+
+    def at(self, buffer: bytes, start: int, can_id: int | None = None) -> Candidates:
+        head = self._link.parse(buffer, can_id)
+        checks = self._link.checks(buffer, can_id)
+        # A check that stands where the head should end shows that the frame is cut off.
+        complete = all(check.start >= head.start for check in checks)
+        data = buffer[head.start : head.stop]
+        known = (head.function, head.code) in self._codes
+        candidate = Candidate(
+            0,
+            len(buffer),
+            len(buffer),
+            head.address,
+            head.function,
+            head.code or 0,
+            max(0, head.start - 1),
+            known,
+            complete and all(check.ok for check in checks),
+            complete,
+            data,
+            (len(data),),
+            misfit=not complete,
+        )
+        return Candidates((candidate,))
+
+
+class SlicerFinder(Finder):
+    """For links that have no finder of their own: frames that check, and known ones whose check alone is wrong."""
+
+    def __init__(self, link: Link, dialect: Dialect) -> None:
+        self._link = link
+        self._slicer = link.slicer(dialect, lambda address, function: 0)
+        self._codes = {(command.function, command.code) for command in dialect.commands}
+        self.longest = self._slicer.longest
+
+    def at(self, buffer: bytes, start: int, can_id: int | None = None) -> Candidates:
+        slicer, end = self._slicer, len(buffer)
+        if buffer[start] not in slicer.heads:
+            return Candidates()
+        fitting = {n for n in slicer.lengths(buffer, start, end) if n > 0}
+        lengths = fitting | {n for n in slicer.damaged(buffer, start, end) if n > 0}
+        found = [self._candidate(buffer[start : start + n], start, n in fitting) for n in sorted(lengths)]
+        if slicer.foreign(buffer, start):
+            found.append(Candidate(start, end, end, None, None, -1, start, False, False, False))
+        return Candidates(tuple(found), end - start < slicer.longest)
+
+    def _candidate(self, frame: bytes, start: int, fits: bool) -> Candidate:
+        head = self._link.parse(frame)
+        code = -1 if head.code is None else head.code
+        data = frame[head.start : head.stop]
+        stop = start + len(frame)
+        return Candidate(
+            start,
+            stop,
+            stop,
+            head.address,
+            head.function,
+            code,
+            start + max(0, head.start - 1),
+            (head.function, code) in self._codes,
+            fits,
+            True,
+            data,
+            (len(data),),
+        )

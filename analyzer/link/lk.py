@@ -13,7 +13,20 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Role
-from analyzer.link.interface import MORE, Check, Head, Link, Part, Slicer, data_lengths, sum8
+from analyzer.link.interface import (
+    MORE,
+    Candidate,
+    Candidates,
+    Check,
+    Finder,
+    Head,
+    Link,
+    Part,
+    Slicer,
+    data_lengths,
+    request_sizes,
+    sum8,
+)
 
 if TYPE_CHECKING:
     from analyzer.catalogue import Command, Dialect, Form
@@ -27,6 +40,13 @@ class LkLink(Link):
     """Lingkong: the head carries the length and its own sum; data, where there is any, has another."""
 
     deciding_bytes = 3
+
+    @property
+    def first_bytes(self) -> frozenset[int]:
+        return frozenset({_LK_HEAD})
+
+    def finder(self, dialect: Dialect) -> Finder:
+        return _LkFinder(dialect)
 
     def slicer(self, dialect: Dialect, expects: Callable[[int, int], int]) -> Slicer:
         """Return a slicer; frames carry their length, codes matter only where there are no data."""
@@ -127,3 +147,68 @@ class _LkSlicer(Slicer):
         if data[3] == 0:
             return len(data) == 5
         return len(data) == data[3] + 6 and sum(data[5:-1]) & 0xFF == data[-1]
+
+
+class _LkFinder(Finder):
+    """Requests whose length may have come or not, and may be that of their code or not."""
+
+    longest = 6 + 255
+
+    def __init__(self, dialect: Dialect) -> None:
+        self._sizes = request_sizes(dialect)
+
+    def at(self, buffer: bytes, start: int, can_id: int | None = None) -> Candidates:
+        if buffer[start] != _LK_HEAD:
+            return Candidates()
+        end = len(buffer)
+        if start + 2 > end:
+            return Candidates(open=True)
+        code = buffer[start + 1]
+        address = buffer[start + 2] if start + 2 < end else None
+        size = buffer[start + 3] if start + 3 < end else None
+        sizes = self._sizes.get(code)
+        head_fits = start + 5 <= end and sum8(buffer[start : start + 4]) == buffer[start + 4]
+        if sizes is not None and (size is None or size in sizes):
+            stop = start + (6 + size if size else 5)
+            complete = size is not None and stop <= end
+            fits = complete and head_fits and (not size or sum8(buffer[start + 5 : stop - 1]) == buffer[stop - 1])
+            candidate = Candidate(
+                start,
+                min(stop, end),
+                end,
+                address,
+                None,
+                code,
+                start + 1,
+                True,
+                fits,
+                complete,
+                buffer[start + 5 : start + 5 + (size or 0)],
+                () if size is None else (size,),
+            )
+            return Candidates((candidate,), not complete)
+        # Of another length or an unknown code: the head says all that can be known.
+        stop = min(start + 5, end)
+        if sizes is not None:
+            note = f"{size} bytes of data, expected {' or '.join(str(n) for n in sizes)}"
+            candidate = Candidate(
+                start, stop, start + 5, address, None, code, start + 1, True, False, False, misfit=True, note=note
+            )
+        else:
+            # The head of this dialect is a code of another (3E reads the protection of MKS drives). So an unknown code needs
+            # more than the byte before it: the sum of the head, or the beginning of a sending.
+            candidate = Candidate(
+                start,
+                stop,
+                start + 5,
+                address,
+                None,
+                code,
+                start + 1,
+                False,
+                False,
+                start + 5 <= end,
+                first_only=not head_fits,
+                weak=not head_fits and code == _LK_HEAD,
+            )
+        return Candidates((candidate,), start + 5 > end)

@@ -12,14 +12,14 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from fastcrc import crc16 as _crc16
 
 from analyzer.catalogue import Role
-from analyzer.link.interface import MORE, TIE, Check, Head, Link, Part, Slicer
+from analyzer.link.interface import MORE, TIE, Candidate, Candidates, Check, Finder, Head, Link, Part, Slicer
 
 if TYPE_CHECKING:
     from analyzer.catalogue import Command, Dialect, Form
@@ -40,6 +40,10 @@ class ModbusLink(Link):
     """Modbus-RTU. `odd_counts`: registers whose write has another byte count than twice its quantity."""
 
     odd_counts: Mapping[int, int] = field(default_factory=dict)
+    silence_characters = 3.5
+
+    def finder(self, dialect: Dialect) -> Finder:
+        return _ModbusFinder(self, dialect)
 
     def slicer(self, dialect: Dialect, expects: Callable[[int, int], int]) -> Slicer:
         """Return a slicer; lengths come from the Modbus functions, catalogued or not."""
@@ -220,3 +224,76 @@ class _ModbusSlicer(Slicer):
             return False
         # A frame that lost the 00 at its end checks too.
         return self.look(data + b"\0", 0, size + 1, True) != size + 1
+
+
+class _ModbusFinder(Finder):
+    """Requests of the functions that read and write registers; those of other functions where they check."""
+
+    longest = _ModbusSlicer.longest
+    headless = True
+
+    def __init__(self, link: ModbusLink, dialect: Dialect) -> None:
+        self._link = link
+        self._quantities: dict[tuple[int, int], int] = {}
+        for command in dialect.commands:
+            self._quantities.setdefault((command.function or 0, command.code), command.quantity)
+
+    def at(self, buffer: bytes, start: int, can_id: int | None = None) -> Candidates:
+        end = len(buffer)
+        if buffer[start] > _MODBUS_HIGHEST:
+            return Candidates()
+        if start + 2 > end:
+            return Candidates(open=True)
+        function = buffer[start + 1]
+        if function not in FUNCTIONS:
+            return Candidates()
+        if start + 4 > end:
+            return Candidates(open=True)
+        register = _u16(buffer, start + 2)
+        quantity = self._quantities.get((function, register))
+        misfit, note, size = False, "", 0 if function in READS else 2
+        stop, data_at = start + 8, start + 4
+        if function in WRITE_MANY:
+            count = buffer[start + 6] if start + 6 < end else None
+            stop, data_at = start + 9 + (count or 0), start + 7
+            if quantity is not None:
+                size = self._link.byte_count(function, register, quantity)
+                asked = _u16(buffer, start + 4) if start + 6 <= end else quantity
+                misfit = asked != quantity or count not in (None, size)
+                if misfit:
+                    note = f"{asked} registers in {'?' if count is None else count} bytes, expected {quantity}"
+                else:
+                    stop = start + 9 + size
+        if quantity is None:
+            note = f"register 0x{register:04X}"
+        complete = stop <= end
+        candidate = Candidate(
+            start,
+            min(stop, end),
+            end,
+            buffer[start],
+            function,
+            register,
+            start + 3,
+            quantity is not None,
+            complete and modbus_crc(buffer[start:stop]) == 0,
+            complete,
+            buffer[data_at : data_at + size],
+            (size,),
+            misfit,
+            first_only=quantity is None,
+            note=note,
+        )
+        return Candidates((candidate,), not complete)
+
+    def checked(self, buffer: bytes, start: int, stop: int) -> Iterator[Candidate]:
+        end = len(buffer)
+        if start + 4 > end or buffer[start] > _MODBUS_HIGHEST:
+            return
+        function = buffer[start + 1]
+        if not 0 < function < 0x80 or function in FUNCTIONS:
+            return
+        note = f"Modbus function 0x{function:02X}"
+        for last in range(max(start + 4, stop), min(end, start + self.longest) + 1):
+            if modbus_crc(buffer[start:last]) == 0:
+                yield Candidate(start, last, last, buffer[start], None, function, start + 1, False, True, True, note=note)

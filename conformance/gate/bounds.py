@@ -31,17 +31,25 @@ _LARGEST_SUBDIVISION = 256
 
 STOPS = frozenset(
     {
-        Verb.STOP, Verb.EMERGENCY_STOP, Verb.STOP_SPEED, Verb.STOP_RELATIVE_PULSES, Verb.STOP_ABSOLUTE_PULSES,
-        Verb.STOP_RELATIVE_AXIS, Verb.STOP_ABSOLUTE_AXIS,
+        Verb.STOP,
+        Verb.EMERGENCY_STOP,
+        Verb.STOP_SPEED,
+        Verb.STOP_RELATIVE_PULSES,
+        Verb.STOP_ABSOLUTE_PULSES,
+        Verb.STOP_RELATIVE_AXIS,
+        Verb.STOP_ABSOLUTE_AXIS,
     }
-)  # fmt: skip
+)
 RUNS = frozenset({Verb.RUN_SPEED, Verb.RUN_TORQUE, Verb.RUN_OPEN_LOOP})
 MOVES = frozenset(
     {
-        Verb.MOVE_RELATIVE_PULSES, Verb.MOVE_ABSOLUTE_PULSES, Verb.MOVE_RELATIVE_AXIS, Verb.MOVE_ABSOLUTE_AXIS,
+        Verb.MOVE_RELATIVE_PULSES,
+        Verb.MOVE_ABSOLUTE_PULSES,
+        Verb.MOVE_RELATIVE_AXIS,
+        Verb.MOVE_ABSOLUTE_AXIS,
         Verb.MOVE_SINGLE_TURN,
     }
-)  # fmt: skip
+)
 #: What turns the shaft by rules of its own.
 OWN_WAYS = frozenset({Verb.HOME, Verb.CALIBRATE})
 #: After these the position that was known is another one, or counted from elsewhere.

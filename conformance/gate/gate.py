@@ -28,9 +28,18 @@ from conformance.gate.interpretations import CanReader, Reading, SerialReader, S
 from conformance.gate.permissions import Allowance, Objection, add_gate_arguments, allowance_from, parse_allow
 
 __all__ = [
-    "Allowance", "Budget", "Gate", "Judge", "Objection", "Reading", "Refused", "add_gate_arguments", "allowance_from",
-    "parse_allow", "shown",
-]  # fmt: skip
+    "Allowance",
+    "Budget",
+    "Gate",
+    "Judge",
+    "Objection",
+    "Reading",
+    "Refused",
+    "add_gate_arguments",
+    "allowance_from",
+    "parse_allow",
+    "shown",
+]
 
 Item = bytes | CanFrame
 #: What is told to those who listen to a gate: when the last of it was on the wire, and what it was.
@@ -249,9 +258,7 @@ class Gate:
     def _record(self, item: Item, t_ns: int) -> Chunk | CanFrame:
         name = self.line.endpoint.name
         if isinstance(item, CanFrame):
-            return CanFrame(
-                t_ns, name, item.id, item.data, Role.REQUEST, item.extended, item.remote, item.error, item.fd
-            )  # fmt: skip
+            return CanFrame(t_ns, name, item.id, item.data, Role.REQUEST, item.extended, item.remote, item.error, item.fd)
         return Chunk(t_ns, name, item, Role.REQUEST, True)
 
     # --- the rest of the line -------------------------------------------------------------------------------------

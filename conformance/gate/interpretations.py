@@ -30,17 +30,17 @@ Not known here: what is allowed (`conformance.gate.permissions`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from analyzer.catalogue import Command, Dialect, Form, Risk
+from analyzer.codec import codec
 from analyzer.dialects import code_text
+from analyzer.layout import Kind
+from analyzer.link import Candidate
 from analyzer.records import CanFrame
 from analyzer.values import value_text
-from conformance.gate.links import LONGEST, ear
-from conformance.gate.modbus import ModbusEar
-from conformance.gate.spots import Meaning, Spot, meanings
 
 UNKNOWN = frozenset({Risk.UNKNOWN})
 _CAN_ID_LIMIT = 0x7FF
@@ -110,12 +110,81 @@ class Stream(NamedTuple):
     good: tuple[tuple[int, int], ...] = ()
 
 
+class _Dialect:
+    """A dialect, the finder of its requests, and what a candidate of it may mean."""
+
+    def __init__(self, dialect: Dialect) -> None:
+        self.dialect = dialect
+        self.finder = dialect.link.finder(dialect)
+        self._commands: dict[tuple[int | None, int], tuple[Command, ...]] = {}
+        for command in dialect.commands:
+            key = (command.function, command.code)
+            self._commands[key] = (*self._commands.get(key, ()), command)
+
+    def fallback(self, candidate: Candidate) -> Command | None:
+        """Return the command that stands for an uncatalogued use of a standard function."""
+        return None if candidate.known or candidate.function is None else self.dialect.fallbacks.get(candidate.function)
+
+    def known(self, candidate: Candidate) -> bool:
+        """Say whether it is clear what a candidate does: it is catalogued, or its function does nothing but read."""
+        fallback = self.fallback(candidate)
+        return candidate.known or (fallback is not None and fallback.all_risks <= _READ)
+
+    def meanings(self, candidate: Candidate) -> list[_Meaning]:
+        """Return what a candidate may mean; a meaning that another one outdoes is left out."""
+        fallback = self.fallback(candidate)
+        if fallback is not None:
+            return [_worst(fallback)]
+        if not candidate.known:
+            return [_Meaning(None, None, {}, UNKNOWN)]
+        commands = self._commands[candidate.function, candidate.code]
+        if commands[0].slots is not None:
+            # The package itself does nothing; what it does stands in its slots.
+            return [_Meaning(commands[0], None, {}, _READ)]
+        if candidate.misfit:
+            # Where registers are written, those beside the command's own are.
+            beside = frozenset[Risk]() if candidate.function is None else UNKNOWN
+            found = [_Meaning(c, None, {}, c.risks({}) | beside) for c in commands]
+        else:
+            # Data can be longer than the command in a slot alone.
+            found = [m for size in candidate.sizes or (None,) for m in _meanings(commands, candidate.data[:size], size)]
+        return [
+            m
+            for i, m in enumerate(found)
+            if not any(m.risks < o.risks or (m.risks == o.risks and n > i) for n, o in enumerate(found) if n != i)
+        ]
+
+    def interpretations(self, candidate: Candidate, buffer: bytes, new: int, beside: frozenset[Risk]) -> Iterator[Reading]:
+        """Yield a candidate's interpretations. `new`: where what leaves begins; `beside`: risks that each has too."""
+        at, stop, slot = candidate.start, candidate.stop, candidate.slot
+        to_many = slot > 0 or (candidate.address is None and candidate.complete) or candidate.address == self.dialect.broadcast
+        if not self.known(candidate) and not slot:
+            beside = beside | UNKNOWN
+        for command, form, values, risks in self.meanings(candidate):
+            yield Reading(
+                self.dialect,
+                candidate.address,
+                candidate.code,
+                command,
+                form,
+                values,
+                risks | beside,
+                at - new,
+                buffer[at:stop],
+                candidate.fits,
+                candidate.complete,
+                slot,
+                to_many,
+                candidate.note,
+            )
+
+
 class SerialReader:
     """Reads what leaves on a serial line."""
 
     def __init__(self, dialects: Sequence[Dialect]) -> None:
-        self._ears = [ear(d) for d in dialects]
-        self._modbus = [e for e in self._ears if isinstance(e, ModbusEar)]
+        self._dialects = [_Dialect(d) for d in dialects]
+        self._longest = max((d.finder.longest for d in self._dialects), default=0)
         self._kept: dict[tuple[Stream, bytes], tuple[tuple[Reading, ...], Stream]] = {}
 
     def read(self, stream: Stream, item: bytes) -> tuple[tuple[Reading, ...], Stream]:
@@ -130,31 +199,38 @@ class SerialReader:
 
     def _read(self, stream: Stream, item: bytes) -> tuple[tuple[Reading, ...], Stream]:
         buffer, new = stream.tail + item, len(stream.tail)
-        spots: list[Spot] = []
+        candidates: list[tuple[Candidate, _Dialect]] = []
         opens: list[int] = []
         for at in range(len(buffer)):
-            for each in self._ears:
-                found = each.look(buffer, at)
-                spots += [s for s in found.spots if min(s.stop, s.until) > new]
-                if found.open:
+            for each in self._dialects:
+                found, is_open = each.finder.at(buffer, at)
+                candidates += [(c, each) for c in found if min(c.stop, c.judged_to) > new]
+                if is_open:
                     opens.append(at)
-        good = _Good([*stream.good, *((s.start, s.stop) for s in spots if s.known and s.sound and not s.slot)])
+        good = _Good([*stream.good, *((c.start, c.stop) for c, d in candidates if c.fits and not c.slot and d.known(c))])
         starts = (*stream.starts, new)
-        for modbus in self._modbus:
-            begins = [*stream.starts, *range(new, len(buffer))]
-            begins = [at for at in begins if not good.holds(at, len(buffer))]
-            spots += [s for s in modbus.windows(buffer, begins, new) if not good.holds(s.start, s.stop)]
+        for each in self._dialects:
+            if not each.finder.headless:
+                continue
+            begins = [at for at in (*stream.starts, *range(new, len(buffer))) if not good.holds(at, len(buffer))]
+            checked = (c for at in begins for c in each.finder.checked(buffer, at, new + 1))
+            candidates += [(c, each) for c in checked if not good.holds(c.start, c.stop)]
             # A function that nobody knows may still come to check: it is followed from where sendings begin, until a
             # good frame has ended one.
             if not any(stop == len(buffer) for _, stop in good.spans):
                 opens += starts
         readings = tuple(
             reading
-            for spot in sorted(spots, key=lambda s: (s.start, s.slot))
-            if _counts(spot, good, starts)
-            for reading in readings_of(spot, buffer, new)
+            for candidate, each in sorted(candidates, key=lambda c: (c[0].start, c[0].slot))
+            if _counts(candidate, each.known(candidate), good, starts)
+            for reading in each.interpretations(candidate, buffer, new, frozenset())
         )
-        return readings, _rest(buffer, opens, starts, good)
+        first = max(min(opens, default=len(buffer)), len(buffer) - self._longest)
+        return readings, Stream(
+            buffer[first:],
+            tuple(s - first for s in starts if first <= s < len(buffer)),
+            tuple(sorted({(max(a - first, -1), b - first) for a, b in good.spans if b > first})),
+        )
 
 
 class _Good:
@@ -175,52 +251,73 @@ class _Good:
         """Say whether one that has the byte `at` begins behind `start`."""
         return any(start < a <= at < b for a, b in self.spans)
 
-    def out_of_step(self, spot: Spot) -> bool:
-        """Say whether a reading begins inside one, goes on beyond its end, and has no byte that belongs to none."""
-        at, stop = spot.start, spot.stop
-        beyond = any(a < at < b and (stop > b or not spot.complete) for a, b in self.spans)
+    def out_of_step(self, candidate: Candidate) -> bool:
+        """Say whether a candidate begins inside one, goes on beyond its end, and has no byte that belongs to none."""
+        at, stop = candidate.start, candidate.stop
+        beyond = any(a < at < b and (stop > b or not candidate.complete) for a, b in self.spans)
         return beyond and all(self.has(n) for n in range(at, stop))
 
 
-def _counts(spot: Spot, good: _Good, starts: tuple[int, ...]) -> bool:
-    explained = good.has(spot.code_at)
-    if spot.sound:
-        return spot.known or not explained or good.holds(spot.start, spot.stop)
-    if spot.known and not spot.slot:
-        return not (good.begins(spot.start, spot.code_at) or good.out_of_step(spot))
-    return not (explained or spot.weak or (spot.only_first and spot.start not in starts))
+def _counts(candidate: Candidate, known: bool, good: _Good, starts: tuple[int, ...]) -> bool:
+    explained = good.has(candidate.code_at)
+    if candidate.fits:
+        return known or not explained or good.holds(candidate.start, candidate.stop)
+    if known and not candidate.slot:
+        return not (good.begins(candidate.start, candidate.code_at) or good.out_of_step(candidate))
+    return not (explained or candidate.weak or (candidate.first_only and candidate.start not in starts))
 
 
-def _rest(buffer: bytes, opens: Sequence[int], starts: Sequence[int], good: _Good) -> Stream:
-    first = max(min(opens, default=len(buffer)), len(buffer) - LONGEST)
-    return Stream(
-        buffer[first:],
-        tuple(s - first for s in starts if s >= first and s < len(buffer)),
-        tuple(sorted({(max(a - first, -1), b - first) for a, b in good.spans if b > first})),
-    )
+# --- what data may mean -------------------------------------------------------------------------------------------
 
 
-def readings_of(spot: Spot, buffer: bytes, new: int) -> list[Reading]:
-    """Return the readings of a spot: one for each thing it may mean, those left out that another one outdoes."""
-    data = buffer[spot.start : spot.stop]
-    dialect = spot.dialect
-    to_many = spot.slot > 0 or (spot.address is None and spot.complete) or spot.address == dialect.broadcast
+class _Meaning(NamedTuple):
+    """What a request may tell a drive. `values`: integers as sent, those that are there; `form` None: none fits."""
 
-    def reading(meaning: Meaning | None) -> Reading:
-        command, form, values, risks = meaning or (None, None, {}, UNKNOWN)
-        if not spot.known and not spot.slot:
-            risks = risks | UNKNOWN
-        return Reading(
-            dialect, spot.address, spot.code, command, form, values, risks, spot.start - new, data, spot.sound,
-            spot.complete, spot.slot, bool(to_many), spot.note,
-        )  # fmt: skip
+    command: Command | None
+    form: Form | None
+    values: dict[str, int]
+    risks: frozenset[Risk]
 
-    if not spot.meanings:
-        return [reading(None)]
-    told = spot.meanings
-    kept = [m for i, m in enumerate(told) if not any(m.risks < o.risks or (m.risks == o.risks and n > i)
-            for n, o in enumerate(told) if n != i)]  # fmt: skip
-    return [reading(m) for m in kept]
+
+def _worst(command: Command) -> _Meaning:
+    return _Meaning(command, None, {}, command.risks({}))
+
+
+def _meanings(commands: Sequence[Command], data: bytes, size: int | None) -> list[_Meaning]:
+    """Return what data of these commands (of one code) may mean.
+
+    `data`: what is there of `size` bytes; None: how many there will be is not known. Whole data mean one thing, the first
+    form that fits, as in the catalogue; data that are cut off may mean several; data of no layout the worst of each.
+    """
+    found = []
+    whole = size is not None and len(data) >= size
+    for command in commands:
+        for form in command.request_forms:
+            if whole:
+                if codec(form.layout).matches(data):
+                    values = codec(form.layout).wire(data)
+                    return [_Meaning(command, form, values, command.risks(values))]
+            elif size is None or form.layout.byte_length == size:
+                known = _partly(form, data)
+                if known is not None:
+                    found.append(_Meaning(command, form, known, command.risks(known)))
+    return found or [_worst(command) for command in commands]
+
+
+def _partly(form: Form, data: bytes) -> dict[str, int] | None:
+    """Return the values of the fields that are there in full; None where a field that makes the layout has another one."""
+    layout = form.layout
+    have = 8 * len(data)
+    whole = codec(layout).wire(data[: layout.byte_length].ljust(layout.byte_length, b"\0"))
+    values: dict[str, int] = {}
+    for offset, field in layout:
+        if field.kind in (Kind.RESERVED, Kind.BYTES) or offset + field.bit_width > have:
+            continue
+        value = whole[field.name]
+        if field.fixed is not None and value != field.fixed:
+            return None
+        values[field.name] = value
+    return values
 
 
 # --- CAN ----------------------------------------------------------------------------------------------------------
@@ -230,40 +327,34 @@ class CanReader:
     """Reads what leaves on a CAN bus: each frame is judged by itself."""
 
     def __init__(self, dialects: Sequence[Dialect]) -> None:
-        self._dialects = tuple(dialects)
-        self._kept: dict[tuple[int, bytes, bool], tuple[Reading, ...]] = {}
+        self._dialects = [_Dialect(d) for d in dialects]
+        self._kept: dict[tuple[int, bytes, str], tuple[Reading, ...]] = {}
 
     def read(self, frame: CanFrame) -> tuple[Reading, ...]:
         """Return what can be read in a frame, in each dialect."""
-        plain = not (frame.extended or frame.remote or frame.error or frame.fd) and frame.id <= _CAN_ID_LIMIT
-        key = (frame.id, frame.data, plain)
+        strange = _strangeness(frame)
+        key = (frame.id, frame.data, strange)
         found = self._kept.get(key)
-        if found is None or not plain:
-            found = tuple(r for d in self._dialects for r in self._read(d, frame, "" if plain else _kind(frame)))
+        if found is None:
             if len(self._kept) >= _KEPT:
                 self._kept.clear()
-            if plain:
-                self._kept[key] = found
+            found = self._kept[key] = tuple(self._read(frame, strange))
         return found
 
-    def _read(self, dialect: Dialect, frame: CanFrame, strange: str) -> list[Reading]:
-        data, can_id = frame.data, frame.id
-        note = strange or ("" if data else "a frame without data")
-        commands = dialect.by_code.get(data[0], ()) if data else ()
-        sound = len(data) > 1 and dialect.link.fits(data, can_id)
-        own = data[1:-1]
-        # Without data of its own a command that is there at all is what it is, its sum there or not.
-        told = meanings(commands, own, len(own)) if commands else ()
-        if len(data) < 2:
-            told = tuple(Meaning(c, None, {}, c.risks({})) for c in commands)
-        spot = Spot(
-            dialect, 0, len(data), can_id, data[0] if data else 0, 0, len(data), bool(told) and not strange, sound,
-            len(data) > 1, told, note=note,
-        )  # fmt: skip
-        return readings_of(spot, data, 0)
+    def _read(self, frame: CanFrame, strange: str) -> Iterator[Reading]:
+        note = strange or ("" if frame.data else "a frame without data")
+        beside = UNKNOWN if strange else frozenset[Risk]()
+        for each in self._dialects:
+            for candidate in each.finder.at(frame.data, 0, frame.id).found:
+                yield from each.interpretations(candidate._replace(note=note), frame.data, 0, beside)
 
 
-def _kind(frame: CanFrame) -> str:
-    """Return in words why a frame is not a plain one of 11 bits."""
-    kinds = ((frame.error, "an error frame"), (frame.fd, "a CAN FD frame"), (frame.remote, "a remote frame"))
-    return next((text for is_so, text in kinds if is_so), "an identifier of 29 bits")
+def _strangeness(frame: CanFrame) -> str:
+    """Return in words why a frame is not a plain one of 11 bits; nothing where it is."""
+    kinds = (
+        (frame.error, "an error frame"),
+        (frame.fd, "a CAN FD frame"),
+        (frame.remote, "a remote frame"),
+        (frame.extended or frame.id > _CAN_ID_LIMIT, "an identifier of 29 bits"),
+    )
+    return next((text for is_so, text in kinds if is_so), "")

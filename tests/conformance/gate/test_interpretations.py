@@ -444,13 +444,14 @@ def test_a_dialect_on_another_link_is_read_by_its_slicer():
     from dataclasses import replace
 
     from analyzer.link import Link
-    from conformance.gate.links import SlicerEar, ear
+    from analyzer.link.interface import SlicerFinder
 
     class Foreign(Link):
         """Native MKS frames behind another name."""
 
         def __getattribute__(self, name: str):
-            return object.__getattribute__(self, name) if name.startswith("__") else getattr(MKS.link, name)
+            own = name.startswith("__") or name == "finder"
+            return object.__getattribute__(self, name) if own else getattr(MKS.link, name)
 
         def slicer(self, dialect, expects): ...
         def parse(self, frame, can_id=None): ...
@@ -460,7 +461,7 @@ def test_a_dialect_on_another_link_is_read_by_its_slicer():
         def completed(self, body, can_id=None): ...
 
     dialect = replace(MKS, name="foreign", link=Foreign())
-    assert isinstance(ear(dialect), SlicerEar)
+    assert isinstance(dialect.link.finder(dialect), SlicerFinder)
     found = Judge(Allowance(), [dialect])
     assert found.objections(RUN)
     assert found.objections(spoiled(RUN))
