@@ -16,20 +16,10 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 from analyzer.layout import Effect, Field, Layout
-
-if TYPE_CHECKING:
-    from analyzer.link import Link
-
-
-class Role(StrEnum):
-    """Who sent a frame."""
-
-    REQUEST = "request"
-    REPLY = "reply"
-    UNKNOWN = "unknown"
+from analyzer.link import Link
+from analyzer.link import Role as Role
 
 
 class Risk(StrEnum):

@@ -90,7 +90,7 @@ class Framer:
     ) -> None:
         self.port = port
         self.dialects = tuple(dialects)
-        self._slicers = [d.link.slicer(d, context.expects) for d in dialects]
+        self._slicers = [d.link.slicer(d.commands, context.expects) for d in dialects]
         self._judges = [_Judge(d) for d in dialects]
         self._starts = re.compile(b"|".join(s.starts for s in self._slicers), re.DOTALL)
         self._longest = max(s.longest for s in self._slicers)

@@ -556,8 +556,8 @@ class Counted(HeadLink):
 
     looks = 0
 
-    def slicer(self, dialect, expects):
-        slicer = super().slicer(dialect, expects)
+    def slicer(self, commands, expects):
+        slicer = super().slicer(commands, expects)
         look = slicer.look
 
         def counted(buffer, at, end, closed):

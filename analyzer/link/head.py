@@ -9,30 +9,28 @@ The head tells the role. Lengths come from the layouts of the catalogue, by head
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import TYPE_CHECKING
 
-from analyzer.catalogue import Role
 from analyzer.link.interface import (
     MORE,
     TIE,
     Candidate,
     Candidates,
     Check,
+    CommandShape,
     Finder,
+    FormShape,
     Head,
     Link,
     Part,
+    Role,
     Slicer,
     data_lengths,
     request_sizes,
     sum8,
 )
-
-if TYPE_CHECKING:
-    from analyzer.catalogue import Command, Dialect, Form
 
 
 @dataclass(frozen=True)
@@ -56,15 +54,13 @@ class HeadLink(Link):
     def first_bytes(self) -> frozenset[int]:
         return frozenset(self.heads) | ({self.package.head} if self.package is not None else frozenset())
 
-    def finder(self, dialect: Dialect) -> Finder:
-        return _HeadFinder(self, dialect)
+    def finder(self, commands: Sequence[CommandShape]) -> Finder:
+        return _HeadFinder(self, commands)
 
-    def slicer(self, dialect: Dialect, expects: Callable[[int, int], int]) -> Slicer:
-        """Return a slicer; lengths come from the dialect's layouts."""
-        return _HeadSlicer(self, dialect)
+    def slicer(self, commands: Sequence[CommandShape], expects: Callable[[int, int], int]) -> Slicer:
+        return _HeadSlicer(self, commands)
 
     def parse(self, frame: bytes, can_id: int | None = None) -> Head:
-        """Return the head; a package is addressed to all (0) and has its head as code."""
         if self.package is not None and frame[:1] == bytes((self.package.head,)):
             return Head(0, Role.REQUEST, self.package.head, None, 1, max(1, len(frame) - 1))
         padded = frame[:3].ljust(3, b"\0")
@@ -72,11 +68,9 @@ class HeadLink(Link):
         return Head(padded[1], role, padded[2], None, 3, max(3, len(frame) - 1))
 
     def checks(self, frame: bytes, can_id: int | None = None) -> tuple[Check, ...]:
-        """Return the one check at the end."""
         return (Check("checksum", len(frame) - 1, frame[-1:], bytes((self.check(frame[:-1]),))),)
 
-    def build(self, command: Command, form: Form, address: int, data: bytes, role: Role) -> bytes:
-        """Return the frame of a command."""
+    def build(self, command: CommandShape, form: FormShape, address: int, data: bytes, role: Role) -> bytes:
         if self.package is not None and command.code == self.package.head:
             return self.completed(bytes((self.package.head,)) + data)
         head = next(h for h, r in self.heads.items() if r is role)
@@ -84,11 +78,9 @@ class HeadLink(Link):
         return self.completed(bytes((head, address, code)) + data)
 
     def completed(self, body: bytes, can_id: int | None = None) -> bytes:
-        """Return the body with its check."""
         return body + bytes((self.check(body),))
 
     def parts(self, frame: bytes, can_id: int | None = None) -> tuple[Part, ...]:
-        """Return head, address and code."""
         if self.package is not None and frame[0] == self.package.head:
             return (Part(0, 1, "head", "package to several drives"),)
         role = self.heads.get(frame[0])
@@ -107,7 +99,7 @@ _NO_CODES = (0,) * 256
 class _HeadSlicer(Slicer):
     """A table of head and code gives the length: 0 unknown, `_SEVERAL` where `_choices` lists them."""
 
-    def __init__(self, link: HeadLink, dialect: Dialect) -> None:
+    def __init__(self, link: HeadLink, commands: Sequence[CommandShape]) -> None:
         # `sum` itself saves a call for each frame; the low byte is taken where it is compared.
         self._total: Callable[[bytes], int] = sum if link.check is sum8 else link.check
         self._package = link.package
@@ -117,7 +109,7 @@ class _HeadSlicer(Slicer):
         longest = 4
         for head, role in link.heads.items():
             row = [0] * 256
-            for code, sizes in data_lengths(dialect, role).items():
+            for code, sizes in data_lengths(commands, role).items():
                 if 0 <= code <= 0xFF:
                     lengths = tuple(sorted(n + 4 for n in sizes))
                     self._choices[head, code] = lengths
@@ -217,12 +209,12 @@ _SLOT_CODE = 1
 class _HeadFinder(Finder):
     """Requests behind a head, and those in the slots of a package."""
 
-    def __init__(self, link: HeadLink, dialect: Dialect) -> None:
+    def __init__(self, link: HeadLink, commands: Sequence[CommandShape]) -> None:
         self._check = link.check
         self._package = link.package
         self._heads = link.first_bytes
-        self._slots = next((c.slots for c in dialect.commands if c.slots is not None), None)
-        self._sizes = request_sizes(dialect)
+        self._slots = next((c.slots for c in commands if c.slots is not None), None)
+        self._sizes = request_sizes(commands)
         sizes = [n + 4 for each in self._sizes.values() for n in each]
         self.longest = max(_UNKNOWN_LONGEST, link.package.length if link.package else 0, *sizes)
 

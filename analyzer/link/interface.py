@@ -19,12 +19,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from enum import StrEnum
+from typing import NamedTuple, Protocol
 
-from analyzer.catalogue import Role
-
-if TYPE_CHECKING:
-    from analyzer.catalogue import Command, Dialect, Form
+from analyzer.layout import Layout
 
 #: `Slicer.look`: a frame that may begin here is still arriving.
 MORE = -1
@@ -35,6 +33,49 @@ TIE = -2
 def sum8(data: bytes) -> int:
     """Return the low byte of the sum of `data`."""
     return sum(data) & 0xFF
+
+
+class Role(StrEnum):
+    """Who sent a frame."""
+
+    REQUEST = "request"
+    REPLY = "reply"
+    UNKNOWN = "unknown"
+
+
+class FormShape(Protocol):
+    """What a link has to know of a form of a command. `code` None: the command's own."""
+
+    @property
+    def code(self) -> int | None: ...
+    @property
+    def layout(self) -> Layout: ...
+
+
+class Slots(Protocol):
+    """How many slots a package has, and of how many bytes each."""
+
+    @property
+    def count(self) -> int: ...
+    @property
+    def size(self) -> int: ...
+
+
+class CommandShape(Protocol):
+    """What a link has to know of a command. The catalogue's commands have it."""
+
+    @property
+    def code(self) -> int: ...
+    @property
+    def function(self) -> int | None: ...
+    @property
+    def quantity(self) -> int: ...
+    @property
+    def slots(self) -> Slots | None: ...
+    @property
+    def request_forms(self) -> Sequence[FormShape]: ...
+    @property
+    def reply_forms(self) -> Sequence[FormShape]: ...
 
 
 class Head(NamedTuple):
@@ -192,8 +233,8 @@ class Link(ABC):
     silence_characters = 0.0
 
     @abstractmethod
-    def slicer(self, dialect: Dialect, expects: Callable[[int, int], int]) -> Slicer:
-        """Return a slicer for the commands of `dialect`.
+    def slicer(self, commands: Sequence[CommandShape], expects: Callable[[int, int], int]) -> Slicer:
+        """Return a slicer for `commands`.
 
         `expects(address, function)`: data bytes of the reply that an open request awaits, 0 for none.
         """
@@ -203,11 +244,11 @@ class Link(ABC):
         """The bytes that begin a frame; empty where any byte can."""
         return frozenset()
 
-    def finder(self, dialect: Dialect) -> Finder:
-        """Return what finds the candidates of the commands of `dialect`."""
-        return FrameFinder(self, dialect) if self.kind == "can" else SlicerFinder(self, dialect)
+    def finder(self, commands: Sequence[CommandShape]) -> Finder:
+        """Return what finds the candidates of `commands`."""
+        return FrameFinder(self, commands) if self.kind == "can" else SlicerFinder(self, commands)
 
-    def identifier(self, command: Command, address: int) -> int | None:
+    def identifier(self, command: CommandShape, address: int) -> int | None:
         """Return the CAN identifier of a frame; None where the bus has none."""
         return None
 
@@ -224,7 +265,7 @@ class Link(ABC):
         return all(check.ok for check in self.checks(frame, can_id))
 
     @abstractmethod
-    def build(self, command: Command, form: Form, address: int, data: bytes, role: Role) -> bytes:
+    def build(self, command: CommandShape, form: FormShape, address: int, data: bytes, role: Role) -> bytes:
         """Return the bytes of a frame; on CAN its data bytes."""
 
     @abstractmethod
@@ -236,10 +277,10 @@ class Link(ABC):
         """Return a frame that lacks its last check with that check added."""
 
 
-def data_lengths(dialect: Dialect, role: Role) -> dict[int, set[int]]:
-    """Return the data lengths of each code for one role; an open-ended layout has none to go by."""
+def data_lengths(commands: Sequence[CommandShape], role: Role) -> dict[int, set[int]]:
+    """Return the data lengths of each code for one role; an open-ended layout has none."""
     result: dict[int, set[int]] = {}
-    for command in dialect.commands:
+    for command in commands:
         for form in command.request_forms if role is Role.REQUEST else command.reply_forms:
             if not form.layout.open_ended:
                 code = command.code if form.code is None else form.code
@@ -247,19 +288,19 @@ def data_lengths(dialect: Dialect, role: Role) -> dict[int, set[int]]:
     return result
 
 
-def request_sizes(dialect: Dialect) -> dict[int, tuple[int, ...]]:
+def request_sizes(commands: Sequence[CommandShape]) -> dict[int, tuple[int, ...]]:
     """Return the data lengths of the requests of each code, ascending; packages left out."""
-    sizes = data_lengths(dialect, Role.REQUEST)
-    codes = {command.code for command in dialect.commands if command.slots is None}
+    sizes = data_lengths(commands, Role.REQUEST)
+    codes = {command.code for command in commands if command.slots is None}
     return {code: tuple(sorted(sizes.get(code, ()))) for code in codes}
 
 
 class FrameFinder(Finder):
     """For links whose bus delimits the frames: the buffer is one frame."""
 
-    def __init__(self, link: Link, dialect: Dialect) -> None:
+    def __init__(self, link: Link, commands: Sequence[CommandShape]) -> None:
         self._link = link
-        self._codes = {(command.function, command.code) for command in dialect.commands}
+        self._codes = {(command.function, command.code) for command in commands}
 
     def at(self, buffer: bytes, start: int, can_id: int | None = None) -> Candidates:
         head = self._link.parse(buffer, can_id)
@@ -289,10 +330,10 @@ class FrameFinder(Finder):
 class SlicerFinder(Finder):
     """For links that have no finder of their own: frames that check, and known ones whose check alone is wrong."""
 
-    def __init__(self, link: Link, dialect: Dialect) -> None:
+    def __init__(self, link: Link, commands: Sequence[CommandShape]) -> None:
         self._link = link
-        self._slicer = link.slicer(dialect, lambda address, function: 0)
-        self._codes = {(command.function, command.code) for command in dialect.commands}
+        self._slicer = link.slicer(commands, lambda address, function: 0)
+        self._codes = {(command.function, command.code) for command in commands}
         self.longest = self._slicer.longest
 
     def at(self, buffer: bytes, start: int, can_id: int | None = None) -> Candidates:

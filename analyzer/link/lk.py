@@ -8,28 +8,26 @@ Frames without data have 5 bytes and one sum. The length is believed only behind
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from analyzer.catalogue import Role
 from analyzer.link.interface import (
     MORE,
     Candidate,
     Candidates,
     Check,
+    CommandShape,
     Finder,
+    FormShape,
     Head,
     Link,
     Part,
+    Role,
     Slicer,
     data_lengths,
     request_sizes,
     sum8,
 )
-
-if TYPE_CHECKING:
-    from analyzer.catalogue import Command, Dialect, Form
 
 _LK_HEAD = 0x3E
 _LK_LONGEST = 100
@@ -45,39 +43,33 @@ class LkLink(Link):
     def first_bytes(self) -> frozenset[int]:
         return frozenset({_LK_HEAD})
 
-    def finder(self, dialect: Dialect) -> Finder:
-        return _LkFinder(dialect)
+    def finder(self, commands: Sequence[CommandShape]) -> Finder:
+        return _LkFinder(commands)
 
-    def slicer(self, dialect: Dialect, expects: Callable[[int, int], int]) -> Slicer:
-        """Return a slicer; frames carry their length, codes matter only where there are no data."""
-        return _LkSlicer(dialect)
+    def slicer(self, commands: Sequence[CommandShape], expects: Callable[[int, int], int]) -> Slicer:
+        return _LkSlicer(commands)
 
     def parse(self, frame: bytes, can_id: int | None = None) -> Head:
-        """Return the head; who sent a frame is not in it."""
         padded = frame[:4].ljust(4, b"\0")
         end = max(5, len(frame) - 1) if len(frame) > 5 else 5
         return Head(padded[2], Role.UNKNOWN, padded[1], None, 5, end)
 
     def checks(self, frame: bytes, can_id: int | None = None) -> tuple[Check, ...]:
-        """Return the sum of the head and, where there are data, theirs."""
         head = Check("head checksum", 4, frame[4:5], bytes((sum8(frame[:4]),)))
         if len(frame) <= 5:
             return (head,)
         return (head, Check("data checksum", len(frame) - 1, frame[-1:], bytes((sum8(frame[5:-1]),))))
 
-    def build(self, command: Command, form: Form, address: int, data: bytes, role: Role) -> bytes:
-        """Return the frame of a command."""
+    def build(self, command: CommandShape, form: FormShape, address: int, data: bytes, role: Role) -> bytes:
         code = command.code if form.code is None else form.code
         head = bytes((_LK_HEAD, code, address, len(data)))
         frame = head + bytes((sum8(head),))
         return frame + data + bytes((sum8(data),)) if data else frame
 
     def completed(self, body: bytes, can_id: int | None = None) -> bytes:
-        """Return the body with its last sum: the head's, or the data's where there are any."""
         return body + bytes((sum8(body if len(body) <= 4 else body[5:]),))
 
     def parts(self, frame: bytes, can_id: int | None = None) -> tuple[Part, ...]:
-        """Return head, code, address and length."""
         padded = frame[:5].ljust(5, b"\0")
         return (
             Part(0, 1, "head", "" if padded[0] == _LK_HEAD else "not the head 0x3E"),
@@ -92,10 +84,10 @@ class _LkSlicer(Slicer):
     starts = re.escape(heads)
     longest = _LK_LONGEST + 6
 
-    def __init__(self, dialect: Dialect) -> None:
+    def __init__(self, commands: Sequence[CommandShape]) -> None:
         self._known: dict[int, set[int]] = {}
         for role in (Role.REQUEST, Role.REPLY):
-            for code, sizes in data_lengths(dialect, role).items():
+            for code, sizes in data_lengths(commands, role).items():
                 self._known.setdefault(code, set()).update(sizes)
         # Five bytes with one sum are weak evidence: only a code that can come without data is enough.
         self._bare = frozenset(code for code, sizes in self._known.items() if 0 in sizes)
@@ -154,8 +146,8 @@ class _LkFinder(Finder):
 
     longest = 6 + 255
 
-    def __init__(self, dialect: Dialect) -> None:
-        self._sizes = request_sizes(dialect)
+    def __init__(self, commands: Sequence[CommandShape]) -> None:
+        self._sizes = request_sizes(commands)
 
     def at(self, buffer: bytes, start: int, can_id: int | None = None) -> Candidates:
         if buffer[start] != _LK_HEAD:

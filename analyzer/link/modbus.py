@@ -14,15 +14,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from fastcrc import crc16 as _crc16
 
-from analyzer.catalogue import Role
-from analyzer.link.interface import MORE, TIE, Candidate, Candidates, Check, Finder, Head, Link, Part, Slicer
-
-if TYPE_CHECKING:
-    from analyzer.catalogue import Command, Dialect, Form
+from analyzer.link.interface import (
+    MORE,
+    TIE,
+    Candidate,
+    Candidates,
+    Check,
+    CommandShape,
+    Finder,
+    FormShape,
+    Head,
+    Link,
+    Part,
+    Role,
+    Slicer,
+)
 
 modbus_crc: Callable[[bytes], int] = _crc16.modbus
 
@@ -42,11 +51,10 @@ class ModbusLink(Link):
     odd_counts: Mapping[int, int] = field(default_factory=dict)
     silence_characters = 3.5
 
-    def finder(self, dialect: Dialect) -> Finder:
-        return _ModbusFinder(self, dialect)
+    def finder(self, commands: Sequence[CommandShape]) -> Finder:
+        return _ModbusFinder(self, commands)
 
-    def slicer(self, dialect: Dialect, expects: Callable[[int, int], int]) -> Slicer:
-        """Return a slicer; lengths come from the Modbus functions, catalogued or not."""
+    def slicer(self, commands: Sequence[CommandShape], expects: Callable[[int, int], int]) -> Slicer:
         return _ModbusSlicer(self, expects)
 
     def byte_count(self, function: int, register: int, quantity: int) -> int:
@@ -56,7 +64,6 @@ class ModbusLink(Link):
         return self.odd_counts.get(register, 2 * quantity)
 
     def parse(self, frame: bytes, can_id: int | None = None) -> Head:
-        """Return the head; a read's role is told from its length, since a reply's byte count fills it exactly."""
         frame = frame or b"\0"
         address, function = frame[0], frame[1] if len(frame) > 1 else 0
         size = len(frame)
@@ -64,6 +71,7 @@ class ModbusLink(Link):
         if function & 0x80:
             return Head(address, Role.REPLY, None, function & 0x7F, 2, end, exception=frame[2] if size > 2 else 0)
         if function in READS:
+            # A reply's byte count fills the frame exactly.
             is_reply = size > 3 and size == 5 + frame[2]
             is_request = size == 8
             if is_reply and not is_request:
@@ -80,11 +88,9 @@ class ModbusLink(Link):
         return Head(address, Role.UNKNOWN, None, function, 2, end)
 
     def checks(self, frame: bytes, can_id: int | None = None) -> tuple[Check, ...]:
-        """Return the CRC, low byte first."""
         return (Check("CRC16", len(frame) - 2, frame[-2:], modbus_crc(frame[:-2]).to_bytes(2, "little")),)
 
-    def build(self, command: Command, form: Form, address: int, data: bytes, role: Role) -> bytes:
-        """Return the frame of a command."""
+    def build(self, command: CommandShape, form: FormShape, address: int, data: bytes, role: Role) -> bytes:
         function = command.function or 0
         head = bytes((address, function))
         register = command.code.to_bytes(2, "big")
@@ -98,11 +104,9 @@ class ModbusLink(Link):
         return self.completed(body)
 
     def completed(self, body: bytes, can_id: int | None = None) -> bytes:
-        """Return the body with its CRC."""
         return body + modbus_crc(body).to_bytes(2, "little")
 
     def parts(self, frame: bytes, can_id: int | None = None) -> tuple[Part, ...]:
-        """Return address, function and what stands before the own data."""
         head = self.parse(frame)
         parts = [Part(0, 1, "address", str(frame[0])), Part(1, 2, "function", f"0x{frame[1]:02X}")]
         if head.exception is not None:
@@ -232,10 +236,10 @@ class _ModbusFinder(Finder):
     longest = _ModbusSlicer.longest
     headless = True
 
-    def __init__(self, link: ModbusLink, dialect: Dialect) -> None:
+    def __init__(self, link: ModbusLink, commands: Sequence[CommandShape]) -> None:
         self._link = link
         self._quantities: dict[tuple[int, int], int] = {}
-        for command in dialect.commands:
+        for command in commands:
             self._quantities.setdefault((command.function or 0, command.code), command.quantity)
 
     def at(self, buffer: bytes, start: int, can_id: int | None = None) -> Candidates:

@@ -84,7 +84,7 @@ class Explainer:
     def __init__(self, dialects: Sequence[Dialect]) -> None:
         self._dialects = tuple(dialects)
         self._decoders = {d.name: Decoder(d) for d in dialects}
-        self._slicers = {d.name: d.link.slicer(d, lambda a, f: 0) for d in dialects if d.link.kind != "can"}
+        self._slicers = {d.name: d.link.slicer(d.commands, lambda a, f: 0) for d in dialects if d.link.kind != "can"}
 
     def explain(
         self, given: Given, *, role: Role = Role.UNKNOWN, no_checksum: bool = False, request: Given | None = None

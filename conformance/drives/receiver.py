@@ -60,7 +60,7 @@ class Receiver:
         self.port = port
         self.byte_ns = byte_ns
         self.pause_ns = pause_of(dialect, byte_ns) if pause_ns is None else pause_ns
-        self._slicer = dialect.link.slicer(dialect, _expect_nothing)
+        self._slicer = dialect.link.slicer(dialect.commands, _expect_nothing)
         self._buffer = b""  # what has come since the last frame or pause
         self._times: list[int] = []  # when each byte of the buffer was complete
         self._at = 0  # what is before it begins no frame

@@ -115,7 +115,7 @@ class _Dialect:
 
     def __init__(self, dialect: Dialect) -> None:
         self.dialect = dialect
-        self.finder = dialect.link.finder(dialect)
+        self.finder = dialect.link.finder(dialect.commands)
         self._commands: dict[tuple[int | None, int], tuple[Command, ...]] = {}
         for command in dialect.commands:
             key = (command.function, command.code)

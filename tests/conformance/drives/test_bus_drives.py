@@ -114,7 +114,7 @@ noise = st.lists(st.one_of(st.binary(max_size=12), st.lists(st.sampled_from(HEAD
 def test_after_any_noise_and_a_pause_the_next_request_is_answered(dialect: str, bursts: list[bytes], wait_ns: int) -> None:
     request, reply = READS[dialect]
     known = dialects.get(dialect)
-    slicer = known.link.slicer(known, lambda address, function: 0)
+    slicer = known.link.slicer(known.commands, lambda address, function: 0)
     whole = b"".join(bursts)
     frames = [i for i in range(len(whole)) if slicer.look(whole, i, len(whole), True) not in (0, MORE)]
     # Noise may be a frame by chance, and then the drive may do what it says.

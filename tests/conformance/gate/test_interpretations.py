@@ -349,7 +349,7 @@ def sound_frames(data: bytes) -> list[tuple[Dialect, bytes]]:
     """Return every frame of every dialect that checks, at any offset: by the dialects' own slicers."""
     found = []
     for dialect in (MKS, MODBUS, LK):
-        slicer = dialect.link.slicer(dialect, lambda address, function: 0)
+        slicer = dialect.link.slicer(dialect.commands, lambda address, function: 0)
         for at in range(len(data)):
             if data[at] in slicer.heads:
                 found += [(dialect, data[at : at + n]) for n in slicer.lengths(data, at, len(data)) if n > 0]
@@ -453,7 +453,7 @@ def test_a_dialect_on_another_link_is_read_by_its_slicer():
             own = name.startswith("__") or name == "finder"
             return object.__getattribute__(self, name) if own else getattr(MKS.link, name)
 
-        def slicer(self, dialect, expects): ...
+        def slicer(self, commands, expects): ...
         def parse(self, frame, can_id=None): ...
         def checks(self, frame, can_id=None): ...
         def build(self, command, form, address, data, role): ...
@@ -461,7 +461,7 @@ def test_a_dialect_on_another_link_is_read_by_its_slicer():
         def completed(self, body, can_id=None): ...
 
     dialect = replace(MKS, name="foreign", link=Foreign())
-    assert isinstance(dialect.link.finder(dialect), SlicerFinder)
+    assert isinstance(dialect.link.finder(dialect.commands), SlicerFinder)
     found = Judge(Allowance(), [dialect])
     assert found.objections(RUN)
     assert found.objections(spoiled(RUN))
