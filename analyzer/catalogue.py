@@ -442,6 +442,11 @@ class Command:
         """Return the risks of a request with these values as sent; a missing value counts as the worst case."""
         return frozenset().union(*(rule.risks for rule in self.risk if rule.applies(values)))
 
+    def sets(self, effect: Effect) -> str:
+        """Return the name of the request's field that has an effect, or nothing."""
+        fields = all_fields(self.request_forms).values()
+        return next((f.name for f in fields if f.effect is effect), "")
+
     def for_model(self, model: str) -> Command:
         """Return this command as one model has it."""
 
@@ -493,7 +498,7 @@ class Dialect:
     model: str = ""
     family: str = ""
     siblings: tuple[str, ...] = ()
-    chosen_by: int | None = None
+    chosen_by: int = 0
     sections: Mapping[Subject, str] = field(default_factory=dict)
     traits: frozenset[Trait] = frozenset()
     ramp: Ramp | None = None
@@ -560,6 +565,11 @@ class Dialect:
         """Return the name of the dialect that a drive speaks once its field with `Effect.DIALECT` has a value."""
         return self.name if value == self.chosen_by else self.siblings[0]
 
+    @cached_property
+    def whole(self) -> Dialect:
+        """This dialect with the commands of all models."""
+        return self
+
     def for_model(self, model: str) -> Dialect:
         """Return this dialect as one model speaks it, the same object each time.
 
@@ -571,6 +581,7 @@ class Dialect:
         if model not in made:
             commands = tuple(c.for_model(model) for c in self.commands if not c.models or model in c.models)
             made[model] = replace(self, commands=commands, model=model)
+            made[model].__dict__["whole"] = self
         return made[model]
 
 

@@ -64,6 +64,25 @@ def get(name: str) -> Dialect:
     raise UsageError(f"no dialect {name!r}{hint} (there are {', '.join(names())})")
 
 
+def drive(text: str) -> tuple[Dialect, int]:
+    """Return the dialect and the address that `DIALECT@ADDRESS` names.
+
+    Raises UsageError for a dialect or an address there is not.
+    """
+    name, at, number = text.partition("@")
+    if not at:
+        raise UsageError(f"got {quote(text)}, expected DIALECT@ADDRESS, as in mks-rs485@1")
+    dialect = get(name.strip())
+    first, last = dialect.addresses
+    try:
+        address = int(number, 0)
+    except ValueError:
+        address = -1
+    if not first <= address <= last:
+        raise UsageError(f"{text}: got the address {quote(number)}, expected {first}..{last}")
+    return dialect, address
+
+
 def every() -> list[Dialect]:
     """Return all dialects."""
     return [get(name) for name in names()]

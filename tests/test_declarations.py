@@ -8,13 +8,11 @@ from analyzer import dialects
 from analyzer.catalogue import Command, Dialect, Doubt, MotionKind, Risk, Subject, Trait, Verb
 from analyzer.layout import Effect, Field
 from analyzer.protocols import mks_can, mks_shared
-from conformance.claims import framing, hearing, homing, motion_runs, shape
 from conformance.drives.mks import paths, state
 from conformance.drives.speed import SPEEDS
 from conformance.gate import bounds
 from conformance.motion import moves, ramp
 from conformance.safety import stopping
-from conformance.talk import no_checksum
 
 ALL = tuple(dialects.every())
 MKS = tuple(d for d in ALL if d.family == "mks")
@@ -174,25 +172,29 @@ def test_families_and_siblings() -> None:
 
 @EVERY
 def test_a_drive_that_speaks_several_dialects_says_by_which_value(dialect: Dialect) -> None:
-    assert bool(dialect.siblings) == (dialect.effect(Effect.DIALECT) is not None) == (dialect.chosen_by is not None)
+    assert bool(dialect.siblings) == (dialect.effect(Effect.DIALECT) is not None)
     if dialect.siblings:
         assert [dialect.switched(value) for value in (0, 1)] == ["mks-rs485", "mks-modbus"]
         assert dialect.chosen_by == int(dialect.name.endswith("modbus"))
 
 
-@EVERY
-def test_sections_of_what_belongs_to_no_command(dialect: Dialect) -> None:
-    assert set(dialect.sections) == set(Subject)
-    assert dialect.sections[Subject.FRAMING] == dialect.sections[Subject.ADDRESSING] == hearing.section(dialect)
-    assert dialect.sections[Subject.SILENCE] == shape._QUIET_SECTIONS.get(dialect.name, "4")
+def test_sections_of_what_belongs_to_no_command() -> None:
+    expected = {"mks-rs485": "4", "mks-modbus": "8", "mks-can": "3", "lk-rs485": "Single motor command"}
+    for dialect in ALL:
+        assert dialect.sections == dict.fromkeys(Subject, expected[dialect.name])
+
+
+def test_traits() -> None:
+    assert {d.name: set(d.traits) for d in ALL if d.traits} == {
+        "mks-rs485": {Trait.LETS_GO_AT_END_LIMIT, Trait.SEEN_WITHOUT_CHECKSUM},
+        "mks-modbus": {Trait.LETS_GO_AT_END_LIMIT},
+        "mks-can": {Trait.DIRECTION_TURNS_BUS_MOTION},
+    }
+    assert {d.name: d.unlisted_codes for d in ALL if d.unlisted_codes} == {"lk-rs485": (0x12,)}
 
 
 @EVERY
-def test_traits(dialect: Dialect) -> None:
-    assert (Trait.LETS_GO_AT_END_LIMIT in dialect.traits) == homing._LETS_GO.get(dialect.name, False)
-    assert (Trait.DIRECTION_TURNS_BUS_MOTION in dialect.traits) == motion_runs._DIRECTION_TURNS_BUS.get(dialect.name, False)
-    assert (Trait.SEEN_WITHOUT_CHECKSUM in dialect.traits) == (dialect.name in no_checksum.DIALECTS)
-    assert dialect.unlisted_codes == framing._FIRMWARE_CODES.get(dialect.name, ())
+def test_an_unlisted_code_is_that_of_no_command(dialect: Dialect) -> None:
     assert not set(dialect.unlisted_codes) & {c.code for c in dialect.commands}
 
 

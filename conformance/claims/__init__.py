@@ -6,13 +6,15 @@ A theme module offers `claims(dialect) -> Iterator[Claim]`. Other packages add t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from importlib import import_module
 from importlib.metadata import entry_points
 
 from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
-from conformance.claim import Claim
+from conformance.claim import Claim, Theme
+from conformance.claims.declare import made
 
 GROUP = "servotap.claims"
 #: Theme modules, in the order in which they run: what is quick and harmless first.
@@ -59,5 +61,8 @@ def _made(dialect: Dialect) -> tuple[Claim, ...]:
 
 
 def _sources() -> list[Source]:
-    own: list[Source] = [import_module(f"{__name__}.{name}").claims for name in MODULES]
-    return own + [point.load() for point in entry_points(group=GROUP)]
+    return [partial(_own, name) for name in MODULES] + [point.load() for point in entry_points(group=GROUP)]
+
+
+def _own(name: str, dialect: Dialect) -> Iterator[Claim]:
+    return made(dialect, Theme(name.replace("_", "-")), name, import_module(f"{__name__}.{name}").claims)

@@ -13,6 +13,7 @@ Rules kept here:
 - A claim about a command that only some models have runs where the model is known.
 - A claim says what it rests on (`Doubt`) and is as sure as the least sure of the errata that leave that in doubt about its
   command or its fields.
+- A claim that cannot be made for a dialect costs that claim alone: another stands for it, does not run, and says why.
 - A command among the arguments of a check is the one of the drive's model.
 """
 
@@ -22,6 +23,7 @@ import inspect
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
@@ -85,15 +87,24 @@ class _Declaration:
     facts: Mapping[str, Any]
 
     def claims(self, dialect: Dialect) -> Iterator[Claim]:
-        for case in self.each(dialect):
-            yield self._claim(case)
+        return made(dialect, self.theme, self.own_name, self._each)
+
+    def _each(self, dialect: Dialect) -> Iterator[Claim]:
+        for number, case in enumerate(self.each(dialect)):
+            yield from made(dialect, self.theme, f"{self.own_name}-{number}", partial(self._claims, case))
+
+    @property
+    def own_name(self) -> str:
+        return self.check.__name__.strip("_").replace("_", "-")
+
+    def _claims(self, case: Case, dialect: Dialect) -> Iterator[Claim]:
+        yield self._claim(case)
 
     def _claim(self, case: Case) -> Claim:
         facts = dict(self.facts) | dict(case.facts)
         facts = {name: value(case) if callable(value) else value for name, value in facts.items()}
         words = case.words
-        own = self.check.__name__.strip("_").replace("_", "-")
-        default = f"{words['command']}/{own}" if case.command is not None else own
+        default = f"{words['command']}/{self.own_name}" if case.command is not None else self.own_name
         name = facts.pop("name", default).format_map(words)
         statement = facts.pop("statement", None) or _first_paragraph(self.check)
         facts.setdefault("parameters", {n: v for n, v in case.given.items() if not isinstance(v, Command)})
@@ -147,6 +158,35 @@ def declared_in(module: str, dialect: Dialect) -> Iterator[Claim]:
     """Make the claims that the checks of a module declare for a dialect, in order."""
     for declaration in _declared[module]:
         yield from declaration.claims(dialect)
+
+
+def made(dialect: Dialect, theme: Theme, what: str, make: Callable[[Dialect], Iterable[Claim]]) -> Iterator[Claim]:
+    """Make claims for a dialect; where one cannot be made, a claim that does not run stands for it and says why.
+
+    `what`: a name for these claims among those of the theme.
+    """
+    try:
+        yield from make(dialect)
+    except Exception as error:
+        yield _unmade(dialect, theme, what, error)
+
+
+def _unmade(dialect: Dialect, theme: Theme, what: str, error: Exception) -> Claim:
+    reason = f"this claim cannot be made for {dialect.name}: {type(error).__name__}: {error}"
+
+    def check(probe: Probe) -> None:
+        raise NotRun(reason)
+
+    return Claim(
+        id=f"{dialect.name}/{theme.value}/unmade/{what}",
+        theme=theme,
+        dialect=dialect.name,
+        statement=f"What {what} says holds for {dialect.name}.",
+        section="all",
+        refuted_by="nothing, since it does not run",
+        check=check,
+        certainty=Certainty.OPEN,
+    )
 
 
 def surety(

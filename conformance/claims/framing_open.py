@@ -125,8 +125,10 @@ def _glued_pair(dialect: Dialect, name: str, what: str, variants: Variants) -> I
 
 def _two(dialect: Dialect) -> Iterator[Claim]:
     first = plain_read(dialect)
-    second = next(c for c in dialect.commands if c.request_forms[0].layout.byte_length == 0 and c is not first
-                  and c.all_risks == first.all_risks)  # fmt: skip
+    others = (c for c in dialect.commands if c is not first and c.all_risks == first.all_risks)
+    second = next((c for c in others if c.request_forms[0].layout.byte_length == 0), None)
+    if second is None:
+        return
     can = isinstance(dialect.link, CanLink)
 
     def send(probe: Probe) -> Exchange:

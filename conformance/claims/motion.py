@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from analyzer.catalogue import Dialect, Verb
+from analyzer.catalogue import Dialect
 from conformance.claim import Claim, Theme
 from conformance.claims import (
     calibrating,
@@ -70,4 +70,4 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
 
 def is_lk(dialect: Dialect) -> bool:
     """Say whether a dialect has the moves of the LK motors."""
-    return Verb.MOVE_SINGLE_TURN in dialect.by_verb and Verb.MOTOR_ON in dialect.by_verb
+    return dialect.family == "lk"

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 
-from analyzer import dialects, encoder
+from analyzer import encoder
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from analyzer.protocols.lk_rs485 import CURRENT_MODELS, POWER_MODELS
 from conformance.claim import Claim, NotRun, Theme
@@ -37,18 +37,9 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     for name, models in (("run_torque", POWER_MODELS), ("run_open_loop", CURRENT_MODELS)):
         yield declare(
             dialect, Theme.MOTION, f"{name}/other-models", f"{' and '.join(models)} do not have {name}, and do not obey it.",
-            "motion", partial(_other_model, name), section=_section(name),
+            "motion", partial(_other_model, name), section=dialect.whole.by_name[name].section,
             risks=motion.risks(dialect, Risk.UNBOUNDED, Risk.TORQUE, Risk.UNKNOWN), models=models,
         )  # fmt: skip
-
-
-def _section(name: str) -> str:
-    return _whole().by_name[name].section
-
-
-def _whole() -> Dialect:
-    """Return the dialect with the commands of all models."""
-    return dialects.get("lk-rs485")
 
 
 # --- the brake --------------------------------------------------------------------------------------------------------
@@ -209,7 +200,7 @@ def _other_model(name: str, probe: Probe) -> None:
     if not probe.dialect.model:
         raise NotRun("which model it is was not said")
     motion.ready_to_move(probe)
-    whole = _whole()
+    whole = probe.dialect.whole
     frame = encoder.build(whole, name, probe.address, {FORCES[name]: TORQUE})
     before = motion.position(probe)
     exchange = probe.send(frame, timeout_ns=500 * MS)

@@ -17,16 +17,15 @@ Rules kept here:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import cache
+from functools import partial
 from typing import Any
 
-from analyzer import dialects as registry
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, Risk, Verb
 from analyzer.layout import Field, Kind
 from conformance.claim import Aspect, Claim, Inconclusive, NotRun, Refuted, Theme
 from conformance.claims import effects, ranges_link, ranges_lk, ranges_motion
 from conformance.claims.answers import Taken, accept, refusable, refuse, resting, take, with_reserved
-from conformance.claims.declare import declare
+from conformance.claims.declare import declare, made
 from conformance.claims.requests import needs_motion
 from conformance.model import limits
 from conformance.motion import motion
@@ -47,16 +46,18 @@ Check = Callable[[Probe], None]
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims of this theme for a dialect."""
-    return map(resting, _claims(dialect))
+    for part in (_of_commands, ranges_motion.claims, ranges_link.claims, ranges_lk.claims):
+        yield from made(dialect, Theme.RANGES, part.__module__.rpartition(".")[2], partial(_resting, part))
 
 
-def _claims(dialect: Dialect) -> Iterator[Claim]:
+def _resting(make: Callable[[Dialect], Iterator[Claim]], dialect: Dialect) -> Iterator[Claim]:
+    return map(resting, make(dialect))
+
+
+def _of_commands(dialect: Dialect) -> Iterator[Claim]:
     for command in dialect.commands:
         if judgeable(command):
             yield from _of_command(dialect, command)
-    yield from ranges_motion.claims(dialect)
-    yield from ranges_link.claims(dialect)
-    yield from ranges_lk.claims(dialect)
 
 
 def judgeable(command: Command) -> bool:
@@ -107,28 +108,30 @@ def _of_field(dialect: Dialect, command: Command, form: Form, field: Field) -> I
 # --- values -----------------------------------------------------------------------------------------------------------
 
 
-@cache
-def _drawn(dialect: str, model: str, command: str, name: str, where: str, count: int) -> tuple[int, ...]:
+def _drawn(dialect: Dialect, command: Command, name: str, where: str, count: int) -> tuple[int, ...]:
     """Return values of a field drawn by Hypothesis; the same in each run."""
     from conformance.model import strategies
 
-    spoken = registry.get(dialect)
-    found = (spoken.for_model(model) if model else spoken).by_name[command]
-    field = next(f.layout.named[name] for f in found.request_forms if name in f.layout.named)
-    strategy = strategies.inside(field) if where == "inside" else strategies.outside(field)
-    ends = set(limits.edges(field))
-    return tuple(v for v in strategies.drawn(strategy, count + len(ends & {field.low, field.high})) if v not in ends)[:count]
+    kept: dict[tuple[str, str, str], tuple[int, ...]] = dialect.__dict__.setdefault("_drawn", {})
+    key = (command.name, name, where)
+    if key not in kept:
+        field = next(f.layout.named[name] for f in command.request_forms if name in f.layout.named)
+        strategy = strategies.inside(field) if where == "inside" else strategies.outside(field)
+        ends = set(limits.edges(field))
+        drawn = strategies.drawn(strategy, count + len(ends & {field.low, field.high}))
+        kept[key] = tuple(v for v in drawn if v not in ends)[:count]
+    return kept[key]
 
 
 def inner(dialect: Dialect, command: Command, field: Field) -> tuple[int, ...]:
     """Return some values between the limits: the middle, one with both bytes filled, and drawn ones."""
     middle = (field.low + field.high) // 2
-    return tuple(dict.fromkeys((middle, *_drawn(dialect.name, dialect.model, command.name, field.name, "inside", INNER))))
+    return tuple(dict.fromkeys((middle, *_drawn(dialect, command, field.name, "inside", INNER))))
 
 
 def outer(dialect: Dialect, command: Command, field: Field) -> tuple[int, ...]:
     """Return some drawn values outside the limits."""
-    return _drawn(dialect.name, dialect.model, command.name, field.name, "outside", OUTER)
+    return _drawn(dialect, command, field.name, "outside", OUTER)
 
 
 def unlisted(dialect: Dialect, command: Command, field: Field) -> tuple[int, ...]:

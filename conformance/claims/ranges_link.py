@@ -17,14 +17,13 @@ from typing import Any
 
 from analyzer import dialects as registry
 from analyzer import encoder
-from analyzer.catalogue import Command, Dialect, Doubt, Risk, Verb
+from analyzer.catalogue import Command, Dialect, Doubt, Risk
 from analyzer.errors import UsageError
-from analyzer.layout import Field
+from analyzer.layout import Effect, Field
 from conformance.claim import Aspect, Claim, Inconclusive, NotRun, Refuted, Theme
 from conformance.claims.answers import Taken, accept, answers, judged, sound
 from conformance.claims.declare import declare
 from conformance.claims.known_quirks import known
-from conformance.drives.speed import SPEEDS
 from conformance.motion.motion import MS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
@@ -40,18 +39,15 @@ _NEEDS: dict[str, Any] = {"risks": {Risk.SETTING, Risk.LINK}, "alone": True}
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims about settings of the link."""
-    for command in dialect.commands:
-        named = command.request_forms[0].layout.named
-        if command.verb is Verb.SET_ADDRESS:
-            field = named["new_address"]
-            yield _address(dialect, command, field, "lowest", field.low)
-            yield _address(dialect, command, field, "highest", field.high)
-            yield _address(dialect, command, field, "inside", _AWAY)
-        for name in named.keys() & SPEEDS.keys():
-            for value, rate in SPEEDS[name].items():
-                yield _speed(dialect, command, named[name], value, rate)
-        if command.verb is Verb.SET_MODBUS:
-            yield _other_dialect(dialect, command)
+    for command, field in dialect.effects(Effect.BAUD_RATE):
+        for value, rate in dialect.rates.items():
+            yield _speed(dialect, command, field, value, rate)
+    for command, field in dialect.effects(Effect.ADDRESS):
+        yield _address(dialect, command, field, "lowest", field.low)
+        yield _address(dialect, command, field, "highest", field.high)
+        yield _address(dialect, command, field, "inside", _AWAY)
+    for command, field in dialect.effects(Effect.DIALECT):
+        yield _other_dialect(dialect, command, field.name)
 
 
 # --- addresses --------------------------------------------------------------------------------------------------------
@@ -59,7 +55,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
 
 def readdress(probe: Probe, command: Command, address: int, *, at: int | None = None) -> Exchange:
     """Give the drive an address, whichever of the two it answers from; refute where it refuses."""
-    built = probe.build(command, {"new_address": address}, address=at)
+    built = probe.build(command, {command.sets(Effect.ADDRESS): address}, address=at)
     exchange = probe.ask_built(built)
     if exchange.silent:
         raise Inconclusive(f"{command.name} {address} was not answered")
@@ -123,19 +119,19 @@ def follow(probe: Probe, rate: int) -> None:
 
 def set_speed(probe: Probe, rate: int) -> None:
     """Set the drive to a speed, without following it. Raises Inconclusive where it has no such setting."""
-    for command in probe.dialect.commands:
-        for name in command.request_forms[0].layout.named.keys() & SPEEDS.keys():
-            code = next((v for v, r in SPEEDS[name].items() if r == rate), None)
-            if code is not None:
-                probe.ask(command, {name: code})
-                return
+    code = next((v for v, r in probe.dialect.rates.items() if r == rate), None)
+    found = probe.dialect.effect(Effect.BAUD_RATE)
+    if found is not None and code is not None:
+        command, field = found
+        probe.ask(command, {field.name: code})
+        return
     raise Inconclusive(f"{probe.dialect.name} has no setting for {rate} bits per second")
 
 
 def _speed(dialect: Dialect, command: Command, field: Field, value: int, rate: int) -> Claim:
     def check(probe: Probe) -> None:
         before = probe.gate.line.endpoint.bits_per_second
-        codes = {r: v for v, r in SPEEDS[field.name].items()}
+        codes = {r: v for v, r in dialect.rates.items()}
         if before not in codes:
             raise Inconclusive(f"the line is at {before} bits per second, which is no setting of the drive")
         sound(probe)
@@ -171,11 +167,6 @@ def _speed(dialect: Dialect, command: Command, field: Field, value: int, rate: i
 # --- dialects ---------------------------------------------------------------------------------------------------------
 
 
-def _other(dialect: Dialect) -> Dialect:
-    """Return the dialect to which `set_modbus` switches a drive."""
-    return registry.get("mks-rs485" if dialect.name.endswith("modbus") else "mks-modbus")
-
-
 def foreign(
     probe: Probe, other: Dialect, what: str, values: dict[str, int] | None = None, *, address: int | None = None
 ) -> bytes:
@@ -186,8 +177,9 @@ def foreign(
     return b"".join(data for _, data in sorted(pieces))
 
 
-def _other_dialect(dialect: Dialect, command: Command) -> Claim:
-    other, own = _other(dialect), int(dialect.name.endswith("modbus"))
+def _other_dialect(dialect: Dialect, command: Command, field: str) -> Claim:
+    other = registry.get(dialect.siblings[0])
+    own, new = dialect.chosen_by, other.chosen_by
 
     def check(probe: Probe) -> None:
         if probe.address > other.addresses[1]:
@@ -197,32 +189,33 @@ def _other_dialect(dialect: Dialect, command: Command) -> Claim:
         before = foreign(probe, other, "read_speed")
         if whole(other, probe.address, before):
             raise Refuted(f"a {dialect.name} drive answers {other.name}", expected="silence", got=before.hex(" ").upper())
-        accept(probe, command, {"modbus": own}, f"modbus {own}, which it has")
-        exchange = accept(probe, command, {"modbus": 1 - own}, f"modbus {1 - own}")
+        accept(probe, command, {field: own}, f"{field} {own}, which it has")
+        exchange = accept(probe, command, {field: new}, f"{field} {new}")
         probe.wait(SETTLE_NS)
         answer = foreign(probe, other, "read_speed")
         still = answers(probe, probe.address)
-        foreign(probe, other, command.name, {"modbus": own})
+        foreign(probe, other, command.name, {field: own})
         probe.wait(SETTLE_NS)
         back = answers(probe, probe.address)
         readable(other, probe.address, answer)
         if not whole(other, probe.address, answer) or still:
             speaks = f"still speaks {dialect.name}" if still else f"does not speak {other.name}"
             raise Refuted(
-                f"set_modbus {1 - own}: the drive {speaks}",
+                f"{command.name} {new}: the drive {speaks}",
                 expected=f"a reply in {other.name}, silence in {dialect.name}",
-                got=answer.hex(" ").upper() or f"silence in {other.name}", exchange=exchange, key="set_modbus not stored",
+                got=answer.hex(" ").upper() or f"silence in {other.name}", exchange=exchange, key=f"{command.name} not stored",
             )  # fmt: skip
         if not back:
             raise Refuted(
                 f"the drive does not come back to {dialect.name}", expected=f"a reply in {dialect.name}", got="silence",
-                exchange=exchange, key="set_modbus not left",
+                exchange=exchange, key=f"{command.name} not left",
             )  # fmt: skip
 
     return declare(
-        dialect, Theme.RANGES, f"{command.name}/modbus/listed", f"set_modbus switches between {dialect.name} and {other.name}.",
-        "a refusal, or answers in the old dialect", check, command=command, aspect=Aspect.RANGE, fields=("modbus",),
-        settings=("modbus",), **_NEEDS,
+        dialect, Theme.RANGES, f"{command.name}/{field}/listed",
+        f"{command.name} switches between {dialect.name} and {other.name}.",
+        "a refusal, or answers in the old dialect", check, command=command, aspect=Aspect.RANGE, fields=(field,),
+        settings=(field,), **_NEEDS,
     )  # fmt: skip
 
 

@@ -42,7 +42,8 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
         for verbs, field, make in _MAKERS:
             if command.verb in verbs and field in named:
                 yield from make(dialect, command, named[field])
-    yield from parameters(dialect, dialect.by_verb[Verb.WRITE_PARAMETER])
+    if Verb.WRITE_PARAMETER in dialect.by_verb:
+        yield from parameters(dialect, dialect.by_verb[Verb.WRITE_PARAMETER])
     yield from models(dialect)
 
 

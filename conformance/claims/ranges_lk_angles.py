@@ -80,7 +80,9 @@ def angles(dialect: Dialect, command: Command, field: Field) -> Iterator[Claim]:
         dialect, command, field, "above", "An angle of a turn or more is not obeyed.", "a shaft that turns",
         ignored(*({"direction": 0, "angle": v} for v in above)), above, set(), at_best=Certainty.LIKELY,
     )  # fmt: skip
-    direction = command.request_forms[0].layout.named["direction"]
+    direction = command.request_forms[0].layout.named.get("direction")
+    if direction is None:
+        return
 
     def both(probe: Probe) -> None:
         for value in limits.edges(direction):

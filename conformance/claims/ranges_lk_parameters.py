@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from analyzer import dialects as registry
 from analyzer import encoder
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, Risk, Verb
 from analyzer.layout import Field
@@ -127,7 +126,9 @@ def _unlisted_parameter(dialect: Dialect, command: Command) -> Claim:
 
 def models(dialect: Dialect) -> Iterator[Claim]:
     """Make the claim that a drive obeys the torque command or the power command, by its model, and not both."""
-    whole = registry.get(dialect.name)
+    whole = dialect.whole
+    if not {Verb.RUN_TORQUE, Verb.RUN_OPEN_LOOP} <= whole.by_verb.keys():
+        return
     torque, power = whole.by_verb[Verb.RUN_TORQUE], whole.by_verb[Verb.RUN_OPEN_LOOP]
 
     def check(probe: Probe) -> None:

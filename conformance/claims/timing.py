@@ -47,7 +47,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     yield from declared_in(__name__, dialect)
     yield from ramps.claims(dialect)
     yield from durations.claims(dialect)
-    if Verb.MOVE_SINGLE_TURN in dialect.by_verb:
+    if dialect.family == "lk":
         yield from (claim for claim in motion_lk_limits.claims(dialect) if claim.theme is Theme.TIMING)
 
 

@@ -53,13 +53,12 @@ _GRACE_NS = 3 * SECOND_NS
 
 def is_mks(dialect: Dialect) -> bool:
     """Say whether a dialect has the four moves and the ramp of the MKS drives."""
-    verbs = dialect.by_verb
-    return all(v in verbs for v in MOVES) and "acceleration" in verbs[Verb.RUN_SPEED].request_forms[0].layout.named
+    return dialect.family == "mks"
 
 
 def tells(dialect: Dialect) -> bool:
     """Say whether the end of a move is told by a reply of its own."""
-    return bool(dialect.by_verb[Verb.MOVE_RELATIVE_AXIS].replies.interim)
+    return any(c.motion is not None and c.motion.tells_end for c in moves(dialect))
 
 
 def moves(dialect: Dialect) -> tuple[Command, ...]:

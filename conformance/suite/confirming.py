@@ -56,6 +56,8 @@ def _shortened(claim: Claim, rig: Rig, verdict: Verdict) -> Verdict | None:
 
 def _alike(rig: Rig) -> Iterator[Rig]:
     """Return emulated drives that may fail as the real one does, for as long as there is time for it."""
+    if rig.dialect.name not in make.KINDS:
+        return
     from conformance.suite.rig_emulated import EmulatedRig
 
     until = time.monotonic() + _SEARCH_SECONDS

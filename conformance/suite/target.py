@@ -4,7 +4,8 @@
     mks-can@0x12             on can:socketcan:can0,bitrate=500000
     mks-rs485@1,fault=late-reply    on emulated
 
-A drive on hardware has an address and perhaps a model; an emulated one can have all that `servotap emulate` takes.
+A drive on hardware has an address and perhaps a model, and any dialect there is; an emulated one can have all that
+`servotap emulate` takes.
 """
 
 from __future__ import annotations
@@ -107,11 +108,14 @@ def parse(drive: str, place: str = EMULATED) -> Target:
     strange = [word for word in options if word != "model"]
     if strange:
         raise UsageError(f"{quote(drive)}: a drive on hardware has no {strange[0]}, expected model=M (--on emulated has more)")
-    specification = make.parse(drive)
-    if specification.dialect.bus != endpoint.bus_kind:
-        raise UsageError(f"{head} is a drive on {specification.dialect.bus}, and {place} is a {endpoint.bus_kind} bus")
-    dialect = specification.dialect
-    return Target(drive, dialect, specification.address, specification.model, endpoint, None)
+    dialect, address = registry.drive(head)
+    model = options.get("model", "").upper()
+    if model and model not in dialect.models:
+        known = f"expected {' or '.join(dialect.models)}" if dialect.models else "for it has none"
+        raise UsageError(f"{head}: no model {quote(model)}, {known}")
+    if dialect.bus != endpoint.bus_kind:
+        raise UsageError(f"{head} is a drive on {dialect.bus}, and {place} is a {endpoint.bus_kind} bus")
+    return Target(drive, dialect, address, model, endpoint, None)
 
 
 def _option(drive: str, part: str) -> tuple[str, str]:
