@@ -70,7 +70,7 @@ class Decoder:
         """
         data, can = frame.data, frame.can
         size = len(data)
-        key = (data[: self._head_bytes], size, 0) if can is None else (can.id, size, data[0])
+        key = (data[: self._head_bytes], size, 0) if can is None else (can.id, size, data[0] if size else 0)
         try:
             lane = self._lanes[key]
         except KeyError:

@@ -39,9 +39,14 @@ SLOTS = "slots"
 
 @dataclass(frozen=True)
 class Built:
-    """A frame and what it is made of. `values`: integers as sent, of all fields; `refusals`: what the manual forbids."""
+    """A frame and what it is made of.
+
+    `can_id`: the identifier of a CAN frame, else None. `values`: integers as sent, of all fields. `refusals`: what the manual
+    forbids.
+    """
 
     frame: bytes
+    can_id: int | None
     command: Command
     form: Form
     role: Role
@@ -101,7 +106,8 @@ def assemble(
     if not 0 <= address <= head_limit:
         raise UsageError(f"address {address} does not fit the frame, expected 0..{head_limit}")
     frame = dialect.link.build(command, form, address, data, role)
-    return Built(frame, command, form, role, address, shown, risks, tuple(forbidden))
+    can_id = dialect.link.identifier(command, address)
+    return Built(frame, can_id, command, form, role, address, shown, risks, tuple(forbidden))
 
 
 # --- what the manual allows -------------------------------------------------------------------------------------------

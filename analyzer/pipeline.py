@@ -233,8 +233,9 @@ class Pipeline:
         dialect = port.can[0] if port.can else self.dialects[0]
         if not port.can:
             raise UsageError(f"{port.name} is a CAN bus, and {dialect.name} is a dialect of serial lines")
-        usual = not (can.error or can.fd or can.extended or can.remote) and can.id <= CAN_ID_LIMIT and len(can.data) > 1
-        foreign = None if usual else _foreign(can)
+        shortest = dialect.link.shortest
+        usual = not (can.error or can.fd or can.extended or can.remote) and can.id <= CAN_ID_LIMIT and len(can.data) >= shortest
+        foreign = None if usual else _foreign(can, shortest)
         if foreign is not None:
             frame = Frame(port.name, t_ns, t_ns, offset, can.data, dialect, can.direction, True, can)
             message = Message(frame, Role.UNKNOWN, can.id, None, None, can.data)
@@ -364,7 +365,7 @@ class Pipeline:
             sink.finding(found)
 
 
-def _foreign(can: CanFrame) -> Issue | None:
+def _foreign(can: CanFrame, shortest: int) -> Issue | None:
     """Return why a CAN frame cannot be of a dialect with standard identifiers, or None."""
     if can.error:
         return Issue("can_error_frame", f"error frame, class 0x{can.id:X}, data {can.data.hex(' ').upper() or 'none'}")
@@ -374,6 +375,6 @@ def _foreign(can: CanFrame) -> Issue | None:
         return Issue("foreign_can_frame", f"identifier 0x{can.id:X} has 29 bits, expected 11")
     if can.remote:
         return Issue("foreign_can_frame", "a remote frame, expected a data frame")
-    if len(can.data) < 2:
+    if len(can.data) < shortest:
         return Issue("foreign_can_frame", f"{len(can.data)} data bytes, expected a code and a checksum at least")
     return None

@@ -61,8 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     built = assemble(dialect, command, address, values, role, arguments.form, physical=not arguments.wire)
     if built.refusals and not arguments.force:
         raise UsageError("; ".join(built.refusals))
-    can_id = address if dialect.link.kind == "can" else None
-    text = write_frame(built.frame, can_id, candump=arguments.candump)
+    text = write_frame(built.frame, built.can_id, candump=arguments.candump)
     print(json.dumps(_object(dialect, built, text)) if arguments.json else text)
     return 0
 

@@ -4,7 +4,22 @@ from __future__ import annotations
 
 from analyzer.link.can import CanLink
 from analyzer.link.head import HeadLink, Package
-from analyzer.link.interface import MORE, TIE, Candidate, Candidates, Check, Finder, Head, Link, Part, Role, Slicer, sum8
+from analyzer.link.interface import (
+    MORE,
+    TIE,
+    Candidate,
+    Candidates,
+    Check,
+    CommandShape,
+    Finder,
+    FormShape,
+    Head,
+    Link,
+    Part,
+    Role,
+    Slicer,
+    sum8,
+)
 from analyzer.link.lk import LkLink
 from analyzer.link.modbus import FUNCTIONS, READS, WRITE_MANY, WRITE_ONE, ModbusLink, modbus_crc
 
@@ -19,7 +34,9 @@ __all__ = [
     "Candidate",
     "Candidates",
     "Check",
+    "CommandShape",
     "Finder",
+    "FormShape",
     "Head",
     "HeadLink",
     "Link",

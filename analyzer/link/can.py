@@ -18,6 +18,9 @@ class CanLink(Link):
     kind = "can"
     deciding_bytes = 1
 
+    #: The fewest data bytes of a frame: a code and a checksum.
+    shortest = 2
+
     def identifier(self, command: CommandShape, address: int) -> int | None:
         return address
 

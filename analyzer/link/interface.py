@@ -229,6 +229,8 @@ class Link(ABC):
     kind = "serial"
     #: Bytes at the beginning that, with the length, tell address and code; 0 where the bytes alone never do.
     deciding_bytes = 0
+    #: The fewest data bytes of a CAN frame.
+    shortest = 0
     #: Characters of silence that end a frame; 0 where only its bytes tell its end.
     silence_characters = 0.0
 
