@@ -162,7 +162,7 @@ def with_reserved(probe: Probe, command: Command, form: Form, values: Mapping[st
     """Return a request with bits of `mask` set beside its values."""
     data = with_bits(form.layout, values, mask)
     frame = probe.dialect.link.build(command, form, probe.address, data, Role.REQUEST)
-    return Built(frame, command, form, Role.REQUEST, probe.address, values, command.risks(values), ())
+    return replace(probe.build(command, values, form=form), frame=frame, risks=command.risks(values), refusals=())
 
 
 def _done(command: Command) -> str:
