@@ -1,12 +1,13 @@
 """The claims, by theme: one module each, every one made from the catalogue wherever it can be.
 
-A theme module offers `claims(dialect) -> Iterator[Claim]`. Other packages add theirs by entry points of the group
+The checks of each module are declared as claims (`declare`); a module that makes its claims another way offers
+`claims(dialect) -> Iterator[Claim]`. Other packages add theirs by entry points of the group
 `servotap.claims`, each naming such a function.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from functools import partial
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -14,7 +15,7 @@ from importlib.metadata import entry_points
 from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
 from conformance.claim import Claim, Theme
-from conformance.claims.declare import made
+from conformance.claims.declare import declared_in, made
 
 GROUP = "servotap.claims"
 #: Theme modules, in the order in which they run: what is quick and harmless first.
@@ -61,8 +62,12 @@ def _made(dialect: Dialect) -> tuple[Claim, ...]:
 
 
 def _sources() -> list[Source]:
-    return [partial(_own, name) for name in MODULES] + [point.load() for point in entry_points(group=GROUP)]
+    return [_source(f"{__name__}.{name}") for name in MODULES] + [point.load() for point in entry_points(group=GROUP)]
 
 
-def _own(name: str, dialect: Dialect) -> Iterator[Claim]:
-    return made(dialect, Theme(name.replace("_", "-")), name, import_module(f"{__name__}.{name}").claims)
+def _source(name: str) -> Source:
+    own: Source | None = getattr(import_module(name), "claims", None)
+    if own is None:
+        return partial(declared_in, name)
+    what = name.rpartition(".")[2]
+    return lambda dialect: made(dialect, Theme(what.replace("_", "-")), what, own)

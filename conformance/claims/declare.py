@@ -84,6 +84,7 @@ class _Declaration:
     theme: Theme
     each: Cases
     check: Check
+    first: Callable[[Probe], None] | None
     facts: Mapping[str, Any]
 
     def claims(self, dialect: Dialect) -> Iterator[Claim]:
@@ -107,14 +108,14 @@ class _Declaration:
         default = f"{words['command']}/{self.own_name}" if case.command is not None else self.own_name
         name = facts.pop("name", default).format_map(words)
         statement = facts.pop("statement", None) or _first_paragraph(self.check)
-        facts.setdefault("parameters", {n: v for n, v in case.given.items() if not isinstance(v, Command)})
+        facts.setdefault("parameters", {n: words[n] for n, v in case.given.items() if not isinstance(v, Command)})
         return declare(
             case.dialect,
             self.theme,
             name,
             statement.format_map(words),
             facts.pop("refuted_by").format_map(words),
-            _Bound(self.check, case),
+            _Bound(self.check, case, self.first),
             command=case.command,
             **facts,
         )
@@ -123,12 +124,15 @@ class _Declaration:
 class _Bound:
     """A check with the arguments of a case; its commands are those of the drive's model."""
 
-    def __init__(self, check: Check, case: Case) -> None:
+    def __init__(self, check: Check, case: Case, first: Callable[[Probe], None] | None) -> None:
         self.check = check
+        self.first = first
         given = dict(case.given) | ({} if case.command is None else {"command": case.command})
         self._arguments = {name: given[name] for name in list(inspect.signature(check).parameters)[1:]}
 
     def __call__(self, probe: Probe) -> None:
+        if self.first is not None:
+            self.first(probe)
         known = probe.dialect.by_name
         self.check(probe, **{n: known[v.name] if isinstance(v, Command) else v for n, v in self._arguments.items()})
 
@@ -140,15 +144,18 @@ def _first_paragraph(check: Check) -> str:
     return " ".join(text.split("\n\n")[0].split())
 
 
-def claim(theme: Theme, *, refuted_by: Any, each: Cases = once, **facts: Any) -> Callable[[Check], Check]:
+def claim(
+    theme: Theme, *, refuted_by: Any, each: Cases = once, first: Callable[[Probe], None] | None = None, **facts: Any
+) -> Callable[[Check], Check]:
     """Declare the decorated check as claims of a theme, one for each case.
 
+    `first`: called before each check; it raises Inconclusive where the check could say nothing.
     `facts`: `name` of the id behind the theme, `at_best`, `rests_on`, `risks`, `settings`, `quirks`, `section`, `aspect`, and
     the other attributes of a `Claim`. Each is a value, or a function of the case.
     """
 
     def declared(check: Check) -> Check:
-        _declared[check.__module__].append(_Declaration(theme, each, check, {"refuted_by": refuted_by, **facts}))
+        _declared[check.__module__].append(_Declaration(theme, each, check, first, {"refuted_by": refuted_by, **facts}))
         return check
 
     return declared

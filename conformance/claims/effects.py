@@ -24,9 +24,9 @@ from analyzer.catalogue import Command, Dialect, Form, Risk, Verb
 from analyzer.layout import Field
 from analyzer.protocols.mks_shared import COUNTS_PER_TURN
 from conformance.claim import Inconclusive
-from conformance.claims.answers import Taken, answers, judged, once, sound
 from conformance.model import limits
 from conformance.motion import motion
+from conformance.talk.acceptance import Acceptance, acceptance, answers, need_reliable_replies, without_repeats
 from conformance.talk.probe import Until
 
 if TYPE_CHECKING:
@@ -182,7 +182,7 @@ _LINK = Effect(see=_answers, set_first=False)
 
 def _can_be_enabled(probe: Probe) -> str:
     exchange = probe.ask(Verb.ENABLE, {"enabled": 1})
-    return "pulses" if judged(probe, exchange) is Taken.REFUSED else "bus"
+    return "pulses" if acceptance(probe, exchange) is Acceptance.REFUSED else "bus"
 
 
 def _who_controls(dialect: Dialect, values: Mapping[str, int]) -> str:
@@ -261,7 +261,7 @@ def _replies(probe: Probe) -> str:
     motion.wait_standing(probe)
     if exchange.junk or any(not a.message.frame.checksum_ok for a in exchange.answers):
         raise Inconclusive("the replies to a move cannot be read")
-    return " then ".join(map(str, once(exchange.status()))) or "silence"
+    return " then ".join(map(str, without_repeats(exchange.status()))) or "silence"
 
 
 def _told(dialect: Dialect, values: Mapping[str, int]) -> str:
@@ -320,7 +320,7 @@ GROUP, OTHER_GROUP = 0x50, 0x51
 def _group(probe: Probe) -> str:
     heard = [f"{a:#x}" for a in (GROUP, OTHER_GROUP) if hears(probe, a)]
     if len(heard) != 1:
-        sound(probe)
+        need_reliable_replies(probe)
         if not hears(probe, probe.address):
             raise Inconclusive("3A does not follow F3 at the drive's own address, so it shows nothing of a group's")
     probe.ask(Verb.ENABLE, {"enabled": 1})

@@ -24,12 +24,12 @@ from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, Risk, V
 from analyzer.layout import Field, Kind
 from conformance.claim import Aspect, Claim, Inconclusive, NotRun, Refuted, Theme
 from conformance.claims import effects, ranges_link, ranges_lk, ranges_motion
-from conformance.claims.answers import Taken, accept, refusable, refuse, resting, take, with_reserved
 from conformance.claims.declare import declare, made
-from conformance.claims.requests import needs_motion
+from conformance.claims.requests import needing_plain_replies, needs_motion, with_reserved
 from conformance.model import limits
 from conformance.motion import motion
 from conformance.talk import samples
+from conformance.talk.acceptance import Acceptance, can_refuse, expect_accepted, expect_refused, sent
 from conformance.talk.probe import Probe
 
 #: Values of these do something that no claim about ranges needs; that they are executed is judged elsewhere.
@@ -51,7 +51,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
 
 
 def _resting(make: Callable[[Dialect], Iterator[Claim]], dialect: Dialect) -> Iterator[Claim]:
-    return map(resting, make(dialect))
+    return map(needing_plain_replies, make(dialect))
 
 
 def _of_commands(dialect: Dialect) -> Iterator[Claim]:
@@ -63,7 +63,7 @@ def _of_commands(dialect: Dialect) -> Iterator[Claim]:
 def judgeable(command: Command) -> bool:
     """Say whether the values of a command are judged here: its reply can say no, and it moves nothing."""
     reads = command.all_risks <= {Risk.READ}
-    return refusable(command) and not reads and command.slots is None and not ranges_motion.turns(command)
+    return can_refuse(command) and not reads and command.slots is None and not ranges_motion.turns(command)
 
 
 def _of_command(dialect: Dialect, command: Command) -> Iterator[Claim]:
@@ -201,7 +201,7 @@ def _accepted(
         need_model(probe, field)
         prepare(probe, command)
         for value in tried():
-            accept(probe, command, plain(probe, command, form, **{field.name: value}), shown(field, value), form=form)
+            expect_accepted(probe, command, plain(probe, command, form, **{field.name: value}), shown(field, value), form=form)
         after(probe, command)
 
     def tried() -> tuple[int, ...]:
@@ -227,7 +227,7 @@ def _refused(
         prepare(probe, command)
         for value in values:
             built = probe.build(command, plain(probe, command, form, **{field.name: value}), form=form)
-            refuse(probe, built, shown(field, value))
+            expect_refused(probe, built, shown(field, value))
         after(probe, command)
 
     statement = f"{words} of {field.name} is refused."
@@ -249,8 +249,8 @@ def _unchanged(dialect: Dialect, command: Command, form: Form, field: Field, eff
         before = effect.see(probe)
         for value in dict.fromkeys(bad):
             asked = plain(probe, command, form, **other) | {field.name: value}
-            taken, exchange = take(probe, probe.build(command, asked, form=form))
-            if taken is not Taken.REFUSED:
+            taken, exchange = sent(probe, probe.build(command, asked, form=form))
+            if taken is not Acceptance.REFUSED:
                 raise Inconclusive(f"{shown(field, value)} is {taken.value}: another claim is about that")
             now = effect.see(probe)
             if not effect.same(before, now):
@@ -286,7 +286,7 @@ def _reserved(dialect: Dialect, command: Command, form: Form) -> Claim:
         values = plain(probe, command, form)
         for mask in masks:
             built = with_reserved(probe, command, form, values, mask)
-            refuse(probe, built, f"a value with the bit {mask:#x} that is to be 0")
+            expect_refused(probe, built, f"a value with the bit {mask:#x} that is to be 0")
 
     certainty = Certainty.LIKELY if register else Certainty.OPEN
     demands = needs(dialect, command, [samples.sample(dialect, command, form)])

@@ -21,10 +21,10 @@ from analyzer.catalogue import Command, Dialect, Doubt, Risk
 from analyzer.errors import UsageError
 from analyzer.layout import Effect, Field
 from conformance.claim import Aspect, Claim, Inconclusive, NotRun, Refuted, Theme
-from conformance.claims.answers import Taken, accept, answers, judged, sound
 from conformance.claims.declare import declare
 from conformance.claims.known_quirks import known
 from conformance.motion.motion import MS
+from conformance.talk.acceptance import Acceptance, acceptance, answers, expect_accepted, need_reliable_replies
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
@@ -62,7 +62,7 @@ def readdress(probe: Probe, command: Command, address: int, *, at: int | None = 
     from_new = exchange.answers and exchange.answers[0].message.address == address != built.address
     if from_new and NEW_ADDRESS_ANSWERS in probe.claim.quirks:
         probe.meets(NEW_ADDRESS_ANSWERS)
-    if judged(probe, exchange) is Taken.REFUSED:
+    if acceptance(probe, exchange) is Acceptance.REFUSED:
         raise Refuted(
             f"{command.name}: {address} is refused", expected="success: the manual allows it",
             got=exchange.answers[0].data.hex(" ").upper(), exchange=exchange, key="set_address refused",
@@ -73,7 +73,7 @@ def readdress(probe: Probe, command: Command, address: int, *, at: int | None = 
 
 def _address(dialect: Dialect, command: Command, field: Field, what: str, value: int) -> Claim:
     def check(probe: Probe) -> None:
-        sound(probe)
+        need_reliable_replies(probe)
         before = probe.address
         if before == value:
             # Away first, so that something changes.
@@ -134,9 +134,9 @@ def _speed(dialect: Dialect, command: Command, field: Field, value: int, rate: i
         codes = {r: v for v, r in dialect.rates.items()}
         if before not in codes:
             raise Inconclusive(f"the line is at {before} bits per second, which is no setting of the drive")
-        sound(probe)
+        need_reliable_replies(probe)
         exchange = probe.ask(command, {field.name: value})
-        if not exchange.silent and judged(probe, exchange) is Taken.REFUSED:
+        if not exchange.silent and acceptance(probe, exchange) is Acceptance.REFUSED:
             raise Refuted(
                 f"{command.name}: {rate} is refused", expected="success: the manual lists it",
                 got=exchange.answers[0].data.hex(" ").upper(), exchange=exchange, key=f"{command.name} refused",
@@ -184,13 +184,13 @@ def _other_dialect(dialect: Dialect, command: Command, field: str) -> Claim:
     def check(probe: Probe) -> None:
         if probe.address > other.addresses[1]:
             raise NotRun(f"a drive at {probe.address} cannot speak {other.name}, whose addresses end at {other.addresses[1]}")
-        sound(probe)
+        need_reliable_replies(probe)
         # Real drives were seen to answer frames of the other dialect with fragments: only a whole reply counts.
         before = foreign(probe, other, "read_speed")
         if whole(other, probe.address, before):
             raise Refuted(f"a {dialect.name} drive answers {other.name}", expected="silence", got=before.hex(" ").upper())
-        accept(probe, command, {field: own}, f"{field} {own}, which it has")
-        exchange = accept(probe, command, {field: new}, f"{field} {new}")
+        expect_accepted(probe, command, {field: own}, f"{field} {own}, which it has")
+        exchange = expect_accepted(probe, command, {field: new}, f"{field} {new}")
         probe.wait(SETTLE_NS)
         answer = foreign(probe, other, "read_speed")
         still = answers(probe, probe.address)

@@ -14,9 +14,9 @@ from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.layout import Field
 from conformance.claim import Aspect, Claim, Refuted, Theme
 from conformance.claims import ranges
-from conformance.claims.answers import with_reserved
 from conformance.claims.declare import declare
 from conformance.claims.ranges_lk_looks import LOOK_NS, MODERATE, SAME, begun, claim_of, moderate, stays
+from conformance.claims.requests import with_reserved
 from conformance.model import limits
 from conformance.motion import motion
 from conformance.talk.probe import Probe

@@ -13,27 +13,14 @@ from collections.abc import Iterator
 from analyzer import encoder
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, Risk, Verb
 from analyzer.layout import Field
-from conformance.claim import Aspect, Claim, Inconclusive, Observed, Refuted, Theme
-from conformance.claims.answers import with_reserved
+from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims.declare import declare
 from conformance.claims.ranges_lk_looks import LOOK_NS, STILL
+from conformance.claims.requests import with_reserved
 from conformance.model import limits
+from conformance.model.lk_parameters import OTHER_FIRMWARE, read_parameter
 from conformance.motion import motion
 from conformance.talk.probe import Probe
-
-OTHER_FIRMWARE = "lk-firmware-235"
-
-
-def read_parameter(probe: Probe, number: int) -> dict[str, int]:
-    """Return a control parameter. Raises Observed where the firmware does not have the command."""
-    exchange = probe.ask(Verb.READ_PARAMETER, {"parameter": number})
-    if exchange.silent and OTHER_FIRMWARE in probe.claim.quirks:
-        probe.meets(OTHER_FIRMWARE)
-        raise Observed("control parameters cannot be read: as firmware 2.35 was seen to be")
-    values = {n: int(v) for n, v in probe.reply(exchange).values.items()}
-    if values.get("parameter") != number:
-        raise Inconclusive(f"a read of parameter {number} is answered for {values.get('parameter')}")
-    return values
 
 
 def parameters(dialect: Dialect, command: Command) -> Iterator[Claim]:

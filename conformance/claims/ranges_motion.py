@@ -22,11 +22,12 @@ from analyzer.layout import Field, Kind
 from analyzer.protocols.mks_shared import MODE_MAXIMUM_SPEEDS
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims import effects, ranges
-from conformance.claims.answers import accept, refuse, with_reserved
 from conformance.claims.declare import declare
+from conformance.claims.requests import with_reserved
 from conformance.model import limits
 from conformance.motion import motion, moves
 from conformance.motion.motion import MS, SECOND_NS
+from conformance.talk.acceptance import expect_accepted, expect_refused
 from conformance.talk.probe import Probe, Until
 
 RUNS = frozenset(moves.STOP_OF)
@@ -157,7 +158,7 @@ def _accepted(dialect: Dialect, command: Command, field: Field, what: str, value
     def check(probe: Probe) -> None:
         ready(probe)
         for value in ranges.inner(dialect, command, field) if values is None else values:
-            accept(probe, command, values_for(probe, command, **{field.name: value}), ranges.shown(field, value))
+            expect_accepted(probe, command, values_for(probe, command, **{field.name: value}), ranges.shown(field, value))
             probe.wait(100 * MS)
             end(probe, command)
 
@@ -176,7 +177,7 @@ def _refused(dialect: Dialect, command: Command, field: Field, what: str, values
         start = motion.position(probe)
         for value in values:
             built = probe.build(command, values_for(probe, command, **{field.name: value}))
-            exchange = refuse(probe, built, ranges.shown(field, value))
+            exchange = expect_refused(probe, built, ranges.shown(field, value))
             probe.wait(100 * MS)
             now = motion.position(probe)
             if abs(now.value - start.value) > 1:
@@ -234,7 +235,7 @@ def run_up(probe: Probe, command: Command, speed: int) -> tuple[float, Any]:
     Raises Refuted where the drive refuses it.
     """
     values = values_for(probe, command, **far_values(probe, command), speed=speed, acceleration=STEEP)
-    exchange = accept(probe, command, values, f"speed {speed}")
+    exchange = expect_accepted(probe, command, values, f"speed {speed}")
     probe.wait(min(speed, 3100) * (256 - STEEP) * 50_000 + 200 * MS)
     rpm = abs(effects.steady_speed(probe))
     end(probe, command)
@@ -320,7 +321,7 @@ def _width(dialect: Dialect, command: Command, field: Field) -> Claim:
                 raise Inconclusive(f"from {start} no move by {distance} fits the field")
             before = motion.position(probe)
             values = values_for(probe, command, speed=60, acceleration=STEEP, **{field.name: start + distance})
-            exchange = accept(probe, command, values, f"a distance of {distance}")
+            exchange = expect_accepted(probe, command, values, f"a distance of {distance}")
             probe.wait(WATCH_NS)
             gone = (motion.position(probe).value - before.value) / 360 * units
             end(probe, command)

@@ -23,9 +23,9 @@ from typing import Any
 from analyzer.catalogue import Command, Dialect, Doubt, Verb
 from conformance.claim import Aspect, Claim, Inconclusive, Observed, Refuted, Theme
 from conformance.claims import effects, ranges, read_back_effects, read_back_lk, read_back_restart, read_back_restore
-from conformance.claims.answers import resting
 from conformance.claims.declare import declare
 from conformance.claims.effects import LINK_FIELDS
+from conformance.claims.requests import needing_plain_replies
 from conformance.drives.speed import SPEEDS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
@@ -33,7 +33,7 @@ from conformance.talk.probe import Probe
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims of this theme for a dialect."""
-    return map(resting, _claims(dialect))
+    return map(needing_plain_replies, _claims(dialect))
 
 
 def _claims(dialect: Dialect) -> Iterator[Claim]:

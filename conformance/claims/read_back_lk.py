@@ -19,18 +19,9 @@ from typing import Any
 from analyzer.catalogue import Command, Dialect, Form, Verb
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims.declare import declare
-from conformance.claims.ranges_lk_parameters import OTHER_FIRMWARE, read_parameter
-from conformance.claims.restarts import power_cycle
+from conformance.model.lk_parameters import OTHER_FIRMWARE, moderate, number_of, read_parameter
 from conformance.talk.probe import Probe
-
-#: Hundredths of a degree of a turn.
-TURN = 36_000
-#: Values of limits and ramps that need three bytes, no two of them alike, within what a drive may be set to.
-_MODERATE = {
-    "torque_limit": (600, 900), "speed_limit": (0x01_2345, 0x01_0F23), "angle_limit": (0x2134_5678, 0x1134_5678),
-    "current_ramp": (0x01_2345, 0x02_1436), "speed_ramp": (0x06_1234, 0x05_2143),
-}  # fmt: skip
-_GAINS = {"kp": (0x0164, 0x0232), "ki": (0x0119, 0x0226), "kd": (0x0102, 0x0203)}
+from conformance.talk.restarts import power_cycle
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
@@ -41,22 +32,6 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     forms = [f for f in verbs[Verb.WRITE_PARAMETER].request_forms if f.layout.named["parameter"].fixed is not None]
     for form in forms:
         yield from _parameter(dialect, verbs[Verb.WRITE_PARAMETER], form, forms)
-
-
-def number_of(form: Form) -> int:
-    """Return the number of the parameter that a form is about."""
-    return form.layout.named["parameter"].fixed or 0
-
-
-def moderate(form: Form, which: int) -> dict[str, int]:
-    """Return the first or second set of moderate values of a parameter."""
-    values = {}
-    for name, field in form.layout.named.items():
-        if field.fixed is not None:
-            values[name] = field.fixed
-        else:
-            values[name] = (_MODERATE.get(name) or _GAINS[name.rpartition("_")[2]])[which]
-    return values
 
 
 # --- parameters -------------------------------------------------------------------------------------------------------

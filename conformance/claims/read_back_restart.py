@@ -19,15 +19,15 @@ from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from analyzer.protocols.mks_shared import COUNTS_PER_TURN
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims import effects, ranges, ranges_link, read_back
-from conformance.claims.answers import answers, sound
 from conformance.claims.declare import declare
 from conformance.claims.effects import LINK_FIELDS, STEEP, Effect
 from conformance.claims.known_quirks import known
-from conformance.claims.restarts import power_cycle, restart
 from conformance.motion import motion
 from conformance.motion import moves as journey
 from conformance.motion.motion import MS
+from conformance.talk.acceptance import answers, need_reliable_replies
 from conformance.talk.probe import Probe
+from conformance.talk.restarts import power_cycle, restart
 
 #: How long a drive that cannot be asked meanwhile may take to come back.
 RESTORED_NS = 4_000 * MS
@@ -126,7 +126,7 @@ def _user_id(dialect: Dialect, command: Command) -> Claim:
 def _address(dialect: Dialect, command: Command) -> Claim:
     def check(probe: Probe) -> None:
         before = probe.address
-        sound(probe)
+        need_reliable_replies(probe)
         ranges_link.readdress(probe, command, OTHER_ADDRESS)
         if not answers(probe, OTHER_ADDRESS):
             raise Inconclusive(f"the drive does not answer at {OTHER_ADDRESS}, which it was given")

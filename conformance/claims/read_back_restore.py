@@ -18,12 +18,12 @@ from analyzer.catalogue import Command, Dialect, Risk, Verb
 from analyzer.layout import Field
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims import ranges, ranges_link, read_back
-from conformance.claims.answers import answers, sound
 from conformance.claims.declare import declare
 from conformance.claims.effects import Effect
 from conformance.claims.known_quirks import known
 from conformance.claims.read_back_restart import OTHER_ADDRESS, RESTORED_NS, kept_effect
 from conformance.motion import motion, moves
+from conformance.talk.acceptance import answers, need_reliable_replies
 from conformance.talk.probe import Probe
 
 _DEFAULT_ADDRESS = 1
@@ -132,7 +132,7 @@ def _restored_link(dialect: Dialect) -> Claim:
     native = registry.get("mks-rs485") if dialect.name.endswith("modbus") else dialect
 
     def check(probe: Probe) -> None:
-        sound(probe)
+        need_reliable_replies(probe)
         ranges_link.readdress(probe, setter, OTHER_ADDRESS)
         if not answers(probe, OTHER_ADDRESS):
             raise Inconclusive(f"the drive does not answer at {OTHER_ADDRESS}, which it was given")

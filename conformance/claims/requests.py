@@ -15,13 +15,17 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from analyzer.catalogue import Command, Dialect, Risk, Verb
-from conformance.claim import Inconclusive
+from analyzer.catalogue import Command, Dialect, Form, Risk, Role, Verb
+from analyzer.encoder import Built
+from conformance.claim import Claim, Inconclusive
 from conformance.drives.speed import SPEEDS
+from conformance.model.limits import with_bits
 from conformance.motion import motion
 from conformance.talk import samples
+from conformance.talk.acceptance import need_plain_replies
 from conformance.talk.exchange import Exchange
 
 if TYPE_CHECKING:
@@ -137,6 +141,23 @@ _AFTER: Mapping[Verb, Callable[[Probe], None]] = {
     Verb.HOME: _end_homing,
     Verb.CALIBRATE: _wait_for_calibration,
 }
+
+
+def with_reserved(probe: Probe, command: Command, form: Form, values: Mapping[str, Any], mask: int) -> Built:
+    """Return a request with reserved bits set beside its values."""
+    data = with_bits(form.layout, values, mask)
+    frame = probe.dialect.link.build(command, form, probe.address, data, Role.REQUEST)
+    return replace(probe.build(command, values, form=form), frame=frame, risks=command.risks(values), refusals=())
+
+
+def needing_plain_replies(claim: Claim) -> Claim:
+    """Return a claim that is inconclusive unless the drive answers a plain read plainly."""
+
+    def check(probe: Probe) -> None:
+        need_plain_replies(probe)
+        claim.check(probe)
+
+    return replace(claim, check=check)
 
 
 def demands(dialect: Dialect, command: Command) -> dict[str, Any]:

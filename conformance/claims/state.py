@@ -14,11 +14,11 @@ from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from conformance.claim import Aspect, Claim, Theme
-from conformance.claims.answers import sane
 from conformance.claims.declare import declare
 from conformance.claims.known_quirks import known
 from conformance.motion import motion
 from conformance.motion import moves as journey
+from conformance.talk.acceptance import need_plain_replies
 from conformance.talk.probe import Probe
 
 _WORDS = {
@@ -54,7 +54,7 @@ def _check(variant: str) -> Callable[[Probe], None]:
         # Hypothesis is imported where it is used, and nowhere else.
         from conformance.model import machine
 
-        sane(probe)
+        need_plain_replies(probe)
         machine.check(probe, variant)
 
     return check

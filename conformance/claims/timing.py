@@ -19,12 +19,12 @@ from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, R
 from analyzer.link import ModbusLink
 from conformance.claim import Aspect, Claim, Inconclusive, Observed, Theme
 from conformance.claims import durations, motion_lk_limits, ramps
-from conformance.claims.answers import plain_read
 from conformance.claims.declare import Case, Cases, claim, commands, declared_in, once
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion, moves
 from conformance.motion.motion import MS, QUICK, SECOND_NS
+from conformance.talk.acceptance import plain_read
 from conformance.talk.exchange import Answer, Exchange
 from conformance.talk.probe import Probe, Until
 

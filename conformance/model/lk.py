@@ -1,4 +1,4 @@
-"""The model of an LK drive: on or off, positions, control parameters, brake.
+"""The model of an LK drive: on or off, positions, control parameters, brake; and the steps that are drawn for it.
 
     off     motion commands are answered and not obeyed, neither then nor when the motor is on again
     on      0x81 stops and leaves it on
@@ -7,7 +7,9 @@ Rules kept here:
 - Positions are hundredths of a degree over all turns, clockwise up; the angle within the turn goes with them.
 - A motor that was let go or stopped on its way stands wherever it comes to rest: the model asks.
 - What 0x93 leaves of the position is open, but for the turns: the model asks.
-- Control parameters are moderate, and such that the motor can still move.
+- Control parameters are moderate, and such that the motor can still move. On hardware the gains of the loops are left alone.
+- Values are drawn within the bounds of the session's room; positions from where the shaft is. A move within the turn goes to
+  another angle than that of the shaft: the manual does not say whether that is no distance or a turn.
 
 Not modelled: torque, limits at their ends, errors, what 0x19 stores.
 """
@@ -15,35 +17,131 @@ Not modelled: torque, limits at their ends, errors, what 0x19 stores.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import ClassVar
+
+from hypothesis import strategies as st
+from hypothesis.strategies import SearchStrategy
 
 from analyzer.catalogue import Form, Verb
 from conformance.claim import Inconclusive
-from conformance.claims import read_back_lk
-from conformance.claims.ranges_lk_parameters import read_parameter
-from conformance.claims.read_back_lk import TURN
-from conformance.model.session import Session
+from conformance.model import lk_parameters
+from conformance.model.lk_parameters import number_of, read_parameter
+from conformance.model.session import MOVING, SETTING, TORQUE, UNBOUNDED, Session, Values, step, up_to
 from conformance.motion import motion
 from conformance.motion.motion import MS
+from conformance.talk.acceptance import need_reliable_replies
 from conformance.talk.exchange import Exchange
 
-if TYPE_CHECKING:
-    pass
-
+#: Hundredths of a degree in a turn, and of a degree per second in an rpm.
+TURN, RPM = 36_000, 600
 #: Hundredths of a degree by which a position may be off; share and rpm by which a speed may.
 PLAY, SPEED_SHARE, SPEED_PLAY = 40, 0.03, 2.0
+#: Speeds in rpm, of runs and of moves, and the longest move in turns, where no bound is lower.
+FASTEST, FASTEST_RUN, FASTEST_MOVE, SLOWEST, LONGEST = 300, 100, 60, 20, 0.75
 #: The quirk of drives that drop the counted turns when they are turned off.
 OFF_CLEARS = "lk-off-clears-turns"
 #: Limits that are moderate all the same: the motor moves with them as it would without.
 _KEPT_STRONG = {"torque_limit": (1500, 1900), "speed_limit": (0x02_2345, 0x02_0F23), "angle_limit": (0x2134_5678, 0x1134_5678)}
 
 
-class LkSession(Session):
-    """One LK drive and its model. `on`; `running`: rpm; `at`: position, None while it is not known; `held`: parameters."""
+def _moderate(form: Form, which: int) -> dict[str, int]:
+    """Return moderate values of a parameter with which the motor moves as without."""
+    values = lk_parameters.moderate(form, which)
+    return {n: _KEPT_STRONG[n][which] if n in _KEPT_STRONG else v for n, v in values.items()}
 
+
+# --- what is drawn ----------------------------------------------------------------------------------------------------
+
+
+def _fastest(session: LkSession) -> int:
+    return min(FASTEST, int(session.room.bounds.speed or FASTEST))
+
+
+def _speed_limits(session: LkSession) -> SearchStrategy[int]:
+    return st.integers(min(SLOWEST, _fastest(session)) * RPM, min(FASTEST_MOVE, _fastest(session)) * RPM)
+
+
+def _distances(session: LkSession) -> SearchStrategy[int]:
+    return up_to(int(min(LONGEST, session.room.bounds.turns or LONGEST) * TURN))
+
+
+def _runs(session: LkSession) -> Values:
+    top, least = min(FASTEST_RUN, _fastest(session)) * RPM, SLOWEST * RPM // 2
+    return st.fixed_dictionaries({"speed": st.one_of(st.integers(least, top), st.integers(-top, -least))})
+
+
+def _increments(session: LkSession) -> Values:
+    return st.fixed_dictionaries({"position": _distances(session)})
+
+
+def _limited_increments(session: LkSession) -> Values:
+    return st.fixed_dictionaries({"position": _distances(session), "max_speed": _speed_limits(session)})
+
+
+def _limited_distances(session: LkSession) -> Values:
+    return st.fixed_dictionaries({"distance": _distances(session), "max_speed": _speed_limits(session)})
+
+
+def _angles(session: LkSession) -> Values:
+    now = (session.turned + (session.at or 0)) % TURN
+    angles = st.integers(TURN // 16, TURN - TURN // 16).map(lambda away: (now + away) % TURN)
+    return st.fixed_dictionaries({"direction": st.integers(0, 1), "angle": angles, "max_speed": _speed_limits(session)})
+
+
+def _positions(session: LkSession) -> Values:
+    return st.fixed_dictionaries({"position": st.integers(-10 * TURN, 10 * TURN)})
+
+
+def _parameters(session: LkSession) -> Values:
+    allowed = session.probe.rig.allowed
+    command = session.dialect.by_verb[Verb.WRITE_PARAMETER]
+    which = [
+        n
+        for n, form in enumerate(session.forms)
+        if command.risks({"parameter": number_of(form)}) <= allowed
+        and (session.probe.drive is not None or form.name.endswith(("_limit", "_ramp")))
+    ]
+    return st.fixed_dictionaries({"which": st.sampled_from(which), "values": st.integers(0, 1)})
+
+
+def _is_on(session: LkSession) -> bool:
+    return session.on
+
+
+def _stands(session: LkSession) -> bool:
+    return not session.running and session.at is not None
+
+
+def _stands_on(session: LkSession) -> bool:
+    return _stands(session) and session.on
+
+
+def _stands_unbounded(session: LkSession) -> bool:
+    return _stands(session) and session.room.bounds.speed is None
+
+
+def _has_parameters(session: LkSession) -> bool:
+    return bool(session.held)
+
+
+# --- the model --------------------------------------------------------------------------------------------------------
+
+
+class LkSession(Session):
+    """One LK drive and its model. `turned`: the angle within the turn at position 0; `held`: parameters by number."""
+
+    VARIANTS: ClassVar = {
+        "settings": "parameter_step parameter_step set_position clear_turns brake motor_on motor_off look",
+        "motion": (
+            "run_speed stop move_increment move_increment_limited move_multi_turn_limited move_single_turn_limited "
+            "set_position look"
+        ),
+        "mixed": (
+            "motor_on motor_on motor_off stop run_speed move_increment_limited move_multi_turn_limited "
+            "move_single_turn_limited set_position clear_turns parameter_step brake look"
+        ),
+    }
     on: bool
-    running: float
-    at: int | None
     held: dict[int, dict[str, int]]
 
     # --- begin and end --------------------------------------------------------------------------------------------
@@ -51,36 +149,26 @@ class LkSession(Session):
     def begin(self) -> None:
         """Turn on, stop, and call this place zero; read the parameters."""
         probe = self.probe
-        self.forms = [
-            f for f in self.dialect.by_verb[Verb.WRITE_PARAMETER].request_forms if f.layout.named["parameter"].fixed is not None
-        ]
+        self.forms = lk_parameters.listed_in(self.dialect)
         motion.ready_to_move(probe)
         motion.stand_still(probe)
         probe.do("set_position", {"position": 0})
         self.on, self.running, self.at = True, 0.0, 0
         self.turned = probe.read(Verb.READ_SINGLE_TURN)
         self.held = {}
-        if not self._has_parameters():
-            self.before: dict[int, dict[str, int]] = {}
-        else:
-            self.held = {read_back_lk.number_of(f): self._parameter(f) for f in self.forms}
-            self.before = dict(self.held)
+        if not probe.ask(Verb.READ_PARAMETER, {"parameter": number_of(self.forms[0])}).silent:
+            self.held = {number_of(f): read_parameter(probe, number_of(f)) for f in self.forms}
+        self.before = dict(self.held)
         self.compare()
 
     def end(self) -> None:
         """Turn on, stop, and put the parameters back."""
         for form in self.forms:
-            number = read_back_lk.number_of(form)
+            number = number_of(form)
             if self.held.get(number) != self.before.get(number):
                 self.probe.ask(Verb.WRITE_PARAMETER, self.before[number], form=form)
         self.probe.ask(Verb.MOTOR_ON)
         motion.stand_still(self.probe)
-
-    def _has_parameters(self) -> bool:
-        return not self.probe.ask(Verb.READ_PARAMETER, {"parameter": read_back_lk.number_of(self.forms[0])}).silent
-
-    def _parameter(self, form: Form) -> dict[str, int]:
-        return read_parameter(self.probe, read_back_lk.number_of(form))
 
     # --- comparing ------------------------------------------------------------------------------------------------
 
@@ -90,49 +178,71 @@ class LkSession(Session):
         state = probe.reply(probe.ask(Verb.READ_STATE_1, quiet_ns=0)).values
         if "state" not in state:
             raise Inconclusive("read_state_1 has no state")
-        expected = 0x00 if self.on else 0x10
-        if state["state"] != expected:
-            raise self.differs("the state", f"{expected:#04x}", f"{state['state']:#04x}")
+        self.expect(f"{0x00 if self.on else 0x10:#04x}", f"{state['state']:#04x}", "the state")
         rpm = motion.speed(probe).value
-        if self.on and abs(rpm - self.running) > SPEED_PLAY + SPEED_SHARE * abs(self.running):
-            raise self.differs("the speed", f"{self.running:.0f} rpm", f"{rpm:.0f} rpm")
+        near = abs(rpm - self.running) <= SPEED_PLAY + SPEED_SHARE * abs(self.running)
+        self.expect(f"{self.running:.0f} rpm", f"{rpm:.0f} rpm", "the speed", holds=near or not self.on)
         if not self.running:
             self._compare_position()
 
     def _compare_position(self) -> None:
         now = self.probe.read(Verb.READ_POSITION)
-        if self.at is None:
+        off = 0 if self.at is None else now - self.at
+        if abs(off) > PLAY:
+            cleared = not self.on and OFF_CLEARS in self.probe.claim.quirks and (off + PLAY) % TURN <= 2 * PLAY
+            self.expect(self.at, now, "the position", holds=cleared)
+            self.probe.meets(OFF_CLEARS)
+            self._renamed(now)
+        elif self.at is None:
             self.at = now
-            return
-        if abs(now - self.at) > PLAY:
-            if not self.on and OFF_CLEARS in self.probe.claim.quirks and (now - self.at + PLAY) % TURN <= 2 * PLAY:
-                self.probe.meets(OFF_CLEARS)
-                self.turned = (self.turned + self.at - now) % TURN
-                self.at = now
-                return
-            raise self.differs("the position", self.at, now)
+
+    def _renamed(self, position: int) -> None:
+        """Take it that the place of the shaft has another position now."""
+        if self.at is not None:
+            self.turned = (self.turned + self.at - position) % TURN
+        self.at = position
 
     # --- on, off, stop --------------------------------------------------------------------------------------------
 
-    def _asked(self, exchange: Exchange) -> None:
-        self.clean(exchange)
+    def _answered(self, exchange: Exchange) -> None:
+        self.readable(exchange)
         if exchange.silent:
-            self.sound()
+            need_reliable_replies(self.probe, quiet_ns=0)
             assert exchange.command is not None  # it was asked for
-            raise self.differs(f"{exchange.command.name} is not answered", "a reply", "silence", exchange)
+            self.expect("a reply", "silence", f"{exchange.command.name} is not answered", exchange=exchange)
 
-    def _motor_on(self) -> None:
-        self._asked(self.probe.ask(Verb.MOTOR_ON))
+    @step(_parameters, possible=_has_parameters, risks=SETTING)
+    def parameter_step(self, which: int, values: int) -> None:
+        """Write a parameter, and read it and its neighbour; `look` reads all."""
+        form = self.forms[which % len(self.forms)]
+        wanted = _moderate(form, values)
+        self._answered(self.probe.ask(Verb.WRITE_PARAMETER, wanted, form=form))
+        self.held[number_of(form)] = wanted
+        self._compare_parameters([form, self.forms[(which + 1) % len(self.forms)]])
+
+    def _compare_parameters(self, forms: list[Form]) -> None:
+        for form in forms:
+            number = number_of(form)
+            self.expect(self.held[number], read_parameter(self.probe, number), f"the parameter {form.name}")
+
+    @step(risks=MOVING)
+    def motor_on(self) -> None:
+        """Turn the motor on."""
+        self._answered(self.probe.ask(Verb.MOTOR_ON))
         self.on = True
         self.probe.wait(200 * MS)
 
-    def _motor_off(self) -> None:
-        self._asked(self.probe.ask(Verb.MOTOR_OFF))
+    @step(risks=TORQUE)
+    def motor_off(self) -> None:
+        """Let the shaft go."""
+        self._answered(self.probe.ask(Verb.MOTOR_OFF))
         self.on = False
         self._rest()
 
-    def _stop(self) -> None:
-        self._asked(self.probe.ask(Verb.STOP))
+    @step(possible=_is_on, risks=MOVING)
+    def stop(self) -> None:
+        """Stop and hold the shaft."""
+        self._answered(self.probe.ask(Verb.STOP))
         self._rest()
 
     def _rest(self) -> None:
@@ -143,16 +253,14 @@ class LkSession(Session):
 
     # --- motion ---------------------------------------------------------------------------------------------------
 
-    def _run_speed(self, speed: int) -> None:
-        self._asked(self.probe.ask(Verb.RUN_SPEED, {"speed": speed}))
+    @step(_runs, risks=UNBOUNDED)
+    def run_speed(self, speed: int) -> None:
+        """Run at a speed, and wait until that no longer changes."""
+        self._answered(self.probe.ask(Verb.RUN_SPEED, {"speed": speed}))
         if not self.on:
             self.probe.wait(200 * MS)
             return
-        self.running, self.at = speed / 600, None
-        self._settle_speed()
-
-    def _settle_speed(self) -> None:
-        """Wait until the speed no longer changes."""
+        self.running, self.at = speed / RPM, None
         before = motion.speed(self.probe).value
         for _ in range(60):
             self.probe.wait(100 * MS)
@@ -162,82 +270,67 @@ class LkSession(Session):
             before = now
 
     def _move(self, name: str, values: Mapping[str, int], distance: int) -> None:
-        self._asked(self.probe.ask(name, values))
+        self._answered(self.probe.ask(name, values))
         start = self.at
         self.standing()
         if self.on and start is not None:
             self.at = start + distance
 
-    def _move_increment_limited(self, position: int, max_speed: int) -> None:
-        self._move("move_increment_limited", {"position": position, "max_speed": max_speed}, position)
-
-    def _move_increment(self, position: int) -> None:
+    @step(_increments, possible=_stands_unbounded, risks=MOVING)
+    def move_increment(self, position: int) -> None:
+        """Move by a distance."""
         self._move("move_increment", {"position": position}, position)
 
-    def _move_multi_turn_limited(self, distance: int, max_speed: int) -> None:
+    @step(_limited_increments, possible=_stands, risks=MOVING)
+    def move_increment_limited(self, position: int, max_speed: int) -> None:
+        """Move by a distance, no faster than a limit."""
+        self._move("move_increment_limited", {"position": position, "max_speed": max_speed}, position)
+
+    @step(_limited_distances, possible=_stands, risks=MOVING)
+    def move_multi_turn_limited(self, distance: int, max_speed: int) -> None:
+        """Move to a position, no faster than a limit."""
         target = (self.at or 0) + distance
         self.probe.gate.note_position(motion.position(self.probe).value, self.probe.address)
         self._move("move_multi_turn_limited", {"position": target, "max_speed": max_speed}, distance)
 
-    def _move_single_turn_limited(self, direction: int, angle: int, max_speed: int) -> None:
+    @step(_angles, possible=_stands, risks=MOVING)
+    def move_single_turn_limited(self, direction: int, angle: int, max_speed: int) -> None:
+        """Move to an angle within the turn, no faster than a limit."""
         now = (self.turned + (self.at or 0)) % TURN
         way = (angle - now) % TURN if direction == 0 else -((now - angle) % TURN)
         self._move("move_single_turn_limited", {"direction": direction, "angle": angle, "max_speed": max_speed}, way)
 
-    # --- positions, parameters, brake -----------------------------------------------------------------------------
+    # --- positions, brake, looking --------------------------------------------------------------------------------
 
-    def _set_position(self, position: int) -> None:
-        self._asked(self.probe.ask("set_position", {"position": position}))
-        if self.at is not None:
-            self.turned = (self.turned + self.at - position) % TURN
-        self.at = position
+    @step(_positions, possible=_stands, risks=SETTING)
+    def set_position(self, position: int) -> None:
+        """Give the place of the shaft a position."""
+        self._answered(self.probe.ask("set_position", {"position": position}))
+        self._renamed(position)
 
-    def _clear_turns(self) -> None:
-        before = self.at
-        self._asked(self.probe.ask(Verb.CLEAR_TURNS))
+    @step(possible=_stands, risks=SETTING)
+    def clear_turns(self) -> None:
+        """Clear the counted turns; less than a turn is left."""
+        self._answered(self.probe.ask(Verb.CLEAR_TURNS))
         now = self.probe.read(Verb.READ_POSITION)
-        if abs(now) > TURN + PLAY:
-            raise self.differs("the position after 0x93", "less than a turn", now)
-        if before is not None:
-            self.turned = (self.turned + before - now) % TURN
-        self.at = now
+        self.expect("less than a turn", now, "the position after 0x93", holds=abs(now) <= TURN + PLAY)
+        self._renamed(now)
 
-    def _parameter_step(self, which: int, values: int) -> None:
-        form = self.forms[which % len(self.forms)]
-        number = read_back_lk.number_of(form)
-        wanted = moderate(form, values)
-        self._asked(self.probe.ask(Verb.WRITE_PARAMETER, wanted, form=form))
-        self.held[number] = wanted
-        # That and its neighbour; `_look` reads all.
-        self._compare_parameters([form, self.forms[(which + 1) % len(self.forms)]])
-
-    def _compare_parameters(self, forms: list[Form]) -> None:
-        for form in forms:
-            held, got = self.held[read_back_lk.number_of(form)], self._parameter(form)
-            if got != held:
-                raise self.differs(f"the parameter {form.name}", held, got)
-
-    def _brake(self) -> None:
+    @step(possible=_stands_on, risks=TORQUE)
+    def brake(self) -> None:
         """Hold the standing shaft by the brake, and release it."""
         command = self.dialect.by_verb[Verb.BRAKE]
         for control in (0, 1):
-            self._asked(self.probe.ask(command, {"brake_control": control}))
-            state = self.probe.read(command, "", {"brake_control": 0x10})
-            if state != control:
-                raise self.differs("the brake", control, state)
+            self._answered(self.probe.ask(command, {"brake_control": control}))
+            self.expect(control, self.probe.read(command, "", {"brake_control": 0x10}), "the brake")
 
-    def _look(self) -> None:
+    @step()
+    def look(self) -> None:
         """Read the angle within the turn, which goes with the position, and all parameters."""
         angle = self.probe.read(Verb.READ_SINGLE_TURN)
         if self.at is not None and not self.running:
             expected = (self.turned + self.at) % TURN
-            if min((angle - expected) % TURN, (expected - angle) % TURN) > 2 * PLAY:
-                raise self.differs("the angle within the turn", expected, angle)
+            near = min((angle - expected) % TURN, (expected - angle) % TURN) <= 2 * PLAY
+            self.expect(expected, angle, "the angle within the turn", holds=near)
         if self.held:
             self._compare_parameters(self.forms)
-
-
-def moderate(form: Form, which: int) -> dict[str, int]:
-    """Return moderate values of a parameter with which the motor moves as without."""
-    values = read_back_lk.moderate(form, which)
-    return {n: _KEPT_STRONG[n][which] if n in _KEPT_STRONG else v for n, v in values.items()}

@@ -4,11 +4,11 @@
     machine(probe, "mixed", recorder)      the RuleBasedStateMachine itself, for those who run it otherwise
     replay(probe, steps)                   the same steps again, on whatever drive
 
-The rules are the kinds of steps of the dialect (`mks_steps`, `lk_steps`), those whose risks are allowed. Their
-values are drawn within the bounds of the gate. A run is derandomised: the same seed draws the same sequences.
+The rules are the kinds of steps of the dialect's session (`mks`, `lk`) whose risks are allowed. Their values are drawn within
+the bounds of the gate. A run is derandomised: the same seed draws the same sequences.
 
 A failure is shortened by taking out steps and running what is left on a new emulated drive, as long as it fails in the same
-way; so the time that it takes is bounded. On hardware it is told as it came: whoever has an emulated drive shortens it there.
+way; so the time that it takes is bounded. On hardware it is told as it came; it can be shortened on an emulated drive.
 
 Rules kept here:
 - All sequences of a run go to one drive, each from the state that `Session.begin` brings about.
@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from hypothesis import HealthCheck, Phase, Verbosity, seed, settings
@@ -29,10 +28,9 @@ from hypothesis.strategies import runner
 
 from analyzer.catalogue import Dialect, Risk
 from conformance.claim import Inconclusive, NotRun, Refuted
-from conformance.model import lk_steps, mks_steps
 from conformance.model.lk import LkSession
 from conformance.model.mks import MksSession
-from conformance.model.session import Kind, Session, Step
+from conformance.model.session import Session, Step, StepKind
 from conformance.motion import moves
 
 if TYPE_CHECKING:
@@ -54,19 +52,14 @@ def session_of(dialect: Dialect) -> type[Session]:
     raise KeyError(f"{dialect.name} has no model")
 
 
-#: What is drawn for each kind of session.
-_DRAWN: Mapping[type[Session], ModuleType] = {MksSession: mks_steps, LkSession: lk_steps}
-
-
 def variants(dialect: Dialect) -> Mapping[str, tuple[str, ...]]:
     """Return the variants of a dialect's machine: which kinds of steps each draws, by name."""
-    found: Mapping[str, tuple[str, ...]] = _DRAWN[session_of(dialect)].VARIANTS
-    return found
+    return {name: tuple(kinds.split()) for name, kinds in session_of(dialect).VARIANTS.items()}
 
 
-def kinds(dialect: Dialect, variant: str) -> list[Kind]:
+def kinds(dialect: Dialect, variant: str) -> list[StepKind]:
     """Return the kinds of steps of a variant."""
-    known: Mapping[str, Kind] = _DRAWN[session_of(dialect)].KINDS
+    known = session_of(dialect).KINDS
     return [known[name] for name in variants(dialect)[variant]]
 
 
@@ -104,7 +97,7 @@ def machine(probe: Probe, variant: str, recorder: Recorder) -> type[RuleBasedSta
     return type(f"{variant.title()}Machine", (RuleBasedStateMachine,), body)
 
 
-def _rule(kind: Kind, recorder: Recorder) -> Any:
+def _rule(kind: StepKind, recorder: Recorder) -> Any:
     def act(self: Any, values: dict[str, int]) -> None:
         try:
             self.session.do(Step(kind.name, values))
@@ -229,6 +222,6 @@ def check(probe: Probe, variant: str) -> None:
             shorter.steps = tuple(steps)
             raise shorter from None
     if isinstance(failure, Refuted):
-        # A real drive is not told the same again and again: whoever has an emulated one shortens it there.
+        # A real drive is not told the same again and again.
         failure.steps = tuple(recorder.failed)
     raise failure

@@ -1,57 +1,211 @@
-"""The model of an MKS drive: mode, settings, enabled, moving, position; what each step is answered and what follows.
+"""The model of an MKS drive: mode, settings, enabled, moving, position; and the steps that are drawn for it.
 
     pulse modes     enabling, motion and what needs a bus mode are refused
     bus modes       disabled: motion is refused; enabled: it begins (1), and ends (2) where the dialect tells the end
     respond 0       motion is not answered         active 0     its end is not told
 
 Rules kept here:
-- Positions are counts of the encoder since the last zero. A relative move by pulses goes by pulses x 16384 / (200 x
-  subdivision); which way its direction bit means is learnt from the first one, and then it must keep to it.
-- After a change of mode nobody can say whether the motor is enabled (CAN: `axis_lock` says it): the model asks.
+- Positions are counts of the encoder since the last zero. Which way the direction bit of a move by pulses means is learnt from
+  the first one; then the drive must keep to it.
+- After a change of mode the manual does not say whether the motor is enabled (CAN: `axis_lock` says it): the model asks.
 - A stop, a run that was ended and a motor that was let go leave the shaft where it comes to rest: the model asks.
-- What a setting does to a motion under way is not said: such settings are given to a shaft that stands.
+- The manual does not say what a setting does to a motion under way: settings that motion depends on are given to a shaft that
+  stands.
 - Values are those of the catalogue; a setting outside them is refused and changes nothing.
+- Values of motion are drawn within the bounds of the session's room. Speeds are as sent: at a finer subdivision than 16 the
+  shaft turns slower.
+- On hardware no setting is changed that the motor cannot move without, or that a switch decides (`_STRONG`).
 
-Not modelled: limits and homing (nobody knows where a real drive has its switches), the ramp, the link.
+Not modelled: limits and homing (where a real drive has its switches is not known), the ramp, the link.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
 
-from analyzer.catalogue import Command, Verb
-from analyzer.protocols.mks_shared import COUNTS_PER_TURN, MODE_MAXIMUM_SPEEDS
-from conformance.claims.answers import Taken, judged, once, refusable
-from conformance.claims.effects import LINK_FIELDS, pulse_counts
-from conformance.claims.restarts import restart
-from conformance.model.session import Session
+from hypothesis import strategies as st
+from hypothesis.strategies import SearchStrategy
+
+from analyzer.catalogue import Command, Risk, Verb
+from analyzer.layout import Effect
+from conformance.model import limits, strategies
+from conformance.model.session import MOVING, SETTING, TORQUE, UNBOUNDED, Session, Values, step, up_to
 from conformance.motion import motion as moving
 from conformance.motion import moves, ramp
 from conformance.motion.motion import MS
+from conformance.talk import samples, settings
+from conformance.talk.acceptance import Acceptance, acceptance, can_refuse, need_reliable_replies, without_repeats
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Until
-
-if TYPE_CHECKING:
-    pass
+from conformance.talk.restarts import restart
 
 #: Counts by which a position may be off, and the share and rpm by which a speed may.
 PLAY, SPEED_SHARE, SPEED_PLAY = 30, 0.03, 2.0
 #: Nothing is said of F1 until so long after a motion.
 QUIET_NS = 1_200 * MS
+#: How late a reply during motion was seen to come.
+LATE_NS = 800 * MS
+#: After a ramp a real motor takes so long to come to its speed.
+SETTLE_SPEED_NS = 250 * MS
+#: The longest move, in turns, and speeds and accelerations of motion where no bound is lower.
+LONGEST, SLOWEST, FASTEST, GENTLEST, STEEPEST = 0.5, 30, 300, 200, 249
+#: Settings that a motor cannot move without, or that a switch decides.
+_STRONG = frozenset({"current", "home_current", "holding_current", "stall_tolerance", "end_limit", "limit_remap", "protection"})
+#: Settings that motion depends on. The subdivision changes what most others do, so it is drawn twice as often.
+_TELLING = (
+    Verb.SET_SUBDIVISION,
+    Verb.SET_WORK_MODE,
+    Verb.SET_SUBDIVISION,
+    Verb.SET_RESPOND,
+    Verb.SET_DIRECTION,
+    Verb.SET_AXIS_LOCK,
+)
+
+
+# --- what is drawn ----------------------------------------------------------------------------------------------------
+
+
+def settable(session: MksSession) -> list[Command]:
+    """Return the settings that a session may set: none of the link, of power-on or of the flash."""
+    found = []
+    for command in session.dialect.commands:
+        named = command.request_forms[0].layout.named
+        stored = command.verb.value.startswith("set_") and bool(named) and can_refuse(command)
+        grouped = any(field.effect is Effect.GROUP for field in named.values())
+        if not stored or settings.changes_link(command) or grouped or "execute" in named:
+            continue
+        if command.verb is not Verb.SET_ZERO_MODE and command.all_risks <= session.probe.rig.allowed:
+            found.append(command)
+    return found
+
+
+def _values(session: MksSession, command: Command, *, telling: bool) -> Values:
+    form = command.request_forms[0]
+    drawn: dict[str, Any] = {"command": st.just(command.code)}
+    plain = samples.sample(session.dialect, command, form)
+    for name, field in form.layout.named.items():
+        if name in _STRONG and (session.probe.drive is None or telling):
+            drawn[name] = st.just(plain[name])
+        elif telling and field.effect is Effect.SUBDIVISION:
+            drawn[name] = st.sampled_from([n for n in (128, 0, 16, 64, 32) if field.allows(n)])
+        else:
+            drawn[name] = strategies.inside(field, session.room)
+    return st.fixed_dictionaries(drawn)
+
+
+#: Strategies of settings, which are made once for each dialect, model, set of allowed risks and bounds.
+_made: dict[tuple[Any, ...], Values] = {}
+
+
+def _made_once(make: Callable[[MksSession], Values]) -> Callable[[MksSession], Values]:
+    def draw(session: MksSession) -> Values:
+        probe = session.probe
+        key = (make, session.dialect.name, session.dialect.model, probe.rig.allowed, probe.drive is None, session.room)
+        if key not in _made:
+            _made[key] = make(session)
+        return _made[key]
+
+    return draw
+
+
+@_made_once
+def _settings(session: MksSession) -> Values:
+    return st.one_of([_values(session, c, telling=False) for c in settable(session)])
+
+
+@_made_once
+def _telling(session: MksSession) -> Values:
+    return st.one_of([_values(session, c, telling=True) for v in _TELLING for c in settable(session) if c.verb is v])
+
+
+@_made_once
+def _strays(session: MksSession) -> Values:
+    drawn = []
+    for command in settable(session):
+        layout = command.request_forms[0].layout
+        if any(limits.beyond(f) for f in layout.named.values()):
+            drawn.append(st.tuples(st.just(command.code), strategies.strays(layout, session.room)))
+    return st.one_of(drawn).map(lambda pair: {"command": pair[0], **pair[1].values})
+
+
+def _user_ids(session: MksSession) -> Values:
+    return st.fixed_dictionaries({"user_id": st.integers(0, 0xFFFFFFFF)})
+
+
+def _paces(session: MksSession) -> dict[str, SearchStrategy[int]]:
+    """Return strategies of speed and acceleration within the bounds."""
+    bounds = session.room.bounds
+    fastest = min(FASTEST, int(bounds.speed or FASTEST))
+    steepest = min(STEEPEST, int(bounds.acceleration or STEEPEST))
+    slowest, gentlest = min(SLOWEST, fastest), min(GENTLEST, steepest)
+    return {"speed": st.integers(slowest, fastest), "acceleration": st.integers(gentlest, steepest)}
+
+
+def _runs(session: MksSession) -> Values:
+    return st.fixed_dictionaries({"direction": st.integers(0, 1), **_paces(session)})
+
+
+def _moves(unit: str) -> Callable[[MksSession], Values]:
+    def draw(session: MksSession) -> Values:
+        longest = min(LONGEST, session.room.bounds.turns or LONGEST)
+        # At the subdivision of the suite; the same pulses go less far at finer ones.
+        per_turn = session.dialect.counts_per_turn if unit == "counts" else moves.STEPS_PER_TURN * moves.SUBDIVISION
+        return st.fixed_dictionaries({unit: up_to(int(longest * per_turn)), **_paces(session)})
+
+    return draw
+
+
+def _enables(session: MksSession) -> Values:
+    lets_go = Risk.TORQUE in session.probe.rig.allowed
+    # To a motor that may be enabled already, letting go is what changes something.
+    return st.fixed_dictionaries({"enabled": st.sampled_from(([0, 1] if session.enabled else [1, 0]) if lets_go else [1])})
+
+
+def _stops(session: MksSession) -> Values:
+    motions = st.integers(0, len(moves.STOP_OF) - 1)
+    return st.fixed_dictionaries({"motion": motions, "acceleration": _paces(session)["acceleration"]})
+
+
+def _stands(session: MksSession) -> bool:
+    return not session.running
+
+
+def _by_bus(session: MksSession) -> bool:
+    return session.by_bus
+
+
+def _can_stop(session: MksSession) -> bool:
+    return not session.by_bus or session.enabled is True
+
+
+def _has_user_id(session: MksSession) -> bool:
+    return Verb.WRITE_USER_ID in session.dialect.by_verb
+
+
+# --- the model --------------------------------------------------------------------------------------------------------
 
 
 class MksSession(Session):
     """One MKS drive and its model.
 
-    `mode`: the work mode by name. `enabled`: None where nobody can say. `running`: rpm of the shaft, signed; `at`: counts,
-    None while they are not known. `held`: settings by field, as far as they are known.
+    `mode`: the work mode by name. `enabled`: None where the manual does not say. `held`: settings by field, as far as they are
+    known.
     """
 
+    VARIANTS: ClassVar = {
+        "settings": "setting setting stray user_id restart look",
+        "motion": (
+            "run_speed stop move_relative_pulses move_absolute_pulses move_relative_axis move_absolute_axis "
+            "emergency_stop set_zero look"
+        ),
+        "mixed": (
+            "telling telling stray enable enable restart run_speed stop move_relative_pulses move_absolute_axis "
+            "move_relative_axis move_absolute_pulses emergency_stop set_zero look"
+        ),
+    }
     mode: str
     enabled: bool | None
-    running: float
-    at: int | None
     held: dict[str, int]
 
     # --- begin and end --------------------------------------------------------------------------------------------
@@ -74,8 +228,8 @@ class MksSession(Session):
         probe.do(Verb.SET_ZERO)
         for command in self.dialect.commands:
             if command.readable:
-                self.held |= self._stored(command) or {}
-        self.held["work_mode"] = self._code(self.mode)
+                self.held |= self._stored(command)
+        self.held["work_mode"] = moving.choice(verbs[Verb.SET_WORK_MODE], "work_mode", self.mode)
         self.enabled, self.running, self.at = True, 0.0, 0
         self.compare()
 
@@ -88,9 +242,6 @@ class MksSession(Session):
             self.probe.ask(Verb.STOP_SPEED, {"acceleration": moving.GENTLE}, until=Until.DONE, timeout_ns=5_000 * MS)
         moving.wait_standing(self.probe)
 
-    def _code(self, mode: str) -> int:
-        return moving.choice(self.dialect.by_verb[Verb.SET_WORK_MODE], "work_mode", mode)
-
     @property
     def by_bus(self) -> bool:
         """Whether the bus moves the motor."""
@@ -98,64 +249,58 @@ class MksSession(Session):
 
     @property
     def ready(self) -> bool:
-        """Whether motion begins. Asks the drive where nobody can say."""
+        """Whether motion begins. Asks the drive where the manual does not say."""
         if self.by_bus and self.enabled is None:
             self.enabled = bool(self.probe.read(Verb.READ_ENABLED))
         return self.by_bus and bool(self.enabled)
 
-    def _stored(self, command: Command) -> dict[str, int] | None:
-        """Return what a parameter read says of a setting, None where it cannot be read."""
-        exchange = self.probe.ask(Verb.READ_PARAMETER, {"parameter": command.code}, quiet_ns=0)
-        answer = self.probe.reply(exchange)
-        if self.probe.refused(exchange):
-            return None
-        return {n: int(v) for n, v in answer.values.items() if n in command.request_forms[0].layout.named}
+    def _stored(self, command: Command) -> dict[str, int]:
+        """Return what a parameter read says of a setting, nothing where it cannot be read."""
+        return settings.stored(self.probe, command, quiet_ns=0)[0] or {}
 
     # --- comparing ------------------------------------------------------------------------------------------------
 
     def compare(self) -> None:
         """Compare position, speed and enabled with the model."""
         probe = self.probe
-        speed = probe.read(Verb.READ_SPEED)
-        if abs(abs(speed) - abs(self.running)) > SPEED_PLAY + SPEED_SHARE * abs(self.running):
-            raise self.differs("the speed", f"{abs(self.running):.0f} rpm", f"{abs(speed)} rpm")
+        speed, rpm = abs(probe.read(Verb.READ_SPEED)), abs(self.running)
+        self.expect(f"{rpm:.0f} rpm", f"{speed} rpm", "the speed", holds=abs(speed - rpm) <= SPEED_PLAY + SPEED_SHARE * rpm)
         if not self.running:
             position = probe.read(Verb.READ_POSITION)
             if self.at is None:
                 self.at = position
-            elif abs(position - self.at) > PLAY:
-                raise self.differs("the position", f"{self.at} counts", f"{position} counts")
+            near = abs(position - self.at) <= PLAY
+            self.expect(f"{self.at} counts", f"{position} counts", "the position", holds=near)
         if self.by_bus and self.enabled is not None:
-            enabled = probe.read(Verb.READ_ENABLED)
-            if enabled != int(self.enabled):
-                raise self.differs("enabled", int(self.enabled), enabled)
+            self.expect(int(self.enabled), probe.read(Verb.READ_ENABLED), "enabled")
+
+    def _expect_answer(self, exchange: Exchange, expected: Acceptance, what: str) -> None:
+        answer = acceptance(self.probe, exchange)
+        self.expect(expected.value, answer.value, f"{what} is {answer.value}", exchange=exchange)
 
     # --- settings -------------------------------------------------------------------------------------------------
 
-    def _set(self, command: Command, values: Mapping[str, int]) -> None:
-        """Set values, allowed or not, and see to it that they are taken or refused, and read as they should."""
-        probe = self.probe
-        form = next(f for f in command.request_forms if values.keys() == f.layout.named.keys())
-        allowed = all(f.allows(values[n]) for n, f in form.layout.named.items())
-        allowed = allowed and (not command.modes or self.by_bus)
-        exchange = probe.ask(command, values, form=form)
-        taken = judged(probe, exchange)
-        if taken is not (Taken.DONE if allowed else Taken.REFUSED):
-            raise self.differs(
-                f"{command.name} is {taken.value}", Taken.DONE.value if allowed else Taken.REFUSED.value, taken.value, exchange
-            )
+    @step(_settings, risks=SETTING, name="setting")
+    @step(_telling, possible=_stands, risks=SETTING, name="telling")
+    @step(_strays, risks=SETTING, name="stray")
+    def set_values(self, command: int, **values: int) -> None:
+        """Set values, allowed or not; the drive does it or refuses, and what can be read reads as it should."""
+        setting = next(c for c in settable(self) if c.code == command)
+        form = next(f for f in setting.request_forms if values.keys() == f.layout.named.keys())
+        allowed = all(f.allows(values[n]) for n, f in form.layout.named.items()) and (not setting.modes or self.by_bus)
+        exchange = self.probe.ask(setting, values, form=form)
+        self._expect_answer(exchange, Acceptance.DONE if allowed else Acceptance.REFUSED, setting.name)
         before = dict(self.held)
         if allowed:
             self.held |= values
-            self._follow(command, before)
-        if command.readable:
-            self._reads(command, exchange)
+            self._follow(setting, before)
+        if setting.readable:
+            self._compare_stored(setting, exchange)
 
-    def _reads(self, command: Command, exchange: Exchange | None) -> None:
-        """See to it that a setting that can be read reads as it should."""
-        wrong = {n: v for n, v in (self._stored(command) or {}).items() if self.held.get(n, v) != v}
-        if wrong:
-            raise self.differs(f"{command.name} reads", {n: self.held[n] for n in wrong}, wrong, exchange)
+    def _compare_stored(self, command: Command, exchange: Exchange | None) -> None:
+        """Compare a setting that can be read with the model."""
+        got = {n: v for n, v in self._stored(command).items() if n in self.held}
+        self.expect({n: self.held[n] for n in got}, got, f"{command.name} reads", exchange=exchange)
 
     def _follow(self, command: Command, before: Mapping[str, int]) -> None:
         """Take over what else a setting changes."""
@@ -169,77 +314,66 @@ class MksSession(Session):
         elif command.verb is Verb.SET_DIRECTION:
             self.ways = {}
 
-    def _setting(self, command: int, **values: int) -> None:
-        self._set(self._at(command), values)
-
-    _telling = _stray = _setting
-
-    def _at(self, code: int) -> Command:
-        return next(c for c in settable(self) if c.code == code)
-
-    def _user_id(self, user_id: int) -> None:
+    @step(_user_ids, possible=_has_user_id, risks=SETTING)
+    def user_id(self, user_id: int) -> None:
+        """Write the user's number, and read it."""
         self.probe.do(Verb.WRITE_USER_ID, {"user_id": user_id})
-        got = self.probe.read(Verb.READ_USER_ID)
-        if got != user_id:
-            raise self.differs("the user's number", user_id, got)
+        self.expect(user_id, self.probe.read(Verb.READ_USER_ID), "the user's number")
 
-    def _restart(self) -> None:
+    @step(risks=TORQUE | {Risk.POWER_ON})
+    def restart(self) -> None:
+        """Restart the drive; what is stored reads as before."""
         restart(self.probe)
         self.running, self.at, self.enabled = 0.0, None, None
         moving.wait_standing(self.probe)
         for command in self.dialect.commands:
             if command.readable:
-                self._reads(command, None)
+                self._compare_stored(command, None)
 
     # --- enabling and stopping ------------------------------------------------------------------------------------
 
-    def _answered(self, exchange: Exchange, expected: Taken, what: str) -> None:
-        taken = judged(self.probe, exchange)
-        if taken is not expected:
-            raise self.differs(f"{what} is {taken.value}", expected.value, taken.value, exchange)
-
-    def _enable(self, enabled: int) -> None:
+    @step(_enables, risks=MOVING)
+    def enable(self, enabled: int) -> None:
+        """Enable the motor, or let the shaft go."""
         exchange = self.probe.ask(Verb.ENABLE, {"enabled": enabled})
-        self._answered(exchange, Taken.DONE if self.by_bus else Taken.REFUSED, f"enable {enabled}")
+        self._expect_answer(exchange, Acceptance.DONE if self.by_bus else Acceptance.REFUSED, f"enable {enabled}")
         if self.by_bus:
             self.enabled = bool(enabled)
             if not enabled:
                 self._rest()
                 self.at = None
 
-    def _emergency_stop(self) -> None:
-        exchange = self.probe.ask(Verb.EMERGENCY_STOP)
-        self._answered(exchange, Taken.DONE, "emergency_stop")
+    @step(possible=_by_bus, risks=MOVING)
+    def emergency_stop(self) -> None:
+        """Stop at once."""
+        self._expect_answer(self.probe.ask(Verb.EMERGENCY_STOP), Acceptance.DONE, "emergency_stop")
         self._rest()
 
-    def _stop(self, motion: int, acceleration: int) -> None:
+    @step(_stops, possible=_can_stop, risks=MOVING)
+    def stop(self, motion: int, acceleration: int) -> None:
         """Stop by the stop of one of the motions."""
         verb = list(moves.STOP_OF.values())[motion]
-        self._told(self._motion(verb, {"acceleration": acceleration}), self.ready, verb.value)
+        self._expect_told(self._begin(verb, {"acceleration": acceleration}), self.ready, verb.value)
         self._rest()
 
     def _rest(self) -> None:
         """Take it that the shaft comes to rest somewhere."""
         if self.running:
-            self.standing_at(None)
+            self.standing()
+            self.at = None
         self.running = 0.0
-        self.quiet_from_ns = self.probe.gate.now_ns()
-
-    def standing_at(self, counts: int | None) -> None:
-        """Wait until the shaft stands; `counts`: where that should be, None: wherever."""
-        self.standing()
-        self.running, self.at = 0.0, counts
         self.quiet_from_ns = self.probe.gate.now_ns()
 
     # --- motion ---------------------------------------------------------------------------------------------------
 
-    def _motion(self, verb: Verb, values: Mapping[str, Any], counts: int = 0) -> Exchange:
+    def _begin(self, verb: Verb, values: Mapping[str, Any], counts: int = 0) -> Exchange:
         """Ask for a motion and listen until it has said all that it will; `counts`: how far it goes."""
         respond, active = self.held.get("respond", 1), self.held.get("active", 1)
         tells = moves.tells(self.dialect) and verb is not Verb.RUN_SPEED
         lasts_ns = 0.0
         if counts:
-            lasts_ns = ramp.move_ns(counts / COUNTS_PER_TURN, self._real(values["speed"]), values["acceleration"])
+            turns = counts / self.dialect.counts_per_turn
+            lasts_ns = ramp.move_ns(turns, self._shaft_rpm(values["speed"]), values["acceleration"])
         elif self.running:
             lasts_ns = ramp.ramp_ns(self.running, 0, values["acceleration"])
         # Where the end is not to be told, it is listened for until it is over.
@@ -247,51 +381,51 @@ class MksSession(Session):
         if not respond:
             until = Until.TIMEOUT
         timeout_ns = {Until.TIMEOUT: int(lasts_ns) + 500 * MS, Until.DONE: int(lasts_ns) + 8_000 * MS}.get(until)
-        return self.clean(self.probe.ask(verb, values, until=until, timeout_ns=timeout_ns))
+        return self.readable(self.probe.ask(verb, values, until=until, timeout_ns=timeout_ns))
 
-    def _told(self, exchange: Exchange, ready: bool, what: str) -> None:
+    def _expect_told(self, exchange: Exchange, ready: bool, what: str) -> None:
         """Compare the replies to a motion with those that it should get."""
         respond, active = self.held.get("respond", 1), self.held.get("active", 1)
         command = exchange.command
         assert command is not None  # it was asked for
+        expected: list[int] = []
         if not respond:
-            expected: list[int] = []
             seen = exchange.status()
         elif command.replies.interim and moves.tells(self.dialect):
             expected = ([1, 2] if active else [1]) if ready else [0]
-            seen = once(exchange.status())
+            seen = without_repeats(exchange.status())
             # Real drives were seen to answer late while they move, even behind the end of it.
             if len(seen) < len(expected):
                 seen += self.probe.listen(LATE_NS).status()
             if sorted(seen) == expected:
                 seen = expected
         else:
-            seen = [int(judged(self.probe, exchange) is Taken.DONE)] if exchange.answers else []
+            seen = [int(acceptance(self.probe, exchange) is Acceptance.DONE)] if exchange.answers else []
             expected = [int(ready)]
-        if seen != expected:
-            if len(seen) < len(expected):
-                self.sound()
-            raise self.differs(f"{what} is answered {_statuses(seen)}", _statuses(expected), _statuses(seen), exchange)
+        if len(seen) < len(expected):
+            need_reliable_replies(self.probe, quiet_ns=0)
+        self.expect(_statuses(expected), _statuses(seen), f"{what} is answered {_statuses(seen)}", exchange=exchange)
 
-    def _run_speed(self, direction: int, speed: int, acceleration: int) -> None:
+    @step(_runs, risks=UNBOUNDED)
+    def run_speed(self, direction: int, speed: int, acceleration: int) -> None:
+        """Run at a speed; the first run shows which way a direction means."""
         ready = self.ready
-        exchange = self._motion(Verb.RUN_SPEED, {"direction": direction, "speed": speed, "acceleration": acceleration})
-        self._told(exchange, ready, "run_speed")
+        exchange = self._begin(Verb.RUN_SPEED, {"direction": direction, "speed": speed, "acceleration": acceleration})
+        self._expect_told(exchange, ready, "run_speed")
         if not ready:
             return
-        rpm = self._real(speed)
-        self.probe.wait(int((abs(self.running) + rpm) * (256 - acceleration) * 50_000) + SETTLE_SPEED_NS)
+        rpm = self._shaft_rpm(speed)
+        self.probe.wait(int((abs(self.running) + rpm) * ramp.step_ns(acceleration)) + SETTLE_SPEED_NS)
         seen = moving.speed(self.probe).value
         self.running, self.at = rpm, None
         if abs(seen) >= 1:
-            way = self._way("run_speed", direction, 1 if seen > 0 else -1)
-            if way * seen < 0:
-                raise self.differs(f"run_speed with direction {direction} turns", "as before", "the other way", exchange)
+            same = self._way("run_speed", direction, 1 if seen > 0 else -1) * seen > 0
+            what = f"run_speed with direction {direction} turns"
+            self.expect("as before", "as before" if same else "the other way", what, exchange=exchange)
 
-    def _real(self, speed: int) -> float:
-        highest = MODE_MAXIMUM_SPEEDS.get(self.mode, 3000)
-        subdivision = self.held["subdivision"] or 256
-        return min(speed, highest) * (1.0 if subdivision in (16, 32, 64) else 16 / subdivision)
+    def _shaft_rpm(self, speed: int) -> float:
+        highest = self.dialect.mode_speeds.get(self.mode, 3000)
+        return moves.shaft_rpm(self.dialect, min(speed, highest), self.held["subdivision"])
 
     def _way(self, name: str, direction: int, seen: int) -> int:
         """Return which way a direction means; learnt from the first motion, the other direction is the opposite."""
@@ -299,37 +433,52 @@ class MksSession(Session):
             self.ways[name, direction], self.ways[name, 1 - direction] = seen, -seen
         return self.ways[name, direction]
 
-    def _move_relative_pulses(self, pulses: int, speed: int, acceleration: int) -> None:
+    @step(_moves("pulses"), possible=_stands, risks=MOVING)
+    def move_relative_pulses(self, pulses: int, speed: int, acceleration: int) -> None:
+        """Move by pulses."""
         values = {"direction": int(pulses < 0), "pulses": abs(pulses), "speed": speed, "acceleration": acceleration}
-        self._move(Verb.MOVE_RELATIVE_PULSES, values, pulse_counts(abs(pulses), self.held["subdivision"]), int(pulses < 0))
+        self._move_pulses(Verb.MOVE_RELATIVE_PULSES, values, pulses)
 
-    def _move_absolute_pulses(self, pulses: int, speed: int, acceleration: int) -> None:
+    @step(_moves("pulses"), possible=_stands, risks=MOVING)
+    def move_absolute_pulses(self, pulses: int, speed: int, acceleration: int) -> None:
+        """Move to a place counted in pulses."""
         start = self.probe.read(Verb.READ_PULSES)
-        self._note(start)
+        self._note_position(start)
         values = {"position": start + pulses, "speed": speed, "acceleration": acceleration}
-        self._move(Verb.MOVE_ABSOLUTE_PULSES, values, pulse_counts(abs(pulses), self.held["subdivision"]), int(pulses < 0))
+        self._move_pulses(Verb.MOVE_ABSOLUTE_PULSES, values, pulses)
 
-    def _move_relative_axis(self, counts: int, speed: int, acceleration: int) -> None:
+    @step(_moves("counts"), possible=_stands, risks=MOVING)
+    def move_relative_axis(self, counts: int, speed: int, acceleration: int) -> None:
+        """Move by counts of the encoder."""
         values = {"position": counts, "speed": speed, "acceleration": acceleration}
-        self._move(Verb.MOVE_RELATIVE_AXIS, values, counts, None)
+        self._move(Verb.MOVE_RELATIVE_AXIS, values, counts)
 
-    def _move_absolute_axis(self, counts: int, speed: int, acceleration: int) -> None:
-        start = self.probe.read(Verb.READ_POSITION) if self.at is None else self.at
-        self._note()
+    @step(_moves("counts"), possible=_stands, risks=MOVING)
+    def move_absolute_axis(self, counts: int, speed: int, acceleration: int) -> None:
+        """Move to a place counted by the encoder."""
+        start = self._start()
+        self._note_position()
         values = {"position": start + counts, "speed": speed, "acceleration": acceleration}
-        self._move(Verb.MOVE_ABSOLUTE_AXIS, values, counts, None)
+        self._move(Verb.MOVE_ABSOLUTE_AXIS, values, counts)
 
-    def _note(self, pulses: int | None = None) -> None:
+    def _note_position(self, pulses: int | None = None) -> None:
         """Tell the gate where the shaft is, so that it can say how far a move to a place goes."""
         probe = self.probe
         probe.gate.note_position(moving.position(probe).value, probe.address, pulses)
 
-    def _move(self, verb: Verb, values: Mapping[str, int], counts: int, direction: int | None) -> None:
+    def _start(self) -> int:
+        return self.probe.read(Verb.READ_POSITION) if self.at is None else self.at
+
+    def _move_pulses(self, verb: Verb, values: Mapping[str, int], pulses: int) -> None:
+        counts = moves.pulse_counts(self.dialect, abs(pulses), self.held["subdivision"])
+        self._move(verb, values, counts, int(pulses < 0))
+
+    def _move(self, verb: Verb, values: Mapping[str, int], counts: int, direction: int | None = None) -> None:
         """Move a standing shaft by counts; `direction`: of a move by pulses, whose way is learnt."""
         ready = self.ready
-        start = self.probe.read(Verb.READ_POSITION) if self.at is None else self.at
-        exchange = self._motion(verb, values, counts)
-        self._told(exchange, ready, verb.value)
+        start = self._start()
+        exchange = self._begin(verb, values, counts)
+        self._expect_told(exchange, ready, verb.value)
         if not ready:
             return
         self.standing()
@@ -342,46 +491,26 @@ class MksSession(Session):
 
     # --- looking --------------------------------------------------------------------------------------------------
 
-    def _set_zero(self) -> None:
-        self._answered(self.probe.ask(Verb.SET_ZERO), Taken.DONE, "set_zero")
+    @step(possible=_stands, risks=SETTING)
+    def set_zero(self) -> None:
+        """Make this place zero."""
+        self._expect_answer(self.probe.ask(Verb.SET_ZERO), Acceptance.DONE, "set_zero")
         self.at = 0
 
-    def _look(self) -> None:
+    @step()
+    def look(self) -> None:
         """Read what else there is, once the motor has been let alone for a while."""
         probe = self.probe
         probe.wait(self.quiet_from_ns + QUIET_NS - probe.gate.now_ns())
         status = probe.read(Verb.READ_STATUS)
-        expected = 4 if self.running else 1
-        if self.by_bus and status != expected:
-            raise self.differs("F1", expected, status)
-        protected = probe.read(Verb.READ_PROTECTION)
-        if protected:
-            raise self.differs("3E", 0, protected)
+        if self.by_bus:
+            self.expect(4 if self.running else 1, status, "F1")
+        self.expect(0, probe.read(Verb.READ_PROTECTION), "3E")
         if not self.running:
             parts = probe.reply(probe.ask(Verb.READ_ENCODER_CARRY)).values
-            whole = parts["carry"] * COUNTS_PER_TURN + parts["encoder"]
-            if self.at is not None and abs(whole - self.at) > PLAY:
-                raise self.differs("30", self.at, whole)
-
-
-#: How late a reply during motion was seen to come.
-LATE_NS = 800 * MS
-#: After a ramp a real motor takes so long to come to its speed.
-SETTLE_SPEED_NS = 250 * MS
+            whole = parts["carry"] * self.dialect.counts_per_turn + parts["encoder"]
+            self.expect(self.at, whole, "30", holds=self.at is None or abs(whole - self.at) <= PLAY)
 
 
 def _statuses(seen: list[int]) -> str:
     return " then ".join(map(str, seen)) or "by silence"
-
-
-def settable(session: MksSession) -> list[Command]:
-    """Return the settings that a session may set: none of the link, of power-on or of the flash."""
-    found = []
-    for command in session.dialect.commands:
-        named = command.request_forms[0].layout.named
-        stored = command.verb.value.startswith("set_") and bool(named) and refusable(command)
-        if not stored or set(named) & (LINK_FIELDS | {"group_address", "execute"}) or command.verb is Verb.SET_ZERO_MODE:
-            continue
-        if command.all_risks <= session.probe.rig.allowed:
-            found.append(command)
-    return found

@@ -1,17 +1,15 @@
-"""A session: one drive, what it was told in steps, and what it should be after each of them.
+"""A session: one drive, the steps that were done with it, and a model of what it should be after each of them.
 
     session = MksSession(probe)          begins from a known state, whatever the drive was in
     session.do(Step("run_speed", {"direction": 0, "speed": 60, "acceleration": 200}))     raises Refuted where it differs
 
-A session holds a model of the drive: mode, settings, enabled, moving, position. Each step is a request (or two), what the
-model says of its answer, and what the model is then; after each step the drive is compared with it. Steps are data, so that
-a sequence can be repeated, shortened, stored and read again (`steps_text`, `parse_steps`).
-
-    conformance.model.mks, session_lk    the models     steps_mks, steps_lk    what is drawn     machine    draws it
+Each step is a request (or two), what the model says of its answer, and what the model is then. After each step the drive is
+compared with the model. Steps are data, so that a sequence can be repeated, shortened, stored and read again (`steps_text`,
+`parse_steps`). The methods of a session that are marked `@step` are the kinds of steps that can be drawn for it (`machine`).
 
 Rules kept here:
-- What the manual leaves open is not modelled: the model asks the drive and goes on from there.
-- A step that the model cannot judge (the drive is in a state where nothing is said of it) is not drawn.
+- Where the manual leaves something open, the model asks the drive and goes on from there.
+- A step whose result nothing predicts is not drawn.
 - What does not work in a way that another claim judges raises Inconclusive.
 """
 
@@ -20,11 +18,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+
+from hypothesis import strategies as st
+from hypothesis.strategies import SearchStrategy
 
 from analyzer.catalogue import Risk
-from conformance.claim import Inconclusive, Refuted
-from conformance.claims.answers import plain_read
+from conformance.claim import Inconclusive
 from conformance.gate.drawing import Room
 from conformance.gate.gate import Refused as GateRefused
 from conformance.motion import motion
@@ -32,14 +32,13 @@ from conformance.motion.motion import MS
 from conformance.talk.exchange import Exchange
 
 if TYPE_CHECKING:
-    from hypothesis.strategies import SearchStrategy
-
     from conformance.talk.probe import Probe
 
 #: Right after a move a real shaft may still settle.
 SETTLING_NS = 150 * MS
-#: How often a line is asked, to tell a drive that says nothing from a line that loses replies.
-_SOUND = 6
+#: Risks of kinds of steps.
+MOVING, UNBOUNDED = frozenset({Risk.MOTION}), frozenset({Risk.MOTION, Risk.UNBOUNDED})
+SETTING, TORQUE = frozenset({Risk.SETTING}), frozenset({Risk.TORQUE})
 
 
 @dataclass(frozen=True)
@@ -68,21 +67,71 @@ def parse_steps(text: str) -> list[Step]:
     return steps
 
 
-@dataclass(frozen=True)
-class Kind:
-    """A kind of step. `draw`: its values, by what the drive is and what is allowed; `possible`: whether it can be judged now.
+# --- kinds of steps ---------------------------------------------------------------------------------------------------
 
-    `risks`: what it sends beside reads. Both are given the session of the dialect.
+Values = SearchStrategy[dict[str, int]]
+_Act = TypeVar("_Act", bound=Callable[..., None])
+
+
+@dataclass(frozen=True)
+class StepKind:
+    """A kind of step: what does it, the strategy of its values, and whether it can be judged now, both by the session.
+
+    `risks`: of what it sends, beside reads.
     """
 
     name: str
-    draw: Callable[[Any], SearchStrategy[dict[str, int]]]
-    possible: Callable[[Any], bool] = lambda session: True
-    risks: frozenset[Risk] = frozenset()
+    act: Callable[..., None]
+    draw: Callable[[Any], Values]
+    possible: Callable[[Any], bool]
+    risks: frozenset[Risk]
+
+
+def _no_values(session: Session) -> Values:
+    return st.just({})
+
+
+def _always(session: Session) -> bool:
+    return True
+
+
+def step(
+    draw: Callable[[Any], Values] = _no_values,
+    *,
+    possible: Callable[[Any], bool] = _always,
+    risks: frozenset[Risk] = frozenset(),
+    name: str = "",
+) -> Callable[[_Act], _Act]:
+    """Declare a method of a session as a kind of step, by its own name or another."""
+
+    def declared(act: _Act) -> _Act:
+        act.__dict__.setdefault("kinds", []).append(StepKind(name or act.__name__, act, draw, possible, risks))
+        return act
+
+    return declared
+
+
+def up_to(units: int) -> SearchStrategy[int]:
+    """Draw a distance in either direction, an eighth of the longest at least."""
+    return st.one_of(st.integers(units // 8, units), st.integers(-units, -units // 8))
 
 
 class Session(ABC):
-    """One drive and the model of it. `steps`: what was done, `done`: how many. `room`: bounds of motion."""
+    """One drive and the model of it. `steps`: what was done, `done`: how many. `room`: bounds of motion.
+
+    `running`: rpm of the shaft, signed; `at`: where it stands, in the unit of the drive's reads, None while that is not known.
+    `KINDS`: kinds of steps by name. `VARIANTS`: the names of those that each variant draws, twice as often where a name
+    stands twice.
+    """
+
+    KINDS: ClassVar[Mapping[str, StepKind]] = {}
+    VARIANTS: ClassVar[Mapping[str, str]] = {}
+    running: float
+    at: int | None
+
+    def __init_subclass__(cls) -> None:
+        """Collect the kinds of steps."""
+        cls.KINDS = {kind.name: kind for member in vars(cls).values() for kind in getattr(member, "kinds", ())}
 
     def __init__(self, probe: Probe) -> None:
         self.probe = probe
@@ -107,9 +156,8 @@ class Session(ABC):
     def do(self, step: Step) -> None:
         """Do a step and compare. Raises Refuted where the drive is not what the model says."""
         self.steps.append(step)
-        act: Callable[..., None] = getattr(self, f"_{step.name}")
         try:
-            act(**step.values)
+            self.KINDS[step.name].act(self, **step.values)
         except GateRefused:
             # Bytes of these values could be read as a frame that is not allowed: then this is no step.
             self.steps.pop()
@@ -119,18 +167,19 @@ class Session(ABC):
 
     # --- what models share ----------------------------------------------------------------------------------------
 
-    def differs(self, what: str, expected: Any, got: Any, exchange: Exchange | None = None) -> Refuted:
-        """Return what is to be raised where the drive differs from the model after the steps so far."""
-        return Refuted(
-            f"after {len(self.steps)} steps: {what}", expected=f"{expected}",
-            got=f"{got}, after {steps_text(self.steps)}", exchange=exchange, key=f"state: {what}",
-        )  # fmt: skip
-
-    def sound(self) -> None:
-        """Raise Inconclusive where the line loses replies: then a reply that is missing says nothing of the state."""
-        read = plain_read(self.dialect)
-        for _ in range(_SOUND):
-            self.probe.reply(self.probe.ask(read, quiet_ns=0))
+    def expect(
+        self, expected: Any, got: Any, what: str, *, holds: bool | None = None, exchange: Exchange | None = None
+    ) -> None:
+        """Refute the claim unless what was got is as the model says after the steps so far."""
+        text = f"after {len(self.steps)} steps: {what}"
+        self.probe.expect(
+            f"{got}, after {steps_text(self.steps)}",
+            holds=expected == got if holds is None else holds,
+            expected=f"{expected}",
+            refutes=text,
+            exchange=exchange,
+            key=f"state: {what}",
+        )
 
     def standing(self) -> float:
         """Wait until the shaft stands and has settled; return where that is (deg)."""
@@ -138,7 +187,7 @@ class Session(ABC):
         self.probe.wait(SETTLING_NS)
         return motion.position(self.probe).value
 
-    def clean(self, exchange: Exchange) -> Exchange:
+    def readable(self, exchange: Exchange) -> Exchange:
         """Return an exchange all of whose answers can be read. Raises Inconclusive where one cannot."""
         for answer in exchange.answers:
             if answer.command is None or answer.message.form is None or not answer.message.frame.checksum_ok:

@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from dataclasses import replace
 from types import ModuleType
 
-from conformance.claim import Claim, Outcome, Verdict
+from conformance import claims
+from conformance.claim import Claim, Outcome, Theme, Verdict
 from conformance.drives import make
 from conformance.drives.drive import Fault
 from conformance.suite import engine
@@ -18,30 +19,34 @@ DRIVES = ("mks-rs485@1,model=42D", "mks-modbus@1,model=42D", "mks-can@1,model=42
 OTHERS = ("mks-rs485@255,model=57D", "mks-modbus@247,model=28D", "mks-can@0x7ff,model=57E", "lk-rs485@32,model=MS")
 
 
-def claims_of(module: ModuleType, rig: EmulatedRig, wanted: Iterable[str] = ("",)) -> list[Claim]:
+def claims_of(theme: ModuleType | Theme, rig: EmulatedRig, wanted: Iterable[str] = ("",)) -> list[Claim]:
     """Return the claims of a theme whose names (without dialect and theme) begin with one of these."""
-    found = [c for c in module.claims(rig.dialect) if c.id.split("/", 2)[2].startswith(tuple(wanted))]
+    if isinstance(theme, Theme):
+        every = [c for c in claims.every(rig.dialect) if c.theme is theme]
+    else:
+        every = list(theme.claims(rig.dialect))
+    found = [c for c in every if c.id.split("/", 2)[2].startswith(tuple(wanted))]
     assert len({c.id for c in found}) == len(found)
     return found
 
 
-def run(module: ModuleType, drive: str, *wanted: str, fault: Fault | None = None) -> dict[str, Verdict]:
+def run(theme: ModuleType | Theme, drive: str, *wanted: str, fault: Fault | None = None) -> dict[str, Verdict]:
     """Run claims of a theme on an emulated drive; return the verdicts by name."""
     specification = make.parse(drive)
     if fault is not None:
         specification = replace(specification, faults=(fault,))
     rig = EmulatedRig(specification)
-    verdicts = engine.run(claims_of(module, rig, wanted or ("",)), rig)
+    verdicts = engine.run(claims_of(theme, rig, wanted or ("",)), rig)
     return {v.claim.id.split("/", 2)[2]: v for v in verdicts}
 
 
-def refuted(module: ModuleType, drive: str, *wanted: str, fault: Fault | None = None) -> set[str]:
+def refuted(theme: ModuleType | Theme, drive: str, *wanted: str, fault: Fault | None = None) -> set[str]:
     """Return the names of the claims that are refuted."""
-    return {n for n, v in run(module, drive, *wanted, fault=fault).items() if v.outcome is Outcome.REFUTED}
+    return {n for n, v in run(theme, drive, *wanted, fault=fault).items() if v.outcome is Outcome.REFUTED}
 
 
-def not_confirmed(module: ModuleType, drive: str) -> dict[str, str]:
+def not_confirmed(theme: ModuleType | Theme, drive: str) -> dict[str, str]:
     """Return the claims that a drive does not confirm, with why."""
-    verdicts = run(module, drive)
+    verdicts = run(theme, drive)
     assert verdicts, f"no claims about {drive}"
     return {n: f"{v.outcome}: {v.reason}" for n, v in verdicts.items() if v.outcome is not Outcome.CONFIRMED}

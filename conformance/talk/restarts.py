@@ -1,0 +1,50 @@
+"""Restarting a drive, by its own command or by cutting the power of an emulated one, and waiting until it answers again.
+
+Rules kept here:
+- No manual says how long a restart takes; real drives were seen to take two seconds. Ten seconds are waited for.
+- A drive that does not come back raises Inconclusive.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from analyzer.catalogue import Verb
+from conformance.claim import Inconclusive
+from conformance.talk.acceptance import plain_read
+from conformance.talk.exchange import Exchange
+
+if TYPE_CHECKING:
+    from conformance.talk.probe import Probe
+
+_SECOND_NS = 1_000_000_000
+#: A restarting drive hears nothing for a while; a read at once would only be waited for in vain.
+DEAF_NS = 300_000_000
+LIMIT_NS = 10 * _SECOND_NS
+
+
+def restart(probe: Probe) -> Exchange:
+    """Restart the drive and wait until it answers. Raises Inconclusive where it refuses or does not come back."""
+    exchange = probe.do(Verb.RESTART)
+    probe.wait(DEAF_NS)
+    _wait_for_answer(probe)
+    return exchange
+
+
+def power_cycle(probe: Probe) -> None:
+    """Switch an emulated drive off and on, and wait until it answers. Raises Inconclusive for a real one."""
+    if probe.drive is None:
+        raise Inconclusive("only an emulated drive's power can be cut from here")
+    probe.drive.power_cycle(probe.gate.now_ns())
+    _wait_for_answer(probe)
+
+
+def _wait_for_answer(probe: Probe) -> None:
+    read = plain_read(probe.dialect)
+    begun_ns = probe.gate.now_ns()
+    while True:
+        exchange = probe.ask(read)
+        if any(a.message.frame.checksum_ok and a.command is not None for a in exchange.answers):
+            return
+        if probe.gate.now_ns() - begun_ns > LIMIT_NS:
+            raise Inconclusive("the drive does not answer within ten seconds of a restart")
