@@ -20,14 +20,29 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from analyzer.catalogue import Certainty, Risk
+from analyzer.errors import ServotapError
+from analyzer.records import CanFrame, Chunk
 
-if TYPE_CHECKING:
-    from analyzer.records import CanFrame, Chunk
-    from conformance.talk.exchange import Exchange
-    from conformance.talk.probe import Probe
+
+class RigFault(ServotapError):
+    """The rig is at fault, not the drive: no drive answers, a port does not work."""
+
+
+class NotStopped(ServotapError):
+    """The drive could not be brought to a verified stop."""
+
+
+class Evidence(Protocol):
+    """What shows a refutation: an exchange (`conformance.talk.exchange`)."""
+
+    def lines(self) -> list[str]:
+        """Return it for people, a line a frame."""
+
+    def records(self) -> list[Chunk | CanFrame]:
+        """Return what went over the line, in order; what was sent has the direction of a request."""
 
 
 class Theme(StrEnum):
@@ -76,7 +91,7 @@ class Refuted(AssertionError):
     """
 
     def __init__(
-        self, text: str, *, expected: str = "", got: str = "", exchange: Exchange | None = None, key: str = ""
+        self, text: str, *, expected: str = "", got: str = "", exchange: Evidence | None = None, key: str = ""
     ) -> None:
         super().__init__(text)
         self.text = text
@@ -105,7 +120,8 @@ class Claim:
     """One thing that the manual says of a drive.
 
     `id`: dialect, theme and name with slashes, e.g. `mks-rs485/ranges/set_current/above`. `statement`: what holds, as a
-    sentence. `section`: of the manual. `certainty`: how sure the reading of the manual is (an erratum's, where one is
+    sentence. `check`: takes a probe (`conformance.talk.probe`).
+    `section`: of the manual. `certainty`: how sure the reading of the manual is (an erratum's, where one is
     concerned). `refuted_by`: what would refute it. `risks`: what it may send, beside reads. `models`: those that have it;
     empty: all. `alone`: it sends to other addresses than the target's, or changes the link. `by_name`: it wears or wipes
     the drive and runs only when its id is named. `emulated`: it needs to act on the drive itself (block the shaft, close a
@@ -120,7 +136,7 @@ class Claim:
     statement: str
     section: str
     refuted_by: str
-    check: Callable[[Probe], None]
+    check: Callable[[Any], None]
     certainty: Certainty = Certainty.CERTAIN
     risks: frozenset[Risk] = frozenset()
     models: tuple[str, ...] = ()
@@ -157,7 +173,7 @@ class Verdict:
     expected: str = ""
     got: str = ""
     key: str = ""
-    exchange: Exchange | None = None
+    exchange: Evidence | None = None
     traffic: tuple[Chunk | CanFrame, ...] = ()
     quirks: tuple[str, ...] = ()
     first_ns: int = 0

@@ -47,8 +47,7 @@ from conformance.talk.exchange import Exchange
 from conformance.talk.reply_match import COUNTS, heard, replies, templates
 
 if TYPE_CHECKING:
-    from conformance.suite.rig import Rig
-    from conformance.talk.probe import Probe
+    from conformance.talk.probe import Probe, Rig
 
 #: How long nothing may come unasked.
 _LISTEN_NS = 5_000_000_000

@@ -27,8 +27,7 @@ from conformance.claims.known_reads import plain_reads
 from conformance.claims.traffic_rules import ROWS, Count, Judge, Party, Row, Seen
 
 if TYPE_CHECKING:
-    from conformance.suite.rig import Rig
-    from conformance.talk.probe import Probe
+    from conformance.talk.probe import Probe, Rig
 
 _PORT = "bus"
 _ROUNDS = 2

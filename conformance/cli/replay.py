@@ -24,10 +24,9 @@ from conformance.cli.scan import parse_addresses
 from conformance.gate.gate import Gate, Judge, add_gate_arguments, allowance_from, shown
 from conformance.safety.signals import as_interrupt
 from conformance.talk.dialogue import Dialogue
-from conformance.talk.drive_state import acquaint
-from conformance.tools.replay import Rehearsal, Replay, rehearse
+from conformance.talk.drive_state import read_drive_state
+from conformance.tools.replay import DEVIATIONS, Match, Rehearsal, Replay, Result, SentStep, rehearse
 from conformance.tools.replay_plan import Plan, Step, make_plan
-from conformance.tools.replay_result import DEVIATIONS, Match, Result, Sent
 
 EXAMPLES = """\
 exit status: 0 answered as then, 1 otherwise (or something may still move), 2 wrong use or not allowed.
@@ -90,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"{reading.source.name} is of a {plan.steps[0].dialect.bus} bus, {endpoint.text} is another kind")
         with contextlib.closing(open_line(endpoint)) as line:
             gate = Gate(line, allowance, dialects=_every(reading))
-            _acquaint(gate, plan)
+            _read_drive_states(gate, plan)
             rehearsal = _rehearse(gate.rehearsal(), plan, arguments)
             if rehearsal.refused and not arguments.skip_refused:
                 _refuse(rehearsal, len(plan.steps))
@@ -124,14 +123,14 @@ def _every(reading: Reading) -> list[Dialect]:
     return [chosen.get(d.name, d) for d in registry.every()]
 
 
-def _acquaint(gate: Gate, plan: Plan) -> None:
+def _read_drive_states(gate: Gate, plan: Plan) -> None:
     """Ask each drive that is to move what the gate has to know for its bounds."""
     drives = {(s.dialect.name, s.address): s.dialect for s in plan.steps if s.message.command and s.message.command.moves}
     if not drives or not gate.allowance.bounds.given:
         return
     dialogue = Dialogue(gate, list({d.name: d for d in drives.values()}.values()))
     for (_, address), dialect in drives.items():
-        acquaint(dialogue, dialect, address)
+        read_drive_state(dialogue, dialect, address)
 
 
 def _rehearse(judge: Judge, plan: Plan, arguments: argparse.Namespace) -> Rehearsal:
@@ -164,7 +163,7 @@ def _replay(gate: Gate, plan: Plan, rehearsal: Rehearsal, reading: Reading, argu
 
 
 @contextlib.contextmanager
-def _bar(total: int, quiet: bool) -> Iterator[Callable[[Sent], None] | None]:
+def _bar(total: int, quiet: bool) -> Iterator[Callable[[SentStep], None] | None]:
     """Show how far it is, twice a second, from a thread: between two requests there is no time to draw."""
     if quiet or not sys.stderr.isatty():
         yield None
@@ -179,7 +178,7 @@ def _bar(total: int, quiet: bool) -> Iterator[Callable[[Sent], None] | None]:
             print(f"\r{count[0]}{of} requests sent", end="", file=sys.stderr, flush=True)
         print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
-    def advance(sent: Sent) -> None:
+    def advance(sent: SentStep) -> None:
         count[0] += 1
 
     watcher = threading.Thread(target=show, daemon=True)

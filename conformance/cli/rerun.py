@@ -12,14 +12,13 @@ from typing import Any
 
 from analyzer.errors import ServotapError, UnreadableError
 from conformance.bus.line import LineLost
-from conformance.claim import Outcome, Verdict
+from conformance.claim import NotStopped, Outcome, RigFault, Verdict
 from conformance.cli.test import seconds
 from conformance.gate.permissions import add_gate_arguments, allowance_from
 from conformance.report.log import METADATA
 from conformance.safety.signals import as_interrupt
 from conformance.suite import engine, target
 from conformance.suite import plan as suite
-from conformance.suite.rig import NotStopped, RigFault
 
 EXAMPLES = """\
 examples:

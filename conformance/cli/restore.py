@@ -14,7 +14,7 @@ from conformance.bus import open_line
 from conformance.bus.line import LineLost
 from conformance.gate.gate import Allowance, Gate
 from conformance.safety import journal
-from conformance.safety.restoring import restore
+from conformance.safety.keeper import restore
 
 EXAMPLES = """\
 examples:

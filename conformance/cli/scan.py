@@ -22,7 +22,7 @@ from analyzer.values import quote
 from conformance.bus import open_line
 from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
-from conformance.tools.scan import PATIENCE_NS, Found, Heard, Progress, Report, scan
+from conformance.talk.scan import PATIENCE_NS, Found, Progress, Report, Stray, scan
 
 EXAMPLES = """\
 exit status: 0 a drive was found, 1 none was, 2 wrong use.
@@ -153,10 +153,10 @@ def _show(report: Report, place: str) -> None:
     if not report.found:
         rates = ", ".join(str(r) for r in report.rates)
         print(f"no drive answered on {place}: {report.asked} questions ({', '.join(report.dialects)}; at {rates} bit/s)")
-    for heard in report.heard[:_SHOWN]:
-        print(_heard_line(heard))
-    if len(report.heard) > _SHOWN:
-        print(f"  and {len(report.heard) - _SHOWN} times more")
+    for stray in report.strays[:_SHOWN]:
+        print(_stray_line(stray))
+    if len(report.strays) > _SHOWN:
+        print(f"  and {len(report.strays) - _SHOWN} times more")
     if report.stopped:
         print(f"not looked everywhere: {report.stopped}")
     for hint in report.hints:
@@ -169,10 +169,10 @@ def _found_line(found: Found) -> str:
     return f"{found.name:<16} {found.speed:>8} bit/s  {found.latency_ns / 1e6:6.2f} ms{details}{wrong}"
 
 
-def _heard_line(heard: Heard) -> str:
-    data = heard.data[:16].hex(" ").upper() + (" ..." if len(heard.data) > 16 else "")
-    when = f"when {heard.asked} was asked" if heard.asked else "before anything was asked"
-    return f"heard at {heard.speed} bit/s {when}: {data}  ({heard.look.value})"
+def _stray_line(stray: Stray) -> str:
+    data = stray.data[:16].hex(" ").upper() + (" ..." if len(stray.data) > 16 else "")
+    when = f"when {stray.asked} was asked" if stray.asked else "before anything was asked"
+    return f"heard at {stray.speed} bit/s {when}: {data}  ({stray.kind.value})"
 
 
 def _object(report: Report) -> dict[str, Any]:
@@ -183,14 +183,14 @@ def _object(report: Report) -> dict[str, Any]:
             "speed": found.speed,
             "latency": found.latency_ns / 1e9,
             "raw": found.reply.hex(" ").upper(),
-            "said": dict(found.said),
+            "said": dict(found.values),
         }
         return shown | ({"wrong": found.wrong} if found.wrong else {})
 
     return {
         "found": [of(f) for f in report.found],
         "heard": [
-            {"speed": h.speed, "asked": h.asked, "raw": h.data.hex(" ").upper(), "look": h.look.value} for h in report.heard
+            {"speed": s.speed, "asked": s.asked, "raw": s.data.hex(" ").upper(), "look": s.kind.value} for s in report.strays
         ],
         "asked": report.asked,
         "rates": report.rates,

@@ -29,8 +29,9 @@ from analyzer.records import CanFrame, Message
 from analyzer.reference.hex_frame import read_frame
 from conformance.bus import open_line
 from conformance.gate.gate import Allowance, Gate, Item, Judge, Refused, add_gate_arguments, allowance_from, shown
-from conformance.talk.dialogue import MS, Dialogue, Outcome, Talk
-from conformance.talk.drive_state import acquaint, item_of
+from conformance.talk.dialogue import MS, Dialogue, Until
+from conformance.talk.drive_state import read_drive_state
+from conformance.talk.exchange import Answer, Completion, Exchange, item_of
 
 EXAMPLES = """\
 exit status: 0 answered (or nothing answers it), 1 no answer or a refusal by the drive, 2 wrong use or not allowed.
@@ -91,14 +92,14 @@ def run(arguments: argparse.Namespace) -> int:
         gate = Gate(line, allowance, dialects=_every(arguments))
         dialogue = Dialogue(gate, given.dialects)
         if given.dialect is not None and given.address is not None and given.acts:
-            acquaint(dialogue, given.dialect, given.address)
-        talk = _ask(dialogue, given, arguments)
+            read_drive_state(dialogue, given.dialect, given.address)
+        exchange = _ask(dialogue, given, arguments)
         echoes = getattr(line, "echo", None)
     if arguments.json:
-        print(json.dumps(_object(given, talk)))
+        print(json.dumps(_object(given, exchange)))
     else:
-        _show(given, talk, bool(echoes and echoes.dropped))
-    return 0 if _well(given, talk, arguments.wait) else 1
+        _show(given, exchange, bool(echoes and echoes.dropped))
+    return 0 if _well(given, exchange, arguments.wait) else 1
 
 
 class _Given:
@@ -184,49 +185,49 @@ def _dry_run(given: _Given, allowance: Allowance, arguments: argparse.Namespace)
     return 2 if objections else 0
 
 
-def _ask(dialogue: Dialogue, given: _Given, arguments: argparse.Namespace) -> Talk:
+def _ask(dialogue: Dialogue, given: _Given, arguments: argparse.Namespace) -> Exchange:
     timeout_ns = int(arguments.timeout * MS)
     if not given.answered:
         return dialogue.ask(given.item, _QUIET_NS, quiet_ns=_QUIET_NS)
-    done_ns = _DONE_NS if arguments.wait else 0
+    until, done_ns = (Until.DONE, _DONE_NS) if arguments.wait else (Until.REPLY, 0)
     try:
-        return dialogue.ask(given.item, timeout_ns, whole=arguments.wait, done_ns=done_ns, quiet_ns=_QUIET_NS)
+        return dialogue.ask(given.item, timeout_ns, until=until, done_ns=done_ns, quiet_ns=_QUIET_NS)
     except KeyboardInterrupt:
         if given.acts:
             print("servotap send: no longer waiting; the drive goes on with what it was told", file=sys.stderr)
         raise
 
 
-def _well(given: _Given, talk: Talk, wait: bool) -> bool:
+def _well(given: _Given, exchange: Exchange, wait: bool) -> bool:
     if not given.answered:
-        return not talk.heard
-    if given.command is None and not talk.replies:
-        return bool(talk.others)
-    if talk.outcome is Outcome.RUNNING:
+        return not exchange.received
+    if given.command is None and not exchange.replies:
+        return bool(exchange.others)
+    if exchange.completion is Completion.RUNNING:
         return not wait
-    return talk.outcome is Outcome.DONE
+    return exchange.completion is Completion.DONE
 
 
 # --- what is shown ------------------------------------------------------------------------------------------------
 
 
-def _show(given: _Given, talk: Talk, echoed: bool) -> None:
-    requests = [e.message for e in talk.requests]
+def _show(given: _Given, exchange: Exchange, echoed: bool) -> None:
+    requests = [e.message for e in exchange.requests]
     told = [_text(m) for m in requests] or ["bytes that are no frame"]
     print(f"> {shown(given.item)}   {'; '.join(told)}")
-    parts = [(e.message.frame.first_ns, _line(talk, e)) for e in talk.entries]
-    parts += [(j.first_ns, f"! {j.data.hex(' ').upper()}   {j.reason.value}: no frame") for j in talk.junk]
+    parts = [(a.first_ns, _line(a)) for a in exchange.answers]
+    parts += [(j.first_ns, f"! {j.data.hex(' ').upper()}   {j.reason.value}: no frame") for j in exchange.junk]
     for _, line in sorted(parts, key=lambda part: part[0]):
         print(line)
     if not parts:
-        waited = (talk.until_ns - talk.sent_ns) / 1e6
+        waited = (exchange.until_ns - exchange.sent_ns) / 1e6
         if given.answered:
             print(f"  nothing came within {waited:.0f} ms (servotap scan finds what is there)")
         else:
             print("  nothing answers it, and nothing came")
     if echoed:
         print("  (the adapter hands back what it sends; that is left out)")
-    if talk.outcome is Outcome.RUNNING:
+    if exchange.completion is Completion.RUNNING:
         print("  it has begun; its end was not waited for (--wait)" if not given.command else _running(given.command))
 
 
@@ -234,11 +235,11 @@ def _running(command: Command) -> str:
     return f"  {command.name} has begun; the reply that says it is done has not come"
 
 
-def _line(talk: Talk, entry: Entry) -> str:
-    frame = entry.message.frame
+def _line(answer: Answer) -> str:
+    frame = answer.message.frame
     item: Item = frame.can if frame.can is not None else frame.data
-    text = f"< {shown(item)}   {_text(entry.message)}   after {talk.latency_ns(entry) / 1e6:.2f} ms"
-    notes = [f"{f.rule}: {clean(f.text)}" for f in entry.findings]
+    text = f"< {shown(item)}   {_text(answer.message)}   after {answer.latency_ns / 1e6:.2f} ms"
+    notes = [f"{f.rule}: {clean(f.text)}" for f in answer.entry.findings]
     return "\n    ".join([text, *notes])
 
 
@@ -247,17 +248,17 @@ def _text(message: Message) -> str:
     return f"{name} {fields_text(physical(message))}".rstrip()
 
 
-def _object(given: _Given, talk: Talk) -> dict[str, Any]:
+def _object(given: _Given, exchange: Exchange) -> dict[str, Any]:
     def named(entry: Entry) -> dict[str, Any]:
         return names_of(entry, physical(entry.message))
 
-    answers = [{**named(e), "latency": talk.latency_ns(e) / 1e9, "meaning": talk.meaning(e)} for e in talk.replies]
+    replies = [{**named(a.entry), "latency": a.latency_ns / 1e9, "meaning": a.meaning} for a in exchange.replies]
     return {
         "sent": shown(given.item),
-        "outcome": talk.outcome.value,
-        "requests": [named(e) for e in talk.requests],
-        "replies": answers,
-        "others": [named(e) for e in talk.others],
-        "junk": [{"raw": j.data.hex(" ").upper(), "reason": j.reason.value} for j in talk.junk],
-        "findings": [{"rule": f.rule, "severity": f.severity.value, "text": f.text} for f in talk.findings],
+        "outcome": exchange.completion.value,
+        "requests": [named(e) for e in exchange.requests],
+        "replies": replies,
+        "others": [named(a.entry) for a in exchange.others],
+        "junk": [{"raw": j.data.hex(" ").upper(), "reason": j.reason.value} for j in exchange.junk],
+        "findings": [{"rule": f.rule, "severity": f.severity.value, "text": f.text} for f in exchange.findings],
     }

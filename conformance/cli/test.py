@@ -20,13 +20,12 @@ from analyzer import __version__
 from analyzer.cli.reading import now_text
 from analyzer.errors import ServotapError
 from conformance.bus.line import LineLost
-from conformance.claim import Outcome
+from conformance.claim import NotStopped, Outcome, RigFault
 from conformance.gate.permissions import add_gate_arguments, allowance_from
 from conformance.report.record import RunRecord, VerdictRecord
 from conformance.safety.signals import as_interrupt
 from conformance.suite import plan as suite
 from conformance.suite import target
-from conformance.suite.rig import NotStopped, RigFault
 
 if TYPE_CHECKING:
     from conformance.suite.plan import Plan

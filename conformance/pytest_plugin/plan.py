@@ -11,13 +11,12 @@ import msgspec
 import pytest
 
 from conformance.bus.line import LineLost
-from conformance.claim import Verdict
+from conformance.claim import NotStopped, RigFault, Verdict
 from conformance.gate.permissions import allowance_from
 from conformance.pytest_plugin.plugin import BUDGET, OPTIONS, RUN, end_with
 from conformance.report.record import record
 from conformance.suite import target as targets
 from conformance.suite.plan import Plan
-from conformance.suite.rig import NotStopped, RigFault
 from conformance.suite.target import Target
 
 WRONG_USE, RIG_FAULT, NOT_STOPPED = pytest.ExitCode.USAGE_ERROR.value, 10, 20

@@ -13,7 +13,7 @@ from conformance.pytest_plugin import plan as pytest_plan
 from conformance.suite import engine
 from conformance.suite import plan as suite
 from conformance.suite.plan import Plan
-from conformance.suite.rig import Rig
+from conformance.suite.rig import ClaimRig
 from conformance.suite.target import Target
 
 
@@ -30,7 +30,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     metafunc.parametrize(("target", "claim"), parameters)
 
 
-Opened = dict[tuple[str, str], Rig]
+Opened = dict[tuple[str, str], ClaimRig]
 
 
 @pytest.fixture(scope="session")
@@ -44,7 +44,7 @@ def rigs(request: pytest.FixtureRequest) -> Iterator[Opened]:
             _close(rig, request.config)
 
 
-def _close(rig: Rig, config: pytest.Config) -> None:
+def _close(rig: ClaimRig, config: pytest.Config) -> None:
     """Close a rig; what that tells becomes the exit status, for a failed teardown would only be one more error."""
     try:
         rig.close()
@@ -68,7 +68,7 @@ def test_claim(target: Target, claim: Claim, rigs: Opened, request: pytest.Fixtu
         pytest.skip(f"{verdict.outcome}: {verdict.reason}")
 
 
-def _rig_of(target: Target, plan: Plan, rigs: Opened, request: pytest.FixtureRequest) -> Rig:
+def _rig_of(target: Target, plan: Plan, rigs: Opened, request: pytest.FixtureRequest) -> ClaimRig:
     """Return the rig of a target; a port has one owner, so another drive's rig on it is closed first."""
     key = (target.port, target.text)
     rig = rigs.get(key)

@@ -10,7 +10,6 @@ import msgspec
 from analyzer.catalogue import Role
 from analyzer.records import CanFrame, Chunk
 from conformance.claim import Outcome, Verdict
-from conformance.talk.exchange import Exchange
 
 
 class Traffic(msgspec.Struct, frozen=True, array_like=True):
@@ -110,7 +109,7 @@ def record(verdict: Verdict, target: str, *, firmware: str = "", traffic: bool =
         latencies=verdict.latencies,
         first_ns=verdict.first_ns,
         last_ns=verdict.last_ns,
-        traffic=(tuple(_traffic(verdict.traffic)) or tuple(_of_exchange(verdict.exchange))) if keep else (),
+        traffic=(tuple(_traffic(verdict.traffic)) or _shown(verdict)) if keep else (),
     )
 
 
@@ -123,16 +122,9 @@ def _traffic(items: Iterable[Chunk | CanFrame]) -> Iterable[Traffic]:
             yield Traffic(item.t_ns or 0, sent, item.data)
 
 
-def _of_exchange(exchange: Exchange | None) -> Iterable[Traffic]:
-    """Return what an exchange shows, for a claim that judged what another one had asked."""
-    if exchange is None:
-        return
-    if exchange.sent is not None:
-        yield Traffic(exchange.sent_ns, True, exchange.data, getattr(exchange.sent, "id", None))
-    parts = [(a.last_ns, a.data, a.message.frame.can) for a in exchange.answers]
-    parts += [(j.last_ns, j.data, None) for j in exchange.junk]
-    for t_ns, data, can in sorted(parts, key=lambda part: part[0]):
-        yield Traffic(t_ns, False, data, None if can is None else can.id)
+def _shown(verdict: Verdict) -> tuple[Traffic, ...]:
+    """Return what the exchange of a verdict shows, for a claim that judged what another one had asked."""
+    return () if verdict.exchange is None else tuple(_traffic(verdict.exchange.records()))
 
 
 def firmware_of(records: Iterable[VerdictRecord]) -> dict[str, str]:

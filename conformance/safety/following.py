@@ -13,9 +13,8 @@ from analyzer.catalogue import Command, Dialect, Verb
 from analyzer.errors import UsageError
 from conformance.drives.speed import SPEEDS
 from conformance.gate.gate import Gate
-from conformance.safety.bare import bare_probe
 from conformance.safety.journal import values_text
-from conformance.talk.probe import Probe
+from conformance.talk.probe import Probe, plain_probe
 
 _LINKS = frozenset({Verb.SET_ADDRESS, Verb.SET_MODBUS, Verb.SET_BAUD_RATE, Verb.SET_BIT_RATE})
 _READS = (Verb.READ_STATUS, Verb.READ_SPEED, Verb.READ_STATE_1, Verb.READ_STATE_2, Verb.READ_POSITION, Verb.READ_ENCODER)
@@ -89,7 +88,7 @@ def _reach(gate: Gate, dialect: Dialect, address: int, command: Command, values:
             return None
     if not dialect.addresses[0] <= address <= dialect.addresses[1]:
         return None
-    probe = bare_probe(dialect, address, gate, "put-back")
+    probe = plain_probe(dialect, address, gate)
     for _ in range(_TRIES):
         if is_there(probe):
             return probe

@@ -33,16 +33,15 @@ from analyzer.live import endpoint as endpoints
 from analyzer.records import CanFrame
 from conformance.bus import open_line
 from conformance.bus.line import LineLost
+from conformance.claim import NotStopped, RigFault
 from conformance.gate.bounds import STOPS
 from conformance.gate.gate import Allowance, Budget, Gate, Reading, Refused
 from conformance.safety import journal as journals
 from conformance.safety import messages as say
-from conformance.safety.keeper import PUTTING_BACK
-from conformance.safety.restoring import moved_away, restore
+from conformance.safety.keeper import PUTTING_BACK, moved_away, restore
 from conformance.safety.stopping import MAY_MOVE, seen_standing, stop_or_cut, stopping
-from conformance.suite.rig import NotStopped, RigFault
 from conformance.talk.dialogue import Dialogue
-from conformance.talk.drive_state import acquaint
+from conformance.talk.drive_state import read_drive_state
 
 NOT_STOPPED = 20
 #: The subdivision that is sent as 0.
@@ -158,10 +157,10 @@ class Guard:
         self.gate = self.gate.under(self._full)
         return say.Done(self.gate.now_ns())
 
-    def acquaint(self, request: say.Acquaint) -> say.Answer:
+    def read_state(self, request: say.ReadState) -> say.Answer:
         """Ask the drives where they stand: what the suite says of it would not be proof."""
         for drive in self._drives:
-            acquaint(Dialogue(self.gate, [drive.dialect]), drive.dialect, drive.address)
+            read_drive_state(Dialogue(self.gate, [drive.dialect]), drive.dialect, drive.address)
         return say.Done(self.gate.now_ns())
 
     def stands(self, request: say.Stands) -> say.Answer:
@@ -277,7 +276,7 @@ def _serve(guard: Guard, requests: queue.Queue[say.Request | None], answers: IO[
         say.Receive: Guard.receive,  # type: ignore[dict-item]
         say.Speed: Guard.speed,  # type: ignore[dict-item]
         say.Looked: Guard.looked,  # type: ignore[dict-item]
-        say.Acquaint: Guard.acquaint,  # type: ignore[dict-item]
+        say.ReadState: Guard.read_state,  # type: ignore[dict-item]
         say.Stands: Guard.stands,  # type: ignore[dict-item]
         say.Back: Guard.back,  # type: ignore[dict-item]
     }

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, cast
 
 import msgspec
 
@@ -22,18 +20,17 @@ from analyzer.errors import ServotapError, UsageError
 from analyzer.live.endpoint import Endpoint
 from analyzer.records import CanFrame, Chunk
 from conformance.bus.line import Line, LineLost
-from conformance.claim import Inconclusive
+from conformance.claim import Inconclusive, NotStopped
 from conformance.gate.gate import Refused
 from conformance.safety import messages as say
+from conformance.safety.signals import deferred
 from conformance.safety.stopping import GuardLost
-from conformance.suite.rig import NotStopped
 
 _ROOT = Path(__file__).parents[2]
 #: How long the guard may take to stop motors and put settings back before it is left alone.
 _FAREWELL_SECONDS = 60
 #: Waits are cut into pieces, so that a Ctrl-C is not held up for long.
 _PIECE_NS = 200_000_000
-_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 class RefusedByGuard(Refused):
@@ -85,7 +82,7 @@ class GuardedLine(Line):
         self.anchor_ns = time.time_ns() - begun.t_ns
 
     def _ask(self, request: say.Request) -> say.Done | say.Got:
-        with _whole():
+        with deferred():
             try:
                 say.put(self._to, request)
                 answer = self._decode(say.take(self._from))
@@ -98,7 +95,7 @@ class GuardedLine(Line):
             raise failed
         return cast("say.Done | say.Got", answer)
 
-    def tell(self, request: say.Looked | say.Acquaint | say.Stands | say.Back) -> None:
+    def tell(self, request: say.Looked | say.ReadState | say.Stands | say.Back) -> None:
         """Tell the guard something. Raises LineLost."""
         self._ask(request)
 
@@ -156,22 +153,3 @@ class GuardedLine(Line):
             return None
         finally:
             self._from.close()
-
-
-@contextlib.contextmanager
-def _whole() -> Iterator[None]:
-    """Let a Ctrl-C, and whatever else would break in, wait until what is under way is done."""
-    came: list[tuple[int, Any]] = []
-    before = {number: handler for number in _SIGNALS if callable(handler := signal.getsignal(number))}
-    # Elsewhere than in the main thread no signal breaks in, and none can be taken over.
-    if threading.current_thread() is not threading.main_thread():
-        before = {}
-    for number in before:
-        signal.signal(number, lambda number, frame: came.append((number, frame)))
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        if came:
-            before[came[-1][0]](*came[-1])

@@ -16,7 +16,7 @@ from typing import IO
 import msgspec
 
 from analyzer.errors import UnreadableError, UsageError
-from conformance.suite.rig import RigFault
+from conformance.claim import RigFault
 
 
 class Entry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

@@ -14,7 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import groupby
+from pathlib import Path
 
+from analyzer import dialects
 from analyzer.catalogue import Command, Dialect, Risk, Verb
 from analyzer.layout import Field
 from conformance.claim import NotRun
@@ -25,10 +28,10 @@ from conformance.gate.interpretations import Reading
 from conformance.gate.permissions import Allowance
 from conformance.motion import motion
 from conformance.safety import following, settings
-from conformance.safety.bare import bare_probe
+from conformance.safety import journal as journals
 from conformance.safety.following import has, says_itself
 from conformance.safety.journal import Entry, Journal, values_text
-from conformance.talk.probe import Probe
+from conformance.talk.probe import Probe, plain_probe
 
 #: What may be sent to put back what was there: no motion, nothing that wipes, nothing that nobody knows.
 PUTTING_BACK = Allowance(
@@ -183,7 +186,7 @@ class Keeper:
         return next(({name: code} for code, bits in SPEEDS[name].items() if bits == speed), None)
 
     def _probe(self) -> Probe:
-        return bare_probe(self._dialect, self._address, self._gate, "read-first")
+        return plain_probe(self._dialect, self._address, self._gate)
 
     # --- putting back -------------------------------------------------------------------------------------------------
 
@@ -248,13 +251,13 @@ class Keeper:
         finally:
             # Reading the mode ends with asking; there is more to be put back.
             self._asking = True
-        probe = bare_probe(self._dialect, self._address, gate, "put-back")
+        probe = plain_probe(self._dialect, self._address, gate)
         return not probe.refused(probe.ask(command, mode))
 
     def _restore(self, gate: Gate, kept: _Kept) -> str:
         if says_itself(kept.command):
             return following.lead_back(gate, self._dialect, self._address, kept.command, kept.before, kept.sent)
-        return put_back(bare_probe(self._dialect, self._address, gate, "put-back"), kept.command, kept.before)
+        return put_back(plain_probe(self._dialect, self._address, gate), kept.command, kept.before)
 
 
 def put_back(probe: Probe, command: Command, values: Mapping[str, int]) -> str:
@@ -284,3 +287,54 @@ def _forgotten(command: Command) -> dict[str, int]:
     """Return what makes a drive forget the speed that it kept for the next power-on."""
     state: Field = command.request_forms[0].layout.named["save_state"]
     return {"save_state": next(value for value, name in state.choice_names.items() if name != "save")}
+
+
+# --- after a crash ----------------------------------------------------------------------------------------------------
+
+
+def restore(path: Path, gate: Gate, known: Mapping[int, Dialect] | None = None, *, link_only: bool = False) -> str:
+    """Put back what is open in a journal and write into it what was; return what was not put back, or nothing.
+
+    `known`: dialects by address, for a model that the journal does not name. `link_only`: only where the drive is reached.
+    Raises UnreadableError, LineLost, Refused.
+    """
+    changes = journals.open_changes(journals.read(path))
+    if not changes:
+        return ""
+    failed = []
+    journal = Journal(path, again=True)
+    try:
+        for (_, address), entries in groupby(sorted(changes, key=_drive), key=_drive):
+            own = list(entries)
+            dialect = (known or {}).get(address) or dialect_of(own[0])
+            keeper = Keeper(gate, dialect, address, {}, journal, named=own[0].target)
+            keeper.take(own)
+            told = keeper.put_back(link_only=link_only)
+            if told:
+                failed.append(told)
+        if not failed and not link_only:
+            journal.write(Entry(event="end", text="all was put back from the journal"))
+    finally:
+        journal.close(remove=False)
+    return "; ".join(failed)
+
+
+def _drive(entry: Entry) -> tuple[str, int]:
+    return entry.target, entry.address
+
+
+def moved_away(path: Path) -> bool:
+    """Say whether a journal's drives may answer elsewhere than they did. Raises UnreadableError."""
+    for entry in journals.open_changes(journals.read(path)):
+        command = dialect_of(entry).by_name.get(entry.command)
+        if entry.sent and command is not None and says_itself(command):
+            return True
+    return False
+
+
+def dialect_of(entry: Entry) -> Dialect:
+    """Return the dialect that a journal's line names, for its model."""
+    head, *parts = entry.target.split(",")
+    found = dialects.get(head.partition("@")[0])
+    model = next((p.removeprefix("model=") for p in parts if p.startswith("model=")), "")
+    return found.for_model(model) if model else found

@@ -80,8 +80,8 @@ class Looked(msgspec.Struct, frozen=True, tag="looked"):
     """The drive was found: from now on what was allowed passes, and nothing to others."""
 
 
-class Acquaint(msgspec.Struct, frozen=True, tag="acquaint"):
-    """Ask the drives where they stand, for the bounds that are counted from there."""
+class ReadState(msgspec.Struct, frozen=True, tag="read_state"):
+    """Read where the drives stand, for the bounds that are counted from there."""
 
 
 class Stands(msgspec.Struct, frozen=True, tag="stands"):
@@ -115,7 +115,7 @@ class Failed(msgspec.Struct, frozen=True, tag="failed"):
     text: str
 
 
-Request = Begin | Send | Receive | Speed | Looked | Acquaint | Stands | Back | End
+Request = Begin | Send | Receive | Speed | Looked | ReadState | Stands | Back | End
 Answer = Done | Got | Failed
 
 

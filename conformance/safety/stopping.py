@@ -13,13 +13,11 @@ import sys
 from analyzer.catalogue import Dialect, Risk, Verb
 from analyzer.errors import ServotapError
 from conformance.bus.line import LineLost
-from conformance.claim import Inconclusive
+from conformance.claim import Inconclusive, NotStopped
 from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
 from conformance.motion import motion
-from conformance.safety.bare import bare_probe
-from conformance.suite.rig import NotStopped
-from conformance.talk.probe import Probe
+from conformance.talk.probe import Probe, plain_probe
 
 #: The stops of all ways to move, gentlest first. What a dialect does not have is left out.
 RAMPED = (
@@ -56,7 +54,7 @@ def stopping(address: int) -> Allowance:
 
 def stop(gate: Gate, dialect: Dialect, address: int) -> str:
     """Stop a drive by a ramp and prove that it stands; return why that cannot be said, or nothing. Raises LineLost."""
-    probe = bare_probe(dialect, address, gate, "stop")
+    probe = plain_probe(dialect, address, gate)
     told = ""
     for verbs, limit_ns in ((RAMPED, _RAMP_NS), (AT_ONCE, _AT_ONCE_NS)):
         sent = [verb for verb in verbs if verb in dialect.by_verb]
@@ -107,7 +105,7 @@ def stands(probe: Probe, limit_ns: int) -> str:
 def seen_standing(gate: Gate, dialect: Dialect, address: int) -> str:
     """Look whether a drive stands already, without sending it anything but reads; return why not, or nothing."""
     try:
-        return stands(bare_probe(dialect, address, gate.under(stopping(address)), "look"), 5 * _LOOK_NS)
+        return stands(plain_probe(dialect, address, gate.under(stopping(address))), 5 * _LOOK_NS)
     except ServotapError as error:
         return str(error)
 

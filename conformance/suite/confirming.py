@@ -14,15 +14,15 @@ from dataclasses import replace
 
 from conformance.claim import Claim, Inconclusive, Outcome, Refuted, Verdict
 from conformance.drives import make
-from conformance.suite.rig import Rig
+from conformance.suite.rig import ClaimRig
 
 #: How long emulated drives are looked for that fail alike.
 _SEARCH_SECONDS = 20.0
 
-Once = Callable[[Claim, Rig], Verdict]
+Once = Callable[[Claim, ClaimRig], Verdict]
 
 
-def confirmed(claim: Claim, rig: Rig, verdict: Verdict, once: Once) -> Verdict:
+def confirmed(claim: Claim, rig: ClaimRig, verdict: Verdict, once: Once) -> Verdict:
     """Return the verdict of a refuted claim after it was repeated. `once` runs a claim and settles the rig."""
     again = once(claim, rig)
     if again.outcome is not Outcome.REFUTED:
@@ -33,7 +33,7 @@ def confirmed(claim: Claim, rig: Rig, verdict: Verdict, once: Once) -> Verdict:
     return replace(verdict, reason=f"{verdict.reason} (2 of 2 times)")
 
 
-def _shortened(claim: Claim, rig: Rig, verdict: Verdict) -> Verdict | None:
+def _shortened(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verdict | None:
     """Return the verdict of the shortest steps that refute both drives alike, None where there are none."""
     from conformance.model import machine
 
@@ -54,7 +54,7 @@ def _shortened(claim: Claim, rig: Rig, verdict: Verdict) -> Verdict | None:
     return _of(verdict, error, tuple(steps)) if error is not None and error.key == verdict.key else None
 
 
-def _alike(rig: Rig) -> Iterator[Rig]:
+def _alike(rig: ClaimRig) -> Iterator[ClaimRig]:
     """Return emulated drives that may fail as the real one does, for as long as there is time for it."""
     if rig.dialect.name not in make.KINDS:
         return

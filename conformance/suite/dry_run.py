@@ -20,7 +20,7 @@ from conformance.gate.permissions import Allowance
 from conformance.safety.journal import Journal
 from conformance.suite import engine
 from conformance.suite import plan as suite
-from conformance.suite.rig import Rig
+from conformance.suite.rig import ClaimRig
 from conformance.suite.rig_real import RealRig
 from conformance.suite.target import Target
 from conformance.talk.exchange import hex_of
@@ -73,7 +73,7 @@ def dry_run(plan: Plan) -> int:
     return 0
 
 
-def _claims(plan: Plan, target: Target, rig: Rig) -> tuple[int, int, int]:
+def _claims(plan: Plan, target: Target, rig: ClaimRig) -> tuple[int, int, int]:
     judge = Judge(Allowance(frozenset(Risk), alone=True))
     ran = skipped = frames = 0
     if isinstance(rig, _StandIn):

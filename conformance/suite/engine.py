@@ -12,14 +12,14 @@ from pathlib import Path
 
 from analyzer.catalogue import Certainty
 from conformance.bus.line import LineLost
-from conformance.claim import Claim, Inconclusive, NotRun, Observed, Outcome, Refuted, Verdict
+from conformance.claim import Claim, Inconclusive, NotRun, NotStopped, Observed, Outcome, Refuted, RigFault, Verdict
 from conformance.gate.gate import Refused
 from conformance.suite.confirming import confirmed
-from conformance.suite.rig import NotStopped, Rig, RigFault
+from conformance.suite.rig import ClaimRig
 from conformance.talk.probe import Probe
 
 
-def run_claim(claim: Claim, rig: Rig) -> Verdict:
+def run_claim(claim: Claim, rig: ClaimRig) -> Verdict:
     """Run one claim on a rig and return its verdict.
 
     Raises LineLost when the port is gone, NotStopped (of `conformance.safety`) when the drive cannot be stopped.
@@ -33,7 +33,7 @@ def run_claim(claim: Claim, rig: Rig) -> Verdict:
     return verdict
 
 
-def _once(claim: Claim, rig: Rig) -> Verdict:
+def _once(claim: Claim, rig: ClaimRig) -> Verdict:
     probe = rig.probe(claim)
     try:
         verdict = _judge(claim, probe)
@@ -47,7 +47,7 @@ def _once(claim: Claim, rig: Rig) -> Verdict:
     return verdict
 
 
-def run(claims: Iterable[Claim], rig: Rig) -> Iterator[Verdict]:
+def run(claims: Iterable[Claim], rig: ClaimRig) -> Iterator[Verdict]:
     """Run claims one after the other."""
     for claim in claims:
         yield run_claim(claim, rig)

@@ -27,7 +27,7 @@ from conformance.claim import Claim, Theme
 from conformance.gate.permissions import READS, Allowance
 from conformance.report.record import VerdictRecord, record
 from conformance.suite import engine
-from conformance.suite.rig import Rig
+from conformance.suite.rig import ClaimRig
 from conformance.suite.target import Target
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def every_claim(target: Target) -> tuple[Claim, ...]:
     return registry.every(_dialect(target.dialect, target.model))
 
 
-def open_rig(plan: Plan, target: Target) -> Rig:
+def open_rig(plan: Plan, target: Target) -> ClaimRig:
     """Return the rig of a target. Raises UsageError where its line cannot be opened or it cannot be tested as asked."""
     if target.specification is not None:
         from conformance.suite.rig_emulated import EmulatedRig

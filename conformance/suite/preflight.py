@@ -1,37 +1,115 @@
 """Before the first claim: is the drive there, is it the one that was named, is it alone where the user says so?
 
-A drive that is not there, at another speed or address, or speaking another dialect is told apart by looking around with
-reads alone, and said in one message. One that answers, but wrongly, is let through: the claims say what is wrong with it.
+A drive that is not there, at another speed or address, or speaking another dialect is told apart by reads alone, and named
+in one message. A drive that answers wrongly is let through: the claims say what is wrong with it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
+from analyzer.errors import UsageError
+from conformance.claim import RigFault
 from conformance.gate.gate import Gate
-from conformance.suite.rig import RigFault
-from conformance.suite.sighting import look, neighbours
+from conformance.talk.dialogue import MS
+from conformance.talk.scan import Finder, Found, Report, scan
 
-#: Addresses at which other drives are looked for, where the user says that there are none.
-NEIGHBOURS = range(1, 33)
+#: Addresses at which a drive that is not there, or another one, is looked for.
+_NEAR = range(1, 33)
+#: A drive that moves was seen to take 0.7 s for an answer.
+_PATIENT_NS = 1000 * MS
+_ATTEMPTS = 3
 
 
 class DriveNotFound(RigFault):
     """The drive that was named does not answer, or another one does."""
 
 
-def check(gate: Gate, dialect: Dialect, address: int, *, alone: bool) -> str:
-    """Make sure that the drive answers, and with `alone` that no other does; return its firmware as far as it told it.
+@dataclass(frozen=True)
+class Search:
+    """What came of looking for one drive. `elsewhere`: drives that answered in its place; `text`: the result in words."""
 
-    Raises DriveNotFound with what was heard instead. Sends reads only.
+    found: Found | None
+    elsewhere: tuple[Found, ...]
+    text: str
+    report: Report
+
+
+def check(gate: Gate, dialect: Dialect, address: int, *, alone: bool) -> str:
+    """Make sure that the drive answers, and with `alone` that no other does; return its firmware as far as it reports it.
+
+    Raises DriveNotFound with what came instead. Sends reads only.
     """
-    seen = look(gate, dialect, address)
-    if seen.there is None and (seen.elsewhere or not any(h.data for h in seen.report.heard)):
-        raise DriveNotFound(seen.text)
+    search = find_drive(gate, dialect, address)
+    if search.found is None and (search.elsewhere or not any(s.data for s in search.report.strays)):
+        raise DriveNotFound(search.text)
     if alone:
         same_bus = [d for d in registry.every() if d.bus == dialect.bus]
-        others = neighbours(gate, same_bus, NEIGHBOURS, own=(address,))
+        others = other_drives(gate, same_bus, _NEAR, own=(address,))
         if others:
             names = ", ".join(found.name for found in others)
             raise DriveNotFound(f"--alone was given, but {names} answers too: nothing was sent but reads")
-    return seen.there.identity if seen.there is not None else ""
+    return search.found.identity if search.found is not None else ""
+
+
+def other_drives(gate: Gate, dialects: Sequence[Dialect], addresses: Iterable[int], own: Iterable[int] = ()) -> list[Found]:
+    """Return the drives that answer at these addresses, at the line's rate, those at `own` aside. Raises LineLost."""
+    mine = frozenset(own)
+    report = scan(gate, dialects, addresses=[a for a in addresses if a not in mine], busy=True)
+    return [f for f in report.found if f.address not in mine]
+
+
+def find_drive(gate: Gate, dialect: Dialect, address: int, *, widely: bool = True) -> Search:
+    """Look for one drive on the line of a gate. `widely` False: say only whether it answers.
+
+    The line is left at the rate it had. Raises LineLost.
+    """
+    report = Report(kind=dialect.bus)
+    finder = Finder(gate, [dialect], _PATIENT_NS)
+    for _ in range(_ATTEMPTS):
+        found, exchange = finder.find(dialect, address)
+        if found is not None and found.address == address:
+            return Search(found, (), f"{found.name} answers at {found.speed} bit/s", report)
+        if exchange.received:
+            break
+    elsewhere = _elsewhere(gate, dialect, address, report) if widely else []
+    return Search(None, tuple(elsewhere), _text(gate, dialect, address, elsewhere, exchange.received, report), report)
+
+
+def _elsewhere(gate: Gate, dialect: Dialect, address: int, report: Report) -> list[Found]:
+    """Look where a drive may be that is not where it was said: the likeliest place first, until one answers."""
+    own = gate.line.endpoint.bits_per_second
+    others = [d for d in registry.every() if d.bus == dialect.bus and d.name != dialect.name]
+    rates = [r for r in dialect.baud_rates if r != own]
+    first = dialect.addresses[0]
+    wide = sorted({address, first, *(a for a in _NEAR if a >= first)})
+    places = [(others, (address,), (own,)), ([dialect], wide, (own,)), ([dialect, *others], (address,), rates)]
+    for dialects, addresses, speeds in places:
+        if not dialects or not speeds:
+            continue
+        try:
+            scan(gate, dialects, addresses=addresses, rates=speeds, enough=lambda found: True, report=report, busy=True)
+        except UsageError:
+            # A line whose speed cannot be set from here has no other rates.
+            continue
+        if report.found:
+            break
+    return list(report.found)
+
+
+def _text(gate: Gate, dialect: Dialect, address: int, elsewhere: Sequence[Found], received: bytes, report: Report) -> str:
+    place = gate.line.endpoint
+    asked = f"{dialect.name}@{address} does not answer on {place.text} at {place.bits_per_second} bit/s"
+    for found in elsewhere:
+        if found.dialect.name != dialect.name:
+            return f"{asked}, but {found.name} does at {found.speed} bit/s: it speaks another dialect"
+        if found.speed != place.bits_per_second:
+            return f"{asked}, but it does at {found.speed} bit/s: the line is at another rate than the drive"
+        return f"{asked}, but {found.name} does: it has another address"
+    noise = (
+        f"; {len(received)} bytes came that are no answer ({received[:16].hex(' ').upper()})" if received else "; nothing came"
+    )
+    return f"{asked}{noise}\n  " + "\n  ".join(report.hints)

@@ -12,8 +12,8 @@ from conformance.drives.make import Specification
 from conformance.gate.budget import Budget
 from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
-from conformance.suite.rig import MS, SECOND_NS, Rig
-from conformance.talk.probe import Probe
+from conformance.suite.rig import ClaimRig
+from conformance.talk.probe import MS, SECOND_NS, Probe
 
 if TYPE_CHECKING:
     from conformance.drives.drive import Drive
@@ -23,7 +23,7 @@ EVERYTHING = frozenset(Risk)
 UNLIMITED = 1 << 60
 
 
-class EmulatedRig(Rig):
+class EmulatedRig(ClaimRig):
     """A rig that makes the drive of a specification for each claim. Nothing can break, so everything is allowed.
 
     `allowance`: what may be sent all the same, to try a bounded run; by default everything. Waits cost nothing and are long.
@@ -32,6 +32,8 @@ class EmulatedRig(Rig):
     emulated = True
 
     def __init__(self, specification: Specification, *, seed: int = 0, allowance: Allowance | None = None) -> None:
+        dialect = specification.dialect
+        super().__init__(dialect.for_model(specification.model) if specification.model else dialect, specification.address)
         self.specification = specification
         self.name = specification.name
         self.model = specification.model
@@ -39,10 +41,6 @@ class EmulatedRig(Rig):
         self._allowance = allowance or Allowance(EVERYTHING, alone=True, budget=Budget(wear=UNLIMITED))
         self.allowed = self._allowance.risks
         self.alone = self._allowance.alone
-        self.named: frozenset[str] = frozenset()
-        self.address = specification.address
-        dialect = specification.dialect
-        self.dialect = dialect.for_model(self.model) if self.model else dialect
         self.quiet_ns = 100 * MS
         self.silence_ns = 3 * SECOND_NS
         self.done_ns = 120 * SECOND_NS
@@ -56,7 +54,6 @@ class EmulatedRig(Rig):
         drive = self.make_drive()
         line = EmulatedLine([drive])
         self.gate = Gate(line, self._allowance)
-        self.byte_ns = line.byte_ns
         return Probe(self, claim, drive)
 
     def settle(self, probe: Probe) -> str:

@@ -19,7 +19,7 @@ from analyzer.catalogue import Risk
 from analyzer.errors import ServotapError
 from analyzer.records import CanFrame
 from conformance.bus.line import Line, LineLost
-from conformance.claim import Claim
+from conformance.claim import Claim, NotStopped, RigFault
 from conformance.gate.gate import Gate
 from conformance.gate.permissions import READS, Allowance
 from conformance.safety import messages as say
@@ -30,17 +30,17 @@ from conformance.safety.keeper import Keeper
 from conformance.safety.signals import undisturbed
 from conformance.safety.stopping import MAY_MOVE, GuardLost, cut_power, stop_or_cut
 from conformance.suite.preflight import check
-from conformance.suite.rig import SECOND_NS, NotStopped, Rig, RigFault
+from conformance.suite.rig import ClaimRig
 from conformance.suite.target import Target
 from conformance.talk.dialogue import Dialogue
-from conformance.talk.drive_state import acquaint
-from conformance.talk.probe import Probe
+from conformance.talk.drive_state import read_drive_state
+from conformance.talk.probe import SECOND_NS, Probe
 
 if TYPE_CHECKING:
     from conformance.suite.plan import Plan
 
 
-class RealRig(Rig):
+class RealRig(ClaimRig):
     """A drive on a real port. Raises UsageError where the port cannot be opened, DriveNotFound where nobody answers."""
 
     emulated = False
@@ -49,11 +49,10 @@ class RealRig(Rig):
 
     def __init__(self, plan: Plan, target: Target) -> None:
         assert target.endpoint is not None  # a target without one is emulated
+        super().__init__(target.dialect.for_model(target.model) if target.model else target.dialect, target.address)
         self.name = f"{target.dialect.name}@{target.address}"
         self.model = target.model
         self.seed = plan.seed
-        self.dialect = target.dialect.for_model(target.model) if target.model else target.dialect
-        self.address = target.address
         given = plan.allowance or Allowance(READS)
         self._allowance = replace(given, addresses=frozenset({self.address}))
         self.allowed = self._allowance.risks
@@ -71,7 +70,6 @@ class RealRig(Rig):
             self._end_journal(clean=True)
             raise
         self.gate = self._open_gate()
-        self.byte_ns = target.endpoint.byte_ns
         self.keeper = Keeper(
             self.gate, self.dialect, self.address, known, self._journal, target.endpoint.text, alone=self.alone
         )
@@ -94,7 +92,7 @@ class RealRig(Rig):
     def _open_gate(self) -> Gate:
         return Gate(self._line, self._allowance)
 
-    def _tell(self, message: say.Looked | say.Acquaint | say.Stands | say.Back) -> None:
+    def _tell(self, message: say.Looked | say.ReadState | say.Stands | say.Back) -> None:
         """Tell the guard something, where there is one."""
         if isinstance(self._line, GuardedLine):
             self._line.tell(message)
@@ -147,8 +145,8 @@ class RealRig(Rig):
         bounded = self._allowance.turns is not None or self._allowance.speed is not None
         if bounded and MAY_MOVE & claim.risks:
             # A move to a place is as long as the way there, and a speed is as fast as the subdivision makes it.
-            acquaint(Dialogue(self.gate, [self.dialect]), self.dialect, self.address)
-            self._tell(say.Acquaint())
+            read_drive_state(Dialogue(self.gate, [self.dialect]), self.dialect, self.address)
+            self._tell(say.ReadState())
         return Probe(self, claim)
 
     def before_send(self, item: bytes | CanFrame) -> None:

@@ -1,178 +1,224 @@
-"""A dialogue: one request through a gate, and what came back, decoded and paired as a listener would have it.
+"""The engine of exchanges: sends through a gate, listens, and sorts what comes as the analyzer reads it.
 
-    talk = Dialogue(gate, dialects).ask(item, timeout_ns=200 * MS)
-    talk.replies, talk.latency_ns, talk.outcome
+    exchange = Dialogue(gate, dialects).ask(item, 200 * MS)
+    exchange.replies, exchange.others, exchange.junk, exchange.completion
 
-Both directions go through the analyzer's own pipeline, so that `send`, `scan` and `replay` say what `show` would say of a
-recording of them. A dialogue goes on: what was said before is known when a late reply comes.
+Claims (by a probe), `send`, `scan`, `replay` and what stops a drive or puts its settings back all talk by it. Both directions
+go through one pipeline of the analyzer. It goes on from exchange to exchange, so a late reply is known for what it is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from enum import StrEnum
+from collections.abc import Callable, Mapping, Sequence
+from enum import Enum
 
 from msgspec.structs import replace
 
 from analyzer.catalogue import Dialect, Role
+from analyzer.encoder import Built
 from analyzer.pipeline import Entry, Options, Pipeline
 from analyzer.records import CanFrame, Chunk, Comment, Finding, Junk
-from analyzer.transactions import meaning_of
 from conformance.gate.gate import Gate, Item
+from conformance.talk.exchange import Answer, Completion, Exchange, sent_record
+from conformance.talk.no_checksum import Bare
 
 MS = 1_000_000
-#: A pause after which what came is decoded as it stands.
-_PAUSE_NS = 15 * MS
+#: A pause after which what came is decoded as it stands, although more might have belonged to it.
+PAUSE_NS = 15 * MS
+#: Requests whose replies are still known for theirs.
+_OPEN_REQUESTS = 256
+#: Spans of the bus that were sent here: what is decoded late may lie in an earlier one.
+_OWN_SPANS = 4
 
 
-class Outcome(StrEnum):
-    """How a request ended: answered for good, refused or gone wrong, begun and not ended, or without any answer."""
+class Until(Enum):
+    """How long is listened: to the first reply, to one that ends the command, or to the end of the time-out."""
 
+    REPLY = "reply"
     DONE = "done"
-    FAILED = "failed"
-    RUNNING = "running"
-    SILENT = "silent"
+    TIMEOUT = "timeout"
 
 
-@dataclass
-class Talk:
-    """What was sent at one go, and what came back while it was listened for.
+#: Says whether what is waited for has come.
+Ended = Callable[[Exchange], bool]
 
-    `requests`: the frames in what was sent; `replies`: frames that answer one of them, in order; `others`: all other frames
-    that came; `heard`: every byte that came (on CAN the data of the frames). `sent_ns`: when the last of it was on the wire.
-    """
-
-    item: Item | None
-    sent_ns: int
-    requests: list[Entry] = field(default_factory=list)
-    replies: list[Entry] = field(default_factory=list)
-    others: list[Entry] = field(default_factory=list)
-    junk: list[Junk] = field(default_factory=list)
-    findings: list[Finding] = field(default_factory=list)
-    heard: bytes = b""
-    until_ns: int = 0
-
-    @property
-    def entries(self) -> list[Entry]:
-        """All frames that came, in order."""
-        return sorted([*self.replies, *self.others], key=lambda e: e.sequence)
-
-    def meaning(self, entry: Entry) -> str:
-        """Return what a reply means for its command: interim, final or failed."""
-        if not entry.message.frame.checksum_ok or entry.message.form is None:
-            return "failed"
-        return meaning_of(entry.message, entry.message.command)[0]
-
-    @property
-    def outcome(self) -> Outcome:
-        """How it ended."""
-        if not self.replies:
-            return Outcome.SILENT
-        told = [self.meaning(e) for e in self.replies]
-        if "failed" in told:
-            return Outcome.FAILED
-        return Outcome.DONE if "final" in told else Outcome.RUNNING
-
-    def latency_ns(self, entry: Entry) -> int:
-        """Return the time from the end of what was sent to the beginning of a frame, as well as that can be told."""
-        return max(0, entry.message.frame.first_ns - self.sent_ns)
+_PAIRED: Mapping[Until, Ended] = {
+    Until.REPLY: lambda exchange: bool(exchange.replies),
+    Until.DONE: lambda exchange: exchange.completion in (Completion.DONE, Completion.FAILED),
+    Until.TIMEOUT: lambda exchange: False,
+}
 
 
-class _Heard:
-    """A sink that sorts what comes out of the pipeline into the talk that is under way."""
+class _Sorter:
+    """A sink that keeps what came since it was last emptied, apart from what was sent here."""
 
     def __init__(self) -> None:
-        self.talk = Talk(None, 0)
-        self.own: list[range] = []
-        self._asked: set[int] = set()
+        self.entries: list[Entry] = []
+        self.junk_pieces: list[Junk] = []
+        self.findings: list[Finding] = []
+        self.own: list[tuple[range, Exchange]] = []
+        #: Sequences of requests that were sent here, the oldest first.
+        self.asked: dict[int, None] = {}
 
-    def _is_own(self, offset: int) -> bool:
-        return any(offset in span for span in self.own)
+    def sends(self, offset: int, size: int, exchange: Exchange) -> None:
+        """Take it that the bytes from `offset` on are what an exchange sends."""
+        self.own = [*self.own[1 - _OWN_SPANS :], (range(offset, offset + max(1, size)), exchange)]
+
+    def _owner(self, offset: int) -> Exchange | None:
+        return next((exchange for span, exchange in self.own if offset in span), None)
 
     def entry(self, entry: Entry) -> None:
-        """Take a frame."""
-        talk = self.talk
-        if self._is_own(entry.message.frame.offset):
-            self._asked.add(entry.sequence)
-            talk.requests.append(entry)
-        elif entry.request_sequence is not None and entry.request_sequence in self._asked:
-            talk.replies.append(entry)
-        else:
-            talk.others.append(entry)
+        """Keep a frame."""
+        owner = self._owner(entry.message.frame.offset)
+        if owner is None:
+            self.entries.append(entry)
+            return
+        owner.requests.append(entry)
+        self.asked[entry.sequence] = None
+        if len(self.asked) > _OPEN_REQUESTS:
+            del self.asked[next(iter(self.asked))]
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
-        """Take bytes that are no frame."""
-        if not self._is_own(junk.offset):
-            self.talk.junk.append(junk)
+        """Keep bytes that are no frame."""
+        if self._owner(junk.offset) is None:
+            self.junk_pieces.append(junk)
 
     def finding(self, found: Finding) -> None:
-        """Take a finding about what came."""
-        if not self._is_own(found.offset):
-            self.talk.findings.append(found)
+        """Keep a finding about what came."""
+        if self._owner(found.offset) is None:
+            self.findings.append(found)
 
     def comment(self, comment: Comment) -> None:
         """Do nothing: a line has no comments."""
 
 
 class Dialogue:
-    """Asks and listens on one line. `dialects`: what may be spoken there."""
+    """Sends and listens on one line.
 
-    def __init__(self, gate: Gate, dialects: Sequence[Dialect], *, late_ns: int = 1000 * MS) -> None:
+    `dialects`: what may be spoken there. `direction`: of what comes, None: as the line says. `bare`: reads replies that lack
+    their checksum. `log`: called for each record that leaves or comes.
+    """
+
+    def __init__(
+        self,
+        gate: Gate,
+        dialects: Sequence[Dialect],
+        *,
+        late_ns: int = 1000 * MS,
+        pause_ns: int = PAUSE_NS,
+        direction: Role | None = None,
+        bare: Bare | None = None,
+        log: Callable[[Chunk | CanFrame], None] | None = None,
+    ) -> None:
         self.gate = gate
-        bus = gate.line.endpoint.bus_kind
-        self.dialects = tuple(d for d in dialects if d.bus == bus)
-        self._name = gate.line.endpoint.name
-        self._heard = _Heard()
-        self._pipeline = Pipeline(self.dialects, (self._heard,), Options(byte_ns=gate.line.byte_ns, late_ns=late_ns))
+        line = gate.line
+        self.dialects = tuple(d for d in dialects if d.bus == line.endpoint.bus_kind)
+        self._name = line.endpoint.name
+        self._pause_ns = pause_ns
+        self._direction = direction
+        self._bare = bare
+        self._log = log
+        self._sorter = _Sorter()
+        self._pipeline = Pipeline(self.dialects, (self._sorter,), Options(byte_ns=line.byte_ns, late_ns=late_ns))
+        self._exchange = Exchange(None, 0)
+        self._pending = False
 
-    def ask(self, item: Item, timeout_ns: int, *, whole: bool = False, done_ns: int = 0, quiet_ns: int = 0) -> Talk:
-        """Send an item and listen: to its reply, or to the end of the time.
+    # --- one request ----------------------------------------------------------------------------------------------
 
-        `whole`: on until a reply that ends the command, for at most `done_ns` once it has begun. `quiet_ns`: on behind the
-        last reply, for one more. Raises Refused, LineLost.
+    def ask(self, item: Item, timeout_ns: int, *, until: Until = Until.REPLY, done_ns: int = 0, quiet_ns: int = 0) -> Exchange:
+        """Send an item and listen for what the analyzer pairs with it.
+
+        `done_ns`: how long to listen once the command has begun, in place of the time-out. `quiet_ns`: how long to listen for
+        more behind what was waited for. Raises Refused, LineLost.
         """
-        talk = self._begin(item, self.gate.send(item))
-        return self._listen(talk, talk.sent_ns + timeout_ns, whole, done_ns, quiet_ns)
+        return self.collect(self.send(item), _PAIRED[until], timeout_ns, done_ns=done_ns, quiet_ns=quiet_ns)
 
-    def listen(self, duration_ns: int) -> Talk:
+    def listen(self, duration_ns: int) -> Exchange:
         """Send nothing and listen. Raises LineLost."""
-        now_ns = self.gate.now_ns()
-        talk = self._heard.talk = Talk(None, now_ns)
-        return self._listen(talk, now_ns + duration_ns, True, 0, 0)
+        return self.collect(self.begin(Exchange(None, self.gate.now_ns())), _PAIRED[Until.TIMEOUT], duration_ns)
 
-    def _begin(self, item: Item, sent_ns: int) -> Talk:
-        talk = self._heard.talk = Talk(item, sent_ns)
-        data = item.data if isinstance(item, CanFrame) else item
-        port = self._pipeline.ports.get(self._name)
-        start = port.bytes_in if port is not None else 0
-        self._heard.own = [*self._heard.own[-3:], range(start, start + max(1, len(data)))]
-        if isinstance(item, CanFrame):
-            self._pipeline.feed(replace(item, t_ns=sent_ns, port=self._name, direction=Role.REQUEST))
-        else:
-            self._pipeline.feed(Chunk(sent_ns, self._name, item, Role.REQUEST, True))
-        return talk
+    # --- its parts ------------------------------------------------------------------------------------------------
 
-    def _listen(self, talk: Talk, deadline_ns: int, whole: bool, done_ns: int, quiet_ns: int) -> Talk:
+    def send(self, item: Item, built: Built | None = None, *, told: bool = True) -> Exchange:
+        """Send an item and begin its exchange. `told` False: the analyzer does not learn of it. Raises Refused, LineLost."""
+        exchange = Exchange(item, self.gate.send(item))
+        if built is not None:
+            exchange.command, exchange.address, exchange.values = built.command, built.address, dict(built.values)
+        record = sent_record(item, exchange.sent_ns, self._name)
+        if self._log is not None:
+            self._log(record)
+        if told:
+            port = self._pipeline.ports.get(self._name)
+            self._sorter.sends(port.bytes_in if port is not None else 0, len(record.data), exchange)
+            self._pipeline.feed(record)
+        return self.begin(exchange)
+
+    def begin(self, exchange: Exchange) -> Exchange:
+        """Let what comes from now on be a part of an exchange."""
+        self._exchange = exchange
+        self._take()
+        return exchange
+
+    def collect(self, exchange: Exchange, ended: Ended, timeout_ns: int, *, quiet_ns: int = 0, done_ns: int = 0) -> Exchange:
+        """Listen until an exchange has ended, and for the quiet behind it; at most for the time-out. Raises LineLost."""
         gate = self.gate
-        pending = begun = ended = False
-        while (left_ns := deadline_ns - gate.now_ns()) > 0:
-            got = gate.receive(min(left_ns, _PAUSE_NS) if pending else left_ns)
-            if got is not None:
-                talk.heard += got.data
-                self._pipeline.feed(replace(got, port=self._name))
-                pending = True
-            elif pending:
-                self._pipeline.silence(self._name)
-                pending = False
-            if ended:
+        deadline_ns = exchange.sent_ns + timeout_ns
+        over = begun = False
+        while gate.now_ns() < deadline_ns:
+            self.receive(deadline_ns)
+            if over:
                 continue
-            if talk.outcome in (Outcome.DONE, Outcome.FAILED) or (talk.replies and not whole):
-                if not quiet_ns:
-                    break
-                ended, deadline_ns = True, min(deadline_ns, gate.now_ns() + quiet_ns)
-            elif talk.replies and done_ns and not begun:
+            if ended(exchange):
+                over, deadline_ns = True, min(deadline_ns, gate.now_ns() + quiet_ns)
+            elif done_ns and not begun and exchange.replies:
                 begun, deadline_ns = True, gate.now_ns() + done_ns
+        return self.finish()
+
+    def receive(self, until_ns: int) -> Chunk | CanFrame | None:
+        """Take what comes next into the exchange; None after a pause, or when the time is over. Raises LineLost."""
+        left_ns = max(0, until_ns - self.gate.now_ns())
+        got = self.gate.receive(min(left_ns, self._pause_ns) if self._pending else left_ns)
+        if got is not None:
+            self._feed(got)
+        elif self._pending:
+            self._pipeline.silence(self._name)
+        self._pending = got is not None
+        self._take()
+        return got
+
+    def finish(self) -> Exchange:
+        """Decode what came as it stands, and end the exchange."""
         self._pipeline.silence(self._name)
-        talk.until_ns = gate.now_ns()
-        return talk
+        self._pending = False
+        self._take()
+        self._exchange.until_ns = self.gate.now_ns()
+        return self._exchange
+
+    # --- what comes -----------------------------------------------------------------------------------------------
+
+    def _feed(self, got: Chunk | CanFrame) -> None:
+        if self._log is not None:
+            self._log(got)
+        self._exchange.received += got.data
+        direction = got.direction if self._direction is None else self._direction
+        if isinstance(got, CanFrame):
+            self._pipeline.feed(replace(got, port=self._name, direction=direction))
+            return
+        chunk = replace(got, port=self._name, direction=direction)
+        self._pipeline.feed(chunk if self._bare is None else self._bare.completed(chunk))
+
+    def _take(self) -> None:
+        exchange, sorter, bare = self._exchange, self._sorter, self._bare
+        for entry in sorter.entries:
+            whole = None if bare is None else bare.of_entry(entry, exchange)
+            latency_ns = max(0, entry.message.frame.first_ns - exchange.sent_ns)
+            paired = entry.request_sequence in sorter.asked
+            exchange.answers.append(Answer(whole or entry, latency_ns, whole is not None, paired))
+        for junk in sorter.junk_pieces:
+            whole = None if bare is None else bare.of_junk(junk, exchange)
+            if whole is None:
+                exchange.junk.append(junk)
+            else:
+                exchange.answers.append(Answer(whole, max(0, junk.first_ns - exchange.sent_ns), True))
+        exchange.findings += sorter.findings
+        sorter.entries, sorter.junk_pieces, sorter.findings = [], [], []

@@ -1,4 +1,4 @@
-"""What a gate has to know of a drive before it can bound what is sent to it: asked of the drive itself, by reads alone.
+"""What a gate has to know of a drive before it can bound what is sent to it, read from the drive itself.
 
 Where the shaft is (for absolute moves), and the subdivision (for speeds and pulses) where the dialect can read it: native
 MKS cannot, there the user says it.
@@ -11,21 +11,15 @@ from analyzer.codec import codec
 from analyzer.encoder import build
 from analyzer.errors import UsageError
 from analyzer.protocols.mks_shared import COUNTS_PER_TURN
-from analyzer.records import CanFrame
 from conformance.gate.bounds import DEGREES
-from conformance.gate.gate import Item
 from conformance.talk.dialogue import MS, Dialogue
+from conformance.talk.exchange import item_of
 
 _TIMEOUT_NS = 1000 * MS
 
 
-def item_of(dialect: Dialect, frame: bytes, address: int) -> Item:
-    """Return the bytes of a frame as a line takes them: on CAN with the identifier."""
-    return CanFrame(None, "host", address, frame) if dialect.bus == "can" else frame
-
-
-def acquaint(dialogue: Dialogue, dialect: Dialect, address: int) -> None:
-    """Ask a drive what the gate needs to know, as far as its bounds need any. What it does not answer stays unknown."""
+def read_drive_state(dialogue: Dialogue, dialect: Dialect, address: int) -> None:
+    """Read what the bounds of a dialogue's gate need, and note it there. What the drive does not answer stays unknown."""
     gate = dialogue.gate
     bounds = gate.allowance.bounds
     if not dialect.addresses[0] <= address <= dialect.addresses[1]:
@@ -57,9 +51,8 @@ def _read(dialogue: Dialogue, dialect: Dialect, address: int, verb: Verb, name: 
         frame = build(dialect, command, address, values)
     except UsageError:
         return None
-    talk = dialogue.ask(item_of(dialect, frame, address), _TIMEOUT_NS)
-    for entry in talk.replies:
-        message = entry.message
+    for reply in dialogue.ask(item_of(dialect, frame, address), _TIMEOUT_NS).replies:
+        message = reply.message
         if message.form is not None and message.frame.checksum_ok and name in message.form.layout.named:
             value = codec(message.form.layout).wire(message.data)[name]
             return value if isinstance(value, int) else None

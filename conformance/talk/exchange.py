@@ -1,31 +1,48 @@
 """An exchange: what was sent, what came back, when, and what the analyzer makes of it.
 
-The bytes of both directions go through the analyzer's own pipeline, so that a claim judges the same messages and findings
-that a listener would have seen.
+The bytes of both directions go through the analyzer's own pipeline (`conformance.talk.dialogue`), so that what a claim
+judges and what `send`, `scan` and `replay` show is what `show` would say of a recording.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any
 
-from analyzer.catalogue import Command, Role
+from msgspec.structs import replace
+
+from analyzer.catalogue import Command, Dialect, Role
 from analyzer.decoder import physical
 from analyzer.pipeline import Entry
-from analyzer.records import CanFrame, Finding, Junk, Message
+from analyzer.records import CanFrame, Chunk, Finding, Junk, Message
+from analyzer.transactions import meaning_of
+
+_BUS = "bus"
+
+
+class Completion(StrEnum):
+    """How far a request got: answered for good, refused or gone wrong, begun and not ended, or without any answer."""
+
+    DONE = "done"
+    FAILED = "failed"
+    RUNNING = "running"
+    SILENT = "silent"
 
 
 @dataclass(frozen=True)
 class Answer:
     """One frame that came back. `first_ns`, `last_ns`: on the line's clock; `latency_ns`: since the end of the request.
 
-    `bare`: it came without its checksum, as was seen of old firmware (`conformance.talk.no_checksum`).
+    `bare`: it came without its checksum, as was seen of old firmware (`conformance.talk.no_checksum`). `paired`: the analyzer
+    took it for the reply to a request that was sent here.
     """
 
     entry: Entry
     latency_ns: int
     bare: bool = False
+    paired: bool = False
 
     @property
     def message(self) -> Message:
@@ -62,13 +79,23 @@ class Answer:
         """When it began on the wire, as far as that can be told."""
         return self.entry.message.frame.first_ns
 
+    @property
+    def meaning(self) -> str:
+        """What it means for its command: interim, final or failed."""
+        message = self.entry.message
+        if not message.frame.checksum_ok or message.form is None:
+            return "failed"
+        return meaning_of(message, message.command)[0]
+
 
 @dataclass
 class Exchange:
-    """What was sent at one go and what came back until the probe stopped listening.
+    """What was sent at one go and what came back until listening ended.
 
     `sent`: bytes or the CAN frame, None where only was listened. `sent_ns`: when its last bit was on the wire. `command`
-    and `values` (integers as sent): what was asked, where it was built from a command. `until_ns`: how long was listened.
+    and `values` (integers as sent): what was asked, where it was built from a command. `requests`: the frames in what was
+    sent; `answers`: all frames that came; `received`: every byte that came (on CAN the data of the frames). `until_ns`: how
+    long was listened.
     """
 
     sent: bytes | CanFrame | None
@@ -80,6 +107,8 @@ class Exchange:
     junk: list[Junk] = field(default_factory=list)
     findings: list[Finding] = field(default_factory=list)
     until_ns: int = 0
+    requests: list[Entry] = field(default_factory=list)
+    received: bytes = b""
 
     @property
     def silent(self) -> bool:
@@ -106,6 +135,26 @@ class Exchange:
                 return answer
         return self.answers[0] if self.answers else None
 
+    @property
+    def replies(self) -> list[Answer]:
+        """Answers that the analyzer pairs with a request that was sent here, this one or an earlier one."""
+        return [a for a in self.answers if a.paired]
+
+    @property
+    def others(self) -> list[Answer]:
+        """All other frames that came."""
+        return [a for a in self.answers if not a.paired]
+
+    @property
+    def completion(self) -> Completion:
+        """How far the request got, by its replies."""
+        meanings = [a.meaning for a in self.replies]
+        if not meanings:
+            return Completion.SILENT
+        if "failed" in meanings:
+            return Completion.FAILED
+        return Completion.DONE if "final" in meanings else Completion.RUNNING
+
     def status(self, name: str = "status") -> list[int]:
         """Return the statuses that were answered, in order."""
         return [a.values[name] for a in self.answers if name in a.values]
@@ -123,6 +172,32 @@ class Exchange:
             result.append(f"  < nothing within {(self.until_ns - self.sent_ns) / 1e6:.0f} ms")
         result += [f"    {f.rule}: {f.text}" for f in self.findings]
         return result
+
+    def records(self) -> list[Chunk | CanFrame]:
+        """Return what went over the line, in order; what was sent has the direction of a request."""
+        result: list[Chunk | CanFrame] = [] if self.sent is None else [sent_record(self.sent, self.sent_ns)]
+        came: list[Chunk | CanFrame] = [_received_record(a) for a in self.answers]
+        came += [Chunk(j.last_ns, _BUS, j.data, Role.REPLY) for j in self.junk]
+        return result + sorted(came, key=lambda record: record.t_ns or 0)
+
+
+def item_of(dialect: Dialect, frame: bytes, address: int) -> bytes | CanFrame:
+    """Return the bytes of a frame as a line takes them: on CAN with the identifier."""
+    return CanFrame(None, _BUS, address, frame) if dialect.bus == "can" else frame
+
+
+def sent_record(item: bytes | CanFrame, t_ns: int, port: str = _BUS) -> Chunk | CanFrame:
+    """Return what was sent as a record of the line."""
+    if isinstance(item, CanFrame):
+        return replace(item, t_ns=t_ns, port=port, direction=Role.REQUEST)
+    return Chunk(t_ns, port, item, Role.REQUEST, True)
+
+
+def _received_record(answer: Answer) -> Chunk | CanFrame:
+    can = answer.message.frame.can
+    if can is not None:
+        return replace(can, t_ns=answer.last_ns, direction=Role.REPLY)
+    return Chunk(answer.last_ns, _BUS, answer.data, Role.REPLY)
 
 
 def hex_of(item: bytes | CanFrame) -> str:

@@ -56,25 +56,24 @@ class Bare:
         self._pipeline: Pipeline | None = None
         #: The request that the pipeline was last shown.
         self._shown: Exchange | None = None
+        #: When chunks came that were given their missing checksum.
+        self._completed: set[int] = set()
         #: Whether the drive is known to send no checksums, and the replies that it can then send: code and length.
         self._met = False
         self._replies: frozenset[tuple[int, int]] = frozenset()
 
-    def completed(self, chunk: Chunk) -> Chunk | None:
-        """Return a chunk with the checksum that it lacks, None where it is no such reply.
+    def completed(self, chunk: Chunk) -> Chunk:
+        """Return a chunk, with its checksum where it is a reply that lacks it.
 
         Only once a reply without one was read: the bytes of a drive that is known to send none need no second look, and
         two replies that follow each other closely stay two.
         """
         data = chunk.data
         if not self._met or len(data) < _HEAD or (data[2], len(data) - _HEAD) not in self._replies:
-            return None
+            return chunk
+        if chunk.t_ns is not None:
+            self._completed.add(chunk.t_ns)
         return replace(chunk, data=self._dialect.link.completed(data, None))
-
-    def stripped(self, entry: Entry) -> Entry:
-        """Return a frame that `completed` gave its checksum, as it came."""
-        frame = entry.message.frame
-        return replace(entry, message=replace(entry.message, frame=replace(frame, data=frame.data[:-1])))
 
     def of_junk(self, junk: Junk, exchange: Exchange) -> Entry | None:
         """Return the reply that a piece of junk is but for its checksum, None where it is not."""
@@ -83,8 +82,13 @@ class Bare:
         return self._read(junk.data, junk.first_ns, junk.last_ns, junk.offset, exchange)
 
     def of_entry(self, entry: Entry, exchange: Exchange) -> Entry | None:
-        """Return the reply that a frame of no known form is, where its last byte only looks like a checksum."""
+        """Return a reply without its checksum as it came, None where a frame is no such reply.
+
+        It was completed, or it is a frame of no known form, whose last byte only looks like a checksum.
+        """
         message = entry.message
+        if message.frame.last_ns in self._completed:
+            return replace(entry, message=replace(message, frame=replace(message.frame, data=message.frame.data[:-1])))
         if self._dialect.name not in DIALECTS or message.form is not None or message.role is not Role.REPLY:
             return None
         frame = message.frame

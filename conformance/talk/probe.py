@@ -4,8 +4,7 @@
     exchange = probe.ask(Verb.RUN_SPEED, {"speed": 60, "acceleration": 200}, until=Until.DONE)
     exchange = probe.send(bytes.fromhex("FA 01 31 00"))          raw bytes, expecting silence or anything
 
-Everything goes through the gate of the line; whatever comes back goes through the analyzer's pipeline. A probe serves one
-claim: its pipeline knows nothing of what was said before.
+A probe serves one claim. Its dialogue (`conformance.talk.dialogue`) knows nothing of what other claims asked.
 
 Rules: an emulated drive's time costs nothing, so the waits are long there; on a real line they end as soon as the drive has
 answered and a short quiet has passed (in which a second reply would show). Writes of settings keep a distance
@@ -15,68 +14,74 @@ answered and a short quiet has passed (in which a second reply would show). Writ
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
-from enum import Enum
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any
 
 from analyzer import encoder
-from analyzer.catalogue import Command, Dialect, Form, Risk, Role, Verb
-from analyzer.pipeline import Entry, Options, Pipeline
-from analyzer.records import CanFrame, Chunk, Comment, Finding, Junk
-from conformance.claim import Claim, Inconclusive, Refuted
-from conformance.talk.exchange import Answer, Exchange
+from analyzer.catalogue import Certainty, Command, Dialect, Form, Risk, Role, Verb
+from analyzer.records import CanFrame, Chunk
+from conformance.claim import Claim, Inconclusive, Refuted, Theme
+from conformance.gate.gate import Gate
+from conformance.talk.dialogue import MS, Dialogue, Ended, Until
+from conformance.talk.exchange import Answer, Exchange, item_of
 from conformance.talk.no_checksum import Bare
 
 if TYPE_CHECKING:
     from conformance.drives.drive import Drive
-    from conformance.suite.rig import Rig
 
-#: A pause after which what came is decoded as it stands, although more might have belonged to it.
-_PAUSE_NS = 30_000_000
-_BUS = "bus"
+__all__ = ["MS", "SECOND_NS", "Probe", "Rig", "Until", "plain_probe"]
+
+SECOND_NS = 1000 * MS
 #: A condition that was not given.
 _ANYTHING = object()
+#: A drive under test is given longer for a pause inside a frame than a host would give it.
+_PAUSE_NS = 30 * MS
 #: Latencies that are kept of one claim.
 _KEPT_LATENCIES = 400
 
 
-class Until(Enum):
-    """How long a probe listens: to the first reply, to one that ends the command, or to the end of the time-out."""
+class Rig:
+    """One drive under test, as a probe needs it: how it is reached, and how long to wait for it.
 
-    REPLY = "reply"
-    DONE = "done"
-    TIMEOUT = "timeout"
+    `dialect`: as its model speaks it. `allowed`: risks that the user opened. `late_ns`: a reply later than this counts as
+    none. `quiet_ns`: how long to listen after an answer for a second one. `silence_ns`: how long nothing must come before it
+    is called silence. `done_ns`: how long a command may take to its last reply. `write_gap_ns`: between settings.
+    """
 
+    gate: Gate
+    emulated: bool = False
+    model: str = ""
+    seed: int = 0
+    allowed: frozenset[Risk] = frozenset(Risk)
+    late_ns: int = SECOND_NS
+    quiet_ns: int = 30 * MS
+    silence_ns: int = 300 * MS
+    done_ns: int = 20 * SECOND_NS
+    write_gap_ns: int = 500 * MS
 
-class _Heard:
-    """A sink that keeps what came since it was last emptied. `own`: bytes of the bus that the probe itself sent."""
+    def __init__(self, dialect: Dialect, address: int) -> None:
+        self.dialect = dialect
+        self.address = address
 
-    def __init__(self) -> None:
-        self.entries: list[Entry] = []
-        self.junk_pieces: list[Junk] = []
-        self.findings: list[Finding] = []
-        self.own: list[range] = []
+    @property
+    def byte_ns(self) -> int:
+        """Time of a byte on the line."""
+        return self.gate.line.byte_ns
 
-    def _is_own(self, offset: int) -> bool:
-        return any(offset in span for span in self.own)
+    def timeout_ns(self, until: Until) -> int:
+        """Return how long to listen by default."""
+        return {Until.REPLY: self.late_ns, Until.DONE: self.done_ns, Until.TIMEOUT: self.silence_ns}[until]
 
-    def entry(self, entry: Entry) -> None:
-        """Keep a frame that came from others."""
-        if not self._is_own(entry.message.frame.offset):
-            self.entries.append(entry)
+    def probe(self, claim: Claim) -> Probe:
+        """Return a probe for one claim; an emulated drive is new."""
+        return Probe(self, claim)
 
-    def junk(self, junk: Junk, sequence: int, topic: str) -> None:
-        """Keep bytes that are no frame."""
-        if not self._is_own(junk.offset):
-            self.junk_pieces.append(junk)
+    def before_send(self, item: bytes | CanFrame) -> None:
+        """Take note of what is about to leave; a rig that puts things back looks here at what is changed."""
 
-    def finding(self, found: Finding) -> None:
-        """Keep a finding about what came."""
-        if not self._is_own(found.offset):
-            self.findings.append(found)
-
-    def comment(self, comment: Comment) -> None:
-        """Do nothing: a line has no comments."""
+    def settle(self, probe: Probe) -> str:
+        """End a claim: stop what moves, put back what it changed. Return what could not be done, or nothing."""
+        return ""
 
 
 class Probe:
@@ -100,11 +105,16 @@ class Probe:
         #: Command and ns from the end of its request to the beginning of its first reply.
         self.latencies: list[tuple[str, int]] = []
         self.first_ns = self.gate.now_ns()
-        self._heard = _Heard()
-        self._bare = Bare(self.dialect)
-        #: When chunks came that were given their missing checksum.
-        self._completed: set[int] = set()
-        self._pipeline = Pipeline((self.dialect,), (self._heard,), Options(byte_ns=rig.byte_ns, late_ns=rig.late_ns))
+        self._dialogue = Dialogue(
+            self.gate,
+            (self.dialect,),
+            late_ns=rig.late_ns,
+            pause_ns=_PAUSE_NS,
+            # On CAN a frame may be another drive's or host's; on a serial line only the drive's bytes come back.
+            direction=Role.UNKNOWN if self.dialect.bus == "can" else Role.REPLY,
+            bare=Bare(self.dialect),
+            log=self.raw.append,
+        )
 
     # --- asking ---------------------------------------------------------------------------------------------------
 
@@ -159,9 +169,7 @@ class Probe:
 
     def item(self, frame: bytes, address: int | None = None) -> bytes | CanFrame:
         """Return the bytes of a frame as the line takes them: on CAN with the identifier."""
-        if self.dialect.bus != "can":
-            return frame
-        return CanFrame(None, _BUS, self.address if address is None else address, frame)
+        return item_of(self.dialect, frame, self.address if address is None else address)
 
     def send(self, item: bytes | CanFrame, *, until: Until = Until.TIMEOUT, timeout_ns: int | None = None) -> Exchange:
         """Send bytes as they are (on CAN a frame) and return what came back; by default for the time of a silence."""
@@ -193,87 +201,20 @@ class Probe:
         built: encoder.Built | None,
         quiet_ns: int | None = None,
     ) -> Exchange:
-        if timeout_ns is None:
-            timeout_ns = self.rig.timeout_ns(until)
-        if quiet_ns is None:
-            quiet_ns = self.rig.quiet_ns
-        exchange = Exchange(item, self.gate.now_ns())
-        if built is not None:
-            exchange.command, exchange.address, exchange.values = built.command, built.address, dict(built.values)
-        if item is not None:
+        timeout_ns = self.rig.timeout_ns(until) if timeout_ns is None else timeout_ns
+        quiet_ns = self.rig.quiet_ns if quiet_ns is None else quiet_ns
+        dialogue = self._dialogue
+        if item is None:
+            exchange = dialogue.begin(Exchange(None, self.gate.now_ns()))
+        else:
             self.rig.before_send(item)
-            exchange.sent_ns = self.gate.send(item)
-            self.raw.append(_sent(item, exchange.sent_ns))
-            if built is not None:
-                self._feed_own(item, exchange.sent_ns)
+            # What is sent as bytes is no request that a reply could be told by.
+            exchange = dialogue.send(item, built, told=built is not None)
         self.traffic.append(exchange)
-        ended = _ENDS[until]
-        deadline_ns = exchange.sent_ns + timeout_ns
-        pending = done = False
-        while (now_ns := self.gate.now_ns()) < deadline_ns:
-            left_ns = deadline_ns - now_ns
-            got = self.gate.receive(min(left_ns, _PAUSE_NS) if pending else left_ns)
-            if got is not None:
-                self.raw.append(got)
-                self._feed(got)
-                pending = True
-            elif pending:
-                self._pipeline.silence(_BUS)
-                pending = False
-            self._take(exchange)
-            if not done and ended(exchange):
-                done = True
-                deadline_ns = min(deadline_ns, self.gate.now_ns() + quiet_ns)
-        self._pipeline.silence(_BUS)
-        self._take(exchange)
-        exchange.until_ns = self.gate.now_ns()
+        dialogue.collect(exchange, _ENDS[until], timeout_ns, quiet_ns=quiet_ns)
         if built is not None and exchange.answers and len(self.latencies) < _KEPT_LATENCIES:
             self.latencies.append((built.command.name, exchange.answers[0].latency_ns))
         return exchange
-
-    def _feed_own(self, item: bytes | CanFrame, t_ns: int) -> None:
-        """Show the pipeline what was asked, so that the answer is known for one."""
-        data = item.data if isinstance(item, CanFrame) else item
-        port = self._pipeline.ports.get(_BUS)
-        start = port.bytes_in if port is not None else 0
-        self._heard.own = [range(start, start + len(data))]
-        if isinstance(item, CanFrame):
-            self._pipeline.feed(CanFrame(t_ns, _BUS, item.id, data, Role.REQUEST))
-        else:
-            self._pipeline.feed(Chunk(t_ns, _BUS, data, Role.REQUEST, True))
-
-    def _feed(self, got: Chunk | CanFrame) -> None:
-        if isinstance(got, CanFrame):
-            flags = (got.extended, got.remote, got.error, got.fd)
-            self._pipeline.feed(CanFrame(got.t_ns, _BUS, got.id, got.data, Role.UNKNOWN, *flags))
-        else:
-            chunk = Chunk(got.t_ns, _BUS, got.data, Role.REPLY)
-            whole = self._bare.completed(chunk)
-            if whole is not None and got.t_ns is not None:
-                self._completed.add(got.t_ns)
-            self._pipeline.feed(whole or chunk)
-
-    def _take(self, exchange: Exchange) -> None:
-        heard = self._heard
-        for entry in heard.entries:
-            frame = entry.message.frame
-            if frame.last_ns in self._completed:
-                bare: Entry | None = self._bare.stripped(entry)
-            else:
-                bare = self._bare.of_entry(entry, exchange)
-            latency_ns = max(0, frame.first_ns - exchange.sent_ns)
-            exchange.answers.append(Answer(bare or entry, latency_ns, bare is not None))
-        heard.entries = []
-        for junk in heard.junk_pieces:
-            bare = self._bare.of_junk(junk, exchange)
-            if bare is None:
-                exchange.junk.append(junk)
-            else:
-                exchange.answers.append(Answer(bare, max(0, junk.first_ns - exchange.sent_ns), True))
-        heard.junk_pieces = []
-        if heard.findings:
-            exchange.findings += heard.findings
-            heard.findings = []
 
     # --- judging --------------------------------------------------------------------------------------------------
 
@@ -388,10 +329,12 @@ def _text(value: Any, unit: str) -> str:
     return f"{value} {unit}".rstrip()
 
 
-def _sent(item: bytes | CanFrame, t_ns: int) -> Chunk | CanFrame:
-    if isinstance(item, CanFrame):
-        return CanFrame(t_ns, item.port, item.id, item.data, Role.REQUEST, item.extended, item.remote, item.error, item.fd)
-    return Chunk(t_ns, _BUS, item, Role.REQUEST, True)
+def plain_probe(dialect: Dialect, address: int, gate: Gate) -> Probe:
+    """Return a probe that serves no claim, for what has to talk to a drive besides: stop it, put its settings back."""
+    rig = Rig(dialect, address)
+    rig.gate = gate
+    name = f"{dialect.name}/{Theme.STATE}/none"
+    return Probe(rig, Claim(name, Theme.STATE, dialect.name, "none", "", "nothing", lambda probe: None, Certainty.OPEN))
 
 
 def _answered(exchange: Exchange) -> bool:
@@ -416,8 +359,5 @@ def _ended(exchange: Exchange) -> bool:
     return False
 
 
-_ENDS: Mapping[Until, Callable[[Exchange], bool]] = {
-    Until.REPLY: _answered,
-    Until.DONE: _ended,
-    Until.TIMEOUT: lambda exchange: False,
-}
+#: Whatever comes may be what the drive under test answers, paired with its request or not.
+_ENDS: Mapping[Until, Ended] = {Until.REPLY: _answered, Until.DONE: _ended, Until.TIMEOUT: lambda exchange: False}

@@ -15,26 +15,25 @@ so is, at the end, a run that the recording left running.
 from __future__ import annotations
 
 import gc
+from array import array
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any, NamedTuple
 
-from msgspec.structs import replace
-
-from analyzer.catalogue import Command, Dialect, Risk, Role
+from analyzer.catalogue import Command, Dialect, Risk
 from analyzer.codec import codec
 from analyzer.decoder import slots_of
 from analyzer.encoder import build
 from analyzer.errors import ServotapError
-from analyzer.pipeline import Entry, Options, Pipeline
-from analyzer.records import CanFrame, Chunk, Comment, Finding, Junk
 from conformance.gate.bounds import MOVES, OWN_WAYS, RUNS, STOPS
 from conformance.gate.gate import Gate, Judge, Objection, Refused
 from conformance.safety.signals import undisturbed
-from conformance.talk.drive_state import item_of
-from conformance.tools.replay_plan import Plan, Step, told
-from conformance.tools.replay_result import Result, Sent
+from conformance.safety.stopping import RAMPED, stop
+from conformance.talk.dialogue import Dialogue
+from conformance.talk.exchange import Exchange, item_of
+from conformance.tools.replay_plan import Plan, Reply, Step, reply_of
 
 MS = 1_000_000
 #: From the last look at the line to the sending: waited out without sleeping.
@@ -87,44 +86,93 @@ def rehearse(judge: Judge, plan: Plan, speed: float) -> Rehearsal:
     return result
 
 
+# --- what came of it ----------------------------------------------------------------------------------------------
+
+
+class Match(StrEnum):
+    """A request's replies beside those of the recording."""
+
+    SAME = "same bytes"
+    VALUES = "other values"
+    DIFFERENT = "different"
+    MISSING = "missing"
+    MORE = "more"
+    SILENT = "silent, as then"
+
+
+#: What of these is a deviation.
+DEVIATIONS = frozenset({Match.DIFFERENT, Match.MISSING, Match.MORE})
+
+
+@dataclass(slots=True)
+class SentStep:
+    """A step as it was sent. `late_ns`: behind its time; `held`: it waited for a reply."""
+
+    step: Step
+    exchange: Exchange
+    late_ns: int
+    held: bool
+    replies: list[Reply] = field(default_factory=list)
+
+    @property
+    def match(self) -> Match:
+        """The replies beside those of the recording."""
+        return compare(self.step.replies, self.replies)
+
+
+@dataclass
+class Result:
+    """What a replay did.
+
+    `matches`: by command and match, how often; `examples`: the first deviation of each kind of them; `late_ns`: of the steps
+    that nothing held back. `stopped`: why it did not go to its end, or nothing; `left_moving`: drives that are not known to
+    stand, and why. `junk`, `others`: pieces that were no frame, and frames that answered no step.
+    """
+
+    sent: int = 0
+    held: int = 0
+    matches: Counter[tuple[str, Match]] = field(default_factory=Counter)
+    examples: dict[tuple[str, Match], SentStep] = field(default_factory=dict)
+    late_ns: array[int] = field(default_factory=lambda: array("q"))
+    stopped: str = ""
+    left_moving: list[str] = field(default_factory=list)
+    junk: int = 0
+    others: int = 0
+
+    @property
+    def deviations(self) -> int:
+        """Requests that were answered otherwise than then."""
+        return sum(count for (_, match), count in self.matches.items() if match in DEVIATIONS)
+
+    def lateness_ns(self, share: float) -> int:
+        """Return how late the steps left that nothing held back: the value that this share of them does not exceed."""
+        late = sorted(self.late_ns)
+        return late[min(len(late) - 1, int(share * len(late)))] if late else 0
+
+    def settle(self, sent: SentStep) -> None:
+        """Count a step whose replies have come."""
+        key = (sent.step.name, sent.match)
+        self.matches[key] += 1
+        if sent.match in DEVIATIONS:
+            self.examples.setdefault(key, sent)
+
+
+def compare(then: Sequence[Reply], now: Sequence[Reply]) -> Match:
+    """Compare the replies to a request: commands, forms and statuses have to be the same; what is read may differ."""
+    if not then and not now:
+        return Match.SILENT
+    if len(now) < len(then):
+        return Match.MISSING
+    if len(now) > len(then):
+        return Match.MORE
+    if [t.kind for t in then] != [t.kind for t in now]:
+        return Match.DIFFERENT
+    if all(a.data == b.data for a, b in zip(then, now, strict=True)):
+        return Match.SAME
+    return Match.VALUES if all(t.reads or t.status is None for t in now) else Match.SAME
+
+
 # --- sending ------------------------------------------------------------------------------------------------------
-
-
-class _Heard:
-    """A sink that ties what comes back to the steps. `own`: frames that leave belong to the step that is current."""
-
-    def __init__(self, result: Result) -> None:
-        self._result = result
-        self._by_sequence: dict[int, Sent] = {}
-        self._own: list[tuple[range, Sent]] = []
-
-    def leaves(self, offset: int, size: int, sent: Sent) -> None:
-        """Take it that the bytes from `offset` on are a step's."""
-        self._own = [*self._own[-3:], (range(offset, offset + max(1, size)), sent)]
-
-    def entry(self, entry: Entry) -> None:
-        """Take a frame."""
-        offset = entry.message.frame.offset
-        own = next((sent for span, sent in self._own if offset in span), None)
-        if own is not None:
-            self._by_sequence[entry.sequence] = own
-            return
-        sent = self._by_sequence.get(entry.request_sequence) if entry.request_sequence is not None else None
-        if sent is None:
-            self._result.others += 1
-        else:
-            sent.replies.append(told(entry.message))
-
-    def junk(self, junk: Junk, sequence: int, topic: str) -> None:
-        """Count junk that came."""
-        if not any(junk.offset in span for span, _ in self._own):
-            self._result.junk += 1
-
-    def finding(self, found: Finding) -> None:
-        """Do nothing: the comparison is with the recording, not with the manual."""
-
-    def comment(self, comment: Comment) -> None:
-        """Do nothing: a line has no comments."""
 
 
 class Replay:
@@ -134,20 +182,18 @@ class Replay:
         self.gate = gate
         self.result = Result()
         self._speed = speed
-        self._name = gate.line.endpoint.name
         self._serial = not gate.line.is_can
         self._spin_ns = 0 if gate.line.emulated else SPIN_NS
-        self._sink = _Heard(self.result)
-        self._pipeline = Pipeline(tuple(dialects), (self._sink,), Options(byte_ns=gate.line.byte_ns))
+        self._dialogue = Dialogue(gate, dialects)
+        self._exchange = self._dialogue.begin(Exchange(None, gate.now_ns()))
         self._awaited = 0
         self._awaited_until_ns = 0
-        self._pending = False
-        self._open: deque[Sent] = deque()
+        self._open: deque[SentStep] = deque()
         #: Drives that were set in motion and not stopped since.
         self.moving: dict[tuple[str, int], _Moving] = {}
 
     def run(
-        self, steps: Sequence[Step], period_ns: int = 0, loops: int = 1, advance: Callable[[Sent], None] | None = None
+        self, steps: Sequence[Step], period_ns: int = 0, loops: int = 1, advance: Callable[[SentStep], None] | None = None
     ) -> Result:
         """Send the steps, `loops` times (0: until Ctrl-C), each time `period_ns` after the last; return what came of it.
 
@@ -174,7 +220,7 @@ class Replay:
             self.result.settle(self._open.popleft())
         return self.result
 
-    def _run(self, steps: Sequence[Step], period_ns: int, loops: int, advance: Callable[[Sent], None] | None) -> None:
+    def _run(self, steps: Sequence[Step], period_ns: int, loops: int, advance: Callable[[SentStep], None] | None) -> None:
         start_ns = self.gate.now_ns() + _LEAD_NS
         first_ns = steps[0].t_ns
         number = 0
@@ -187,9 +233,10 @@ class Replay:
             number += 1
         last_ns = max((s.reply_ns for s in steps[-8:]), default=0)
         self._listen(self.gate.now_ns() + last_ns + _TAIL_NS)
-        self._pipeline.silence(self._name)
+        self._dialogue.finish()
+        self._sort()
 
-    def _send(self, step: Step, due_ns: int) -> Sent:
+    def _send(self, step: Step, due_ns: int) -> SentStep:
         gate = self.gate
         self._listen(due_ns - self._spin_ns)
         held = self._hold(due_ns)
@@ -197,8 +244,8 @@ class Replay:
             if not self._spin_ns:
                 self._listen(due_ns)
         late_ns = gate.now_ns() - due_ns
-        sent_ns = gate.send(step.item)
-        sent = Sent(step, late_ns, held)
+        exchange = self._exchange = self._dialogue.send(step.item)
+        sent = SentStep(step, exchange, late_ns, held)
         result = self.result
         result.sent += 1
         result.held += held
@@ -207,7 +254,9 @@ class Replay:
         self._open.append(sent)
         if len(self._open) > _OPEN:
             result.settle(self._open.popleft())
-        self._leaves(step, sent, sent_ns)
+        self._awaited = _wire_size(step) if step.replies else 0
+        self._awaited_until_ns = exchange.sent_ns + PATIENCE_NS
+        self._watch(step)
         return sent
 
     def _hold(self, due_ns: int) -> bool:
@@ -219,33 +268,28 @@ class Replay:
         self._awaited = 0
         return self.gate.now_ns() > due_ns
 
-    def _leaves(self, step: Step, sent: Sent, sent_ns: int) -> None:
-        item = step.item
-        port = self._pipeline.ports.get(self._name)
-        data = item.data if isinstance(item, CanFrame) else item
-        self._sink.leaves(port.bytes_in if port is not None else 0, len(data), sent)
-        if isinstance(item, CanFrame):
-            self._pipeline.feed(replace(item, t_ns=sent_ns, port=self._name, direction=Role.REQUEST))
-        else:
-            self._pipeline.feed(Chunk(sent_ns, self._name, item, Role.REQUEST, True))
-        self._awaited = _wire_size(step) if step.replies else 0
-        self._awaited_until_ns = sent_ns + PATIENCE_NS
-        self._watch(step)
-
     def _listen(self, until_ns: int) -> None:
         while self.gate.now_ns() < until_ns:
             self._receive(until_ns)
 
     def _receive(self, until_ns: int) -> None:
-        left_ns = max(0, until_ns - self.gate.now_ns())
-        got = self.gate.receive(min(left_ns, 15 * MS) if self._pending else left_ns)
+        got = self._dialogue.receive(until_ns)
         if got is not None:
             self._awaited -= len(got.data)
-            self._pipeline.feed(replace(got, port=self._name))
-            self._pending = True
-        elif self._pending:
-            self._pipeline.silence(self._name)
-            self._pending = False
+        self._sort()
+
+    def _sort(self) -> None:
+        """Give replies to the steps that they answer, which may be earlier ones."""
+        exchange = self._exchange
+        for answer in exchange.answers:
+            sequence = answer.entry.request_sequence
+            sent = next((s for s in reversed(self._open) if any(r.sequence == sequence for r in s.exchange.requests)), None)
+            if sent is None:
+                self.result.others += 1
+            else:
+                sent.replies.append(reply_of(answer.message))
+        self.result.junk += len(exchange.junk)
+        exchange.answers, exchange.junk = [], []
 
     # --- what moves -----------------------------------------------------------------------------------------------
 
@@ -264,8 +308,6 @@ class Replay:
 
     def stop(self, *, only_runs: bool = False) -> None:
         """Stop by a ramp what was set in motion, and look until it stands. `only_runs`: what would run on for ever."""
-        from conformance.safety.stopping import stop
-
         for (name, address), moving in list(self.moving.items()):
             if only_runs and not moving.for_ever:
                 continue
@@ -281,8 +323,6 @@ class Replay:
                 self.result.left_moving.append(f"{name}@{address}: {said}")
 
     def _stop_all(self, dialect: Dialect) -> str:
-        from conformance.safety.stopping import RAMPED
-
         for verb in RAMPED:
             command = dialect.by_verb.get(verb)
             if command is not None and dialect.broadcast is not None:

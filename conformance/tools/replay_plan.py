@@ -1,9 +1,9 @@
-"""What a recording is replayed by: its requests in order, each with its time and the replies that it got then.
+"""The plan of a replay: the requests of a recording in order, each with its time and the replies that it got then.
 
     capture or log -> the analyzer's pipeline -> steps
 
 A step is a request as its bytes were, good or bad: the analyzer tells it from replies. What it cannot tell (a frame of an
-unknown role, junk, a CAN frame of 29 bits) is left out and counted; so is the echo of an adapter, which nobody sent.
+unknown role, junk, a CAN frame of 29 bits) is left out and counted; so is the echo of an adapter.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from analyzer.pipeline import Entry, Item, Pipeline, Sink
 from analyzer.records import CanFrame, Comment, Finding, Junk, Message
 from conformance.gate import gate
 
-#: The finding of a request that nobody sent.
+#: The finding of a request that an adapter handed back.
 _ECHO = "host_echo"
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """A reply, as far as two of them are compared. `values`: integers as sent."""
+class Reply:
+    """A reply, as far as two of them are compared. `reads`: its command only reads."""
 
     name: str
     form: str
@@ -33,22 +33,22 @@ class Told:
 
     @property
     def kind(self) -> tuple[str, str, int | None]:
-        """What has to be the same: command, form and status."""
+        """Command, form and status: they have to be the same."""
         return (self.name, self.form, self.status)
 
 
-def told(message: Message) -> Told:
-    """Return what is compared of a reply."""
+def reply_of(message: Message) -> Reply:
+    """Return a reply as it is compared."""
     command, form = message.command, message.form
     name = command.name if command is not None else "unknown"
     if command is None or form is None:
-        return Told(name, "unreadable", None, message.frame.data, True)
+        return Reply(name, "unreadable", None, message.frame.data, True)
     reads = all(not rule.risks - {"read"} for rule in command.risk)
     named = command.replies.status
     judged = command.judged and named in form.layout.named
     status = message.values.get(named) if judged and not reads else None
     shape = form.name if message.frame.checksum_ok else f"{form.name}, its checksum wrong"
-    return Told(name, shape, status, message.frame.data, reads)
+    return Reply(name, shape, status, message.frame.data, reads)
 
 
 @dataclass(slots=True)
@@ -58,7 +58,7 @@ class Step:
     t_ns: int
     item: gate.Item
     message: Message
-    replies: list[Told] = field(default_factory=list)
+    replies: list[Reply] = field(default_factory=list)
     reply_ns: int = 0
 
     @property
@@ -122,7 +122,7 @@ class _Reader:
             step = self._open[entry.request_sequence]
             if not step.replies:
                 step.reply_ns = max(0, frame.last_ns - step.t_ns)
-            step.replies.append(told(message))
+            step.replies.append(reply_of(message))
 
     def _request(self, entry: Entry) -> None:
         message = entry.message

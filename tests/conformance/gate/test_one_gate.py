@@ -15,9 +15,9 @@ from analyzer.encoder import build
 from conformance.bus.emulated import EmulatedLine
 from conformance.drives import make
 from conformance.gate.gate import Allowance, Gate
-from conformance.suite.sighting import look
+from conformance.suite.preflight import find_drive
 from conformance.talk.dialogue import Dialogue
-from conformance.tools.scan import scan
+from conformance.talk.scan import scan
 
 ROOT = Path(__file__).parents[3]
 MODULES = sorted((ROOT / "conformance").rglob("*.py"))
@@ -72,5 +72,5 @@ def test_whoever_asks_and_looks_does_so_through_the_gate():
     mks = dialects.get("mks-rs485")
     Dialogue(gate, [mks]).ask(build(mks, "read_speed", 1), 10_000_000)
     scan(gate, [mks], addresses=[1, 2])
-    look(gate, mks, 3, widely=False)
+    find_drive(gate, mks, 3, widely=False)
     assert line.writers == {"Gate.send"}

@@ -17,7 +17,7 @@ from conformance.bus import open_line
 from conformance.gate.gate import Allowance, Gate
 from conformance.motion import motion
 from conformance.safety import journal
-from conformance.safety.bare import bare_probe
+from conformance.talk.probe import plain_probe
 from tests.conformance.drives.served import on_pty, wait_for
 
 ROOT = Path(__file__).parents[3]
@@ -28,7 +28,7 @@ from analyzer.catalogue import Risk
 from conformance.motion import motion
 from conformance.suite import plan as suite
 from conformance.gate.gate import Allowance
-from conformance.safety.bare import bare_probe
+from conformance.talk.probe import plain_probe
 from conformance.suite.target import parse
 
 path, ending = sys.argv[1:3]
@@ -68,7 +68,7 @@ def looked_at(path: str) -> tuple[float, bool]:
     line = open_line(endpoints.parse(f"serial:{path},baud=38400"))
     try:
         gate = Gate(line, Allowance(frozenset({Risk.READ, Risk.MOTION, Risk.TORQUE}), addresses=frozenset({1})))
-        probe = bare_probe(dialects.get("mks-rs485"), 1, gate, "look")
+        probe = plain_probe(dialects.get("mks-rs485"), 1, gate)
         speed = motion.speed(probe).value
         return speed, not probe.refused(probe.ask("enable", {"enabled": 1}))
     finally:

@@ -15,16 +15,15 @@ import pytest
 from analyzer.encoder import build
 from analyzer.live import endpoint as endpoints
 from conformance.bus import open_line
-from conformance.claim import Claim, Inconclusive, Outcome, Theme
+from conformance.claim import Claim, Inconclusive, NotStopped, Outcome, Theme
 from conformance.gate.gate import Gate, Refused
 from conformance.gate.permissions import READS, Allowance, parse_allow
 from conformance.motion import motion
-from conformance.safety.bare import bare_probe
 from conformance.safety.stopping import stop, stopping
 from conformance.suite import engine
 from conformance.suite import plan as suite
-from conformance.suite.rig import NotStopped
 from conformance.suite.target import parse
+from conformance.talk.probe import plain_probe
 from tests.conformance.drives.served import on_pty
 
 ROOT = Path(__file__).parents[3]
@@ -53,7 +52,7 @@ def speed_of(path):
     line = open_line(endpoints.parse(f"serial:{path},baud=38400"))
     try:
         dialect = parse("mks-rs485@1").dialect
-        return motion.speed(bare_probe(dialect, 1, Gate(line, Allowance(READS)), "look")).value
+        return motion.speed(plain_probe(dialect, 1, Gate(line, Allowance(READS)))).value
     finally:
         line.close()
 

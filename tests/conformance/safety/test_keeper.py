@@ -10,15 +10,14 @@ import pytest
 from analyzer.catalogue import Risk
 from conformance.bus.emulated import EmulatedLine
 from conformance.bus.line import LineLost
-from conformance.claim import Claim, Outcome, Theme
+from conformance.claim import Claim, Outcome, RigFault, Theme
 from conformance.drives import make
 from conformance.gate.budget import Budget
 from conformance.gate.permissions import Allowance, parse_allow
 from conformance.safety import journal
-from conformance.safety.restoring import restore
+from conformance.safety.keeper import restore
 from conformance.suite import engine
 from conformance.suite import plan as suite
-from conformance.suite.rig import RigFault
 from conformance.suite.rig_real import RealRig
 from conformance.suite.target import parse
 
@@ -116,9 +115,9 @@ def test_each_parameter_of_an_lk_drive_is_put_back_and_told_apart_in_the_journal
 
 
 def _lk(rig, number):
-    from conformance.safety.bare import bare_probe
+    from conformance.talk.probe import plain_probe
 
-    probe = bare_probe(rig.dialect, rig.address, rig.gate, "look")
+    probe = plain_probe(rig.dialect, rig.address, rig.gate)
     exchange = probe.ask("read_parameter", {"parameter": number})
     return dict(probe.reply(exchange).values)
 

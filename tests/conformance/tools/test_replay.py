@@ -29,9 +29,8 @@ from conformance.gate.budget import Budget
 from conformance.gate.gate import Allowance, Gate, Item, Judge
 from conformance.serve.can import CanPort
 from conformance.serve.pty import PtyPort
-from conformance.tools.replay import PATIENCE_NS, Replay, rehearse
+from conformance.tools.replay import PATIENCE_NS, Match, Replay, compare, rehearse
 from conformance.tools.replay_plan import Plan, make_plan
-from conformance.tools.replay_result import Match, compare
 from tests.conformance.drives.served import drives, on_port, on_pty, wait_for
 from tests.conformance.drives.served import on_can as serve_can
 from tests.conformance.vectors import EVERYTHING, on_can

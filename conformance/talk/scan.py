@@ -4,14 +4,15 @@
     report.found, report.hints
 
 Only reads are sent, through a gate that allows nothing else. For each dialect it is the read that every drive of it answers
-and that says most (a status, a state); a drive that answered is asked for more: its version, where it can tell one.
+and that says most (a status, a state). A drive that answered is asked for its version and its state too.
 
-Before the first byte the line is listened to: on a bus that a machine uses, a question at the wrong moment spoils what
-others say, so there nothing is sent unless the caller wants it (`busy`).
+Before the first byte the scan listens: on a bus that a machine uses, a question at the wrong moment spoils the traffic of
+others. There nothing is sent unless the caller wants it (`busy`).
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -21,25 +22,24 @@ from analyzer.catalogue import Command, Dialect, Risk, Role, Verb
 from analyzer.decoder import physical
 from analyzer.encoder import build
 from analyzer.errors import UsageError
-from analyzer.pipeline import Entry
 from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
-from conformance.talk.dialogue import MS, Dialogue, Talk
-from conformance.talk.drive_state import item_of
+from conformance.talk.dialogue import MS, Dialogue
+from conformance.talk.exchange import Answer, Exchange, item_of
 
 #: What is asked first, the best first: each is answered by any drive that has it, whatever it is doing.
-_QUESTIONS = (Verb.READ_STATUS, Verb.READ_STATE_1, Verb.READ_VERSION, Verb.READ_SPEED, Verb.READ_POSITION)
+_SEARCH_READS = (Verb.READ_STATUS, Verb.READ_STATE_1, Verb.READ_VERSION, Verb.READ_SPEED, Verb.READ_POSITION)
 #: What a drive that answered is asked besides.
 _MORE = (Verb.READ_VERSION, Verb.READ_STATE_1, Verb.READ_ENABLED, Verb.READ_SPEED)
 #: How long an answer may take beside its time on the wire: a drive's own, and an adapter's latency timer.
 PATIENCE_NS = 40 * MS
-#: How long is listened before anything is sent.
+#: How long the scan listens before it sends.
 LISTEN_NS = 250 * MS
 _REPLY_BYTES = 14
 _SECOND_NS = 1_000_000_000
 
 
-class Look(StrEnum):
+class StrayKind(StrEnum):
     """What bytes look like that came and are no answer."""
 
     REPLY = "a reply from another address"
@@ -51,14 +51,14 @@ class Look(StrEnum):
 
 @dataclass(frozen=True)
 class Found:
-    """A drive that answered. `asked`: the address it was asked at, where that is another; `said`: fields it told."""
+    """A drive that answered. `values`: physical values that it sent; `wrong`: what is wrong with its answer, or nothing."""
 
     dialect: Dialect
     address: int
     speed: int
     latency_ns: int
     reply: bytes
-    said: Mapping[str, Any] = field(default_factory=dict)
+    values: Mapping[str, Any] = field(default_factory=dict)
     wrong: str = ""
 
     @property
@@ -68,33 +68,33 @@ class Found:
 
     @property
     def identity(self) -> str:
-        """Firmware and type, as far as it told any."""
-        said = self.said
-        parts = [str(said["hardware_name"])] if "hardware_name" in said else []
-        if "firmware_major" in said:
-            version = ".".join(str(said[f"firmware_{n}"]) for n in ("major", "minor", "patch") if f"firmware_{n}" in said)
-            parts.append(f"firmware {version}")
-        if "voltage" in said:
-            parts.append(f"{said['voltage']:g} V")
+        """Firmware and type, as far as it reported any."""
+        values = self.values
+        parts = [str(values["hardware_name"])] if "hardware_name" in values else []
+        if "firmware_major" in values:
+            numbers = (f"firmware_{n}" for n in ("major", "minor", "patch"))
+            parts.append(f"firmware {'.'.join(str(values[n]) for n in numbers if n in values)}")
+        if "voltage" in values:
+            parts.append(f"{values['voltage']:g} V")
         return ", ".join(parts)
 
 
 @dataclass(frozen=True)
-class Heard:
-    """Bytes that came and are no answer, when which question was asked at which rate. `asked` empty: none was."""
+class Stray:
+    """Bytes that came and are no answer. `asked`: the drive that was asked then; empty: none was."""
 
     speed: int
     asked: str
     data: bytes
-    look: Look
+    kind: StrayKind
 
 
 @dataclass
 class Report:
-    """What a scan found. `rates`: at which it looked; `stopped`: why it did not look everywhere, or nothing."""
+    """What a scan found. `rates`: those that it tried; `stopped`: why it did not look everywhere, or nothing."""
 
     found: list[Found] = field(default_factory=list)
-    heard: list[Heard] = field(default_factory=list)
+    strays: list[Stray] = field(default_factory=list)
     asked: int = 0
     rates: list[int] = field(default_factory=list)
     dialects: tuple[str, ...] = ()
@@ -104,22 +104,58 @@ class Report:
 
     @property
     def hints(self) -> list[str]:
-        """What to look at, by what was found and heard."""
-        from conformance.tools.scan_hints import hints
+        """What to check, the likeliest first; empty where drives answered and nothing is odd."""
+        if self.stopped:
+            return ["end the other host, or read its traffic: servotap record ENDPOINT; --busy asks all the same"]
+        result: list[str] = []
+        kinds = Counter(stray.kind for stray in self.strays)
+        if self.echoes:
+            result.append("the adapter hands back what it sends (its receiver stays on): that was left out")
+        crowded = Counter((f.dialect.bus, f.address, f.speed) for f in self.found)
+        for (_, address, _), count in crowded.items():
+            names = sorted({f.dialect.name for f in self.found if f.address == address})
+            if count > 1:
+                result.append(f"address {address} answers in {' and '.join(names)}: two drives have one address")
+        odd = [f for f in self.found if f.wrong]
+        result += [f"{f.name}: {f.wrong}: two drives of one address, or a poor line (termination, ground)" for f in odd]
+        if kinds[StrayKind.LOW] and not self.found:
+            result.append("the line stays low: A and B are swapped, or there is no bias (termination, pull-up)")
+        if kinds[StrayKind.WRONG_RATE] and not self.found:
+            result.append("bytes came that are no frames: a drive at another rate, two drives of one address, or a poor line")
+        if kinds[StrayKind.OTHER_DIALECT]:
+            result.append("frames of another dialect came: name it with --dialects, or leave that out")
+        if kinds[StrayKind.REQUEST]:
+            result.append("another host sends on this bus: the answers may have been to it")
+        if not self.found:
+            result += _CAN_SILENCE if self.kind == "can" else _SERIAL_SILENCE
+        return result
 
-        return hints(self)
 
+_SERIAL_SILENCE = (
+    "wiring: is the drive powered, A to A and B to B, and a common ground? Makers name A and B differently: swap them once",
+    "address and rate: the drive's menu shows them (MKS: UartAddr, UartBaud); --addresses and --rates widen the search",
+    "mode: an MKS drive answers native frames or Modbus, as its Mb_RTU says, never both; both were asked"
+    " unless --dialects said otherwise",
+    "adapter: has it RS485, not RS232 or TTL, and does it switch its direction by itself?",
+    "another program on the same port, or a second host on the bus, takes the answers away",
+)
+_CAN_SILENCE = (
+    "wiring: is the drive powered, H to H and L to L, and a common ground?",
+    "termination: 120 ohm at both ends of the bus (60 ohm between H and L with the power off)",
+    "bit rate and ID: the drive's menu shows them (CanRate, CanID); a bus at the wrong rate is silent",
+    "bus state: ip -details link show can0 says ERROR-PASSIVE or BUS-OFF where no node acknowledges",
+)
 
 #: Called as a scan goes on: questions asked, questions there are, and where it is.
 Progress = Callable[[int, int, str], None]
 
 
-def question(dialect: Dialect) -> Command:
+def search_read(dialect: Dialect) -> Command:
     """Return the read by which a drive of a dialect is looked for: one without values, that changes nothing."""
     plain = [c for c in dialect.commands if _is_plain_read(c)]
     if not plain:
         raise UsageError(f"{dialect.name} has no read that needs no value, so its drives cannot be looked for")
-    ranks = {verb: rank for rank, verb in enumerate(_QUESTIONS)}
+    ranks = {verb: rank for rank, verb in enumerate(_SEARCH_READS)}
     return min(plain, key=lambda c: ranks.get(c.verb, len(ranks)))
 
 
@@ -154,11 +190,16 @@ def scan(
     report.dialects, report.kind = tuple(d.name for d in kinds), line.endpoint.bus_kind
     tried = list(rates) or [own]
     total = len(tried) * sum(len(each) for each in plan.values())
+
+    def told(where: str) -> None:
+        if progress is not None:
+            progress(report.asked, total, where)
+
     try:
         for rate in tried:
             if rate != line.endpoint.bits_per_second:
                 gate.set_speed(rate)
-            if not _look(gate, kinds, plan, rate, patience_ns, busy, enough, report, total, progress):
+            if not _scan_rate(Finder(gate, kinds, patience_ns), plan, rate, busy, enough, report, told):
                 break
     finally:
         if line.endpoint.bits_per_second != own:
@@ -173,46 +214,41 @@ def _possible(dialect: Dialect, addresses: Iterable[int]) -> list[int]:
     return [a for a in addresses if first <= a <= last]
 
 
-def _look(
-    gate: Gate,
-    dialects: Sequence[Dialect],
+def _scan_rate(
+    finder: Finder,
     plan: Mapping[str, Sequence[int]],
     rate: int,
-    patience_ns: int,
     busy: bool,
     enough: Callable[[Found], bool] | None,
     report: Report,
-    total: int,
-    progress: Progress | None,
+    told: Callable[[str], None],
 ) -> bool:
-    """Look at one rate; return whether to go on with the next one."""
-    asker = Asker(gate, dialects, patience_ns)
+    """Ask all addresses at one rate; return whether to go on with the next one."""
     report.rates.append(rate)
-    before = asker.dialogue.listen(LISTEN_NS)
-    if before.heard:
-        report.heard.append(Heard(rate, "", before.heard, look_of(before, None, None)))
-        if any(e.message.role is not Role.UNKNOWN for e in before.others) and not busy:
+    before = finder.dialogue.listen(LISTEN_NS)
+    if before.received:
+        report.strays.append(Stray(rate, "", before.received, _stray_kind(before, None, None)))
+        if any(a.message.role is not Role.UNKNOWN for a in before.others) and not busy:
             report.stopped = "others speak on this bus, so nothing was asked"
             return False
-    for dialect in dialects:
+    for dialect in finder.dialogue.dialects:
         for address in plan[dialect.name]:
-            if progress is not None:
-                progress(report.asked, total, f"{dialect.name} at {rate}, address {address}")
+            told(f"{dialect.name} at {rate}, address {address}")
             report.asked += 1
-            found, talk = asker.ask(dialect, address)
+            found, exchange = finder.find(dialect, address)
             if found is not None:
                 known = {(f.dialect.name, f.address, f.speed) for f in report.found}
                 if (found.dialect.name, found.address, found.speed) not in known:
                     report.found.append(found)
                 if enough is not None and enough(found):
                     return False
-            elif talk.heard:
-                look = look_of(talk, dialect, address)
-                report.heard.append(Heard(rate, f"{dialect.name}@{address}", talk.heard, look))
+            elif exchange.received:
+                kind = _stray_kind(exchange, dialect, address)
+                report.strays.append(Stray(rate, f"{dialect.name}@{address}", exchange.received, kind))
     return True
 
 
-class Asker:
+class Finder:
     """Asks single drives whether they are there."""
 
     def __init__(self, gate: Gate, dialects: Sequence[Dialect], patience_ns: int = PATIENCE_NS) -> None:
@@ -220,57 +256,56 @@ class Asker:
         self.dialogue = Dialogue(gate.under(Allowance()), dialects)
         self._patience_ns = patience_ns
 
-    def ask(self, dialect: Dialect, address: int) -> tuple[Found | None, Talk]:
-        """Ask for a drive; return it, if one answered, and the talk. Raises LineLost."""
-        command = question(dialect)
-        talk = self._talk(dialect, command, address)
-        answer = next((e for e in talk.entries if _answers(e, dialect)), None)
+    def find(self, dialect: Dialect, address: int) -> tuple[Found | None, Exchange]:
+        """Ask for a drive; return it, if one answered, and the exchange. Raises LineLost."""
+        command = search_read(dialect)
+        exchange = self._ask(dialect, command, address)
+        answer = next((a for a in exchange.answers if _is_of(a, dialect)), None)
         if answer is None:
-            return None, talk
+            return None, exchange
         message = answer.message
         wrong = "" if message.frame.checksum_ok else "its checksum is wrong"
         if message.address != address:
             wrong = f"it answered for {message.address} when {address} was asked"
-        said = dict(physical(message)) | self._more(dialect, message.address, command)
+        values = dict(physical(message)) | self._more(dialect, message.address, command)
         speed = self.dialogue.gate.line.endpoint.bits_per_second
-        return Found(dialect, message.address, speed, talk.latency_ns(answer), message.frame.data, said, wrong), talk
+        return Found(dialect, message.address, speed, answer.latency_ns, answer.data, values, wrong), exchange
 
     def _more(self, dialect: Dialect, address: int, asked: Command) -> dict[str, Any]:
-        said: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         for verb in _MORE:
             command = dialect.by_verb.get(verb)
             if command is None or command is asked or not _is_plain_read(command):
                 continue
-            talk = self._talk(dialect, command, address)
-            for entry in talk.replies:
-                if entry.message.frame.checksum_ok and talk.meaning(entry) == "final":
-                    said |= physical(entry.message)
-        return said
+            for reply in self._ask(dialect, command, address).replies:
+                if reply.message.frame.checksum_ok and reply.meaning == "final":
+                    values |= physical(reply.message)
+        return values
 
-    def _talk(self, dialect: Dialect, command: Command, address: int) -> Talk:
+    def _ask(self, dialect: Dialect, command: Command, address: int) -> Exchange:
         frame = build(dialect, command, address)
         line = self.dialogue.gate.line
         wire_ns = (len(frame) + _REPLY_BYTES) * line.byte_ns or 200 * _SECOND_NS // line.endpoint.bits_per_second
         return self.dialogue.ask(item_of(dialect, frame, address), wire_ns + self._patience_ns)
 
 
-def _answers(entry: Entry, dialect: Dialect) -> bool:
+def _is_of(answer: Answer, dialect: Dialect) -> bool:
     """Say whether a frame is a drive's of this dialect: its reply, or Modbus' refusal to answer."""
-    message = entry.message
+    message = answer.message
     if message.frame.dialect.name != dialect.name or message.role is not Role.REPLY:
         return False
     return message.frame.checksum_ok or message.form is not None
 
 
-def look_of(talk: Talk, dialect: Dialect | None, address: int | None) -> Look:
+def _stray_kind(exchange: Exchange, dialect: Dialect | None, address: int | None) -> StrayKind:
     """Say what bytes look like that came and are no answer."""
-    for entry in talk.others:
-        message = entry.message
+    for other in exchange.others:
+        message = other.message
         if dialect is None or message.role is Role.REQUEST:
-            return Look.REQUEST
+            return StrayKind.REQUEST
         if message.frame.dialect.name != dialect.name:
-            return Look.OTHER_DIALECT
+            return StrayKind.OTHER_DIALECT
         if message.address != address:
-            return Look.REPLY
-    low = sum(byte == 0 for byte in talk.heard)
-    return Look.LOW if low * 4 >= len(talk.heard) * 3 else Look.WRONG_RATE
+            return StrayKind.REPLY
+    low = sum(byte == 0 for byte in exchange.received)
+    return StrayKind.LOW if low * 4 >= len(exchange.received) * 3 else StrayKind.WRONG_RATE

@@ -21,8 +21,8 @@ from conformance.drives import make
 from conformance.drives.serial_bus import SerialBus
 from conformance.gate.gate import Allowance, Gate
 from conformance.serve.pty import PtyPort
-from conformance.suite.sighting import look, neighbours
-from conformance.tools.scan import Look, Report, question, scan
+from conformance.suite.preflight import find_drive, other_drives
+from conformance.talk.scan import Report, StrayKind, scan, search_read
 from tests.conformance.drives.served import drives, on_port, on_pty
 
 SERIAL = [d for d in dialects.every() if d.bus == "serial"]
@@ -43,7 +43,7 @@ def names(report: Report) -> list[str]:
 
 @pytest.mark.parametrize("dialect", dialects.every(), ids=lambda d: d.name)
 def test_what_is_asked_changes_nothing(dialect: Dialect):
-    asked = question(dialect)
+    asked = search_read(dialect)
     assert asked.all_risks == {Risk.READ}
     assert asked.reply_forms
 
@@ -55,7 +55,7 @@ def test_drives_of_all_dialects_at_all_rates():
     assert names(found) == ["mks-rs485@1 38400", "mks-rs485@31 38400", "mks-modbus@2 9600", "lk-rs485@3 115200"]
     assert found.rates == [38400, 9600, 115200]
     assert found.hints == []
-    assert found.found[3].said["temperature"] == 30
+    assert found.found[3].values["temperature"] == 30
     assert found.found[3].identity == "24 V"
     assert 0 < found.found[0].latency_ns < 2_000_000
 
@@ -106,7 +106,7 @@ def test_progress_is_told():
 def test_silence_has_hints():
     report = scan(gate("mks-rs485@1"), [LK], addresses=[1])
     assert not report.found
-    assert not report.heard
+    assert not report.strays
     text = " ".join(report.hints)
     for word in ("wiring", "swap", "rate", "mode", "adapter"):
         assert word in text
@@ -150,17 +150,17 @@ def test_a_bus_in_use_is_left_alone():
     report = heard(request, reply)
     assert report.asked == 0
     assert "others speak on this bus" in report.stopped
-    assert report.heard[0].look is Look.REQUEST
+    assert report.strays[0].kind is StrayKind.REQUEST
     assert "--busy" in report.hints[0]
     assert heard(request, reply, busy=True).asked == 3
 
 
 def test_a_low_line_and_noise_are_told_apart():
     low = heard(bytes(20))
-    assert low.heard[0].look is Look.LOW
+    assert low.strays[0].kind is StrayKind.LOW
     assert any("A and B are swapped" in hint for hint in low.hints)
     noise = heard(bytes.fromhex("F8 78 E0 1E 98 66 FE"))
-    assert noise.heard[0].look is Look.WRONG_RATE
+    assert noise.strays[0].kind is StrayKind.WRONG_RATE
     assert any("another rate" in hint for hint in noise.hints)
 
 
@@ -189,21 +189,21 @@ def test_an_echoing_adapter_is_told(capsys: pytest.CaptureFixture[str]):
 def test_where_a_drive_is_instead(there: str, told: str):
     # The gate allows its own drive alone: looking for it elsewhere is reading, and passes all the same.
     line = EmulatedLine([make.make(make.parse(there))], speed=38400)
-    sighting = look(Gate(line, Allowance(addresses=frozenset({1}))), MKS, 1)
-    assert told in sighting.text
-    assert (sighting.there is not None) == (there == "mks-rs485@1")
+    search = find_drive(Gate(line, Allowance(addresses=frozenset({1}))), MKS, 1)
+    assert told in search.text
+    assert (search.found is not None) == (there == "mks-rs485@1")
     assert line.endpoint.bits_per_second == 38400
 
 
 def test_a_slow_drive_is_waited_for():
     line = EmulatedLine([make.make(make.parse("mks-rs485@1"), reply_delay_ns=700_000_000)], speed=38400)
-    assert look(Gate(line, Allowance()), MKS, 1).there
+    assert find_drive(Gate(line, Allowance()), MKS, 1).found
 
 
-def test_neighbours():
+def test_other_drives():
     near = gate("mks-rs485@1", "mks-rs485@2", "lk-rs485@5,baud=38400")
-    assert [f.name for f in neighbours(near, SERIAL, range(1, 10), own=[1])] == ["mks-rs485@2", "lk-rs485@5"]
-    assert neighbours(gate("mks-rs485@1"), SERIAL, range(1, 10), own=[1]) == []
+    assert [f.name for f in other_drives(near, SERIAL, range(1, 10), own=[1])] == ["mks-rs485@2", "lk-rs485@5"]
+    assert other_drives(gate("mks-rs485@1"), SERIAL, range(1, 10), own=[1]) == []
 
 
 # --- the command ------------------------------------------------------------------------------------------------------
