@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from conformance.claim import NotRun
 from conformance.drives.lk.drive import LkDrive
 from conformance.drives.mks.drive import MksDrive
-from conformance.drives.motor import Switch
+from conformance.drives.mks.motor import Switch
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe

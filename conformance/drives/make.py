@@ -40,9 +40,9 @@ class Kind(NamedTuple):
 _MKS = ("conformance.drives.faults.mks", "conformance.drives.mks.quirks")
 _LK = ("conformance.drives.faults.lk", "conformance.drives.lk.quirks")
 KINDS: Mapping[str, Kind] = {
-    "mks-rs485": Kind("conformance.drives.mks.serial", "MksSerialDrive", *_MKS),
-    "mks-modbus": Kind("conformance.drives.mks.serial", "MksSerialDrive", *_MKS),
-    "mks-can": Kind("conformance.drives.mks.can", "MksCanDrive", *_MKS),
+    "mks-rs485": Kind("conformance.drives.mks.drive", "MksDrive", *_MKS),
+    "mks-modbus": Kind("conformance.drives.mks.drive", "MksDrive", *_MKS),
+    "mks-can": Kind("conformance.drives.mks.drive", "MksDrive", *_MKS),
     "lk-rs485": Kind("conformance.drives.lk.drive", "LkDrive", *_LK),
 }
 #: Words of a specification that are no settings.
@@ -273,8 +273,8 @@ def make(
         given[name] = names.value(name, text)
     drive = _made(specification, settings=given, quirks=specification.quirks, faults=specification.faults, seed=seed)
     if reply_delay_ns is not None:
-        changed_ns = _reply_delay_ns(drive) - plain.reply_delay_ns
-        drive.reply_delay_ns = max(0, reply_delay_ns + changed_ns)  # type: ignore[attr-defined]
+        changed_ns = drive.reply_delay_ns - plain.reply_delay_ns
+        drive.reply_delay_ns = max(0, reply_delay_ns + changed_ns)
     return drive
 
 
@@ -289,7 +289,7 @@ class Plain(NamedTuple):
 def plain_drive(dialect: str, model: str = "") -> Plain:
     """Return what a drive of a dialect and model is when nothing is said of it."""
     drive = _made(Specification(registry.get(dialect), 1, model))
-    return Plain(Settings(drive.dialect, drive.settings), _reply_delay_ns(drive))
+    return Plain(Settings(drive.dialect, drive.settings), drive.reply_delay_ns)
 
 
 def _made(specification: Specification, **options: Any) -> Drive:
@@ -298,11 +298,6 @@ def _made(specification: Specification, **options: Any) -> Drive:
         specification.dialect, specification.address, model=specification.model, **options
     )
     return made
-
-
-def _reply_delay_ns(drive: Drive) -> int:
-    delay_ns: int = drive.reply_delay_ns  # type: ignore[attr-defined]
-    return delay_ns
 
 
 def start_settings(specifications: Sequence[Specification], pairs: Sequence[tuple[str, str]]) -> list[dict[str, int]]:

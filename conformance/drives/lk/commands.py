@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from analyzer.catalogue import Command, Form
 from analyzer.protocols.lk_rs485 import ERROR_BITS, BrakeControl, BrakeState, MotorState, SpinDirection
+from conformance.drives.drive import Request as Request
 from conformance.drives.drive import Values
 from conformance.drives.lk.motor import LkMotor, Speed, Torque
 
@@ -26,15 +26,6 @@ if TYPE_CHECKING:
 IDLE_CURRENT, CURRENT_SHARE = 0.04, 0.006
 
 
-class Request(NamedTuple):
-    """A request that the drive takes: its values as sent and in their units, by field name."""
-
-    command: Command
-    form: Form
-    sent: Values
-    physical: Mapping[str, float]
-
-
 Act = Callable[["LkDrive", Request], None]
 Answer = Callable[["LkDrive", Request], "Values | None"]
 Move = Callable[[LkMotor, Request], None]
@@ -43,11 +34,11 @@ Move = Callable[[LkMotor, Request], None]
 
 
 def _torque(motor: LkMotor, request: Request) -> None:
-    motor.go(Torque(request.sent["torque_current"]))
+    motor.go(Torque(request.values["torque_current"]))
 
 
 def _open_loop(motor: LkMotor, request: Request) -> None:
-    motor.go(Torque(request.sent["power"]))
+    motor.go(Torque(request.values["power"]))
 
 
 def _speed(motor: LkMotor, request: Request) -> None:
@@ -59,7 +50,7 @@ def _multi_turn(motor: LkMotor, request: Request) -> None:
 
 
 def _single_turn(motor: LkMotor, request: Request) -> None:
-    clockwise = request.sent["direction"] == SpinDirection.CW
+    clockwise = request.values["direction"] == SpinDirection.CW
     motor.turn_to(request.physical["angle"], clockwise=clockwise, top=request.physical.get("max_speed"))
 
 
@@ -100,13 +91,13 @@ def _stop(drive: LkDrive, request: Request) -> None:
 
 
 def _brake(drive: LkDrive, request: Request) -> None:
-    control = request.sent["brake_control"]
+    control = request.values["brake_control"]
     if control != BrakeControl.READ:
         drive.motor.hold(braked=control == BrakeControl.POWER_OFF)
 
 
 def _write_parameter(drive: LkDrive, request: Request) -> None:
-    for name, value in request.sent.items():
+    for name, value in request.values.items():
         if name in drive.parameters:
             drive.store(name, value)
 
@@ -135,13 +126,13 @@ def _parameter(drive: LkDrive, request: Request) -> Values | None:
     """Answer with what the drive holds, after writing too; with nothing for a number that is not listed."""
     for form in request.command.reply_forms:
         fields = form.layout.named
-        if fields["parameter"].fixed == request.sent["parameter"]:
+        if fields["parameter"].fixed == request.values["parameter"]:
             return {n: drive.reading(f) if f.fixed is None else f.fixed for n, f in fields.items()}
     return None
 
 
 def _echo(drive: LkDrive, request: Request) -> Values:
-    return dict(request.sent)
+    return dict(request.values)
 
 
 ANSWERS: Mapping[str, Answer] = {"read_parameter": _parameter, "write_parameter": _parameter, "set_position": _echo}

@@ -8,8 +8,7 @@ codes and frames come from the catalogue.
 
 Rules kept here:
 - One request, one reply, `reply_delay_ns` (0.25 ms) after the last byte of the request. Nothing is sent unasked.
-- Silence: a wrong sum, another address (there is no broadcast), a code or length that the model does not have, and a
-  parameter that appendix 1 does not list, for which there is nothing to answer.
+- Silence: there is no broadcast; a parameter that appendix 1 does not list, for which there is nothing to answer.
 - A value outside its range or choices is answered, since LK has no reply that refuses, and changes nothing. Reserved
   bytes are not looked at.
 - Off, or with an error flag set: answered, but nothing moves, neither then nor later. An error takes the torque away.
@@ -37,20 +36,18 @@ link, what a failed encoder does to the position, the multi-motor commands that 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Unpack
 
-import msgspec
-
-from analyzer.catalogue import Command, Dialect, Role
-from analyzer.codec import codec
-from analyzer.decoder import Decoder
+from analyzer.catalogue import Command, Dialect
+from analyzer.codec import Violation
 from analyzer.errors import UsageError
 from analyzer.layout import Field
 from analyzer.protocols.lk_rs485 import DIALECT, ERROR_BITS, HUNDREDTH, PARAMETER_FORMS
-from analyzer.records import Frame
-from conformance.drives.drive import Drive, Fault, Outgoing, Quirk, Values
-from conformance.drives.lk.commands import ACTS, ANSWERS, PHYSICAL, SENT, Act, Answer, Request
+from analyzer.records import Frame, Message
+from conformance.drives.drive import Drive, Options, Request, Responder, Values
+from conformance.drives.lk.commands import ACTS, ANSWERS, PHYSICAL, SENT, Act, Answer
 from conformance.drives.lk.motor import BUILDS, Build, Limits, LkMotor
 
 DEFAULT_MODEL = "MF"
@@ -95,6 +92,10 @@ def _as_spoken(dialect: Dialect, model: str) -> Dialect:
     return known[1]
 
 
+def _nothing() -> None:
+    """Do nothing at the end of a ramp."""
+
+
 class LkDrive(Drive):
     """One LK drive with its motor.
 
@@ -105,23 +106,13 @@ class LkDrive(Drive):
     Raises UsageError for a setting that it does not have or cannot hold, ValueError for an unknown model.
     """
 
-    motor: LkMotor  # type: ignore[assignment, unused-ignore]  # the base names the motor of the others
+    motor: LkMotor
 
     def __init__(
-        self,
-        dialect: Dialect = DIALECT,
-        address: int = 1,
-        *,
-        model: str = "",
-        settings: Mapping[str, int] | None = None,
-        quirks: Iterable[Quirk] = (),
-        faults: Iterable[Fault] = (),
-        seed: int = 0,
-        angle: float = 0.0,
+        self, dialect: Dialect = DIALECT, address: int = 1, *, model: str = "", angle: float = 0.0, **options: Unpack[Options]
     ) -> None:
         spoken = _as_spoken(dialect, (model or dialect.model or DEFAULT_MODEL).upper())
-        super().__init__(spoken, address, settings=settings, quirks=quirks, faults=faults, seed=seed)
-        self.model = spoken.model
+        super().__init__((Responder(spoken),), address, **options)
         self.settings = self._checked(self.settings)
         self.reply_delay_ns = REPLY_DELAY_NS
         self.acts: dict[str, Act] = dict(ACTS)
@@ -136,7 +127,6 @@ class LkDrive(Drive):
         self.motor.power_up()
         for setup in self.hooks.setup:
             setup(self)
-        self._decoder = Decoder(self.dialect)
 
     def _checked(self, given: Mapping[str, int]) -> dict[str, int]:
         asked = next(c for n in ("run_torque", "run_open_loop") if (c := self.dialect.by_name.get(n)) is not None)
@@ -162,45 +152,34 @@ class LkDrive(Drive):
 
     # --- requests and replies -------------------------------------------------------------------------------------
 
-    def receive(self, frame: Frame, t_ns: int) -> list[Outgoing]:
-        """Take a frame that is complete at `t_ns`, also one that is damaged or not for this drive; return replies."""
-        self.advance(t_ns)
-        if not self.powered or frame.dialect.name != self.dialect.name:
-            return []
-        message, _ = self._decoder.decode(msgspec.structs.replace(frame, role=Role.REQUEST))
-        wanted = frame.checksum_ok and message.address == self.address and message.form is not None
-        for accept in self.hooks.accept:
-            wanted = accept(self, frame, message, wanted)
-        if not wanted:
-            return []
-        command, form = message.command, message.form
-        if command is None or form is None:
-            # Only a fault takes a frame that no command is for.
-            return [Outgoing(t_ns + self.reply_delay_ns, frame.data)]
-        values = message.values
-        for change in self.hooks.request:
-            values = change(self, command, values)
-        fields = form.layout.named
-        request = Request(command, form, values, {n: f.physical(values[n]) for n, f in fields.items()})
-        allowed = all(f.allows(values[n]) for n, f in fields.items())
-        for allow in self.hooks.allow:
-            allowed = allow(self, command, values, allowed)
-        if allowed and command.name in self.acts:
-            self.acts[command.name](self, request)
-        answers = True
-        for decide in self.hooks.answer:
-            answers = decide(self, message, answers)
-        if not answers:
-            return []
-        answer = self.answers[command.name](self, request) if command.name in self.answers else self.readings(command)
-        for adjust in self.hooks.result:
-            answer = adjust(self, command, values, answer)
-        if answer is None:
-            return []
-        outgoing = [Outgoing(t_ns + self.reply_delay_ns, self.encode(command, answer))]
-        for rewrite in self.hooks.reply:
-            outgoing = [changed for one in outgoing for changed in rewrite(self, command, one)]
-        return outgoing
+    @property
+    def listening(self) -> bool:
+        """Whether the supply is enough to answer."""
+        return self.powered
+
+    def answers_to(self, message: Message, own: bool) -> bool:
+        """Say whether the drive answers a frame that it has taken: there is no broadcast, so that it always does."""
+        return True
+
+    def tolerates(self, command: Command, violation: Violation) -> bool:
+        """Say whether the drive overlooks what a request breaks: reserved bits."""
+        return violation.rule == "reserved_bits"
+
+    def unfit(self, frame: Frame) -> None:
+        """Echo a frame that no command is for; only a fault takes one."""
+        self._outbox.append(self._ready(frame.data))
+
+    def behave(self, request: Request) -> Values | None:
+        """Do what a request says; return the values of its reply."""
+        act = self.acts.get(request.command.name)
+        if act is not None:
+            act(self, request)
+        return self.refused(request)
+
+    def refused(self, request: Request) -> Values | None:
+        """Return the values of the reply, which is the same whether the request is obeyed or not."""
+        answer = self.answers.get(request.command.name)
+        return self.readings(request.command) if answer is None else answer(self, request)
 
     def readings(self, command: Command) -> Values | None:
         """Return the values of a command's reply, each field as the drive measures it; None where there is no reply."""
@@ -219,20 +198,10 @@ class LkDrive(Drive):
             value = SENT[field.name](self)
         return max(field.low, min(field.high, value))
 
-    def encode(self, command: Command, values: Values) -> bytes:
-        """Return the frame of a reply; its form is the one that has these fields."""
-        form = next(
-            f
-            for f in command.reply_forms
-            if f.layout.named.keys() == values.keys()
-            and all(d.fixed is None or d.fixed == values[n] for n, d in f.layout.named.items())
-        )
-        return self.dialect.link.build(command, form, self.address, codec(form.layout).encode(values), Role.REPLY)
-
     def learn(self, command: Command, act: Act | None = None, answer: Answer | None = None) -> None:
         """Take on a command that the dialect or the model does not have, as a quirk or a fault does."""
         others = tuple(c for c in self.dialect.commands if c.name != command.name)
-        self.dialect = replace(self.dialect, commands=(*others, command))
+        self._speak((*others, command))
         if act is not None:
             self.acts[command.name] = act
         if answer is not None:
@@ -240,25 +209,28 @@ class LkDrive(Drive):
 
     def forget(self, *names: str) -> None:
         """Drop commands, as a quirk does."""
-        kept = tuple(c for c in self.dialect.commands if c.name not in names)
-        self.dialect = replace(self.dialect, commands=kept)
+        self._speak(tuple(c for c in self.dialect.commands if c.name not in names))
+
+    def _speak(self, commands: tuple[Command, ...]) -> None:
+        """Have these commands and no others."""
+        self.dialect = replace(self.dialect, commands=commands)
+        self.responders = (Responder(self.dialect),)
 
     # --- time -----------------------------------------------------------------------------------------------------
 
-    def advance(self, t_ns: int) -> list[Outgoing]:
-        """Let time pass until `t_ns`; an LK drive sends nothing by itself."""
-        self.now_ns = max(self.now_ns, t_ns)
-        stalls_ns = self.motor.stalls_ns
-        if stalls_ns is not None and self.now_ns >= stalls_ns:
-            self.motor.to(stalls_ns)
-            self._raise({"stalled"})
-        self.motor.to(self.now_ns)
-        return []
+    def reach(self, t_ns: int) -> None:
+        """Be at a time, with the motor."""
+        super().reach(t_ns)
+        self.motor.to(t_ns)
 
-    def next_ns(self) -> int | None:
-        """Return when the ramps under way end or the motor stalls, or None while nothing is under way."""
-        times = [t for t in (self.motor.settles_ns, self.motor.stalls_ns) if t is not None and t > self.now_ns]
-        return min(times, default=None)
+    def foresee(self) -> tuple[int, Callable[[], None]] | None:
+        """Return when the ramps under way end or the motor stalls, and what the drive does then."""
+        times = ((self.motor.settles_ns, _nothing), (self.motor.stalls_ns, self._stall))
+        due = [(t_ns, act) for t_ns, act in times if t_ns is not None and t_ns > self.now_ns]
+        return min(due, key=lambda each: each[0], default=None)
+
+    def _stall(self) -> None:
+        self._raise({"stalled"})
 
     def power_cycle(self, t_ns: int) -> None:
         """Switch the drive off and on: parameters, turns and errors are gone, the stored zero takes effect."""
@@ -274,18 +246,13 @@ class LkDrive(Drive):
 
     # --- what it holds --------------------------------------------------------------------------------------------
 
-    def store(self, name: str, value: int) -> None:
+    def keep(self, name: str, value: int) -> None:
         """Keep a value: a control parameter until the power goes, a setting beyond that."""
-        for change in self.hooks.stored:
-            changed = change(self, name, value)
-            if changed is None:
-                return
-            name, value = changed
         if name in self.parameters:
             self.parameters[name] = value
             self.motor.limit(self.limits)
         else:
-            self.settings[name] = value
+            super().keep(name, value)
 
     def _stored_parameters(self) -> dict[str, int]:
         return {name: self.settings[name] for name in PARAMETERS}
@@ -338,16 +305,19 @@ class LkDrive(Drive):
         self.errors |= names
         if self.errors:
             self.motor.release()
+        self.changed()
 
     # --- what happens to it ---------------------------------------------------------------------------------------
 
     def block(self, blocked: bool = True) -> None:
         """Hold the shaft by hand, or let go."""
         self.motor.hold(blocked=blocked)
+        self.changed()
 
     def turn_shaft(self, degrees: float) -> None:
         """Turn the shaft by hand (clockwise positive)."""
         self.motor.twist(degrees)
+        self.changed()
 
     def supply(self, volts: float) -> None:
         """Set the supply: below `OFF_VOLTS` the drive is dead, and powers up when there is more again."""

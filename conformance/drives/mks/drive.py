@@ -1,63 +1,75 @@
-"""An emulated MKS drive, whatever its dialect: the table of what it does, and what one can do to it from outside.
+"""An emulated MKS drive, whatever its dialect: which dialects it speaks, what it does, what can be done to it from outside.
 
-    mks_speaker    frames to orders, reply values to bytes     mks_rs485, mks_modbus, mks_can
-    mks_core       orders to behaviours, scripts, time
-    mks_state      settings, motor, switches and what follows  mks_store: what is kept, what is lost with the power
-    behaviours     mks_reading, mks_settings, mks_motion, mks_homing, mks_power
+    responders      requests and replies in native frames, Modbus-RTU, CAN
+    state, core     settings, memory, motor and switches; scripts, limits and the locked rotor
+    reading, settings, motion     what it does with each command: `BEHAVIOURS`, one function a verb
+    motor, paths    the shaft
+
+    native 8E 01, or `modbus=1` at the start  ->  Modbus     Modbus 008Eh = 0, or a restore  ->  native
 
 Rules kept here:
-- `BEHAVIOURS` has one function for each verb of the three dialects; a dialect has the verbs of its catalogue.
+- Settings, motion and all else are of the drive, not of its dialect. `dialect` is the one that it speaks now.
+- The reply to a change of dialect is still in the old one.
+- What the CAN drives do otherwise than the RS485 drives stands in `CanResponder`.
 - What is done from outside happens at the time to which the drive was last told that time has passed.
 
 Not emulated: the display and the keys (a key lock is stored), motor and holding current (stored, without effect: no
-manual gives a torque), interpolation, heat (no command shows it), and that a restored drive is to be calibrated.
+manual gives a torque), interpolation, heat (no command shows it), and that a restored drive is to be calibrated. On CAN
+also: pulses at the STP and DIR pins beyond their count, the 100 ms after 85, the LED, homing that a 200 ms pulse at En
+starts, and what an X4 mode without a magnet would read (the encoder stays readable).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
+from typing import Unpack
 
-from analyzer.catalogue import Verb
-from conformance.drives.drive import Fault, Quirk
+from analyzer.catalogue import Dialect, Verb
+from analyzer.protocols import mks_modbus, mks_rs485
+from conformance.drives.drive import Options
 from conformance.drives.mks.core import Behaviour, MksCore
-from conformance.drives.mks.homing import HOMING, power_on
-from conformance.drives.mks.motion import MOTION
+from conformance.drives.mks.motion import MOTION, power_on
+from conformance.drives.mks.motor import Switch
 from conformance.drives.mks.paths import Number, size
-from conformance.drives.mks.power import POWER, restart
 from conformance.drives.mks.reading import READING
-from conformance.drives.mks.settings import SETTINGS
-from conformance.drives.mks.speaker import Speaker
-from conformance.drives.motor import Switch
+from conformance.drives.mks.responders import CanResponder, MksResponder, ModbusResponder, NativeResponder
+from conformance.drives.mks.settings import POWER, SETTINGS, restart
 
-BEHAVIOURS: Mapping[Verb, Behaviour] = {**READING, **SETTINGS, **MOTION, **HOMING, **POWER}
+BEHAVIOURS: Mapping[Verb, Behaviour] = {**READING, **SETTINGS, **MOTION, **POWER}
 
 #: Below so many volts nothing works.
 OFF_VOLTS = 5.0
 
 
-class MksDrive(MksCore):
-    """One MKS drive with its motor. `speakers`: its dialects, by the value of the setting `modbus`.
+def _responders(dialect: Dialect, model: str) -> tuple[MksResponder, ...]:
+    """Return the dialects of the drive that speaks one, as a model has them."""
 
-    `settings`: start values by field name, in place of the defaults. Raises UsageError for a name that is no setting and
-    for a value that it cannot have.
+    def spoken(each: Dialect) -> Dialect:
+        return each.for_model(model) if model and each.model != model else each
+
+    if dialect.bus == "can":
+        return (CanResponder(spoken(dialect)),)
+    return NativeResponder(spoken(mks_rs485.DIALECT)), ModbusResponder(spoken(mks_modbus.DIALECT))
+
+
+class MksDrive(MksCore):
+    """One MKS drive with its motor. `dialect`: the one that it speaks at first.
+
+    Raises UsageError for a name that is no setting and for a value that a setting cannot have.
     """
 
     def __init__(
-        self,
-        speakers: Sequence[Speaker],
-        address: int,
-        *,
-        settings: Mapping[str, int] | None = None,
-        quirks: Iterable[Quirk] = (),
-        faults: Iterable[Fault] = (),
-        seed: int = 0,
+        self, dialect: Dialect = mks_rs485.DIALECT, address: int = 1, *, model: str = "", **options: Unpack[Options]
     ) -> None:
-        super().__init__(speakers, address, BEHAVIOURS, power_on, settings=settings, quirks=quirks, faults=faults, seed=seed)
+        if dialect.bus != "can":
+            modbus = int(dialect.name == mks_modbus.DIALECT.name)
+            options["settings"] = {"modbus": modbus} | dict(options.get("settings") or {})
+        super().__init__(_responders(dialect, model or dialect.model), address, BEHAVIOURS, power_on, **options)
 
     def power_cycle(self, t_ns: int) -> None:
         """Switch the drive off and on: what is in RAM is gone, what happens at power-on happens."""
         self.advance(t_ns)
-        self.forget()
+        self.discard_replies()
         restart(self)
         self.changed()
 
@@ -112,7 +124,7 @@ class MksDrive(MksCore):
         elif not self.powered:
             self.drop()
             self.let_go()
-            self.forget()
+            self.discard_replies()
         elif not self.supplied:
             self.fail()
         else:

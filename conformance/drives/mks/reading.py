@@ -2,7 +2,7 @@
 
 Rules kept here:
 - A behaviour returns all that it knows; the reply's layout takes what it has room for.
-- Measured values are the nearest whole number. The speed stays within its bits; counters wrap (see `mks_speaker`).
+- Measured values are the nearest whole number. The speed stays within its bits; counters wrap.
 - Ports: a closed switch is a low pin. RS485: in_2 exists on the 57D or with the ports remapped, the outputs on the 57D
   alone. CAN: on the 42E in_2 is the En pin (or the right limit, remapped), on the 57E in_2 is the left and in_1 the right
   limit.
@@ -20,10 +20,9 @@ from fractions import Fraction
 from analyzer.catalogue import Verb
 from analyzer.protocols import mks_can
 from analyzer.protocols import mks_shared as mks
-from conformance.drives.drive import Values
+from conformance.drives.drive import Request, Values
 from conformance.drives.mks.core import Behaviour, Kind, MksCore
 from conformance.drives.mks.paths import Phase
-from conformance.drives.mks.speaker import Order
 
 _STATUS: Mapping[Phase, mks.MotorStatus] = {
     Phase.STANDING: mks.MotorStatus.STOPPED,
@@ -39,41 +38,41 @@ _FIRMWARE = (1, 0, 1)
 _SHORTEST_DIVISION = 100
 
 
-def _carry(drive: MksCore, order: Order) -> Values:
+def _carry(drive: MksCore, order: Request) -> Values:
     carry, encoder = divmod(drive.axis, mks.COUNTS_PER_TURN)
     return {"carry": carry, "encoder": encoder}
 
 
-def _position(drive: MksCore, order: Order) -> Values:
+def _position(drive: MksCore, order: Request) -> Values:
     return {"position": drive.axis}
 
 
-def _speed(drive: MksCore, order: Order) -> Values:
+def _speed(drive: MksCore, order: Request) -> Values:
     field = mks.ACTUAL_SPEED
     return {"speed": min(max(round(drive.motor.speed(drive.now_ns)), field.low), field.high)}
 
 
-def _pulses(drive: MksCore, order: Order) -> Values:
+def _pulses(drive: MksCore, order: Request) -> Values:
     return {"pulses": drive.pulses}
 
 
-def _angle_error(drive: MksCore, order: Order) -> Values:
+def _angle_error(drive: MksCore, order: Request) -> Values:
     return {"angle_error": round(drive.motor.error(drive.now_ns) / _ERROR_UNIT)}
 
 
-def _enabled(drive: MksCore, order: Order) -> Values:
+def _enabled(drive: MksCore, order: Request) -> Values:
     return {"enabled": int(drive.enabled)}
 
 
-def _zero_status(drive: MksCore, order: Order) -> Values:
+def _zero_status(drive: MksCore, order: Request) -> Values:
     return {"status": drive.memory.zero_status}
 
 
-def _protection(drive: MksCore, order: Order) -> Values:
+def _protection(drive: MksCore, order: Request) -> Values:
     return {"status": int(drive.memory.protected)}
 
 
-def _status(drive: MksCore, order: Order) -> Values:
+def _status(drive: MksCore, order: Request) -> Values:
     if drive.doing(Kind.CALIBRATE):
         return {"status": int(mks.MotorStatus.CALIBRATING)}
     if not drive.by_bus:
@@ -83,7 +82,7 @@ def _status(drive: MksCore, order: Order) -> Values:
     return {"status": int(_STATUS[drive.motor.phase(drive.now_ns)])}
 
 
-def _io(drive: MksCore, order: Order) -> Values:
+def _io(drive: MksCore, order: Request) -> Values:
     left, right, large = drive.level("left"), drive.level("right"), drive.model.startswith("57")
     if "bit_rate" not in drive.settings:
         stalled = drive.memory.protected
@@ -113,7 +112,7 @@ def _in_position(drive: MksCore) -> int:
     return int(drive.motor.phase(drive.now_ns) is Phase.STANDING)
 
 
-def _write_io(drive: MksCore, order: Order) -> Values:
+def _write_io(drive: MksCore, order: Request) -> Values:
     memory, values = drive.memory, order.values
     if values["alm_mask"] != mks_can.PortMask.KEEP:
         memory.alm_mask, memory.alm = values["alm_mask"], values["alm"]
@@ -122,7 +121,7 @@ def _write_io(drive: MksCore, order: Order) -> Values:
     return {"status": int(mks.Success.SUCCESS)}
 
 
-def _version(drive: MksCore, order: Order) -> Values:
+def _version(drive: MksCore, order: Request) -> Values:
     major, minor, patch = _FIRMWARE
     return {
         "series": int(mks_can.Series.E),
@@ -134,11 +133,11 @@ def _version(drive: MksCore, order: Order) -> Values:
     }
 
 
-def _user_id(drive: MksCore, order: Order) -> Values:
+def _user_id(drive: MksCore, order: Request) -> Values:
     return {"user_id": drive.settings["user_id"]}
 
 
-def _parameter(drive: MksCore, order: Order) -> Values:
+def _parameter(drive: MksCore, order: Request) -> Values:
     """Return the stored values of a setting by its code, or that it cannot be read."""
     for command in drive.dialect.by_code.get(order.values["parameter"], ()):
         if command.readable:

@@ -1,12 +1,16 @@
-"""What an MKS drive does with a setting: it keeps it by name, and `AFTER` says what else follows.
+"""What an MKS drive does with its settings: it stores them by name, and keeps or loses them in a restart and a restore.
 
 Rules kept here:
-- All settings are one behaviour: their fields are stored, status 1 is answered. Values outside the manual's never come
-  here (see `mks_core`).
+- All settings are one behaviour: their fields are stored, status 1 is answered, and `AFTER` says what else follows. Values
+  that the manual does not allow never come here.
 - The reply to what changes the link goes out by the old setting; the new one holds from then on.
 - Another work mode ends motion at once. A bus mode begins with the shaft held; on CAN `axis_lock` says whether.
 - Another subdivision or pulse direction leaves the counts as they are.
 - Changed limit settings hold only after the next homing.
+- A restart keeps what is stored and forgets the rest: motion, whether the motor was enabled, protection, zero, turns.
+  The encoder knows its place within the turn. It takes `start_ns`, in which the drive hears nothing.
+- A restore puts all that is stored to its default, address, baud rate and dialect too, and restarts.
+- Both are answered by the settings of before.
 
 Not emulated: what settings without an effect on a bus do (screen, keys, interpolation, currents, pulse delay).
 """
@@ -18,25 +22,20 @@ from collections.abc import Callable, Mapping
 from analyzer.catalogue import Command, Verb
 from analyzer.protocols import mks_can, mks_modbus, mks_rs485
 from analyzer.protocols import mks_shared as mks
-from conformance.drives.drive import Values
-from conformance.drives.mks.core import Behaviour, MksCore
-from conformance.drives.mks.speaker import Order
-from conformance.drives.mks.store import is_setting
+from conformance.drives.drive import Request, Values
+from conformance.drives.mks.core import Behaviour, Kind, MksCore, Script
+from conformance.drives.mks.state import Memory, is_setting
 
 
 def put(drive: MksCore, name: str, value: int) -> None:
     """Store a setting."""
-    stored: tuple[str, int] | None = (name, value)
-    for change in drive.hooks.stored:
-        stored = None if stored is None else change(drive, *stored)
-    if stored is not None:
-        drive.settings[stored[0]] = stored[1]
+    drive.store(name, value)
 
 
-def _store(drive: MksCore, order: Order) -> Values:
+def _store(drive: MksCore, order: Request) -> Values:
     before, pulses = dict(drive.settings), drive.pulses
     for name, value in order.values.items():
-        put(drive, name, value)
+        drive.store(name, value)
     after = AFTER.get(order.command.verb)
     if after is not None and (drive.settings != before or after is _keep_zero):
         after(drive, pulses)
@@ -95,3 +94,42 @@ def _every_setting() -> list[Command]:
 
 
 SETTINGS: Mapping[Verb, Behaviour] = {command.verb: _store for command in _every_setting()}
+
+# --- restart and restore ----------------------------------------------------------------------------------------------
+
+
+def restart(drive: MksCore) -> None:
+    """Forget what is in RAM and start anew."""
+    for name in drive.forgetful:
+        drive.settings[name] = drive.factory[name]
+    drive.motor.release(drive.now_ns)
+    position = drive.motor.position(drive.now_ns)
+    zero = position // mks.COUNTS_PER_TURN * mks.COUNTS_PER_TURN
+    drive.memory = Memory(enabled=False, zero=zero, pulse_zero=position)
+    drive.tune()
+    drive.starting = True
+    drive.begin(Kind.START, _starting(drive))
+
+
+def _starting(drive: MksCore) -> Script:
+    end_ns = drive.now_ns + drive.start_ns
+    yield lambda: end_ns
+    drive.starting = False
+    drive.drop()
+    drive.power_on(drive)
+
+
+def _restart(drive: MksCore, order: Request) -> Values:
+    restart(drive)
+    return {"status": int(mks.Success.SUCCESS)}
+
+
+def _restore(drive: MksCore, order: Request) -> Values:
+    kept = {name: drive.settings[name] for name in drive.clinging}
+    drive.settings.clear()
+    drive.settings.update({**drive.factory, **kept})
+    restart(drive)
+    return {"status": int(mks.Success.SUCCESS)}
+
+
+POWER: Mapping[Verb, Behaviour] = {Verb.RESTART: _restart, Verb.RESTORE: _restore}

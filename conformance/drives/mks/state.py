@@ -1,9 +1,12 @@
 """What an MKS drive is at a moment: its settings, its memory, its motor, its switches, and what follows from them.
 
 Rules kept here:
+- A setting has the name of its field in the catalogue and the default printed there; where the manual prints none, the
+  one of `UNPRINTED`, else 0. Besides the settings, `KEPT` names what other commands leave in the flash.
+- `Memory` is what a restart clears: all that stands in it is lost, and nothing else is.
 - In bus modes a command enables the motor, in pulse modes the En pin.
-- Left is the side to which homing goes, whichever way that is; right is the other one. A closed switch pulls its pin low,
-  so that with `home_trigger` high an open switch is the effective one.
+- Left is the side to which homing goes, right is the other one. A closed switch pulls its pin low, so that with
+  `home_trigger` high an open switch is the effective one.
 - A drive has a port for the right switch if it is a 57 or its ports are remapped.
 - The real speed is the speed as sent at 16, 32 and 64 subdivisions, else speed x 16 / subdivision; the limit of the work
   mode is one of the speed as sent.
@@ -13,17 +16,19 @@ Not emulated: which port a switch is wired to; the drive finds it at the port wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
+from typing import NamedTuple, Unpack
 
-from analyzer.catalogue import Verb
+from analyzer.catalogue import Command, Dialect, Verb
 from analyzer.errors import UsageError
+from analyzer.layout import Field
 from analyzer.protocols import mks_shared
-from conformance.drives.drive import Drive, Fault, Quirk
+from conformance.drives.drive import Drive, Options
+from conformance.drives.mks.motor import Motor, Switch
 from conformance.drives.mks.paths import Number, divided, ramp_step_ns
-from conformance.drives.mks.speaker import Speaker
-from conformance.drives.mks.store import Memory, catalogued
-from conformance.drives.motor import Motor, Switch
+from conformance.drives.mks.responders import MksResponder
 
 COUNTS_PER_TURN = mks_shared.COUNTS_PER_TURN
 #: Full steps of a turn: a turn has so many times `subdivision` pulses.
@@ -42,34 +47,103 @@ def way_of(direction: int) -> int:
     return 1 if direction == mks_shared.ConfigDirection.CCW else -1
 
 
-class MksState(Drive):
-    """The state of one drive. `speakers`: its dialects, by the value of the setting `modbus`.
+# --- what a drive keeps and what it forgets -------------------------------------------------------------------------------
 
-    `settings`: start values by field name, in place of the defaults; raises UsageError for a name that is no setting and
-    for a value that it cannot have. Times and laws that a quirk or a fault may change are attributes: `reply_delay_ns`,
-    `start_ns`, `calibration_ns`, `ramp` (time of one rpm by acceleration as sent), `home_settings` (by which it homes),
-    `heedless` (names of settings that have no effect), `forgetful` (settings that a restart puts back to their default),
-    `clinging` (settings that a restore leaves alone).
+#: Defaults that the manual of the RS485 drives does not print: the home speed is that of the CAN drives.
+UNPRINTED: Mapping[str, int] = {"home_speed": 60}
+
+#: What is stored by other commands than settings, and its default.
+KEPT: Mapping[str, int] = {
+    "saved_run": 0,  # whether a run at a speed is kept for power-on (FF)
+    "saved_direction": 0,
+    "saved_speed": 0,
+    "saved_acceleration": 0,
+    "zero_kept": 0,  # whether a zero point is kept (9A), and where it is within the turn
+    "zero_point": 0,
+    "limits_homed": 0,  # whether homing was done since the end limits were changed
+}
+
+#: Where each setting stands that the catalogue has under no "set" command.
+_ALSO = frozenset({Verb.WRITE_USER_ID})
+
+
+def is_setting(command: Command) -> bool:
+    """Say whether the fields of a command's request are stored."""
+    return command.verb in _ALSO or (command.verb.value.startswith("set_") and command.verb is not Verb.SET_ZERO)
+
+
+class Catalogued(NamedTuple):
+    """What a dialect says of settings: their fields by name, and the default of everything that a drive keeps."""
+
+    fields: Mapping[str, Field]
+    defaults: Mapping[str, int]
+
+
+def catalogued(dialect: Dialect) -> Catalogued:
+    """Return what a dialect says of settings; worked out once, and kept with it.
+
+    A dialect without a model has the defaults of its first one.
+    """
+    kept: Catalogued | None = dialect.__dict__.get("_catalogued")
+    if kept is None:
+        resolved = dialect if dialect.model else dialect.for_model(dialect.models[0])
+        defaults = dict(KEPT)
+        for name, field in _fields(resolved).items():
+            defaults[name] = UNPRINTED.get(name, 0) if field.default is None else int(field.default)
+        kept = dialect.__dict__["_catalogued"] = Catalogued(_fields(dialect), defaults)
+    return kept
+
+
+def _fields(dialect: Dialect) -> dict[str, Field]:
+    fields: dict[str, Field] = {}
+    for command in dialect.commands:
+        if is_setting(command):
+            for form in command.request_forms:
+                for name, field in form.layout.named.items():
+                    fields.setdefault(name, field)
+    return fields
+
+
+@dataclass
+class Memory:
+    """What a drive forgets when it restarts.
+
+    `zero`: the encoder's zero, and `pulse_zero` where the count of pulses is 0, both in counts of the shaft. `run`: the
+    last run at a speed (direction, speed, acceleration as sent). The ports (CAN): masks and levels as written.
     """
 
-    def __init__(
-        self,
-        speakers: Sequence[Speaker],
-        address: int,
-        *,
-        settings: Mapping[str, int] | None = None,
-        quirks: Iterable[Quirk] = (),
-        faults: Iterable[Fault] = (),
-        seed: int = 0,
-    ) -> None:
-        self.speakers = tuple(speakers)
-        super().__init__(speakers[0].dialect, address, quirks=quirks, faults=faults, seed=seed)
-        self.model = self.dialect.model
+    enabled: bool = True
+    protected: bool = False
+    zero: Number = 0
+    pulse_zero: Number = 0
+    run: tuple[int, int, int] | None = None
+    zero_status: int = 1
+    alm_mask: int = 0
+    pend_mask: int = 0
+    alm: int = 0
+    pend: int = 0
+
+
+# --- the state ----------------------------------------------------------------------------------------------------------
+
+
+class MksState(Drive):
+    """The state of one drive. `responders`: its dialects, by the value of the setting `modbus`.
+
+    Raises UsageError for a name that is no setting and for a value that a setting cannot have.
+
+    Times and laws that a quirk or a fault may change are attributes: `reply_delay_ns`, `start_ns`, `calibration_ns`, `ramp`
+    (time of one rpm by acceleration as sent), `home_settings` (by which it homes), `heedless` (names of settings that have no
+    effect), `forgetful` (settings that a restart puts back to their default), `clinging` (settings that a restore leaves
+    alone).
+    """
+
+    def __init__(self, responders: Sequence[MksResponder], address: int, **options: Unpack[Options]) -> None:
+        super().__init__(responders, address, **options)
         self.fields, self.factory = catalogued(self.dialect)
-        self.settings = self._checked({"new_address": address} | dict(settings or {}))
+        self.settings = self._checked({"new_address": address} | self.settings)
         self.ramp: Callable[[int], int] = ramp_step_ns
         self.home_settings: Callable[[], Mapping[str, int]] = lambda: self.settings
-        self.reply_delay_ns = 1_000_000
         self.start_ns = 200_000_000
         self.calibration_ns = 5_000_000_000
         self.heedless: set[str] = set()
@@ -95,16 +169,33 @@ class MksState(Drive):
 
     def tune(self) -> None:
         """Take what the settings say of the link and of the loop."""
-        self.dialect = self.speaker.dialect
+        self.dialect = self.responder.dialect
         self.address = self.settings["new_address"]
         self.motor.closed_loop = "open" not in self.mode
 
     # --- link and mode --------------------------------------------------------------------------------------------
 
     @property
-    def speaker(self) -> Speaker:
-        """The dialect that the drive speaks now."""
-        return self.speakers[min(self.settings.get("modbus", 0), len(self.speakers) - 1)]
+    def responder(self) -> MksResponder:
+        """The responder of the dialect that the drive speaks now."""
+        responder = self.responders[min(self.settings.get("modbus", 0), len(self.responders) - 1)]
+        assert isinstance(responder, MksResponder)
+        return responder
+
+    @property
+    def speaker(self) -> MksResponder:
+        """The older name of `responder`."""
+        return self.responder
+
+    @property
+    def speakers(self) -> tuple[MksResponder, ...]:
+        """The older name of `responders`."""
+        return tuple(each for each in self.responders if isinstance(each, MksResponder))
+
+    @property
+    def listening(self) -> bool:
+        """Whether the drive hears what is on the bus."""
+        return self.powered and not self.starting
 
     @property
     def mode(self) -> str:
@@ -114,7 +205,7 @@ class MksState(Drive):
     @property
     def by_bus(self) -> bool:
         """Whether the work mode takes motion from the bus."""
-        return self.mode in self.speakers[0].dialect.by_verb[Verb.RUN_SPEED].modes
+        return self.mode in self.responders[0].dialect.by_verb[Verb.RUN_SPEED].modes
 
     @property
     def enabled(self) -> bool:
@@ -126,7 +217,7 @@ class MksState(Drive):
     @property
     def supplied(self) -> bool:
         """Whether the supply is within what the manual asks for."""
-        low, high = self.speaker.supply
+        low, high = self.responder.supply
         return low <= self.motor.volts <= high
 
     @property
@@ -145,7 +236,7 @@ class MksState(Drive):
     @property
     def bus_sense(self) -> int:
         """-1 where the setting of the motor's direction turns motion by the bus, else 1."""
-        turned = self.speaker.turns_bus_motion and self.settings["motor_direction"] == mks_shared.ConfigDirection.CCW
+        turned = self.responder.turns_bus_motion and self.settings["motor_direction"] == mks_shared.ConfigDirection.CCW
         return -1 if turned else 1
 
     @property

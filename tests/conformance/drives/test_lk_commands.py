@@ -18,6 +18,7 @@ from analyzer.pipeline import Entry, Pipeline
 from analyzer.protocols.lk_rs485 import DIALECT, ERROR_BITS
 from analyzer.protocols.mks_rs485 import DIALECT as MKS
 from analyzer.records import Frame
+from conformance.drives.drive import Request
 from conformance.drives.lk.commands import ACTS, ANSWERS, MOVES, PHYSICAL, SENT
 from conformance.drives.lk.drive import FACTORY, PARAMETERS, LkDrive
 from conformance.drives.speed import speed_of
@@ -424,7 +425,8 @@ def test_the_reply_form_is_the_one_of_its_fields() -> None:
     for command in DIALECT.for_model("MF").commands:
         for form in command.reply_forms:
             values = {n: 0 if f.fixed is None else f.fixed for n, f in form.layout.named.items()}
-            data = bench.drive.encode(command, values)
+            request = Request(bench.drive.responder, command, command.request_forms[0], {}, (), True)
+            data = bench.drive.responder.reply(request, values, 1)
             head = DIALECT.link.parse(data)
             assert codec(form.layout).wire(data[head.start : head.stop]) == values
 

@@ -19,7 +19,7 @@ from analyzer.encoder import build
 from conformance.drives.drive import Fault
 from conformance.drives.faults.mks import FAULTS
 from conformance.drives.mks.quirks import QUIRKS
-from conformance.drives.mks.store import is_setting
+from conformance.drives.mks.state import is_setting
 from tests.conformance.drives.test_mks_decisions import package
 from tests.conformance.drives.test_mks_rig import MS, NAMES, SECOND, Rig, frame_of, make
 from tests.conformance.drives.test_mks_settings import nearby, others

@@ -12,9 +12,7 @@ from analyzer.link import CanLink
 from analyzer.pipeline import Options, Pipeline
 from analyzer.records import CanFrame, Chunk, Frame
 from conformance.drives.drive import Outgoing
-from conformance.drives.mks.can import MksCanDrive
 from conformance.drives.mks.drive import MksDrive
-from conformance.drives.mks.serial import MksSerialDrive
 from tests.collect import Collect
 
 MS = 1_000_000
@@ -33,8 +31,7 @@ def make(
 ) -> MksDrive:
     """Return a drive of a dialect, ready for motion by the bus unless `mode` says otherwise (None: its default)."""
     settings = given if mode is None else {"work_mode": mode} | given
-    kind = MksCanDrive if name == "mks-can" else MksSerialDrive
-    return kind(dialects.get(name), address, model=model, settings=settings, quirks=quirks, faults=faults)
+    return MksDrive(dialects.get(name), address, model=model, settings=settings, quirks=quirks, faults=faults)
 
 
 def frame_of(drive_dialect, data: bytes, t_ns: int, can_id: int | None) -> Frame:

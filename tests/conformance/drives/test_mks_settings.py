@@ -8,7 +8,7 @@ from analyzer import dialects
 from analyzer.catalogue import Verb
 from analyzer.encoder import build
 from analyzer.errors import UsageError
-from conformance.drives.mks.store import KEPT, UNPRINTED, is_setting
+from conformance.drives.mks.state import KEPT, UNPRINTED, is_setting
 from tests.conformance.drives.test_mks_rig import MODELS, NAMES, SECOND, Rig, make
 
 #: What changes the link: a request after it would go to nobody.
@@ -59,8 +59,8 @@ def test_what_the_manual_allows_is_kept_and_nothing_else(name, model, command, f
         values = others(command, field) | {field.name: value}
         said = rig.send(build(drive.dialect, command.name, drive.address, values))
         assert len(said) == 1
-        speaker = drive.speakers[-1] if name == "mks-modbus" else drive.speakers[0]
-        status = rig.values(said[0], speaker.dialect, command.name)["status"]
+        responder = drive.responders[-1] if name == "mks-modbus" else drive.responders[0]
+        status = rig.values(said[0], responder.dialect, command.name)["status"]
         if field.allows(value):
             assert status == 1, (field.name, value)
             assert drive.settings[field.name] == value

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conformance.drives.mks.motor import Motor, Switch
 from conformance.drives.mks.paths import TURN, Phase, move_path, ramp_step_ns, run_path
-from conformance.drives.motor import Motor, Switch
 
 COUNTS = 16384
 #: Counts that one rpm covers in one ns.
