@@ -179,45 +179,38 @@ class Responder:
 
     def request(self, message: Message | Slot, answered: bool) -> Request | None:
         """Return what a message tells the drive to do, or None where no request of the catalogue fits."""
-        command, form, data = message.command, message.form, message.data
+        command, form = message.command, message.form
         if isinstance(message, Message) and message.role is not Role.REQUEST:
-            found = self._as_request(message)
-            if found is None:
-                return None
-            command, form, data = found
+            command, form = self._as_request(message)
         if command is None or form is None or command.verb not in self.dialect.by_verb:
             return None
         coder = codec(form.layout)
-        return Request(self, command, form, coder.wire(data), coder.broken(data), answered)
+        return Request(self, command, form, coder.wire(message.data), coder.broken(message.data), answered)
 
     def order(self, message: Message | Slot, t_ns: int, answered: bool) -> Request | None:
         """The older name of `request`."""
         return self.request(message, answered)
 
-    def _as_request(self, message: Message) -> tuple[Command, Form, bytes] | None:
+    def _as_request(self, message: Message) -> tuple[Command, Form] | tuple[None, None]:
         """Return the request that the data of a reply would be."""
         frame = message.frame
         head = self.dialect.link.parse(frame.data, frame.can.id if frame.can else None)
         for command in self.dialect.by_code.get(-1 if head.code is None else head.code, ()):
             for form in command.request_forms:
                 if command.slots is None and codec(form.layout).matches(message.data):
-                    return command, form, message.data
-        return None
+                    return command, form
+        return None, None
 
     def reply(self, request: Request, values: Values, address: int) -> bytes:
         """Return the bytes that answer a request."""
         form = self.form(request, values)
-        data = codec(form.layout).encode(fitted(form.layout.named, values))
-        return self.dialect.link.build(request.command, form, address, data, Role.REPLY)
+        return self.dialect.link.build(request.command, form, address, encoded(form, values), Role.REPLY)
 
     def form(self, request: Request, values: Values) -> Form:
         """Return the first form of a reply whose fields all have a value."""
         for form in request.command.reply_forms:
-            wanted, fields = form.request_values or {}, form.layout.named
-            if (
-                all(request.values.get(n) == v for n, v in wanted.items())
-                and fields.keys() <= values.keys()
-                and all(f.fixed is None or f.fixed == values[n] for n, f in fields.items())
+            if form.layout.named.keys() <= values.keys() and (
+                form.request_values is None or form.request_values.items() <= request.values.items()
             ):
                 return form
         raise LookupError(f"{request.command.name}: no form of its reply has {', '.join(values) or 'nothing'}")
@@ -231,9 +224,14 @@ def _decoder(dialect: Dialect) -> Decoder:
     return kept
 
 
-def fitted(fields: Mapping[str, Field], values: Mapping[str, Any]) -> dict[str, int | bytes]:
-    """Return the values of these fields, wrapped to the bits they have, as a counter in a drive is."""
-    return {name: _wrapped(field, values[name]) for name, field in fields.items() if name in values}
+def encoded(form: Form, values: Mapping[str, Any]) -> bytes:
+    """Return the data of a form. A value that is too large is wrapped to the bits of its field, as a counter is."""
+    coder, fields = codec(form.layout), form.layout.named
+    known = {name: values[name] for name in fields if name in values}
+    try:
+        return coder.encode(known)
+    except ValueError:
+        return coder.encode({name: _wrapped(fields[name], value) for name, value in known.items()})
 
 
 def _wrapped(field: Field, value: int | bytes) -> int | bytes:

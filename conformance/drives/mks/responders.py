@@ -30,7 +30,7 @@ from analyzer.link import READS, WRITE_MANY, ModbusLink
 from analyzer.protocols import mks_rs485
 from analyzer.protocols.modbus import FALLBACKS, ModbusException
 from analyzer.records import Message
-from conformance.drives.drive import Request, Responder, Values, fitted
+from conformance.drives.drive import Request, Responder, Values, encoded
 
 #: The longest read that the Modbus standard has, in registers.
 _LONGEST_READ = 125
@@ -134,7 +134,7 @@ class ModbusResponder(MksResponder):
             return super().reply(request, values, address)
         refused = values.get("status") in self.meanings(command).failed
         form = next(f for f in command.reply_forms if (f.name in command.replies.failed_forms) == refused)
-        data = codec(form.layout).encode({} if refused else fitted(form.layout.named, request.values))
+        data = encoded(form, {} if refused else request.values)
         return self.dialect.link.build(command, form, address, data, Role.REPLY)
 
 

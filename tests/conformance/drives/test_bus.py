@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 from analyzer import dialects
 from analyzer.catalogue import Role
@@ -120,7 +121,7 @@ def test_replies_wait_for_the_wire_and_take_turns() -> None:
 def test_two_drives_of_one_address_collide() -> None:
     seen: list[Traffic] = []
     one, two = drive(1), drive(1)
-    two._answer = lambda at_ns, name, status: type(one._answer(at_ns, name, status))(at_ns, b"\xfb\x0f\x0f\x0f\xff\xff")  # type: ignore[method-assign]
+    two.hooks.reply.append(lambda drive, command, outgoing: [replace(outgoing, data=b"\xfb\x0f\x0f\x0f\xff\xff")])
     bus = SerialBus([one, two])
     bus.watch(seen.append)
     bus.send(read(1))

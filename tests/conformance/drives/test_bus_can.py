@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 from analyzer import dialects
 from analyzer.catalogue import Role
@@ -119,7 +120,7 @@ def test_a_bus_without_a_rate_is_right_for_all() -> None:
 def test_two_drives_of_one_identifier_are_told() -> None:
     seen: list[Traffic] = []
     one, two = drive(1), drive(1)
-    two._answer = lambda at_ns, name, status: type(one._answer(0, name, 1))(at_ns, b"\x32\x12\x34\x00")  # type: ignore[method-assign]
+    two.hooks.reply.append(lambda drive, command, outgoing: [replace(outgoing, data=b"\x32\x12\x34\x00")])
     bus = CanBus([one, two])
     bus.watch(seen.append)
     bus.send(1, read(1))
