@@ -171,8 +171,9 @@ class LkDrive(Drive):
 
     def behave(self, request: Request) -> Values | None:
         """Do what a request says; return the values of its reply."""
-        act = self.acts.get(request.command.name)
-        if act is not None:
+        act, fields = self.acts.get(request.command.name), request.form.layout.named
+        # Only a fault asks for what the bits of a field do not hold.
+        if act is not None and all(fields[n].wire_minimum <= v <= fields[n].wire_maximum for n, v in request.values.items()):
             act(self, request)
         return self.refused(request)
 
