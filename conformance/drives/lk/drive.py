@@ -3,7 +3,7 @@
     request 3E A2 01 04 E5 A0 8C 00 00 2C  ->  values by name  ->  ACTS["run_speed"]  ->  the motor
     reply   3E A2 01 07 E8 ...             <-  reply's fields by name  <-  SENT, PHYSICAL  <-  the motor and the drive
 
-What a command does and where a reply's fields come from stand in the tables of `lk_commands`. Layouts, ranges, models,
+What a command does and where a reply's fields come from stand in the tables of `commands`. Layouts, ranges, models,
 codes and frames come from the catalogue.
 
 Rules kept here:

@@ -1,6 +1,6 @@
 """An LK motor: what its shaft does. Physics alone: no bytes, no commands, no clock.
 
-    goal (free, torque, speed, position) + limits + what holds the shaft -> path (lk_paths) -> angle, speed, torque
+    goal (free, torque, speed, position) + limits + what holds the shaft -> path (`paths`) -> angle, speed, torque
 
 Angles are degrees, speeds deg/s, accelerations deg/s2, torques LSB of the model's torque current (MS: of its power);
 clockwise is positive. Times are integer nanoseconds and only go forward.
