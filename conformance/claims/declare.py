@@ -74,9 +74,9 @@ def commands(*verbs: Verb) -> Cases:
     return lambda dialect: (Case(dialect, dialect.by_verb[verb]) for verb in verbs if verb in dialect.by_verb)
 
 
-def motions(*kinds: MotionKind) -> Cases:
-    """Return cases of the commands whose motion is of these kinds, in the manual's order."""
-    return lambda dialect: (Case(dialect, command) for command in dialect.motions(*kinds))
+def motions(*kinds: MotionKind, where: Callable[[Command], bool] = lambda command: True) -> Cases:
+    """Return cases of the commands whose motion is of these kinds, in the manual's order; those for which `where` is true."""
+    return lambda dialect: (Case(dialect, command) for command in dialect.motions(*kinds) if where(command))
 
 
 @dataclass(frozen=True)

@@ -16,25 +16,24 @@ from conformance.claims import (
     motion_lk_forces,
     motion_lk_limits,
     motion_lk_reads,
-    motion_lk_speeds,
     motion_lk_states,
-    motion_moves,
     motion_reads,
-    motion_runs,
     motion_speeds,
     motion_states,
     motion_stops,
     motion_updates,
+    moves,
     power_on,
     protection,
     responding,
+    runs,
     set_zero,
 )
-from conformance.motion import moves
+from conformance.claims.declare import declared_in
+from conformance.motion import moves as old_moves
 
+_DECLARED = (moves, runs)
 _MKS = (
-    motion_moves,
-    motion_runs,
     motion_speeds,
     motion_stops,
     motion_updates,
@@ -48,21 +47,14 @@ _MKS = (
     power_on,
     calibrating,
 )
-_LK = (
-    motion_lk_speeds,
-    motion_lk,
-    motion_lk_states,
-    motion_lk_forces,
-    motion_lk_errors,
-    motion_lk_reads,
-    motion_lk_encoder,
-    motion_lk_limits,
-)
+_LK = (motion_lk, motion_lk_states, motion_lk_forces, motion_lk_errors, motion_lk_reads, motion_lk_encoder, motion_lk_limits)
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims of this theme for a dialect."""
-    for part in _MKS if moves.is_mks(dialect) else _LK if is_lk(dialect) else ():
+    for module in _DECLARED:
+        yield from declared_in(module.__name__, dialect)
+    for part in _MKS if old_moves.is_mks(dialect) else _LK if is_lk(dialect) else ():
         for claim in part.claims(dialect):
             if claim.theme is Theme.MOTION:
                 yield claim

@@ -75,10 +75,10 @@ def of_motion(
     """Declare a check of a command that moves, or of one that a moving drive is asked; see `motion_claim` and `claim`."""
 
     def named(case: Case) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(n for f in _command(case).request_forms for n in f.layout.named))
+        return tuple(dict.fromkeys(n for f in command_of(case).request_forms for n in f.layout.named))
 
     def all_risks(case: Case) -> frozenset[Risk]:
-        of_command = _command(case).all_risks - {Risk.UNKNOWN} if own is None else own(case)
+        of_command = command_of(case).all_risks - {Risk.UNKNOWN} if own is None else own(case)
         more = {*(risks(case) if callable(risks) else risks), *of_command}
         return frozenset(more) if still else motion.risks(case.dialect, *more)
 
@@ -90,7 +90,8 @@ def of_motion(
     return claim(theme, each=each, refuted_by=refuted_by, risks=all_risks, settings=all_settings, **facts)
 
 
-def _command(case: Case) -> Command:
+def command_of(case: Case) -> Command:
+    """Return the command that a claim about motion is about."""
     assert case.command is not None  # a claim about motion is about a command
     return case.command
 
@@ -103,6 +104,16 @@ def risks_of(*names: str) -> Callable[[Case], frozenset[Risk]]:
 def risks_by(*verbs: Verb) -> Callable[[Case], frozenset[Risk]]:
     """Return what tells all risks of the commands of some verbs, those that the dialect has."""
     return lambda case: frozenset().union(*(c.all_risks for v in verbs if (c := case.dialect.by_verb.get(v)) is not None))
+
+
+def has_direction(command: Command) -> bool:
+    """Say whether a motion has a direction beside its distance or speed, which has no sign then."""
+    return bool(motion.of(command).direction)
+
+
+def has_sign(command: Command) -> bool:
+    """Say whether the sign of a motion's distance or speed is its direction."""
+    return not has_direction(command)
 
 
 def that_tell_their_end(each: Cases) -> Cases:
@@ -119,14 +130,15 @@ def refute(exchange: Exchange | None, text: str, *, expected: str, got: str, key
     return Refuted(text, expected=expected, got=got, exchange=exchange, key=key)
 
 
-def expect_stays(before: Sample, after: Sample, exchange: Exchange | None, text: str) -> None:
-    """Refute unless the shaft is where it was."""
+def expect_stays(before: Sample, after: Sample, exchange: Exchange | None, text: str, within: float = SAME) -> None:
+    """Refute unless the shaft is where it was, `within` so many degrees."""
     moved = after.value - before.value
-    if abs(moved) > SAME:
+    if abs(moved) > within:
         raise refute(exchange, text, expected="no motion", got=f"the shaft moved by {moved:+.2f} degrees")
 
 
-def expect_speed(seen: Sample, rpm: float, exchange: Exchange | None, text: str, share: float = 0.01) -> None:
+def expect_speed(seen: Sample | float, rpm: float, exchange: Exchange | None, text: str, share: float = 0.01) -> None:
     """Refute unless a speed is near `rpm`, whichever way the shaft turns."""
-    if abs(abs(seen.value) - abs(rpm)) > 1 + abs(rpm) * share:
-        raise refute(exchange, text, expected=f"{abs(rpm):g} rpm", got=f"{abs(seen.value):g} rpm")
+    value = abs(seen if isinstance(seen, float) else seen.value)
+    if abs(value - abs(rpm)) > 1 + abs(rpm) * share:
+        raise refute(exchange, text, expected=f"{abs(rpm):g} rpm", got=f"{value:g} rpm")

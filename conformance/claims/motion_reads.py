@@ -21,9 +21,9 @@ from conformance.claims import world
 from conformance.claims.declare import declare
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import motion_claim, refute
-from conformance.claims.motion_runs import measured
 from conformance.motion import motion, moves
 from conformance.motion.motion import MS, QUICK, SECOND_NS
+from conformance.motion.motion import mean_speed as measured
 from conformance.talk.probe import Probe
 
 _RPM = 120

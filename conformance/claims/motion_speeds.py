@@ -17,10 +17,10 @@ from analyzer.catalogue import Certainty, Command, Dialect, Verb
 from analyzer.protocols.mks_shared import MODE_MAXIMUM_SPEEDS
 from conformance.claim import Claim
 from conformance.claims.motion_claim import expect_speed, motion_claim, refute
-from conformance.claims.motion_runs import measured
 from conformance.motion import motion
 from conformance.motion import moves as journey
 from conformance.motion.motion import MS, QUICK, SECOND_NS
+from conformance.motion.motion import mean_speed as measured
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 

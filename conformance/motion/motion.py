@@ -1,13 +1,18 @@
-"""Motion by verbs: making a drive ready to move, watching it, and bringing it to rest. For claims of any dialect.
+"""Motion of a drive under test: making it ready, asking for motion, watching it, and bringing it to rest.
 
-    ready_to_move(probe)          a bus work mode and enabled (MKS), switched on (LK)
-    position(probe), speed(probe) in degrees and rpm, whatever the dialect counts in
-    run_at(probe, 60)             a run at 60 rpm, by the dialect's own command and units
-    wait_standing(probe)          until speed 0 and a position that does not change
-    stand_still(probe)            a stop by a ramp that keeps the torque, verified
+    ready_to_move(probe)                        a bus work mode and enabled (MKS), switched on (LK)
+    position(probe), speed(probe)               in degrees and rpm, whatever the dialect counts in
+    begin(probe, run, rpm=60)                   a run at 60 rpm, by the dialect's own command and units
+    move = follow(probe, command, 90)           a move by 90 degrees, relative, absolute or within the turn, to its end
+    move.degrees, move.statuses                 how far the shaft went, and what was answered
+    wait_standing(probe)                        until speed 0 and a position that does not change
+    stand_still(probe)                          a stop by a ramp that keeps the torque, verified
 
 Rules kept here:
-- What a read means is the catalogue's word (`StatePart`); nothing here knows a code or a unit.
+- What a command does is the catalogue's word (`Motion`), and so is what a read means (`StatePart`); nothing here knows a code.
+- Distances are degrees, signed: positive raises the position. Speeds are rpm of the shaft.
+- A move to a place goes from where the drive says that it is, so that nothing depends on its zero.
+- A dialect that tells the end of a move by a reply is listened to; with one that does not the shaft is watched.
 - A value is known to have been true at some moment between the end of the request and the begin of the reply (`Sample`).
 - Whatever does not work raises Inconclusive: a claim about it judges it.
 - Nothing here disables a motor or goes faster than it is told.
@@ -20,13 +25,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from analyzer.catalogue import Command, Dialect, Risk, Verb
-from analyzer.layout import Field
+from analyzer.catalogue import Command, Dialect, Motion, MotionKind, Risk, Verb
+from analyzer.layout import Effect, Field
 from conformance.claim import Inconclusive
 from conformance.motion import ramp
 from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Until
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
@@ -40,6 +46,23 @@ GENTLE = 200
 #: The acceleration of motion whose ramps do not matter: 0.4 ms for one rpm. Not 250: FA begins a frame, and a gate would
 #: read one in the middle of a request.
 QUICK = 248
+#: The speed of motion whose speed does not matter, in rpm.
+CALM = 60
+#: The kinds of motion that end by themselves at a place.
+MOVES = (MotionKind.MOVE_BY, MotionKind.MOVE_TO, MotionKind.MOVE_IN_TURN)
+#: The subdivision at which the suite counts pulses.
+SUBDIVISION = 16
+#: Degrees by which an axis without a known encoder may miss its target.
+_NEAR = 0.25
+#: A force that turns a free shaft, as sent.
+FORCE = 60
+#: Room that an absolute move needs on each side, in its units: no claim goes more than twenty turns.
+_ROOM = 400_000
+#: What a move takes longer than the law at most before it is given up.
+_PATIENCE = 1.5
+_GRACE_NS = 3 * SECOND_NS
+#: How long a move without a known ramp has to get going before the shaft is watched.
+_SET_OFF_NS = 500 * MS
 #: Between two looks at a shaft that may still turn.
 _LOOK_NS = 100 * MS
 #: How long a shaft may take to come to rest.
@@ -244,9 +267,9 @@ def run_values(command: Command, rpm: float, acceleration: int = GENTLE) -> dict
 
 
 def run_at(probe: Probe, rpm: float, acceleration: int = GENTLE) -> Exchange:
-    """Begin a run at a speed; see `run_values`. Raises Inconclusive where the drive refuses or does not answer."""
+    """Begin a run at a speed. Raises Inconclusive where the drive refuses or does not answer."""
     command = probe.command(Verb.RUN_SPEED)
-    return probe.do(command, run_values(command, rpm, acceleration))
+    return probe.do(command, values_of(probe.dialect, command, rpm=rpm, acceleration=acceleration))
 
 
 def stop(probe: Probe, acceleration: int = GENTLE) -> Exchange:
@@ -265,12 +288,12 @@ def wait_standing(probe: Probe, *, limit_ns: int = _REST_NS) -> Sample:
     Raises Inconclusive where that does not come within `limit_ns`.
     """
     until_ns = probe.gate.now_ns() + limit_ns
-    before, turning = position(probe), 0.0
+    before, rpm = position(probe), 0.0
     while True:
         # A fast shaft takes as long as its ramp; there is nothing to see before.
-        probe.wait(max(_LOOK_NS, min(int(turning * ramp.step_ns(GENTLE)), limit_ns)))
-        now, turning = position(probe), abs(speed(probe).value)
-        if abs(now.value - before.value) <= SAME and turning < 1:
+        probe.wait(max(_LOOK_NS, min(int(rpm * ramp.step_ns(GENTLE)), limit_ns)))
+        now, rpm = position(probe), abs(speed(probe).value)
+        if abs(now.value - before.value) <= SAME and rpm < 1:
             return now
         if probe.gate.now_ns() >= until_ns:
             raise Inconclusive(f"the shaft does not come to rest within {limit_ns / 1e9:.0f} s")
@@ -284,3 +307,232 @@ def stand_still(probe: Probe, *, limit_ns: int = _REST_NS) -> Sample:
     """
     stop(probe)
     return wait_standing(probe, limit_ns=limit_ns)
+
+
+# --- asking for motion ------------------------------------------------------------------------------------------------
+
+
+def of(command: Command) -> Motion:
+    """Return what a command that moves the shaft does, as the catalogue declares it."""
+    if command.motion is None:
+        raise ValueError(f"{command.name} is declared as no motion")
+    return command.motion
+
+
+def near(dialect: Dialect) -> float:
+    """Return by how many degrees a move may miss its target."""
+    return SAME if dialect.counts_per_turn else _NEAR
+
+
+def field_of(command: Command, name: str) -> Field:
+    """Return a field of a command's first request form."""
+    return command.request_forms[0].layout.named[name]
+
+
+def takes_pulses(command: Command) -> bool:
+    """Say whether the distance of a move is in pulses, so that the subdivision decides how far it goes."""
+    return bool(command.motion and command.motion.distance) and _distance(command).unit == "pulses"
+
+
+def _distance(command: Command) -> Field:
+    return field_of(command, of(command).distance)
+
+
+def units_per_turn(dialect: Dialect, command: Command, subdivision: int = SUBDIVISION) -> int:
+    """Return how many units of a move's distance, as sent, make a turn."""
+    field = _distance(command)
+    if field.unit == "pulses" and dialect.subdivision is not None:
+        return dialect.subdivision.full_steps * subdivision
+    return dialect.counts_per_turn if field.unit == "counts" else field.wire(360)
+
+
+def speed_as_sent(dialect: Dialect, field: Field, rpm: float, subdivision: int = SUBDIVISION) -> int:
+    """Return the speed to send so that the shaft turns at `rpm`."""
+    law = dialect.subdivision
+    if field.unit == "deg/s":
+        return field.wire(rpm * 6)
+    if law is not None and subdivision not in law.plain:
+        return max(1, round(rpm * subdivision / law.counted_at))
+    return field.wire(rpm)
+
+
+def finest(probe: Probe) -> int:
+    """Return how the largest subdivision is sent: as itself where the field holds it, else as 0."""
+    found = probe.dialect.effect(Effect.SUBDIVISION)
+    assert found is not None
+    assert probe.dialect.subdivision is not None
+    largest = probe.dialect.subdivision.largest
+    return largest if largest <= found[1].wire_maximum else 0
+
+
+def place(probe: Probe, command: Command) -> int:
+    """Return where the shaft is as a move to a place counts it, as sent; 0 for a move by a distance.
+
+    Raises Inconclusive where the move could not go on from there.
+    """
+    motion = of(command)
+    if not motion.counted_by:
+        return 0
+    # A gate that bounds turns has to know where the shaft is.
+    degrees = position(probe).value
+    read = probe.command(motion.counted_by)
+    now = probe.read(read, next(iter(read.reply_forms[0].layout.named)))
+    target = _distance(command)
+    if motion.kind is MotionKind.MOVE_TO and not target.low + _ROOM <= now <= target.high - _ROOM:
+        raise Inconclusive(f"{read.name} reads {now}, from where {command.name} cannot go on")
+    probe.gate.note_position(degrees, probe.address, now if takes_pulses(command) else None)
+    return now
+
+
+def values_of(
+    dialect: Dialect,
+    command: Command,
+    degrees: float = 0.0,
+    *,
+    rpm: float = CALM,
+    acceleration: int = GENTLE,
+    subdivision: int = SUBDIVISION,
+    start: int = 0,
+) -> dict[str, int]:
+    """Return the values of a run, move or torque, as sent.
+
+    `degrees`: the length of a move. `rpm`: the speed; of a run its sign is the direction. `start`: where a move to a place
+    begins, as `place` tells it.
+    """
+    motion = of(command)
+    values = {}
+    if motion.kind is MotionKind.TORQUE:
+        values = {field.name: FORCE for c, field in dialect.effects(Effect.CURRENT) if c.name == command.name}
+    elif motion.kind is MotionKind.RUN and motion.direction:
+        values = {motion.direction: int(rpm < 0)}
+        rpm = abs(rpm)
+    elif motion.distance:
+        turn = units_per_turn(dialect, command, subdivision)
+        amount = round(degrees * turn / 360)
+        if motion.direction:
+            values[motion.direction] = int(amount < 0)
+        if motion.kind is MotionKind.MOVE_BY:
+            values[motion.distance] = abs(amount) if motion.direction else amount
+        else:
+            values[motion.distance] = (start + amount) % turn if motion.kind is MotionKind.MOVE_IN_TURN else start + amount
+    if motion.speed:
+        values[motion.speed] = speed_as_sent(dialect, field_of(command, motion.speed), rpm, subdivision)
+    if motion.acceleration:
+        values[motion.acceleration] = acceleration
+    return values
+
+
+def prepare(probe: Probe, command: Command) -> None:
+    """Make a drive ready for a motion; one that counts pulses gets the subdivision of the suite."""
+    ready_to_move(probe, subdivision=SUBDIVISION if takes_pulses(command) else None)
+
+
+def ask(
+    probe: Probe,
+    command: Command,
+    degrees: float = 0.0,
+    *,
+    until: Until = Until.REPLY,
+    timeout_ns: int | None = None,
+    quiet_ns: int | None = None,
+    more: Mapping[str, int] | None = None,
+    start: int | None = None,
+    **how: Any,
+) -> Exchange:
+    """Ask for a motion and return what came back, whatever it is.
+
+    `how`: as `values_of` takes it. `start`: where a move to a place begins; read, where it is not given. `more`: values as sent
+    in place of those.
+    """
+    begun = place(probe, command) if start is None else start
+    values = values_of(probe.dialect, command, degrees, start=begun, **how) | dict(more or {})
+    return probe.ask(command, values, until=until, timeout_ns=timeout_ns, quiet_ns=quiet_ns)
+
+
+def refused(probe: Probe, exchange: Exchange) -> bool:
+    """Say whether a motion was refused. Raises Inconclusive where there is no readable answer."""
+    probe.reply(exchange)
+    return probe.refused(exchange)
+
+
+def begin(probe: Probe, command: Command, degrees: float = 0.0, **how: Any) -> Exchange:
+    """Ask for a motion, as `ask` does. Raises Inconclusive where it is refused or not answered."""
+    exchange = ask(probe, command, degrees, **how)
+    if refused(probe, exchange):
+        raise Inconclusive(f"{command.name} was refused")
+    return exchange
+
+
+# --- a move and its end -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Move:
+    """A move that was followed to its end.
+
+    `asked`: by how many degrees, after rounding to the command's unit. `start`, `end`: where the shaft stood.
+    """
+
+    command: Command
+    exchange: Exchange
+    asked: float
+    start: Sample
+    end: Sample
+
+    @property
+    def degrees(self) -> float:
+        """How far the shaft went, signed."""
+        return self.end.value - self.start.value
+
+    @property
+    def statuses(self) -> list[int]:
+        """What the replies said, in order."""
+        return self.exchange.status(self.command.replies.status)
+
+
+def follow(
+    probe: Probe,
+    command: Command,
+    degrees: float,
+    *,
+    rpm: float = CALM,
+    acceleration: int = GENTLE,
+    subdivision: int = SUBDIVISION,
+    **how: Any,
+) -> Move:
+    """Move by so many degrees and follow the shaft until it stands.
+
+    Raises Inconclusive where the move is refused or the shaft does not come to rest.
+    """
+    start = position(probe)
+    tells = of(command).tells_end
+    turn = units_per_turn(probe.dialect, command, subdivision)
+    asked = round(degrees * turn / 360) * 360 / turn
+    law_ns = int(ramp.move_ns(asked / 360, rpm, acceleration)) if probe.dialect.ramp is not None else _SET_OFF_NS
+    if tells:
+        how |= {"until": Until.DONE, "timeout_ns": int(law_ns * _PATIENCE) + _GRACE_NS}
+    exchange = ask(probe, command, degrees, rpm=rpm, acceleration=acceleration, subdivision=subdivision, **how)
+    if refused(probe, exchange) and not (tells and len(exchange.answers) > 1):
+        raise Inconclusive(f"{command.name} was refused")
+    if not tells:
+        probe.wait(law_ns)
+    return Move(command, exchange, asked, start, wait_standing(probe))
+
+
+def statuses(exchanges: Iterable[Exchange], command: Command) -> list[int]:
+    """Return the statuses that were answered to a command in several exchanges, in the order in which they came."""
+    code, status = command.code, command.replies.status
+    found = [a for e in exchanges for a in e.answers if a.command is not None and a.command.code == code and status in a.values]
+    return [a.values[status] for a in sorted(found, key=lambda answer: answer.last_ns)]
+
+
+def turning(probe: Probe) -> float:
+    """Return the speed of a turning shaft in rpm: as the drive reads it, or from positions where no read is about it alone."""
+    return speed(probe).value if Verb.READ_SPEED in probe.dialect.by_verb else mean_speed(probe, 300 * MS)[0]
+
+
+def mean_speed(probe: Probe, over_ns: int = SECOND_NS) -> tuple[float, float]:
+    """Return the speed of a turning shaft from two positions (rpm, signed), and its uncertainty."""
+    first = position(probe)
+    probe.wait(over_ns)
+    return speed_between(first, position(probe))

@@ -1,0 +1,381 @@
+"""Moves: how far each goes, which way, how fast, and what it answers.
+
+    MKS  FD, F4 by a distance, FE, F5 to a place; FD and FE in pulses, F4 and F5 in counts
+    LK   A7, A8 by an angle, A3, A4 to a position over all turns, A5, A6 to an angle within the turn; the even ones with a speed
+
+Rules kept here:
+- A turn of an MKS drive is 16384 counts, and 200 pulses at each subdivision: 3200 at 16, to which the suite sets it.
+- Counts have a sign that the manual's examples fix, angles one that the manual prints. What the direction bit and the sign
+  of pulses turn is not judged; that both values of one command turn opposite ways is.
+- Positions are read when the shaft has come to rest; only `told-when-there` reads at once.
+- The limits of an LK setup program are not known here: speeds and ways are small (60 rpm, a turn).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind
+from conformance.claim import Inconclusive
+from conformance.claims.declare import Case, Cases, motions
+from conformance.claims.known_quirks import may_meet
+from conformance.claims.motion_claim import command_of, expect_speed, expect_stays, has_sign, of_motion, that_tell_their_end
+from conformance.motion import motion
+from conformance.motion.motion import MOVES, MS, QUICK, SAME, SECOND_NS, Move, takes_pulses
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe, Until
+
+#: A way that no power of two divides, and one back that is shorter, in degrees.
+_THERE, _BACK = 97.2, -39.6
+#: More units than 16 bits hold, and the subdivision at which so many pulses are less than two turns.
+_FAR, _FINE = 70_000, 256
+#: Positions that 32 bits hold, just so, in 0.01 degrees.
+_EDGE = 2_147_480_000
+#: How far a shaft may go beyond its target on the way, in degrees.
+_OVERSHOOT = 2.0
+#: How far a shaft that is settling was seen to be from its target, in degrees, and a little more.
+_SETTLING = 32 * 360 / 16384
+#: Moves whose replies are looked at for their sums.
+_MANY = 300
+
+
+def takes_angle(command: Command) -> bool:
+    """Say whether the distance of a move is an angle, and not a number of counts or pulses."""
+    return motion.field_of(command, motion.of(command).distance).unit == "deg"
+
+
+def takes_counts(command: Command) -> bool:
+    """Say whether the distance of a move is in counts or pulses, of which the manual says how many are a turn."""
+    return not takes_angle(command)
+
+
+def _takes_place(command: Command) -> bool:
+    return motion.of(command).kind is MotionKind.MOVE_TO
+
+
+_counted = motions(*MOVES, where=takes_counts)
+_angled = motions(*MOVES, where=takes_angle)
+_counted_places = motions(MotionKind.MOVE_TO, where=takes_counts)
+_in_turn = motions(MotionKind.MOVE_IN_TURN)
+
+
+def keeps_position(case: Case) -> tuple[str, ...]:
+    """Return the settings that hold where the turns are counted from, for moves that go by them."""
+    command = command_of(case)
+    return ("position",) if _takes_place(command) and takes_angle(command) else ()
+
+
+def with_values(each: Cases, **given: object) -> Cases:
+    """Return cases with more arguments of the check."""
+    return lambda dialect: (Case(c.dialect, c.command, {**c.given, **given}, c.facts) for c in each(dialect))
+
+
+# --- where a move ends ------------------------------------------------------------------------------------------------
+
+
+def _distances(dialect: Dialect) -> Iterator[Case]:
+    for command in filter(takes_counts, dialect.motions(*MOVES)):
+        unit = motion.field_of(command, motion.of(command).distance).unit
+        where = "to a place" if _takes_place(command) else "by a distance"
+        yield Case(dialect, command, {"signed": False, "unit": unit, "where": where}, {"parameters": {}})
+
+
+def _angles(dialect: Dialect) -> Iterator[Case]:
+    for command in filter(takes_angle, dialect.motions(*MOVES)):
+        signed = motion.of(command).kind is not MotionKind.MOVE_IN_TURN
+        yield Case(dialect, command, {"signed": signed}, {"parameters": {}})
+
+
+def _expect_way(probe: Probe, move: Move, signed: bool, refutes: str) -> None:
+    """Refute unless a move went as far as was asked, the way that was asked where it is `signed`."""
+    seen, asked = (move.degrees, move.asked) if signed else (abs(move.degrees), abs(move.asked))
+    within = motion.near(probe.dialect)
+    probe.expect(seen, near=asked, within=within, unit="degrees", refutes=refutes, exchange=move.exchange)
+
+
+def _there_and_back(probe: Probe, command: Command) -> tuple[Move, Move]:
+    motion.prepare(probe, command)
+    return motion.follow(probe, command, _THERE), motion.follow(probe, command, _BACK)
+
+
+@of_motion(
+    each=_distances,
+    statement="{command} moves the shaft {where} in {unit}: 16384 counts, or 3200 pulses at 16 subdivisions, are a turn.",
+    refuted_by="a shaft that went farther or less far",
+)
+@of_motion(
+    each=with_values(motions(*MOVES, where=lambda c: takes_counts(c) and not takes_pulses(c)), signed=True),
+    name="{command}/sign",
+    statement="{command}: a greater position raises what read_position reads, by so many counts.",
+    refuted_by="an encoder value that falls, or does not come to what was asked",
+    parameters={},
+)
+@of_motion(
+    each=_angles,
+    name="{command}/reaches",
+    statement="{command} brings the shaft to where it was asked to go.",
+    refuted_by="a shaft that stops elsewhere",
+    settings=keeps_position,
+)
+def _distance(probe: Probe, command: Command, signed: bool) -> None:
+    for move in _there_and_back(probe, command):
+        _expect_way(probe, move, signed, f"{command.name} does not go as far as it was asked to")
+
+
+def _opposites(dialect: Dialect) -> Iterator[Case]:
+    for command in filter(takes_counts, dialect.motions(*MOVES)):
+        both = "a greater and a smaller position" if has_sign(command) else "direction 0 and direction 1"
+        yield Case(dialect, command, {"both": both}, {"parameters": {}})
+
+
+@of_motion(each=_opposites, refuted_by="the same way twice")
+def _opposite(probe: Probe, command: Command) -> None:
+    """{command} turns the shaft opposite ways for {both}."""
+    there, back = _there_and_back(probe, command)
+    probe.expect(
+        f"{there.degrees:+.2f} and {back.degrees:+.2f} degrees",
+        holds=there.degrees * back.degrees < 0 and min(abs(there.degrees), abs(back.degrees)) > SAME,
+        expected="two ways",
+        refutes=f"{command.name} does not turn two ways",
+        exchange=back.exchange,
+    )
+
+
+@of_motion(
+    each=_distances,
+    statement=f"{{command}} takes all bits of its {{unit}}: {_FAR} of them, either way, are {_FAR}.",
+    refuted_by="a shaft that went as far as fewer bits say",
+)
+def _far(probe: Probe, command: Command) -> None:
+    subdivision = _FINE if takes_pulses(command) else motion.SUBDIVISION
+    motion.ready_to_move(probe, subdivision=motion.finest(probe) if takes_pulses(command) else None)
+    degrees = _FAR * 360 / motion.units_per_turn(probe.dialect, command, subdivision)
+    for way in (degrees, -degrees):
+        move = motion.follow(probe, command, way, rpm=180, acceleration=QUICK, subdivision=subdivision)
+        _expect_way(probe, move, False, f"{command.name} does not go by {_FAR} units")
+
+
+@of_motion(
+    each=motions(MotionKind.MOVE_TO, where=takes_angle),
+    refuted_by="a shaft that turns the wrong way",
+    risks=lambda case: case.dialect.by_name["set_position"].all_risks,
+)
+def _wide(probe: Probe, command: Command) -> None:
+    """{command} takes positions of more than 32 bits."""
+    motion.ready_to_move(probe)
+    for side in (1, -1):
+        probe.do("set_position", {"position": side * _EDGE})
+        here = motion.position(probe)
+        exchange = motion.begin(probe, command, side * 90, start=side * _EDGE)
+        probe.wait(SECOND_NS)
+        went = (motion.stand_still(probe).value - here.value) * side
+        # An angle limit of 32 bits would end the way after 36 degrees.
+        text = f"{command.name} to a position of more than 32 bits does not go there"
+        probe.expect(went, at_least=30, expected="90 degrees that way", unit="degrees", refutes=text, exchange=exchange)
+
+
+@of_motion(
+    each=with_values(_counted, signed=False),
+    statement="{command} can be asked for again and again: the ways add up and nothing is lost.",
+    refuted_by="several short moves that are not one long one",
+    parameters={},
+)
+@of_motion(
+    each=with_values(motions(MotionKind.MOVE_BY, where=takes_angle), signed=True),
+    name="{command}/adds-up",
+    statement="{command} five times by an angle moves by five times the angle.",
+    refuted_by="another angle",
+    parameters={},
+)
+def _again(probe: Probe, command: Command, signed: bool) -> None:
+    motion.prepare(probe, command)
+    moves = [motion.follow(probe, command, 11.18, acceleration=QUICK) for _ in range(5)]
+    whole = Move(command, moves[-1].exchange, sum(m.asked for m in moves), moves[0].start, moves[-1].end)
+    _expect_way(probe, whole, signed, f"{command.name}: {len(moves)} moves do not add up")
+
+
+@of_motion(
+    each=_counted_places,
+    statement="{command} to where the shaft stands turns nothing.",
+    refuted_by="a shaft that turned, or a refusal",
+)
+@of_motion(
+    each=motions(MotionKind.MOVE_TO, where=takes_angle),
+    name="{command}/absolute",
+    statement="{command} twice to one position moves once.",
+    refuted_by="a second motion",
+)
+def _same_place(probe: Probe, command: Command) -> None:
+    motion.prepare(probe, command)
+    there = motion.follow(probe, command, _THERE)
+    exchange = motion.ask(probe, command, until=Until.DONE if motion.of(command).tells_end else Until.REPLY)
+    text = f"{command.name} to the same place is refused"
+    probe.expect("a refusal", holds=not motion.refused(probe, exchange), expected="no refusal", refutes=text, exchange=exchange)
+    probe.wait(SECOND_NS)
+    within = motion.near(probe.dialect)
+    expect_stays(there.end, motion.wait_standing(probe), exchange, f"{command.name} to the same place turns the shaft", within)
+
+
+@of_motion(
+    each=lambda dialect: (case for case in _distances(dialect) if _takes_place(command_of(case))),
+    statement="After {command} the drive reads the {unit} that were asked for, above and below zero.",
+    refuted_by="another number",
+)
+def _reads_as_asked(probe: Probe, command: Command) -> None:
+    motion.prepare(probe, command)
+    turn = motion.units_per_turn(probe.dialect, command)
+    for degrees in (108, -216):
+        target = motion.place(probe, command) + round(degrees * turn / 360)
+        move = motion.follow(probe, command, degrees)
+        text = f"{command.name}: the drive reads another place than was asked for"
+        probe.expect(motion.place(probe, command), near=target, within=2, refutes=text, exchange=move.exchange)
+
+
+@of_motion(each=_in_turn, refuted_by="one way for both directions")
+def _two_ways(probe: Probe, command: Command) -> None:
+    """{command} goes to one angle by both ways: together they are a turn."""
+    cw, ccw, exchange = _both_ways(probe, command)
+    probe.expect(
+        f"{cw:+.1f} and {ccw:+.1f} degrees",
+        holds=cw * ccw < 0 and abs(abs(cw) + abs(ccw) - 360) <= 2 * motion.near(probe.dialect),
+        expected="two ways that are a turn together",
+        refutes=f"{command.name} does not go to one angle by both ways",
+        exchange=exchange,
+    )
+
+
+@of_motion(each=_in_turn, refuted_by="the other way", at_best=Certainty.LIKELY)
+def _clockwise(probe: Probe, command: Command) -> None:
+    """{command} with direction 0 turns clockwise, which raises the position."""
+    cw, ccw, exchange = _both_ways(probe, command)
+    probe.expect(
+        f"{cw:+.1f} and {ccw:+.1f} degrees",
+        holds=max(abs(cw - 120), abs(ccw + 240)) <= motion.near(probe.dialect),
+        expected="+120 and -240 degrees",
+        refutes=f"{command.name} does not turn the way that it was told",
+        exchange=exchange,
+    )
+
+
+def _both_ways(probe: Probe, command: Command) -> tuple[float, float, Exchange]:
+    """Go to one angle clockwise, back to where that began, and to it again the other way; return both ways (degrees)."""
+    motion.ready_to_move(probe)
+    start = motion.place(probe, command)
+    cw = motion.follow(probe, command, 120, start=start)
+    motion.follow(probe, command, -360, start=start)
+    ccw = motion.follow(probe, command, -240, start=start)
+    motion.follow(probe, command, 360, start=start)
+    return cw.degrees, ccw.degrees, ccw.exchange
+
+
+# --- on the way -------------------------------------------------------------------------------------------------------
+
+
+@of_motion(
+    # 300 rpm does not fit a byte; two turns at it take half a second, of which the ramps take 0.18 s.
+    each=with_values(_counted, tries=((60, 360, 300 * MS), (300, 720, 150 * MS))),
+    statement="{command} turns the shaft at the speed that is asked for.",
+    refuted_by="another speed on the way",
+    parameters={},
+)
+@of_motion(
+    each=with_values(
+        motions(*MOVES, where=lambda c: takes_angle(c) and bool(motion.of(c).speed)),
+        tries=((15, 300, 500 * MS), (45, 300, 500 * MS)),
+    ),
+    name="{command}/max-speed",
+    statement="{command} keeps to max_speed, and comes to it where the way is long enough.",
+    refuted_by="a speed above it, or far below",
+    settings=keeps_position,
+    parameters={},
+)
+def _speed(probe: Probe, command: Command, tries: tuple[tuple[int, int, int], ...]) -> None:
+    motion.prepare(probe, command)
+    for rpm, degrees, after_ns in tries:
+        exchange = motion.begin(probe, command, degrees, rpm=rpm, acceleration=QUICK, quiet_ns=0)
+        probe.wait(exchange.sent_ns + after_ns - probe.gate.now_ns())
+        seen = motion.turning(probe)
+        motion.wait_standing(probe)
+        expect_speed(seen, rpm, exchange, f"{command.name} does not turn at the speed that was asked for")
+
+
+@of_motion(
+    each=with_values(_counted, degrees=360, rpm=300, for_ns=SECOND_NS),
+    statement="{command} slows the shaft down by its ramp, so that it does not go beyond the target.",
+    refuted_by=f"a shaft more than {_OVERSHOOT:g} degrees beyond the target on the way",
+    at_best=Certainty.LIKELY,
+    parameters={},
+)
+@of_motion(
+    each=with_values(_angled, degrees=200, rpm=45, for_ns=2 * SECOND_NS),
+    statement="{command} does not go beyond its target.",
+    refuted_by="a shaft that was beyond the target on the way",
+    at_best=Certainty.OPEN,
+    settings=keeps_position,
+    parameters={},
+)
+def _within(probe: Probe, command: Command, degrees: int, rpm: int, for_ns: int) -> None:
+    motion.prepare(probe, command)
+    start = motion.position(probe)
+    exchange = motion.begin(probe, command, degrees, rpm=rpm, acceleration=236, quiet_ns=0)
+    seen = motion.sampled(probe, for_ns, 40 * MS)
+    end = motion.wait_standing(probe)
+    way = 1 if end.value > start.value else -1
+    beyond = max((s.value - end.value) * way for s in seen)
+    text = f"{command.name} goes beyond its target and comes back"
+    probe.expect(beyond, at_most=_OVERSHOOT, unit="degrees beyond", refutes=text, exchange=exchange)
+
+
+# --- replies ----------------------------------------------------------------------------------------------------------
+
+
+@of_motion(each=that_tell_their_end(_counted), refuted_by="other statuses, another order, more or fewer replies")
+def _replies(probe: Probe, command: Command) -> None:
+    """{command} is answered twice: status 1 when it begins, status 2 when it is done."""
+    motion.prepare(probe, command)
+    move = motion.follow(probe, command, _THERE)
+    probe.wait(SECOND_NS)
+    seen = motion.statuses(probe.traffic, command)
+    text = f"{command.name}: other replies than 1 and then 2"
+    probe.expect(seen, equal=[1, 2], refutes=text, exchange=move.exchange, key=f"{command.name} {seen}")
+
+
+@of_motion(
+    each=that_tell_their_end(_counted), refuted_by="a shaft that is elsewhere when status 2 comes", quirks=may_meet("settling")
+)
+def _told_when_there(probe: Probe, command: Command) -> None:
+    """When {command} says that it is complete, the shaft is at its target."""
+    motion.prepare(probe, command)
+    exchange = motion.ask(probe, command, _THERE, rpm=120, until=Until.DONE, quiet_ns=0)
+    probe.reply(exchange)
+    if exchange.status(command.replies.status)[-1:] != [2]:
+        raise Inconclusive(f"{command.name} did not say that it was complete")
+    at_once = motion.position(probe)
+    off = abs(motion.wait_standing(probe).value - at_once.value)
+    if SAME < off <= _SETTLING and "settling" in probe.claim.quirks:
+        probe.meets("settling")
+    else:
+        text = f"{command.name} is told as complete before the shaft is there"
+        probe.expect(off, at_most=SAME, unit="degrees from where it comes to rest", refutes=text, exchange=exchange)
+
+
+@of_motion(
+    each=motions(MotionKind.MOVE_TO, where=lambda c: takes_angle(c) and bool(motion.of(c).speed)),
+    refuted_by="a sum that is off",
+    quirks=may_meet("lk-off-sum"),
+    statement=f"Each of {_MANY} replies has the sums that fit it.",
+)
+def _sums(probe: Probe, command: Command) -> None:
+    motion.ready_to_move(probe)
+    start = motion.place(probe, command)
+    asked = [motion.ask(probe, command, start=start, quiet_ns=0) for _ in range(_MANY)]
+    off = [e for e in asked if e.reply is None or not e.reply.message.frame.checksum_ok]
+    good = len(asked) - len(off)
+    if not good:
+        raise Inconclusive(f"no reply to {command.name} can be read")
+    rare = 0 < len(off) <= _MANY // 20 and all(e.answers or e.junk for e in off)
+    if rare and "lk-off-sum" in probe.claim.quirks:
+        probe.meets("lk-off-sum")
+    else:
+        text = f"replies to {command.name} have sums that do not fit"
+        probe.expect(good, equal=_MANY, unit="good replies", refutes=text, exchange=(off or asked)[0])

@@ -1,0 +1,226 @@
+"""Runs at a speed: how fast the shaft turns for what is sent, which way, and for how long.
+
+Rules kept here:
+- How fast the shaft turns is measured from positions, by the clock of the line.
+- Which way a direction bit turns the shaft is observed; that run and relative move take it alike is judged.
+- A drive without a direction bit takes the speed with its sign: positive is clockwise and raises what 92 reads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Trait, Verb
+from conformance.claim import Inconclusive
+from conformance.claims.declare import Case, commands, motions
+from conformance.claims.known_quirks import may_meet
+from conformance.claims.motion_claim import expect_speed, has_direction, has_sign, of_motion, risks_by, that_tell_their_end
+from conformance.motion import motion
+from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, SUBDIVISION
+from conformance.talk.probe import Probe
+
+#: Speeds that differ by less are one.
+_SHARE = 0.005
+#: The speed of runs that last, and that of runs whose direction alone matters: 16 bits hold them in every unit.
+_RPM, _SLOW = 54, 30
+_runs = motions(MotionKind.RUN)
+_directed = motions(MotionKind.RUN, where=has_direction)
+_signed = motions(MotionKind.RUN, where=has_sign)
+
+
+def _at_speeds(dialect: Dialect) -> Iterator[Case]:
+    for case in _directed(dialect):
+        for rpm in (1, 60, 300):
+            yield Case(dialect, case.command, {"rpm": rpm, "asked": f"{rpm} rpm"}, {"name": f"run_speed/speed-{rpm}"})
+    for case in _signed(dialect):
+        # In 0.01 deg/s 360 and -500 need more than 16 bits.
+        for speed in (10, -180, 360, -500):
+            given = {"rpm": speed / 6, "asked": f"{speed} deg/s"}
+            yield Case(dialect, case.command, given, {"name": f"run_speed/speed-{speed}"})
+
+
+@of_motion(each=_at_speeds, refuted_by="positions that change by another speed", quirks=may_meet("slow-replies-in-motion"))
+def _turns_at(probe: Probe, rpm: float) -> None:
+    """Asked for {asked}, the shaft turns at {asked}."""
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
+    exchange = motion.run_at(probe, rpm, QUICK)
+    probe.wait(500 * MS)
+    # At a low speed the shaft needs a while to go far enough to measure.
+    speed, spread = motion.mean_speed(probe, 2 * SECOND_NS if abs(rpm) < 10 else SECOND_NS)
+    motion.stand_still(probe)
+    wanted, text = abs(rpm), "the shaft does not turn at the speed that was asked for"
+    probe.expect(abs(speed), near=wanted, within=wanted * _SHARE + spread, unit="rpm", refutes=text, exchange=exchange)
+    if spread > wanted / 10:
+        if "slow-replies-in-motion" not in probe.claim.quirks:
+            raise Inconclusive(f"the replies came too late to measure a speed ({spread:.1f} rpm uncertain)")
+        probe.meets("slow-replies-in-motion")
+    else:
+        probe.measured["rpm"] = abs(speed)
+
+
+# --- which way --------------------------------------------------------------------------------------------------------
+
+
+def _way(probe: Probe, rpm: float) -> float:
+    """Return how far a short run turns the shaft, in degrees, from rest to rest."""
+    before = motion.position(probe)
+    motion.run_at(probe, rpm, QUICK)
+    probe.wait(300 * MS)
+    return motion.stand_still(probe).value - before.value
+
+
+def _relative_way(probe: Probe) -> float:
+    """Return how far a relative move of direction 0 turns the shaft, in degrees."""
+    return motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), 36).degrees
+
+
+def _expect_ways(probe: Probe, ways: tuple[float, float], opposite: bool, refutes: str) -> None:
+    probe.expect(
+        f"{ways[0]:+.1f} and {ways[1]:+.1f} degrees",
+        holds=ways[0] * ways[1] < 0 if opposite else ways[0] * ways[1] > 0,
+        expected="opposite ways" if opposite else "one way",
+        refutes=refutes,
+    )
+
+
+@of_motion(each=_directed, refuted_by="one way for both", statement="Direction 0 and direction 1 turn the shaft opposite ways.")
+@of_motion(each=_signed, refuted_by="one way for both", statement="Speeds of opposite signs turn opposite ways.")
+def _opposite(probe: Probe) -> None:
+    motion.ready_to_move(probe)
+    ways = (_way(probe, _SLOW), _way(probe, -_SLOW))
+    _expect_ways(probe, ways, True, "speeds of opposite signs do not turn the shaft opposite ways")
+
+
+@of_motion(
+    each=_directed,
+    statement="Direction 0 is counter-clockwise and raises the encoder value.",
+    refuted_by="an encoder value that falls",
+    at_best=Certainty.OPEN,
+    quirks=may_meet("reversed-direction"),
+)
+@of_motion(
+    each=_signed,
+    name="{command}/sign",
+    statement="A positive speed raises the position, a negative one lowers it.",
+    refuted_by="the other way",
+    rests_on=(Doubt.SIGN,),
+)
+def _raises(probe: Probe) -> None:
+    motion.ready_to_move(probe)
+    up, down = _way(probe, _SLOW), _way(probe, -_SLOW)
+    if up < 0 and "reversed-direction" in probe.claim.quirks and _relative_way(probe) < 0:
+        probe.meets("reversed-direction")
+    else:
+        text = "a positive speed does not raise the position, or a negative one does not lower it"
+        probe.expect(f"{up:+.1f} and {down:+.1f} degrees", holds=up > 0 > down, expected="a rise and a fall", refutes=text)
+
+
+@of_motion(
+    each=_directed,
+    refuted_by="a run and a move of one direction that go opposite ways",
+    at_best=Certainty.LIKELY,
+    risks=risks_by(Verb.MOVE_RELATIVE_PULSES),
+)
+def _same_sense(probe: Probe) -> None:
+    """The direction bit turns the shaft the same way in a run as in a relative move by pulses."""
+    motion.ready_to_move(probe)
+    ways = (_way(probe, _SLOW), _relative_way(probe))
+    _expect_ways(probe, ways, False, "direction 0 turns the shaft one way in a run and the other way in a move")
+
+
+def _direction_settings(dialect: Dialect) -> Iterator[Case]:
+    turns = Trait.DIRECTION_TURNS_BUS_MOTION in dialect.traits
+    facts = {
+        "statement": f"The setting of the motor's direction {'turns' if turns else 'does not turn'} motion by the bus.",
+        "refuted_by": "a run that turns the same way with both settings" if turns else "a run that turns another way",
+    }
+    for case in commands(Verb.SET_DIRECTION)(dialect):
+        yield Case(dialect, case.command, {"turns": turns}, facts)
+
+
+@of_motion(each=_direction_settings, refuted_by="", risks=risks_by(Verb.RUN_SPEED), settings=("motor_direction",))
+def _and_the_bus(probe: Probe, command: Command, turns: bool) -> None:
+    motion.ready_to_move(probe)
+    ways = []
+    for value in (0, 1):
+        probe.do(command, {"motor_direction": value})
+        ways.append(_way(probe, _SLOW))
+    _expect_ways(probe, (ways[0], ways[1]), turns, "the setting of the motor's direction and motion by the bus")
+
+
+# --- as time goes on --------------------------------------------------------------------------------------------------
+
+
+@of_motion(each=_runs, refuted_by="a shaft that slows down or stops by itself")
+def _lasts(probe: Probe) -> None:
+    """A run goes on until it is told otherwise."""
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
+    exchange = motion.run_at(probe, _RPM, QUICK)
+    probe.wait(5 * SECOND_NS)
+    seen = motion.turning(probe)
+    motion.stand_still(probe)
+    expect_speed(seen, _RPM, exchange, "a run does not go on")
+
+
+@of_motion(
+    each=_directed,
+    name="{command}/changes-speed",
+    statement="A run at another speed takes over from the one under way, without a stop between.",
+    refuted_by="another speed than that of the newer run, or a stop",
+)
+@of_motion(each=_signed, statement="A newer speed takes over from the one under way.", refuted_by="another speed")
+def _changes(probe: Probe) -> None:
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
+    for rpm, acceleration in ((50, QUICK), (25, 56), (54, QUICK)):
+        exchange = motion.run_at(probe, rpm, acceleration)
+        if rpm == 25:
+            seen = motion.turning(probe)  # the ramp from 50 to 25 rpm takes 250 ms at 10 ms for each rpm
+            text = "a newer run stops the shaft first"
+            probe.expect(abs(seen), at_least=rpm - 1, unit="rpm", refutes=text, exchange=exchange)
+        probe.wait(800 * MS)
+        expect_speed(motion.turning(probe), rpm, exchange, "a newer run does not take over")
+    motion.stand_still(probe)
+
+
+@of_motion(each=_directed, refuted_by="a shaft that keeps its direction or stops")
+def _turns_round(probe: Probe) -> None:
+    """A run the other way takes over from the one under way."""
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
+    motion.run_at(probe, CALM, QUICK)
+    probe.wait(300 * MS)
+    before, _ = motion.mean_speed(probe, 200 * MS)
+    exchange = motion.run_at(probe, -CALM, QUICK)
+    probe.wait(300 * MS)
+    after, spread = motion.mean_speed(probe, 200 * MS)
+    motion.stand_still(probe)
+    probe.expect(
+        f"{before:+.1f} rpm, then {after:+.1f}",
+        holds=before * after < 0 and abs(abs(after) - CALM) <= 2 + spread,
+        expected=f"{before:+.1f} rpm, then {-before:+.1f}",
+        refutes="a run the other way does not turn the shaft round",
+        exchange=exchange,
+    )
+
+
+@of_motion(each=that_tell_their_end(_runs), refuted_by="another status, or more replies")
+def _replies(probe: Probe, command: Command) -> None:
+    """A run is answered once, by status 1."""
+    motion.ready_to_move(probe)
+    exchange = motion.run_at(probe, _RPM, QUICK)
+    probe.wait(2 * SECOND_NS)
+    statuses = motion.statuses(probe.traffic, command)
+    motion.stand_still(probe)
+    probe.expect(statuses, equal=[1], refutes="a run is not answered by status 1 alone", exchange=exchange)
+
+
+@of_motion(each=_signed, refuted_by="a shaft that turns")
+def _zero(probe: Probe, command: Command) -> None:
+    """Speed 0 stops the shaft."""
+    motion.ready_to_move(probe)
+    motion.run_at(probe, _RPM)
+    probe.wait(500 * MS)
+    exchange = motion.run_at(probe, 0)
+    probe.wait(3 * SECOND_NS)
+    seen = motion.turning(probe)
+    motion.stand_still(probe)
+    expect_speed(seen, 0, exchange, "speed 0 does not stop the shaft")
