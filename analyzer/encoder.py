@@ -24,6 +24,7 @@ from analyzer.codec import codec
 from analyzer.dialects import find_command
 from analyzer.errors import UsageError
 from analyzer.layout import Field
+from analyzer.records import CanFrame
 from analyzer.values import near, parse_value, quote, refusal
 
 __all__ = ["Built", "address_refusal", "assemble", "build", "choose_form", "parse_value", "refusals"]
@@ -54,6 +55,11 @@ class Built:
     values: Mapping[str, Any]
     risks: frozenset[Risk]
     refusals: tuple[str, ...]
+
+    def item(self, frame: bytes | None = None) -> bytes | CanFrame:
+        """Return the frame, or other bytes in its place, as a bus carries it: on CAN with the identifier."""
+        data = self.frame if frame is None else frame
+        return data if self.can_id is None else CanFrame(None, "bus", self.can_id, data)
 
 
 def build(

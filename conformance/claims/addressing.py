@@ -24,7 +24,6 @@ from conformance.claims.known_quirks import known
 from conformance.motion import effects
 from conformance.motion.effects import Witness
 from conformance.talk.exchange import Exchange, hex_of
-from conformance.talk.garbling import item_of
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
@@ -286,7 +285,7 @@ def _foreign_replies(dialect: Dialect) -> Iterator[Claim]:
 
 
 def _silent_behind(probe: Probe, frame: bytes) -> None:
-    sent = probe.send(item_of(probe.dialect, probe.address, frame))
+    sent = probe.send(probe.build(plain_read(probe.dialect)).item(frame))
     if not sent.silent:
         raise Refuted(
             "another drive's reply is answered", expected=f"silence after {hex_of(frame)}", got=came(sent), exchange=sent

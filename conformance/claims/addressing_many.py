@@ -33,12 +33,12 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
 def send_to(probe: Probe, address: int, order: Order, listen_ns: int = 0) -> Exchange:
     """Send an order of a witness to an address and return what came back while it could have been executed."""
     built = probe.build(order.command, order.values, address=address)
-    return probe.send(probe.item(built.frame, address), timeout_ns=max(listen_ns, probe.rig.silence_ns))
+    return probe.send(built.item(), timeout_ns=max(listen_ns, probe.rig.silence_ns))
 
 
 def read_of(probe: Probe, address: int) -> Exchange:
     """Send a good read to an address and return what came back within the time of a silence."""
-    return probe.send(probe.item(probe.build(plain_read(probe.dialect), address=address).frame, address))
+    return probe.send(probe.build(plain_read(probe.dialect), address=address).item())
 
 
 # --- all drives -------------------------------------------------------------------------------------------------------
@@ -53,7 +53,7 @@ def _broadcast(dialect: Dialect, shown: Witness | None) -> Iterator[Claim]:
         ask_first(probe)
         for command in _samples(dialect):
             built = probe.build(command, address=to)
-            sent = probe.send(probe.item(built.frame, to))
+            sent = probe.send(built.item())
             if not sent.silent:
                 raise _answered_many(sent, "a broadcast")
 

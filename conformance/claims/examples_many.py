@@ -78,8 +78,7 @@ def _many(dialect: Dialect, command: Command, vector: Vector, number: int) -> Cl
         if in_group:
             probe.do(Verb.SET_GROUP_ADDRESS, {"group_address": to})
         before = motion.position(probe).value
-        frame = probe.build(command, vector.values, address=to).frame
-        sent = probe.send(probe.item(frame, to), timeout_ns=_MOVE_NS)
+        sent = probe.send(probe.build(command, vector.values, address=to).item(), timeout_ns=_MOVE_NS)
         moved = motion.position(probe).value - before
         _judge(sent, moved, lambda: _moves_alone(probe, command, vector))
 

@@ -110,7 +110,7 @@ def _with_unknown_codes(probe: Probe) -> Iterator[Variant]:
     dialect, read = probe.dialect, probe.build(plain_read(probe.dialect))
     for code in (*_unknown_codes(dialect), *_FIRMWARE_CODES.get(dialect.name, ())):
         frame = _recoded(dialect, read.frame, code, probe.address)
-        item = garbling.item_of(dialect, probe.address, frame)
+        item = read.item(frame)
         if garbling.harmless(item, probe.address, read.frame, beside=_UNKNOWN):
             yield _coded(code), item
 

@@ -17,7 +17,6 @@ from conformance.claims.declare import declare
 from conformance.claims.hearing import came, section
 from conformance.motion import effects
 from conformance.motion.effects import Order, Witness
-from conformance.talk import garbling
 from conformance.talk.exchange import Exchange, hex_of
 
 if TYPE_CHECKING:
@@ -162,7 +161,7 @@ def _not_executed(dialect: Dialect, shown: Witness, damage: _Damage) -> Claim:
         order = shown.order(probe)
         built = probe.build(order.command, order.values)
         for what, frame in damage.make(dialect, built.frame, probe.address):
-            sent = probe.send(garbling.item_of(dialect, probe.address, frame), timeout_ns=_LISTEN_NS)
+            sent = probe.send(built.item(frame), timeout_ns=_LISTEN_NS)
             shown.settle(probe)
             got = shown.read(probe)
             if not shown.is_done(got, _undone(order)):

@@ -132,10 +132,10 @@ def _two(dialect: Dialect) -> Iterator[Claim]:
     can = isinstance(dialect.link, CanLink)
 
     def send(probe: Probe) -> Exchange:
-        frames = [probe.build(c).frame for c in (first, second)]
+        built = [probe.build(c) for c in (first, second)]
         if not can:
-            return probe.send(b"".join(frames), timeout_ns=LISTEN_NS)
-        one, other = (probe.send(probe.item(f), timeout_ns=0 if n == 0 else LISTEN_NS) for n, f in enumerate(frames))
+            return probe.send(b"".join(each.frame for each in built), timeout_ns=LISTEN_NS)
+        one, other = (probe.send(each.item(), timeout_ns=0 if n == 0 else LISTEN_NS) for n, each in enumerate(built))
         other.answers[:0] = one.answers
         return other
 

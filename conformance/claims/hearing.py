@@ -80,7 +80,7 @@ def answered_by(probe: Probe, sent: Exchange, *commands: Command) -> bool:
 def ask_cleanly(probe: Probe) -> None:
     """Send a good read by itself. Raises Inconclusive where it is not answered by one good reply and nothing else."""
     read = plain_read(probe.dialect)
-    sent = probe.send(probe.item(probe.build(read).frame), timeout_ns=LISTEN_NS)
+    sent = probe.send(probe.build(read).item(), timeout_ns=LISTEN_NS)
     if not answered_by(probe, sent, read):
         raise Inconclusive(f"a good request by itself is answered {came(sent)}, which another claim judges")
 

@@ -124,7 +124,7 @@ def models(dialect: Dialect) -> Iterator[Claim]:
             motion.ready_to_move(probe)
             name, field = next(iter(command.request_forms[0].layout.named.items()))
             start = motion.position(probe)
-            probe.send(probe.item(frame_of(probe, whole, command, {name: field.high // 4})), timeout_ns=LOOK_NS)
+            probe.send(frame_of(probe, whole, command, {name: field.high // 4}), timeout_ns=LOOK_NS)
             gone = motion.position(probe).value - start.value
             motion.stand_still(probe)
             if abs(gone) > STILL:

@@ -163,7 +163,7 @@ def _floods(dialect: Dialect) -> Iterator[Claim]:
 
     def flood(probe: Probe) -> Exchange:
         """Send reads without waiting for their replies."""
-        item = probe.item(probe.build(read).frame)
+        item = probe.build(read).item()
         for _ in range(_FLOOD - 1):
             probe.send(item, timeout_ns=0)
         return probe.send(item, timeout_ns=LISTEN_NS + _FLOOD * PAUSE_NS)
@@ -304,7 +304,7 @@ def _hasty(dialect: Dialect) -> Iterator[Claim]:
     quirks = known(dialect, _HASTY)
 
     def check(probe: Probe) -> None:
-        frames = [probe.item(probe.build(command, {name: v}).frame) for v in (*values, values[0])]
+        frames = [probe.build(command, {name: v}).item() for v in (*values, values[0])]
         probe.do(command, {name: values[0]})
         lost = [f for f in frames if probe.send(f, timeout_ns=LISTEN_NS).silent]
         if not lost:

@@ -327,7 +327,7 @@ def _in_a_row(probe: Probe, command: Command) -> None:
     for subdivision in (32, 16, 32, 16):
         built = probe.build(command, {"subdivision": subdivision})
         # `ask` would keep the distance that real drives need.
-        exchanges.append(probe.send(probe.item(built.frame), until=Until.REPLY, timeout_ns=probe.rig.late_ns))
+        exchanges.append(probe.send(built.item(), until=Until.REPLY, timeout_ns=probe.rig.late_ns))
     if exchanges[0].silent:
         raise Inconclusive("a setting is not answered")
     if any(e.silent for e in exchanges) and _HASTY in probe.claim.quirks:

@@ -31,7 +31,7 @@ from conformance.bus import open_line
 from conformance.gate.gate import Allowance, Gate, Item, Judge, Refused, add_gate_arguments, allowance_from, shown
 from conformance.talk.dialogue import MS, Dialogue, Until
 from conformance.talk.drive_state import read_drive_state
-from conformance.talk.exchange import Answer, Completion, Exchange, item_of
+from conformance.talk.exchange import Answer, Completion, Exchange
 
 EXAMPLES = """\
 exit status: 0 answered (or nothing answers it), 1 no answer or a refusal by the drive, 2 wrong use or not allowed.
@@ -134,9 +134,8 @@ def _command(arguments: argparse.Namespace) -> _Given:
     built = assemble(dialect, command, address, values, form=arguments.form, physical=not arguments.wire)
     if built.refusals and not arguments.force:
         raise UsageError("; ".join(built.refusals))
-    item = item_of(dialect, built.frame, address)
     others = [d for d in registry.every() if d.bus == dialect.bus and d.name != dialect.name]
-    return _Given(item, [dialect, *others], frozenset({address}), command, address)
+    return _Given(built.item(), [dialect, *others], frozenset({address}), command, address)
 
 
 def _hex(arguments: argparse.Namespace) -> _Given:

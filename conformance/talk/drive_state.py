@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from analyzer.catalogue import Dialect, Verb
 from analyzer.codec import codec
-from analyzer.encoder import build
+from analyzer.encoder import assemble
 from analyzer.errors import UsageError
 from analyzer.protocols.mks_shared import COUNTS_PER_TURN
 from conformance.gate.bounds import DEGREES
 from conformance.talk.dialogue import MS, Dialogue
-from conformance.talk.exchange import item_of
 
 _TIMEOUT_NS = 1000 * MS
 
@@ -48,10 +47,10 @@ def _read(dialogue: Dialogue, dialect: Dialect, address: int, verb: Verb, name: 
     if command is None:
         return None
     try:
-        frame = build(dialect, command, address, values)
+        item = assemble(dialect, command, address, values).item()
     except UsageError:
         return None
-    for reply in dialogue.ask(item_of(dialect, frame, address), _TIMEOUT_NS).replies:
+    for reply in dialogue.ask(item, _TIMEOUT_NS).replies:
         message = reply.message
         if message.form is not None and message.frame.checksum_ok and name in message.form.layout.named:
             value = codec(message.form.layout).wire(message.data)[name]

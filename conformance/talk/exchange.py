@@ -13,7 +13,7 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from analyzer.catalogue import Command, Dialect, Role
+from analyzer.catalogue import Command, Role
 from analyzer.decoder import physical
 from analyzer.pipeline import Entry
 from analyzer.records import CanFrame, Chunk, Finding, Junk, Message
@@ -179,11 +179,6 @@ class Exchange:
         came: list[Chunk | CanFrame] = [_received_record(a) for a in self.answers]
         came += [Chunk(j.last_ns, _BUS, j.data, Role.REPLY) for j in self.junk]
         return result + sorted(came, key=lambda record: record.t_ns or 0)
-
-
-def item_of(dialect: Dialect, frame: bytes, address: int) -> bytes | CanFrame:
-    """Return the bytes of a frame as a line takes them: on CAN with the identifier."""
-    return CanFrame(None, _BUS, address, frame) if dialect.bus == "can" else frame
 
 
 def sent_record(item: bytes | CanFrame, t_ns: int, port: str = _BUS) -> Chunk | CanFrame:

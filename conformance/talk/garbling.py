@@ -64,11 +64,6 @@ def _open_ended(data: bytes) -> bool:
     return _PACKAGE_HEAD in data[1:] or any(head in data[max(1, len(data) - 2) :] for head in _HEADS)
 
 
-def item_of(dialect: Dialect, address: int, frame: bytes) -> Item:
-    """Return a frame as a line takes it."""
-    return frame if dialect.link.kind != "can" else CanFrame(None, _BUS, address, frame)
-
-
 class Garbler:
     """Makes variants of one read to the drive at `address`. Raises ValueError for a request that is no read."""
 
@@ -76,13 +71,13 @@ class Garbler:
         check_harmless(built)
         self.dialect, self.built = dialect, built
         self.address, self.frame = built.address, built.frame
-        self.can_id = built.address if dialect.link.kind == "can" else None
+        self.can_id = built.can_id
         self._checks = dialect.link.checks(self.frame, self.can_id)
 
     def _kept(self, variants: Iterable[tuple[str, bytes]]) -> Iterator[Variant]:
         link, seen = self.dialect.link, {self.frame}
         for what, frame in variants:
-            item = item_of(self.dialect, self.address, frame)
+            item = self.built.item(frame)
             if frame not in seen and not link.fits(frame, self.can_id) and self._harmless(item):
                 seen.add(frame)
                 yield what, item
@@ -142,7 +137,7 @@ class Garbler:
         """Yield the frame cut short at every length, down to its first byte (CAN: to no byte at all)."""
         least = 1 if self.can_id is None else 0
         for size in range(len(self.frame) - 1, least - 1, -1):
-            item = item_of(self.dialect, self.address, self.frame[:size])
+            item = self.built.item(self.frame[:size])
             # Where what is left checks by chance, a drive may take it for a frame.
             fits = size > 1 and self.dialect.link.fits(self.frame[:size], self.can_id)
             if not fits and self._harmless(item):
@@ -158,7 +153,7 @@ class Garbler:
                 # A read of registers has no data of its own: the bytes stand before the check all the same.
                 frame = link.completed(self.frame[: self._checks[-1].start] + extra, self.can_id)
             fits = self.can_id is None or len(frame) <= _CAN_LONGEST
-            item = item_of(self.dialect, self.address, frame)
+            item = self.built.item(frame)
             if fits and self._harmless(item):
                 yield f"{extra.hex(' ').upper()} too many before a check that fits", item
 
@@ -169,7 +164,7 @@ class Garbler:
             if not own or size < 0 or size == len(own):
                 continue
             frame = link.build(self.built.command, form, self.address, own[:size], Role.REQUEST)
-            item = item_of(self.dialect, self.address, frame)
+            item = self.built.item(frame)
             if frame != self.frame and self._harmless(item):
                 yield f"{size} of {len(own)} bytes of data before a check that fits", item
 
@@ -181,7 +176,7 @@ class Garbler:
         """Yield the good frame with stray bytes at once behind it."""
         for extra in (b"\0", b"\xff", b"\0" * 4):
             data = self.frame + extra
-            item = item_of(self.dialect, self.address, data)
+            item = self.built.item(data)
             if (self.can_id is None or len(data) <= _CAN_LONGEST) and self._harmless(item):
                 yield f"{extra.hex(' ').upper()} behind it", item
 
@@ -196,7 +191,7 @@ class Garbler:
                 stop = check.start + len(check.expected)
                 body = self._completed(body) if stop <= len(self.frame) else body
                 body += self.frame[stop : next((c.start for c in self._checks if c.start >= stop), len(self.frame))]
-            item = item_of(self.dialect, self.address, body)
+            item = self.built.item(body)
             if body != self.frame and self._harmless(item):
                 yield f"{head:02X} in place of the head {self.frame[0]:02X}", item
 

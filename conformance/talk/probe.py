@@ -23,7 +23,7 @@ from analyzer.records import CanFrame, Chunk
 from conformance.claim import Claim, Inconclusive, Refuted, Theme
 from conformance.gate.gate import Gate
 from conformance.talk.dialogue import MS, Dialogue, Ended, Until
-from conformance.talk.exchange import Answer, Exchange, item_of
+from conformance.talk.exchange import Answer, Exchange
 from conformance.talk.no_checksum import Bare
 
 if TYPE_CHECKING:
@@ -162,14 +162,10 @@ class Probe:
         """Ask as `ask` does, by a frame that was built already: of values that `build` cannot send (reserved bits)."""
         if Risk.SETTING in built.risks:
             self._keep_distance()
-        exchange = self._exchange(self.item(built.frame, built.address), until, timeout_ns, built, quiet_ns)
+        exchange = self._exchange(built.item(), until, timeout_ns, built, quiet_ns)
         if Risk.SETTING in built.risks:
             self.gate.line.setting_ns = self.gate.now_ns()
         return exchange
-
-    def item(self, frame: bytes, address: int | None = None) -> bytes | CanFrame:
-        """Return the bytes of a frame as the line takes them: on CAN with the identifier."""
-        return item_of(self.dialect, frame, self.address if address is None else address)
 
     def send(self, item: bytes | CanFrame, *, until: Until = Until.TIMEOUT, timeout_ns: int | None = None) -> Exchange:
         """Send bytes as they are (on CAN a frame) and return what came back; by default for the time of a silence."""

@@ -20,12 +20,12 @@ from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Risk, Role, Verb
 from analyzer.decoder import physical
-from analyzer.encoder import build
+from analyzer.encoder import assemble
 from analyzer.errors import UsageError
 from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
 from conformance.talk.dialogue import MS, Dialogue
-from conformance.talk.exchange import Answer, Exchange, item_of
+from conformance.talk.exchange import Answer, Exchange
 
 #: What is asked first, the best first: each is answered by any drive that has it, whatever it is doing.
 _SEARCH_READS = (Verb.READ_STATUS, Verb.READ_STATE_1, Verb.READ_VERSION, Verb.READ_SPEED, Verb.READ_POSITION)
@@ -283,10 +283,10 @@ class Finder:
         return values
 
     def _ask(self, dialect: Dialect, command: Command, address: int) -> Exchange:
-        frame = build(dialect, command, address)
+        built = assemble(dialect, command, address)
         line = self.dialogue.gate.line
-        wire_ns = (len(frame) + _REPLY_BYTES) * line.byte_ns or 200 * _SECOND_NS // line.endpoint.bits_per_second
-        return self.dialogue.ask(item_of(dialect, frame, address), wire_ns + self._patience_ns)
+        wire_ns = (len(built.frame) + _REPLY_BYTES) * line.byte_ns or 200 * _SECOND_NS // line.endpoint.bits_per_second
+        return self.dialogue.ask(built.item(), wire_ns + self._patience_ns)
 
 
 def _is_of(answer: Answer, dialect: Dialect) -> bool:

@@ -25,14 +25,14 @@ from typing import Any, NamedTuple
 from analyzer.catalogue import Command, Dialect, Risk
 from analyzer.codec import codec
 from analyzer.decoder import slots_of
-from analyzer.encoder import build
+from analyzer.encoder import assemble
 from analyzer.errors import ServotapError
 from conformance.gate.bounds import MOVES, OWN_WAYS, RUNS, STOPS
 from conformance.gate.gate import Gate, Judge, Objection, Refused
 from conformance.safety.signals import undisturbed
 from conformance.safety.stopping import RAMPED, stop
 from conformance.talk.dialogue import Dialogue
-from conformance.talk.exchange import Exchange, item_of
+from conformance.talk.exchange import Exchange
 from conformance.tools.replay_plan import Plan, Reply, Step, reply_of
 
 MS = 1_000_000
@@ -328,8 +328,7 @@ class Replay:
             if command is not None and dialect.broadcast is not None:
                 named = command.request_forms[0].layout.named
                 values = {"acceleration": _GENTLE} if "acceleration" in named else {}
-                frame = build(dialect, command, dialect.broadcast, values)
-                self.gate.send(item_of(dialect, frame, dialect.broadcast))
+                self.gate.send(assemble(dialect, command, dialect.broadcast, values).item())
                 self.gate.wait(_STOP_GAP_NS)
         return "a stop was sent to all; whether they stand cannot be asked of all"
 

@@ -136,7 +136,7 @@ def test_what_is_sent_to_all_drives_is_put_back_too(tmp_path):
     changed = []
 
     def check(probe):
-        probe.send(probe.item(probe.build("set_current", {"current": 900}, address=0).frame, 0))
+        probe.send(probe.build("set_current", {"current": 900}, address=0).item())
         changed.append(rig.setting("current"))
 
     ran(rig, check, Risk.SETTING, alone=True)
