@@ -442,10 +442,15 @@ class Command:
         """Return the risks of a request with these values as sent; a missing value counts as the worst case."""
         return frozenset().union(*(rule.risks for rule in self.risk if rule.applies(values)))
 
+    @cached_property
+    def effects(self) -> Mapping[Effect, str]:
+        """What the request's fields change, each with the name of its field."""
+        fields = all_fields(self.request_forms).values()
+        return {f.effect: f.name for f in reversed(fields) if f.effect is not None}
+
     def sets(self, effect: Effect) -> str:
         """Return the name of the request's field that has an effect, or nothing."""
-        fields = all_fields(self.request_forms).values()
-        return next((f.name for f in fields if f.effect is effect), "")
+        return self.effects.get(effect, "")
 
     def for_model(self, model: str) -> Command:
         """Return this command as one model has it."""
@@ -512,6 +517,8 @@ class Dialect:
         names = [c.name for c in self.commands]
         if len(set(names)) != len(names):
             raise ValueError(f"{self.name}: two commands of one name")
+        if any(c.sets(Effect.DIALECT) for c in self.commands) and not self.siblings:
+            raise ValueError(f"{self.name}: a field chooses the dialect, and no sibling is named")
 
     def __repr__(self) -> str:
         """Return the name: the whole of a dialect fills pages."""

@@ -22,9 +22,10 @@ from typing import NamedTuple
 
 import msgspec
 
-from analyzer.catalogue import Command, Role, Verb
+from analyzer.catalogue import Command, Role
 from analyzer.context import Context, Outcome, Request, State, answers
 from analyzer.findings import Issue
+from analyzer.layout import Effect
 from analyzer.records import Frame, Lane, Message, Severity
 
 #: A request is given up for good after this many late limits.
@@ -143,7 +144,7 @@ class Transactions:
             or request.state is not State.WAITING
             or context.echoes
             or frame.first_ns - request.t_ns > self.late_ns
-            or command.verb in _LEARN
+            or command.effects
         ):
             return None
         if command.judged:
@@ -271,7 +272,7 @@ class Transactions:
         if command is not None:
             if command.silenced:
                 self._answers_motion.add(message.address)
-            if meaning == "final" and command.verb in _LEARN:
+            if meaning == "final" and command.effects:
                 self._learn(request.message)
         self._last_reply[message.address] = message.frame.data
         request.reply = message
@@ -364,23 +365,22 @@ class Transactions:
     def _learn(self, request: Message) -> None:
         """Take from a setting what it changes in who answers and how."""
         command = request.command
-        if command is None or command.verb not in _LEARN:
+        if command is None:
             return
         context, address = self.context, request.address
-        for name, value in request.values.items():
-            if name == "group_address":
+        for effect, name in command.effects.items():
+            value = request.values.get(name)
+            if value is None:
+                continue
+            if effect is Effect.GROUP:
                 context.groups.add(value)
-            elif name in ("respond", "active"):
-                chosen = context.silenced if name == "respond" else context.passive
+            elif effect in (Effect.RESPOND, Effect.ACTIVE):
+                chosen = context.silenced if effect is Effect.RESPOND else context.passive
                 (chosen.discard if value else chosen.add)(address)
-            elif name == "modbus":
-                family = request.frame.dialect.name.rsplit("-", 1)[0]
-                context.speaks[address] = f"{family}-modbus" if value else f"{family}-rs485"
-            elif name == "new_address" and address in context.speaks:
+            elif effect is Effect.DIALECT:
+                context.speaks[address] = request.frame.dialect.switched(value)
+            elif effect is Effect.ADDRESS and address in context.speaks:
                 context.speaks[value] = context.speaks[address]
-
-
-_LEARN = frozenset({Verb.SET_RESPOND, Verb.SET_GROUP_ADDRESS, Verb.SET_MODBUS, Verb.SET_ADDRESS})
 
 
 def meaning_of(message: Message, command: Command | None) -> tuple[str, Issue | None]:

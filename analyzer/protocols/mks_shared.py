@@ -49,10 +49,6 @@ SUBDIVISION = Subdivision(full_steps=200, counted_at=16, plain=frozenset({16, 32
 #: Bits per second of each member of `BaudRate`.
 BAUD_RATES: Mapping[int, int] = {1: 9600, 2: 19200, 3: 25000, 4: 38400, 5: 57600, 6: 115200, 7: 256000}
 
-#: The names of the commands that run at a speed or to a position, and of those that stop such a run.
-RUNS = ("run_speed", "move_relative_pulses", "move_absolute_pulses", "move_relative_axis", "move_absolute_axis")
-STOPS = ("stop_speed", "stop_relative_pulses", "stop_absolute_pulses", "stop_relative_axis", "stop_absolute_axis")
-
 
 def _motion(kind: MotionKind, *names: str, stop: str = "", tells_end: bool = True, counted_by: str = "") -> Motion:
     """Declare a motion whose fields have the names of their roles, but for the distance, which is given behind them."""
@@ -88,6 +84,10 @@ MOTIONS: Mapping[Verb, Motion] = {
     Verb.STOP_RELATIVE_AXIS: _RAMPED_STOP,
     Verb.STOP_ABSOLUTE_AXIS: _RAMPED_STOP,
 }
+
+#: The names of the commands that run at a speed or to a position, and of those that stop such a run.
+RUNS = tuple(v.value for v, m in MOTIONS.items() if m.kind in (MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO))
+STOPS = tuple(v.value for v, m in MOTIONS.items() if m is _RAMPED_STOP)
 
 
 # ---- What the numbers of a field mean

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from analyzer.catalogue import Command, Dialect, Erratum, Form, RiskRule, Role, Vector, Verb, all_fields
+from analyzer.catalogue import Command, Dialect, Erratum, Form, RiskRule, Role, Vector, all_fields
 from analyzer.codec import codec
 from analyzer.decoder import slots_of
 from analyzer.dialects import code_text
 from analyzer.encoder import SLOTS, assemble
-from analyzer.layout import Field, Layout
+from analyzer.layout import Effect, Field, Layout
 from analyzer.reference.columns import WIDTH, columns, paragraph, styled
 from analyzer.reference.field_table import field_table
 from analyzer.reference.hex_frame import write_frame
@@ -131,7 +131,7 @@ def _answered(dialect: Dialect, command: Command) -> str:
             silent.append("not for all")
         elif not command.answers_broadcast:
             silent.append("not when sent to all")
-    if not command.answers_group and Verb.SET_GROUP_ADDRESS in dialect.by_verb:
+    if not command.answers_group and dialect.effect(Effect.GROUP):
         silent.append("not when sent to a group")
     if command.silenced:
         silent.append("not while respond is 0")

@@ -108,7 +108,7 @@ def _unknown_codes(dialect: Dialect) -> list[int]:
 
 def _with_unknown_codes(probe: Probe) -> Iterator[Variant]:
     dialect, read = probe.dialect, probe.build(plain_read(probe.dialect))
-    for code in (*_unknown_codes(dialect), *_FIRMWARE_CODES.get(dialect.name, ())):
+    for code in (*_unknown_codes(dialect), *dialect.unlisted_codes):
         frame = _recoded(dialect, read.frame, code, probe.address)
         item = read.item(frame)
         if garbling.harmless(item, probe.address, read.frame, beside=_UNKNOWN):
@@ -138,7 +138,6 @@ def _strange_frames(probe: Probe) -> Iterator[Variant]:
 _UNWANTED = frozenset({0x07, 0x40, 0x42})
 _HEADS = frozenset({0xFA, 0xFB, 0xFC, 0x3E})
 _UNKNOWN = frozenset({Risk.UNKNOWN})
-_FIRMWARE_CODES: Mapping[str, tuple[int, ...]] = {"lk-rs485": (0x12,)}
 
 _KINDS = (
     _Kind("checksum_bit", "a request with one bit of its checksum flipped", _each(Garbler.check_bits), rests_on=(Doubt.CHECK,)),
@@ -164,7 +163,7 @@ _KINDS = (
 
 def _tolerated(dialect: Dialect, kind: _Kind, what: str) -> bool:
     """Say whether a quirk explains the answer to a variant: other firmware has codes of its own, and no more."""
-    return OTHER_FIRMWARE not in kind.quirks or what in map(_coded, _FIRMWARE_CODES[dialect.name])
+    return OTHER_FIRMWARE not in kind.quirks or what in map(_coded, dialect.unlisted_codes)
 
 
 def _ignored(dialect: Dialect, kind: _Kind) -> Claim:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from analyzer.catalogue import Command, Dialect, Risk, Verb
+from analyzer.catalogue import Command, Dialect, Risk, Subject, Verb
 from conformance.claim import Inconclusive, Refuted
 from conformance.talk import samples
 from conformance.talk.exchange import Exchange, hex_of
@@ -21,15 +21,13 @@ PAUSE_NS = 60_000_000
 LISTEN_NS = 300_000_000
 #: Good reads with nothing before them that must be answered before a drive is called deaf.
 _CONTROLS = 6
-#: Where the manuals say what a frame is, and who answers whom.
-SECTIONS: Mapping[str, str] = {"mks-rs485": "4", "mks-modbus": "8", "mks-can": "3", "lk-rs485": "Single motor command"}
 #: Reads that carry data, by verb: what a drive must check beside a head.
 _WITH_DATA: tuple[Verb, ...] = (Verb.READ_PARAMETER, Verb.BRAKE)
 
 
 def section(dialect: Dialect) -> str:
     """Return where a dialect's manual says what a frame is."""
-    return SECTIONS.get(dialect.name, dialect.commands[0].section)
+    return dialect.sections.get(Subject.FRAMING, dialect.commands[0].section)
 
 
 def plain_read(dialect: Dialect) -> Command:

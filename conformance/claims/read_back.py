@@ -20,13 +20,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from analyzer import layout
 from analyzer.catalogue import Command, Dialect, Doubt, Verb
 from conformance.claim import Aspect, Claim, Inconclusive, Observed, Refuted, Theme
 from conformance.claims import effects, ranges, read_back_effects, read_back_lk, read_back_restart, read_back_restore
 from conformance.claims.declare import declare
 from conformance.claims.effects import LINK_FIELDS
 from conformance.claims.requests import needing_plain_replies
-from conformance.drives.speed import SPEEDS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
@@ -149,9 +149,9 @@ def _link(dialect: Dialect, command: Command) -> Claim:
 
     def check(probe: Probe) -> None:
         wanted = probe.address
-        if name in SPEEDS:
+        if name == command.sets(layout.Effect.BAUD_RATE):
             rate = probe.gate.line.endpoint.bits_per_second
-            wanted = next((v for v, r in SPEEDS[name].items() if r == rate), -1)
+            wanted = next((v for v, r in probe.dialect.rates.items() if r == rate), -1)
         got, exchange = stored(probe, command)
         compare(command, {name: wanted}, got, exchange, "is read as")
 

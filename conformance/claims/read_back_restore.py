@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from analyzer import dialects as registry
+from analyzer import layout
 from analyzer.catalogue import Command, Dialect, Risk, Verb
 from analyzer.layout import Field
 from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
@@ -87,9 +88,11 @@ def lead_back(probe: Probe) -> None:
     if before != usual:
         ranges_link.follow(probe, usual)
     probe.wait(RESTORED_NS)
-    if Verb.SET_MODBUS in dialect.by_verb:
-        spoken = int(dialect.name.endswith("modbus"))
-        ranges_link.foreign(probe, registry.get("mks-rs485"), "set_modbus", {"modbus": spoken}, address=_DEFAULT_ADDRESS)
+    chooser = dialect.effect(layout.Effect.DIALECT)
+    if chooser is not None:
+        command, field = chooser
+        spoken = {field.name: dialect.chosen_by}
+        ranges_link.foreign(probe, _restored_dialect(dialect), command.name, spoken, address=_DEFAULT_ADDRESS)
     if probe.address != _DEFAULT_ADDRESS:
         probe.ask(Verb.SET_ADDRESS, {"new_address": probe.address}, address=_DEFAULT_ADDRESS)
         probe.wait(ranges_link.SETTLE_NS)
@@ -97,6 +100,15 @@ def lead_back(probe: Probe) -> None:
         ranges_link.set_speed(probe, before)
         ranges_link.follow(probe, before)
         probe.wait(ranges_link.SETTLE_NS)
+
+
+def _restored_dialect(dialect: Dialect) -> Dialect:
+    """Return the dialect that a restored drive speaks."""
+    chooser = dialect.effect(layout.Effect.DIALECT)
+    if chooser is None:
+        return dialect
+    spoken = dialect.switched(int(chooser[1].default or 0))
+    return dialect if spoken == dialect.name else registry.get(spoken)
 
 
 def _is_default(probe: Probe, command: Command, effect: Effect, exchange: Any) -> None:
@@ -129,7 +141,7 @@ def _restored_link(dialect: Dialect) -> Claim:
     """Make the claim that a restore puts back the address, and the dialect that the drive speaks."""
     command = dialect.by_verb[Verb.RESTORE]
     setter = dialect.by_verb[Verb.SET_ADDRESS]
-    native = registry.get("mks-rs485") if dialect.name.endswith("modbus") else dialect
+    native = _restored_dialect(dialect)
 
     def check(probe: Probe) -> None:
         need_reliable_replies(probe)

@@ -18,10 +18,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from analyzer import layout
 from analyzer.catalogue import Command, Dialect, Form, Risk, Role, Verb
 from analyzer.encoder import Built
 from conformance.claim import Claim, Inconclusive
-from conformance.drives.speed import SPEEDS
 from conformance.model.limits import with_bits
 from conformance.motion import motion
 from conformance.talk import samples
@@ -72,10 +72,10 @@ def values_for(probe: Probe, command: Command) -> dict[str, Any]:
     if place is not None and place[0] in probe.dialect.by_verb:
         with contextlib.suppress(Inconclusive):
             values[place[2]] = _within(command, place[2], probe.read(place[0], place[1]))
-    for name in values.keys() & SPEEDS.keys():
-        values[name] = _line_speed(probe, name, values[name])
-    if "modbus" in values:
-        values["modbus"] = int(probe.dialect.name.endswith("modbus"))
+    if (name := command.sets(layout.Effect.BAUD_RATE)) in values:
+        values[name] = _line_speed(probe, values[name])
+    if (name := command.sets(layout.Effect.DIALECT)) in values:
+        values[name] = probe.dialect.chosen_by
     return values
 
 
@@ -84,9 +84,9 @@ def _within(command: Command, name: str, value: int) -> int:
     return min(max(value, field.low), field.high)
 
 
-def _line_speed(probe: Probe, name: str, otherwise: int) -> int:
+def _line_speed(probe: Probe, otherwise: int) -> int:
     """Return the value of a speed setting that leaves the line at the speed that it has."""
-    rates = {rate: code for code, rate in SPEEDS[name].items()}
+    rates = {rate: code for code, rate in probe.dialect.rates.items()}
     speed = probe.gate.line.endpoint.speed
     return rates.get(speed, otherwise) if speed is not None else otherwise
 

@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
-from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Subject, Verb
 from analyzer.layout import Field, Kind
 from conformance.claim import Aspect, Claim, Refuted, Theme
 from conformance.claims.declare import declare
@@ -215,9 +215,5 @@ def _unasked(dialect: Dialect) -> Claim:
         "A drive that stands sends nothing that was not asked for.",
         "anything at all",
         check,
-        section=_QUIET_SECTIONS.get(dialect.name, "4"),
+        section=dialect.sections.get(Subject.SILENCE, dialect.commands[0].section),
     )
-
-
-#: Where the manuals say that the drive answers the host.
-_QUIET_SECTIONS: Mapping[str, str] = {"mks-modbus": "8", "mks-can": "3", "lk-rs485": "Single motor command"}

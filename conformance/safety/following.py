@@ -9,41 +9,32 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from analyzer import dialects
-from analyzer.catalogue import Command, Dialect, Verb
+from analyzer.catalogue import Command, Dialect, Verb, all_fields
 from analyzer.errors import UsageError
-from conformance.drives.speed import SPEEDS
+from analyzer.layout import Effect
 from conformance.gate.gate import Gate
 from conformance.safety.journal import values_text
 from conformance.talk.probe import Probe, plain_probe
 
-_LINKS = frozenset({Verb.SET_ADDRESS, Verb.SET_MODBUS, Verb.SET_BAUD_RATE, Verb.SET_BIT_RATE})
+_LINK = (Effect.ADDRESS, Effect.DIALECT, Effect.BAUD_RATE)
 _READS = (Verb.READ_STATUS, Verb.READ_SPEED, Verb.READ_STATE_1, Verb.READ_STATE_2, Verb.READ_POSITION, Verb.READ_ENCODER)
 #: A drive may take its time to change its link, and a restarting one to be there again.
 _TRIES = 4
 _PAUSE_NS = 300_000_000
 
 
-def has(command: Command, name: str) -> bool:
-    """Say whether a command sets a field."""
-    return any(name in form.layout.named for form in command.request_forms)
-
-
 def says_itself(command: Command) -> bool:
     """Say whether the present value of a setting shows in how the drive is reached."""
-    return command.verb in _LINKS
+    return any(command.sets(effect) for effect in _LINK)
 
 
 def possible(command: Command) -> list[dict[str, int]]:
     """Return what a setting of the link may be after the defaults were restored; empty for other settings."""
-    if not says_itself(command):
+    name = next((name for effect in _LINK if (name := command.sets(effect))), "")
+    if not name:
         return []
-    if command.verb is Verb.SET_ADDRESS:
-        return [{"new_address": 1}]
-    if command.verb is Verb.SET_MODBUS:
-        return [{"modbus": 0}]
-    name = next(n for n in SPEEDS if has(command, n))
-    default = next(f.layout.named[name].default for f in command.request_forms if name in f.layout.named)
-    return [{name: code} for code in (SPEEDS[name] if default is None else [default])]
+    field = all_fields(command.request_forms)[name]
+    return [{name: code} for code in (field.choice_names if field.default is None else [int(field.default)])]
 
 
 def lead_back(
@@ -71,14 +62,13 @@ def lead_back(
 
 def _reach(gate: Gate, dialect: Dialect, address: int, command: Command, values: Mapping[str, int]) -> Probe | None:
     """Return a probe that reaches a drive whose link is set so, None where nobody is there."""
-    if command.verb is Verb.SET_ADDRESS:
-        address = values["new_address"]
-    elif command.verb is Verb.SET_MODBUS:
-        name = "mks-modbus" if values["modbus"] else "mks-rs485"
-        dialect = dialect if dialect.name == name else dialects.get(name)
+    if name := command.sets(Effect.ADDRESS):
+        address = values[name]
+    elif name := command.sets(Effect.DIALECT):
+        spoken = dialect.switched(values[name])
+        dialect = dialect if dialect.name == spoken else dialects.get(spoken)
     else:
-        name = next(n for n in SPEEDS if has(command, n))
-        speed = SPEEDS[name].get(values[name])
+        speed = dialect.rates.get(values[command.sets(Effect.BAUD_RATE)])
         if speed is None:
             return None
         try:
@@ -96,13 +86,12 @@ def _reach(gate: Gate, dialect: Dialect, address: int, command: Command, values:
     return None
 
 
-def why_not_follow(gate: Gate, command: Command, values: Mapping[str, int]) -> str:
+def why_not_follow(gate: Gate, dialect: Dialect, command: Command, values: Mapping[str, int]) -> str:
     """Return why this end cannot follow a drive to what it is about to be told, or nothing.
 
     A drive that is set to a speed at which nobody can speak to it could not be led back.
     """
-    name = next((n for n in SPEEDS if n in values and has(command, n)), "")
-    speed = SPEEDS[name].get(values[name]) if name else None
+    speed = dialect.rates.get(values.get(command.sets(Effect.BAUD_RATE), -1))
     own = gate.line.endpoint.bits_per_second
     if speed is None or speed == own:
         return ""

@@ -18,10 +18,9 @@ from itertools import groupby
 from pathlib import Path
 
 from analyzer import dialects
-from analyzer.catalogue import Command, Dialect, Risk, Verb
-from analyzer.layout import Field
+from analyzer.catalogue import Command, Dialect, Risk, Verb, all_fields
+from analyzer.layout import Effect, Field
 from conformance.claim import NotRun
-from conformance.drives.speed import SPEEDS
 from conformance.gate.budget import Budget
 from conformance.gate.gate import Gate
 from conformance.gate.interpretations import Reading
@@ -29,7 +28,7 @@ from conformance.gate.permissions import Allowance
 from conformance.motion import motion
 from conformance.safety import following, settings
 from conformance.safety import journal as journals
-from conformance.safety.following import has, says_itself
+from conformance.safety.following import says_itself
 from conformance.safety.journal import Entry, Journal, values_text
 from conformance.talk.probe import Probe, plain_probe
 
@@ -86,7 +85,7 @@ class Keeper:
     def why_not(self, names: tuple[str, ...]) -> str:
         """Return why settings (by field) cannot be changed here, or nothing."""
         for name in names:
-            commands = [c for c in self._dialect.commands if settings.changes(c) and has(c, name)]
+            commands = [c for c in self._dialect.commands if settings.changes(c) and name in all_fields(c.request_forms)]
             if commands and not any(self._can_keep(c) for c in commands):
                 return f"the drive does not tell its {name}: say in --settings FILE what to put back"
         return ""
@@ -131,7 +130,7 @@ class Keeper:
     def _keep(self, command: Command, values: dict[str, int]) -> None:
         if command.verb is Verb.SAVE_SPEED and values == _forgotten(command):
             return
-        refused = following.why_not_follow(self._gate, command, values)
+        refused = following.why_not_follow(self._gate, self._dialect, command, values)
         if refused:
             raise NotRun(refused)
         key = (command.name, settings.selector(command, values))
@@ -177,13 +176,12 @@ class Keeper:
 
     def _link(self, command: Command) -> dict[str, int] | None:
         """Return what a setting of the link must be, since the drive is heard as it is; None where it has no such value."""
-        if command.verb is Verb.SET_ADDRESS:
-            return {"new_address": self._address}
-        if command.verb is Verb.SET_MODBUS:
-            return {"modbus": int(self._dialect.name == "mks-modbus")}
-        name = next(n for n in SPEEDS if has(command, n))
-        speed = self._gate.line.endpoint.bits_per_second
-        return next(({name: code} for code, bits in SPEEDS[name].items() if bits == speed), None)
+        if name := command.sets(Effect.ADDRESS):
+            return {name: self._address}
+        if name := command.sets(Effect.DIALECT):
+            return {name: self._dialect.chosen_by}
+        name, speed = command.sets(Effect.BAUD_RATE), self._gate.line.endpoint.bits_per_second
+        return next(({name: code} for code, bits in self._dialect.rates.items() if bits == speed), None)
 
     def _probe(self) -> Probe:
         return plain_probe(self._dialect, self._address, self._gate)

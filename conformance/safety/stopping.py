@@ -10,7 +10,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from analyzer.catalogue import Dialect, Risk, Verb
+from analyzer.catalogue import Command, Dialect, MotionKind, Risk
 from analyzer.errors import ServotapError
 from conformance.bus.line import LineLost
 from conformance.claim import Inconclusive, NotStopped
@@ -19,16 +19,6 @@ from conformance.gate.permissions import Allowance
 from conformance.motion import motion
 from conformance.talk.probe import Probe, plain_probe
 
-#: The stops of all ways to move, gentlest first. What a dialect does not have is left out.
-RAMPED = (
-    Verb.STOP_SPEED,
-    Verb.STOP,
-    Verb.STOP_RELATIVE_PULSES,
-    Verb.STOP_ABSOLUTE_PULSES,
-    Verb.STOP_RELATIVE_AXIS,
-    Verb.STOP_ABSOLUTE_AXIS,
-)
-AT_ONCE = (Verb.EMERGENCY_STOP,)
 #: What may set a shaft in motion: a code that nobody knows may be anything.
 MAY_MOVE = frozenset({Risk.MOTION, Risk.UNBOUNDED, Risk.UNKNOWN, Risk.POWER_ON})
 #: How often in a row the shaft must be seen standing.
@@ -56,10 +46,11 @@ def stop(gate: Gate, dialect: Dialect, address: int) -> str:
     """Stop a drive by a ramp and prove that it stands; return why that cannot be said, or nothing. Raises LineLost."""
     probe = plain_probe(dialect, address, gate)
     told = ""
-    for verbs, limit_ns in ((RAMPED, _RAMP_NS), (AT_ONCE, _AT_ONCE_NS)):
-        sent = [verb for verb in verbs if verb in dialect.by_verb]
-        for verb in sent:
-            _ask(probe, verb)
+    ramped = ramped_stops(dialect)
+    at_once = tuple(c for c in dialect.motions(MotionKind.STOP) if c not in ramped)
+    for sent, limit_ns in ((ramped, _RAMP_NS), (at_once, _AT_ONCE_NS)):
+        for command in sent:
+            _ask(probe, command)
         if sent:
             told = stands(probe, limit_ns)
             if not told:
@@ -67,8 +58,13 @@ def stop(gate: Gate, dialect: Dialect, address: int) -> str:
     return told or f"{dialect.name} has no stop"
 
 
-def _ask(probe: Probe, verb: Verb) -> None:
-    command = probe.command(verb)
+def ramped_stops(dialect: Dialect) -> tuple[Command, ...]:
+    """Return the stops that take an acceleration; all stops of a dialect where none does."""
+    stops = dialect.motions(MotionKind.STOP)
+    return tuple(c for c in stops if c.motion is not None and c.motion.acceleration) or stops
+
+
+def _ask(probe: Probe, command: Command) -> None:
     named = command.request_forms[0].layout.named
     # Whether it is answered says nothing about the shaft: that is looked at.
     probe.ask(command, {"acceleration": motion.GENTLE} if "acceleration" in named else None, timeout_ns=_LOOK_NS, quiet_ns=0)

@@ -30,7 +30,7 @@ from analyzer.errors import ServotapError
 from conformance.gate.bounds import MOVES, OWN_WAYS, RUNS, STOPS
 from conformance.gate.gate import Gate, Judge, Objection, Refused
 from conformance.safety.signals import undisturbed
-from conformance.safety.stopping import RAMPED, stop
+from conformance.safety.stopping import ramped_stops, stop
 from conformance.talk.dialogue import Dialogue
 from conformance.talk.exchange import Exchange
 from conformance.tools.replay_plan import Plan, Reply, Step, reply_of
@@ -323,9 +323,8 @@ class Replay:
                 self.result.left_moving.append(f"{name}@{address}: {said}")
 
     def _stop_all(self, dialect: Dialect) -> str:
-        for verb in RAMPED:
-            command = dialect.by_verb.get(verb)
-            if command is not None and dialect.broadcast is not None:
+        for command in ramped_stops(dialect):
+            if dialect.broadcast is not None:
                 named = command.request_forms[0].layout.named
                 values = {"acceleration": _GENTLE} if "acceleration" in named else {}
                 self.gate.send(assemble(dialect, command, dialect.broadcast, values).item())
