@@ -13,7 +13,7 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind
 from conformance.claim import Inconclusive
@@ -155,8 +155,12 @@ def _far(probe: Probe, command: Command) -> None:
         _expect_way(probe, move, False, f"{command.name} does not go by {_FAR} units")
 
 
+def _where_a_position_can_be_set(dialect: Dialect) -> Iterable[Case]:
+    return motions(MotionKind.MOVE_TO, where=takes_angle)(dialect) if "set_position" in dialect.by_name else ()
+
+
 @of_motion(
-    each=motions(MotionKind.MOVE_TO, where=takes_angle),
+    each=_where_a_position_can_be_set,
     refuted_by="a shaft that turns the wrong way",
     risks=lambda case: case.dialect.by_name["set_position"].all_risks,
 )
