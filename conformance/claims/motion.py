@@ -8,6 +8,7 @@ from analyzer.catalogue import Dialect
 from conformance.claim import Claim, Theme
 from conformance.claims import (
     calibrating,
+    enabling,
     end_limits,
     homing,
     motion_lk,
@@ -20,7 +21,6 @@ from conformance.claims import (
     motion_reads,
     motion_speeds,
     motion_states,
-    motion_stops,
     motion_updates,
     moves,
     power_on,
@@ -28,14 +28,14 @@ from conformance.claims import (
     responding,
     runs,
     set_zero,
+    stops,
 )
 from conformance.claims.declare import declared_in
 from conformance.motion import moves as old_moves
 
-_DECLARED = (moves, runs)
+_DECLARED = (moves, runs, stops, enabling)
 _MKS = (
     motion_speeds,
-    motion_stops,
     motion_updates,
     motion_states,
     motion_reads,

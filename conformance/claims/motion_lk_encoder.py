@@ -161,10 +161,6 @@ def _below_offset(probe: Probe, command: Command) -> None:
 def _about_power(dialect: Dialect) -> Iterator[Claim]:
     named = dialect.by_name
     yield motion_claim(
-        dialect, named["motor_on"], "at-power-up", "When power comes on the motor is on and obeys.", "state 10h, or no motion",
-        _on_at_power_up, emulated=True, risks=named["motor_off"].all_risks,
-    )  # fmt: skip
-    yield motion_claim(
         dialect, named["set_position"], "lost", "What 95 set is gone when power was off.", "the position that was set",
         _set_position_lost, emulated=True,
     )  # fmt: skip
@@ -173,21 +169,6 @@ def _about_power(dialect: Dialect) -> Iterator[Claim]:
     yield made("answers-raw", "19 is answered with the raw encoder value.", "another value", _zero_raw)
     yield made("not-at-once", "19 leaves the angle as it is until power comes on again.", "another angle", _zero_not_at_once)
     yield made("at-power-up", "After 19 the angle is 0 there when power comes on again.", "another angle", _zero_holds)
-
-
-def _on_at_power_up(probe: Probe, command: Command) -> None:
-    probe.do(Verb.MOTOR_OFF)
-    lk_drive(probe).power_cycle(probe.gate.now_ns())
-    probe.wait(500 * MS)
-    state = probe.read(Verb.READ_STATE_1, "state")
-    if state != 0:
-        raise refute(probe.traffic[-1], "the motor is not on at power-up", expected="00h", got=f"{state:02X}h")
-    before = motion.position(probe)
-    turn_by(probe, 45.0)
-    went = motion.position(probe).value - before.value
-    if abs(went - 45) > NEAR:
-        text = "the motor does not obey at power-up"
-        raise refute(probe.traffic[-1], text, expected="+45 degrees", got=f"{went:+.1f} degrees")
 
 
 def _set_position_lost(probe: Probe, command: Command) -> None:

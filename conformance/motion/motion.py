@@ -72,6 +72,8 @@ _AGAIN = 2
 
 _POSITION = (Verb.READ_POSITION, Verb.READ_ENCODER_CARRY)
 _SPEED = (Verb.READ_SPEED, Verb.READ_STATE_2)
+#: What tells whether a motor is on, in which field, and its values of a motor that is on and off.
+_ON_READ = ((Verb.READ_ENABLED, "enabled", 1, 0), (Verb.READ_STATE_1, "state", 0x00, 0x10))
 _ENABLING = (Verb.ENABLE, Verb.MOTOR_ON)
 
 
@@ -153,6 +155,21 @@ def _enabled_now(probe: Probe) -> bool:
     exchange = probe.ask(Verb.ENABLE, {"enabled": 1})
     probe.reply(exchange)
     return not probe.refused(exchange)
+
+
+def switch(probe: Probe, on: bool) -> Exchange:
+    """Switch the motor on or off. Raises Inconclusive where the drive refuses."""
+    if Verb.ENABLE in probe.dialect.by_verb:
+        return probe.do(Verb.ENABLE, {"enabled": int(on)})
+    return probe.do(Verb.MOTOR_ON if on else Verb.MOTOR_OFF)
+
+
+def is_on(probe: Probe) -> bool | None:
+    """Read whether the motor is on; None for a value that says neither, or where nothing tells it."""
+    for verb, name, on, off in _ON_READ:
+        if verb in probe.dialect.by_verb:
+            return {on: True, off: False}.get(probe.read(verb, name))
+    return None
 
 
 # --- measuring --------------------------------------------------------------------------------------------------------

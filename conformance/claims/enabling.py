@@ -1,0 +1,126 @@
+"""Switching the motor on and off: what is read of it, what it does to motion, and what it leaves.
+
+Rules kept here:
+- Off ends motion, and on does not take it up again.
+- LK motors answer while they are off, and are on when power comes on.
+"""
+
+from __future__ import annotations
+
+from analyzer.catalogue import Certainty, Command, Verb
+from conformance.claims.declare import commands
+from conformance.claims.known_quirks import may_meet
+from conformance.claims.motion_claim import of_motion, risks_by
+from conformance.claims.stops import expect_standing, set_going
+from conformance.claims.world import lk_drive
+from conformance.motion import motion
+from conformance.motion.motion import MS, SECOND_NS
+from conformance.talk.probe import Probe
+
+_enable, _off, _on = commands(Verb.ENABLE), commands(Verb.MOTOR_OFF), commands(Verb.MOTOR_ON)
+
+
+@of_motion(
+    each=_enable,
+    statement="A motor that was enabled reads as enabled, and one that was disabled as disabled.",
+    refuted_by="the other state, or always the same",
+)
+@of_motion(each=_off, statement="A motor that is off reads state 10h, one that is on 00h.", refuted_by="the other")
+def _is_read(probe: Probe) -> None:
+    motion.ready_to_move(probe)
+    for on in (False, True, False):
+        exchange = motion.switch(probe, on)
+        seen = motion.is_on(probe)
+        names = {False: "off", True: "on", None: "neither on nor off"}
+        text = f"a motor that was switched {names[on]} reads as {names[seen]}"
+        probe.expect(names[seen], equal=names[on], refutes=text, exchange=exchange)
+    motion.switch(probe, True)
+
+
+def _switch_off_going(probe: Probe) -> None:
+    """Switch the motor off on a run, and refute unless that ends it."""
+    set_going(probe, probe.command(Verb.RUN_SPEED))
+    exchange = motion.switch(probe, False)
+    probe.wait(5 * SECOND_NS)
+    expect_standing(probe, exchange, "the shaft still turns after the motor was switched off")
+
+
+@of_motion(each=_off, refuted_by="a shaft that is still driven", risks=risks_by(Verb.RUN_SPEED), at_best=Certainty.LIKELY)
+def _ends_motion(probe: Probe) -> None:
+    """Switching the motor off ends a motion."""
+    _switch_off_going(probe)
+
+
+@of_motion(
+    each=_enable,
+    name="{command}/off-ends-motion",
+    statement="Disabling the motor ends a motion, and enabling it does not take the motion up again.",
+    refuted_by="a shaft that is still driven",
+    risks=risks_by(Verb.RUN_SPEED),
+    at_best=Certainty.LIKELY,
+)
+@of_motion(
+    each=_on,
+    statement="Switching the motor on does not take up what was ended.",
+    refuted_by="motion",
+    risks=risks_by(Verb.RUN_SPEED, Verb.MOTOR_OFF),
+    at_best=Certainty.LIKELY,
+)
+def _does_not_resume(probe: Probe) -> None:
+    _switch_off_going(probe)
+    exchange = motion.switch(probe, True)
+    probe.wait(SECOND_NS)
+    expect_standing(probe, exchange, "switching the motor on takes up the motion again")
+
+
+def expect_obeys(probe: Probe, refutes: str) -> None:
+    """Refute unless a move turns the shaft."""
+    move = motion.follow(probe, probe.command("move_increment"), 45)
+    probe.expect(abs(move.degrees), near=45, within=1, unit="degrees", refutes=refutes, exchange=move.exchange)
+
+
+@of_motion(each=_on, refuted_by="no motion", risks=risks_by(Verb.MOTOR_OFF))
+def _obeys(probe: Probe) -> None:
+    """A motor that was switched off and on obeys the next command."""
+    for _ in range(2):
+        motion.switch(probe, False)
+        motion.switch(probe, True)
+        expect_obeys(probe, "the motor does not obey after it was switched on")
+
+
+@of_motion(each=_on, refuted_by="state 10h, or no motion", emulated=True, risks=risks_by(Verb.MOTOR_OFF))
+def _at_power_up(probe: Probe) -> None:
+    """When power comes on the motor is on and obeys."""
+    motion.switch(probe, False)
+    lk_drive(probe).power_cycle(probe.gate.now_ns())
+    probe.wait(500 * MS)
+    probe.expect("off", holds=bool(motion.is_on(probe)), expected="on", refutes="the motor is not on at power-up")
+    expect_obeys(probe, "the motor does not obey at power-up")
+
+
+@of_motion(
+    each=_off,
+    statement="Switching the motor off and on leaves the counted turns.",
+    refuted_by="another position",
+    at_best=Certainty.LIKELY,
+    quirks=may_meet("lk-off-clears-turns"),
+)
+@of_motion(
+    each=commands(Verb.STOP),
+    statement="The stop leaves the counted turns.",
+    refuted_by="another position",
+    at_best=Certainty.LIKELY,
+)
+def _keeps_turns(probe: Probe, command: Command) -> None:
+    motion.ready_to_move(probe)
+    for _ in range(2):
+        motion.follow(probe, probe.command("move_increment"), 420)
+    before = motion.position(probe)
+    exchange = probe.do(command)
+    motion.switch(probe, True)
+    change = motion.position(probe).value - before.value
+    if "lk-off-clears-turns" in probe.claim.quirks and abs(change) > 1 and abs(change - 360 * round(change / 360)) <= 1:
+        probe.meets("lk-off-clears-turns")
+    else:
+        text = f"{command.name} changes the position of a shaft that stands"
+        probe.expect(change, near=0, within=1, unit="degrees", refutes=text, exchange=exchange)

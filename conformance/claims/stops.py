@@ -1,0 +1,293 @@
+"""Stops: by a ramp, at once, in an emergency, and that a stop leaves the motor on.
+
+The stop of an MKS run or move is that motion with zeros everywhere but in the acceleration: with one the shaft slows down by
+the ramp, with 0 it stands at once. It says 1 when it begins and 2 when the shaft stands; the move that it ends says no more.
+LK motors have one stop, and how it brakes is not printed: that it does is observed.
+
+Rules kept here:
+- Ramps are so slow (1.2 s) that even a reply that is late while the motor turns comes before they end.
+- How long a ramp takes to the per cent is judged by the theme timing; here a ramp is told from a halt.
+- Nothing is stopped at once above 60 rpm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
+from conformance.claim import Inconclusive
+from conformance.claims.declare import Case, commands
+from conformance.claims.known_quirks import may_meet
+from conformance.claims.motion_claim import expect_stays, of_motion, risks_by, risks_of, that_tell_their_end
+from conformance.motion import motion
+from conformance.motion.motion import CALM, MOVES, MS, QUICK, SAME, SECOND_NS, Sample
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe, Until
+
+#: 10 ms for each rpm: from 120 rpm the shaft needs 1.2 s.
+_SLOW_RAMP, _RPM, _RAMP_NS = 56, 120, 1200 * MS
+#: How far a shaft that is settling was seen to be from where it comes to rest, in degrees, and a little more.
+_SETTLING = 32 * 360 / 16384
+_emergency = commands(Verb.EMERGENCY_STOP)
+_lk_stop = commands(Verb.STOP)
+
+
+def set_going(probe: Probe, run: Command, rpm: int = CALM) -> Exchange:
+    """Begin a run, or a move that is too long to end by itself, and let the shaft come to its speed."""
+    motion.prepare(probe, run)
+    # Five turns: at 120 rpm 2.5 s, of which a late reply may take 0.7 and the ramp down 1.2.
+    exchange = motion.begin(probe, run, 5 * 360, rpm=rpm, acceleration=QUICK)
+    probe.wait(500 * MS)
+    return exchange
+
+
+def expect_standing(probe: Probe, exchange: Exchange, refutes: str) -> None:
+    """Refute unless the shaft stands now."""
+    seen = motion.speed(probe)
+    before = motion.position(probe)
+    probe.wait(300 * MS)
+    moved = motion.position(probe).value - before.value
+    stands = abs(seen.value) < 1 and abs(moved) <= motion.near(probe.dialect)
+    if not stands:
+        motion.stop(probe, 0)
+    got = f"{seen.value:g} rpm, and {moved:+.2f} degrees in 300 ms"
+    probe.expect(got, holds=stands, expected="a shaft that stands", refutes=refutes, exchange=exchange)
+
+
+def _expect_turning(probe: Probe, least: float) -> None:
+    seen = motion.speed(probe)
+    if abs(seen.value) < least:
+        raise Inconclusive(f"the shaft does not turn before the stop ({seen.value:g} rpm)")
+
+
+def _expect_halt(probe: Probe, exchange: Exchange, at_once: Sample, refutes: str) -> None:
+    """Refute where the shaft went on after it was to stand."""
+    later = motion.position(probe)
+    probe.wait(300 * MS)
+    end = motion.position(probe)
+    went = max(abs(later.value - at_once.value), abs(end.value - at_once.value))
+    if went > SAME:
+        motion.stop(probe)
+    got = f"{went:.2f} degrees in {(end.t_ns - at_once.t_ns) / 1e6:.0f} ms"
+    expected = "no motion after the reply"
+    probe.expect(got, holds=went <= SAME, expected=expected, refutes=refutes, exchange=exchange)
+
+
+# --- the stop of a motion ---------------------------------------------------------------------------------------------
+
+
+def _of_motions(dialect: Dialect) -> Iterator[Case]:
+    """Yield the stops by a ramp, each with the motion that it ends."""
+    for run in dialect.motions(MotionKind.RUN, *MOVES):
+        stop = dialect.stops_of(run)[0]
+        if motion.of(stop).acceleration:
+            yield Case(dialect, stop, {"run": run})
+
+
+def _ask_stop(probe: Probe, stop: Command, acceleration: int, until: Until = Until.REPLY) -> Exchange:
+    timeout_ns = 2 * _RAMP_NS + 2 * SECOND_NS if until is Until.DONE else None
+    return probe.ask(stop, {"acceleration": acceleration}, until=until, timeout_ns=timeout_ns, quiet_ns=0)
+
+
+@of_motion(
+    each=_of_motions, refuted_by="a shaft that stands at once, slows down later, or does not stop", risks=risks_of("run")
+)
+def _by_ramp(probe: Probe, command: Command, run: Command) -> None:
+    """{command} with an acceleration slows the shaft down by the ramp and lets it stand."""
+    set_going(probe, run, _RPM)
+    _expect_turning(probe, _RPM / 2)
+    exchange = _ask_stop(probe, command, _SLOW_RAMP)
+    probe.wait(max(0, exchange.sent_ns + _RAMP_NS // 2 - probe.gate.now_ns()))
+    seen = motion.speed(probe)
+    late = (seen.t_ns - exchange.sent_ns) / _RAMP_NS
+    law = max(0.0, _RPM * (1 - late))
+    probe.expect(
+        abs(seen.value),
+        near=law,
+        within=_RPM / 4,
+        unit="rpm",
+        expected=f"about {law:.0f} rpm {late * _RAMP_NS / MS:.0f} ms after the request",
+        refutes=f"{command.name} does not slow the shaft down by its ramp",
+        exchange=exchange,
+        key=f"{command.name} ramp",
+    )
+    probe.wait(exchange.sent_ns + _RAMP_NS + 200 * MS - probe.gate.now_ns())
+    expect_standing(probe, exchange, f"the shaft still turns after the ramp of {command.name}")
+
+
+@of_motion(each=_of_motions, refuted_by="a shaft that goes on", risks=risks_of("run"))
+def _at_once(probe: Probe, command: Command, run: Command) -> None:
+    """{command} with acceleration 0 stops the shaft at once."""
+    set_going(probe, run)
+    _expect_turning(probe, CALM / 2)
+    exchange = _ask_stop(probe, command, 0)
+    at_once = motion.position(probe)
+    probe.wait(500 * MS)
+    _expect_halt(probe, exchange, at_once, f"{command.name} with acceleration 0 does not stop the shaft at once")
+
+
+@of_motion(each=_of_motions, refuted_by="a shaft that moves again", risks=risks_of("run"))
+def _stays_stopped(probe: Probe, command: Command, run: Command) -> None:
+    """After {command} the shaft stays where it stopped; the motion that it ended is not taken up again."""
+    set_going(probe, run, _RPM)
+    exchange = _ask_stop(probe, command, QUICK)
+    stopped = motion.wait_standing(probe)
+    probe.wait(3 * SECOND_NS)
+    expect_stays(stopped, motion.wait_standing(probe), exchange, f"the shaft moves again after {command.name}")
+
+
+@of_motion(
+    each=that_tell_their_end(_of_motions),
+    refuted_by="other statuses, another order, more or fewer replies; or a reply of the motion that it ended",
+    risks=risks_of("run"),
+    at_best=Certainty.LIKELY,
+    name="{command}/replies",
+)
+def _told(probe: Probe, command: Command, run: Command) -> None:
+    """{command} is answered by 1 when it begins and by 2 (or 3, at an end limit) when the shaft stands."""
+    set_going(probe, run, _RPM)
+    before = len(probe.traffic)
+    exchange = _ask_stop(probe, command, _SLOW_RAMP, Until.DONE)
+    motion.wait_standing(probe)
+    probe.wait(3 * SECOND_NS)
+    seen = motion.statuses(probe.traffic[before:], command)
+    text = f"{command.name}: other replies than 1 and then 2"
+    key = f"{command.name} {seen}"
+    probe.expect(seen, among=([1, 2], [1, 3]), expected="1, 2", refutes=text, exchange=exchange, key=key)
+
+
+@of_motion(
+    each=that_tell_their_end(_of_motions),
+    refuted_by="a shaft that still turns when status 2 comes",
+    risks=risks_of("run"),
+    quirks=may_meet("settling"),
+)
+def _told_when_standing(probe: Probe, command: Command, run: Command) -> None:
+    """When {command} says that it is complete, the shaft stands."""
+    set_going(probe, run, _RPM)
+    exchange = _ask_stop(probe, command, _SLOW_RAMP, Until.DONE)
+    probe.reply(exchange)
+    if exchange.status(command.replies.status)[-1:] not in ([2], [3]):
+        raise Inconclusive(f"{command.name} did not say that it was complete")
+    at_once = motion.position(probe)
+    off = abs(motion.wait_standing(probe).value - at_once.value)
+    if SAME < off <= _SETTLING and "settling" in probe.claim.quirks:
+        probe.meets("settling")
+    else:
+        text = f"{command.name} is told as complete before the shaft stands"
+        probe.expect(off, at_most=SAME, unit="degrees more", expected="a shaft that stands", refutes=text, exchange=exchange)
+
+
+# --- the stop of whatever moves ---------------------------------------------------------------------------------------
+
+
+def _emergencies(dialect: Dialect) -> Iterator[Case]:
+    for case in _emergency(dialect):
+        for verb in (Verb.RUN_SPEED, Verb.MOVE_ABSOLUTE_AXIS):
+            yield Case(dialect, case.command, {"run": dialect.by_verb[verb]})
+
+
+@of_motion(
+    each=_emergencies, name="{command}/ends-{run}", refuted_by="a shaft that goes on, or moves again", risks=risks_of("run")
+)
+def _emergency_ends(probe: Probe, command: Command, run: Command) -> None:
+    """The emergency stop ends {run} at once, and the shaft stays where it is."""
+    set_going(probe, run)
+    _expect_turning(probe, CALM / 2)
+    exchange = probe.ask(command, quiet_ns=0)
+    at_once = motion.position(probe)
+    refused = probe.refused(exchange)
+    if refused:
+        motion.stop(probe)
+    text = "the emergency stop is refused"
+    probe.expect("a refusal", holds=not refused, expected="status 1", refutes=text, exchange=exchange)
+    probe.wait(5 * SECOND_NS)
+    _expect_halt(probe, exchange, at_once, "the emergency stop does not stop the shaft at once")
+
+
+@of_motion(
+    each=that_tell_their_end(_emergency),
+    name="{command}/replies",
+    refuted_by="another status, or a completion",
+    at_best=Certainty.LIKELY,
+)
+def _emergency_replies(probe: Probe, command: Command) -> None:
+    """The emergency stop is answered by status 1, and a move that it ends is not told as complete."""
+    move = probe.command(Verb.MOVE_ABSOLUTE_AXIS)
+    set_going(probe, move)
+    exchange = probe.ask(command)
+    status = probe.reply(exchange).values.get("status")
+    probe.expect(status, equal=1, refutes="the emergency stop is not answered by 1", exchange=exchange)
+    probe.wait(5 * SECOND_NS)
+    text = "a move that the emergency stop ended is told as complete"
+    probe.expect(motion.statuses(probe.traffic, move), equal=[1], refutes=text, exchange=exchange)
+
+
+@of_motion(each=_lk_stop, refuted_by="a shaft that goes on", risks=risks_by(Verb.RUN_SPEED))
+def _stops(probe: Probe, command: Command) -> None:
+    """The stop brings a running shaft to rest."""
+    set_going(probe, probe.command(Verb.RUN_SPEED))
+    exchange = probe.do(command)
+    probe.wait(3 * SECOND_NS)
+    expect_standing(probe, exchange, "the stop does not bring the shaft to rest")
+
+
+@of_motion(each=_lk_stop, refuted_by="a shaft at its target")
+def _ends_a_move(probe: Probe, command: Command) -> None:
+    """The stop ends a move before its target."""
+    motion.ready_to_move(probe)
+    before = motion.position(probe)
+    motion.begin(probe, probe.command("move_increment_limited"), 360, rpm=15)
+    probe.wait(SECOND_NS)
+    exchange = probe.do(command)
+    probe.wait(5 * SECOND_NS)
+    went = abs(motion.wait_standing(probe).value - before.value)
+    text, expected = "the stop does not end a move on its way", "about 90 degrees of 360"
+    probe.expect(went, at_least=20, at_most=300, unit="degrees", expected=expected, refutes=text, exchange=exchange)
+
+
+@of_motion(
+    each=_emergency,
+    name="{command}/keeps-torque",
+    statement="The emergency stop does not switch the motor off: the next motion command moves it.",
+    refuted_by="a motor that is disabled, or a motion that is refused",
+    risks=risks_by(Verb.RUN_SPEED),
+    at_best=Certainty.LIKELY,
+)
+@of_motion(
+    each=_lk_stop,
+    statement="After the stop the motor is on, and the next command moves it.",
+    refuted_by="state 10h, or no motion",
+    risks=risks_by(Verb.RUN_SPEED),
+    at_best=Certainty.LIKELY,
+)
+def _stays_on(probe: Probe, command: Command) -> None:
+    set_going(probe, probe.command(Verb.RUN_SPEED))
+    exchange = probe.do(command)
+    probe.wait(SECOND_NS)
+    text = f"{command.name} switches the motor off"
+    probe.expect("off", holds=motion.is_on(probe) is not False, expected="on", refutes=text, exchange=exchange)
+    before = motion.position(probe)
+    exchange = motion.run_at(probe, CALM, QUICK)
+    probe.wait(500 * MS)
+    went = abs(motion.stand_still(probe).value - before.value)
+    text = f"the next run after {command.name} does not move the shaft"
+    probe.expect(went, at_least=10, unit="degrees", refutes=text, exchange=exchange)
+
+
+def _way_to_rest(probe: Probe, stop: Command, values: dict[str, int]) -> float:
+    """Run, stop by a command and return how far the shaft went after it, in degrees."""
+    set_going(probe, probe.command(Verb.RUN_SPEED))
+    probe.ask(stop, values, quiet_ns=0)
+    begun = motion.position(probe)
+    probe.wait(SECOND_NS)
+    return abs(motion.wait_standing(probe).value - begun.value)
+
+
+@of_motion(each=_lk_stop, refuted_by="a shaft that runs out", at_best=Certainty.OPEN, risks=risks_by(Verb.RUN_SPEED))
+def _brakes(probe: Probe, command: Command) -> None:
+    """The stop brakes the shaft as speed 0 does: it goes no farther."""
+    braked = _way_to_rest(probe, probe.command(Verb.RUN_SPEED), {"speed": 0})
+    stopped = _way_to_rest(probe, command, {})
+    text = "the shaft goes farther after the stop than after speed 0"
+    probe.expect(stopped, at_most=braked + 5, unit="degrees", refutes=text)
