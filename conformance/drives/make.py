@@ -29,22 +29,21 @@ from conformance.drives.speed import SPEEDS, speed_setting
 
 
 class Kind(NamedTuple):
-    """Where the drive of a dialect is: its module and class, and the modules of its faults and quirks."""
+    """Where the drive of a dialect is: its module and its class."""
 
     module: str
     drive: str
-    faults: str
-    quirks: str
 
 
-_MKS = ("conformance.drives.faults.mks", "conformance.drives.mks.quirks")
-_LK = ("conformance.drives.faults.lk", "conformance.drives.lk.quirks")
 KINDS: Mapping[str, Kind] = {
-    "mks-rs485": Kind("conformance.drives.mks.drive", "MksDrive", *_MKS),
-    "mks-modbus": Kind("conformance.drives.mks.drive", "MksDrive", *_MKS),
-    "mks-can": Kind("conformance.drives.mks.drive", "MksDrive", *_MKS),
-    "lk-rs485": Kind("conformance.drives.lk.drive", "LkDrive", *_LK),
+    "mks-rs485": Kind("conformance.drives.mks.drive", "MksDrive"),
+    "mks-modbus": Kind("conformance.drives.mks.drive", "MksDrive"),
+    "mks-can": Kind("conformance.drives.mks.drive", "MksDrive"),
+    "lk-rs485": Kind("conformance.drives.lk.drive", "LkDrive"),
 }
+#: The modules of faults and of quirks. Names are unique over all of them.
+FAULTS = ("conformance.drives.faults.generic", "conformance.drives.faults.mks", "conformance.drives.faults.lk")
+QUIRKS = ("conformance.drives.mks.quirks", "conformance.drives.lk.quirks")
 #: Words of a specification that are no settings.
 _WORDS = ("model", "quirk", "fault", "baud", "bitrate")
 #: Settings that the name of a drive already says.
@@ -74,16 +73,12 @@ class Specification:
 
 def every_fault() -> list[Fault]:
     """Return all faults of all dialects, each once."""
-    return [fault for name in _once(kind.faults for kind in KINDS.values()) for fault in import_module(name).FAULTS]
+    return [fault for name in FAULTS for fault in import_module(name).FAULTS]
 
 
 def every_quirk() -> list[Quirk]:
     """Return all quirks of all dialects, each once."""
-    return [quirk for name in _once(kind.quirks for kind in KINDS.values()) for quirk in import_module(name).QUIRKS]
-
-
-def _once(names: Iterable[str]) -> list[str]:
-    return list(dict.fromkeys(names))
+    return [quirk for name in QUIRKS for quirk in import_module(name).QUIRKS]
 
 
 _Change = TypeVar("_Change", Quirk, Fault)

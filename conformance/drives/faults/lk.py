@@ -1,12 +1,451 @@
-"""Faults of the LK drive: named defects that a good suite must refute. Each changes what can be seen on the bus.
-
-Three tables by what breaks: frames, values, behaviour. A fault takes hold of the drive at the places of `lk_places`;
-the drive itself knows none of them. Some show on one model only, that which has the command named in their text.
-"""
+"""Faults of the LK drives: defects in what they hear, read, keep and do. Some show only on the model that has the command."""
 
 from __future__ import annotations
 
-from conformance.drives.drive import Fault
-from conformance.drives.faults import lk_frames, lk_motion, lk_values
+from collections.abc import Callable
 
-FAULTS: tuple[Fault, ...] = (*lk_frames.FAULTS, *lk_values.FAULTS, *lk_motion.FAULTS)
+from analyzer.catalogue import Command, Verb
+from analyzer.protocols.lk_rs485 import (
+    CURRENT_MODELS,
+    ERROR_BITS,
+    POWER_MODELS,
+    BrakeControl,
+    BrakeState,
+    MotorState,
+    SpinDirection,
+)
+from analyzer.records import Frame, Message
+from conformance.drives.drive import Drive, Fault, Hooks, Values
+from conformance.drives.faults.generic import LK_MOTIONS
+from conformance.drives.faults.lk_behaviour import (
+    INCREMENTS,
+    MULTI_TURN,
+    SINGLE_TURN,
+    acting,
+    at_power_up,
+    learning,
+    lk,
+    moving,
+    nothing,
+    rebuilt,
+    replaced,
+    tuned,
+)
+from conformance.drives.faults.numbers import always, exchanged, negated, renamed
+from conformance.drives.faults.places import LK, Change, asked, fault, reply, result, storing, taken, together, unstored
+from conformance.drives.lk.commands import MOVES, Act, Request
+from conformance.drives.lk.drive import LkDrive
+from conformance.drives.lk.motor import Goal, Position
+
+STATE_1 = (Verb.READ_STATE_1, Verb.CLEAR_ERRORS)
+PARAMETERS = (Verb.READ_PARAMETER, Verb.WRITE_PARAMETER)
+FLAGS = tuple(field.name for field in ERROR_BITS)
+#: Degrees by which a faulty move overshoots, or stops short.
+OVERSHOOT, SHORT = 3.0, 0.5
+
+# --- which requests it takes -----------------------------------------------------------------------------------------
+
+
+def _hearing(also: Callable[[Drive, Frame, Message], bool]) -> Change:
+    return taken(lambda drive, frame, message, wanted: wanted or also(drive, frame, message))
+
+
+def _own(drive: Drive, message: Message) -> bool:
+    return message.address == drive.address
+
+
+def _broken(number: int) -> Change:
+    """Take requests of which one sum alone is wrong: that of the head (0) or of the data (1)."""
+
+    def also(drive: Drive, frame: Frame, message: Message) -> bool:
+        wrong = [n for n, check in enumerate(frame.dialect.link.checks(frame.data)) if not check.ok]
+        return message.form is not None and _own(drive, message) and wrong == [number]
+
+    return _hearing(also)
+
+
+# --- what replies say ------------------------------------------------------------------------------------------------
+
+
+def _read(change: Callable[[LkDrive, Values], Values], *of: Verb) -> Change:
+    """Put other values into the replies to some commands."""
+    return result(lambda drive, command, asked, values: values | change(lk(drive), values), of)
+
+
+def _shown_for_ever(hooks: Hooks) -> None:
+    seen: set[str] = set()
+
+    def show(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+        seen.update(name for name in FLAGS if values[name])
+        return values | dict.fromkeys(seen, 1)
+
+    result(show, STATE_1)(hooks)
+
+
+def _other_parameter(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    """Answer for the parameter after the one asked for."""
+    numbers = [f.layout.named["parameter"].fixed for f in command.reply_forms]
+    listed = [n for n in numbers if n is not None]
+    wanted = listed[(listed.index(values["parameter"]) + 1) % len(listed)]
+    form = command.reply_forms[numbers.index(wanted)]
+    return {n: lk(drive).reading(f) if f.fixed is None else f.fixed for n, f in form.layout.named.items()}
+
+
+def _gains_exchanged(drive: LkDrive, values: Values) -> Values:
+    pairs = [(n, n.replace("_kp", "_ki")) for n in values if n.endswith("_kp")]
+    return {a: values[b] for p in pairs for a, b in (p, p[::-1])}
+
+
+def _running_on(drive: LkDrive, values: Values) -> Values:
+    field = drive.dialect.by_name["read_position"].reply_forms[0].layout.named["position"]
+    return {"angle": field.wire(drive.motor.motion.angle - drive.motor.zero) % (1 << 32)}
+
+
+def _within_turn(drive: LkDrive, values: Values) -> Values:
+    return {"position": drive.reading(drive.dialect.by_name["read_single_turn"].reply_forms[0].layout.named["angle"])}
+
+
+def _offset_added(drive: LkDrive, values: Values) -> Values:
+    motor = drive.motor
+    return {"encoder": (motor.encoder_raw + motor.encoder_zero) % motor.encoder_scale}
+
+
+# --- what commands do ------------------------------------------------------------------------------------------------
+
+
+def _as_absolute(drive: LkDrive, request: Request) -> None:
+    drive.motor.move_to(request.physical["position"], request.physical.get("max_speed"))
+
+
+def _as_relative(drive: LkDrive, request: Request) -> None:
+    drive.motor.move_by(request.physical["position"], request.physical.get("max_speed"))
+
+
+def _shortest(drive: LkDrive, request: Request) -> None:
+    way = (request.physical["angle"] - drive.motor.within_turn + 180.0) % 360.0 - 180.0
+    drive.motor.move_by(way, request.physical.get("max_speed"))
+
+
+def _past_angle_limit(drive: LkDrive, request: Request) -> None:
+    motor = drive.motor
+    motor.go(Position(motor.origin + request.physical["position"], request.physical.get("max_speed")))
+
+
+def _land_short(drive: LkDrive, request: Request) -> None:
+    goal = drive.motor.goal
+    if isinstance(goal, Position):
+        side = 1.0 if goal.angle > drive.motor.motion.angle else -1.0
+        drive.motor.go(Position(goal.angle - side * SHORT, goal.top))
+
+
+def _without_effect(name: str) -> Change:
+    """Let a limit of the control parameters have no effect: the motor keeps the one of power-up."""
+
+    def act(drive: LkDrive, request: Request) -> None:
+        written = dict(drive.parameters)
+        drive.parameters[name] = drive.settings[name]
+        drive.motor.limit(drive.limits)
+        drive.parameters.update(written)
+
+    return acting("write_parameter", act, after=True)
+
+
+def _disobedient(drive: LkDrive) -> None:
+    """Let motion commands be obeyed while the motor is off."""
+    for name, move in MOVES.items():
+        drive.acts[name] = lambda drive, request, move=move: move(drive.motor, request)  # type: ignore[misc]
+
+
+def _keep_running(drive: LkDrive, request: Request) -> None:
+    drive.motor.on = False
+
+
+def _second_time(old: Act) -> Act:
+    count = 0
+
+    def act(drive: LkDrive, request: Request) -> None:
+        nonlocal count
+        count += 1
+        if count % 2 == 0:
+            old(drive, request)
+
+    return act
+
+
+def _resuming(hooks: Hooks) -> None:
+    dropped: list[Goal] = []
+
+    def off(drive: LkDrive, request: Request) -> None:
+        dropped.append(drive.motor.goal)
+        drive.motor.turn_off()
+
+    def on(drive: LkDrive, request: Request) -> None:
+        drive.motor.go(dropped.pop() if dropped else drive.motor.goal)
+
+    together(acting("motor_off", off), acting("motor_on", on, after=True))(hooks)
+
+
+def _brake_backwards(drive: LkDrive, request: Request) -> None:
+    control = request.sent["brake_control"]
+    if control != BrakeControl.READ:
+        drive.motor.hold(braked=control == BrakeControl.RELEASE)
+
+
+# --- what it keeps ---------------------------------------------------------------------------------------------------
+
+
+def _next_parameter(drive: Drive, name: str, value: int) -> tuple[str, int]:
+    names = list(lk(drive).parameters)
+    return (names[(names.index(name) + 1) % len(names)], value) if name in names else (name, value)
+
+
+def _kept_parameter(drive: Drive, name: str, value: int) -> tuple[str, int]:
+    drive.settings[name] = value
+    return name, value
+
+
+def _zero_now(drive: LkDrive, request: Request) -> None:
+    drive.motor.encoder_zero = drive.settings["encoder_zero"]
+    drive.motor.set_position(drive.motor.within_turn)
+
+
+def _position_kept(hooks: Hooks) -> None:
+    origins: list[float] = []
+
+    def remember(drive: LkDrive, request: Request) -> None:
+        origins[:] = [drive.motor.origin]
+
+    def powered(drive: LkDrive) -> None:
+        if origins:
+            drive.motor.origin = origins[0]
+
+    together(acting("set_position", remember, after=True), at_power_up(powered))(hooks)
+
+
+FAULTS: tuple[Fault, ...] = (
+    # Which requests it takes
+    fault(
+        "lk-answers-other-address",
+        "addressing",
+        "requests to any address are obeyed and answered",
+        _hearing(lambda d, f, m: f.checksum_ok and m.form is not None),
+    ),
+    fault(
+        "lk-answers-address-0",
+        "addressing",
+        "address 0 is taken for a broadcast, obeyed and answered",
+        _hearing(lambda d, f, m: f.checksum_ok and m.form is not None and m.address == 0),
+    ),
+    fault(
+        "lk-answers-wrong-data-sum",
+        "checksum",
+        "requests are obeyed and answered although the sum of their data is wrong",
+        _broken(1),
+    ),
+    fault(
+        "lk-answers-wrong-head-sum",
+        "checksum",
+        "requests are obeyed and answered although the sum of their head is wrong",
+        _broken(0),
+    ),
+    fault(
+        "lk-answers-unknown-code",
+        "unknown code",
+        "a code that no command has is echoed",
+        _hearing(lambda d, f, m: f.checksum_ok and _own(d, m) and m.command is None),
+    ),
+    fault(
+        "lk-answers-wrong-length",
+        "length",
+        "a known code with a wrong length is echoed",
+        _hearing(lambda d, f, m: f.checksum_ok and _own(d, m) and m.command is not None and m.form is None),
+    ),
+    fault(
+        "lk-silent-while-off",
+        "off",
+        "motion commands are not answered while the motor is off",
+        result(lambda drive, command, asked, values: values if lk(drive).motor.on else None, LK_MOTIONS),
+    ),
+    # What replies say
+    fault(
+        "lk-state-1-swapped",
+        "reply layout",
+        "0x9A and 0x9B answer current and voltage in each other's place",
+        _read(lambda d, v: {"voltage": v["current"], "current": v["voltage"]}, *STATE_1),
+    ),
+    fault("lk-state-always-on", "off", "the motor is reported on while it is off", reply("state", always(MotorState.ON))),
+    fault(
+        "lk-error-bits-shifted",
+        "error flags",
+        "each error flag is shown one bit too high",
+        _read(lambda d, v: {name: v[low] for name, low in zip(FLAGS, FLAGS[1:] + FLAGS[:1], strict=True)}, *STATE_1),
+    ),
+    fault("lk-error-bits-hidden", "error flags", "error flags are never shown", reply(FLAGS, always(0), STATE_1)),
+    fault(
+        "lk-error-bits-frozen",
+        "error flags",
+        "an error flag that was shown once is shown for ever",
+        Change(_shown_for_ever, LK),
+    ),
+    fault(
+        "lk-encoder-not-offset",
+        "encoder",
+        "0x90 answers the raw value in place of the difference",
+        _read(lambda d, v: {"encoder": d.motor.encoder_raw}, Verb.READ_ENCODER),
+    ),
+    fault(
+        "lk-encoder-offset-added",
+        "encoder",
+        "0x90 adds the offset instead of taking it away",
+        _read(_offset_added, Verb.READ_ENCODER),
+    ),
+    fault(
+        "lk-encoder-coarse",
+        "encoder",
+        "motion commands and 0x9C answer the encoder with two bits fewer",
+        reply("encoder", lambda v, field: v >> 2, (Verb.READ_STATE_2, *LK_MOTIONS)),
+    ),
+    fault("lk-single-turn-runs-on", "range", "0x94 counts on past 359.99 degrees", _read(_running_on, Verb.READ_SINGLE_TURN)),
+    fault(
+        "lk-position-single-turn", "position", "0x92 answers the angle within the turn", _read(_within_turn, Verb.READ_POSITION)
+    ),
+    fault(
+        "lk-phases-in-step",
+        "phase currents",
+        "0x9D answers the same current for all phases",
+        _read(lambda d, v: dict.fromkeys(("phase_b_current", "phase_c_current"), v["phase_a_current"]), Verb.READ_STATE_3),
+    ),
+    fault(
+        "lk-zero-not-raw",
+        "zero",
+        "0x19 answers the encoder counted from the old zero",
+        _read(lambda d, v: {"encoder_zero": d.motor.encoder}, Verb.SET_ZERO),
+    ),
+    fault(
+        "lk-parameter-other",
+        "parameters",
+        "0xC0 answers for the next parameter of the table",
+        result(_other_parameter, Verb.READ_PARAMETER),
+    ),
+    fault(
+        "lk-gains-swapped",
+        "parameters",
+        "0xC0 and 0xC1 answer kp and ki in each other's place",
+        _read(_gains_exchanged, *PARAMETERS),
+    ),
+    fault(
+        "lk-parameter-write-zeros",
+        "parameters",
+        "0xC1 answers zeros instead of the values after writing",
+        _read(lambda d, v: dict.fromkeys(v.keys() - {"parameter"}, 0), Verb.WRITE_PARAMETER),
+    ),
+    fault(
+        "lk-brake-state-inverted",
+        "brake",
+        "0x8C answers the opposite of the brake's state",
+        reply("brake_state", exchanged(BrakeState.POWER_OFF, BrakeState.RELEASED)),
+    ),
+    fault(
+        "lk-brake-read-releases",
+        "brake",
+        "reading the brake's state releases it",
+        asked("brake_control", renamed(BrakeControl.READ, BrakeControl.RELEASE)),
+    ),
+    # Motion
+    fault(
+        "lk-single-turn-inverted",
+        "direction",
+        "0xA5 and 0xA6 turn in the other direction",
+        asked("direction", exchanged(SpinDirection.CW, SpinDirection.CCW)),
+    ),
+    fault(
+        "lk-single-turn-shortest",
+        "direction",
+        "0xA5 and 0xA6 take the shortest way whatever the direction",
+        moving(SINGLE_TURN, _shortest),
+    ),
+    fault("lk-speed-inverted", "direction", "0xA2 runs in the other direction", asked("speed", negated)),
+    fault(
+        "lk-increment-absolute",
+        "relative and absolute",
+        "0xA7 and 0xA8 move to a position instead of by a distance",
+        moving(INCREMENTS, _as_absolute),
+    ),
+    fault(
+        "lk-multi-turn-relative",
+        "relative and absolute",
+        "0xA3 and 0xA4 move by a distance instead of to a position",
+        moving(MULTI_TURN, _as_relative),
+    ),
+    fault(
+        "lk-max-speed-ignored",
+        "limits",
+        "max_speed of 0xA4, 0xA6 and 0xA8 is not kept",
+        asked("max_speed", lambda value, field: field.high),
+    ),
+    fault("lk-speed-limit-ignored", "limits", "the speed limit of 0xC1 has no effect", _without_effect("speed_limit")),
+    fault("lk-speed-ramp-ignored", "limits", "the speed ramp of 0xC1 has no effect", _without_effect("speed_ramp")),
+    fault("lk-torque-limit-ignored", "limits", "the torque limit of 0xC1 has no effect", _without_effect("torque_limit")),
+    fault("lk-angle-limit-ignored", "limits", "0xA3 and 0xA4 go beyond the angle limit", moving(MULTI_TURN, _past_angle_limit)),
+    fault("lk-ramp-fast", "ramp", "accelerations are twice the ramp", rebuilt(ramp_error=2.0)),
+    fault("lk-ramp-slow", "ramp", "accelerations are half the ramp", rebuilt(ramp_error=0.5)),
+    fault("lk-overshoot", "ramp", "moves overshoot by 3 degrees and come back", rebuilt(overshoot=OVERSHOOT)),
+    fault(
+        "lk-stops-short",
+        "position",
+        "moves end half a degree before their position",
+        moving((*MULTI_TURN, *SINGLE_TURN, *INCREMENTS), _land_short, after=True),
+    ),
+    # On, off, stop
+    fault("lk-stop-is-off", "stop", "0x81 turns the motor off", acting("stop", lambda drive, request: drive.motor.turn_off())),
+    fault(
+        "lk-stop-coasts",
+        "stop",
+        "0x81 takes the torque away and lets the shaft run out",
+        acting("stop", lambda drive, request: drive.motor.release()),
+    ),
+    fault("lk-stop-ignored", "stop", "0x81 is answered and does nothing", acting("stop", nothing)),
+    fault(
+        "lk-stop-clears-turns",
+        "stop",
+        "0x81 drops the counted turns",
+        acting("stop", lambda drive, request: drive.motor.clear_turns(), after=True),
+    ),
+    fault("lk-off-still-moves", "off", "motion commands are obeyed while the motor is off", tuned(_disobedient)),
+    fault("lk-off-keeps-running", "off", "0x80 does not end a motion under way", acting("motor_off", _keep_running)),
+    fault("lk-off-ignored", "off", "0x80 is answered and does nothing", acting("motor_off", nothing)),
+    fault("lk-on-needed-twice", "on", "only each second 0x88 turns the motor on", replaced("motor_on", _second_time)),
+    fault("lk-on-resumes", "on", "0x88 takes up the motion that 0x80 ended", Change(_resuming, LK)),
+    fault(
+        "lk-off-at-power-up",
+        "on",
+        "the motor is off after power-up",
+        together(tuned(lambda drive: drive.motor.turn_off()), at_power_up(lambda drive: drive.motor.turn_off())),
+    ),
+    # Brake and errors
+    fault("lk-brake-without-effect", "brake", "the brake does not hold the shaft", rebuilt(brake=False)),
+    fault("lk-brake-backwards", "brake", "0x8C releases the brake for 00 and holds for 01", acting("brake", _brake_backwards)),
+    fault(
+        "lk-clear-errors-always",
+        "error flags",
+        "0x9B clears flags whose cause lasts",
+        acting("clear_errors", lambda drive, request: drive.errors.clear(), after=True),
+    ),
+    fault("lk-clear-errors-never", "error flags", "0x9B clears nothing", acting("clear_errors", nothing)),
+    # Positions, parameters, models
+    fault("lk-set-position-ignored", "position", "0x95 is echoed and does nothing", acting("set_position", nothing)),
+    fault("lk-set-position-kept", "power", "what 0x95 set survives the power", Change(_position_kept, LK)),
+    fault("lk-clear-turns-ignored", "position", "0x93 is echoed and does nothing", acting("clear_turns", nothing)),
+    fault("lk-zero-at-once", "zero", "0x19 moves the zero at once", acting("set_zero", _zero_now, after=True)),
+    fault("lk-zero-lost", "zero", "the zero of 0x19 is not there after power-up", unstored("encoder_zero")),
+    fault(
+        "lk-parameter-not-stored",
+        "parameters",
+        "0xC1 answers the old values and keeps them",
+        storing(lambda drive, name, value: None if name in lk(drive).parameters else (name, value)),
+    ),
+    fault("lk-parameter-elsewhere", "parameters", "0xC1 stores each value in the next one's place", storing(_next_parameter)),
+    fault("lk-parameter-survives", "power", "what 0xC1 wrote survives the power", storing(_kept_parameter)),
+    fault("lk-ms-runs-torque", "models", "an MS obeys and answers 0xA1", learning("run_torque", CURRENT_MODELS)),
+    fault("lk-runs-open-loop", "models", "an MF, MG or MH obeys and answers 0xA0", learning("run_open_loop", POWER_MODELS)),
+)

@@ -19,9 +19,10 @@ from analyzer.catalogue import Command, Form, Risk, Verb, always
 from analyzer.layout import Field, Layout, fixed, reserved, u8, uint
 from analyzer.protocols.lk_rs485 import EMPTY, PARAMETER_FORMS, Parameter, u16le
 from conformance.drives.drive import Drive, Hooks, Outgoing, Quirk, Values
+from conformance.drives.faults.lk_behaviour import acting, lk, tuned
+from conformance.drives.faults.places import LK, request, result
 from conformance.drives.lk.commands import Request
 from conformance.drives.lk.drive import LkDrive
-from conformance.drives.lk.places import LIMITED, Install, followed_by, lk, on_act, on_field, on_request, on_setup
 
 _TAXFROMDK = "taxfromdk/lkmotor, MS4015 with driver DS40R7, firmware 2.35"
 _VENDOR_CAN = "vendor's CAN manual V2.36, in han-xudong/pyLKMotor docs"
@@ -68,16 +69,14 @@ def _soon(hooks: Hooks) -> None:
     hooks.reply.append(reply)
 
 
-def _no_limit(drive: LkDrive, command: Command, values: Values) -> Values:
-    return values if values["max_speed"] else values | {"max_speed": abs(drive.parameters["speed_limit"])}
+def _no_limit(drive: Drive, command: Command, values: Values) -> Values:
+    limited = values.get("max_speed", 1)
+    return values if limited else values | {"max_speed": abs(lk(drive).parameters["speed_limit"])}
 
 
-def _clear_turns(drive: LkDrive, request: Request) -> None:
-    drive.motor.clear_turns()
-
-
-def _wide_difference(drive: LkDrive, encoder: int) -> int:
-    return (drive.motor.encoder_raw - drive.motor.encoder_zero) % (1 << 16)
+def _wide_difference(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    motor = lk(drive).motor
+    return values | {"encoder": (motor.encoder_raw - motor.encoder_zero) % (1 << 16)}
 
 
 # --- firmware 2.35 ------------------------------------------------------------------------------------------------
@@ -196,39 +195,43 @@ def _firmware(drive: LkDrive) -> None:
     drive.learn(REBOOT, _reboot)
 
 
-def _quirk(name: str, text: str, source: str, install: Install) -> Quirk:
-    return Quirk(name, ("lk-rs485",), text, source, install)
-
-
 QUIRKS: tuple[Quirk, ...] = (
-    _quirk(
+    Quirk(
         "lk-off-sum",
+        LK,
         "about 1 % of the replies to 0xA4 carry a data sum that is off by up to 4 either way (by the seed)",
         f"{_TAXFROMDK}, log.txt and readme.txt",
         _off_sums,
     ),
-    _quirk(
+    Quirk(
         "lk-zero-speed-moves",
+        LK,
         "0xA4, 0xA6 and 0xA8 with max_speed 0 move, at the speed limit, as though no limit were given",
         f"{_TAXFROMDK}: 0xA4 with maxSpeed 0 at 600 to 800 deg/s",
-        on_request(_no_limit, LIMITED),
+        request(_no_limit),
     ),
-    _quirk(
-        "lk-off-clears-turns", "0x80 also drops the counted turns", _VENDOR_CAN, on_act("motor_off", followed_by(_clear_turns))
+    Quirk(
+        "lk-off-clears-turns",
+        LK,
+        "0x80 also drops the counted turns",
+        _VENDOR_CAN,
+        acting("motor_off", lambda drive, request: drive.motor.clear_turns(), after=True),
     ),
-    _quirk(
-        "lk-reply-within", "replies come after 0.05 to 0.25 ms (by the seed) instead of exactly 0.25 ms", _VENDOR_CAN, _soon
+    Quirk(
+        "lk-reply-within", LK, "replies come after 0.05 to 0.25 ms (by the seed) instead of exactly 0.25 ms", _VENDOR_CAN, _soon
     ),
-    _quirk(
+    Quirk(
         "lk-encoder-wide-difference",
+        LK,
         "0x90 takes raw less offset on a 16-bit scale also where the encoder has fewer bits",
         f"{_TAXFROMDK}, motor.cpp",
-        on_field("encoder", _wide_difference, ("read_encoder",)),
+        result(_wide_difference, Verb.READ_ENCODER),
     ),
-    _quirk(
+    Quirk(
         "lk-firmware-235",
+        LK,
         "0x12 (product data), 0x40 and 0x42 (parameters) and 0x07 (restart, no reply) exist, 0xC0 and 0xC1 do not",
         f"{_TAXFROMDK}, lkmotor.h and log.txt",
-        on_setup(_firmware),
+        tuned(_firmware),
     ),
 )

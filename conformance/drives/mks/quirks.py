@@ -8,7 +8,7 @@ and buses do.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 from msgspec.structs import replace
 
@@ -18,30 +18,31 @@ from analyzer.layout import Layout, u16
 from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Hooks, Outgoing, Quirk, Values
-from conformance.drives.faults.mks_makers import (
+from conformance.drives.faults.mks_behaviour import mks, tuned, with_law
+from conformance.drives.faults.numbers import always, exchanged, renamed
+from conformance.drives.faults.places import (
     CAN,
-    EVERY,
+    MKS,
     MODBUS,
     NATIVE,
     SERIAL,
     TELLING,
-    accepted,
-    answered,
+    asked,
     body_of,
     byte,
-    changed,
-    given,
-    mks,
+    frames,
     rebuilt,
-    said,
-    several,
-    tuned,
+    reply,
+    result,
+    taken,
+    together,
 )
 from conformance.drives.mks.core import MOTIONS, Kind, MksCore
 from conformance.drives.mks.paths import Phase, ramp_step_ns
 from conformance.drives.mks.settings import SETTINGS, put
 
-_REPORT = "riccardi-samuele/mks-servo, docs/reports/2026-05-09-test-report.md"
+_SERVO = "riccardi-samuele/mks-servo"
+_REPORT = f"{_SERVO}, docs/reports/2026-05-09-test-report.md"
 _SERVO_ISSUES = "makerbase-motor/MKS-SERVO42D-57D"
 _CAN_NOTES = "TRazDev/servo42es-esp32-can-controller, docs/protocol.md"
 _LATER_MANUAL = f"vendor's Modbus manual V1.0.9, {_SERVO_ISSUES}"
@@ -69,15 +70,9 @@ def _since_settled(drive: MksCore) -> float:
     return float(drive.now_ns - path.settled) if moved else float("inf")
 
 
-def _slowing_still(drive: MksCore, command: Command, asked: Values, values: Values) -> Values:
-    stays = values["status"] == mks_shared.MotorStatus.STOPPED and _since_settled(drive) < _STATUS_STAYS_NS
+def _slowing_still(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    stays = values["status"] == mks_shared.MotorStatus.STOPPED and _since_settled(mks(drive)) < _STATUS_STAYS_NS
     return {"status": int(mks_shared.MotorStatus.SLOWING_DOWN)} if stays else values
-
-
-def _stopped_early(drive: MksCore, command: Command, asked: Values, values: Values) -> Values:
-    """Call a motor that slows down one that stands."""
-    slowing = values["status"] == mks_shared.MotorStatus.SLOWING_DOWN
-    return {"status": int(mks_shared.MotorStatus.STOPPED)} if slowing else values
 
 
 def _slow_in_motion(hooks: Hooks) -> None:
@@ -111,15 +106,13 @@ def _hasty_writes(hooks: Hooks) -> None:
 
 
 def _second_reply(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:
-    yield outgoing
-    if command.verb in SETTINGS:
-        yield replace(outgoing, at_ns=outgoing.at_ns + _SECOND_REPLY_NS)
+    return (outgoing, replace(outgoing, at_ns=outgoing.at_ns + _SECOND_REPLY_NS))
 
 
-def _fragments(drive: MksCore, frame: Frame, message: Message, wanted: bool) -> bool:
+def _fragments(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
     if frame.dialect.name != drive.dialect.name and frame.checksum_ok:
-        at_ns = drive.now_ns + drive.reply_delay_ns
-        drive.send(drive.dialect.commands[0], Outgoing(at_ns, frame.data[1:3]))
+        at_ns = drive.now_ns + mks(drive).reply_delay_ns
+        mks(drive).send(drive.dialect.commands[0], Outgoing(at_ns, frame.data[1:3]))
     return wanted
 
 
@@ -134,15 +127,12 @@ def _without_check(drive: Drive, command: Command, outgoing: Outgoing) -> Iterab
 
 
 def _from_new_address(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:
-    if command.verb is not Verb.SET_ADDRESS:
-        yield outgoing
-        return
-    place = 1 if drive.dialect.name == NATIVE else 0
+    place = 1 if (drive.dialect.name,) == NATIVE else 0
     yield rebuilt(drive, outgoing, byte(place, lambda _: drive.address)(body_of(drive, outgoing)))
 
 
-def _register_94(drive: MksCore, frame: Frame, message: Message, wanted: bool) -> bool:
-    body = frame.data[:-2]
+def _register_94(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+    core, body = mks(drive), frame.data[:-2]
     own = frame.checksum_ok and message.address in (drive.address, drive.dialect.broadcast)
     if not own or not body[1:].startswith(_HOME_94_HEAD) or len(body) != 7 + _HOME_94.byte_length:
         return wanted
@@ -150,18 +140,19 @@ def _register_94(drive: MksCore, frame: Frame, message: Message, wanted: bool) -
     good = codec(_HOME_94).sound(data)
     if good:
         for name, value in codec(_HOME_94).wire(data).items():
-            put(drive, name, value)
+            put(core, name, value)
     if message.address == drive.address:
         quantity = body[4:6] if good else b"\0\0"
         echo = drive.dialect.link.completed(body[:4] + quantity)
-        drive.send(drive.dialect.commands[0], Outgoing(drive.now_ns + drive.reply_delay_ns, echo))
+        core.send(drive.dialect.commands[0], Outgoing(drive.now_ns + core.reply_delay_ns, echo))
     return False
 
 
-def _unsettled(drive: MksCore, command: Command, asked: Values, values: Values) -> Values:
-    if _since_settled(drive) >= _SETTLING_NS:
+def _unsettled(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    core = mks(drive)
+    if _since_settled(core) >= _SETTLING_NS:
         return values
-    way = next((s.way for s in reversed(drive.motor.path.segments) if s.way), 0)
+    way = next((s.way for s in reversed(core.motor.path.segments) if s.way), 0)
     return values | {"position": values["position"] - way * _SETTLING_COUNTS}
 
 
@@ -202,42 +193,99 @@ def _calibrates_at_once(hooks: Hooks) -> None:
     tuned(change)(hooks)
 
 
-def _set(name: str, value: object) -> Callable[[MksCore], None]:
-    return lambda drive: setattr(drive, name, value)
-
-
 QUIRKS: tuple[Quirk, ...] = (
-    Quirk("reversed-direction", (NATIVE,), "direction bit 0 of F6 and FD lowers the encoder value (42D, 1.0.6)", _REPORT,
-          given({Verb.RUN_SPEED, Verb.MOVE_RELATIVE_PULSES}, "direction", lambda d: 1 - d)),
-    Quirk("status-stays-slowing", SERIAL, "F1 stays at 3 for a second after a move, though the speed reads 0", _REPORT,
-          answered({Verb.READ_STATUS}, _slowing_still)),
-    Quirk("status-stops-early", SERIAL, "F1 says 1 while the motor still slows down (57D, 1.0.4)",
-          f"{_SERVO_ISSUES} issue 3", answered({Verb.READ_STATUS}, _stopped_early)),
-    Quirk("slow-replies-in-motion", SERIAL, "replies take up to 700 ms while the motor turns", "riccardi-samuele/mks-servo",
-          _slow_in_motion),
-    Quirk("hasty-writes-dropped", SERIAL, "a setting less than 500 ms after another one is dropped",
-          "riccardi-samuele/mks-servo", _hasty_writes),
-    Quirk("slow-restart", SERIAL, "a restart takes two seconds", "riccardi-samuele/mks-servo",
-          tuned(_set("start_ns", _RESTART_NS))),
-    Quirk("calibration-answers-1", SERIAL, "80 answers 1 at once, F1 says 6 for ten seconds, no reply at the end",
-          "riccardi-samuele/mks-servo", _calibrates_at_once),
-    Quirk("second-reply", (NATIVE,), "settings are answered once more after 20 ms", f"{_SERVO_ISSUES} issue 5",
-          said(_second_reply)),
-    Quirk("other-dialect-fragments", SERIAL, "frames of the other dialect are answered with fragments",
-          f"{_SERVO_ISSUES} issue 13", several(tuned(_hear_both), accepted(_fragments))),
-    Quirk("no-checksum", (NATIVE,), "replies have no checksum (42C, firmware 1.0)", "makerbase-mks/MKS-SERVO42C issue 58",
-          said(_without_check)),
-    Quirk("new-address-answers", SERIAL, "8B is answered from the new address", "zauberzeug/lizard PR 199",
-          said(_from_new_address)),
-    Quirk("ramp-4-percent-slow", EVERY, "ramps take four per cent longer than the law",
-          "moves at 3000 rpm, timed by another project (real-hardware.md)",
-          tuned(_set("ramp", lambda acceleration: ramp_step_ns(acceleration) * 26 // 25))),
-    Quirk("register-94h", (MODBUS,), "there is a register 94h for homing without a switch (quantity 4, byte count 8)",
-          _LATER_MANUAL, accepted(_register_94)),
-    Quirk("settling", (CAN,), "for 100 ms after a move the position is 14 counts short", _CAN_NOTES,
-          answered({Verb.READ_POSITION}, _unsettled)),
-    Quirk("version-cal-1", (CAN,), "40 says that turning clockwise raises the encoder", _CAN_NOTES,
-          changed(Verb.READ_VERSION, "calibration", lambda _: 1)),
-    Quirk("deaf-after-limit-stop", TELLING, "after an end limit the next motion command is ignored (57D)",
-          "kkhyunhho/MKSServo57DCANController", _deaf_after_limit),
-)  # fmt: skip
+    Quirk(
+        "reversed-direction",
+        NATIVE,
+        "direction bit 0 of F6 and FD lowers the encoder value (42D, 1.0.6)",
+        _REPORT,
+        asked("direction", exchanged(0, 1), (Verb.RUN_SPEED, Verb.MOVE_RELATIVE_PULSES)),
+    ),
+    Quirk(
+        "status-stays-slowing",
+        SERIAL,
+        "F1 stays at 3 for a second after a move, though the speed reads 0",
+        _REPORT,
+        result(_slowing_still, Verb.READ_STATUS),
+    ),
+    Quirk(
+        "status-stops-early",
+        SERIAL,
+        "F1 says 1 while the motor still slows down (57D, 1.0.4)",
+        f"{_SERVO_ISSUES} issue 3",
+        reply("status", renamed(mks_shared.MotorStatus.SLOWING_DOWN, mks_shared.MotorStatus.STOPPED), Verb.READ_STATUS),
+    ),
+    Quirk("slow-replies-in-motion", SERIAL, "replies take up to 700 ms while the motor turns", _SERVO, _slow_in_motion),
+    Quirk("hasty-writes-dropped", SERIAL, "a setting less than 500 ms after another one is dropped", _SERVO, _hasty_writes),
+    Quirk("slow-restart", SERIAL, "a restart takes two seconds", _SERVO, with_law("start_ns", _RESTART_NS)),
+    Quirk(
+        "calibration-answers-1",
+        SERIAL,
+        "80 answers 1 at once, F1 says 6 for ten seconds, no reply at the end",
+        _SERVO,
+        _calibrates_at_once,
+    ),
+    Quirk(
+        "second-reply",
+        NATIVE,
+        "settings are answered once more after 20 ms",
+        f"{_SERVO_ISSUES} issue 5",
+        frames(_second_reply, SETTINGS),
+    ),
+    Quirk(
+        "other-dialect-fragments",
+        SERIAL,
+        "frames of the other dialect are answered with fragments",
+        f"{_SERVO_ISSUES} issue 13",
+        together(tuned(_hear_both), taken(_fragments)),
+    ),
+    Quirk(
+        "no-checksum",
+        NATIVE,
+        "replies have no checksum (42C, firmware 1.0)",
+        "makerbase-mks/MKS-SERVO42C issue 58",
+        frames(_without_check),
+    ),
+    Quirk(
+        "new-address-answers",
+        SERIAL,
+        "8B is answered from the new address",
+        "zauberzeug/lizard PR 199",
+        frames(_from_new_address, Verb.SET_ADDRESS),
+    ),
+    Quirk(
+        "ramp-4-percent-slow",
+        MKS,
+        "ramps take four per cent longer than the law",
+        "moves at 3000 rpm, timed by another project (real-hardware.md)",
+        with_law("ramp", lambda acceleration: ramp_step_ns(acceleration) * 26 // 25),
+    ),
+    Quirk(
+        "register-94h",
+        MODBUS,
+        "there is a register 94h for homing without a switch (quantity 4, byte count 8)",
+        _LATER_MANUAL,
+        taken(_register_94),
+    ),
+    Quirk(
+        "settling",
+        CAN,
+        "for 100 ms after a move the position is 14 counts short",
+        _CAN_NOTES,
+        result(_unsettled, Verb.READ_POSITION),
+    ),
+    Quirk(
+        "version-cal-1",
+        CAN,
+        "40 says that turning clockwise raises the encoder",
+        _CAN_NOTES,
+        reply("calibration", always(1), Verb.READ_VERSION),
+    ),
+    Quirk(
+        "deaf-after-limit-stop",
+        TELLING,
+        "after an end limit the next motion command is ignored (57D)",
+        "kkhyunhho/MKSServo57DCANController",
+        _deaf_after_limit,
+    ),
+)

@@ -8,10 +8,12 @@ import pytest
 
 from analyzer.link import sum8
 from conformance.drives.drive import Fault
-from conformance.drives.faults.lk import FAULTS
+from conformance.drives.make import every_fault
 from tests.conformance.drives.lk_bench import Bench
 
 Script = Callable[[Bench], None]
+#: The faults that only an LK drive has.
+FAULTS = [fault for fault in every_fault() if fault.dialects == ("lk-rs485",)]
 
 
 # --- exchanges --------------------------------------------------------------------------------------------------------

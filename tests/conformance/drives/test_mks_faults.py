@@ -17,7 +17,7 @@ from analyzer.catalogue import Role
 from analyzer.codec import codec
 from analyzer.encoder import build
 from conformance.drives.drive import Fault
-from conformance.drives.faults.mks import FAULTS
+from conformance.drives.make import every_fault
 from conformance.drives.mks.quirks import QUIRKS
 from conformance.drives.mks.state import is_setting
 from tests.conformance.drives.test_mks_decisions import package
@@ -25,6 +25,8 @@ from tests.conformance.drives.test_mks_rig import MS, NAMES, SECOND, Rig, frame_
 from tests.conformance.drives.test_mks_settings import nearby, others
 
 NATIVE, MODBUS = dialects.get("mks-rs485"), dialects.get("mks-modbus")
+#: The faults that an MKS drive can have; those of the wire are faults of any drive.
+FAULTS = [fault for fault in every_fault() if not set(fault.dialects).isdisjoint(NAMES)]
 
 
 class Story:

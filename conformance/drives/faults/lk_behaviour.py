@@ -1,0 +1,84 @@
+"""How an LK drive can misbehave: makers of changes to the drive itself and to what its commands do.
+
+acting("stop", nothing)                 what a command does instead
+acting("stop", turn_off, after=True)    what it does besides
+moving(INCREMENTS, as_absolute)         the same for motion commands, which move only while the drive obeys
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import cast
+
+from analyzer.protocols.lk_rs485 import DIALECT
+from conformance.drives.drive import Drive
+from conformance.drives.faults.places import LK, Change, together
+from conformance.drives.lk.commands import ACTS, Act, Request
+from conformance.drives.lk.drive import LkDrive
+
+#: Commands that end at a position counted over all turns, at an angle within one, or at a distance.
+MULTI_TURN = ("move_multi_turn", "move_multi_turn_limited")
+SINGLE_TURN = ("move_single_turn", "move_single_turn_limited")
+INCREMENTS = ("move_increment", "move_increment_limited")
+
+
+def lk(drive: Drive) -> LkDrive:
+    """Return a drive as the LK drive that it is."""
+    return cast(LkDrive, drive)
+
+
+def tuned(change: Callable[[LkDrive], None]) -> Change:
+    """Change the drive itself, once."""
+    return Change(lambda hooks: hooks.setup.append(lambda drive: change(lk(drive))), LK)
+
+
+def at_power_up(change: Callable[[LkDrive], None]) -> Change:
+    """Do something after each power-up but the first."""
+    return Change(lambda hooks: hooks.powered.append(lambda drive: change(lk(drive))), LK)
+
+
+def replaced(name: str, make: Callable[[Act], Act]) -> Change:
+    """Change what a command does; `make` is given what it does by the manual."""
+    return tuned(lambda drive: drive.acts.update({name: make(drive.acts[name])}))
+
+
+def acting(name: str, act: Act, *, after: bool = False) -> Change:
+    """Let a command do something else, or something more after what the manual says."""
+
+    def make(old: Act) -> Act:
+        def both(drive: LkDrive, request: Request) -> None:
+            old(drive, request)
+            act(drive, request)
+
+        return both if after else act
+
+    return replaced(name, make)
+
+
+def moving(names: tuple[str, ...], act: Act, *, after: bool = False) -> Change:
+    """Let motion commands do something else, or something more; they do it only while the drive obeys."""
+
+    def obedient(drive: LkDrive, request: Request) -> None:
+        if after or drive.obeys:
+            act(drive, request)
+
+    return together(*(acting(name, obedient, after=after) for name in names))
+
+
+def nothing(drive: LkDrive, request: Request) -> None:
+    """Do nothing."""
+
+
+def rebuilt(**changes: float) -> Change:
+    """Give the drive a motor that is built otherwise."""
+    return tuned(lambda drive: drive.motor.rebuilt(**changes))
+
+
+def learning(name: str, models: tuple[str, ...]) -> Change:
+    """Let the models that lack a command have it."""
+
+    def learn(drive: LkDrive) -> None:
+        if drive.dialect.model not in models:
+            drive.learn(DIALECT.by_name[name], ACTS[name])
+
+    return tuned(learn)

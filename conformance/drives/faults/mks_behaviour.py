@@ -1,0 +1,699 @@
+"""How an MKS drive can misbehave: makers of changes to what it hears, does, keeps and tells.
+
+wrapped(MOVES, wrap)       what the drive does with a command
+ended(script)              how a move ends
+hearing(whom)              which frames it takes besides those of the manual
+of_functions(READS, ...)   the bytes of Modbus replies
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping
+from fractions import Fraction
+from typing import Any
+
+from msgspec.structs import replace
+
+from analyzer.catalogue import Command, Role, Verb
+from analyzer.decoder import Decoder, Slot
+from analyzer.link import WRITE_MANY
+from analyzer.protocols import mks_shared
+from analyzer.records import Frame, Message
+from conformance.drives.drive import Drive, Hooks, Outgoing, Values
+from conformance.drives.faults.places import (
+    Change,
+    Of,
+    answered,
+    body_of,
+    byte,
+    frames,
+    having,
+    keeping,
+    rebuilt,
+    result,
+    taken,
+)
+from conformance.drives.mks.core import MOTIONS, Behaviour, Kind, MksCore, Script, Task
+from conformance.drives.mks.motion import TARGETS
+from conformance.drives.mks.paths import Number, ramp_step_ns
+from conformance.drives.mks.settings import put
+from conformance.drives.mks.speaker import Order
+
+RUNS = MOTIONS
+#: The moves to a position.
+MOVES = MOTIONS - {Verb.RUN_SPEED}
+OK: Values = {"status": int(mks_shared.Success.SUCCESS)}
+STARTING: Values = {"status": int(mks_shared.RunStatus.STARTING)}
+COMPLETE, LIMIT_STOP = int(mks_shared.RunStatus.COMPLETE), int(mks_shared.RunStatus.LIMIT_STOP)
+COUNTS = mks_shared.COUNTS_PER_TURN
+SUBDIVISION_CODE = 0x84
+LATE_NS = COAST_NS = 2_000_000_000
+
+
+def mks(drive: Drive) -> MksCore:
+    """Return a drive as the MKS drive that it is."""
+    assert isinstance(drive, MksCore)
+    return drive
+
+
+# --- the drive itself ------------------------------------------------------------------------------------------------
+
+
+def tuned(change: Callable[[MksCore], None], dialects: tuple[str, ...] = having(())) -> Change:
+    """Change the drive itself, once."""
+    return Change(lambda hooks: hooks.setup.append(lambda drive: change(mks(drive))), dialects)
+
+
+def with_law(name: str, law: Any) -> Change:
+    """Give the drive another law or time: an attribute of `MksState`."""
+    return tuned(lambda drive: setattr(drive, name, law))
+
+
+def heedless(name: str) -> Change:
+    """Store a setting, and do as if it were not there."""
+    return tuned(lambda drive: drive.heedless.add(name), keeping(name))
+
+
+def forgetful(*names: str) -> Change:
+    """Lose settings when the drive restarts."""
+    return tuned(lambda drive: drive.forgetful.update(names), keeping(*names))
+
+
+def clinging(*names: str) -> Change:
+    """Keep settings when the drive is restored."""
+    return tuned(lambda drive: drive.clinging.update(names), keeping(*names))
+
+
+def turn_bus_motion(drive: MksCore) -> None:
+    """Let the direction setting turn motion by the bus."""
+    for speaker in drive.speakers:
+        speaker.turns_bus_motion = True
+
+
+# --- what it does ----------------------------------------------------------------------------------------------------
+
+
+def wrapped(of: Of, wrap: Callable[[Behaviour], Behaviour]) -> Change:
+    """Put another behaviour round that of these commands."""
+    verbs = {of} if isinstance(of, Verb) else of
+
+    def change(drive: MksCore) -> None:
+        for verb in verbs:
+            if verb in drive.behaviours:
+                drive.behaviours[verb] = wrap(drive.behaviours[verb])
+
+    return tuned(change, having(of))
+
+
+def instead(of: Of, behaviour: Behaviour) -> Change:
+    """Do something else for these commands."""
+    return wrapped(of, lambda _: behaviour)
+
+
+def lying(of: Of) -> Change:
+    """Say that it is done, and do nothing."""
+    return instead(of, lambda drive, order: dict(OK))
+
+
+def before(of: Of, act: Callable[[MksCore, Order], Values | None]) -> Change:
+    """Do something before what the manual says; an answer stands in for the manual's behaviour."""
+
+    def wrap(behaviour: Behaviour) -> Behaviour:
+        def both(drive: MksCore, order: Order) -> Values | None:
+            early = act(drive, order)
+            return behaviour(drive, order) if early is None else early
+
+        return both
+
+    return wrapped(of, wrap)
+
+
+def with_state(of: Of, **state: bool) -> Change:
+    """Act as if the drive's memory said otherwise."""
+
+    def act(drive: MksCore, order: Order) -> None:
+        for name, value in state.items():
+            setattr(drive.memory, name, value)
+        drive.grip()
+
+    return before(of, act)
+
+
+def ended(script: Callable[[MksCore, Order], Script], of: Collection[Verb] = MOVES) -> Change:
+    """Let moves (or stops) that have begun go on by another script."""
+
+    def wrap(behaviour: Behaviour) -> Behaviour:
+        def act(drive: MksCore, order: Order) -> Values | None:
+            answer = behaviour(drive, order)
+            if drive.task is not None and drive.task.order is order:
+                drive.begin(Kind.MOVE if order.command.verb in MOVES else Kind.STOP, script(drive, order), order)
+            return answer
+
+        return act
+
+    return wrapped(of, wrap)
+
+
+# --- where moves end -------------------------------------------------------------------------------------------------
+
+
+def _pace(drive: MksCore, order: Order) -> tuple[Number, int]:
+    """Return the rpm of a move and its time for one rpm."""
+    declared = order.command.request_forms[0].layout.named["speed"].high
+    speed = min(int(order.values["speed"]), drive.highest_speed(declared))
+    return drive.real_speed(speed), drive.ramp(order.values["acceleration"])
+
+
+def as_command(verb: Verb) -> Callable[[Behaviour], Behaviour]:
+    """Move to where another command of the same values would."""
+    target = TARGETS[verb]
+
+    def wrap(behaviour: Behaviour) -> Behaviour:
+        def act(drive: MksCore, order: Order) -> Values | None:
+            aimed, at_ns = target(drive, order), drive.now_ns
+            answer = behaviour(drive, order)
+            if drive.task is not None and drive.task.order is order and order.values["speed"]:
+                drive.motor.move(at_ns, aimed, *_pace(drive, order))
+            return answer
+
+        return act
+
+    return wrap
+
+
+def landing(*offsets: int) -> Change:
+    """Go so many counts beyond the target (below 0, short of it), one place after the other, before moves complete."""
+
+    def script(drive: MksCore, order: Order) -> Script:
+        motor = drive.motor
+        target, begin = motor.wanted(motor.settled), motor.wanted(drive.now_ns)
+        for offset in offsets:
+            if target != begin and order.values["speed"]:
+                motor.move(drive.now_ns, target + (offset if target > begin else -offset), *_pace(drive, order))
+            yield lambda: motor.settled
+        drive.finish(COMPLETE)
+
+    return ended(script)
+
+
+def keep_going(drive: MksCore, order: Order) -> Values | None:
+    """Answer a newer move while an older one is under way, and go on with the older one."""
+    return dict(STARTING) if drive.doing(Kind.MOVE) else None
+
+
+def stop_first(drive: MksCore, order: Order) -> None:
+    """Stop the shaft at once before a newer move begins."""
+    if drive.doing(Kind.MOVE):
+        drive.motor.halt(drive.now_ns)
+
+
+def refuse_above(speed: int) -> Callable[[MksCore, Order], Values | None]:
+    """Refuse a speed above a limit."""
+    return lambda drive, order: drive.refused(order) if order.values["speed"] > speed else None
+
+
+def emergency_ramp(drive: MksCore, order: Order) -> Values:
+    """Stop by a ramp."""
+    drive.drop()
+    drive.memory.run = None
+    drive.motor.run(drive.now_ns, 0, ramp_step_ns(200))
+    return dict(OK)
+
+
+def coasting(behaviour: Behaviour) -> Behaviour:
+    """Answer a stop, and go on for two seconds before it."""
+
+    def coast(drive: MksCore, order: Order) -> Script:
+        end_ns = drive.now_ns + COAST_NS
+        yield lambda: end_ns
+        drive.motor.run(drive.now_ns, 0, drive.ramp(order.values["acceleration"]))
+        yield lambda: drive.motor.settled
+        drive.finish(COMPLETE)
+
+    def act(drive: MksCore, order: Order) -> Values | None:
+        rpm = drive.motor.speed(drive.now_ns)
+        answer = behaviour(drive, order)
+        drive.motor.run(drive.now_ns, rpm, 0)
+        drive.begin(Kind.STOP, coast(drive, order), order)
+        return answer
+
+    return act
+
+
+def ignore_clean(drive: MksCore, order: Order) -> Values | None:
+    """Leave the kept run as it is."""
+    return dict(OK) if order.values["save_state"] == mks_shared.SaveState.CLEAN else None
+
+
+# --- what it tells of motion -----------------------------------------------------------------------------------------
+
+
+def completing(
+    *statuses: int, at: Callable[[int, Number], Number] = lambda begin_ns, settled: settled, of: Collection[Verb] = MOVES
+) -> Change:
+    """End moves by replies of these statuses (none: silently), at a time between their beginning and their end."""
+
+    def script(drive: MksCore, order: Order) -> Script:
+        begin_ns = drive.now_ns
+        yield lambda: at(begin_ns, drive.motor.settled)
+        for status in statuses[:-1]:
+            drive.complete(order, {"status": status})
+        if statuses:
+            drive.finish(statuses[-1])
+        else:
+            drive.drop()
+
+    return ended(script, of)
+
+
+def half_way(begin_ns: int, settled: Number) -> Number:
+    """Return the middle of a move."""
+    return begin_ns + Fraction(settled - begin_ns) / 2
+
+
+def afterwards(begin_ns: int, settled: Number) -> Number:
+    """Return two seconds after a move."""
+    return settled + LATE_NS
+
+
+def complete_older(drive: MksCore, order: Order) -> None:
+    """Complete the older move when a newer one takes its place."""
+    older = drive.task.order if drive.task is not None and drive.doing(Kind.MOVE) else None
+    if older is not None:
+        drive.complete(older, {"status": COMPLETE})
+
+
+def unsaid(of: Of, *statuses: int) -> Change:
+    """Do not send replies of these statuses."""
+    return result(lambda drive, command, asked, values: None if values.get("status") in statuses else values, of)
+
+
+def unless(silent: Callable[[MksCore, Command], bool], of: Of = ()) -> Change:
+    """Do not reply while something holds."""
+    return result(lambda drive, command, asked, values: None if silent(mks(drive), command) else values, of)
+
+
+def begin_twice(hooks: Hooks) -> None:
+    """Send the first reply to a move twice."""
+    last: list[Values] = []
+
+    def remember(drive: Drive, command: Command, asked: Values, values: Values | None) -> Values | None:
+        last[:] = [values] if values is not None else []
+        return values
+
+    def say(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:
+        begins = command.verb in MOVES and last == [STARTING]
+        return (outgoing, outgoing) if begins else (outgoing,)
+
+    hooks.result.append(remember)
+    hooks.reply.append(say)
+
+
+# --- homing and zero -------------------------------------------------------------------------------------------------
+
+
+def home_at_once(drive: MksCore, order: Order) -> Values:
+    """Say that home was found where the shaft is."""
+
+    def found() -> Script:
+        now_ns = drive.now_ns
+        yield lambda: now_ns
+        drive.finish(mks_shared.HomeStatus.SUCCESS)
+
+    drive.begin(Kind.HOME, found(), order)
+    return {"status": int(mks_shared.HomeStatus.STARTING)}
+
+
+def homing_by(change: Callable[[Mapping[str, int]], Mapping[str, int]]) -> Change:
+    """Home by other settings than those that are stored."""
+
+    def tune(drive: MksCore) -> None:
+        drive.home_settings = lambda: {**drive.settings, **change(drive.settings)}
+
+    return tuned(tune)
+
+
+def when_home(after: Callable[[MksCore], None]) -> Change:
+    """Do something more when home is found."""
+
+    def wrap(behaviour: Behaviour) -> Behaviour:
+        def script(drive: MksCore, task: Task) -> Script:
+            yield task.wait
+            yield from task.script
+            after(drive)
+
+        def act(drive: MksCore, order: Order) -> Values | None:
+            answer = behaviour(drive, order)
+            task = drive.task
+            if task is not None and task.order is order:
+                drive.begin(Kind.HOME, script(drive, task), order)
+            return answer
+
+        return act
+
+    return wrapped(Verb.HOME, wrap)
+
+
+def lose_zero(drive: MksCore) -> None:
+    """Shift the zero."""
+    drive.memory.zero += 500
+
+
+def hold(drive: MksCore) -> None:
+    """Hold the shaft."""
+    drive.memory.enabled = True
+    drive.grip()
+
+
+def zero_pulses(drive: MksCore, order: Order) -> Values:
+    """Set the zero of the pulses alone."""
+    drive.memory.pulse_zero = drive.motor.wanted(drive.now_ns)
+    return dict(OK)
+
+
+# --- readings --------------------------------------------------------------------------------------------------------
+
+
+def carry_to_zero(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    """Cut the turns towards zero: below zero the value within the turn would have to be negative."""
+    axis = mks(drive).axis
+    carry = int(axis / COUNTS)
+    return values | {"carry": carry, "encoder": axis - carry * COUNTS}
+
+
+def carry_late(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    """Let the value run to two turns before it carries."""
+    if not values["carry"] % 2:
+        return values
+    return values | {"carry": values["carry"] - 1, "encoder": values["encoder"] + COUNTS}
+
+
+def stale(verb: Verb) -> Change:
+    """Answer with the values of the reply before."""
+
+    def install(hooks: Hooks) -> None:
+        last: list[Values] = []
+
+        def hook(drive: Drive, command: Command, asked: Values, values: Values | None) -> Values | None:
+            if command.verb is not verb or values is None:
+                return values
+            last.append(values)
+            return last.pop(0) if len(last) > 1 else values
+
+        hooks.result.append(hook)
+
+    return Change(install, having(verb))
+
+
+def read_back(change: Callable[[MksCore, int, Values], Values | None]) -> Change:
+    """Change the values of a parameter that can be read: `change(drive, code, values)`."""
+
+    def apply(drive: Drive, command: Command, asked: Values, values: Values) -> Values | None:
+        return values if "unreadable" in values else change(mks(drive), asked["parameter"], values)
+
+    return result(apply, Verb.READ_PARAMETER)
+
+
+def shifted(drive: MksCore, code: int, values: Values) -> Values:
+    """Give each field the value of the next one."""
+    names, numbers = list(values), list(values.values())
+    return dict(zip(names, numbers[1:] + numbers[:1], strict=True))
+
+
+def first_one_up(drive: MksCore, code: int, values: Values) -> Values:
+    """Add one to the first field."""
+    return values | {n: v + 1 for n, v in list(values.items())[:1]}
+
+
+def defaults(drive: MksCore, code: int, values: Values) -> Values:
+    """Answer with the defaults."""
+    return {name: drive.factory.get(name, value) for name, value in values.items()}
+
+
+def no_subdivision(drive: MksCore, code: int, values: Values) -> Values:
+    """Say that the subdivision cannot be read."""
+    return {"unreadable": 0xFFFF} if code == SUBDIVISION_CODE else values
+
+
+# --- storing ---------------------------------------------------------------------------------------------------------
+
+
+def retuned(verb: Verb) -> Change:
+    """Let a setting change what the drive listens to."""
+
+    def wrap(behaviour: Behaviour) -> Behaviour:
+        def act(drive: MksCore, order: Order) -> Values | None:
+            answer = behaviour(drive, order)
+            drive.tune()
+            return answer
+
+        return act
+
+    return wrapped(verb, wrap)
+
+
+def store_refused(drive: Drive, command: Command, values: Values, wanted: bool) -> bool:
+    """Store what is allowed of a setting that is refused."""
+    if not wanted and command.verb is Verb.SET_HOME:
+        for name, value in values.items():
+            if mks(drive).fields[name].allows(value):
+                put(mks(drive), name, value)
+    return wanted
+
+
+# --- what it hears and answers ---------------------------------------------------------------------------------------
+
+Whom = Callable[[MksCore, Message], bool]
+
+
+def own(drive: MksCore, message: Message) -> bool:
+    """Say whether a frame has the drive's own address."""
+    return message.address == drive.address
+
+
+def to_all(drive: MksCore, message: Message) -> bool:
+    """Say whether a frame is a broadcast."""
+    return message.address == drive.dialect.broadcast and not package(drive, message)
+
+
+def read_of_all(drive: MksCore, message: Message) -> bool:
+    """Say whether a frame is a read by broadcast."""
+    return to_all(drive, message) and message.command is not None and message.command.all_risks == {"read"}
+
+
+def to_group(drive: MksCore, message: Message) -> bool:
+    """Say whether a frame has the address of the drive's group."""
+    group = drive.settings.get("group_address")
+    return message.address == group != drive.dialect.broadcast and not own(drive, message)
+
+
+def grouped(drive: MksCore, message: Message) -> bool:
+    """Say whether a frame has the drive's own address while it is in a group."""
+    return own(drive, message) and bool(drive.settings["group_address"])
+
+
+def package(drive: MksCore, message: Message) -> bool:
+    """Say whether a frame is a package."""
+    return message.command is not None and message.command.slots is not None
+
+
+def to_one(drive: MksCore, message: Message) -> bool:
+    """Say whether a frame is for one drive, this or another."""
+    return not (to_all(drive, message) or to_group(drive, message) or package(drive, message))
+
+
+def to_next(drive: MksCore, message: Message) -> bool:
+    """Say whether a frame has the next higher address."""
+    return message.address == drive.address + 1
+
+
+def same_low_byte(drive: MksCore, message: Message) -> bool:
+    """Say whether the address of a frame has the low byte of the drive's own."""
+    return (message.address ^ drive.address) & 0xFF == 0
+
+
+def hearing(whom: Whom) -> Change:
+    """Take frames of these addresses too."""
+
+    def judge(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        core = mks(drive)
+        return wanted or (frame.checksum_ok and core.speaker.understands(message) and whom(core, message))
+
+    return taken(judge)
+
+
+def deaf_to(whom: Whom) -> Change:
+    """Do not take these frames."""
+    return taken(lambda drive, frame, message, wanted: wanted and not whom(mks(drive), message))
+
+
+def answering(whom: Whom) -> Change:
+    """Answer these frames too."""
+    return answered(lambda drive, message, wanted: wanted or whom(mks(drive), message))
+
+
+def silent_to(whom: Whom) -> Change:
+    """Do not answer these frames."""
+    return answered(lambda drive, message, wanted: wanted and not whom(mks(drive), message))
+
+
+def take_bad_checksum(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+    """Take own frames with a wrong checksum."""
+    core = mks(drive)
+    return wanted or (not frame.checksum_ok and own(core, message) and core.speaker.understands(message))
+
+
+def take_reply_head(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+    """Take own frames with the head of a reply."""
+    return wanted or (frame.checksum_ok and own(mks(drive), message) and frame.data[:1] == b"\xfb")
+
+
+def take_short_package(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+    """Take packages of any length."""
+    return wanted or (package(mks(drive), message) and frame.checksum_ok)
+
+
+def answer_unknown(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+    """Answer a code that no command has with status 0."""
+    asked = own(mks(drive), message) and message.role is not Role.REPLY and message.form is None
+    if frame.checksum_ok and asked:
+        can_id = frame.can.id if frame.can is not None else None
+        code = frame.data[:1] if frame.can is not None else bytes((0xFB, drive.address, frame.data[2]))
+        data = drive.dialect.link.completed(code + b"\0", can_id)
+        command = message.command or drive.dialect.commands[0]
+        mks(drive).send(command, Outgoing(drive.now_ns + mks(drive).reply_delay_ns, data, can_id))
+    return wanted
+
+
+def startle(hooks: Hooks) -> None:
+    """Miss the frame after one with a wrong checksum."""
+    deaf = False
+
+    def accept(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        nonlocal deaf
+        was, deaf = deaf, not frame.checksum_ok
+        return wanted and not was
+
+    hooks.accept.append(accept)
+
+
+def slots(choose: Callable[[int, list[Slot], list[Slot]], list[Slot]]) -> Change:
+    """Choose which slots of a package are executed: `choose(address, slots, those of the manual)`."""
+    return Change(lambda hooks: hooks.slots.append(lambda drive, every, wanted: choose(drive.address, every, wanted)))
+
+
+def mine(address: int, every: list[Slot]) -> list[Slot]:
+    """Return the slots of an address."""
+    return [slot for slot in every if slot.address == address]
+
+
+def behind_mine(address: int, every: list[Slot], wanted: list[Slot]) -> list[Slot]:
+    """Return the slot behind the drive's own one."""
+    places = [n for n, slot in enumerate(every) if slot.address == address]
+    return every[places[0] + 1 : places[0] + 2] if places else []
+
+
+# --- Modbus ----------------------------------------------------------------------------------------------------------
+
+WORD = 2
+#: Where things stand in a body: function, then a register and a value or a quantity, or a byte count.
+FUNCTION, REGISTER, VALUE, COUNT = 1, 2, 4, 2
+
+
+def of_functions(functions: Iterable[int], change: Callable[[bytes], bytes], *, exceptions: bool = False) -> Change:
+    """Change the bodies of replies to these functions; with `exceptions`, only those that are exceptions."""
+    chosen = frozenset(functions)
+
+    def say(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:
+        body = body_of(drive, outgoing)
+        fits = body[FUNCTION] & 0x7F in chosen and bool(body[FUNCTION] & 0x80) == exceptions
+        yield rebuilt(drive, outgoing, change(body)) if fits else outgoing
+
+    return frames(say)
+
+
+def refused(body: bytes) -> bool:
+    """Say whether an echo refuses a write."""
+    return body[VALUE:] == (b"\0\0" if body[FUNCTION] in WRITE_MANY else b"\xff\xff")
+
+
+def done(change: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
+    """Return a change of the echoes of writes that were done."""
+    return lambda body: body if refused(body) else change(body)
+
+
+def not_done(change: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
+    """Return a change of the echoes of writes that were refused."""
+    return lambda body: change(body) if refused(body) else body
+
+
+def low_word_first(body: bytes) -> bytes:
+    """Send numbers of several registers with the low register first."""
+    data = body[COUNT + 1 :]
+    words = [data[n : n + WORD] for n in range(0, len(data), WORD)]
+    return body[: COUNT + 1] + b"".join(reversed(words))
+
+
+def echo_write(hooks: Hooks) -> None:
+    """Echo the whole request of a write of several registers."""
+    heard: list[bytes] = []
+
+    def accept(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        heard[:] = [frame.data]
+        return wanted
+
+    def say(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:
+        many = outgoing.data[FUNCTION] in WRITE_MANY
+        yield replace(outgoing, data=heard[0]) if many and heard else outgoing
+
+    hooks.accept.append(accept)
+    hooks.reply.append(say)
+
+
+def translated(change: Callable[[MksCore, bytes], bytes | None]) -> Change:
+    """Take a request for another one: that of the body which `change` returns. None: for what it is."""
+
+    def judge(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        core, link, body = mks(drive), drive.dialect.link, frame.data[:-2]
+        other = change(core, body) if frame.checksum_ok and own(core, message) and len(body) > VALUE else None
+        if other is None:
+            return wanted
+        asked = replace(frame, data=link.completed(other))
+        order = core.speaker.order(Decoder(drive.dialect).decode(asked)[0], drive.now_ns, True)
+        if order is None:
+            return wanted
+        core.obey(order)
+        return False
+
+    return taken(judge)
+
+
+def as_04(drive: MksCore, body: bytes) -> bytes | None:
+    """Take 03h for 04h."""
+    return byte(FUNCTION, lambda _: 0x04)(body) if body[FUNCTION] == 0x03 else None
+
+
+def own_quantity(drive: MksCore, body: bytes) -> bytes | None:
+    """Take a read of any quantity for one of the register's own."""
+    named = [c for c in drive.dialect.by_code.get(body[REGISTER] << 8 | body[REGISTER + 1], ()) if c.function == 0x04]
+    if body[FUNCTION] != 0x04 or not named:
+        return None
+    return body[:VALUE] + named[0].quantity.to_bytes(WORD, "big")
+
+
+def six_bytes(drive: MksCore, body: bytes) -> bytes | None:
+    """Take six bytes for the home settings, as the standard would have it."""
+    is_home = body[FUNCTION] == 0x10 and body[REGISTER:VALUE] == b"\x00\x90" and body[6:7] == b"\x06"
+    return body[:6] + b"\x05" + body[7:11] + body[12:13] if is_home else None
+
+
+def low_byte_register(drive: MksCore, body: bytes) -> bytes | None:
+    """Look only at the low byte of a register."""
+    return body[:REGISTER] + b"\0" + body[REGISTER + 1 :] if body[REGISTER] else None
+
+
+def echo_at_end(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:
+    """Tell the end of a move by a second echo."""
+    yield outgoing
+    if mks(drive).task is not None:
+        yield replace(outgoing, at_ns=max(outgoing.at_ns, int(mks(drive).motor.settled)))
