@@ -139,11 +139,6 @@ class Request:
     reply_ns: int = 0
 
     @property
-    def sent(self) -> Values:
-        """The older name of `values`."""
-        return self.values
-
-    @property
     def physical(self) -> dict[str, float]:
         """The values in the units of their fields."""
         fields = self.form.layout.named
@@ -186,10 +181,6 @@ class Responder:
             return None
         coder = codec(form.layout)
         return Request(self, command, form, coder.wire(message.data), coder.broken(message.data), answered)
-
-    def order(self, message: Message | Slot, t_ns: int, answered: bool) -> Request | None:
-        """The older name of `request`."""
-        return self.request(message, answered)
 
     def _as_request(self, message: Message) -> tuple[Command, Form] | tuple[None, None]:
         """Return the request that the data of a reply would be."""

@@ -15,7 +15,7 @@ from analyzer.protocols.lk_rs485 import (
     SpinDirection,
 )
 from analyzer.records import Frame, Message
-from conformance.drives.drive import Drive, Fault, Hooks, Values
+from conformance.drives.drive import Drive, Fault, Hooks, Request, Values
 from conformance.drives.faults.generic import LK_MOTIONS
 from conformance.drives.faults.lk_behaviour import (
     INCREMENTS,
@@ -33,7 +33,7 @@ from conformance.drives.faults.lk_behaviour import (
 )
 from conformance.drives.faults.numbers import always, exchanged, negated, renamed
 from conformance.drives.faults.places import LK, Change, asked, fault, reply, result, storing, taken, together, unstored
-from conformance.drives.lk.commands import MOVES, Act, Request
+from conformance.drives.lk.commands import MOVES, Act
 from conformance.drives.lk.drive import LkDrive
 from conformance.drives.lk.motor import Goal, Position
 
@@ -186,7 +186,7 @@ def _resuming(hooks: Hooks) -> None:
 
 
 def _brake_backwards(drive: LkDrive, request: Request) -> None:
-    control = request.sent["brake_control"]
+    control = request.values["brake_control"]
     if control != BrakeControl.READ:
         drive.motor.hold(braked=control == BrakeControl.RELEASE)
 

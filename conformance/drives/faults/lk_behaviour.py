@@ -11,9 +11,9 @@ from collections.abc import Callable
 from typing import cast
 
 from analyzer.protocols.lk_rs485 import DIALECT
-from conformance.drives.drive import Drive
+from conformance.drives.drive import Drive, Request
 from conformance.drives.faults.places import LK, Change, together
-from conformance.drives.lk.commands import ACTS, Act, Request
+from conformance.drives.lk.commands import ACTS, Act
 from conformance.drives.lk.drive import LkDrive
 
 #: Commands that end at a position counted over all turns, at an angle within one, or at a distance.

@@ -170,7 +170,7 @@ HEARING: tuple[Fault, ...] = (
         "modbus-no-exceptions",
         "exception",
         "what calls for an exception is not answered",
-        silent_to(lambda drive, message: drive.speaker.exception(message) is not None),
+        silent_to(lambda drive, message: drive.responder.exception(message) is not None),
         MODBUS,
     ),
 )

@@ -19,7 +19,7 @@ from analyzer.decoder import Decoder, Slot
 from analyzer.link import WRITE_MANY
 from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
-from conformance.drives.drive import Drive, Hooks, Outgoing, Values
+from conformance.drives.drive import Drive, Hooks, Outgoing, Request, Values
 from conformance.drives.faults.places import (
     Change,
     Of,
@@ -36,8 +36,7 @@ from conformance.drives.faults.places import (
 from conformance.drives.mks.core import MOTIONS, Behaviour, Kind, MksCore, Script, Task
 from conformance.drives.mks.motion import TARGETS
 from conformance.drives.mks.paths import Number, ramp_step_ns
-from conformance.drives.mks.settings import put
-from conformance.drives.mks.speaker import Order
+from conformance.drives.mks.responders import MksResponder
 
 RUNS = MOTIONS
 #: The moves to a position.
@@ -86,8 +85,9 @@ def clinging(*names: str) -> Change:
 
 def turn_bus_motion(drive: MksCore) -> None:
     """Let the direction setting turn motion by the bus."""
-    for speaker in drive.speakers:
-        speaker.turns_bus_motion = True
+    for responder in drive.responders:
+        if isinstance(responder, MksResponder):
+            responder.turns_bus_motion = True
 
 
 # --- what it does ----------------------------------------------------------------------------------------------------
@@ -112,16 +112,16 @@ def instead(of: Of, behaviour: Behaviour) -> Change:
 
 def lying(of: Of) -> Change:
     """Say that it is done, and do nothing."""
-    return instead(of, lambda drive, order: dict(OK))
+    return instead(of, lambda drive, request: dict(OK))
 
 
-def before(of: Of, act: Callable[[MksCore, Order], Values | None]) -> Change:
+def before(of: Of, act: Callable[[MksCore, Request], Values | None]) -> Change:
     """Do something before what the manual says; an answer stands in for the manual's behaviour."""
 
     def wrap(behaviour: Behaviour) -> Behaviour:
-        def both(drive: MksCore, order: Order) -> Values | None:
-            early = act(drive, order)
-            return behaviour(drive, order) if early is None else early
+        def both(drive: MksCore, request: Request) -> Values | None:
+            early = act(drive, request)
+            return behaviour(drive, request) if early is None else early
 
         return both
 
@@ -131,7 +131,7 @@ def before(of: Of, act: Callable[[MksCore, Order], Values | None]) -> Change:
 def with_state(of: Of, **state: bool) -> Change:
     """Act as if the drive's memory said otherwise."""
 
-    def act(drive: MksCore, order: Order) -> None:
+    def act(drive: MksCore, request: Request) -> None:
         for name, value in state.items():
             setattr(drive.memory, name, value)
         drive.grip()
@@ -139,14 +139,14 @@ def with_state(of: Of, **state: bool) -> Change:
     return before(of, act)
 
 
-def ended(script: Callable[[MksCore, Order], Script], of: Collection[Verb] = MOVES) -> Change:
+def ended(script: Callable[[MksCore, Request], Script], of: Collection[Verb] = MOVES) -> Change:
     """Let moves (or stops) that have begun go on by another script."""
 
     def wrap(behaviour: Behaviour) -> Behaviour:
-        def act(drive: MksCore, order: Order) -> Values | None:
-            answer = behaviour(drive, order)
-            if drive.task is not None and drive.task.order is order:
-                drive.begin(Kind.MOVE if order.command.verb in MOVES else Kind.STOP, script(drive, order), order)
+        def act(drive: MksCore, request: Request) -> Values | None:
+            answer = behaviour(drive, request)
+            if drive.task is not None and drive.task.order is request:
+                drive.begin(Kind.MOVE if request.command.verb in MOVES else Kind.STOP, script(drive, request), request)
             return answer
 
         return act
@@ -157,11 +157,11 @@ def ended(script: Callable[[MksCore, Order], Script], of: Collection[Verb] = MOV
 # --- where moves end -------------------------------------------------------------------------------------------------
 
 
-def _pace(drive: MksCore, order: Order) -> tuple[Number, int]:
+def _pace(drive: MksCore, request: Request) -> tuple[Number, int]:
     """Return the rpm of a move and its time for one rpm."""
-    declared = order.command.request_forms[0].layout.named["speed"].high
-    speed = min(int(order.values["speed"]), drive.highest_speed(declared))
-    return drive.real_speed(speed), drive.ramp(order.values["acceleration"])
+    declared = request.command.request_forms[0].layout.named["speed"].high
+    speed = min(int(request.values["speed"]), drive.highest_speed(declared))
+    return drive.real_speed(speed), drive.ramp(request.values["acceleration"])
 
 
 def as_command(verb: Verb) -> Callable[[Behaviour], Behaviour]:
@@ -169,11 +169,11 @@ def as_command(verb: Verb) -> Callable[[Behaviour], Behaviour]:
     target = TARGETS[verb]
 
     def wrap(behaviour: Behaviour) -> Behaviour:
-        def act(drive: MksCore, order: Order) -> Values | None:
-            aimed, at_ns = target(drive, order), drive.now_ns
-            answer = behaviour(drive, order)
-            if drive.task is not None and drive.task.order is order and order.values["speed"]:
-                drive.motor.move(at_ns, aimed, *_pace(drive, order))
+        def act(drive: MksCore, request: Request) -> Values | None:
+            aimed, at_ns = target(drive, request), drive.now_ns
+            answer = behaviour(drive, request)
+            if drive.task is not None and drive.task.order is request and request.values["speed"]:
+                drive.motor.move(at_ns, aimed, *_pace(drive, request))
             return answer
 
         return act
@@ -184,35 +184,35 @@ def as_command(verb: Verb) -> Callable[[Behaviour], Behaviour]:
 def landing(*offsets: int) -> Change:
     """Go so many counts beyond the target (below 0, short of it), one place after the other, before moves complete."""
 
-    def script(drive: MksCore, order: Order) -> Script:
+    def script(drive: MksCore, request: Request) -> Script:
         motor = drive.motor
         target, begin = motor.wanted(motor.settled), motor.wanted(drive.now_ns)
         for offset in offsets:
-            if target != begin and order.values["speed"]:
-                motor.move(drive.now_ns, target + (offset if target > begin else -offset), *_pace(drive, order))
+            if target != begin and request.values["speed"]:
+                motor.move(drive.now_ns, target + (offset if target > begin else -offset), *_pace(drive, request))
             yield lambda: motor.settled
         drive.finish(COMPLETE)
 
     return ended(script)
 
 
-def keep_going(drive: MksCore, order: Order) -> Values | None:
+def keep_going(drive: MksCore, request: Request) -> Values | None:
     """Answer a newer move while an older one is under way, and go on with the older one."""
     return dict(STARTING) if drive.doing(Kind.MOVE) else None
 
 
-def stop_first(drive: MksCore, order: Order) -> None:
+def stop_first(drive: MksCore, request: Request) -> None:
     """Stop the shaft at once before a newer move begins."""
     if drive.doing(Kind.MOVE):
         drive.motor.halt(drive.now_ns)
 
 
-def refuse_above(speed: int) -> Callable[[MksCore, Order], Values | None]:
+def refuse_above(speed: int) -> Callable[[MksCore, Request], Values | None]:
     """Refuse a speed above a limit."""
-    return lambda drive, order: drive.refused(order) if order.values["speed"] > speed else None
+    return lambda drive, request: drive.refused(request) if request.values["speed"] > speed else None
 
 
-def emergency_ramp(drive: MksCore, order: Order) -> Values:
+def emergency_ramp(drive: MksCore, request: Request) -> Values:
     """Stop by a ramp."""
     drive.drop()
     drive.memory.run = None
@@ -223,26 +223,26 @@ def emergency_ramp(drive: MksCore, order: Order) -> Values:
 def coasting(behaviour: Behaviour) -> Behaviour:
     """Answer a stop, and go on for two seconds before it."""
 
-    def coast(drive: MksCore, order: Order) -> Script:
+    def coast(drive: MksCore, request: Request) -> Script:
         end_ns = drive.now_ns + COAST_NS
         yield lambda: end_ns
-        drive.motor.run(drive.now_ns, 0, drive.ramp(order.values["acceleration"]))
+        drive.motor.run(drive.now_ns, 0, drive.ramp(request.values["acceleration"]))
         yield lambda: drive.motor.settled
         drive.finish(COMPLETE)
 
-    def act(drive: MksCore, order: Order) -> Values | None:
+    def act(drive: MksCore, request: Request) -> Values | None:
         rpm = drive.motor.speed(drive.now_ns)
-        answer = behaviour(drive, order)
+        answer = behaviour(drive, request)
         drive.motor.run(drive.now_ns, rpm, 0)
-        drive.begin(Kind.STOP, coast(drive, order), order)
+        drive.begin(Kind.STOP, coast(drive, request), request)
         return answer
 
     return act
 
 
-def ignore_clean(drive: MksCore, order: Order) -> Values | None:
+def ignore_clean(drive: MksCore, request: Request) -> Values | None:
     """Leave the kept run as it is."""
-    return dict(OK) if order.values["save_state"] == mks_shared.SaveState.CLEAN else None
+    return dict(OK) if request.values["save_state"] == mks_shared.SaveState.CLEAN else None
 
 
 # --- what it tells of motion -----------------------------------------------------------------------------------------
@@ -253,11 +253,11 @@ def completing(
 ) -> Change:
     """End moves by replies of these statuses (none: silently), at a time between their beginning and their end."""
 
-    def script(drive: MksCore, order: Order) -> Script:
+    def script(drive: MksCore, request: Request) -> Script:
         begin_ns = drive.now_ns
         yield lambda: at(begin_ns, drive.motor.settled)
         for status in statuses[:-1]:
-            drive.complete(order, {"status": status})
+            drive.complete(request, {"status": status})
         if statuses:
             drive.finish(statuses[-1])
         else:
@@ -276,7 +276,7 @@ def afterwards(begin_ns: int, settled: Number) -> Number:
     return settled + LATE_NS
 
 
-def complete_older(drive: MksCore, order: Order) -> None:
+def complete_older(drive: MksCore, request: Request) -> None:
     """Complete the older move when a newer one takes its place."""
     older = drive.task.order if drive.task is not None and drive.doing(Kind.MOVE) else None
     if older is not None:
@@ -312,7 +312,7 @@ def begin_twice(hooks: Hooks) -> None:
 # --- homing and zero -------------------------------------------------------------------------------------------------
 
 
-def home_at_once(drive: MksCore, order: Order) -> Values:
+def home_at_once(drive: MksCore, request: Request) -> Values:
     """Say that home was found where the shaft is."""
 
     def found() -> Script:
@@ -320,7 +320,7 @@ def home_at_once(drive: MksCore, order: Order) -> Values:
         yield lambda: now_ns
         drive.finish(mks_shared.HomeStatus.SUCCESS)
 
-    drive.begin(Kind.HOME, found(), order)
+    drive.begin(Kind.HOME, found(), request)
     return {"status": int(mks_shared.HomeStatus.STARTING)}
 
 
@@ -342,11 +342,11 @@ def when_home(after: Callable[[MksCore], None]) -> Change:
             yield from task.script
             after(drive)
 
-        def act(drive: MksCore, order: Order) -> Values | None:
-            answer = behaviour(drive, order)
+        def act(drive: MksCore, request: Request) -> Values | None:
+            answer = behaviour(drive, request)
             task = drive.task
-            if task is not None and task.order is order:
-                drive.begin(Kind.HOME, script(drive, task), order)
+            if task is not None and task.order is request:
+                drive.begin(Kind.HOME, script(drive, task), request)
             return answer
 
         return act
@@ -365,7 +365,7 @@ def hold(drive: MksCore) -> None:
     drive.grip()
 
 
-def zero_pulses(drive: MksCore, order: Order) -> Values:
+def zero_pulses(drive: MksCore, request: Request) -> Values:
     """Set the zero of the pulses alone."""
     drive.memory.pulse_zero = drive.motor.wanted(drive.now_ns)
     return dict(OK)
@@ -442,8 +442,8 @@ def retuned(verb: Verb) -> Change:
     """Let a setting change what the drive listens to."""
 
     def wrap(behaviour: Behaviour) -> Behaviour:
-        def act(drive: MksCore, order: Order) -> Values | None:
-            answer = behaviour(drive, order)
+        def act(drive: MksCore, request: Request) -> Values | None:
+            answer = behaviour(drive, request)
             drive.tune()
             return answer
 
@@ -457,7 +457,7 @@ def store_refused(drive: Drive, command: Command, values: Values, wanted: bool) 
     if not wanted and command.verb is Verb.SET_HOME:
         for name, value in values.items():
             if mks(drive).fields[name].allows(value):
-                put(mks(drive), name, value)
+                mks(drive).store(name, value)
     return wanted
 
 
@@ -517,7 +517,7 @@ def hearing(whom: Whom) -> Change:
 
     def judge(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
         core = mks(drive)
-        return wanted or (frame.checksum_ok and core.speaker.understands(message) and whom(core, message))
+        return wanted or (frame.checksum_ok and core.responder.understands(message) and whom(core, message))
 
     return taken(judge)
 
@@ -540,7 +540,7 @@ def silent_to(whom: Whom) -> Change:
 def take_bad_checksum(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
     """Take own frames with a wrong checksum."""
     core = mks(drive)
-    return wanted or (not frame.checksum_ok and own(core, message) and core.speaker.understands(message))
+    return wanted or (not frame.checksum_ok and own(core, message) and core.responder.understands(message))
 
 
 def take_reply_head(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
@@ -659,10 +659,10 @@ def translated(change: Callable[[MksCore, bytes], bytes | None]) -> Change:
         if other is None:
             return wanted
         asked = replace(frame, data=link.completed(other))
-        order = core.speaker.order(Decoder(drive.dialect).decode(asked)[0], drive.now_ns, True)
-        if order is None:
+        request = core.responder.request(Decoder(drive.dialect).decode(asked)[0], True)
+        if request is None:
             return wanted
-        core.obey(order)
+        core.obey(request)
         return False
 
     return taken(judge)

@@ -15,8 +15,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from analyzer.protocols.lk_rs485 import ERROR_BITS, BrakeControl, BrakeState, MotorState, SpinDirection
-from conformance.drives.drive import Request as Request
-from conformance.drives.drive import Values
+from conformance.drives.drive import Request, Values
 from conformance.drives.lk.motor import LkMotor, Speed, Torque
 
 if TYPE_CHECKING:

@@ -18,10 +18,9 @@ from collections.abc import Callable
 from analyzer.catalogue import Command, Form, Risk, Verb, always
 from analyzer.layout import Field, Layout, fixed, reserved, u8, uint
 from analyzer.protocols.lk_rs485 import EMPTY, PARAMETER_FORMS, Parameter, u16le
-from conformance.drives.drive import Drive, Hooks, Outgoing, Quirk, Values
+from conformance.drives.drive import Drive, Hooks, Outgoing, Quirk, Request, Values
 from conformance.drives.faults.lk_behaviour import acting, lk, tuned
 from conformance.drives.faults.places import LK, request, result
-from conformance.drives.lk.commands import Request
 from conformance.drives.lk.drive import LkDrive
 
 _TAXFROMDK = "taxfromdk/lkmotor, MS4015 with driver DS40R7, firmware 2.35"
@@ -165,13 +164,13 @@ REBOOT = Command(
 
 
 def _write_ram(drive: LkDrive, request: Request) -> None:
-    for name, value in request.sent.items():
+    for name, value in request.values.items():
         if name in drive.parameters:
             drive.store(name, value)
 
 
 def _read_ram(drive: LkDrive, request: Request) -> Values:
-    number = request.sent["parameter"]
+    number = request.values["parameter"]
     for form in request.command.reply_forms:
         fields = form.layout.named
         if fields["parameter"].fixed == number:
@@ -180,7 +179,7 @@ def _read_ram(drive: LkDrive, request: Request) -> Values:
 
 
 def _written(drive: LkDrive, request: Request) -> Values:
-    return {"parameter": request.sent["parameter"], "status": int(request.form.name == _UNLISTED.name)}
+    return {"parameter": request.values["parameter"], "status": int(request.form.name == _UNLISTED.name)}
 
 
 def _reboot(drive: LkDrive, request: Request) -> None:

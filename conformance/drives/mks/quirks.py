@@ -39,7 +39,7 @@ from conformance.drives.faults.places import (
 )
 from conformance.drives.mks.core import MOTIONS, Kind, MksCore
 from conformance.drives.mks.paths import Phase, ramp_step_ns
-from conformance.drives.mks.settings import SETTINGS, put
+from conformance.drives.mks.settings import SETTINGS
 
 _SERVO = "riccardi-samuele/mks-servo"
 _REPORT = f"{_SERVO}, docs/reports/2026-05-09-test-report.md"
@@ -117,7 +117,7 @@ def _fragments(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bo
 
 
 def _hear_both(drive: MksCore) -> None:
-    drive.hears = tuple(speaker.dialect for speaker in drive.speakers)
+    drive.hears = tuple(responder.dialect for responder in drive.responders)
 
 
 def _without_check(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:
@@ -140,7 +140,7 @@ def _register_94(drive: Drive, frame: Frame, message: Message, wanted: bool) -> 
     good = codec(_HOME_94).sound(data)
     if good:
         for name, value in codec(_HOME_94).wire(data).items():
-            put(core, name, value)
+            core.store(name, value)
     if message.address == drive.address:
         quantity = body[4:6] if good else b"\0\0"
         echo = drive.dialect.link.completed(body[:4] + quantity)
@@ -180,8 +180,8 @@ def _calibrates_at_once(hooks: Hooks) -> None:
     def change(drive: MksCore) -> None:
         before = drive.behaviours[Verb.CALIBRATE]
 
-        def act(drive: MksCore, order: object) -> Values | None:
-            answer = before(drive, order)  # type: ignore[arg-type]  # the wrapped behaviour takes the same order
+        def act(drive: MksCore, request: object) -> Values | None:
+            answer = before(drive, request)  # type: ignore[arg-type]  # the wrapped behaviour takes the same request
             if drive.doing(Kind.CALIBRATE) and drive.task is not None:
                 drive.task.order = None
                 return {"status": int(mks_shared.CalibrationStatus.SUCCESS)}

@@ -27,11 +27,6 @@ from conformance.drives.mks.core import Behaviour, Kind, MksCore, Script
 from conformance.drives.mks.state import Memory, is_setting
 
 
-def put(drive: MksCore, name: str, value: int) -> None:
-    """Store a setting."""
-    drive.store(name, value)
-
-
 def _store(drive: MksCore, order: Request) -> Values:
     before, pulses = dict(drive.settings), drive.pulses
     for name, value in order.values.items():

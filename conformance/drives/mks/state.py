@@ -183,16 +183,6 @@ class MksState(Drive):
         return responder
 
     @property
-    def speaker(self) -> MksResponder:
-        """The older name of `responder`."""
-        return self.responder
-
-    @property
-    def speakers(self) -> tuple[MksResponder, ...]:
-        """The older name of `responders`."""
-        return tuple(each for each in self.responders if isinstance(each, MksResponder))
-
-    @property
     def listening(self) -> bool:
         """Whether the drive hears what is on the bus."""
         return self.powered and not self.starting
