@@ -16,24 +16,22 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import Any
 
-from analyzer.catalogue import Certainty, Dialect, Doubt, Risk
+from analyzer.catalogue import Certainty, Dialect, Doubt, Risk, Subject
 from analyzer.link import CanLink, HeadLink, Link, LkLink, ModbusLink
 from analyzer.records import CanFrame
-from conformance.claim import Claim, Refuted, Theme
+from conformance.claim import Claim, Theme
 from conformance.claims import framing_effects, framing_open
-from conformance.claims.declare import declare
-from conformance.claims.hearing import PAUSE_NS, ask_first, came, garblers, judge_next, plain_read, section
+from conformance.claims.declare import Case, claim, declared_in, described_in
+from conformance.claims.hearing import PAUSE_NS, ask_first, came, garblers, judge_next, plain_read
 from conformance.claims.known_quirks import known
 from conformance.talk import garbling
 from conformance.talk.exchange import hex_of
 from conformance.talk.garbling import Garbler, Variant
+from conformance.talk.probe import Probe
 
-if TYPE_CHECKING:
-    from conformance.talk.probe import Probe
-
-Makes = Callable[["Probe"], Iterable[Variant]]
+Makes = Callable[[Probe], Iterable[Variant]]
 
 #: The most variants of one kind: enough to see each bit of a short frame, few enough for a real line.
 _MOST = 24
@@ -47,10 +45,7 @@ _OTHER_HEADS: Mapping[type[Link], tuple[int, ...]] = {
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims of this theme for a dialect."""
-    for kind in _KINDS:
-        if kind.links is None or isinstance(dialect.link, kind.links):
-            yield _ignored(dialect, kind)
-            yield _next(dialect, kind)
+    yield from declared_in(__name__, dialect)
     yield from framing_open.claims(dialect)
     yield from framing_effects.claims(dialect)
 
@@ -166,55 +161,49 @@ def _tolerated(dialect: Dialect, kind: _Kind, what: str) -> bool:
     return OTHER_FIRMWARE not in kind.quirks or what in map(_coded, dialect.unlisted_codes)
 
 
-def _ignored(dialect: Dialect, kind: _Kind) -> Claim:
-    quirks = known(dialect, *kind.quirks)
-
-    def check(probe: Probe) -> None:
-        ask_first(probe)
-        for what, item in kind.variants(probe):
-            exchange = probe.send(item)
-            if exchange.silent:
-                continue
-            if quirks and _tolerated(dialect, kind, what):
-                probe.meets(quirks[0])
-                continue
-            raise Refuted(
-                f"{what}: answered",
-                expected=f"silence after {hex_of(item)}",
-                got=came(exchange),
-                exchange=exchange,
-                key=f"{kind.name}: answered",
-            )
-
-    return declare(
-        dialect,
-        Theme.FRAMING,
-        f"{kind.name}/ignored",
-        f"{kind.what[0].upper()}{kind.what[1:]} is not answered.",
-        "any answer",
-        check,
-        section=section(dialect),
-        rests_on=kind.rests_on,
-        at_best=kind.ignored,
-        risks=kind.risks,
-        quirks=quirks,
-    )
+# --- the claims about each --------------------------------------------------------------------------------------------
 
 
-def _next(dialect: Dialect, kind: _Kind) -> Claim:
-    def check(probe: Probe) -> None:
-        ask_first(probe)
-        for what, item in kind.variants(probe):
-            judge_next(probe, f"a damaged one ({what})", partial(probe.send, item, timeout_ns=PAUSE_NS))
+def _kinds(dialect: Dialect) -> Iterator[Case]:
+    for kind in _KINDS:
+        if kind.links is None or isinstance(dialect.link, kind.links):
+            what = f"{kind.what[0].upper()}{kind.what[1:]}"
+            facts = {"risks": kind.risks, "parameters": {}}
+            yield Case(dialect, given={"kind": kind, "damaged": what, "lower": kind.what}, facts=facts)
 
-    return declare(
-        dialect,
-        Theme.FRAMING,
-        f"{kind.name}/next",
-        f"The next good request behind {kind.what} is answered.",
-        "silence, or another answer than the request's",
-        check,
-        section=section(dialect),
-        at_best=kind.following,
-        risks=kind.risks,
-    )
+
+def _of_kinds(refuted_by: str, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    return claim(Theme.FRAMING, each=_kinds, refuted_by=refuted_by, section=described_in(Subject.FRAMING), **facts)
+
+
+@_of_kinds(
+    "any answer",
+    name="{kind}/ignored",
+    at_best=lambda case: case["kind"].ignored,
+    rests_on=lambda case: case["kind"].rests_on,
+    quirks=lambda case: known(case.dialect, *case["kind"].quirks),
+)
+def _ignored(probe: Probe, kind: _Kind) -> None:
+    """{damaged} is not answered."""
+    ask_first(probe)
+    for what, item in kind.variants(probe):
+        exchange = probe.send(item)
+        if not exchange.silent and probe.claim.quirks and _tolerated(probe.dialect, kind, what):
+            probe.meets(probe.claim.quirks[0])
+            continue
+        probe.expect(
+            came(exchange),
+            holds=exchange.silent,
+            expected=f"silence after {hex_of(item)}",
+            refutes=f"{what}: answered",
+            exchange=exchange,
+            key=f"{kind.name}: answered",
+        )
+
+
+@_of_kinds("silence, or another answer than the request's", name="{kind}/next", at_best=lambda case: case["kind"].following)
+def _next(probe: Probe, kind: _Kind) -> None:
+    """The next good request behind {lower} is answered."""
+    ask_first(probe)
+    for what, item in kind.variants(probe):
+        judge_next(probe, f"a damaged one ({what})", partial(probe.send, item, timeout_ns=PAUSE_NS))

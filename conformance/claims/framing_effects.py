@@ -6,36 +6,24 @@ on a real line what is garbled is a read (`conformance.talk.garbling`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from analyzer.catalogue import Command, Dialect, Risk, Verb
+from analyzer.catalogue import Command, Dialect, Risk, Subject, Verb
 from analyzer.link import HeadLink
-from conformance.claim import Claim, Inconclusive, Refuted, Theme
-from conformance.claims.declare import declare
-from conformance.claims.hearing import came, section
+from conformance.claim import Claim, Inconclusive, Theme
+from conformance.claims.declare import Case, claim, declared_in, described_in
+from conformance.claims.hearing import came
 from conformance.motion import effects
 from conformance.motion.effects import Order, Witness
+from conformance.talk import garbling
 from conformance.talk.exchange import Exchange, hex_of
-
-if TYPE_CHECKING:
-    from conformance.talk.probe import Probe
+from conformance.talk.probe import Probe
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims about start bytes in data, and about what damaged requests do."""
-    if "set_position" in dialect.by_name:
-        yield _start_bytes(dialect, dialect.by_name["set_position"], "position", _lk_positions, Verb.READ_POSITION)
-    elif isinstance(dialect.link, HeadLink):
-        one = dialect.by_verb.get(Verb.SET_SUBDIVISION)
-        if one is not None:
-            yield _start_bytes(dialect, one, "subdivision", lambda own: _SUBDIVISIONS, None)
-    shown = effects.chosen(dialect)
-    if shown is not None:
-        for damage in _DAMAGES:
-            if not damage.head or isinstance(dialect.link, HeadLink):
-                yield _not_executed(dialect, shown, damage)
+    return declared_in(__name__, dialect)
 
 
 # --- start bytes in data ----------------------------------------------------------------------------------------------
@@ -62,50 +50,57 @@ def _good_answers(probe: Probe, command: Command, exchange: Exchange) -> int:
     return 0 if exchange.junk or probe.refused(exchange) or len(good) != len(exchange.answers) else len(good)
 
 
-def _start_bytes(
-    dialect: Dialect, command: Command, field: str, values: Callable[[int], tuple[int, ...]], read: Verb | None
-) -> Claim:
-    def check(probe: Probe) -> None:
-        usual = _good_answers(probe, command, probe.ask(command, {field: _PLAIN}))
-        if not usual:
-            raise Inconclusive(f"{command.name} is not answered by a good reply that it is done")
-        for value in values(probe.address):
-            # Twice: a line that loses a reply now and then is another matter.
-            exchanges = [probe.ask(command, {field: value}) for _ in range(2)]
-            exchange = exchanges[-1]
-            if all(_good_answers(probe, command, e) != usual for e in exchanges):
-                raise Refuted(
-                    f"{command.name} with {value:X}h in its data is not answered as any other",
-                    expected=f"a reply that it is done, to {hex_of(exchange.sent or b'')}",
-                    got=came(exchange),
-                    exchange=exchange,
-                    key="start bytes in data",
-                )
-            if read is None:
-                continue
-            got = probe.read(read, field)
-            if got != value:
-                raise Refuted(
-                    f"{command.name} with {value:X}h in its data is not taken as it was sent",
-                    expected=f"{field} {value}",
-                    got=f"{field} {got}",
-                    exchange=exchange,
-                    key="start bytes in data",
-                )
+@dataclass(frozen=True)
+class _AnyBytes:
+    """A field of a setting that may hold any byte. `values(address)`: what is sent; `read`: what reads it back, or None."""
 
-    return declare(
-        dialect,
-        Theme.FRAMING,
-        "start_bytes",
-        "A byte in the data of a request that could begin a frame is data.",
-        "silence, a second answer, or another value",
-        check,
-        command=command,
-        section=section(dialect),
-        risks=command.all_risks,
-        settings=(field,),
-        fields=(field,),
-    )
+    field: str
+    values: Callable[[int], tuple[int, ...]]
+    read: Verb | None
+
+
+_ANY_BYTES: Mapping[str, _AnyBytes] = {
+    "set_position": _AnyBytes("position", _lk_positions, Verb.READ_POSITION),
+    "set_subdivision": _AnyBytes("subdivision", lambda own: _SUBDIVISIONS, None),
+}
+
+
+def _settings_of_any_bytes(dialect: Dialect) -> Iterator[Case]:
+    for name, setting in _ANY_BYTES.items():
+        if name in dialect.by_name and (setting.read is not None or isinstance(dialect.link, HeadLink)):
+            command = dialect.by_name[name]
+            facts = {"name": "start_bytes", "fields": (setting.field,), "settings": (setting.field,), "parameters": {}}
+            yield Case(dialect, command, {"setting": setting}, facts | {"risks": command.all_risks})
+
+
+@claim(
+    Theme.FRAMING,
+    each=_settings_of_any_bytes,
+    refuted_by="silence, a second answer, or another value",
+    section=described_in(Subject.FRAMING),
+)
+def _start_bytes(probe: Probe, command: Command, setting: _AnyBytes) -> None:
+    """A byte in the data of a request that could begin a frame is data."""
+    field = setting.field
+    usual = _good_answers(probe, command, probe.ask(command, {field: _PLAIN}))
+    if not usual:
+        raise Inconclusive(f"{command.name} is not answered by a good reply that it is done")
+    for value in setting.values(probe.address):
+        # Twice: a line that loses a reply now and then is another matter.
+        exchanges = [probe.ask(command, {field: value}) for _ in range(2)]
+        exchange = exchanges[-1]
+        probe.expect(
+            came(exchange),
+            holds=any(_good_answers(probe, command, e) == usual for e in exchanges),
+            expected=f"a reply that it is done, to {hex_of(exchange.sent or b'')}",
+            refutes=f"{command.name} with {value:X}h in its data is not answered as any other",
+            exchange=exchange,
+            key="start bytes in data",
+        )
+        if setting.read is not None:
+            text = f"{command.name} with {value:X}h in its data is not taken as it was sent"
+            seen = probe.read(setting.read, field)
+            probe.expect(seen, equal=value, refutes=text, exchange=exchange, key="start bytes in data")
 
 
 # --- what does not check is not executed ------------------------------------------------------------------------------
@@ -155,37 +150,42 @@ _DAMAGES = (
 )
 
 
-def _not_executed(dialect: Dialect, shown: Witness, damage: _Damage) -> Claim:
-    def check(probe: Probe) -> None:
-        shown.prepare(probe)
-        order = shown.order(probe)
-        built = probe.build(order.command, order.values)
-        for what, frame in damage.make(dialect, built.frame, probe.address):
-            sent = probe.send(built.item(frame), timeout_ns=_LISTEN_NS)
-            shown.settle(probe)
-            got = shown.read(probe)
-            if not shown.is_done(got, _undone(order)):
-                raise Refuted(
-                    f"{order.command.name} is executed with {what}",
-                    expected=f"nothing: {order.before} still to be read after {hex_of(sent.sent or b'')}",
-                    got=f"{got} is read",
-                    exchange=sent,
-                    key=f"{damage.name}: executed",
-                )
-        shown.control(probe)
+def _damages(dialect: Dialect) -> Iterable[Case]:
+    observable = effects.chosen(dialect)
+    for damage in _DAMAGES if observable is not None else ():
+        if not damage.head or isinstance(dialect.link, HeadLink):
+            yield Case(dialect, given={"damage": damage, "what": damage.what, "observable": observable})
 
-    return declare(
-        dialect,
-        Theme.FRAMING,
-        f"{damage.name}/not_executed",
-        f"A request {damage.what} is not executed.",
-        "an effect of it",
-        check,
-        section=section(dialect),
-        risks=shown.risks | _more_risks(dialect),
-        settings=shown.settings,
-        emulated=True,
-    )
+
+@claim(
+    Theme.FRAMING,
+    each=_damages,
+    name="{damage}/not_executed",
+    refuted_by="an effect of it",
+    section=described_in(Subject.FRAMING),
+    risks=lambda case: case["observable"].risks | _READ_AS.get(type(case.dialect.link), frozenset()),
+    settings=lambda case: case["observable"].settings,
+    emulated=True,
+    parameters={},
+)
+def _not_executed(probe: Probe, damage: _Damage, observable: Witness) -> None:
+    """A request {what} is not executed."""
+    observable.prepare(probe)
+    order = observable.order(probe)
+    built = probe.build(order.command, order.values)
+    for what, frame in damage.make(probe.dialect, built.frame, probe.address):
+        sent = probe.send(garbling.item_of(probe.dialect, probe.address, frame), timeout_ns=_LISTEN_NS)
+        observable.settle(probe)
+        got = observable.read(probe)
+        probe.expect(
+            f"{got} is read",
+            holds=observable.is_done(got, _undone(order)),
+            expected=f"nothing: {order.before} still to be read after {hex_of(sent.sent or b'')}",
+            refutes=f"{order.command.name} is executed with {what}",
+            exchange=sent,
+            key=f"{damage.name}: executed",
+        )
+    observable.control(probe)
 
 
 #: How long is listened to a damaged request before its effect is looked for.
@@ -197,9 +197,5 @@ def _undone(order: Order) -> Order:
     return Order(order.command, order.values, order.after, order.before)
 
 
-def _more_risks(dialect: Dialect) -> frozenset[Risk]:
-    """Return what damaged requests could be read as, beside what they were built from."""
-    return _READ_AS.get(type(dialect.link), frozenset())
-
-
+#: What damaged requests could be read as, beside what they were built from.
 _READ_AS: Mapping[type, frozenset[Risk]] = {HeadLink: frozenset({Risk.UNKNOWN})}

@@ -12,12 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import Any
 
-from analyzer.catalogue import Certainty, Dialect
+from analyzer.catalogue import Certainty, Command, Dialect, Subject
 from analyzer.link import CanLink, ModbusLink
-from conformance.claim import Claim, Inconclusive, Observed, Refuted, Theme
-from conformance.claims.declare import declare
+from conformance.claim import Claim, Inconclusive, Observed, Theme
+from conformance.claims.declare import Case, claim, declared_in, described_in, once
 from conformance.claims.hearing import (
     LISTEN_NS,
     PAUSE_NS,
@@ -28,13 +28,10 @@ from conformance.claims.hearing import (
     garblers,
     judge_next,
     plain_read,
-    section,
 )
 from conformance.talk import garbling
 from conformance.talk.exchange import Exchange, hex_of
-
-if TYPE_CHECKING:
-    from conformance.talk.probe import Probe
+from conformance.talk.probe import Probe
 
 MS = 1_000_000
 #: Pauses within a frame, ns: what an operating system, an adapter and a slow host put there.
@@ -46,120 +43,122 @@ _CHARACTERS = 1.0
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims about frames without a pause between or with one inside."""
-    yield from _two(dialect)
-    if isinstance(dialect.link, CanLink):
-        return
-    yield from _glued(dialect)
-    yield from _pieces(dialect)
-    if isinstance(dialect.link, ModbusLink):
-        yield from _modbus_gaps(dialect)
+    return declared_in(__name__, dialect)
 
 
-Check = Callable[["Probe"], None]
-Variants = Callable[["Probe"], Iterable[tuple[str, bytes]]]
+def _framing(refuted_by: str, at_best: Any, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Declare a check of frames, whose section is that about frames."""
+    facts = {"section": described_in(Subject.FRAMING), "parameters": {}, **facts}
+    return claim(Theme.FRAMING, refuted_by=refuted_by, at_best=at_best, **facts)
 
 
-def _declare(
-    dialect: Dialect, name: str, statement: str, refuted_by: str, check: Check, sure: Certainty, *, emulated: bool = False
-) -> Claim:
-    where = section(dialect)
-    return declare(dialect, Theme.FRAMING, name, statement, refuted_by, check, section=where, at_best=sure, emulated=emulated)
+def _on_serial_lines(dialect: Dialect) -> Iterable[Case]:
+    return () if isinstance(dialect.link, CanLink) else once(dialect)
 
 
 # --- at once ----------------------------------------------------------------------------------------------------------
 
-
-def _glued(dialect: Dialect) -> Iterator[Claim]:
-    read = plain_read(dialect)
-
-    def with_noise(probe: Probe) -> Iterator[tuple[str, bytes]]:
-        frame = probe.build(read).frame
-        for data in garbling.NOISE:
-            yield f"noise {data[:4].hex(' ').upper()}", data + frame
-
-    def with_broken(probe: Probe) -> Iterator[tuple[str, bytes]]:
-        frame = probe.build(read).frame
-        for size in range(1, len(frame)):
-            yield f"{size} of {len(frame)} bytes", frame[:size] + frame
-
-    def with_trailing(probe: Probe) -> Iterator[tuple[str, bytes]]:
-        for what, item in garblers(probe)[0].trailing():
-            if isinstance(item, bytes):
-                yield what, item
-
-    yield from _glued_pair(dialect, "noise_before", "noise at once before it", with_noise)
-    yield from _glued_pair(dialect, "broken_before", "the beginning of another one at once before it", with_broken)
-    yield from _glued_pair(dialect, "trailing", "stray bytes at once behind it", with_trailing)
+Variants = Callable[[Probe], Iterable[tuple[str, bytes]]]
 
 
-def _glued_pair(dialect: Dialect, name: str, what: str, variants: Variants) -> Iterator[Claim]:
-    read = plain_read(dialect)
-
-    def check(probe: Probe) -> None:
-        ask_cleanly(probe)
-        deaf = []
-        for shown, data in variants(probe):
-            sent = probe.send(data, timeout_ns=LISTEN_NS)
-            if not answered_by(probe, sent, read):
-                deaf.append((shown, sent))
-        if deaf:
-            listed = ", ".join(shown for shown, _ in deaf)
-            raise Refuted(
-                f"a good request is not answered with {listed}",
-                expected=f"a reply to the good one in {hex_of(deaf[0][1].sent or b'')}",
-                got=came(deaf[0][1]),
-                exchange=deaf[0][1],
-                key="not answered without a pause",
-            )
-
-    def following(probe: Probe) -> None:
-        ask_first(probe)
-        for shown, data in variants(probe):
-            judge_next(probe, f"one with {shown}", partial(probe.send, data, timeout_ns=LISTEN_NS))
-
-    statement = f"A good request with {what} is answered."
-    yield _declare(dialect, f"{name}/answered", statement, "silence, or another answer", check, Certainty.OPEN)
-    statement = f"The next good request behind one with {what} is answered."
-    yield _declare(dialect, f"{name}/next", statement, "silence, or another answer", following, Certainty.LIKELY)
+def _with_noise(probe: Probe) -> Iterator[tuple[str, bytes]]:
+    frame = probe.build(plain_read(probe.dialect)).frame
+    for data in garbling.NOISE:
+        yield f"noise {data[:4].hex(' ').upper()}", data + frame
 
 
-def _two(dialect: Dialect) -> Iterator[Claim]:
+def _with_broken(probe: Probe) -> Iterator[tuple[str, bytes]]:
+    frame = probe.build(plain_read(probe.dialect)).frame
+    for size in range(1, len(frame)):
+        yield f"{size} of {len(frame)} bytes", frame[:size] + frame
+
+
+def _with_trailing(probe: Probe) -> Iterator[tuple[str, bytes]]:
+    for what, item in garblers(probe)[0].trailing():
+        if isinstance(item, bytes):
+            yield what, item
+
+
+_GLUED: tuple[tuple[str, str, Variants], ...] = (
+    ("noise_before", "noise at once before it", _with_noise),
+    ("broken_before", "the beginning of another one at once before it", _with_broken),
+    ("trailing", "stray bytes at once behind it", _with_trailing),
+)
+
+
+def _glued(dialect: Dialect) -> Iterator[Case]:
+    for case in _on_serial_lines(dialect):
+        for kind, what, variants in _GLUED:
+            yield Case(case.dialect, given={"kind": kind, "what": what, "variants": variants})
+
+
+@_framing("silence, or another answer", Certainty.OPEN, each=_glued, name="{kind}/answered")
+def _glued_answered(probe: Probe, variants: Variants) -> None:
+    """A good request with {what} is answered."""
+    read = plain_read(probe.dialect)
+    ask_cleanly(probe)
+    sent = [(what, probe.send(data, timeout_ns=LISTEN_NS)) for what, data in variants(probe)]
+    missed = [(what, exchange) for what, exchange in sent if not answered_by(probe, exchange, read)]
+    if missed:
+        exchange = missed[0][1]
+        probe.expect(
+            came(exchange),
+            holds=False,
+            expected=f"a reply to the good one in {hex_of(exchange.sent or b'')}",
+            refutes=f"a good request is not answered with {', '.join(what for what, _ in missed)}",
+            exchange=exchange,
+            key="not answered without a pause",
+        )
+
+
+@_framing("silence, or another answer", Certainty.LIKELY, each=_glued, name="{kind}/next")
+def _behind_glued(probe: Probe, variants: Variants) -> None:
+    """The next good request behind one with {what} is answered."""
+    ask_first(probe)
+    for what, data in variants(probe):
+        judge_next(probe, f"one with {what}", partial(probe.send, data, timeout_ns=LISTEN_NS))
+
+
+def _pair(dialect: Dialect) -> tuple[Command, Command]:
+    """Return two reads without data and of the same risks."""
     first = plain_read(dialect)
-    others = (c for c in dialect.commands if c is not first and c.all_risks == first.all_risks)
-    second = next((c for c in others if c.request_forms[0].layout.byte_length == 0), None)
-    if second is None:
-        return
-    can = isinstance(dialect.link, CanLink)
+    others = (c for c in dialect.commands if c.request_forms[0].layout.byte_length == 0 and c is not first)
+    return first, next(c for c in others if c.all_risks == first.all_risks)
 
-    def send(probe: Probe) -> Exchange:
-        built = [probe.build(c) for c in (first, second)]
-        if not can:
-            return probe.send(b"".join(each.frame for each in built), timeout_ns=LISTEN_NS)
-        one, other = (probe.send(each.item(), timeout_ns=0 if n == 0 else LISTEN_NS) for n, each in enumerate(built))
-        other.answers[:0] = one.answers
-        return other
 
-    def check(probe: Probe) -> None:
-        ask_cleanly(probe)
-        tries = [send(probe) for _ in range(2)]
-        sent = tries[-1]
-        if not any(answered_by(probe, each, first, second) for each in tries):
-            raise Refuted(
-                "of two requests at once, not both are answered in their order",
-                expected=f"a reply to {first.name} and one to {second.name}",
-                got=came(sent),
-                exchange=sent,
-            )
+def _send_two(probe: Probe) -> Exchange:
+    frames = [probe.build(c).frame for c in _pair(probe.dialect)]
+    if not isinstance(probe.dialect.link, CanLink):
+        return probe.send(b"".join(frames), timeout_ns=LISTEN_NS)
+    one, other = (probe.send(probe.item(f), timeout_ns=0 if n == 0 else LISTEN_NS) for n, f in enumerate(frames))
+    other.answers[:0] = one.answers
+    return other
 
-    def following(probe: Probe) -> None:
-        ask_first(probe)
-        judge_next(probe, "two at once", partial(send, probe))
 
-    sure = Certainty.LIKELY if can else Certainty.OPEN
-    statement = "Two good requests at once are both answered, in their order."
-    yield _declare(dialect, "two_at_once/answered", statement, "one answer, or none", check, sure)
-    statement = "The next good request behind two at once is answered."
-    yield _declare(dialect, "two_at_once/next", statement, "silence", following, Certainty.LIKELY)
+@_framing(
+    "one answer, or none",
+    lambda case: Certainty.LIKELY if isinstance(case.dialect.link, CanLink) else Certainty.OPEN,
+    name="two_at_once/answered",
+)
+def _two_answered(probe: Probe) -> None:
+    """Two good requests at once are both answered, in their order."""
+    first, second = _pair(probe.dialect)
+    ask_cleanly(probe)
+    tries = [_send_two(probe) for _ in range(2)]
+    probe.expect(
+        came(tries[-1]),
+        holds=any(answered_by(probe, each, first, second) for each in tries),
+        expected=f"a reply to {first.name} and one to {second.name}",
+        refutes="of two requests at once, not both are answered in their order",
+        exchange=tries[-1],
+    )
+
+
+@_framing("silence", Certainty.LIKELY, name="two_at_once/next")
+def _behind_two(probe: Probe) -> None:
+    """The next good request behind two at once is answered."""
+    ask_first(probe)
+    judge_next(probe, "two at once", partial(_send_two, probe))
 
 
 # --- in pieces --------------------------------------------------------------------------------------------------------
@@ -174,69 +173,70 @@ def _cut(probe: Probe, at: int, gap_ns: int) -> Exchange:
     return probe.send(frame[at:], timeout_ns=LISTEN_NS)
 
 
-def _pieces(dialect: Dialect) -> Iterator[Claim]:
-    read = plain_read(dialect)
-
-    def check(probe: Probe) -> None:
-        ask_cleanly(probe)
-        size = len(probe.build(read).frame)
-        taken: list[int] = []
-        for gap_ns in _GAPS_NS:
-            answered = [answered_by(probe, _cut(probe, at, gap_ns), read) for at in range(1, size)]
-            if all(answered):
-                taken.append(gap_ns)
-        longest = max(taken, default=0)
-        probe.measured["longest_pause_in_a_frame_ms"] = longest / MS
-        if len(taken) == len(_GAPS_NS):
-            raise Observed(f"a request in two pieces is answered however long the pause, up to {longest // MS} ms")
-        if not taken:
-            raise Observed(f"a request in two pieces is not answered, from {_GAPS_NS[0] // MS} ms of pause on")
-        raise Observed(f"a request in two pieces is answered up to {longest // MS} ms of pause, and not beyond")
-
-    def following(probe: Probe) -> None:
-        ask_first(probe)
-        for at in range(1, len(probe.build(read).frame)):
-            what = f"one in two pieces ({at} bytes before the pause)"
-            judge_next(probe, what, partial(_cut, probe, at, _GAPS_NS[-2]))
-
-    statement = "A request in two pieces with a pause between is answered."
-    yield _declare(dialect, "pieces/answered", statement, "nothing: the manual is silent on pauses", check, Certainty.OPEN)
-    statement = "The next good request behind one in two pieces is answered."
-    yield _declare(dialect, "pieces/next", statement, "silence, or another answer", following, Certainty.LIKELY)
+def _places(probe: Probe) -> range:
+    """Return the places at which a good read can be cut."""
+    return range(1, len(probe.build(plain_read(probe.dialect)).frame))
 
 
-def _modbus_gaps(dialect: Dialect) -> Iterator[Claim]:
-    read = plain_read(dialect)
+@_framing("nothing: the manual is silent on pauses", Certainty.OPEN, each=_on_serial_lines, name="pieces/answered")
+def _pieces_answered(probe: Probe) -> None:
+    """A request in two pieces with a pause between is answered."""
+    read = plain_read(probe.dialect)
+    ask_cleanly(probe)
+    passed: list[int] = []
+    for gap_ns in _GAPS_NS:
+        answered = [answered_by(probe, _cut(probe, at, gap_ns), read) for at in _places(probe)]
+        if all(answered):
+            passed.append(gap_ns)
+    longest = max(passed, default=0)
+    probe.measured["longest_pause_in_a_frame_ms"] = longest / MS
+    if len(passed) == len(_GAPS_NS):
+        raise Observed(f"a request in two pieces is answered however long the pause, up to {longest // MS} ms")
+    if not passed:
+        raise Observed(f"a request in two pieces is not answered, from {_GAPS_NS[0] // MS} ms of pause on")
+    raise Observed(f"a request in two pieces is answered up to {longest // MS} ms of pause, and not beyond")
 
-    def long(probe: Probe) -> None:
-        ask_first(probe)
-        for at in range(1, len(probe.build(read).frame)):
-            sent = _cut(probe, at, _MODBUS_LONG_NS)
-            if not sent.silent:
-                raise Refuted(
-                    "a frame with a silence inside is answered",
-                    expected=f"silence: more than 3.5 characters behind byte {at} end a frame",
-                    got=came(sent),
-                    exchange=sent,
-                )
-            probe.wait(PAUSE_NS)
 
-    def short(probe: Probe) -> None:
-        ask_cleanly(probe)
-        gap_ns = int(_CHARACTERS * probe.rig.byte_ns)
-        for at in range(1, len(probe.build(read).frame)):
-            # The first piece takes its time on the line; the pause begins behind it.
-            tries = [_cut(probe, at, gap_ns) for _ in range(2)]
-            sent = tries[-1]
-            if not any(answered_by(probe, each, read) for each in tries):
-                raise Refuted(
-                    "a frame with a pause of one character inside is not answered",
-                    expected=f"a reply: up to 1.5 characters behind byte {at} belong to the frame",
-                    got=came(sent),
-                    exchange=sent,
-                )
+@_framing("silence, or another answer", Certainty.LIKELY, each=_on_serial_lines, name="pieces/next")
+def _behind_pieces(probe: Probe) -> None:
+    """The next good request behind one in two pieces is answered."""
+    ask_first(probe)
+    for at in _places(probe):
+        judge_next(probe, f"one in two pieces ({at} bytes before the pause)", partial(_cut, probe, at, _GAPS_NS[-2]))
 
-    statement = "A frame with more than 3.5 characters of silence inside is not answered."
-    yield _declare(dialect, "silence/long", statement, "an answer", long, Certainty.LIKELY)
-    statement = "A frame with a pause of one character inside is answered."
-    yield _declare(dialect, "silence/short", statement, "silence", short, Certainty.LIKELY, emulated=True)
+
+def _on_modbus(dialect: Dialect) -> Iterable[Case]:
+    return once(dialect) if isinstance(dialect.link, ModbusLink) else ()
+
+
+@_framing("an answer", Certainty.LIKELY, each=_on_modbus, name="silence/long")
+def _long_silence(probe: Probe) -> None:
+    """A frame with more than 3.5 characters of silence inside is not answered."""
+    ask_first(probe)
+    for at in _places(probe):
+        sent = _cut(probe, at, _MODBUS_LONG_NS)
+        probe.expect(
+            came(sent),
+            holds=sent.silent,
+            expected=f"silence: more than 3.5 characters behind byte {at} end a frame",
+            refutes="a frame with a silence inside is answered",
+            exchange=sent,
+        )
+        probe.wait(PAUSE_NS)
+
+
+@_framing("silence", Certainty.LIKELY, each=_on_modbus, name="silence/short", emulated=True)
+def _short_silence(probe: Probe) -> None:
+    """A frame with a pause of one character inside is answered."""
+    ask_cleanly(probe)
+    gap_ns = int(_CHARACTERS * probe.rig.byte_ns)
+    for at in _places(probe):
+        # The first piece takes its time on the line; the pause begins behind it.
+        tries = [_cut(probe, at, gap_ns) for _ in range(2)]
+        probe.expect(
+            came(tries[-1]),
+            holds=any(answered_by(probe, each, plain_read(probe.dialect)) for each in tries),
+            expected=f"a reply: up to 1.5 characters behind byte {at} belong to the frame",
+            refutes="a frame with a pause of one character inside is not answered",
+            exchange=tries[-1],
+        )
