@@ -11,22 +11,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import Any
 
-from analyzer.catalogue import Certainty, Dialect, Role, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Role, Subject, Verb
 from analyzer.link import HeadLink, LkLink
-from conformance.claim import Claim, Inconclusive, Refuted, Theme
+from conformance.claim import Claim, Inconclusive, Theme
 from conformance.claims import addressing_many, addressing_package
 from conformance.claims.addressing_many import read_of, send_to
-from conformance.claims.declare import declare
-from conformance.claims.hearing import ask_first, came, judge_next, plain_read, section
-from conformance.claims.known_quirks import known
+from conformance.claims.declare import Case, claim, commands, declared_in, described_in
+from conformance.claims.hearing import ask_first, came, judge_next, plain_read
+from conformance.claims.known_quirks import may_meet
 from conformance.motion import effects
 from conformance.motion.effects import Witness
 from conformance.talk.exchange import Exchange, hex_of
-
-if TYPE_CHECKING:
-    from conformance.talk.probe import Probe
+from conformance.talk.probe import Probe
 
 NEW_ADDRESS_ANSWERS = "new-address-answers"
 _BYTE = 0xFF
@@ -36,15 +34,15 @@ _FEW = 5
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims of this theme for a dialect."""
-    yield from _others(dialect)
+    yield from declared_in(__name__, dialect)
     yield from addressing_many.claims(dialect)
-    if Verb.SET_ADDRESS in dialect.by_verb:
-        yield _moves(dialect)
-    if not isinstance(dialect.link, HeadLink | LkLink):
-        return
-    yield from _foreign_replies(dialect)
-    if any(c.slots is not None for c in dialect.commands):
-        yield from addressing_package.claims(dialect)
+    yield from addressing_package.claims(dialect)
+
+
+def _addressing(refuted_by: str, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Declare a check that sends to other addresses, whose section is that about addresses."""
+    facts = {"section": described_in(Subject.ADDRESSING), "parameters": {}, **facts}
+    return claim(Theme.ADDRESSING, refuted_by=refuted_by, alone=True, **facts)
 
 
 # --- other addresses --------------------------------------------------------------------------------------------------
@@ -72,26 +70,27 @@ def _every(dialect: Dialect, own: int) -> Iterable[int]:
     return (*range(min(last, _BYTE) + 1), *range(_BYTE, last + 1, 31))
 
 
-_CLASSES: tuple[tuple[str, str, Callable[[Dialect, int], Iterable[int]], bool], ...] = (
-    ("neighbours", "an address near the drive's", _neighbours, False),
-    ("one_bit", "an address that differs from the drive's in one bit", _one_bit, False),
-    ("edges", "the lowest, the highest and other addresses", _edges, False),
-    ("every", "any other address", _every, True),
-)
+def _zero(dialect: Dialect, own: int) -> Iterable[int]:
+    return (0,)
 
 
-def _others(dialect: Dialect) -> Iterator[Claim]:
-    classes = [*_CLASSES]
+Addresses = Callable[[Dialect, int], Iterable[int]]
+
+
+def _classes(dialect: Dialect) -> Iterator[Case]:
+    """Yield classes of addresses that are not the drive's."""
+    rows: list[tuple[str, str, Addresses, bool]] = [
+        ("neighbours", "an address near the drive's", _neighbours, False),
+        ("one_bit", "an address that differs from the drive's in one bit", _one_bit, False),
+        ("edges", "the lowest, the highest and other addresses", _edges, False),
+        ("every", "any other address", _every, True),
+    ]
     if dialect.addresses[1] > _BYTE:
-        classes.insert(2, ("low_byte", "an address with the drive's low byte", _same_low_byte, False))
-    for name, what, addresses, emulated in classes:
-        yield _silent_to(dialect, name, what, addresses, emulated)
+        rows.append(("low_byte", "an address with the drive's low byte", _same_low_byte, False))
     if dialect.broadcast is None:
-        yield _silent_to(dialect, "zero", "the address 0", lambda dialect, own: (0,), False)
-    yield _other_next(dialect)
-    shown = effects.chosen(dialect)
-    if shown is not None:
-        yield _not_executed(dialect, shown)
+        rows.append(("zero", "the address 0", _zero, False))
+    for kind, what, addresses, emulated in rows:
+        yield Case(dialect, given={"kind": kind, "what": what, "addresses": addresses}, facts={"emulated": emulated})
 
 
 def _chosen(dialect: Dialect, own: int, addresses: Iterable[int]) -> list[int]:
@@ -101,124 +100,88 @@ def _chosen(dialect: Dialect, own: int, addresses: Iterable[int]) -> list[int]:
     return [a for a in fit if a != dialect.broadcast]
 
 
-def _silent_to(
-    dialect: Dialect, name: str, what: str, addresses: Callable[[Dialect, int], Iterable[int]], emulated: bool
-) -> Claim:
-    def check(probe: Probe) -> None:
-        ask_first(probe)
-        for address in _chosen(dialect, probe.address, addresses(dialect, probe.address)):
-            sent = read_of(probe, address)
-            if not sent.silent:
-                raise Refuted(
-                    f"a request to {address} is answered, and the drive is {probe.address}",
-                    expected=f"silence after {hex_of(sent.sent or b'')}",
-                    got=came(sent),
-                    exchange=sent,
-                    key="another address is answered",
-                )
-
-    return declare(
-        dialect,
-        Theme.ADDRESSING,
-        f"other/{name}",
-        f"A request to {what} is not answered.",
-        "any answer",
-        check,
-        section=section(dialect),
-        alone=True,
-        emulated=emulated,
-    )
+@_addressing("any answer", each=_classes, name="other/{kind}")
+def _not_answered(probe: Probe, addresses: Addresses) -> None:
+    """A request to {what} is not answered."""
+    ask_first(probe)
+    for address in _chosen(probe.dialect, probe.address, addresses(probe.dialect, probe.address)):
+        sent = read_of(probe, address)
+        probe.expect(
+            came(sent),
+            holds=sent.silent,
+            expected=f"silence after {hex_of(sent.sent or b'')}",
+            refutes=f"a request to {address} is answered, and the drive is {probe.address}",
+            exchange=sent,
+            key="another address is answered",
+        )
 
 
-def _other_next(dialect: Dialect) -> Claim:
-    def check(probe: Probe) -> None:
-        ask_first(probe)
-        for address in _chosen(dialect, probe.address, _neighbours(dialect, probe.address)):
-            judge_next(probe, f"one to {address}", partial(read_of, probe, address))
-
-    return declare(
-        dialect,
-        Theme.ADDRESSING,
-        "other/next",
-        "The next request to the drive behind one to another address is answered.",
-        "silence, or another answer",
-        check,
-        section=section(dialect),
-        alone=True,
-    )
+@_addressing("silence, or another answer", name="other/next")
+def _behind_others(probe: Probe) -> None:
+    """The next request to the drive behind one to another address is answered."""
+    ask_first(probe)
+    for address in _chosen(probe.dialect, probe.address, _neighbours(probe.dialect, probe.address)):
+        judge_next(probe, f"one to {address}", partial(read_of, probe, address))
 
 
-def _not_executed(dialect: Dialect, shown: Witness) -> Claim:
-    def check(probe: Probe) -> None:
-        shown.prepare(probe)
-        near = _chosen(dialect, probe.address, _neighbours(dialect, probe.address))[:2]
-        far = _chosen(dialect, probe.address, (*_one_bit(dialect, probe.address), *_edges(dialect, probe.address)))
-        if dialect.broadcast is None:
-            near.append(0)
-        order = shown.order(probe)
-        for address in [*near, *far[-3:], *far[:3]][: _FEW + 2]:
-            sent = send_to(probe, address, order, shown.settle_ns)
-            if shown.done(probe, order):
-                raise Refuted(
-                    f"{order.command.name} to {address} is executed, and the drive is {probe.address}",
-                    expected=f"{order.before} still to be read after {hex_of(sent.sent or b'')}",
-                    got=f"{order.after} is read",
-                    exchange=sent,
-                    key="another address is executed",
-                )
-        shown.control(probe)
+def _observable(dialect: Dialect) -> Iterator[Case]:
+    shown = effects.chosen(dialect)
+    if shown is not None:
+        yield Case(dialect, given={"shown": shown}, facts={"risks": shown.risks, "settings": shown.settings})
 
-    return declare(
-        dialect,
-        Theme.ADDRESSING,
-        "other/not_executed",
-        "A request to another address is not executed.",
-        "an effect of it",
-        check,
-        section=section(dialect),
-        alone=True,
-        risks=shown.risks,
-        settings=shown.settings,
-    )
+
+@_addressing("an effect of it", each=_observable, name="other/not_executed")
+def _not_executed(probe: Probe, shown: Witness) -> None:
+    """A request to another address is not executed."""
+    dialect, own = probe.dialect, probe.address
+    shown.prepare(probe)
+    near = _chosen(dialect, own, _neighbours(dialect, own))[:2]
+    far = _chosen(dialect, own, (*_one_bit(dialect, own), *_edges(dialect, own)))
+    if dialect.broadcast is None:
+        near.append(0)
+    order = shown.order(probe)
+    for address in [*near, *far[-3:], *far[:3]][: _FEW + 2]:
+        sent = send_to(probe, address, order, shown.settle_ns)
+        probe.expect(
+            f"{order.after} is read",
+            holds=not shown.done(probe, order),
+            expected=f"{order.before} still to be read after {hex_of(sent.sent or b'')}",
+            refutes=f"{order.command.name} to {address} is executed, and the drive is {own}",
+            exchange=sent,
+            key="another address is executed",
+        )
+    shown.control(probe)
 
 
 # --- another address for the drive ------------------------------------------------------------------------------------
 
 
-def _moves(dialect: Dialect) -> Claim:
-    command = dialect.by_verb[Verb.SET_ADDRESS]
-    quirks = known(dialect, NEW_ADDRESS_ANSWERS)
-
-    def check(probe: Probe) -> None:
-        ask_first(probe)
-        old = probe.address
-        new = old + 1 if old < dialect.addresses[1] else old - 1
-        exchange = probe.ask(command, {"new_address": new})
-        if exchange.silent or probe.refused(exchange):
-            raise Inconclusive(f"{command.name} was answered {came(exchange)}")
-        if quirks and any(a.message.address == new for a in exchange.answers):
-            probe.meets(NEW_ADDRESS_ANSWERS)
-        try:
-            _judge_place(probe, new, old, exchange)
-        finally:
-            # Whether or not it moved: what hears at the new address gets the old one back.
-            back = probe.ask(command, {"new_address": old}, address=new)
-        _judge_place(probe, old, new, back)
-
-    return declare(
-        dialect,
-        Theme.ADDRESSING,
-        "set_address/moves",
-        "A drive that is given another address is heard there, and no longer at the old one; and back.",
-        "an answer at the old address, or none at the new one",
-        check,
-        command=command,
-        alone=True,
-        risks=command.all_risks,
-        settings=("new_address",),
-        fields=("new_address",),
-        quirks=quirks,
-    )
+@claim(
+    Theme.ADDRESSING,
+    each=commands(Verb.SET_ADDRESS),
+    refuted_by="an answer at the old address, or none at the new one",
+    alone=True,
+    risks=lambda case: case.dialect.by_verb[Verb.SET_ADDRESS].all_risks,
+    settings=("new_address",),
+    fields=("new_address",),
+    quirks=may_meet(NEW_ADDRESS_ANSWERS),
+)
+def _moves(probe: Probe, command: Command) -> None:
+    """A drive that is given another address is heard there, and no longer at the old one; and back."""
+    ask_first(probe)
+    old = probe.address
+    new = old + 1 if old < probe.dialect.addresses[1] else old - 1
+    exchange = probe.ask(command, {"new_address": new})
+    if exchange.silent or probe.refused(exchange):
+        raise Inconclusive(f"{command.name} was answered {came(exchange)}")
+    if probe.claim.quirks and any(a.message.address == new for a in exchange.answers):
+        probe.meets(NEW_ADDRESS_ANSWERS)
+    try:
+        _judge_place(probe, new, old, exchange)
+    finally:
+        # Whether or not it moved: what hears at the new address gets the old one back.
+        back = probe.ask(command, {"new_address": old}, address=new)
+    _judge_place(probe, old, new, back)
 
 
 def _judge_place(probe: Probe, here: int, gone: int, told: Exchange) -> None:
@@ -227,66 +190,58 @@ def _judge_place(probe: Probe, here: int, gone: int, told: Exchange) -> None:
         tries = [probe.ask(plain_read(probe.dialect), address=address, timeout_ns=probe.rig.late_ns) for _ in range(2)]
         exchange = tries[-1]
         heard = [any(a.message.address == address and a.message.frame.checksum_ok for a in t.answers) for t in tries]
-        if any(heard) != wanted:
-            what = "is not heard there" if wanted else "is still heard at the old one"
-            raise Refuted(
-                f"a drive that was given the address {here} {what}",
-                expected=f"{'a reply' if wanted else 'silence'} at {address}, behind {hex_of(told.sent or b'')}",
-                got=came(exchange),
-                exchange=exchange,
-                key=f"set_address: {what}",
-            )
+        what = "is not heard there" if wanted else "is still heard at the old one"
+        probe.expect(
+            came(exchange),
+            holds=any(heard) == wanted,
+            expected=f"{'a reply' if wanted else 'silence'} at {address}, behind {hex_of(told.sent or b'')}",
+            refutes=f"a drive that was given the address {here} {what}",
+            exchange=exchange,
+            key=f"set_address: {what}",
+        )
 
 
 # --- what other drives answer -----------------------------------------------------------------------------------------
 
 
-def _foreign_replies(dialect: Dialect) -> Iterator[Claim]:
-    read = plain_read(dialect)
-
-    def reply_of(probe: Probe, data: bytes) -> bytes:
-        other = probe.address + 1 if probe.address < dialect.addresses[1] else probe.address - 1
-        return dialect.link.build(read, read.reply_forms[0], other, data, Role.REPLY)
-
-    def frames(probe: Probe) -> list[bytes]:
-        size = read.reply_forms[0].layout.byte_length
-        inner = probe.build(read).frame
-        return [reply_of(probe, bytes(size)), reply_of(probe, inner.ljust(size, b"\0")[:size])]
-
-    def plain(probe: Probe) -> None:
-        ask_first(probe)
-        _silent_behind(probe, frames(probe)[0])
-
-    def inner(probe: Probe) -> None:
-        ask_first(probe)
-        _silent_behind(probe, frames(probe)[1])
-
-    def following(probe: Probe) -> None:
-        ask_first(probe)
-        for frame in frames(probe):
-            judge_next(probe, "another drive's reply", partial(probe.send, frame))
-
-    kinds = (
-        ("ignored", "Another drive's reply is not answered.", "any answer", plain, Certainty.CERTAIN),
-        (
-            "inside", "Another drive's reply whose data read like a request is not answered.", "an answer to what its data"
-            " read like", inner, Certainty.OPEN,
-        ),
-        (
-            "next", "The next request to the drive behind another drive's reply is answered.", "silence, or another answer",
-            following, Certainty.LIKELY,
-        ),
-    )  # fmt: skip
-    for name, statement, refuted_by, check, sure in kinds:
-        yield declare(
-            dialect, Theme.ADDRESSING, f"foreign_reply/{name}", statement, refuted_by, check, section=section(dialect),
-            alone=True, at_best=sure,
-        )  # fmt: skip
+def _with_heads(dialect: Dialect) -> Iterator[Case]:
+    """Yield a case for links whose frames begin with a head, so that a reply can be taken for a request."""
+    if isinstance(dialect.link, HeadLink | LkLink):
+        yield Case(dialect)
 
 
-def _silent_behind(probe: Probe, frame: bytes) -> None:
-    sent = probe.send(probe.build(plain_read(probe.dialect)).item(frame))
-    if not sent.silent:
-        raise Refuted(
-            "another drive's reply is answered", expected=f"silence after {hex_of(frame)}", got=came(sent), exchange=sent
-        )
+def _foreign_replies(probe: Probe) -> tuple[bytes, bytes]:
+    """Return two replies of another drive: of zeros, and with a request to this drive in its data."""
+    dialect, read = probe.dialect, plain_read(probe.dialect)
+    size = read.reply_forms[0].layout.byte_length
+    request = probe.build(read).frame.ljust(size, b"\0")[:size]
+    other = probe.address + 1 if probe.address < dialect.addresses[1] else probe.address - 1
+    zeros, inner = (dialect.link.build(read, read.reply_forms[0], other, data, Role.REPLY) for data in (bytes(size), request))
+    return zeros, inner
+
+
+def _expect_silence(probe: Probe, frame: bytes) -> None:
+    ask_first(probe)
+    sent = probe.send(frame)
+    expected, text = f"silence after {hex_of(frame)}", "another drive's reply is answered"
+    probe.expect(came(sent), holds=sent.silent, expected=expected, refutes=text, exchange=sent)
+
+
+@_addressing("any answer", each=_with_heads, name="foreign_reply/ignored")
+def _reply_ignored(probe: Probe) -> None:
+    """Another drive's reply is not answered."""
+    _expect_silence(probe, _foreign_replies(probe)[0])
+
+
+@_addressing("an answer to what its data read like", each=_with_heads, name="foreign_reply/inside", at_best=Certainty.OPEN)
+def _inside_reply(probe: Probe) -> None:
+    """Another drive's reply whose data read like a request is not answered."""
+    _expect_silence(probe, _foreign_replies(probe)[1])
+
+
+@_addressing("silence, or another answer", each=_with_heads, name="foreign_reply/next", at_best=Certainty.LIKELY)
+def _behind_reply(probe: Probe) -> None:
+    """The next request to the drive behind another drive's reply is answered."""
+    ask_first(probe)
+    for frame in _foreign_replies(probe):
+        judge_next(probe, "another drive's reply", partial(probe.send, frame))

@@ -6,28 +6,26 @@ FA 50 F4 ..    every drive of the group 50h moves, none answers; each still answ
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
 
-from analyzer.catalogue import Command, Dialect, Doubt, Risk, Verb
-from conformance.claim import Claim, Refuted, Theme
-from conformance.claims.declare import declare
-from conformance.claims.hearing import ask_first, came, is_answered, judge_next, plain_read, section
+from analyzer.catalogue import Command, Dialect, Doubt, Risk, Subject, Verb
+from conformance.claim import Claim, Theme
+from conformance.claims.declare import Case, Cases, claim, declared_in, described_in
+from conformance.claims.hearing import ask_first, came, is_answered, judge_next, plain_read
 from conformance.motion import effects
 from conformance.motion.effects import Order, Witness
 from conformance.talk.exchange import Exchange, hex_of
+from conformance.talk.probe import Probe
 
-if TYPE_CHECKING:
-    from conformance.talk.probe import Probe
+#: A group address, and another one where the drive itself has it.
+_GROUP, _OTHER_GROUP = 0x50, 0x60
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims about broadcasts and groups of a dialect that has them."""
-    shown = effects.chosen(dialect)
-    if dialect.broadcast is not None:
-        yield from _broadcast(dialect, shown)
-    if Verb.SET_GROUP_ADDRESS in dialect.by_verb:
-        yield from _group(dialect, shown)
+    return declared_in(__name__, dialect)
 
 
 def send_to(probe: Probe, address: int, order: Order, listen_ns: int = 0) -> Exchange:
@@ -41,109 +39,28 @@ def read_of(probe: Probe, address: int) -> Exchange:
     return probe.send(probe.build(plain_read(probe.dialect), address=address).item())
 
 
-# --- all drives -------------------------------------------------------------------------------------------------------
+# --- addresses of several drives --------------------------------------------------------------------------------------
 
 
-def _broadcast(dialect: Dialect, shown: Witness | None) -> Iterator[Claim]:
-    where = dialect.by_verb[Verb.SET_ADDRESS].section if Verb.SET_ADDRESS in dialect.by_verb else section(dialect)
-    to = dialect.broadcast
-    assert to is not None  # asked by `claims`
+@dataclass(frozen=True)
+class _Many:
+    """An address of several drives. `join`: makes the drive hear it and returns it; the rest is what a claim declares."""
 
-    def reads(probe: Probe) -> None:
-        ask_first(probe)
-        for command in _samples(dialect):
-            built = probe.build(command, address=to)
-            sent = probe.send(built.item())
-            if not sent.silent:
-                raise _answered_many(sent, "a broadcast")
+    name: str
+    what: str
+    join: Callable[[Probe], int]
+    section: Callable[[Case], str]
+    settings: tuple[str, ...] = ()
+    rests_on: tuple[Doubt, ...] = ()
+    setting: Verb | None = None
 
-    def following(probe: Probe) -> None:
-        ask_first(probe)
-        judge_next(probe, "a broadcast", lambda: read_of(probe, to))
-
-    yield declare(
-        dialect, Theme.ADDRESSING, "broadcast/read", "A read by broadcast is not answered.", "any answer", reads,
-        section=where, alone=True,
-    )  # fmt: skip
-    yield declare(
-        dialect, Theme.ADDRESSING, "broadcast/next", "The next request to the drive behind a broadcast is answered.",
-        "silence, or another answer", following, section=where, alone=True,
-    )  # fmt: skip
-    if shown is not None:
-        yield from _to_many(dialect, "broadcast", "a broadcast", where, shown, lambda probe: to, ())
-    zero = effects.setting(dialect)
-    if zero is not None:
-        yield from _to_many(dialect, "broadcast/setting", "a broadcast", where, zero, lambda probe: to, ())
+    def risks(self, dialect: Dialect) -> frozenset[Risk]:
+        return frozenset() if self.setting is None else dialect.by_verb[self.setting].all_risks
 
 
-def _samples(dialect: Dialect) -> list[Command]:
-    return [c for c in dialect.commands if c.all_risks == {Risk.READ} and not c.request_forms[0].layout.fields][:4]
-
-
-def _answered_many(sent: Exchange, what: str) -> Refuted:
-    return Refuted(
-        f"{what} is answered",
-        expected=f"silence after {hex_of(sent.sent or b'')}",
-        got=came(sent),
-        exchange=sent,
-        key=f"{what} is answered",
-    )
-
-
-def _to_many(
-    dialect: Dialect,
-    name: str,
-    what: str,
-    where: str,
-    shown: Witness,
-    join: Callable[[Probe], int],
-    rests_on: Sequence[Doubt],
-    more: Iterable[Risk] = (),
-    changed: tuple[str, ...] = (),
-) -> Iterator[Claim]:
-    """Make the claims that an address of several drives is executed and not answered. `join` makes the drive hear it."""
-
-    def executed(probe: Probe) -> None:
-        shown.prepare(probe)
-        to = join(probe)
-        order = shown.order(probe)
-        sent = send_to(probe, to, order, shown.settle_ns)
-        if shown.done(probe, order):
-            return
-        shown.control(probe)
-        raise Refuted(
-            f"{order.command.name} by {what} is not executed",
-            expected=f"{order.after} to be read after {hex_of(sent.sent or b'')}",
-            got=f"{order.before} is read",
-            exchange=sent,
-            key=f"{what} is not executed",
-        )
-
-    def silent(probe: Probe) -> None:
-        shown.prepare(probe)
-        to = join(probe)
-        sent = send_to(probe, to, shown.order(probe), shown.settle_ns)
-        if not sent.silent:
-            raise _answered_many(sent, what)
-
-    demands: dict[str, Any] = {
-        "alone": True,
-        "risks": {*shown.risks, *more},
-        "settings": (*shown.settings, *changed),
-        "rests_on": rests_on,
-        "section": where,
-    }
-    statement = f"A command by {what} is executed."
-    yield declare(dialect, Theme.ADDRESSING, f"{name}/executed", statement, "no effect of it", executed, **demands)
-    statement = f"A command by {what} is not answered, neither when it begins nor when it is done."
-    yield declare(dialect, Theme.ADDRESSING, f"{name}/silent", statement, "any answer", silent, **demands)
-
-
-# --- the group --------------------------------------------------------------------------------------------------------
-
-#: A group address, and another one where the drive itself has it.
-_GROUP, _OTHER_GROUP = 0x50, 0x60
-_RESTS_ON = (Doubt.ADDRESSING,)
+def _all_drives(probe: Probe) -> int:
+    assert probe.dialect.broadcast is not None  # asked by `_addresses`
+    return probe.dialect.broadcast
 
 
 def group_of(own: int) -> int:
@@ -157,69 +74,172 @@ def _join(probe: Probe) -> int:
     return group
 
 
-def _group(dialect: Dialect, shown: Witness | None) -> Iterator[Claim]:
-    command = dialect.by_verb[Verb.SET_GROUP_ADDRESS]
-    where, more, changed = command.section, command.all_risks, ("group_address",)
-    demands: dict[str, Any] = {"section": where, "alone": True, "risks": more, "settings": changed, "rests_on": _RESTS_ON}
-
-    def read(probe: Probe) -> None:
-        ask_first(probe)
-        sent = read_of(probe, _join(probe))
-        if not sent.silent:
-            raise _answered_many(sent, "a group address")
-
-    def own(probe: Probe) -> None:
-        ask_first(probe)
-        _join(probe)
-        tries = [probe.ask(plain_read(dialect)) for _ in range(2)]
-        exchange = tries[-1]
-        if not any(is_answered(each) for each in tries):
-            raise Refuted(
-                "a drive in a group no longer answers its own address",
-                expected=f"a reply to {hex_of(exchange.sent or b'')}",
-                got=came(exchange),
-                exchange=exchange,
-            )
-
-    yield declare(
-        dialect, Theme.ADDRESSING, "group/read", "A read to the group address is not answered.", "any answer", read,
-        **demands,
-    )  # fmt: skip
-    yield declare(
-        dialect, Theme.ADDRESSING, "group/own", "A drive in a group still answers its own address.",
-        "silence, or another answer", own, **demands,
-    )  # fmt: skip
-    if shown is not None:
-        yield from _to_many(dialect, "group", "a group address", where, shown, _join, _RESTS_ON, more, changed)
-        zero = effects.setting(dialect)
-        if zero is not None:
-            yield from _to_many(dialect, "group/setting", "a group address", where, zero, _join, _RESTS_ON, more, changed)
-        yield _other_group(dialect, shown, demands)
+def _address_section(case: Case) -> str:
+    command = case.dialect.by_verb.get(Verb.SET_ADDRESS)
+    return described_in(Subject.ADDRESSING)(case) if command is None else command.section
 
 
-def _other_group(dialect: Dialect, shown: Witness, demands: dict[str, Any]) -> Claim:
-    def check(probe: Probe) -> None:
-        shown.prepare(probe)
-        group = _join(probe)
-        order = shown.order(probe)
-        for address in (group + 1, group - 1):
-            sent = send_to(probe, address, order, shown.settle_ns)
-            if not sent.silent or shown.done(probe, order):
-                raise Refuted(
-                    f"the group {address} is heard, and the drive is in {group}",
-                    expected=f"no answer and no effect of {hex_of(sent.sent or b'')}",
-                    got=came(sent) if not sent.silent else "it is executed",
-                    exchange=sent,
-                    key="another group is heard",
-                )
-        shown.control(probe)
+_BROADCAST = _Many("broadcast", "a broadcast", _all_drives, _address_section)
+_GROUPS = _Many(
+    "group",
+    "a group address",
+    _join,
+    lambda case: case.dialect.by_verb[Verb.SET_GROUP_ADDRESS].section,
+    ("group_address",),
+    (Doubt.ADDRESSING,),
+    Verb.SET_GROUP_ADDRESS,
+)
 
-    return declare(
-        dialect,
+
+def _addresses(dialect: Dialect) -> Iterator[_Many]:
+    if dialect.broadcast is not None:
+        yield _BROADCAST
+    if Verb.SET_GROUP_ADDRESS in dialect.by_verb:
+        yield _GROUPS
+
+
+def _of(many: _Many) -> Cases:
+    """Return one case of an address of several drives, where a dialect has it."""
+    return lambda dialect: [Case(dialect, given={"many": many, "what": many.what})] if many in _addresses(dialect) else []
+
+
+def _addressing(refuted_by: str, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Declare a check that sends to several drives; what that needs is named for it."""
+
+    def risks(case: Case) -> frozenset[Risk]:
+        many: _Many = case["many"]
+        return many.risks(case.dialect) | (case["shown"].risks if "shown" in case.given else frozenset())
+
+    def settings(case: Case) -> tuple[str, ...]:
+        return (*(case["shown"].settings if "shown" in case.given else ()), *case["many"].settings)
+
+    return claim(
         Theme.ADDRESSING,
-        "group/other",
-        "A command to another group address than the drive's is neither executed nor answered.",
-        "an answer, or an effect of it",
-        check,
-        **(demands | {"risks": {*demands["risks"], *shown.risks}, "settings": (*demands["settings"], *shown.settings)}),
+        each=each,
+        refuted_by=refuted_by,
+        section=lambda case: case["many"].section(case),
+        rests_on=lambda case: case["many"].rests_on,
+        risks=risks,
+        settings=settings,
+        alone=True,
+        parameters={},
+        **facts,
     )
+
+
+def _expect_silence(probe: Probe, sent: Exchange, what: str) -> None:
+    probe.expect(
+        came(sent),
+        holds=sent.silent,
+        expected=f"silence after {hex_of(sent.sent or b'')}",
+        refutes=f"{what} is answered",
+        exchange=sent,
+        key=f"{what} is answered",
+    )
+
+
+# --- reads ------------------------------------------------------------------------------------------------------------
+
+
+def _samples(dialect: Dialect) -> list[Command]:
+    return [c for c in dialect.commands if c.all_risks == {Risk.READ} and not c.request_forms[0].layout.fields][:4]
+
+
+@_addressing("any answer", _of(_BROADCAST), name="{many}/read")
+def _broadcast_read(probe: Probe, many: _Many) -> None:
+    """A read by broadcast is not answered."""
+    ask_first(probe)
+    for command in _samples(probe.dialect):
+        sent = probe.send(probe.build(command, address=many.join(probe)).item())
+        _expect_silence(probe, sent, many.what)
+
+
+@_addressing("silence, or another answer", _of(_BROADCAST), name="{many}/next")
+def _behind_broadcast(probe: Probe, many: _Many) -> None:
+    """The next request to the drive behind a broadcast is answered."""
+    ask_first(probe)
+    judge_next(probe, many.what, lambda: read_of(probe, many.join(probe)))
+
+
+@_addressing("any answer", _of(_GROUPS), name="{many}/read")
+def _group_read(probe: Probe, many: _Many) -> None:
+    """A read to the group address is not answered."""
+    ask_first(probe)
+    _expect_silence(probe, read_of(probe, many.join(probe)), many.what)
+
+
+@_addressing("silence, or another answer", _of(_GROUPS), name="{many}/own")
+def _own_address(probe: Probe, many: _Many) -> None:
+    """A drive in a group still answers its own address."""
+    ask_first(probe)
+    many.join(probe)
+    tries = [probe.ask(plain_read(probe.dialect)) for _ in range(2)]
+    probe.expect(
+        came(tries[-1]),
+        holds=any(is_answered(each) for each in tries),
+        expected=f"a reply to {hex_of(tries[-1].sent or b'')}",
+        refutes="a drive in a group no longer answers its own address",
+        exchange=tries[-1],
+    )
+
+
+# --- commands ---------------------------------------------------------------------------------------------------------
+
+
+def _orders(dialect: Dialect) -> Iterator[Case]:
+    """Yield each address of several drives with each witness of a motion and of a setting."""
+    for many in _addresses(dialect):
+        for name, shown in ((many.name, effects.chosen(dialect)), (f"{many.name}/setting", effects.setting(dialect))):
+            if shown is not None:
+                yield Case(dialect, given={"many": many, "what": many.what, "kind": name, "shown": shown})
+
+
+@_addressing("no effect of it", _orders, name="{kind}/executed")
+def _executed(probe: Probe, many: _Many, shown: Witness) -> None:
+    """A command by {what} is executed."""
+    shown.prepare(probe)
+    to = many.join(probe)
+    order = shown.order(probe)
+    sent = send_to(probe, to, order, shown.settle_ns)
+    done = shown.done(probe, order)
+    if not done:
+        shown.control(probe)
+    probe.expect(
+        f"{order.before} is read",
+        holds=done,
+        expected=f"{order.after} to be read after {hex_of(sent.sent or b'')}",
+        refutes=f"{order.command.name} by {many.what} is not executed",
+        exchange=sent,
+        key=f"{many.what} is not executed",
+    )
+
+
+@_addressing("any answer", _orders, name="{kind}/silent")
+def _silent(probe: Probe, many: _Many, shown: Witness) -> None:
+    """A command by {what} is not answered, neither when it begins nor when it is done."""
+    shown.prepare(probe)
+    to = many.join(probe)
+    _expect_silence(probe, send_to(probe, to, shown.order(probe), shown.settle_ns), many.what)
+
+
+def _group_orders(dialect: Dialect) -> Iterator[Case]:
+    return (case for case in _orders(dialect) if case["kind"] == _GROUPS.name)
+
+
+@_addressing("an answer, or an effect of it", _group_orders, name="{many}/other")
+def _other_group(probe: Probe, many: _Many, shown: Witness) -> None:
+    """A command to another group address than the drive's is neither executed nor answered."""
+    shown.prepare(probe)
+    group = many.join(probe)
+    order = shown.order(probe)
+    for address in (group + 1, group - 1):
+        sent = send_to(probe, address, order, shown.settle_ns)
+        probe.expect(
+            came(sent) if not sent.silent else "it is executed",
+            holds=sent.silent and not shown.done(probe, order),
+            expected=f"no answer and no effect of {hex_of(sent.sent or b'')}",
+            refutes=f"the group {address} is heard, and the drive is in {group}",
+            exchange=sent,
+            key="another group is heard",
+        )
+    shown.control(probe)

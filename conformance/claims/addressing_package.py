@@ -7,247 +7,249 @@ What a slot makes the drive do is a small move, whose length tells which slot wa
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
-from conformance.claim import Claim, Inconclusive, Refuted, Theme
-from conformance.claims.declare import declare
+from conformance.claim import Claim, Inconclusive, Theme
+from conformance.claims.declare import Case, Cases, claim, declared_in
 from conformance.claims.hearing import ask_first, came, judge_next, plain_read
 from conformance.motion import effects, motion
 from conformance.motion.effects import STEP, STEP_NS
 from conformance.talk.exchange import Exchange, hex_of
+from conformance.talk.probe import Probe
 
-if TYPE_CHECKING:
-    from conformance.talk.probe import Probe
-
-#: A slot as the encoder takes it.
+#: A slot as the encoder takes it; an empty one is a slot of zeros, which is unused.
 Slot = dict[str, Any]
-#: A slot of zeros, which is unused.
+#: The slots of a package for a drive, and by how many steps they move it.
+Slots = Callable[[Dialect, Command, int], Sequence[Slot]]
 EMPTY: Slot = {}
-#: What tells the move of one slot from that of another, in steps of the witness.
+#: What tells the move of one slot from that of another, in steps.
 _ONE, _OTHER = 1, 3
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims about packages of a dialect that has them."""
-    package = next(c for c in dialect.commands if c.slots is not None)
-    if Verb.MOVE_RELATIVE_AXIS not in dialect.by_verb or not motion.can_move(dialect) or package.slots is None:
-        return
-    make = _Maker(dialect, package)
-    for number in range(1, package.slots.count + 1):
-        yield make.slot(number)
-    yield make.among_others()
-    yield make.silent()
-    yield make.first_of_two()
-    yield make.of_others()
-    yield make.of_all()
-    yield make.of_zeros()
-    yield make.following()
-    yield make.broken_off()
-    yield from make.damaged()
+    return declared_in(__name__, dialect)
 
 
-class _Maker:
-    """Makes the claims about the packages of a dialect."""
+def _packages(dialect: Dialect) -> Iterator[Case]:
+    """Yield the command whose data is a package, where its effect can be seen."""
+    if Verb.MOVE_RELATIVE_AXIS in dialect.by_verb and motion.can_move(dialect):
+        for command in dialect.commands:
+            if command.slots is not None:
+                yield Case(dialect, command)
 
-    def __init__(self, dialect: Dialect, package: Command) -> None:
-        self.dialect, self.package = dialect, package
-        assert package.slots is not None
-        self.count, self.size = package.slots.count, package.slots.size
 
-    # --- frames -------------------------------------------------------------------------------------------------------
+def _of_packages(
+    refuted_by: str, *, name: str, each: Cases = _packages, other_slots: bool = False, **facts: Any
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Declare a check that sends packages. `other_slots`: they can be read with other slots than they were built with."""
+    more = (Risk.UNKNOWN,) if other_slots else ()
+    return claim(
+        Theme.ADDRESSING,
+        each=each,
+        name=f"package/{name}",
+        refuted_by=refuted_by,
+        alone=True,
+        risks=lambda case: motion.risks(case.dialect, *more),
+        settings=lambda case: motion.settings(case.dialect),
+        parameters={},
+        **facts,
+    )
 
-    def move(self, address: int, steps: int = _ONE) -> Slot:
-        """Return a slot that moves a drive by some steps."""
-        command = self.dialect.by_verb[Verb.MOVE_RELATIVE_AXIS].name
-        return {"address": address, "command": command, "speed": 60, "acceleration": 200, "position": STEP * steps}
 
-    def frame(self, probe: Probe, slots: Sequence[Slot]) -> bytes:
-        """Return a package whose slots stand where they stand in `slots`; an empty one is a slot of zeros."""
-        data = b"".join(self._data(probe, slot) for slot in slots).ljust(self.count * self.size, b"\0")
-        return self.dialect.link.completed(bytes((self.package.code,)) + data)
+# --- packages ---------------------------------------------------------------------------------------------------------
 
-    def _data(self, probe: Probe, slot: Slot) -> bytes:
-        if not slot:
-            return bytes(self.size)
-        built = probe.build(self.package, {"slots": [slot]}).frame
-        return built[1 : 1 + self.size]
 
-    # --- judging ------------------------------------------------------------------------------------------------------
+def _move(dialect: Dialect, address: int, steps: int = _ONE) -> Slot:
+    """Return a slot that moves a drive by some steps."""
+    command = dialect.by_verb[Verb.MOVE_RELATIVE_AXIS].name
+    return {"address": address, "command": command, "speed": 60, "acceleration": 200, "position": STEP * steps}
 
-    def moved(self, probe: Probe, frame: bytes) -> tuple[int, Exchange]:
-        """Send a package and return by how many steps the shaft has moved then. Raises Inconclusive."""
-        before = probe.read(Verb.READ_POSITION, "position")
-        sent = probe.send(frame, timeout_ns=STEP_NS * _OTHER)
-        after = probe.read(Verb.READ_POSITION, "position")
-        return round((after - before) / STEP), sent
 
-    def judge(self, probe: Probe, frame: bytes, steps: int, what: str) -> None:
-        """Refute a drive that does not move by so many steps after a package, and prove that it can move."""
-        got, sent = self.moved(probe, frame)
-        if got != steps:
-            if steps:
-                self.control(probe)
-            raise Refuted(
-                f"{what}: the shaft moves by {got * STEP} counts",
-                expected=f"{steps * STEP} counts after {hex_of(frame)}",
-                got=f"{got * STEP} counts",
-                exchange=sent,
-                key=what,
-            )
-        if not steps:
-            self.control(probe)
-
-    def control(self, probe: Probe) -> None:
-        """Raise Inconclusive where the drive does not move when it is told by itself."""
-        shown = effects.chosen(self.dialect)
-        if shown is None:
-            raise Inconclusive("there is nothing that shows whether the drive executes")
-        shown.control(probe)
-
-    def claim(
-        self, name: str, statement: str, refuted_by: str, slots: Any, steps: int, *, sure: Certainty = Certainty.CERTAIN
-    ) -> Claim:
-        """Return a claim that a package moves the drive by so many steps. `slots(own)` returns its slots."""
-
-        def check(probe: Probe) -> None:
-            motion.ready_to_move(probe)
-            self.judge(probe, self.frame(probe, slots(probe.address)), steps, statement)
-
-        return self.declared(name, statement, refuted_by, check, sure=sure)
-
-    def declared(
-        self, name: str, statement: str, refuted_by: str, check: Any, *, sure: Certainty = Certainty.CERTAIN,
-        emulated: bool = False, cut: bool = False,
-    ) -> Claim:  # fmt: skip
-        """Return a claim about packages. `cut`: what is sent can be read with other slots than it was built with."""
-        return declare(
-            self.dialect,
-            Theme.ADDRESSING,
-            f"package/{name}",
-            statement,
-            refuted_by,
-            check,
-            command=self.package,
-            at_best=sure,
-            alone=True,
-            emulated=emulated,
-            risks=motion.risks(self.dialect, *((Risk.UNKNOWN,) if cut else ())),
-            settings=motion.settings(self.dialect),
-        )
-
-    # --- the claims ---------------------------------------------------------------------------------------------------
-
-    def slot(self, number: int) -> Claim:
-        """Return the claim that a command is executed in a slot, with all others unused."""
-        statement = f"A command in slot {number} of a package is executed, with the other slots unused."
-        return self.claim(f"slot_{number}", statement, "no move", lambda own: [EMPTY] * (number - 1) + [self.move(own)], _ONE)
-
-    def among_others(self) -> Claim:
-        """Return the claim that a drive takes its own slot from among those of others."""
-
-        def slots(own: int) -> list[Slot]:
-            others = _others(self.dialect, own, self.count - 1)
-            return [self.move(others[0], _OTHER), self.move(own), *(self.move(a, _OTHER) for a in others[1:])]
-
-        statement = "Of a package for five drives each executes its own slot."
-        return self.claim("own_slot", statement, "no move, or that of another slot", slots, _ONE)
-
-    def first_of_two(self) -> Claim:
-        """Return the claim that of two slots for one drive the first is executed."""
-        statement = "Of two slots for one drive only the first is executed."
-        return self.claim(
-            "first_of_two", statement, "the move of the second slot, or of both",
-            lambda own: [self.move(own), EMPTY, self.move(own, _OTHER)], _ONE,
-        )  # fmt: skip
-
-    def of_others(self) -> Claim:
-        """Return the claim that a package for others is nothing to the drive."""
-        statement = "A package for other drives is not executed."
-        return self.claim(
-            "others", statement, "a move", lambda own: [self.move(a) for a in _others(self.dialect, own, self.count)], 0
-        )
-
-    def of_all(self) -> Claim:
-        """Return the claim that a slot with the address of all drives is not executed."""
-        statement = "A slot with the address 0 is not executed: a slot names one drive."
-        to = self.dialect.broadcast or 0
-        return self.claim("broadcast_slot", statement, "a move", lambda own: [self.move(to)], 0, sure=Certainty.LIKELY)
-
-    def of_zeros(self) -> Claim:
-        """Return the claim that a package of zeros does nothing."""
-        return self.claim("unused", "A package without a used slot does nothing.", "a move", lambda own: [EMPTY], 0)
-
-    def silent(self) -> Claim:
-        """Return the claim that a package is not answered."""
-        statement = "A package is not answered, neither when a move begins nor when it is done."
-
-        def check(probe: Probe) -> None:
-            motion.ready_to_move(probe)
-            read = {"address": probe.address, "command": plain_read(self.dialect).name}
-            for slot in (read, self.move(probe.address)):
-                frame = self.frame(probe, [slot])
-                sent = probe.send(frame, timeout_ns=STEP_NS * _OTHER)
-                if not sent.silent:
-                    raise Refuted(
-                        "a package is answered", expected=f"silence after {hex_of(frame)}", got=came(sent), exchange=sent
-                    )
-
-        return self.declared("silent", statement, "any answer", check)
-
-    def following(self) -> Claim:
-        """Return the claim that the next request behind a package is answered."""
-
-        def check(probe: Probe) -> None:
-            ask_first(probe)
-            read = {"address": probe.address, "command": plain_read(self.dialect).name}
-            judge_next(probe, "a package", lambda: probe.send(self.frame(probe, [read])))
-
-        statement = "The next request to the drive behind a package is answered."
-        return self.declared("next", statement, "silence, or another answer", check)
-
-    def broken_off(self) -> Claim:
-        """Return the claim that the next request behind a package that breaks off is answered."""
-
-        def check(probe: Probe) -> None:
-            ask_first(probe)
-            frame = self.frame(probe, [{"address": probe.address, "command": plain_read(self.dialect).name}])
-            for size in (1, 3, self.size, len(frame) // 2, len(frame) - 1):
-                judge_next(probe, f"{size} bytes of a package", partial(probe.send, frame[:size]))
-
-        statement = "The next request to the drive behind a package that breaks off is answered, after a pause."
-        return self.declared("broken_off", statement, "silence", check, sure=Certainty.LIKELY, cut=True)
-
-    def damaged(self) -> Iterator[Claim]:
-        """Yield the claims that a package of another length, or with a wrong sum, is not executed. Emulated drives only."""
-        link = self.dialect.link
-
-        def lengths(frame: bytes) -> Iterator[bytes]:
-            for size in (1, 10, 20, 40):
-                yield link.completed(frame[: -1 - size])
-            yield link.completed(frame[:-1] + b"\0")
-            yield link.completed(frame[:-1] + bytes(10))
-
-        def sums(frame: bytes) -> Iterator[bytes]:
-            for bit in (0, 3, 7):
-                yield frame[:-1] + bytes((frame[-1] ^ 1 << bit,))
-
-        kinds = (
-            ("length", "A package of more or fewer than 52 bytes is not executed.", lengths),
-            ("checksum", "A package whose checksum does not fit is not executed.", sums),
-        )
-        for name, statement, variants in kinds:
-
-            def check(probe: Probe, variants: Any = variants, statement: str = statement) -> None:
-                motion.ready_to_move(probe)
-                for frame in variants(self.frame(probe, [self.move(probe.address)])):
-                    self.judge(probe, frame, 0, statement)
-
-            yield self.declared(name, statement, "a move", check, emulated=True, cut=True)
+def _read(probe: Probe) -> Slot:
+    return {"address": probe.address, "command": plain_read(probe.dialect).name}
 
 
 def _others(dialect: Dialect, own: int, count: int) -> list[int]:
     first, last = dialect.addresses
     return [a for a in range(max(first, own - count), last + 1) if a != own][:count]
+
+
+def _frame(probe: Probe, package: Command, slots: Sequence[Slot]) -> bytes:
+    """Return a package whose slots stand where they stand in `slots`."""
+    assert package.slots is not None
+    size = package.slots.size
+    parts = [probe.build(package, {"slots": [s]}).frame[1 : 1 + size] if s else bytes(size) for s in slots]
+    data = b"".join(parts).ljust(package.slots.count * size, b"\0")
+    return probe.dialect.link.completed(bytes((package.code,)) + data)
+
+
+def _send(probe: Probe, frame: bytes) -> tuple[int, Exchange]:
+    """Send a package; return by how many steps the shaft has moved then. Raises Inconclusive."""
+    before = probe.read(Verb.READ_POSITION, "position")
+    sent = probe.send(frame, timeout_ns=STEP_NS * _OTHER)
+    return round((probe.read(Verb.READ_POSITION, "position") - before) / STEP), sent
+
+
+def _expect_move(probe: Probe, frame: bytes, steps: int, what: str) -> None:
+    """Expect a move by so many steps after a package, of a drive that moves when it is told by itself."""
+    moved, sent = _send(probe, frame)
+    shown = effects.chosen(probe.dialect)
+    if shown is None:
+        raise Inconclusive("there is nothing that shows whether the drive executes")
+    if (moved == steps) == (steps == 0):
+        shown.control(probe)
+    probe.expect(
+        moved * STEP,
+        equal=steps * STEP,
+        unit="counts",
+        expected=f"{steps * STEP} counts after {hex_of(frame)}",
+        refutes=f"{what}: the shaft moves by {moved * STEP} counts",
+        exchange=sent,
+        key=what,
+    )
+
+
+# --- which slot is executed -------------------------------------------------------------------------------------------
+
+
+def _in_slot(number: int) -> Slots:
+    return lambda dialect, package, own: [EMPTY] * (number - 1) + [_move(dialect, own)]
+
+
+def _among_others(dialect: Dialect, package: Command, own: int) -> list[Slot]:
+    assert package.slots is not None
+    others = [_move(dialect, a, _OTHER) for a in _others(dialect, own, package.slots.count - 1)]
+    return [others[0], _move(dialect, own), *others[1:]]
+
+
+def _two_of_one(dialect: Dialect, package: Command, own: int) -> list[Slot]:
+    return [_move(dialect, own), EMPTY, _move(dialect, own, _OTHER)]
+
+
+def _for_others(dialect: Dialect, package: Command, own: int) -> list[Slot]:
+    assert package.slots is not None
+    return [_move(dialect, a) for a in _others(dialect, own, package.slots.count)]
+
+
+def _for_all(dialect: Dialect, package: Command, own: int) -> list[Slot]:
+    return [_move(dialect, dialect.broadcast or 0)]
+
+
+def _unused(dialect: Dialect, package: Command, own: int) -> list[Slot]:
+    return [EMPTY]
+
+
+#: Name, slots, steps, statement, what refutes it, how sure.
+_ROWS: tuple[tuple[str, Slots, int, str, str, Certainty], ...] = (
+    (
+        "own_slot",
+        _among_others,
+        _ONE,
+        "Of a package for five drives each executes its own slot.",
+        "no move, or that of another slot",
+        Certainty.CERTAIN,
+    ),
+    (
+        "first_of_two",
+        _two_of_one,
+        _ONE,
+        "Of two slots for one drive only the first is executed.",
+        "the move of the second slot, or of both",
+        Certainty.CERTAIN,
+    ),
+    ("others", _for_others, 0, "A package for other drives is not executed.", "a move", Certainty.CERTAIN),
+    (
+        "broadcast_slot",
+        _for_all,
+        0,
+        "A slot with the address 0 is not executed: a slot names one drive.",
+        "a move",
+        Certainty.LIKELY,
+    ),
+    ("unused", _unused, 0, "A package without a used slot does nothing.", "a move", Certainty.CERTAIN),
+)
+
+
+def _slots(dialect: Dialect) -> Iterator[Case]:
+    for case in _packages(dialect):
+        assert case.command is not None
+        assert case.command.slots is not None
+        for number in range(1, case.command.slots.count + 1):
+            statement = f"A command in slot {number} of a package is executed, with the other slots unused."
+            facts = {"statement": statement, "refuted_by": "no move", "at_best": Certainty.CERTAIN}
+            given = {"kind": f"slot_{number}", "slots": _in_slot(number), "steps": _ONE}
+            yield Case(dialect, case.command, given, facts)
+        for kind, slots, steps, statement, refuted_by, at_best in _ROWS:
+            facts = {"statement": statement, "refuted_by": refuted_by, "at_best": at_best}
+            yield Case(dialect, case.command, {"kind": kind, "slots": slots, "steps": steps}, facts)
+
+
+@_of_packages("", name="{kind}", each=_slots)
+def _executed(probe: Probe, command: Command, slots: Slots, steps: int) -> None:
+    motion.ready_to_move(probe)
+    frame = _frame(probe, command, slots(probe.dialect, command, probe.address))
+    _expect_move(probe, frame, steps, probe.claim.statement)
+
+
+# --- what is answered -------------------------------------------------------------------------------------------------
+
+
+@_of_packages("any answer", name="silent")
+def _silent(probe: Probe, command: Command) -> None:
+    """A package is not answered, neither when a move begins nor when it is done."""
+    motion.ready_to_move(probe)
+    for slot in (_read(probe), _move(probe.dialect, probe.address)):
+        frame = _frame(probe, command, [slot])
+        sent = probe.send(frame, timeout_ns=STEP_NS * _OTHER)
+        expected = f"silence after {hex_of(frame)}"
+        probe.expect(came(sent), holds=sent.silent, expected=expected, refutes="a package is answered", exchange=sent)
+
+
+@_of_packages("silence, or another answer", name="next")
+def _behind(probe: Probe, command: Command) -> None:
+    """The next request to the drive behind a package is answered."""
+    ask_first(probe)
+    judge_next(probe, "a package", lambda: probe.send(_frame(probe, command, [_read(probe)])))
+
+
+@_of_packages("silence", name="broken_off", at_best=Certainty.LIKELY, other_slots=True)
+def _broken_off(probe: Probe, command: Command) -> None:
+    """The next request to the drive behind a package that breaks off is answered, after a pause."""
+    assert command.slots is not None
+    ask_first(probe)
+    frame = _frame(probe, command, [_read(probe)])
+    for size in (1, 3, command.slots.size, len(frame) // 2, len(frame) - 1):
+        judge_next(probe, f"{size} bytes of a package", partial(probe.send, frame[:size]))
+
+
+# --- damaged packages: emulated drives alone --------------------------------------------------------------------------
+
+
+def _expect_nothing(probe: Probe, command: Command, damaged: Callable[[bytes], Iterator[bytes]]) -> None:
+    motion.ready_to_move(probe)
+    for frame in damaged(_frame(probe, command, [_move(probe.dialect, probe.address)])):
+        _expect_move(probe, frame, 0, probe.claim.statement)
+
+
+@_of_packages("a move", name="length", emulated=True, other_slots=True)
+def _other_lengths(probe: Probe, command: Command) -> None:
+    """A package of more or fewer than 52 bytes is not executed."""
+    completed = probe.dialect.link.completed
+
+    def lengths(frame: bytes) -> Iterator[bytes]:
+        for size in (1, 10, 20, 40):
+            yield completed(frame[: -1 - size])
+        yield completed(frame[:-1] + b"\0")
+        yield completed(frame[:-1] + bytes(10))
+
+    _expect_nothing(probe, command, lengths)
+
+
+@_of_packages("a move", name="checksum", emulated=True, other_slots=True)
+def _wrong_sums(probe: Probe, command: Command) -> None:
+    """A package whose checksum does not fit is not executed."""
+    _expect_nothing(probe, command, lambda frame: (frame[:-1] + bytes((frame[-1] ^ 1 << bit,)) for bit in (0, 3, 7)))

@@ -74,20 +74,14 @@ def commands(*verbs: Verb) -> Cases:
     return lambda dialect: (Case(dialect, dialect.by_verb[verb]) for verb in verbs if verb in dialect.by_verb)
 
 
-<<<<<<< HEAD
-def motions(*kinds: MotionKind, where: Callable[[Command], bool] = lambda command: True) -> Cases:
-    """Return cases of the commands whose motion is of these kinds, in the manual's order; those for which `where` is true."""
-    return lambda dialect: (Case(dialect, command) for command in dialect.motions(*kinds) if where(command))
-=======
 def described_in(subject: Subject) -> Callable[[Case], str]:
     """Return what tells the section in which a case's manual describes a subject."""
     return lambda case: case.dialect.sections.get(subject, case.dialect.commands[0].section)
 
 
-def motions(*kinds: MotionKind) -> Cases:
-    """Return cases of the commands whose motion is of these kinds, in the manual's order."""
-    return lambda dialect: (Case(dialect, command) for command in dialect.motions(*kinds))
->>>>>>> 523ed18 (Framing: declared claims)
+def motions(*kinds: MotionKind, where: Callable[[Command], bool] = lambda command: True) -> Cases:
+    """Return cases of the commands whose motion is of these kinds, in the manual's order; those for which `where` is true."""
+    return lambda dialect: (Case(dialect, command) for command in dialect.motions(*kinds) if where(command))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ from conformance.claims.declare import Case, claim, declared_in, described_in
 from conformance.claims.hearing import came
 from conformance.motion import effects
 from conformance.motion.effects import Order, Witness
-from conformance.talk import garbling
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
 
@@ -174,7 +173,7 @@ def _not_executed(probe: Probe, damage: _Damage, observable: Witness) -> None:
     order = observable.order(probe)
     built = probe.build(order.command, order.values)
     for what, frame in damage.make(probe.dialect, built.frame, probe.address):
-        sent = probe.send(garbling.item_of(probe.dialect, probe.address, frame), timeout_ns=_LISTEN_NS)
+        sent = probe.send(built.item(frame), timeout_ns=_LISTEN_NS)
         observable.settle(probe)
         got = observable.read(probe)
         probe.expect(

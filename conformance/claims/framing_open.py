@@ -127,10 +127,10 @@ def _pair(dialect: Dialect) -> tuple[Command, Command]:
 
 
 def _send_two(probe: Probe) -> Exchange:
-    frames = [probe.build(c).frame for c in _pair(probe.dialect)]
+    both = [probe.build(c) for c in _pair(probe.dialect)]
     if not isinstance(probe.dialect.link, CanLink):
-        return probe.send(b"".join(frames), timeout_ns=LISTEN_NS)
-    one, other = (probe.send(probe.item(f), timeout_ns=0 if n == 0 else LISTEN_NS) for n, f in enumerate(frames))
+        return probe.send(b"".join(built.frame for built in both), timeout_ns=LISTEN_NS)
+    one, other = (probe.send(built.item(), timeout_ns=0 if n == 0 else LISTEN_NS) for n, built in enumerate(both))
     other.answers[:0] = one.answers
     return other
 
