@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Verb
-from analyzer.protocols.mks_shared import MODE_MAXIMUM_SPEEDS
 from conformance.claim import Claim
 from conformance.claims.motion_claim import expect_speed, motion_claim, refute
 from conformance.motion import motion
@@ -30,7 +29,6 @@ _HIGHEST = 3000
 _SHARE = 0.005
 #: Subdivisions at which the rule of speeds and pulses is tried, as the number that they stand for.
 _SUBDIVISIONS = (2, 8, 16, 32, 64, 100, 128, 256)
-_PLAIN = (16, 32, 64)
 #: The shaft turns about so fast in a claim about subdivisions, in rpm.
 _CALM = 60
 
@@ -44,7 +42,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     for command in (run, *journey.moves(dialect)):
         yield from _about_limits(dialect, command)
     for mode in run.modes:
-        top = MODE_MAXIMUM_SPEEDS.get(mode, _HIGHEST)
+        top = dialect.mode_speeds.get(mode, _HIGHEST)
         yield made(
             f"highest-{mode}",
             f"In mode {mode} the shaft turns at up to {top} rpm, and at {top} rpm when more is asked for.",
@@ -66,11 +64,12 @@ def _sent_as(dialect: Dialect, subdivision: int) -> int | None:
 
 
 def _about_subdivision(dialect: Dialect, subdivision: int) -> Iterator[Claim]:
-    sent = _sent_as(dialect, subdivision)
-    if sent is None:
+    sent, rule = _sent_as(dialect, subdivision), dialect.subdivision
+    if sent is None or rule is None:
         return
-    speed = _CALM if subdivision in _PLAIN else max(1, round(_CALM * subdivision / 16))
-    rpm = speed if subdivision in _PLAIN else speed * 16 / subdivision
+    slower = 1 if subdivision in rule.plain else subdivision / rule.counted_at
+    speed = max(1, round(_CALM * slower))
+    rpm = speed / slower
     set_subdivision = dialect.by_verb[Verb.SET_SUBDIVISION]
     made = partial(motion_claim, dialect, set_subdivision, parameters={"subdivision": subdivision})
     yield made(
@@ -83,7 +82,7 @@ def _about_subdivision(dialect: Dialect, subdivision: int) -> Iterator[Claim]:
     )
     yield made(
         f"pulses-at-{subdivision}",
-        f"At {subdivision} subdivisions a turn has {200 * subdivision} pulses.",
+        f"At {subdivision} subdivisions a turn has {rule.full_steps * subdivision} pulses.",
         "a move by pulses of another length",
         partial(_pulses_at, sent, subdivision),
         risks=dialect.by_verb[Verb.MOVE_RELATIVE_PULSES].all_risks,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from analyzer.catalogue import Form
 from analyzer.codec import codec
 from conformance.claim import Inconclusive, Refuted
+from conformance.claims.known_quirks import known
 from conformance.claims.requests import plain_exchange
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.reply_match import COUNTS, Reading, Replies, heard, replies, templates
@@ -24,8 +25,8 @@ Judge = Callable[["Probe", Exchange, Replies], None]
 SECOND_REPLY, NO_CHECKSUM, OTHER_FIRMWARE = "second-reply", "no-checksum", "lk-firmware-235"
 #: Two replies of the quirk "second-reply" are so far apart at least; a doubled reply follows at once.
 _APART_NS = 5_000_000
-#: Commands of drives whose replies were seen to have a wrong sum now and then (quirk lk-off-sum).
-_ERRING = frozenset({("lk-rs485", "move_multi_turn_limited")})
+#: The quirk of replies that have a wrong sum now and then, and the command whose replies were seen so.
+_OFF_SUM, _ERRING = "lk-off-sum", "move_multi_turn_limited"
 
 
 def _first(exchange: Exchange, found: Replies) -> Reading:
@@ -178,7 +179,7 @@ def check_judge(name: str) -> Judge:
 def _now_and_then(probe: Probe, exchange: Exchange, name: str) -> bool:
     """Say whether a check fits when a command is asked again, that of drives which were seen to err now and then."""
     assert exchange.command is not None  # asked
-    if (probe.dialect.name, exchange.command.name) not in _ERRING:
+    if exchange.command.name != _ERRING or not known(probe.dialect, _OFF_SUM):
         return False
     again = [replies(plain_exchange(probe, exchange.command), probe.dialect).first for _ in range(2)]
     checks = [reading.check(name) for reading in again if reading is not None]

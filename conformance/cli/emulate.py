@@ -207,10 +207,8 @@ def _wire_faults(arguments: argparse.Namespace) -> WireFaults | None:
 def _dialects(specifications: Sequence[Specification]) -> list[Dialect]:
     """Return what may be spoken on the bus, as the drives' model speaks it where all of a dialect are of one."""
     names = list(dict.fromkeys(s.dialect.name for s in specifications))
-    # A drive on RS485 can be told to speak the other one.
-    for name, other in (("mks-rs485", "mks-modbus"), ("mks-modbus", "mks-rs485")):
-        if name in names and other not in names:
-            names.append(other)
+    # A drive can be told to speak another one.
+    names += dict.fromkeys(s for name in tuple(names) for s in registry.get(name).siblings if s not in names)
     models = {s.model for s in specifications}
     model = models.pop() if len(models) == 1 else ""
     found = [registry.get(name) for name in names]

@@ -23,8 +23,8 @@ from dataclasses import dataclass
 from enum import Enum
 from math import sqrt
 
-#: The time of one rpm at acceleration 255; n below it takes n + 1 times as long.
-UNIT_NS = 50_000
+from analyzer.protocols.mks_shared import RAMP
+
 MINUTE_NS = 60_000_000_000
 #: A drive may differ from the law by so much before it counts: clocks of drive and host are not one.
 TOLERANCE = 0.01
@@ -34,9 +34,9 @@ SLOW_QUIRK = 0.05
 
 def step_ns(acceleration: int) -> int:
     """Return the time of one rpm for an acceleration as sent (0..255); 0 where speeds change at once."""
-    if not 0 <= acceleration <= 255:
-        raise ValueError(f"acceleration {acceleration}, expected 0..255")
-    return (256 - acceleration) * UNIT_NS if acceleration else 0
+    if not 0 <= acceleration < RAMP.steps:
+        raise ValueError(f"acceleration {acceleration}, expected 0..{RAMP.steps - 1}")
+    return (RAMP.steps - acceleration) * RAMP.unit_ns if acceleration else 0
 
 
 def ramp_ns(begin: float, end: float, acceleration: int) -> float:

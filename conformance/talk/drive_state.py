@@ -10,7 +10,7 @@ from analyzer.catalogue import Dialect, Verb
 from analyzer.codec import codec
 from analyzer.encoder import assemble
 from analyzer.errors import UsageError
-from analyzer.protocols.mks_shared import COUNTS_PER_TURN
+from analyzer.layout import Effect
 from conformance.gate.bounds import DEGREES
 from conformance.talk.dialogue import MS, Dialogue
 
@@ -30,13 +30,14 @@ def read_drive_state(dialogue: Dialogue, dialect: Dialect, address: int) -> None
             command = dialect.by_verb[Verb.READ_POSITION]
             field = command.reply_forms[0].layout.named["position"]
             counts = field.unit == "counts"
-            degrees = position * DEGREES / COUNTS_PER_TURN if counts else float(field.physical(position))
+            degrees = position * DEGREES / dialect.counts_per_turn if counts else float(field.physical(position))
             gate.note_position(degrees, address, pulses)
     wanted = bounds.turns is not None or bounds.speed is not None
-    if wanted and gate.allowance.subdivision is None and Verb.SET_SUBDIVISION in dialect.by_verb:
-        setting = dialect.by_verb[Verb.SET_SUBDIVISION]
+    found = dialect.effect(Effect.SUBDIVISION)
+    if wanted and gate.allowance.subdivision is None and found is not None:
+        setting, subdivided = found
         if setting.readable and Verb.READ_PARAMETER in dialect.by_verb:
-            subdivision = _read(dialogue, dialect, address, Verb.READ_PARAMETER, "subdivision", parameter=setting.code)
+            subdivision = _read(dialogue, dialect, address, Verb.READ_PARAMETER, subdivided.name, parameter=setting.code)
             if subdivision is not None:
                 gate.note_subdivision(subdivision, address)
 

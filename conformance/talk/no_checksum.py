@@ -15,13 +15,11 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from analyzer.catalogue import Dialect, Role
+from analyzer.catalogue import Dialect, Role, Trait
 from analyzer.pipeline import Entry, Options, Pipeline
 from analyzer.records import Chunk, Comment, Finding, Junk, JunkReason
 from conformance.talk.exchange import Exchange
 
-#: Dialects of which drives without checksums were seen.
-DIALECTS = frozenset({"mks-rs485"})
 _PORT = "bus"
 #: Head, address and code.
 _HEAD = 3
@@ -77,7 +75,7 @@ class Bare:
 
     def of_junk(self, junk: Junk, exchange: Exchange) -> Entry | None:
         """Return the reply that a piece of junk is but for its checksum, None where it is not."""
-        if self._dialect.name not in DIALECTS or junk.reason is not JunkReason.TRUNCATED:
+        if Trait.SEEN_WITHOUT_CHECKSUM not in self._dialect.traits or junk.reason is not JunkReason.TRUNCATED:
             return None
         return self._read(junk.data, junk.first_ns, junk.last_ns, junk.offset, exchange)
 
@@ -89,7 +87,11 @@ class Bare:
         message = entry.message
         if message.frame.last_ns in self._completed:
             return replace(entry, message=replace(message, frame=replace(message.frame, data=message.frame.data[:-1])))
-        if self._dialect.name not in DIALECTS or message.form is not None or message.role is not Role.REPLY:
+        if (
+            message.form is not None
+            or message.role is not Role.REPLY
+            or Trait.SEEN_WITHOUT_CHECKSUM not in self._dialect.traits
+        ):
             return None
         frame = message.frame
         return self._read(frame.data, frame.first_ns, frame.last_ns, frame.offset, exchange)

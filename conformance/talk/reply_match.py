@@ -22,11 +22,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from analyzer.catalogue import Command, Dialect, Form, Role
+from analyzer.catalogue import Command, Dialect, Form, Role, Trait
 from analyzer.codec import codec
 from analyzer.link import Check
 from conformance.talk.exchange import Exchange
-from conformance.talk.no_checksum import DIALECTS as BARE_DIALECTS
 
 ADDRESS, CODE = "address", "code"
 #: Parts of a head that count bytes.
@@ -240,7 +239,7 @@ def _begun(dialect: Dialect, template: Template, unit: _Unit) -> int:
         return len(data)
     bare = whole - template.check_size
     reading = _reading(dialect, template, unit.data[:bare], unit.can_id, 0)
-    known = dialect.name in BARE_DIALECTS and reading.lacks_check and all(p.ok for p in reading.parts)
+    known = Trait.SEEN_WITHOUT_CHECKSUM in dialect.traits and reading.lacks_check and all(p.ok for p in reading.parts)
     return bare if known else 0
 
 
