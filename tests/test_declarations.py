@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
 import pytest
 
 from analyzer import dialects
@@ -270,3 +274,25 @@ def test_an_erratum_leaves_in_doubt_what_it_names() -> None:
     assert not erratum.doubts(Doubt.VALUES, ("pend_mask",))
     whole = next(e for e in dialects.get("lk-rs485").errata if e.id == "lk-rs485-28")
     assert whole.doubts(Doubt.SIGN, ())
+
+
+# --- what nothing but the catalogue says ------------------------------------------------------------------------------
+
+ROOT = Path(__file__).parents[1]
+#: Where dialects are declared, and the drives that speak them.
+_NAMING = ("analyzer/protocols", "analyzer/dialects.py", "conformance/drives")
+
+
+def _texts() -> Iterator[tuple[str, str]]:
+    """Yield every string in the code, with the path of its module."""
+    for package in ("analyzer", "conformance"):
+        for path in sorted((ROOT / package).rglob("*.py")):
+            name = path.relative_to(ROOT).as_posix()
+            if not name.startswith(_NAMING):
+                nodes = ast.walk(ast.parse(path.read_text()))
+                yield from ((name, n.value) for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str))
+
+
+def test_no_code_goes_by_the_name_of_a_dialect_or_the_number_of_an_erratum() -> None:
+    names = {d.name for d in ALL} | {e.id for d in ALL for e in d.errata}
+    assert [(name, text) for name, text in _texts() if text in names] == []
