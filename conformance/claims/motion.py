@@ -17,14 +17,14 @@ from conformance.claims import (
     motion_lk_forces,
     motion_lk_limits,
     motion_lk_reads,
-    motion_lk_states,
     motion_reads,
     motion_speeds,
-    motion_states,
-    motion_updates,
+    motor_states,
     moves,
+    newer_motion,
     power_on,
     protection,
+    refusals,
     responding,
     runs,
     set_zero,
@@ -33,21 +33,9 @@ from conformance.claims import (
 from conformance.claims.declare import declared_in
 from conformance.motion import moves as old_moves
 
-_DECLARED = (moves, runs, stops, enabling)
-_MKS = (
-    motion_speeds,
-    motion_updates,
-    motion_states,
-    motion_reads,
-    responding,
-    set_zero,
-    homing,
-    end_limits,
-    protection,
-    power_on,
-    calibrating,
-)
-_LK = (motion_lk, motion_lk_states, motion_lk_forces, motion_lk_errors, motion_lk_reads, motion_lk_encoder, motion_lk_limits)
+_DECLARED = (moves, runs, newer_motion, stops, enabling, motor_states, refusals)
+_MKS = (motion_speeds, motion_reads, responding, set_zero, homing, end_limits, protection, power_on, calibrating)
+_LK = (motion_lk, motion_lk_forces, motion_lk_errors, motion_lk_reads, motion_lk_encoder, motion_lk_limits)
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:

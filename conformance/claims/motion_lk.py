@@ -55,10 +55,6 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
             "max-speed-0", f"{name} with max_speed 0 turns nothing: 0 is a limit like any other.", "motion",
             _max_speed_0, rests_on=(Doubt.MEANING,), quirks=known(dialect, "lk-zero-speed-moves"),
         )  # fmt: skip
-    yield motion_claim(
-        dialect, named["move_multi_turn"], "newer", "A newer move takes the place of the one under way.",
-        "a shaft that ends elsewhere", _newer, at_best=Certainty.LIKELY,
-    )  # fmt: skip
 
 
 # --- moves ------------------------------------------------------------------------------------------------------------
@@ -108,14 +104,3 @@ def _max_speed_0(probe: Probe, command: Command) -> None:
         probe.meets("lk-zero-speed-moves")
         return
     expect_stays(here, end, exchange, f"{command.name} with max_speed 0 turns the shaft")
-
-
-def _newer(probe: Probe, command: Command) -> None:
-    motion.ready_to_move(probe)
-    here = motion.position(probe)
-    probe.do("move_multi_turn_limited", {"position": round(here.value * 100) + 36_000, "max_speed": 9_000})
-    probe.wait(SECOND_NS)
-    exchange, end = _go(probe, command, {"position": round(here.value * 100) - 3_000})
-    went = end.value - here.value
-    if abs(went + 30) > NEAR:
-        raise refute(exchange, "a newer move does not take over", expected="-30 degrees", got=f"{went:+.1f} degrees")

@@ -17,7 +17,7 @@ from conformance.claim import Claim, Inconclusive
 from conformance.claims import world
 from conformance.claims.declare import Cases, commands, declared_in, motions
 from conformance.claims.motion_claim import of_motion, risks_by, that_tell_their_end
-from conformance.claims.motion_states import expect_refused
+from conformance.claims.refusals import expect_refused
 from conformance.motion import motion
 from conformance.motion import moves as journey
 from conformance.motion.motion import QUICK, SECOND_NS

@@ -211,16 +211,3 @@ def _replies(probe: Probe, command: Command) -> None:
     statuses = motion.statuses(probe.traffic, command)
     motion.stand_still(probe)
     probe.expect(statuses, equal=[1], refutes="a run is not answered by status 1 alone", exchange=exchange)
-
-
-@of_motion(each=_signed, refuted_by="a shaft that turns")
-def _zero(probe: Probe, command: Command) -> None:
-    """Speed 0 stops the shaft."""
-    motion.ready_to_move(probe)
-    motion.run_at(probe, _RPM)
-    probe.wait(500 * MS)
-    exchange = motion.run_at(probe, 0)
-    probe.wait(3 * SECOND_NS)
-    seen = motion.turning(probe)
-    motion.stand_still(probe)
-    expect_speed(seen, 0, exchange, "speed 0 does not stop the shaft")

@@ -219,9 +219,11 @@ def _measure(probe: Probe, reading: _Reading) -> Sample:
 
 
 def readable(exchange: Exchange) -> bool:
-    """Say whether a reply to a request is there and whole."""
+    """Say whether a reply to a request is there and whole, and not only what an earlier command said at its end."""
     answer = exchange.reply
-    return answer is not None and answer.message.form is not None and answer.message.frame.checksum_ok
+    if answer is None or answer.command is None or exchange.command is None or answer.command.name != exchange.command.name:
+        return False
+    return answer.message.form is not None and answer.message.frame.checksum_ok
 
 
 def position(probe: Probe) -> Sample:

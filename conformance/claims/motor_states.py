@@ -1,0 +1,132 @@
+"""The motor status: what F1 says of a shaft that stands, runs or moves.
+
+    1 stopped   2 speeding up   3 slowing down   4 full speed   5 homing   6 calibrating
+
+Rule kept here: each state of the ramp lasts longer than a second, so that a late reply still tells of it.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+from analyzer.catalogue import Verb
+from conformance.claim import Inconclusive
+from conformance.claims.declare import commands
+from conformance.claims.known_quirks import may_meet
+from conformance.claims.motion_claim import of_motion, risks_by
+from conformance.motion import motion
+from conformance.motion.motion import MS, QUICK, SECOND_NS, SUBDIVISION
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
+
+#: 120 rpm at 12 ms for each rpm: 1.44 s up and as long down.
+_RPM, _RAMP, _RAMP_NS = 120, 16, 1440 * MS
+_STOPPED, _UP, _DOWN, _FULL = 1, 2, 3, 4
+#: How long F1 was seen to stay behind the shaft.
+_STAYS_NS = 2 * SECOND_NS
+_of_status = partial(of_motion, each=commands(Verb.READ_STATUS))
+_of_a_run = partial(_of_status, refuted_by="another status", risks=risks_by(Verb.RUN_SPEED))
+
+
+def _status(probe: Probe) -> int:
+    return int(probe.reply(probe.ask(Verb.READ_STATUS, quiet_ns=0)).values["status"])
+
+
+def _expect(probe: Probe, seen: int, wanted: int, what: str) -> None:
+    probe.expect(seen, equal=wanted, refutes=f"the motor {what}, and its status is {seen}")
+
+
+def _run(probe: Probe) -> Exchange:
+    """Begin a run by a slow ramp and return when it is on it."""
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
+    exchange = motion.run_at(probe, _RPM, _RAMP)
+    _wait_until(probe, exchange, 400 * MS)
+    return exchange
+
+
+def _wait_until(probe: Probe, exchange: Exchange, after_ns: int) -> None:
+    probe.wait(exchange.sent_ns + after_ns - probe.gate.now_ns())
+
+
+@_of_status(refuted_by="another status")
+def _at_rest(probe: Probe) -> None:
+    """The status of a motor that stands is 1."""
+    motion.ready_to_move(probe)
+    _expect(probe, _status(probe), _STOPPED, "stands")
+
+
+@_of_a_run()
+def _speeding_up(probe: Probe) -> None:
+    """The status on the ramp up is 2."""
+    _run(probe)
+    _expect(probe, _status(probe), _UP, "speeds up")
+    motion.stand_still(probe)
+
+
+@_of_a_run()
+def _full_speed(probe: Probe) -> None:
+    """The status at the speed that was asked for is 4."""
+    _wait_until(probe, _run(probe), _RAMP_NS + 500 * MS)
+    _expect(probe, _status(probe), _FULL, "turns at full speed")
+    motion.stand_still(probe)
+
+
+@_of_a_run(quirks=may_meet("status-stops-early"))
+def _slowing_down(probe: Probe) -> None:
+    """The status on the ramp down is 3."""
+    _wait_until(probe, _run(probe), _RAMP_NS + 500 * MS)
+    motion.stop(probe, _RAMP)
+    turning = motion.speed(probe)
+    seen = _status(probe)
+    motion.wait_standing(probe)
+    if abs(turning.value) < 2:
+        raise Inconclusive("the shaft stood too soon to see it slow down")
+    if seen == _STOPPED and "status-stops-early" in probe.claim.quirks:
+        probe.meets("status-stops-early")
+    else:
+        _expect(probe, seen, _DOWN, "slows down")
+
+
+@_of_status(refuted_by="another status", quirks=may_meet("status-stays-slowing"))
+def _after_a_move(probe: Probe) -> None:
+    """The status of a motor that has come to its target is 1."""
+    move = probe.command(Verb.MOVE_RELATIVE_AXIS)
+    motion.prepare(probe, move)
+    motion.begin(probe, move, 90, rpm=_RPM, acceleration=QUICK)
+    motion.wait_standing(probe)
+    seen = _status(probe)
+    if seen == _DOWN and "status-stays-slowing" in probe.claim.quirks:
+        probe.wait(_STAYS_NS)
+        seen = _status(probe)
+        probe.meets("status-stays-slowing")
+    _expect(probe, seen, _STOPPED, "has come to its target")
+
+
+@_of_status(refuted_by="a status of the time before, or one that never changes", risks=risks_by(Verb.RUN_SPEED))
+def _follows(probe: Probe) -> None:
+    """The status follows the motor at once: 1 before a run, 2 on the ramp, 4 at full speed, 1 long after the stop."""
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
+    _expect(probe, _status(probe), _STOPPED, "stands")
+    exchange = _run(probe)
+    _expect(probe, _status(probe), _UP, "speeds up")
+    _wait_until(probe, exchange, _RAMP_NS + SECOND_NS)
+    _expect(probe, _status(probe), _FULL, "turns at full speed")
+    motion.stand_still(probe)
+    probe.wait(_STAYS_NS)
+    _expect(probe, _status(probe), _STOPPED, "has stopped")
+
+
+@_of_status(refuted_by="another status")
+def _in_a_move(probe: Probe) -> None:
+    """The status during a move is that of its ramp: 2, then 4, then 1 when it is over."""
+    move = probe.command(Verb.MOVE_RELATIVE_AXIS)
+    motion.prepare(probe, move)
+    # The ramps take 1.44 s each, and half of six turns is left for full speed: 1.5 s.
+    exchange = motion.begin(probe, move, 6 * 360, rpm=_RPM, acceleration=_RAMP, quiet_ns=0)
+    _wait_until(probe, exchange, 400 * MS)
+    _expect(probe, _status(probe), _UP, "speeds up on a move")
+    _wait_until(probe, exchange, _RAMP_NS + 200 * MS)
+    _expect(probe, _status(probe), _FULL, "turns at full speed on a move")
+    motion.wait_standing(probe)
+    probe.wait(_STAYS_NS)
+    _expect(probe, _status(probe), _STOPPED, "has ended a move")
