@@ -30,9 +30,13 @@ from analyzer.records import CanFrame, Chunk
 class RigFault(ServotapError):
     """The rig is at fault, not the drive: no drive answers, a port does not work."""
 
+    exit_status = 10
+
 
 class NotStopped(ServotapError):
     """The drive could not be brought to a verified stop."""
+
+    exit_status = 20
 
 
 class Evidence(Protocol):

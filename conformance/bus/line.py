@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from analyzer.errors import ServotapError
 from analyzer.live.endpoint import Endpoint
 from analyzer.records import CanFrame, Chunk
+from conformance.claim import RigFault
 
 
-class LineLost(ServotapError):
+class LineLost(RigFault):
     """The port has gone: unplugged, closed by the other end, or failing."""
 
 

@@ -18,9 +18,7 @@ from typing import Any
 from analyzer.catalogue import Dialect
 from analyzer.cli.reading import Reading, add_reading_arguments, clean, open_reading, progress
 from analyzer.errors import UsageError
-from analyzer.live import endpoint as endpoints
-from conformance.bus import open_line
-from conformance.cli.scan import parse_addresses
+from conformance.cli.endpoint import add_on_argument, endpoint_of, gate_to, parse_addresses
 from conformance.gate.gate import Gate, Judge, add_gate_arguments, allowance_from, shown
 from conformance.safety.signals import as_interrupt
 from conformance.talk.dialogue import Dialogue
@@ -43,7 +41,7 @@ _LISTED = 12
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("file", metavar="FILE", help="a capture or an MCAP log")
-    parser.add_argument("--on", metavar="ENDPOINT", help="serial:PORT,baud=N, tcp:HOST:PORT or can:INTERFACE:CHANNEL,bitrate=N")
+    add_on_argument(parser)
     parser.add_argument("--speed", type=_factor, default=1.0, metavar="X", help="2 is twice as fast (default 1)")
     parser.add_argument("--loop", type=_loops, default=1, metavar="N", help="N times over; 0: until Ctrl-C")
     parser.add_argument("--bus", default="", metavar="NAME", help="of this bus alone, where the file has several")
@@ -71,8 +69,7 @@ def _loops(text: str) -> int:
 
 def run(arguments: argparse.Namespace) -> int:
     """Replay; return 0 if the drives answered as they did then."""
-    if arguments.on is None and not arguments.dry_run:
-        raise UsageError("where? expected --on ENDPOINT, as in --on serial:/dev/ttyUSB0,baud=38400 (or --dry-run)")
+    endpoint = None if arguments.dry_run else endpoint_of(arguments)
     addresses = None if arguments.address is None else frozenset(parse_addresses(arguments.address))
     allowance = allowance_from(arguments, addresses=addresses)
     reading = open_reading(arguments.file, arguments)
@@ -80,15 +77,13 @@ def run(arguments: argparse.Namespace) -> int:
         with progress(reading.source, f"reading {reading.source.name}"):
             plan = make_plan(reading, reading.pipeline, bus=arguments.bus, addresses=addresses)
         _check(plan, arguments)
-        if arguments.dry_run:
+        if endpoint is None:
             rehearsal = _rehearse(Judge(allowance, _every(reading)).rehearsal(), plan, arguments)
             _show_plan(plan, rehearsal, reading, arguments)
             return 2 if rehearsal.refused and not arguments.skip_refused else 0
-        endpoint = endpoints.parse(arguments.on)
         if endpoint.bus_kind != plan.steps[0].dialect.bus:
             raise UsageError(f"{reading.source.name} is of a {plan.steps[0].dialect.bus} bus, {endpoint.text} is another kind")
-        with contextlib.closing(open_line(endpoint)) as line:
-            gate = Gate(line, allowance, dialects=_every(reading))
+        with gate_to(endpoint, allowance, _every(reading)) as gate:
             _read_drive_states(gate, plan)
             rehearsal = _rehearse(gate.rehearsal(), plan, arguments)
             if rehearsal.refused and not arguments.skip_refused:

@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from analyzer.errors import ServotapError, UnreadableError
-from conformance.bus.line import LineLost
 from conformance.claim import NotStopped, Outcome, RigFault, Verdict
-from conformance.cli.test import seconds
-from conformance.gate.permissions import add_gate_arguments, allowance_from
+from conformance.gate.permissions import add_gate_arguments
 from conformance.report.log import METADATA
 from conformance.safety.signals import as_interrupt
 from conformance.suite import engine, target
 from conformance.suite import plan as suite
+from conformance.suite.options import add_safety_arguments, plan_from
 
 EXAMPLES = """\
 examples:
@@ -26,7 +25,7 @@ examples:
   servotap rerun failure.mcap --on serial:/dev/ttyUSB0,baud=38400 --times 10
   servotap rerun failure.mcap --on tcp:192.168.0.7:5000 --allow motion --max-speed 300
 """
-FAILING, RIG_FAULT, NOT_STOPPED = 1, 10, 20
+FAILING = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,12 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--drive", metavar="DRIVE", help="another drive than the file's")
     parser.add_argument("--on", metavar="ENDPOINT", help="another place than the file's")
     parser.add_argument("--times", type=int, default=3, metavar="N", help="how often (default 3)")
-    parser.add_argument("--settings", metavar="FILE", help="JSON: what to put back where the drive cannot be asked")
-    parser.add_argument("--journal", metavar="FILE", help="where changes are written down before they are made")
-    parser.add_argument("--cut-power", default="", metavar="COMMAND", help="runs when no stop can be verified")
-    parser.add_argument(
-        "--max-run", type=seconds, default=30.0, metavar="S", help="longest run without an end, in seconds (default 30)"
-    )
+    add_safety_arguments(parser)
     add_gate_arguments(parser)
 
 
@@ -67,26 +61,15 @@ def run(arguments: argparse.Namespace) -> int:
     about = stored(path)
     place = arguments.on or about.get("on") or target.EMULATED
     found = target.parse(arguments.drive or about["target"], place)
-    given = allowance_from(arguments)
     # A file never brings its own permission: what may be sent to a real drive is said here, or only reads are.
-    allowance = None if found.emulated and not arguments.allow else given
-    settings = {}
-    if arguments.settings:
-        from conformance.safety.settings import load
-
-        settings = load(Path(arguments.settings))
-    plan = suite.Plan(
-        (found,), allowance, (about["claim"],), seed=int(about.get("seed") or 0), settings=settings,
-        journal=arguments.journal or "", cut_power=arguments.cut_power, longest_run=arguments.max_run,
-    )  # fmt: skip
-    plan.check()
+    plan = plan_from(arguments, (found,), claims=(about["claim"],), seed=int(about.get("seed") or 0))
     print(f"{about['claim']} on {found.text} ({place}), {arguments.times} times; it was: {about.get('reason', '')}")
     try:
         with as_interrupt():
             verdicts = _verdicts(plan, found, max(1, arguments.times))
-    except (LineLost, NotStopped, RigFault) as error:
+    except (NotStopped, RigFault) as error:
         print(f"servotap rerun: {error}")
-        return NOT_STOPPED if isinstance(error, NotStopped) else RIG_FAULT
+        return error.exit_status
     return _judge(verdicts, about)
 
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from analyzer.errors import UnreadableError
 from analyzer.live import endpoint as endpoints
-from conformance.bus import open_line
 from conformance.bus.line import LineLost
-from conformance.gate.gate import Allowance, Gate
+from conformance.cli.endpoint import gate_to
+from conformance.gate.permissions import Allowance
 from conformance.safety import journal
 from conformance.safety.keeper import restore
 
@@ -47,14 +47,12 @@ def run(arguments: argparse.Namespace) -> int:
     if not place:
         raise UnreadableError(f"{path} does not say where the drive was: give --on ENDPOINT")
     addresses = frozenset(change.address for change in changes)
-    line = open_line(endpoints.parse(place))
-    try:
-        # Reads by this gate; what is put back, and nothing else, passes another one.
-        told = restore(path, Gate(line, Allowance(addresses=addresses)))
-    except LineLost as error:
-        told = str(error)
-    finally:
-        line.close()
+    # Reads by this gate; what is put back, and nothing else, passes another one.
+    with gate_to(endpoints.parse(place), Allowance(addresses=addresses)) as gate:
+        try:
+            told = restore(path, gate)
+        except LineLost as error:
+            told = str(error)
     if told:
         left = len(journal.open_changes(journal.read(path)))
         print(f"servotap restore: {left} of {len(changes)} not put back: {told}", file=sys.stderr)

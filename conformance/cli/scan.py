@@ -19,8 +19,7 @@ from analyzer.errors import UsageError
 from analyzer.live import endpoint as endpoints
 from analyzer.live.endpoint import Endpoint
 from analyzer.values import quote
-from conformance.bus import open_line
-from conformance.gate.gate import Gate
+from conformance.cli.endpoint import gate_to, parse_addresses
 from conformance.gate.permissions import Allowance
 from conformance.talk.scan import PATIENCE_NS, Found, Progress, Report, Stray, scan
 
@@ -35,7 +34,6 @@ examples:
   servotap scan can:socketcan:can0 --addresses 1-2047 --json
 """
 _DEFAULT_ADDRESSES = "1-32"
-_HIGHEST = 0x7FF
 _SHOWN = 24
 
 
@@ -60,8 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--timeout: got {arguments.timeout:g}, expected milliseconds above 0, at most 60000")
     report = Report()
     opened = endpoint.at(rates[0]) if endpoint.auto or endpoint.kind == "serial" else endpoint
-    with contextlib.closing(open_line(opened)) as line, _progress(arguments.json) as progress:
-        gate = Gate(line, Allowance())
+    with gate_to(opened, Allowance()) as gate, _progress(arguments.json) as progress:
         try:
             scan(
                 gate, dialects, addresses=addresses, rates=rates, patience_ns=int(arguments.timeout * 1e6),
@@ -77,25 +74,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 # --- what is asked for --------------------------------------------------------------------------------------------
-
-
-def parse_addresses(text: str) -> list[int]:
-    """Return the addresses of `1-32` or `1,2,0x10-0x1F`, each once, in order.
-
-    Raises UsageError for what is none.
-    """
-    found: dict[int, None] = {}
-    for part in text.split(","):
-        first, dash, last = part.strip().partition("-")
-        try:
-            low = int(first, 0)
-            high = int(last, 0) if dash else low
-        except ValueError:
-            low = high = -1
-        if not 0 < low <= high <= _HIGHEST:
-            raise UsageError(f"--addresses: got {quote(part)}, expected addresses from 1 to {_HIGHEST}, as 1-32 or 1,2,7")
-        found |= dict.fromkeys(range(low, high + 1))
-    return list(found)
 
 
 def _dialects(text: str | None, endpoint: Endpoint) -> list[Dialect]:

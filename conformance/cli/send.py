@@ -7,7 +7,6 @@ could be read in them has to be allowed. Values are written as for 'servotap fra
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import sys
 from collections.abc import Sequence
@@ -27,8 +26,8 @@ from analyzer.live import endpoint as endpoints
 from analyzer.pipeline import Entry
 from analyzer.records import CanFrame, Message
 from analyzer.reference.hex_frame import read_frame
-from conformance.bus import open_line
-from conformance.gate.gate import Allowance, Gate, Item, Judge, Refused, add_gate_arguments, allowance_from, shown
+from conformance.cli.endpoint import add_on_argument, endpoint_of, gate_to
+from conformance.gate.gate import Allowance, Item, Judge, Refused, add_gate_arguments, allowance_from, shown
 from conformance.talk.dialogue import MS, Dialogue, Until
 from conformance.talk.drive_state import read_drive_state
 from conformance.talk.exchange import Answer, Completion, Exchange
@@ -55,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("target", nargs="?", metavar="DIALECT@ADDRESS", help="whom it is for: mks-rs485@1, mks-rs485@all")
     parser.add_argument("command", nargs="?", metavar="COMMAND", help="its name, or a code that only one command has")
     parser.add_argument("values", nargs="*", metavar="FIELD=VALUE", help="values of its fields")
-    parser.add_argument("--on", metavar="ENDPOINT", help="serial:PORT,baud=N, tcp:HOST:PORT or can:INTERFACE:CHANNEL,bitrate=N")
+    add_on_argument(parser)
     parser.add_argument("--hex", metavar="BYTES", help="these bytes instead of a command (CAN: 001#F60140023A)")
     parser.add_argument("--form", metavar="NAME", help="the form, where the fields do not tell it")
     parser.add_argument("--model", metavar="M", help="limits and units of a model: 42D 57D 28D 35D 42E 57E MF MG MH MS")
@@ -81,20 +80,17 @@ def run(arguments: argparse.Namespace) -> int:
     allowance = allowance_from(arguments, addresses=given.addresses)
     if arguments.dry_run:
         return _dry_run(given, allowance, arguments)
-    if arguments.on is None:
-        raise UsageError("where? expected --on ENDPOINT, as in --on serial:/dev/ttyUSB0,baud=38400 (or --dry-run)")
-    endpoint = endpoints.parse(arguments.on)
+    endpoint = endpoint_of(arguments)
     if endpoint.bus_kind != ("can" if isinstance(given.item, CanFrame) else "serial"):
         raise UsageError(f"{shown(given.item)} is a frame of another kind of bus than {endpoint.text}")
     # What cannot be allowed is said before a port is opened; what depends on where the drive is, after it was asked.
     _first_look(given, allowance, _every(arguments))
-    with contextlib.closing(open_line(endpoint)) as line:
-        gate = Gate(line, allowance, dialects=_every(arguments))
+    with gate_to(endpoint, allowance, _every(arguments)) as gate:
         dialogue = Dialogue(gate, given.dialects)
         if given.dialect is not None and given.address is not None and given.acts:
             read_drive_state(dialogue, given.dialect, given.address)
         exchange = _ask(dialogue, given, arguments)
-        echoes = getattr(line, "echo", None)
+        echoes = getattr(gate.line, "echo", None)
     if arguments.json:
         print(json.dumps(_object(given, exchange)))
     else:

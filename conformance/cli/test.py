@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING
 from analyzer import __version__
 from analyzer.cli.reading import now_text
 from analyzer.errors import ServotapError
-from conformance.bus.line import LineLost
 from conformance.claim import NotStopped, Outcome, RigFault
-from conformance.gate.permissions import add_gate_arguments, allowance_from
-from conformance.report.record import RunRecord, VerdictRecord
+from conformance.gate.permissions import add_gate_arguments
 from conformance.safety.signals import as_interrupt
 from conformance.suite import plan as suite
 from conformance.suite import target
+from conformance.suite.options import add_safety_arguments, plan_from
+from conformance.suite.record import RunRecord, VerdictRecord
 
 if TYPE_CHECKING:
     from conformance.suite.plan import Plan
@@ -40,8 +40,7 @@ examples:
   servotap test lk-rs485@1 --on tcp:192.168.0.7:5000 --dry-run
   servotap test --list --theme motion
 """
-REFUTED, WRONG_USE, RIG_FAULT, NOT_STOPPED, INTERRUPTED = 1, 2, 10, 20, 130
-_LONGEST_RUN = 3600.0
+REFUTED, WRONG_USE, INTERRUPTED = 1, 2, 130
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,12 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--short", action="store_true", help="one claim for each command and each theme")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn at random (default 0)")
     parser.add_argument("--jobs", type=_jobs, default=0, metavar="N", help="processes for emulated drives (default: all cores)")
-    parser.add_argument("--settings", metavar="FILE", help="JSON: what to put back where the drive cannot be asked")
-    parser.add_argument("--journal", metavar="FILE", help="where changes are written down before they are made")
-    parser.add_argument("--cut-power", default="", metavar="COMMAND", help="runs when no stop can be verified")
-    parser.add_argument(
-        "--max-run", type=seconds, default=30.0, metavar="S", help="longest run without an end, in seconds (default 30)"
-    )
+    add_safety_arguments(parser)
     parser.add_argument("--dry-run", action="store_true", help="print all that would be sent, and send nothing")
     parser.add_argument("--list", action="store_true", help="list the claims and what they need")
     parser.add_argument("--mutants", action="store_true", help="run against every named fault: which claim refutes which")
@@ -73,17 +67,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--baseline", metavar="FILE", help="accept the deviations listed there")
     parser.add_argument("--write-baseline", metavar="FILE", help="write what is refuted as the baseline")
     parser.add_argument("--json", action="store_true", help="one JSON object a verdict, then one of the run")
-
-
-def seconds(text: str) -> float:
-    """Return a time in seconds above 0. Raises ArgumentTypeError."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value <= _LONGEST_RUN:
-        raise argparse.ArgumentTypeError(f"expected seconds above 0, up to {_LONGEST_RUN:g}, got {text}")
-    return value
 
 
 def _jobs(text: str) -> int:
@@ -112,33 +95,16 @@ def run(arguments: argparse.Namespace) -> int:
 def plan_of(arguments: argparse.Namespace) -> Plan:
     """Return what the command line asks for. Raises UsageError for what does not fit together."""
     targets = target.parse_all(arguments.drives, arguments.on)
-    given = allowance_from(arguments)
-    # Nothing can break on an emulated drive, so all is allowed there where nothing was said.
-    allowance = None if all(t.emulated for t in targets) and not arguments.allow else given
-    plan = suite.Plan(
-        tuple(targets),
-        allowance,
-        tuple(arguments.claim),
-        tuple(arguments.theme),
-        arguments.seed,
-        settings=_settings(arguments.settings),
-        journal=arguments.journal or "",
-        cut_power=arguments.cut_power,
-        longest_run=arguments.max_run,
+    return plan_from(
+        arguments,
+        targets,
+        claims=arguments.claim,
+        themes=arguments.theme,
+        seed=arguments.seed,
         dry_run=arguments.dry_run,
         traffic=bool(arguments.log),
         short=arguments.short,
     )
-    plan.check()
-    return plan
-
-
-def _settings(path: str | None) -> dict[str, dict[str, str]]:
-    if path is None:
-        return {}
-    from conformance.safety.settings import load
-
-    return load(Path(path))
 
 
 def _list(plan: Plan) -> int:
@@ -170,7 +136,7 @@ def _test(plan: Plan, arguments: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             stopped = True
         except ServotapError as error:
-            if not records and not isinstance(error, (LineLost, NotStopped, RigFault)):
+            if not records and not isinstance(error, (NotStopped, RigFault)):
                 raise
             trouble = error
             stopped = isinstance(error.__context__, KeyboardInterrupt)
@@ -196,14 +162,12 @@ def _test(plan: Plan, arguments: argparse.Namespace) -> int:
 
 
 def _status(records: Sequence[VerdictRecord], arguments: argparse.Namespace, trouble: ServotapError | None) -> int:
-    if isinstance(trouble, NotStopped):
-        return NOT_STOPPED
     if trouble is not None:
-        return RIG_FAULT if isinstance(trouble, (LineLost, RigFault)) else WRONG_USE
+        return trouble.exit_status if isinstance(trouble, (NotStopped, RigFault)) else WRONG_USE
     if any(r.refuted for r in records) and not arguments.baseline:
         return REFUTED
     judged = (Outcome.CONFIRMED, Outcome.REFUTED, Outcome.OBSERVED)
-    return 0 if any(r.outcome in judged for r in records) else RIG_FAULT
+    return 0 if any(r.outcome in judged for r in records) else RigFault.exit_status
 
 
 def _baseline(records: Sequence[VerdictRecord], arguments: argparse.Namespace) -> int:

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NoReturn
 
 import msgspec
 import pytest
 
-from conformance.bus.line import LineLost
 from conformance.claim import NotStopped, RigFault, Verdict
-from conformance.gate.permissions import allowance_from
 from conformance.pytest_plugin.plugin import BUDGET, OPTIONS, RUN, end_with
-from conformance.report.record import record
 from conformance.suite import target as targets
+from conformance.suite.options import plan_from
 from conformance.suite.plan import Plan
+from conformance.suite.record import record
 from conformance.suite.target import Target
-
-WRONG_USE, RIG_FAULT, NOT_STOPPED = pytest.ExitCode.USAGE_ERROR.value, 10, 20
 
 
 def plan_of(config: pytest.Config) -> Plan:
@@ -39,28 +35,15 @@ def arguments_of(config: pytest.Config) -> argparse.Namespace:
 def _plan(config: pytest.Config) -> Plan:
     arguments = arguments_of(config)
     found = targets.parse_all(arguments.drive, arguments.on)
-    given = allowance_from(arguments)
-    allowance = None if all(t.emulated for t in found) and not arguments.allow else given
-    settings: dict[str, dict[str, str]] = {}
-    if arguments.settings:
-        from conformance.safety.settings import load
-
-        settings = load(Path(arguments.settings))
-    plan = Plan(
-        tuple(found),
-        allowance,
-        tuple(arguments.claim),
-        tuple(arguments.theme),
-        arguments.servo_seed,
-        settings=settings,
-        journal=arguments.journal or "",
-        cut_power=arguments.cut_power,
-        longest_run=arguments.max_run,
+    return plan_from(
+        arguments,
+        found,
+        claims=arguments.claim,
+        themes=arguments.theme,
+        seed=arguments.servo_seed,
         traffic=bool(arguments.log),
         short=arguments.short,
     )
-    plan.check()
-    return plan
 
 
 def label(target: Target, among: Sequence[Target]) -> str:
@@ -108,8 +91,7 @@ def give_up(error: Exception, request: pytest.FixtureRequest) -> NoReturn:
 
 def note(error: Exception, config: pytest.Config) -> int:
     """Have the run end with what an error means, whatever else comes of it; return that."""
-    kinds = ((NotStopped, NOT_STOPPED), ((LineLost, RigFault), RIG_FAULT))
-    status = next((number for kind, number in kinds if isinstance(error, kind)), WRONG_USE)
+    status = error.exit_status if isinstance(error, (NotStopped, RigFault)) else pytest.ExitCode.USAGE_ERROR.value
     end_with(config, status)
     return status
 

@@ -16,7 +16,7 @@ import pytest
 from analyzer import __version__
 from conformance.pytest_plugin.plan import arguments_of, plan_of
 from conformance.report import terminal
-from conformance.report.record import RunRecord, VerdictRecord
+from conformance.suite.record import RunRecord, VerdictRecord
 
 
 def summarise(reporter: Any, config: pytest.Config, verdicts: Sequence[str]) -> None:

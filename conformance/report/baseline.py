@@ -15,7 +15,7 @@ import msgspec
 
 from analyzer.errors import UnreadableError, UsageError
 from conformance.claim import Outcome
-from conformance.report.record import VerdictRecord
+from conformance.suite.record import VerdictRecord
 
 
 class Deviation(msgspec.Struct, frozen=True, kw_only=True):

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from analyzer import dialects
 from conformance.claim import Aspect, Outcome
-from conformance.report.record import VerdictRecord
+from conformance.suite.record import VerdictRecord
 
 #: The worst of several outcomes is shown; a command that nobody looked at is `never`.
 RANK = (Outcome.REFUTED, Outcome.OBSERVED, Outcome.CONFIRMED, Outcome.INCONCLUSIVE, Outcome.NOT_RUN)

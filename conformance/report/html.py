@@ -14,8 +14,8 @@ from analyzer.errors import UsageError
 from conformance.claim import Aspect, Outcome
 from conformance.report import svg
 from conformance.report.coverage import matrix, share
-from conformance.report.record import RunRecord, VerdictRecord, firmware_of
 from conformance.report.terminal import COLUMNS, repeat_command
+from conformance.suite.record import RunRecord, VerdictRecord, firmware_of
 
 #: Curves that are drawn at most.
 _CURVES = 24

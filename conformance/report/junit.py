@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 from analyzer.errors import UsageError
 from conformance.claim import Outcome
-from conformance.report.record import RunRecord, VerdictRecord, firmware_of
+from conformance.suite.record import RunRecord, VerdictRecord, firmware_of
 
 _SKIPPED = (Outcome.INCONCLUSIVE, Outcome.NOT_RUN)
 

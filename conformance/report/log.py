@@ -23,7 +23,7 @@ from analyzer.records import CanFrame, Chunk
 from analyzer.sinks.mcap_file import McapFile
 from analyzer.sinks.mcap_log import LIBRARY, PROFILE, McapLog
 from conformance.claim import Outcome
-from conformance.report.record import RunRecord, VerdictRecord
+from conformance.suite.record import RunRecord, VerdictRecord
 
 TOPIC = "/tests"
 #: Name of the metadata record that says what a log's claim was, for `servotap rerun`.

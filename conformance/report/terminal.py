@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from conformance.claim import Outcome
-from conformance.report.record import RunRecord, VerdictRecord
+from conformance.suite.record import RunRecord, VerdictRecord
 
 if TYPE_CHECKING:
     from rich.console import Console

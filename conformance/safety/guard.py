@@ -43,7 +43,6 @@ from conformance.safety.stopping import MAY_MOVE, seen_standing, stop_or_cut, st
 from conformance.talk.dialogue import Dialogue
 from conformance.talk.drive_state import read_drive_state
 
-NOT_STOPPED = 20
 #: The subdivision that is sent as 0.
 LARGEST = 256
 _TICK_SECONDS = 0.2
@@ -334,7 +333,7 @@ def _alone(guard: Guard) -> int:
     try:
         guard.stop_all()
     except NotStopped:
-        return NOT_STOPPED
+        return NotStopped.exit_status
     try:
         guard.put_back()
     except ServotapError as error:

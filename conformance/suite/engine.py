@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from analyzer.catalogue import Certainty
-from conformance.bus.line import LineLost
 from conformance.claim import Claim, Inconclusive, NotRun, NotStopped, Observed, Outcome, Refuted, RigFault, Verdict
 from conformance.gate.gate import Refused
 from conformance.suite.confirming import confirmed
@@ -67,7 +66,7 @@ def _judge(claim: Claim, probe: Probe) -> Verdict:
         return _verdict(claim, probe, Outcome.NOT_RUN, f"the gate does not let it through: {error}")
     except NotRun as error:
         return _verdict(claim, probe, Outcome.NOT_RUN, str(error))
-    except (LineLost, NotStopped, RigFault):
+    except (NotStopped, RigFault):
         raise
     # A claim is code too, its own or somebody else's, and a drive may answer what it was not written for.
     except Exception as error:

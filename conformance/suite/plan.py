@@ -25,8 +25,8 @@ from analyzer.values import near, quote
 from conformance import claims as registry
 from conformance.claim import Claim, Theme
 from conformance.gate.permissions import READS, Allowance
-from conformance.report.record import VerdictRecord, record
 from conformance.suite import engine
+from conformance.suite.record import VerdictRecord, record
 from conformance.suite.rig import ClaimRig
 from conformance.suite.target import Target
 

@@ -16,7 +16,7 @@ from analyzer.errors import UsageError
 from analyzer.records import CanFrame, Chunk
 from conformance.bus.emulated import EmulatedLine
 from conformance.cli import scan as command
-from conformance.cli.scan import parse_addresses
+from conformance.cli.endpoint import parse_addresses
 from conformance.drives import make
 from conformance.drives.serial_bus import SerialBus
 from conformance.gate.gate import Allowance, Gate

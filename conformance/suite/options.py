@@ -1,0 +1,74 @@
+"""Options of a run that its command lines and the pytest plugin share, and the plan that they ask for."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from conformance.gate.permissions import allowance_from
+from conformance.suite.plan import Plan
+from conformance.suite.target import Target
+
+_LONGEST_RUN = 3600.0
+
+
+def add_safety_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options by which a real drive is stopped and gets its settings back."""
+    parser.add_argument("--settings", metavar="FILE", help="JSON: what to put back where the drive cannot be asked")
+    parser.add_argument("--journal", metavar="FILE", help="where changes are written down before they are made")
+    parser.add_argument("--cut-power", default="", metavar="COMMAND", help="runs when no stop can be verified")
+    parser.add_argument(
+        "--max-run", type=_seconds, default=30.0, metavar="S", help="longest run without an end, in seconds (default 30)"
+    )
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value <= _LONGEST_RUN:
+        raise argparse.ArgumentTypeError(f"expected seconds above 0, up to {_LONGEST_RUN:g}, got {text}")
+    return value
+
+
+def plan_from(
+    arguments: argparse.Namespace,
+    targets: Sequence[Target],
+    *,
+    claims: Sequence[str],
+    themes: Sequence[str] = (),
+    seed: int = 0,
+    dry_run: bool = False,
+    traffic: bool = False,
+    short: bool = False,
+) -> Plan:
+    """Return the plan that these options and those of the gate ask for. Raises UsageError where they do not fit together."""
+    given = allowance_from(arguments)
+    # Nothing can break on an emulated drive, so all is allowed there where nothing was said.
+    allowance = None if all(t.emulated for t in targets) and not arguments.allow else given
+    plan = Plan(
+        tuple(targets),
+        allowance,
+        tuple(claims),
+        tuple(themes),
+        seed,
+        settings=_settings(arguments.settings),
+        journal=arguments.journal or "",
+        cut_power=arguments.cut_power,
+        longest_run=arguments.max_run,
+        dry_run=dry_run,
+        traffic=traffic,
+        short=short,
+    )
+    plan.check()
+    return plan
+
+
+def _settings(path: str | None) -> dict[str, dict[str, str]]:
+    if path is None:
+        return {}
+    from conformance.safety.settings import load
+
+    return load(Path(path))
