@@ -1,0 +1,111 @@
+"""The engine of exchanges: what was sent here, replies, other frames and junk are kept apart, and listening ends in time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from analyzer import dialects
+from analyzer.catalogue import Risk, Role
+from analyzer.encoder import build
+from analyzer.records import CanFrame, Chunk
+from conformance.bus.emulated import EmulatedLine
+from conformance.drives import make
+from conformance.gate.gate import Allowance, Gate, Refused
+from conformance.talk.dialogue import MS, Dialogue, Until
+from conformance.talk.exchange import Completion, Exchange
+
+MKS, LK = dialects.get("mks-rs485"), dialects.get("lk-rs485")
+READ = build(MKS, "read_speed", 1)
+OTHER_REPLY = build(MKS, "read_speed", 9, {}, Role.REPLY)
+MOVE = build(MKS, "move_relative_axis", 1, {"speed": 600, "acceleration": 250, "position": 4096})
+
+
+class Line(EmulatedLine):
+    """A line on which other bytes come first, one piece at a time."""
+
+    def __init__(self, *pieces: bytes, drive: str = "mks-rs485@1,work_mode=sr_vfoc", **options: Any) -> None:
+        super().__init__([make.make(make.parse(drive), **options)], speed=38400)
+        self.pieces = list(pieces)
+
+    def receive(self, timeout_ns: int) -> Chunk | CanFrame | None:
+        if self.pieces:
+            self.bus.run_until(self.bus.now_ns + MS)
+            return Chunk(self.bus.now_ns, "emulated", self.pieces.pop(0), Role.REPLY)
+        return super().receive(timeout_ns)
+
+
+def dialogue(*pieces: bytes, log: Any = None, allow: frozenset[Risk] = frozenset(Risk), **options: Any) -> Dialogue:
+    return Dialogue(Gate(Line(*pieces, **options), Allowance(allow)), [MKS, LK], log=log)
+
+
+def took_ms(exchange: Exchange) -> float:
+    return (exchange.until_ns - exchange.sent_ns) / MS
+
+
+def test_what_was_sent_what_answers_it_and_what_does_not_are_kept_apart():
+    exchange = dialogue(OTHER_REPLY, b"\0\x55").ask(READ, 500 * MS)
+    assert [e.message.frame.data for e in exchange.requests] == [READ]
+    assert [a.data for a in exchange.others] == [OTHER_REPLY]
+    assert [(a.message.address, a.meaning) for a in exchange.replies] == [(1, "final")]
+    assert b"".join(j.data for j in exchange.junk) == b"\0\x55"
+    assert exchange.received == OTHER_REPLY + b"\0\x55" + exchange.replies[0].data
+    assert exchange.completion is Completion.DONE
+
+
+def test_listening_ends_with_the_reply_or_with_the_time():
+    assert took_ms(dialogue().ask(READ, 500 * MS)) < 50
+    silent = dialogue(drive="mks-rs485@7").ask(READ, 500 * MS)
+    assert took_ms(silent) == 500
+    assert silent.completion is Completion.SILENT
+    assert silent.silent
+
+
+def test_the_quiet_behind_a_reply_is_listened_to():
+    quick, quiet = (took_ms(dialogue().ask(READ, 500 * MS, quiet_ns=ns)) for ns in (0, 60 * MS))
+    assert quiet == pytest.approx(quick + 60)
+
+
+@pytest.mark.parametrize(
+    ("until", "done_ns", "completion"),
+    [
+        (Until.REPLY, 0, Completion.RUNNING),
+        (Until.DONE, 5000 * MS, Completion.DONE),
+        # Without a longer time for what has begun, the time-out holds.
+        (Until.DONE, 0, Completion.RUNNING),
+    ],
+)
+def test_a_command_that_tells_its_end(until: Until, done_ns: int, completion: Completion):
+    exchange = dialogue().ask(MOVE, 100 * MS, until=until, done_ns=done_ns)
+    assert exchange.completion is completion
+
+
+def test_a_late_reply_is_known_in_the_next_exchange():
+    talk = dialogue(reply_delay_ns=80 * MS)
+    assert talk.ask(READ, 20 * MS).silent
+    later = talk.listen(200 * MS)
+    assert [a.paired for a in later.answers] == [True]
+    assert later.sent is None
+
+
+def test_what_the_analyzer_is_not_told_of_has_no_replies():
+    talk = dialogue()
+    exchange = talk.send(READ, told=False)
+    talk.collect(exchange, lambda found: bool(found.answers), 500 * MS)
+    assert [a.paired for a in exchange.answers] == [False]
+    assert exchange.requests == []
+
+
+def test_the_log_gets_both_directions_in_order():
+    records: list[Chunk | CanFrame] = []
+    exchange = dialogue(log=records.append).ask(READ, 500 * MS)
+    assert [r.direction for r in records] == [Role.REQUEST, Role.REPLY]
+    assert [r.data for r in exchange.records()] == [READ, exchange.replies[0].data]
+    times = [r.t_ns or 0 for r in exchange.records()]
+    assert times == sorted(times)
+
+
+def test_what_the_gate_refuses_begins_no_exchange():
+    with pytest.raises(Refused):
+        dialogue(allow=frozenset()).ask(MOVE, 100 * MS)
