@@ -67,7 +67,7 @@ class Theme(StrEnum):
 
 
 class Outcome(StrEnum):
-    """What came of a claim."""
+    """The result of a claim."""
 
     CONFIRMED = "confirmed"
     REFUTED = "refuted"
@@ -163,7 +163,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came of a claim on a drive.
+    """The result of a claim on a drive.
 
     `reason`: why it is inconclusive or did not run, what was observed, or what refuted it. `expected`, `got`: of a
     refutation. `exchange`: the one that shows it. `traffic`: what went over the line, as it was. `first_ns`, `last_ns`: on the

@@ -1,4 +1,4 @@
-"""Send the requests of a recording again, at their times, through the gate, and compare the replies with those of then.
+"""Send the requests of a recording again, at their times, through the gate, and compare the replies with the recorded ones.
 
 A file brings no permission: all of it is judged by --allow before its first byte is sent. Times do not drift: each request
 has its own from the start. Ctrl-C stops, by a ramp, what the replay set in motion, and so does its end a run that the
@@ -214,8 +214,8 @@ def _show(result: Result, plan: Plan, rehearsal: Rehearsal) -> None:
         print(f"{count} {reason}: left out")
     names = list(dict.fromkeys(name for name, _ in result.matches))
     for name in names:
-        told = ", ".join(f"{n} {match.value}" for match in Match if (n := result.matches[name, match]))
-        print(f"  {name:<26} {told}")
+        matches = ", ".join(f"{n} {match.value}" for match in Match if (n := result.matches[name, match]))
+        print(f"  {name:<26} {matches}")
     for (name, match), sent in result.examples.items():
         then = " | ".join(t.data.hex(" ").upper() for t in sent.step.replies) or "nothing"
         now = " | ".join(t.data.hex(" ").upper() for t in sent.replies) or "nothing"

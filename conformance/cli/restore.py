@@ -50,12 +50,12 @@ def run(arguments: argparse.Namespace) -> int:
     # Reads by this gate; what is put back, and nothing else, passes another one.
     with gate_to(endpoints.parse(place), Allowance(addresses=addresses)) as gate:
         try:
-            told = restore(path, gate)
+            failure = restore(path, gate)
         except LineLost as error:
-            told = str(error)
-    if told:
+            failure = str(error)
+    if failure:
         left = len(journal.open_changes(journal.read(path)))
-        print(f"servotap restore: {left} of {len(changes)} not put back: {told}", file=sys.stderr)
+        print(f"servotap restore: {left} of {len(changes)} not put back: {failure}", file=sys.stderr)
         return NOT_ALL
     print(f"all {len(changes)} put back")
     return 0

@@ -1,4 +1,4 @@
-"""Look for drives on a bus, by reads alone: over rates, dialects and addresses; and say what answered, or was heard.
+"""Look for drives on a bus, by reads alone: over rates, dialects and addresses. Report what answered and other bytes.
 
 Without --rates a serial line is tried at every rate of the manuals, the endpoint's own first (and alone, where it was given).
 Ctrl-C ends the search and shows what was found so far.

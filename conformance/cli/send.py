@@ -189,7 +189,7 @@ def _ask(dialogue: Dialogue, given: _Given, arguments: argparse.Namespace) -> Ex
         return dialogue.ask(given.item, timeout_ns, until=until, done_ns=done_ns, quiet_ns=_QUIET_NS)
     except KeyboardInterrupt:
         if given.acts:
-            print("servotap send: no longer waiting; the drive goes on with what it was told", file=sys.stderr)
+            print("servotap send: no longer waiting; the drive goes on with its command", file=sys.stderr)
         raise
 
 
@@ -208,8 +208,8 @@ def _well(given: _Given, exchange: Exchange, wait: bool) -> bool:
 
 def _show(given: _Given, exchange: Exchange, echoed: bool) -> None:
     requests = [e.message for e in exchange.requests]
-    told = [_text(m) for m in requests] or ["bytes that are no frame"]
-    print(f"> {shown(given.item)}   {'; '.join(told)}")
+    requests_text = [_text(m) for m in requests] or ["bytes that are no frame"]
+    print(f"> {shown(given.item)}   {'; '.join(requests_text)}")
     parts = [(a.first_ns, _line(a)) for a in exchange.answers]
     parts += [(j.first_ns, f"! {j.data.hex(' ').upper()}   {j.reason.value}: no frame") for j in exchange.junk]
     for _, line in sorted(parts, key=lambda part: part[0]):

@@ -124,7 +124,7 @@ def _test(plan: Plan, arguments: argparse.Namespace) -> int:
     stopped = False
     total = sum(len(plan.selected(each)) for each in plan.targets)
     began = now_text()
-    # A run that is left is closed at once: what moves is stopped, and what that told must not get lost.
+    # A run that is left is closed at once: what moves is stopped, and what that reports must not get lost.
     with as_interrupt(), _progress(total) as advance:
         try:
             with closing(suite.run(plan, jobs)) as verdicts:
@@ -245,7 +245,7 @@ def _show(records: Sequence[VerdictRecord], run_record: RunRecord, total: int) -
 
 
 class _Advance:
-    """What is called for each verdict; does nothing where nobody looks."""
+    """What is called for each verdict; does nothing where there is no terminal."""
 
     def __call__(self, each: VerdictRecord) -> None:
         """Take a verdict."""

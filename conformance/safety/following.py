@@ -1,7 +1,7 @@
-"""Following a drive whose link was changed: it is looked for at all it may have been told, and led back to where it was.
+"""Following a drive whose link was changed: it is found at any of the settings that were sent, and set back.
 
-The link is what says how a drive is reached: its address, the speed of the line, the dialect it speaks. What it is set to
-shows in how it is heard, so nobody has to tell it.
+The link decides how a drive is reached: its address, the speed of the line, the dialect it speaks. The link at which a drive
+answers is its setting, so it need not be read.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ _TRIES = 4
 _PAUSE_NS = 300_000_000
 
 
-def says_itself(command: Command) -> bool:
-    """Say whether the present value of a setting shows in how the drive is reached."""
+def changes_link(command: Command) -> bool:
+    """Say whether a setting changes how the drive is reached."""
     return any(command.sets(effect) for effect in _LINK)
 
 
-def possible(command: Command) -> list[dict[str, int]]:
-    """Return what a setting of the link may be after the defaults were restored; empty for other settings."""
+def default_values(command: Command) -> list[dict[str, int]]:
+    """Return the values that a setting of the link may have after a restore of the defaults; empty for other settings."""
     name = next((name for effect in _LINK if (name := command.sets(effect))), "")
     if not name:
         return []
@@ -37,16 +37,16 @@ def possible(command: Command) -> list[dict[str, int]]:
     return [{name: code} for code in (field.choice_names if field.default is None else [int(field.default)])]
 
 
-def lead_back(
+def restore_link(
     gate: Gate, dialect: Dialect, address: int, command: Command, before: Mapping[str, int], sent: Iterable[Mapping[str, int]]
 ) -> str:
-    """Find the drive at what it may have been told, and tell it what it was; return why not, or nothing.
+    """Find the drive at one of the settings that it may have, and set it back; return why not, or nothing.
 
-    This end of the line is brought back too. Raises LineLost.
+    The host's end of the line is set back too. Raises LineLost.
     """
     tried = [before, *reversed(list(sent))]
     own = gate.line.endpoint.bits_per_second
-    told = ""
+    failure = ""
     for values in tried:
         probe = _reach(gate, dialect, address, command, values)
         if probe is None:
@@ -54,14 +54,14 @@ def lead_back(
         probe.ask(probe.command(command.verb), before)
         if _reach(gate, dialect, address, command, before) is not None:
             return ""
-        told = f"{command.name}: the drive was told {values_text(before)} and is not heard there"
+        failure = f"{command.name}: the drive was set to {values_text(before)} and does not answer there"
     if gate.line.endpoint.bits_per_second != own:
         gate.set_speed(own)
-    return told or f"{command.name}: the drive is not heard any more, neither at {', '.join(map(values_text, tried))}"
+    return failure or f"{command.name}: the drive no longer answers, neither at {', '.join(map(values_text, tried))}"
 
 
 def _reach(gate: Gate, dialect: Dialect, address: int, command: Command, values: Mapping[str, int]) -> Probe | None:
-    """Return a probe that reaches a drive whose link is set so, None where nobody is there."""
+    """Return a probe that reaches a drive whose link has these values, None where no drive answers."""
     if name := command.sets(Effect.ADDRESS):
         address = values[name]
     elif name := command.sets(Effect.DIALECT):
@@ -80,16 +80,16 @@ def _reach(gate: Gate, dialect: Dialect, address: int, command: Command, values:
         return None
     probe = plain_probe(dialect, address, gate)
     for _ in range(_TRIES):
-        if is_there(probe):
+        if answers(probe):
             return probe
         probe.wait(_PAUSE_NS)
     return None
 
 
-def why_not_follow(gate: Gate, dialect: Dialect, command: Command, values: Mapping[str, int]) -> str:
-    """Return why this end cannot follow a drive to what it is about to be told, or nothing.
+def cannot_follow(gate: Gate, dialect: Dialect, command: Command, values: Mapping[str, int]) -> str:
+    """Return why the host cannot follow a drive to new values, or nothing.
 
-    A drive that is set to a speed at which nobody can speak to it could not be led back.
+    A drive at a speed that the host cannot set could not be set back.
     """
     speed = dialect.rates.get(values.get(command.sets(Effect.BAUD_RATE), -1))
     own = gate.line.endpoint.bits_per_second
@@ -99,11 +99,11 @@ def why_not_follow(gate: Gate, dialect: Dialect, command: Command, values: Mappi
         gate.set_speed(speed)
         gate.set_speed(own)
     except UsageError as error:
-        return f"this end cannot follow the drive to {speed} bits per second: {error}"
+        return f"the host cannot follow the drive to {speed} bits per second: {error}"
     return ""
 
 
-def is_there(probe: Probe) -> bool:
+def answers(probe: Probe) -> bool:
     """Say whether the drive answers a read."""
     verb = next(v for v in _READS if v in probe.dialect.by_verb)
     return any(a.message.frame.checksum_ok for a in probe.ask(verb, timeout_ns=_PAUSE_NS, quiet_ns=0).answers)

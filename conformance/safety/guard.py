@@ -2,7 +2,7 @@
 
     python -m conformance.safety.guard        requests on standard input, answers on standard output
 
-It sends what it is told to send, if its gate lets it. It knows which drives may be moving by what it sent them. Whatever
+It sends what the suite asks for, if its gate lets it. It knows which drives may be moving by what it sent them. Whatever
 ends the suite (an error, kill -9, a closed terminal) ends the pipe, and then the guard stops every drive that may be
 moving, puts back what the journal says, and gives the port back. A run without an end is stopped after a time even while
 the suite lives. Its own exit status is 0, or 20 where a motor could not be stopped.
@@ -38,8 +38,8 @@ from conformance.gate.bounds import STOPS
 from conformance.gate.gate import Allowance, Budget, Gate, Reading, Refused
 from conformance.safety import journal as journals
 from conformance.safety import messages as say
-from conformance.safety.keeper import PUTTING_BACK, moved_away, restore
-from conformance.safety.stopping import MAY_MOVE, seen_standing, stop_or_cut, stopping
+from conformance.safety.keeper import PUTTING_BACK, link_changed, restore
+from conformance.safety.stopping import MAY_MOVE, standing_failure, stop_or_cut, stopping
 from conformance.talk.dialogue import Dialogue
 from conformance.talk.drive_state import read_drive_state
 
@@ -54,7 +54,7 @@ _SHIELDED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGPIPE")
 class _Watched:
     """One drive. `moving`: something was sent that may move it, and no stop was proved since.
 
-    `endless_since`: when it began what ends only by a stop. `asked`: a stop was sent since, and nobody has looked yet.
+    `endless_since`: when it began what ends only by a stop. `asked`: a stop was sent since, and not looked at yet.
     """
 
     dialect: Dialect
@@ -151,7 +151,7 @@ class Guard:
         self.gate.set_speed(request.bits_per_second)
         return say.Done(self.gate.now_ns())
 
-    def looked(self, request: say.Looked) -> say.Answer:
+    def drive_found(self, request: say.DriveFound) -> say.Answer:
         """Let pass what was allowed."""
         self.gate = self.gate.under(self._full)
         return say.Done(self.gate.now_ns())
@@ -162,13 +162,13 @@ class Guard:
             read_drive_state(Dialogue(self.gate, [drive.dialect]), drive.dialect, drive.address)
         return say.Done(self.gate.now_ns())
 
-    def stands(self, request: say.Stands) -> say.Answer:
+    def standing(self, request: say.Standing) -> say.Answer:
         """Take the suite's word that the drives stand; a stop at the end is sent all the same."""
         for drive in self._drives:
             drive.endless_since, drive.asked = None, False
         return say.Done(self.gate.now_ns())
 
-    def back(self, request: say.Back) -> say.Answer:
+    def all_put_back(self, request: say.AllPutBack) -> say.Answer:
         """Take it that the subdivision is the user's again, if that is what was sent last."""
         if self._begin.subdivision is not None and self._subdivision == self._begin.subdivision:
             self.gate.note_subdivision(self._begin.subdivision)
@@ -182,8 +182,8 @@ class Guard:
         now = time.monotonic()
         late = [d for d in self._drives if d.endless_since is not None and now - d.endless_since > longest]
         for drive in [d for d in late if d.asked]:
-            # It was told to stop, and nobody has said whether it did.
-            if not seen_standing(self.gate, drive.dialect, drive.address):
+            # A stop was sent, and the suite has not reported whether the drive stands.
+            if not standing_failure(self.gate, drive.dialect, drive.address):
                 drive.stands()
                 late.remove(drive)
         if not late:
@@ -207,10 +207,10 @@ class Guard:
         if self._not_stopped is not None:
             raise self._not_stopped
 
-    def lead_back(self) -> None:
+    def restore_link(self) -> None:
         """Bring drives that may answer elsewhere back to where they can be stopped."""
         path = Path(self._begin.journal)
-        if self._begin.journal and path.exists() and moved_away(path):
+        if self._begin.journal and path.exists() and link_changed(path):
             restore(path, self.gate, dict_of(self._drives), link_only=True)
 
     def put_back(self) -> None:
@@ -218,9 +218,9 @@ class Guard:
         path = Path(self._begin.journal)
         if not self._begin.journal or not path.exists():
             return
-        told = restore(path, self.gate, dict_of(self._drives))
-        if told:
-            raise RigFault(f"{told}; servotap restore {path} puts it back")
+        failure = restore(path, self.gate, dict_of(self._drives))
+        if failure:
+            raise RigFault(f"{failure}; servotap restore {path} puts it back")
 
 
 def dict_of(drives: list[_Watched]) -> dict[int, Dialect]:
@@ -274,10 +274,10 @@ def _serve(guard: Guard, requests: queue.Queue[say.Request | None], answers: IO[
         say.Send: Guard.send,  # type: ignore[dict-item]  # each takes its own kind of request
         say.Receive: Guard.receive,  # type: ignore[dict-item]
         say.Speed: Guard.speed,  # type: ignore[dict-item]
-        say.Looked: Guard.looked,  # type: ignore[dict-item]
+        say.DriveFound: Guard.drive_found,  # type: ignore[dict-item]
         say.ReadState: Guard.read_state,  # type: ignore[dict-item]
-        say.Stands: Guard.stands,  # type: ignore[dict-item]
-        say.Back: Guard.back,  # type: ignore[dict-item]
+        say.Standing: Guard.standing,  # type: ignore[dict-item]
+        say.AllPutBack: Guard.all_put_back,  # type: ignore[dict-item]
     }
     stopped: say.Failed | None = None
     while True:
@@ -287,7 +287,7 @@ def _serve(guard: Guard, requests: queue.Queue[say.Request | None], answers: IO[
             stopped = stopped or _overdue(guard)
             continue
         if request is None:
-            return _alone(guard)
+            return _finish_alone(guard)
         if isinstance(request, say.End):
             _answer(answers, say.Done(guard.gate.now_ns()))
             return 0
@@ -299,7 +299,7 @@ def _serve(guard: Guard, requests: queue.Queue[say.Request | None], answers: IO[
         else:
             answer = _done(table[type(request)], guard, request)
         if not _answer(answers, answer):
-            return _alone(guard)
+            return _finish_alone(guard)
 
 
 def _done(act: Callable[[Guard, say.Request], say.Answer], guard: Guard, request: say.Request) -> say.Answer:
@@ -314,20 +314,20 @@ def _done(act: Callable[[Guard, say.Request], say.Answer], guard: Guard, request
 
 
 def _overdue(guard: Guard) -> say.Failed | None:
-    """Stop a run that took too long; return what the suite is to be told, if anything."""
+    """Stop a run that took too long; return what to report to the suite, if anything."""
     try:
-        told = guard.stop_overdue()
+        stopped = guard.stop_overdue()
     except NotStopped as error:
         return say.Failed("not stopped", str(error))
     except LineLost as error:
         return say.Failed("lost", str(error))
-    return say.Failed("stopped", told) if told else None
+    return say.Failed("stopped", stopped) if stopped else None
 
 
-def _alone(guard: Guard) -> int:
+def _finish_alone(guard: Guard) -> int:
     """Do what has to be done when the suite has died; return the exit status."""
     try:
-        guard.lead_back()
+        guard.restore_link()
     except ServotapError as error:
         print(f"servotap: {error}", file=sys.stderr, flush=True)
     try:
@@ -342,7 +342,7 @@ def _alone(guard: Guard) -> int:
 
 
 def _answer(stream: IO[bytes], answer: say.Answer) -> bool:
-    """Answer; return False where nobody listens any more."""
+    """Answer; return False where the suite has gone."""
     try:
         say.put(stream, answer)
     except OSError:

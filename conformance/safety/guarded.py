@@ -95,7 +95,7 @@ class GuardedLine(Line):
             raise failed
         return cast("say.Done | say.Got", answer)
 
-    def tell(self, request: say.Looked | say.ReadState | say.Stands | say.Back) -> None:
+    def tell(self, request: say.DriveFound | say.ReadState | say.Standing | say.AllPutBack) -> None:
         """Tell the guard something. Raises LineLost."""
         self._ask(request)
 

@@ -1,8 +1,8 @@
-"""The journal: what is about to be changed on a drive is written down, and safe on the disk, before it is changed.
+"""The journal: each change of a drive's settings is on the disk before it is sent.
 
-One JSON object a line. `change`: a command, the values that its settings had, and what is about to be sent; `back`: it was
-put back; `end`: all of it was. What was changed and not put back is open: `servotap restore` puts it back after a crash.
-What is sent matters where the link is changed: it says where the drive may be now.
+One JSON object a line. `change`: a command, the values that its settings had, and those about to be sent; `back`: one change
+was put back; `end`: all were. Other changes are open: `servotap restore` puts them back after a crash. Of a changed link,
+the sent values say where the drive may be now.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from conformance.claim import RigFault
 
 
 class Entry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One line. `values`: integers as sent, by field, as they were before; `sent`: those that the drive was told since."""
+    """One line. `values`: integers as sent, by field, as they were before; `sent`: those that were sent since."""
 
     event: str
     at: str = ""
@@ -34,7 +34,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def key(self) -> tuple[str, int, str, int]:
-        """Return what tells one setting of one drive from all others; a parameter's number stands among its values."""
+        """Return the key of one setting of one drive; the number of a parameter stands among its values."""
         return self.target, self.address, self.command, self.values.get("parameter", 0)
 
 

@@ -1,12 +1,12 @@
-"""The keeper of a drive's settings: knows what each was before it was changed, and puts all of them back.
+"""The keeper of a drive's settings: knows the value of each before it was changed, and puts all of them back.
 
-Before the first change of a setting its value is asked of the drive; where the drive does not tell, the user's word is
-taken, and where there is none, it is not changed. What was is written into the journal first. A change of the link (address,
-speed, dialect) is followed: the drive is looked for where it may be now (`conformance.safety.following`).
+Before the first change of a setting the keeper reads its value from the drive. Where the drive has no such read it takes the
+user's value, and without one the setting is not changed. The old value goes into the journal first. After a change of the
+link (address, speed, dialect) the drive is followed (`conformance.safety.following`).
 
 Rules kept here:
-- What is sent to all drives, in a package, or to an address that the drive may have taken counts as sent to the drive.
-- What was there may be put back whatever the bounds and the budget of the run say of it: it was there.
+- A frame to all drives, in a package, or to an address that the drive may have taken counts as sent to the drive.
+- Old values may be put back whatever the bounds and the budget of the run say of them.
 - A speed that is kept for the next power-on is forgotten again: a motor must not turn by itself because a suite has run.
 """
 
@@ -28,11 +28,11 @@ from conformance.gate.permissions import Allowance
 from conformance.motion import motion
 from conformance.safety import following, settings
 from conformance.safety import journal as journals
-from conformance.safety.following import says_itself
+from conformance.safety.following import changes_link
 from conformance.safety.journal import Entry, Journal, values_text
 from conformance.talk.probe import Probe, plain_probe
 
-#: What may be sent to put back what was there: no motion, nothing that wipes, nothing that nobody knows.
+#: What may be sent to put settings back: no motion, nothing that wipes, no unknown code.
 PUTTING_BACK = Allowance(
     frozenset({Risk.READ, Risk.SETTING, Risk.TORQUE, Risk.LINK, Risk.POWER_ON, Risk.WEAR}), alone=True, budget=Budget(wear=None)
 )
@@ -50,7 +50,7 @@ class _Kept:
 class Keeper:
     """Keeps the settings of one drive.
 
-    `known`: the user's word on them; `journal` None: nothing is written down. `alone`: no other drive is on the bus.
+    `known`: values that the user gave; `journal` None: nothing is written down. `alone`: no other drive is on the bus.
     `named`: its name in the journal, where it is another one than the dialect's.
     """
 
@@ -77,12 +77,12 @@ class Keeper:
         self._kept: dict[tuple[str, int], _Kept] = {}
         self._asking = False
 
-    def by(self, gate: Gate) -> None:
-        """Go on with another gate, where the process behind the first one has gone."""
+    def use_gate(self, gate: Gate) -> None:
+        """Use another gate from now on: the process behind the first one has gone."""
         self._gate = gate
         self._asking = False
 
-    def why_not(self, names: tuple[str, ...]) -> str:
+    def cannot_keep(self, names: tuple[str, ...]) -> str:
         """Return why settings (by field) cannot be changed here, or nothing."""
         for name in names:
             commands = [c for c in self._dialect.commands if settings.changes(c) and name in all_fields(c.request_forms)]
@@ -93,12 +93,12 @@ class Keeper:
     def _can_keep(self, command: Command) -> bool:
         if settings.readable(self._dialect, command) or command.verb is Verb.SAVE_SPEED:
             return True
-        return _fields(command) <= self._known.keys() or says_itself(command)
+        return _fields(command) <= self._known.keys() or changes_link(command)
 
-    def before(self, readings: tuple[Reading, ...]) -> None:
-        """Make sure that what is about to leave can be put back.
+    def keep_before(self, readings: tuple[Reading, ...]) -> None:
+        """Make sure that the changes of what is about to leave can be put back.
 
-        Raises NotRun where nobody says what to put back.
+        Raises NotRun where an old value is not known.
         """
         if self._asking:
             return
@@ -124,13 +124,13 @@ class Keeper:
             if not settings.changes(command) or not self._can_keep(command) or command.verb is Verb.SAVE_SPEED:
                 continue
             # The defaults of the link, by which the drive is found again.
-            for values in following.possible(command) or settings.every_selector(command):
+            for values in following.default_values(command) or settings.every_selector(command):
                 self._keep(command, values)
 
     def _keep(self, command: Command, values: dict[str, int]) -> None:
         if command.verb is Verb.SAVE_SPEED and values == _forgotten(command):
             return
-        refused = following.why_not_follow(self._gate, self._dialect, command, values)
+        refused = following.cannot_follow(self._gate, self._dialect, command, values)
         if refused:
             raise NotRun(refused)
         key = (command.name, settings.selector(command, values))
@@ -142,7 +142,7 @@ class Keeper:
             kept = _Kept(command, before)
         if values not in kept.sent or key not in self._kept:
             # Where a drive can be found again must be known; of other settings the first change says enough.
-            if key not in self._kept or says_itself(command):
+            if key not in self._kept or changes_link(command):
                 self._write("change", command, kept.before, values)
             kept.sent.append(values)
         self._kept[key] = kept
@@ -169,13 +169,13 @@ class Keeper:
                     return found
         finally:
             self._asking = False
-        if says_itself(command):
+        if changes_link(command):
             return self._link(command)
         names = _fields(command)
         return {n: self._known[n] for n in names} if names <= self._known.keys() else None
 
     def _link(self, command: Command) -> dict[str, int] | None:
-        """Return what a setting of the link must be, since the drive is heard as it is; None where it has no such value."""
+        """Return what a setting of the link must be, since the drive answers at it; None where it has no such value."""
         if name := command.sets(Effect.ADDRESS):
             return {name: self._address}
         if name := command.sets(Effect.DIALECT):
@@ -194,11 +194,11 @@ class Keeper:
         return bool(self._kept)
 
     @property
-    def moved_away(self) -> bool:
+    def link_changed(self) -> bool:
         """Whether the drive may answer elsewhere than it did."""
-        return any(says_itself(kept.command) for kept in self._kept.values())
+        return any(changes_link(kept.command) for kept in self._kept.values())
 
-    def take(self, entries: Iterable[Entry]) -> None:
+    def take_over(self, entries: Iterable[Entry]) -> None:
         """Take over what a journal says was changed; it counts as written down already."""
         for entry in reversed(list(entries)):
             command = self._dialect.by_name.get(entry.command)
@@ -208,7 +208,7 @@ class Keeper:
             self._kept[key] = _Kept(command, dict(entry.values), [dict(s) for s in entry.sent])
 
     def put_back(self, *, link_only: bool = False) -> str:
-        """Put everything back, the last change first; return what could not be, or nothing. Raises LineLost."""
+        """Put everything back, the last change first; return what was not put back, or nothing. Raises LineLost."""
         self._asking = True
         try:
             gate = self._gate.under(PUTTING_BACK)
@@ -222,15 +222,15 @@ class Keeper:
 
     def _pass(self, gate: Gate, link_only: bool) -> list[str]:
         failed = []
-        # The link first: nothing else can be put back on a drive that is not heard. The work mode last: others hang on it.
+        # The link first: a drive that does not answer takes nothing back. The work mode last: other settings depend on it.
         newest = list(self._kept.items())[::-1]
-        newest.sort(key=lambda item: (not says_itself(item[1].command), item[1].command.verb is Verb.SET_WORK_MODE))
+        newest.sort(key=lambda item: (not changes_link(item[1].command), item[1].command.verb is Verb.SET_WORK_MODE))
         for key, kept in newest:
-            if link_only and not says_itself(kept.command):
+            if link_only and not changes_link(kept.command):
                 continue
-            told = self._restore(gate, kept)
-            if told:
-                failed.append(told)
+            failure = self._restore(gate, kept)
+            if failure:
+                failed.append(failure)
                 continue
             del self._kept[key]
             self._write("back", kept.command, kept.before)
@@ -253,18 +253,18 @@ class Keeper:
         return not probe.refused(probe.ask(command, mode))
 
     def _restore(self, gate: Gate, kept: _Kept) -> str:
-        if says_itself(kept.command):
-            return following.lead_back(gate, self._dialect, self._address, kept.command, kept.before, kept.sent)
+        if changes_link(kept.command):
+            return following.restore_link(gate, self._dialect, self._address, kept.command, kept.before, kept.sent)
         return put_back(plain_probe(self._dialect, self._address, gate), kept.command, kept.before)
 
 
 def put_back(probe: Probe, command: Command, values: Mapping[str, int]) -> str:
     """Set a command's settings to values and look that they are; return why not, or nothing."""
-    told = ""
+    failure = ""
     for _ in range(2):
         exchange = probe.ask(command, values)
         if exchange.reply is None:
-            told = f"{command.name} {values_text(values)}: not answered"
+            failure = f"{command.name} {values_text(values)}: not answered"
             continue
         if probe.refused(exchange):
             return f"{command.name} {values_text(values)}: refused"
@@ -273,8 +273,8 @@ def put_back(probe: Probe, command: Command, values: Mapping[str, int]) -> str:
         now = settings.read(probe, command, values)
         if now is None or all(now.get(n) == v for n, v in values.items()):
             return ""
-        told = f"{command.name}: put back {values_text(values)}, read {values_text(now)}"
-    return told
+        failure = f"{command.name}: put back {values_text(values)}, read {values_text(now)}"
+    return failure
 
 
 def _fields(command: Command) -> set[str]:
@@ -306,10 +306,10 @@ def restore(path: Path, gate: Gate, known: Mapping[int, Dialect] | None = None, 
             own = list(entries)
             dialect = (known or {}).get(address) or dialect_of(own[0])
             keeper = Keeper(gate, dialect, address, {}, journal, named=own[0].target)
-            keeper.take(own)
-            told = keeper.put_back(link_only=link_only)
-            if told:
-                failed.append(told)
+            keeper.take_over(own)
+            failure = keeper.put_back(link_only=link_only)
+            if failure:
+                failed.append(failure)
         if not failed and not link_only:
             journal.write(Entry(event="end", text="all was put back from the journal"))
     finally:
@@ -321,11 +321,11 @@ def _drive(entry: Entry) -> tuple[str, int]:
     return entry.target, entry.address
 
 
-def moved_away(path: Path) -> bool:
+def link_changed(path: Path) -> bool:
     """Say whether a journal's drives may answer elsewhere than they did. Raises UnreadableError."""
     for entry in journals.open_changes(journals.read(path)):
         command = dialect_of(entry).by_name.get(entry.command)
-        if entry.sent and command is not None and says_itself(command):
+        if entry.sent and command is not None and changes_link(command):
             return True
     return False
 

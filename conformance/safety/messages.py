@@ -36,7 +36,7 @@ class Drive(msgspec.Struct, frozen=True):
 class Begin(msgspec.Struct, frozen=True, tag="begin"):
     """The first request: open the port.
 
-    `risks`, bounds and budget as in an allowance; `longest_run_ns` of motion without an end. Until `Looked` reads alone
+    `risks`, bounds and budget as in an allowance; `longest_run_ns` of motion without an end. Until `DriveFound` reads alone
     pass, and those to any address.
     """
 
@@ -76,7 +76,7 @@ class Speed(msgspec.Struct, frozen=True, tag="speed"):
     bits_per_second: int
 
 
-class Looked(msgspec.Struct, frozen=True, tag="looked"):
+class DriveFound(msgspec.Struct, frozen=True, tag="drive_found"):
     """The drive was found: from now on what was allowed passes, and nothing to others."""
 
 
@@ -84,11 +84,11 @@ class ReadState(msgspec.Struct, frozen=True, tag="read_state"):
     """Read where the drives stand, for the bounds that are counted from there."""
 
 
-class Stands(msgspec.Struct, frozen=True, tag="stands"):
+class Standing(msgspec.Struct, frozen=True, tag="standing"):
     """The suite has stopped a drive and has seen it stand."""
 
 
-class Back(msgspec.Struct, frozen=True, tag="back"):
+class AllPutBack(msgspec.Struct, frozen=True, tag="all_put_back"):
     """The suite has put all settings back."""
 
 
@@ -115,12 +115,12 @@ class Failed(msgspec.Struct, frozen=True, tag="failed"):
     text: str
 
 
-Request = Begin | Send | Receive | Speed | Looked | ReadState | Stands | Back | End
+Request = Begin | Send | Receive | Speed | DriveFound | ReadState | Standing | AllPutBack | End
 Answer = Done | Got | Failed
 
 
 def put(stream: IO[bytes], message: Request | Answer) -> None:
-    """Write a message. Raises OSError where nobody reads any more."""
+    """Write a message. Raises OSError where the other end has gone."""
     data = msgspec.msgpack.encode(message)
     stream.write(_LENGTH.pack(len(data)) + data)
     stream.flush()

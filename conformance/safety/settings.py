@@ -1,4 +1,4 @@
-"""What a drive's settings were, so that they can be put back: asked of the drive, or told by the user in a file.
+"""The old settings of a drive, so that they can be put back: read from the drive, or given by the user in a file.
 
 The file is JSON: field names and values as people write them, for all drives or under a drive's name:
 
@@ -70,7 +70,7 @@ def known(dialect: Dialect, drive: str, given: Mapping[str, Given]) -> dict[str,
     return values
 
 
-#: They move the zero or end a protection: what they change has no value that could be told again.
+#: They move the zero or end a protection: what they change has no value that could be sent again.
 _WITHOUT_VALUE = frozenset({Verb.SET_ZERO, Verb.RELEASE_PROTECTION, Verb.CLEAR_ERRORS})
 #: Likewise: the position is counted from elsewhere afterwards.
 _COUNTS_ANEW = frozenset({"set_position"})

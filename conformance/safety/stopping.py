@@ -1,4 +1,4 @@
-"""Stopping a motor so that one can say it stands: a stop by a ramp that keeps the torque, and proof.
+"""Stopping a motor with proof: a stop by a ramp that keeps the torque, and reads that show the shaft standing.
 
 The proof: three times in a row the speed reads 0 and the position has not moved. Where the ramped stops do not bring that,
 the stop at once is tried (it keeps the torque too); a motor is never disabled, for what hangs on it would fall. Where
@@ -19,7 +19,7 @@ from conformance.gate.permissions import Allowance
 from conformance.motion import motion
 from conformance.talk.probe import Probe, plain_probe
 
-#: What may set a shaft in motion: a code that nobody knows may be anything.
+#: What may set a shaft in motion: an unknown code may be anything.
 MAY_MOVE = frozenset({Risk.MOTION, Risk.UNBOUNDED, Risk.UNKNOWN, Risk.POWER_ON})
 #: How often in a row the shaft must be seen standing.
 PROOFS = 3
@@ -27,7 +27,7 @@ _LOOK_NS = 100_000_000
 #: How long a ramp may take, and how long a stop at once.
 _RAMP_NS = 15_000_000_000
 _AT_ONCE_NS = 3_000_000_000
-#: A shaft that is as fast as before after this long is not on a ramp: nobody waits for its end.
+#: A shaft that is as fast as before after this long is not on a ramp, so its end is not waited for.
 _NO_RAMP_NS = 3_000_000_000
 _AS_FAST = 0.95
 _POWER_SECONDS = 20
@@ -43,19 +43,19 @@ def stopping(address: int) -> Allowance:
 
 
 def stop(gate: Gate, dialect: Dialect, address: int) -> str:
-    """Stop a drive by a ramp and prove that it stands; return why that cannot be said, or nothing. Raises LineLost."""
+    """Stop a drive by a ramp and prove that it stands; return why there is no proof, or nothing. Raises LineLost."""
     probe = plain_probe(dialect, address, gate)
-    told = ""
+    failure = ""
     ramped = ramped_stops(dialect)
     at_once = tuple(c for c in dialect.motions(MotionKind.STOP) if c not in ramped)
     for sent, limit_ns in ((ramped, _RAMP_NS), (at_once, _AT_ONCE_NS)):
         for command in sent:
             _ask(probe, command)
         if sent:
-            told = stands(probe, limit_ns)
-            if not told:
+            failure = prove_standing(probe, limit_ns)
+            if not failure:
                 return ""
-    return told or f"{dialect.name} has no stop"
+    return failure or f"{dialect.name} has no stop"
 
 
 def ramped_stops(dialect: Dialect) -> tuple[Command, ...]:
@@ -70,38 +70,38 @@ def _ask(probe: Probe, command: Command) -> None:
     probe.ask(command, {"acceleration": motion.GENTLE} if "acceleration" in named else None, timeout_ns=_LOOK_NS, quiet_ns=0)
 
 
-def stands(probe: Probe, limit_ns: int) -> str:
-    """Return nothing once the shaft was seen standing three times in a row, else what was seen last. Raises LineLost."""
+def prove_standing(probe: Probe, limit_ns: int) -> str:
+    """Return nothing once three looks in a row show the shaft standing, else what was seen last. Raises LineLost."""
     begun_ns = probe.gate.now_ns()
     until_ns = begun_ns + limit_ns
     first = 0.0
-    seen, told = 0, "nothing was read"
+    seen, failure = 0, "nothing was read"
     before: float | None = None
     while probe.gate.now_ns() < until_ns:
         try:
             speed = motion.speed(probe).value
             position = motion.position(probe).value
         except Inconclusive as error:
-            seen, before, told = 0, None, str(error)
+            seen, before, failure = 0, None, str(error)
             probe.wait(_LOOK_NS)
             continue
         still = before is not None and abs(position - before) <= motion.SAME and abs(speed) < 1
         seen = seen + 1 if still else 0
         if seen >= PROOFS:
             return ""
-        told = f"speed {speed:.4g} rpm, position {position:.4f} deg" + ("" if before is None else f" after {before:.4f} deg")
+        failure = f"speed {speed:.4g} rpm, position {position:.4f} deg" + ("" if before is None else f" after {before:.4f} deg")
         first = first or abs(speed)
         if abs(speed) >= max(1.0, _AS_FAST * first) and probe.gate.now_ns() > begun_ns + _NO_RAMP_NS:
-            return told
+            return failure
         before = position
         probe.wait(_LOOK_NS)
-    return told
+    return failure
 
 
-def seen_standing(gate: Gate, dialect: Dialect, address: int) -> str:
+def standing_failure(gate: Gate, dialect: Dialect, address: int) -> str:
     """Look whether a drive stands already, without sending it anything but reads; return why not, or nothing."""
     try:
-        return stands(plain_probe(dialect, address, gate.under(stopping(address))), 5 * _LOOK_NS)
+        return prove_standing(plain_probe(dialect, address, gate.under(stopping(address))), 5 * _LOOK_NS)
     except ServotapError as error:
         return str(error)
 
@@ -122,16 +122,16 @@ def cut_power(command: str) -> str:
 def stop_or_cut(gate: Gate, dialect: Dialect, address: int, power: str) -> None:
     """Stop a drive by a gate of its own, through which nothing but that passes.
 
-    Raises NotStopped, after the power command, where it cannot be said that the motor stands; GuardLost.
+    Raises NotStopped, after the power command, where there is no proof that the motor stands; GuardLost.
     """
     try:
-        told = stop(gate.under(stopping(address)), dialect, address)
+        failure = stop(gate.under(stopping(address)), dialect, address)
     except (NotStopped, GuardLost):
         raise
     except ServotapError as error:
         # Whatever keeps the stop from being sent or proved, the motor may turn.
-        told = str(error)
-    if told:
-        text = f"NOT STOPPED: {dialect.name}@{address}: {told}; {cut_power(power)}"
+        failure = str(error)
+    if failure:
+        text = f"NOT STOPPED: {dialect.name}@{address}: {failure}; {cut_power(power)}"
         print(text, file=sys.stderr, flush=True)
         raise NotStopped(text)

@@ -1,4 +1,4 @@
-"""A refutation on a real drive is repeated before it is told, and a long one shortened.
+"""A refutation on a real drive is repeated before it is reported, and a long one shortened.
 
 First the claim runs once more: a drive that fails once of two times is refuted too, and the reason says so. Where the claim
 was a sequence of steps (a state machine), emulated drives are given the same steps: one as the manual has it, and one with

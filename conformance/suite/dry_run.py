@@ -32,7 +32,7 @@ Item = bytes | CanFrame
 
 
 class _StandIn(RealRig):
-    """A rig like that of a real drive, on a line to an emulated one. `left`: what left since somebody last looked."""
+    """A rig like that of a real drive, on a line to an emulated one. `left`: what left since it was last taken."""
 
     def __init__(self, plan: Plan, target: Target) -> None:
         self.left: list[Item] = []

@@ -1,6 +1,6 @@
-"""The engine: runs claims on a rig and says what came of each.
+"""The engine: runs claims on a rig and returns the verdict of each.
 
-It knows no report and no pytest: it yields verdicts, and whoever asked shows them.
+It knows no report and no pytest: it yields verdicts, and its callers show them.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def _once(claim: Claim, rig: ClaimRig) -> Verdict:
     try:
         verdict = _judge(claim, probe)
     finally:
-        # Also when a Ctrl-C breaks in: whoever ends the run stops and puts back once more, so a second one does no harm.
+        # Also when a Ctrl-C breaks in: the end of the run stops and puts back once more, so a second one does no harm.
         left = rig.settle(probe)
     if left and verdict.outcome is Outcome.CONFIRMED:
         return _verdict(claim, probe, Outcome.INCONCLUSIVE, left)
@@ -68,11 +68,11 @@ def _judge(claim: Claim, probe: Probe) -> Verdict:
         return _verdict(claim, probe, Outcome.NOT_RUN, str(error))
     except (NotStopped, RigFault):
         raise
-    # A claim is code too, its own or somebody else's, and a drive may answer what it was not written for.
+    # A claim is code too, perhaps of another package, and a drive may answer what it was not written for.
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
-        told = f"a fault of the claim itself: {type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})"
-        return _verdict(claim, probe, Outcome.INCONCLUSIVE, told)
+        failure = f"a fault of the claim itself: {type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})"
+        return _verdict(claim, probe, Outcome.INCONCLUSIVE, failure)
     if probe.quirks:
         return _verdict(claim, probe, Outcome.OBSERVED, f"as real drives were seen to do: {', '.join(probe.quirks)}")
     return _verdict(claim, probe, Outcome.CONFIRMED, "")

@@ -1,6 +1,6 @@
 """Before the first claim: is the drive there, is it the one that was named, is it alone where the user says so?
 
-A drive that is not there, at another speed or address, or speaking another dialect is told apart by reads alone, and named
+A drive that is missing, at another speed or address, or speaking another dialect is found out by reads alone, and reported
 in one message. A drive that answers wrongly is let through: the claims say what is wrong with it.
 """
 

@@ -1,4 +1,4 @@
-"""Records of verdicts: what came of each claim, as plain data that passes between processes and into files."""
+"""Records of verdicts: the verdict of each claim, as plain data that passes between processes and into files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Traffic(msgspec.Struct, frozen=True, array_like=True):
 class VerdictRecord(msgspec.Struct, frozen=True, kw_only=True):
     """A verdict as data. `target`: the drive as the user named it; `lines`: the exchange that shows it, for people.
 
-    `duration_ns` on the line's clock (virtual for an emulated drive). `traffic` only where somebody wants it.
+    `duration_ns` on the line's clock (virtual for an emulated drive). `traffic` only where it is asked for.
     """
 
     id: str
@@ -128,5 +128,5 @@ def _shown(verdict: Verdict) -> tuple[Traffic, ...]:
 
 
 def firmware_of(records: Iterable[VerdictRecord]) -> dict[str, str]:
-    """Return what each drive told of its firmware."""
+    """Return the firmware that each drive reported."""
     return {r.target: r.firmware for r in records if r.firmware}

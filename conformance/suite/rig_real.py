@@ -3,8 +3,8 @@
 After each claim the drive is stopped, if the claim may have moved it, and proved to stand; then its settings are put back,
 so that each claim finds the drive as the one before found it.
 
-Whatever goes wrong in the end, somebody stops the motor: the rig itself; a new guard, where the old one has died; the guard
-alone, where the rig cannot.
+Whatever goes wrong in the end, the motor is stopped: by the rig itself; by a new guard, where the old one has died; by the
+guard alone, where the rig cannot.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 class RealRig(ClaimRig):
-    """A drive on a real port. Raises UsageError where the port cannot be opened, DriveNotFound where nobody answers."""
+    """A drive on a real port. Raises UsageError where the port cannot be opened, DriveNotFound where no drive answers."""
 
     emulated = False
     #: The longest move that the manual prints takes 27 s.
@@ -67,7 +67,7 @@ class RealRig(ClaimRig):
         try:
             self._line = self._open_line()
         except ServotapError:
-            self._end_journal(clean=True)
+            self._end_journal(done=True)
             raise
         self.gate = self._open_gate()
         self.keeper = Keeper(
@@ -78,7 +78,7 @@ class RealRig(ClaimRig):
         self._not_stopped = False
         try:
             self.firmware = check(self.gate, self.dialect, self.address, alone=self.alone)
-            self._tell(say.Looked())
+            self._tell(say.DriveFound())
         except BaseException:
             self.close()
             raise
@@ -92,7 +92,7 @@ class RealRig(ClaimRig):
     def _open_gate(self) -> Gate:
         return Gate(self._line, self._allowance)
 
-    def _tell(self, message: say.Looked | say.ReadState | say.Stands | say.Back) -> None:
+    def _tell(self, message: say.DriveFound | say.ReadState | say.Standing | say.AllPutBack) -> None:
         """Tell the guard something, where there is one."""
         if isinstance(self._line, GuardedLine):
             self._line.tell(message)
@@ -124,21 +124,21 @@ class RealRig(ClaimRig):
         named = f"servotap-{self.name.replace('@', '-')}-{time.strftime('%Y%m%d-%H%M%S')}.journal"
         return Journal(Path(self._plan.journal or named))
 
-    def _end_journal(self, *, clean: bool) -> None:
+    def _end_journal(self, *, done: bool) -> None:
         if self._journal is None:
             return
-        if not clean:
+        if not done:
             print(
                 f"servotap: {self._journal.path} says what was not put back: servotap restore {self._journal.path}",
                 file=sys.stderr,
             )
-        self._journal.close(remove=clean)
+        self._journal.close(remove=done)
 
     # --- claims -------------------------------------------------------------------------------------------------------
 
     def missing(self, claim: Claim) -> str:
         """Return why a claim cannot run here, or nothing."""
-        return super().missing(claim) or self.keeper.why_not(claim.settings)
+        return super().missing(claim) or self.keeper.cannot_keep(claim.settings)
 
     def probe(self, claim: Claim) -> Probe:
         """Return a probe of the drive."""
@@ -154,7 +154,7 @@ class RealRig(ClaimRig):
         readings = self.gate.judge(item)
         # What the gate refuses changes nothing, so there is nothing to keep.
         if not self.gate.objections(item):
-            self.keeper.before(readings)
+            self.keeper.keep_before(readings)
         if any(reading.risks & MAY_MOVE for reading in readings):
             self._moved = True
 
@@ -165,14 +165,14 @@ class RealRig(ClaimRig):
         """
         if self._not_stopped:
             return "not put back: nothing more was sent to a drive that could not be stopped" * self.keeper.changed
-        told = self.keeper.put_back(link_only=True) if self.keeper.moved_away else ""
+        failure = self.keeper.put_back(link_only=True) if self.keeper.link_changed else ""
         if self._moved:
             self._stop()
         if self.keeper.changed:
-            told = self.keeper.put_back()
-            if not told:
+            failure = self.keeper.put_back()
+            if not failure:
                 self._is_back()
-        return f"not put back: {told}" if told else ""
+        return f"not put back: {failure}" if failure else ""
 
     def _stop(self) -> None:
         try:
@@ -184,13 +184,13 @@ class RealRig(ClaimRig):
             self._not_stopped = True
             raise
         self._moved = False
-        self._tell(say.Stands())
+        self._tell(say.Standing())
 
     def _is_back(self) -> None:
         """Say that the settings are what they were: the subdivision, which says how fast a speed is, among them."""
         if self._allowance.subdivision is not None:
             self.gate.note_subdivision(self._allowance.subdivision)
-        self._tell(say.Back())
+        self._tell(say.AllPutBack())
 
     # --- the end ------------------------------------------------------------------------------------------------------
 
@@ -203,9 +203,9 @@ class RealRig(ClaimRig):
             return
         self._closed = True
         with undisturbed():
-            told, done = "", False
+            failure, done = "", False
             try:
-                told = self._last()
+                failure = self._last()
                 done = True
             finally:
                 if done or self._not_stopped or not isinstance(self._line, GuardedLine):
@@ -213,40 +213,40 @@ class RealRig(ClaimRig):
                 else:
                     # Whatever it was that went wrong here: the guard does it alone.
                     self._line.abandon()
-                self._end_journal(clean=done and not told)
-        if told and not self._not_stopped:
-            raise RigFault(told)
+                self._end_journal(done=done and not failure)
+        if failure and not self._not_stopped:
+            raise RigFault(failure)
 
     def _last(self) -> str:
         """Settle for the last time; return what could not be put back. Where the guard has died, by a new one."""
         if (self._moved or self.keeper.changed) and not self._not_stopped:
             print(f"servotap: {self.name}: stopping it and putting back what it was", file=sys.stderr, flush=True)
         try:
-            told = self.settle()
+            failure = self.settle()
         except GuardLost as error:
             if not (self._moved or self.keeper.changed):
                 return ""
             print(f"servotap: {error}; another one takes over", file=sys.stderr, flush=True)
-            told = self._settle_anew()
+            failure = self._settle_anew()
         except LineLost as error:
-            told = f"not put back: {error}" if self.keeper.changed else ""
-        if not told and self._journal is not None:
+            failure = f"not put back: {error}" if self.keeper.changed else ""
+        if not failure and self._journal is not None:
             self._journal.write(Entry(event="end", target=self.name))
-        return told
+        return failure
 
     def _settle_anew(self) -> str:
         """Open the port again and settle."""
         self._line.close()
         try:
             self._line = self._open_line()
-            self._tell(say.Looked())
+            self._tell(say.DriveFound())
         except ServotapError as error:
             if self._moved:
                 self._not_stopped = True
-                told = f"NOT STOPPED: {self.name}: {error}; {cut_power(self._plan.cut_power)}"
-                print(told, file=sys.stderr, flush=True)
-                raise NotStopped(told) from None
+                failure = f"NOT STOPPED: {self.name}: {error}; {cut_power(self._plan.cut_power)}"
+                print(failure, file=sys.stderr, flush=True)
+                raise NotStopped(failure) from None
             return f"not put back: {error}"
         self.gate = self._open_gate()
-        self.keeper.by(self.gate)
+        self.keeper.use_gate(self.gate)
         return self.settle()

@@ -50,7 +50,7 @@ _PAIRED: Mapping[Until, Ended] = {
 
 
 class _Sorter:
-    """A sink that keeps what came since it was last emptied, apart from what was sent here."""
+    """A sink that keeps what came since it was last emptied, without what was sent here."""
 
     def __init__(self) -> None:
         self.entries: list[Entry] = []
@@ -139,15 +139,15 @@ class Dialogue:
 
     # --- its parts ------------------------------------------------------------------------------------------------
 
-    def send(self, item: Item, built: Built | None = None, *, told: bool = True) -> Exchange:
-        """Send an item and begin its exchange. `told` False: the analyzer does not learn of it. Raises Refused, LineLost."""
+    def send(self, item: Item, built: Built | None = None, *, shown: bool = True) -> Exchange:
+        """Send an item and begin its exchange. `shown` False: the analyzer does not see it. Raises Refused, LineLost."""
         exchange = Exchange(item, self.gate.send(item))
         if built is not None:
             exchange.command, exchange.address, exchange.values = built.command, built.address, dict(built.values)
         record = sent_record(item, exchange.sent_ns, self._name)
         if self._log is not None:
             self._log(record)
-        if told:
+        if shown:
             port = self._pipeline.ports.get(self._name)
             self._sorter.sends(port.bytes_in if port is not None else 0, len(record.data), exchange)
             self._pipeline.feed(record)

@@ -1,4 +1,4 @@
-"""Garbled frames: what noise, a bad cable or a careless host makes of a request.
+"""Garbled frames: requests as noise, a bad cable or a careless host damage them.
 
     FA 01 31 2C   ->   FA 01 31 2D   a bit of the checksum flipped
                        FA 01 31      cut short
@@ -24,7 +24,7 @@ from analyzer.records import CanFrame
 from conformance.gate.gate import Allowance, Judge
 
 Item = bytes | CanFrame
-#: What was done to a frame, in words, and what came of it.
+#: The damage in words, and the damaged frame.
 Variant = tuple[str, Item]
 
 _BITS = 8

@@ -8,7 +8,7 @@ inconclusive; so the probe reads such a reply, and the claims about checksums an
 Rules kept here:
 - Only what lacks its checksum and nothing else is read: with the sum that fits, it is a whole reply of the dialect.
 - Only dialects of which such drives are known; elsewhere a missing checksum stays what it is, bytes that are no frame.
-- The bytes stay as they came: whoever looks at them sees that the sum is not there.
+- The bytes stay as they came: reports show them without the sum.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class _One:
 
 
 class Bare:
-    """What came as a drive without checksums would send it. One for each probe, so that its pipeline is made once."""
+    """Reads replies of a drive that sends no checksums. One for each probe, so that its pipeline is made once."""
 
     def __init__(self, dialect: Dialect) -> None:
         self._dialect = dialect

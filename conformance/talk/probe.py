@@ -204,8 +204,8 @@ class Probe:
             exchange = dialogue.begin(Exchange(None, self.gate.now_ns()))
         else:
             self.rig.before_send(item)
-            # What is sent as bytes is no request that a reply could be told by.
-            exchange = dialogue.send(item, built, told=built is not None)
+            # Raw bytes are no request that the analyzer could pair replies with.
+            exchange = dialogue.send(item, built, shown=built is not None)
         self.traffic.append(exchange)
         dialogue.collect(exchange, _ENDS[until], timeout_ns, quiet_ns=quiet_ns)
         if built is not None and exchange.answers and len(self.latencies) < _KEPT_LATENCIES:
@@ -241,23 +241,23 @@ class Probe:
         Raises Refuted.
         """
         value = getattr(got, "value", got)
-        told = []
+        conditions = []
         if holds is not None:
-            told.append((holds, ""))
+            conditions.append((holds, ""))
         if equal is not _ANYTHING:
-            told.append((value == equal, _text(equal, unit)))
+            conditions.append((value == equal, _text(equal, unit)))
         if among:
-            told.append((value in among, " or ".join(_text(v, unit) for v in among)))
+            conditions.append((value in among, " or ".join(_text(v, unit) for v in among)))
         if near is not None:
-            told.append((abs(value - near) <= within, f"{_text(near, unit)} +-{within:.3g}"))
+            conditions.append((abs(value - near) <= within, f"{_text(near, unit)} +-{within:.3g}"))
         if at_least > -math.inf:
-            told.append((value >= at_least, f"at least {_text(at_least, unit)}"))
+            conditions.append((value >= at_least, f"at least {_text(at_least, unit)}"))
         if at_most < math.inf:
-            told.append((value <= at_most, f"at most {_text(at_most, unit)}"))
-        if not told:
+            conditions.append((value <= at_most, f"at most {_text(at_most, unit)}"))
+        if not conditions:
             raise ValueError(f"{self.claim.id}: expect needs a condition")
-        if not all(kept for kept, _ in told):
-            shown = expected or " and ".join(text for _, text in told if text)
+        if not all(kept for kept, _ in conditions):
+            shown = expected or " and ".join(text for _, text in conditions if text)
             shown_in = exchange or (self.traffic[-1] if self.traffic else None)
             raise Refuted(refutes, expected=shown, got=_text(value, unit), exchange=shown_in, key=key)
 

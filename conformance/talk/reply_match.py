@@ -1,14 +1,14 @@
-"""The anatomy of a reply: what came back, laid over what the manual says must come back, part by part.
+"""Matching of replies: the bytes that came back, compared part by part with the reply that the manual describes.
 
     expected   FB | 01 | 31 | 6 bytes | sum        head, address, code, length, checksum
-    came       FF 00 55   FB | 01 | 32 | 6 bytes | sum
+    received   FF 00 55   FB | 01 | 32 | 6 bytes | sum
                before     one part differs, the rest fits: so this is the reply, and its code is wrong
 
 A listener calls bytes with a wrong head or length junk; a claim wants to know which part is wrong. So the bytes that came
 are laid over each reply that could have come, at each place and in each length, and the closest fit is taken.
 
 Rules kept here:
-- What is no reply to the request by any stretch (less than half of its parts fit, or neither its code nor its last check)
+- Bytes that are no reply to the request (less than half of its parts fit, or neither its code nor its last check)
   is not taken for one.
 - A reply that lacks exactly its last check is one whose check is missing, not one that is too short.
 - Further replies (a second one, a completion) are found in what follows the first.
@@ -38,7 +38,7 @@ _HALF = 2
 
 
 class Part(NamedTuple):
-    """A stretch of a reply's head: what it is, what came and what should have come."""
+    """A part of a reply's head: its name, the bytes received and those expected."""
 
     name: str
     got: bytes
@@ -155,7 +155,7 @@ def templates(dialect: Dialect, command: Command, address: int, values: Mapping[
     return result
 
 
-# --- what came --------------------------------------------------------------------------------------------------------
+# --- what was received --------------------------------------------------------------------------------------------------------
 
 
 class _Unit(NamedTuple):

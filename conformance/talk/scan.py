@@ -191,7 +191,7 @@ def scan(
     tried = list(rates) or [own]
     total = len(tried) * sum(len(each) for each in plan.values())
 
-    def told(where: str) -> None:
+    def report_progress(where: str) -> None:
         if progress is not None:
             progress(report.asked, total, where)
 
@@ -199,7 +199,7 @@ def scan(
         for rate in tried:
             if rate != line.endpoint.bits_per_second:
                 gate.set_speed(rate)
-            if not _scan_rate(Finder(gate, kinds, patience_ns), plan, rate, busy, enough, report, told):
+            if not _scan_rate(Finder(gate, kinds, patience_ns), plan, rate, busy, enough, report, report_progress):
                 break
     finally:
         if line.endpoint.bits_per_second != own:
@@ -221,7 +221,7 @@ def _scan_rate(
     busy: bool,
     enough: Callable[[Found], bool] | None,
     report: Report,
-    told: Callable[[str], None],
+    report_progress: Callable[[str], None],
 ) -> bool:
     """Ask all addresses at one rate; return whether to go on with the next one."""
     report.rates.append(rate)
@@ -233,7 +233,7 @@ def _scan_rate(
             return False
     for dialect in finder.dialogue.dialects:
         for address in plan[dialect.name]:
-            told(f"{dialect.name} at {rate}, address {address}")
+            report_progress(f"{dialect.name} at {rate}, address {address}")
             report.asked += 1
             found, exchange = finder.find(dialect, address)
             if found is not None:

@@ -1,14 +1,14 @@
-"""Replaying: the requests of a recording, at their times, through the gate; and what came back, beside what came then.
+"""Replaying: the requests of a recording, at their times, through the gate; the replies compared with the recorded ones.
 
     steps -> rehearsal (all judged, nothing sent) -> the gate, step by step -> comparison
 
 Times. Each step has its own time from the start, so nothing adds up: one that was late does not make the next one late.
-The last stretch before it is waited out without sleeping. Only one thing holds a step back, and only on a serial line,
-where two who speak at once spoil both: the reply to the step before, where one came then and has not come yet
-(`PATIENCE_NS` at most).
+The last part of the wait is spent without sleeping. Only one thing holds a step back, and only on a serial line, where two
+frames at once collide: the reply to the step before, where the recording has one that has not come yet (`PATIENCE_NS` at
+most).
 
 Permission. A file brings none: what is in it is judged as a whole before its first byte leaves, and again byte by byte as it
-leaves. When it is stopped (Ctrl-C, a lost port), what it set in motion is stopped by a ramp, and looked at until it stands;
+leaves. When it is stopped (Ctrl-C, a lost port), what it set in motion is stopped by a ramp and watched until it stands;
 so is, at the end, a run that the recording left running.
 """
 
@@ -86,7 +86,7 @@ def rehearse(judge: Judge, plan: Plan, speed: float) -> Rehearsal:
     return result
 
 
-# --- what came of it ----------------------------------------------------------------------------------------------
+# --- the result ----------------------------------------------------------------------------------------------------
 
 
 class Match(StrEnum):
@@ -195,7 +195,7 @@ class Replay:
     def run(
         self, steps: Sequence[Step], period_ns: int = 0, loops: int = 1, advance: Callable[[SentStep], None] | None = None
     ) -> Result:
-        """Send the steps, `loops` times (0: until Ctrl-C), each time `period_ns` after the last; return what came of it.
+        """Send the steps, `loops` times (0: until Ctrl-C), each time `period_ns` after the last; return the result.
 
         What it sets in motion is stopped if it ends early. Raises nothing for Ctrl-C, a lost port or a refusal: the result
         says so.
@@ -207,7 +207,7 @@ class Replay:
         gc.disable()
         try:
             self._run(steps, period_ns, loops, advance)
-            # What runs on without an end does so in the recording too, but there somebody watched it.
+            # What runs on without an end does so in the recording too, but there a person or a program watched it.
             self.stop(only_runs=True)
         except (KeyboardInterrupt, ServotapError) as error:
             self.result.stopped = "Ctrl-C" if isinstance(error, KeyboardInterrupt) else str(error)
@@ -296,11 +296,11 @@ class Replay:
     def _watch(self, step: Step) -> None:
         """Remember what a step sets in motion, and what it stops."""
         message = step.message
-        told_to: list[tuple[int, Command | None, Mapping[str, Any]]] = [(step.address, message.command, message.values)]
+        commands: list[tuple[int, Command | None, Mapping[str, Any]]] = [(step.address, message.command, message.values)]
         if message.command is not None and message.command.slots is not None:
             slots = slots_of(step.dialect, message.command, message.data)
-            told_to = [(s.address, s.command, codec(s.form.layout).wire(s.data) if s.form else {}) for s in slots]
-        for address, command, values in told_to:
+            commands = [(s.address, s.command, codec(s.form.layout).wire(s.data) if s.form else {}) for s in slots]
+        for address, command, values in commands:
             if command is not None and command.verb in STOPS:
                 self.moving.pop((step.dialect.name, address), None)
             elif command is not None and command.verb in RUNS | MOVES | OWN_WAYS:

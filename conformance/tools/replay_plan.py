@@ -53,7 +53,7 @@ def reply_of(message: Message) -> Reply:
 
 @dataclass(slots=True)
 class Step:
-    """One request: when it was sent then, what is sent, and what came back then."""
+    """One request: its time in the recording, what is sent, and the recorded replies."""
 
     t_ns: int
     item: gate.Item
@@ -117,7 +117,7 @@ class _Reader:
         if message.role is Role.REQUEST:
             self._request(entry)
         elif message.role is Role.UNKNOWN:
-            self.plan.left_out["frames of which nobody knows who sent them"] += 1
+            self.plan.left_out["frames of an unknown sender"] += 1
         elif entry.request_sequence is not None and entry.request_sequence in self._open:
             step = self._open[entry.request_sequence]
             if not step.replies:

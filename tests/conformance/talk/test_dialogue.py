@@ -89,9 +89,9 @@ def test_a_late_reply_is_known_in_the_next_exchange():
     assert later.sent is None
 
 
-def test_what_the_analyzer_is_not_told_of_has_no_replies():
+def test_what_the_analyzer_is_not_shown_has_no_replies():
     talk = dialogue()
-    exchange = talk.send(READ, told=False)
+    exchange = talk.send(READ, shown=False)
     talk.collect(exchange, lambda found: bool(found.answers), 500 * MS)
     assert [a.paired for a in exchange.answers] == [False]
     assert exchange.requests == []
