@@ -32,7 +32,7 @@ from conformance.motion import motion
 from conformance.talk import samples
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Until
-from conformance.talk.reply_match import Reading, replies
+from conformance.talk.reply_match import MatchedReply, replies
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
@@ -234,7 +234,7 @@ def _judge(probe: Probe, example: Example, exchange: Exchange) -> None:
             raise _refuted(exchange, what, expected.hex(" ").upper(), got[number].data.hex(" ").upper())
 
 
-def _overtaken(probe: Probe, example: Example, got: Sequence[Reading]) -> bool:
+def _overtaken(probe: Probe, example: Example, got: Sequence[MatchedReply]) -> bool:
     """Say whether a slow first reply was overtaken by the last one, and comes after it."""
     if SLOW_REPLIES not in probe.claim.quirks:
         return False
@@ -247,7 +247,7 @@ def _refuted(exchange: Exchange, what: str, expected: str, got: str) -> Refuted:
     return Refuted(what, expected=f"{expected} to {hex_of(exchange.sent or b'')}", got=got, exchange=exchange, key=what)
 
 
-def _expected(probe: Probe, example: Example, reading: Reading, printed: Vector) -> bytes:
+def _expected(probe: Probe, example: Example, reading: MatchedReply, printed: Vector) -> bytes:
     """Return the printed reply as this drive must send it: its address, and what it measures as it came."""
     command, form = example.command, reading.template.form
     layout = form.layout

@@ -10,7 +10,7 @@ from conformance.claim import Inconclusive, Refuted
 from conformance.talk import samples
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.garbling import Garbler
-from conformance.talk.reply_match import heard, in_order
+from conformance.talk.reply_match import in_order
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
@@ -51,7 +51,7 @@ def garblers(probe: Probe) -> list[Garbler]:
 
 def came(exchange: Exchange) -> str:
     """Return what came back, as hex, for people."""
-    return heard(exchange).hex(" ").upper() or ("silence" if exchange.silent else "a frame without data")
+    return exchange.received.hex(" ").upper() or ("silence" if exchange.silent else "a frame without data")
 
 
 def is_answered(exchange: Exchange) -> bool:

@@ -8,7 +8,6 @@ from conformance.claim import Refuted
 from conformance.claims.hearing import came
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Until
-from conformance.talk.reply_match import heard
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
@@ -33,12 +32,12 @@ def ask(probe: Probe, frame: bytes) -> Exchange:
 
 def judge(probe: Probe, sent: Exchange, expected: bytes, what: str) -> None:
     """Refute a drive that does not answer what was sent with these bytes and nothing else."""
-    got = heard(sent)
+    got = sent.received
     if got == expected:
         return
     # Once more: a line that loses or garbles a reply now and then is another matter.
     again = ask(probe, sent.data)
-    if heard(again) == expected:
+    if again.received == expected:
         return
     raise Refuted(
         f"{what} is answered otherwise",

@@ -17,7 +17,6 @@ from conformance.motion import motion
 from conformance.motion.effects import STEP_NS
 from conformance.talk import samples
 from conformance.talk.exchange import hex_of
-from conformance.talk.reply_match import heard
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
@@ -157,7 +156,7 @@ def _unknown_registers(dialect: Dialect) -> Claim:
             return
         frame = request(probe, 0x10, _HOME_94, 4, data=b"\x08" + _HOME_94_DATA)
         sent = ask(probe, frame)
-        if heard(sent)[:4] == frame[:4]:
+        if sent.received[:4] == frame[:4]:
             probe.meets(REGISTER_94)
             return
         judge(probe, sent, exception(probe, 0x10, refused), "a write of register 0094h")
@@ -250,9 +249,9 @@ def _answered_once(dialect: Dialect) -> Claim:
         before = probe.read(Verb.READ_POSITION, "position")
         frame = probe.build(command, _STEP).frame
         sent = probe.send(frame, timeout_ns=STEP_NS)
-        if probe.read(Verb.READ_POSITION, "position") == before or not heard(sent):
+        if probe.read(Verb.READ_POSITION, "position") == before or not sent.received:
             raise Inconclusive("the shaft did not move")
-        if heard(sent) != dialect.link.completed(frame[:6]):
+        if sent.received != dialect.link.completed(frame[:6]):
             raise Refuted(
                 "a move is not answered once, by its echo",
                 expected=f"{hex_of(dialect.link.completed(frame[:6]))} and nothing more to {hex_of(frame)}",

@@ -44,7 +44,7 @@ from conformance.claims.shape_judges import (
 )
 from conformance.claims.shape_parameters import parameters
 from conformance.talk.exchange import Exchange
-from conformance.talk.reply_match import COUNTS, heard, replies, templates
+from conformance.talk.reply_match import COUNTS, replies, templates
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe, Rig
@@ -206,7 +206,7 @@ def _unasked(dialect: Dialect) -> Claim:
     def check(probe: Probe) -> None:
         exchange = probe.listen(_LISTEN_NS)
         if not exchange.silent:
-            raise Refuted("the drive sends unasked", expected="silence", got=shown(heard(exchange)), exchange=exchange)
+            raise Refuted("the drive sends unasked", expected="silence", got=shown(exchange.received), exchange=exchange)
 
     return declare(
         dialect,

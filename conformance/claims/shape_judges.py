@@ -15,7 +15,7 @@ from conformance.claim import Inconclusive, Refuted
 from conformance.claims.known_quirks import known
 from conformance.claims.requests import plain_exchange
 from conformance.talk.exchange import Exchange, hex_of
-from conformance.talk.reply_match import COUNTS, Reading, Replies, heard, replies, templates
+from conformance.talk.reply_match import COUNTS, MatchedReply, Replies, replies, templates
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
@@ -29,7 +29,7 @@ _APART_NS = 5_000_000
 _OFF_SUM, _ERRING = "lk-off-sum", "move_multi_turn_limited"
 
 
-def _first(exchange: Exchange, found: Replies) -> Reading:
+def _first(exchange: Exchange, found: Replies) -> MatchedReply:
     """Return the reply. Raises Inconclusive where there is none, which another claim judges."""
     if found.first is None:
         raise Inconclusive(f"{_name(exchange)} was not answered by anything like a reply")
@@ -40,7 +40,7 @@ class Met(Exception):
     """A quirk was met, and there is nothing more to judge."""
 
 
-def _sized(probe: Probe, exchange: Exchange, found: Replies) -> Reading:
+def _sized(probe: Probe, exchange: Exchange, found: Replies) -> MatchedReply:
     """Return the reply where it has the right length.
 
     Raises Inconclusive where another claim judges, Met where a known quirk of real drives is the reason.
@@ -73,13 +73,13 @@ def judge_answered(probe: Probe, exchange: Exchange, found: Replies) -> None:
     """Refute a drive that answers nothing, or nothing like a reply."""
     if found.first is not None:
         return
-    came = heard(exchange)
+    came = exchange.received
     what = "bytes that are no reply" if came else "no answer"
     shape = templates(probe.dialect, exchange.command, exchange.address, exchange.values)[-1]  # type: ignore[arg-type]  # asked
     raise refuted(exchange, what, f"a reply such as {shown(shape.frame)}", shown(came))
 
 
-def _status_of(reading: Reading) -> int | None:
+def _status_of(reading: MatchedReply) -> int | None:
     layout = reading.template.form.layout
     if not layout.fits(len(reading.own)):
         return None
@@ -105,7 +105,7 @@ def judge_once(probe: Probe, exchange: Exchange, found: Replies) -> None:
         raise refuted(exchange, what, "one reply", f"reply {number}: {shown(other.data)}")
 
 
-def _is_second(exchange: Exchange, first: Reading, second: Reading) -> bool:
+def _is_second(exchange: Exchange, first: MatchedReply, second: MatchedReply) -> bool:
     """Say whether a setting was answered once more after a pause, as real drives were seen to do."""
     if first.data != second.data or len(exchange.answers) != 2:
         return False
@@ -115,9 +115,9 @@ def _is_second(exchange: Exchange, first: Reading, second: Reading) -> bool:
 def judge_clean(probe: Probe, exchange: Exchange, found: Replies) -> None:
     """Refute bytes beside the reply, and a pause within it."""
     reading = _first(exchange, found)
-    if found.strange:
+    if found.leftover:
         what = "bytes beside the reply"
-        raise refuted(exchange, what, f"{shown(reading.data)} alone", shown(heard(exchange)))
+        raise refuted(exchange, what, f"{shown(reading.data)} alone", shown(exchange.received))
     sound = reading.fitting == reading.template.count
     if sound and not any(reading.data == answer.data for answer in exchange.answers):
         raise refuted(exchange, "a pause within the reply", "a reply in one piece", " | ".join(exchange.lines()[1:]))
@@ -186,7 +186,7 @@ def _now_and_then(probe: Probe, exchange: Exchange, name: str) -> bool:
     return any(check is not None and check.ok for check in checks)
 
 
-def _broken(exchange: Exchange, reading: Reading, wanted: Callable[[Form, str, str], bool]) -> None:
+def _broken(exchange: Exchange, reading: MatchedReply, wanted: Callable[[Form, str, str], bool]) -> None:
     """Raise Refuted for a value of a reply that breaks the manual and is wanted by (form, field, rule)."""
     form = reading.template.form
     if not codec(form.layout).matches(reading.own):

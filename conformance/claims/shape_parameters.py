@@ -17,7 +17,7 @@ from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
 from conformance.claims.declare import declare
 from conformance.claims.known_quirks import known
 from conformance.talk.exchange import Exchange
-from conformance.talk.reply_match import Reading, replies
+from conformance.talk.reply_match import MatchedReply, replies
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
@@ -115,7 +115,7 @@ def _unreadable(dialect: Dialect, command: Command, name: str, value: int) -> Cl
     )
 
 
-def _whole(probe: Probe, exchange: Exchange) -> Reading:
+def _whole(probe: Probe, exchange: Exchange) -> MatchedReply:
     """Return the reply. Raises Inconclusive where there is none, or its checks do not fit."""
     reading = replies(exchange, probe.dialect).first
     if reading is None or not all(check.ok for check in reading.checks):

@@ -1,10 +1,14 @@
-"""The engine: runs claims on a rig and returns the verdict of each.
+"""The engine: runs claims on a rig and returns the verdict of each. Its callers show them.
 
-It knows no report and no pytest: it yields verdicts, and its callers show them.
+A refutation on a real drive is repeated before it is reported: a drive that fails once of two times is refuted too, and the
+reason says so. Where the claim was a sequence of steps (a state machine), emulated drives are given the same steps: one as the
+manual has it, and one with each known fault. Where the steps refute one of them in the same way, they are shortened there,
+which costs no motion. What is left is confirmed on the real drive.
 """
 
 from __future__ import annotations
 
+import time
 import traceback
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -12,23 +16,26 @@ from pathlib import Path
 
 from analyzer.catalogue import Certainty
 from conformance.claim import Claim, Inconclusive, NotRun, NotStopped, Observed, Outcome, Refuted, RigFault, Verdict
+from conformance.drives import make
 from conformance.gate.gate import Refused
-from conformance.suite.confirming import confirmed
 from conformance.suite.rig import ClaimRig
 from conformance.talk.probe import Probe
+
+#: How long emulated drives are looked for that fail alike.
+_SEARCH_SECONDS = 20.0
 
 
 def run_claim(claim: Claim, rig: ClaimRig) -> Verdict:
     """Run one claim on a rig and return its verdict.
 
-    Raises LineLost when the port is gone, NotStopped (of `conformance.safety`) when the drive cannot be stopped.
+    Raises LineLost when the port is gone, NotStopped when the drive cannot be stopped.
     """
     missing = rig.missing(claim)
     if missing:
         return Verdict(claim, Outcome.NOT_RUN, missing)
     verdict = _once(claim, rig)
     if verdict.outcome is Outcome.REFUTED and not rig.emulated:
-        return confirmed(claim, rig, verdict, _once)
+        return _confirmed(claim, rig, verdict)
     return verdict
 
 
@@ -96,3 +103,59 @@ def _verdict(claim: Claim, probe: Probe, outcome: Outcome, reason: str, error: R
         tuple(probe.latencies),
         error.steps if error is not None else (),
     )
+
+
+# --- a refutation on a real drive -------------------------------------------------------------------------------------
+
+
+def _confirmed(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verdict:
+    """Return the verdict of a refuted claim after it was repeated."""
+    again = _once(claim, rig)
+    if again.outcome is not Outcome.REFUTED:
+        return replace(verdict, reason=f"{verdict.reason} (1 of 2 times; the other time {again.outcome}: {again.reason})")
+    shorter = _shortened(claim, rig, verdict) if verdict.steps else None
+    if shorter is not None:
+        return replace(shorter, reason=f"{shorter.reason} (2 of 2 times; {len(shorter.steps)} of {len(verdict.steps)} steps)")
+    return replace(verdict, reason=f"{verdict.reason} (2 of 2 times)")
+
+
+def _shortened(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verdict | None:
+    """Return the verdict of the shortest steps that refute both drives alike, None where there are none."""
+    from conformance.model import machine
+
+    steps = list(verdict.steps)
+    for emulated in _alike(rig):
+        steps, found = machine.shortened(emulated.probe(claim), verdict.steps, verdict.key)
+        if found is not None:
+            break
+    if len(steps) >= len(verdict.steps):
+        return None
+    probe = rig.probe(claim)
+    try:
+        error = machine.replay(probe, steps)
+    except Inconclusive:
+        return None
+    finally:
+        rig.settle(probe)
+    return _of(verdict, error, tuple(steps)) if error is not None and error.key == verdict.key else None
+
+
+def _alike(rig: ClaimRig) -> Iterator[ClaimRig]:
+    """Return emulated drives that may fail as the real one does, for as long as there is time for it."""
+    if rig.dialect.name not in make.KINDS:
+        return
+    from conformance.suite.rig_emulated import EmulatedRig
+
+    until = time.monotonic() + _SEARCH_SECONDS
+    model = f",model={rig.model}" if rig.model else ""
+    plain = make.parse(f"{rig.dialect.name}@{rig.address}{model}")
+    yield EmulatedRig(plain)
+    for fault in make.every_fault():
+        if time.monotonic() > until:
+            return
+        if fault.dialects and rig.dialect.name in fault.dialects:
+            yield EmulatedRig(replace(plain, faults=(fault,)))
+
+
+def _of(verdict: Verdict, error: Refuted, steps: tuple[object, ...]) -> Verdict:
+    return replace(verdict, reason=error.text, expected=error.expected, got=error.got, exchange=error.exchange, steps=steps)

@@ -68,7 +68,7 @@ class Template:
 
 
 @dataclass(frozen=True)
-class Reading:
+class MatchedReply:
     """One reply as it came. `checks`: those that it has; `offset`, `last_ns`: of its first byte, and when it was there."""
 
     template: Template
@@ -126,11 +126,11 @@ class Reading:
 class Replies:
     """What came back after one request: replies, in order, and pieces of bytes that are no part of any."""
 
-    readings: tuple[Reading, ...]
-    strange: tuple[bytes, ...]
+    readings: tuple[MatchedReply, ...]
+    leftover: tuple[bytes, ...]
 
     @property
-    def first(self) -> Reading | None:
+    def first(self) -> MatchedReply | None:
         """The first reply, None where nothing like one came."""
         return self.readings[0] if self.readings else None
 
@@ -165,21 +165,13 @@ class _Unit(NamedTuple):
     can_id: int | None
 
 
-def heard(exchange: Exchange) -> bytes:
-    """Return all bytes that came back, frames and junk alike, in their order (on CAN the data bytes)."""
-    pieces = [(a.message.frame.offset, a.data) for a in exchange.answers]
-    pieces += [(j.offset, j.data) for j in exchange.junk]
-    return b"".join(data for _, data in sorted(pieces))
-
-
 def _units(exchange: Exchange, dialect: Dialect) -> list[_Unit]:
     if dialect.link.kind != "can" and any(a.bare for a in exchange.answers):
         # Without checksums nothing but the time tells where one reply ends and the next begins.
         pieces = [(a.last_ns, a.data) for a in exchange.answers] + [(j.last_ns, j.data) for j in exchange.junk]
         return [_Unit(data, None) for _, data in sorted(pieces)]
     if dialect.link.kind != "can":
-        data = heard(exchange)
-        return [_Unit(data, None)] if data else []
+        return [_Unit(exchange.received, None)] if exchange.received else []
     frames = [a.message.frame for a in exchange.answers]
     return [_Unit(f.data, f.can.id if f.can is not None else None) for f in frames]
 
@@ -193,8 +185,8 @@ def replies(exchange: Exchange, dialect: Dialect) -> Replies:
     assert command is not None  # asked, not sent as bytes
     assert address is not None
     possible = templates(dialect, command, address, exchange.values)
-    readings: list[Reading] = []
-    strange: list[bytes] = []
+    readings: list[MatchedReply] = []
+    leftover: list[bytes] = []
     for unit in _units(exchange, dialect):
         rest = unit.data
         while rest and possible:
@@ -202,17 +194,17 @@ def replies(exchange: Exchange, dialect: Dialect) -> Replies:
             if found is None:
                 break
             if found.offset:
-                strange.append(rest[: found.offset])
+                leftover.append(rest[: found.offset])
             readings.append(found)
             rest = rest[found.offset + len(found.data) :]
         if rest:
-            strange.append(rest)
+            leftover.append(rest)
     whole = [reading for reading in readings if reading.fitting == reading.template.count]
     if whole and len(whole) < len(readings):
         # Beside a reply that is right in every part, what is only like one is noise.
-        strange += [reading.data for reading in readings if reading not in whole]
+        leftover += [reading.data for reading in readings if reading not in whole]
         readings = whole
-    return Replies(tuple(readings), tuple(strange))
+    return Replies(tuple(readings), tuple(leftover))
 
 
 def in_order(exchange: Exchange, dialect: Dialect, commands: Sequence[Command], address: int) -> bool:
@@ -243,9 +235,9 @@ def _begun(dialect: Dialect, template: Template, unit: _Unit) -> int:
     return bare if known else 0
 
 
-def _closest(dialect: Dialect, possible: Sequence[Template], data: bytes, can_id: int | None) -> Reading | None:
+def _closest(dialect: Dialect, possible: Sequence[Template], data: bytes, can_id: int | None) -> MatchedReply | None:
     """Return the place in `data` that is most like one of the replies, None where nothing is."""
-    best: tuple[tuple[float, int, int, int, int], Reading] | None = None
+    best: tuple[tuple[float, int, int, int, int], MatchedReply] | None = None
     for rank, template in enumerate(possible):
         for reading in _candidates(dialect, template, data, can_id):
             if reading.fitting * _HALF < template.count or not reading.plausible:
@@ -261,7 +253,7 @@ def _closest(dialect: Dialect, possible: Sequence[Template], data: bytes, can_id
     return best[1] if best is not None else None
 
 
-def _candidates(dialect: Dialect, template: Template, data: bytes, can_id: int | None) -> Iterator[Reading]:
+def _candidates(dialect: Dialect, template: Template, data: bytes, can_id: int | None) -> Iterator[MatchedReply]:
     if can_id is not None:
         yield _reading(dialect, template, data, can_id, 0)
         return
@@ -277,9 +269,9 @@ def _candidates(dialect: Dialect, template: Template, data: bytes, can_id: int |
                 yield _reading(dialect, template, data[offset : offset + length], None, offset)
 
 
-def _reading(dialect: Dialect, template: Template, data: bytes, can_id: int | None, offset: int) -> Reading:
+def _reading(dialect: Dialect, template: Template, data: bytes, can_id: int | None, offset: int) -> MatchedReply:
     parts = [Part(name, data[start:stop], template.frame[start:stop]) for name, start, stop in template.parts]
     if can_id is not None:
         parts.insert(0, Part(ADDRESS, can_id.to_bytes(2, "big"), template.address.to_bytes(2, "big")))
     checks = dialect.link.checks(data, can_id) if data else ()
-    return Reading(template, dialect, data, can_id, tuple(parts), tuple(checks), offset)
+    return MatchedReply(template, dialect, data, can_id, tuple(parts), tuple(checks), offset)
