@@ -54,6 +54,8 @@ from conformance.drives.faults.places import (
     TELLING,
     Change,
     Of,
+    Row,
+    Rows,
     Say,
     asked,
     bodies,
@@ -61,7 +63,7 @@ from conformance.drives.faults.places import (
     byte,
     check,
     every,
-    fault,
+    faults,
     frames,
     limit,
     rebuilt,
@@ -185,125 +187,128 @@ def _added(number: int) -> Callable[[bytes], bytes]:
     return byte(0, lambda value: value + number)
 
 
-LINK: tuple[Fault, ...] = (
-    fault("checksum-wrong", "checksum", "every reply has a wrong checksum", check(-1, _added(0x5A)), EVERY),
-    fault("checksum-off-by-one", "checksum", "the checksum is one too high", check(-1, _added(1)), EVERY),
-    fault("checksum-missing", "checksum", "replies end without a checksum", check(-1, lambda c: b""), EVERY),
-    fault("checksum-doubled", "checksum", "the checksum stands twice", check(-1, lambda c: c + c), EVERY),
-    fault("checksum-zero", "checksum", "the checksum is always 0", check(-1, lambda c: bytes(len(c))), EVERY),
-    fault(
-        "checksum-inverted",
-        "checksum",
-        "the checksum is sent as its complement",
-        check(-1, lambda c: bytes(b ^ 0xFF for b in c)),
-        EVERY,
+LINK: Rows = {
+    "checksum": (
+        Row("checksum-wrong", "every reply has a wrong checksum", check(-1, _added(0x5A)), EVERY),
+        Row("checksum-off-by-one", "the checksum is one too high", check(-1, _added(1)), EVERY),
+        Row("checksum-missing", "replies end without a checksum", check(-1, lambda c: b""), EVERY),
+        Row("checksum-doubled", "the checksum stands twice", check(-1, lambda c: c + c), EVERY),
+        Row("checksum-zero", "the checksum is always 0", check(-1, lambda c: bytes(len(c))), EVERY),
+        Row(
+            "checksum-inverted",
+            "the checksum is sent as its complement",
+            check(-1, lambda c: bytes(b ^ 0xFF for b in c)),
+            EVERY,
+        ),
+        Row("flaky-checksum", "every fifth reply has a flipped bit", every(5, _flipped), EVERY),
+        Row("checksum-without-head", "the checksum leaves the head out", check(-1, _added(-0xFB)), NATIVE),
+        Row("checksum-without-id", "the checksum leaves the ID out", frames(_without_id), CAN),
+        Row("crc-high-byte-first", "the CRC is sent high byte first", check(-1, lambda c: c[::-1]), MODBUS),
+        Row("lk-data-sum-wrong", "the sum of a reply's data is one too high", check(1, _added(1))),
+        Row("lk-head-sum-wrong", "the sum of a reply's head is one too high", check(0, _added(1))),
+        Row("lk-data-sum-missing", "replies with data have no sum behind them", check(1, lambda c: b"")),
+        Row(
+            "lk-data-sum-of-nothing",
+            "replies without data carry a data sum of 00",
+            whole(lambda f: f if len(f) > LK_HEAD else f + b"\0"),
+        ),
+        Row(
+            "lk-data-sum-with-head",
+            "the sum of the data takes in the head",
+            whole(lambda f: f[:-1] + bytes((sum8(f[:-1]),)) if len(f) > LK_HEAD else f),
+        ),
+        Row("lk-head-sum-without-start", "the sum of the head leaves out the 3E", check(0, _added(-0x3E))),
     ),
-    fault("flaky-checksum", "checksum", "every fifth reply has a flipped bit", every(5, _flipped), EVERY),
-    fault("checksum-without-head", "checksum", "the checksum leaves the head out", check(-1, _added(-0xFB)), NATIVE),
-    fault("checksum-without-id", "checksum", "the checksum leaves the ID out", frames(_without_id), CAN),
-    fault("crc-high-byte-first", "checksum", "the CRC is sent high byte first", check(-1, lambda c: c[::-1]), MODBUS),
-    fault("lk-data-sum-wrong", "checksum", "the sum of a reply's data is one too high", check(1, _added(1))),
-    fault("lk-head-sum-wrong", "checksum", "the sum of a reply's head is one too high", check(0, _added(1))),
-    fault("lk-data-sum-missing", "checksum", "replies with data have no sum behind them", check(1, lambda c: b"")),
-    fault(
-        "lk-data-sum-of-nothing",
-        "checksum",
-        "replies without data carry a data sum of 00",
-        whole(lambda f: f if len(f) > LK_HEAD else f + b"\0"),
+    "time": (Row("late-reply", "every reply comes two seconds late", frames(_late(LATE_NS)), EVERY),),
+    "timing": (Row("lk-reply-late", "replies come 20 ms after the request", frames(_late(LK_LATE_NS))),),
+    "lost": (
+        Row("lost-reply", "every third reply is not sent", every(3, _lost), EVERY),
+        Row("first-reply-only", "every second reply is not sent", every(2, _lost), EVERY),
     ),
-    fault(
-        "lk-data-sum-with-head",
-        "checksum",
-        "the sum of the data takes in the head",
-        whole(lambda f: f[:-1] + bytes((sum8(f[:-1]),)) if len(f) > LK_HEAD else f),
+    "shape": (
+        Row("doubled-reply", "every reply is sent twice", frames(_twice), EVERY),
+        Row("half-frame", "of every reply only the first half is sent", whole(lambda f: f[: len(f) // 2]), EVERY),
+        Row("spurious-bytes", "three bytes of noise come before every reply", frames(_noisy), EVERY),
+        Row("trailing-byte", "a zero byte comes behind every reply", whole(lambda f: f + b"\0"), EVERY),
+        Row("echo", "the request is repeated before every reply", Change(_echo), EVERY),
+        Row("pause-in-frame", "every reply stops for 40 ms in its middle", frames(_halting), SERIAL + LK),
     ),
-    fault("lk-head-sum-without-start", "checksum", "the sum of the head leaves out the 3E", check(0, _added(-0x3E))),
-    fault("late-reply", "time", "every reply comes two seconds late", frames(_late(LATE_NS)), EVERY),
-    fault("lk-reply-late", "timing", "replies come 20 ms after the request", frames(_late(LK_LATE_NS))),
-    fault("lost-reply", "lost", "every third reply is not sent", every(3, _lost), EVERY),
-    fault("first-reply-only", "lost", "every second reply is not sent", every(2, _lost), EVERY),
-    fault("doubled-reply", "shape", "every reply is sent twice", frames(_twice), EVERY),
-    fault("half-frame", "shape", "of every reply only the first half is sent", whole(lambda f: f[: len(f) // 2]), EVERY),
-    fault("spurious-bytes", "shape", "three bytes of noise come before every reply", frames(_noisy), EVERY),
-    fault("trailing-byte", "shape", "a zero byte comes behind every reply", whole(lambda f: f + b"\0"), EVERY),
-    fault("echo", "shape", "the request is repeated before every reply", Change(_echo), EVERY),
-    fault("pause-in-frame", "shape", "every reply stops for 40 ms in its middle", frames(_halting), SERIAL + LK),
-    fault("lk-reply-lost", "reply", "each fourth reply is lost", every(4, _lost)),
-    fault("lk-reply-twice", "reply", "replies come twice", frames(_twice)),
-    fault("lk-reply-cut", "reply", "replies break off two bytes before their end", whole(lambda f: f[:-2])),
-    fault("lk-reply-noise", "reply", "a byte 00 comes before each reply", whole(lambda f: b"\0" + f)),
-    fault("wrong-reply-head", "head", "replies begin with FA", bodies(byte(0, lambda _: 0xFA)), NATIVE),
-    fault("unknown-reply-head", "head", "replies begin with FD", bodies(byte(0, lambda _: 0xFD)), NATIVE),
-    fault("lk-reply-start-wrong", "reply head", "replies begin with 3D", _lk_head(0, lambda _: 0x3D)),
-    fault(
-        "wrong-reply-address",
-        "address",
-        "replies carry an address one too high",
-        bodies(lambda b: byte(1 if b[0] == 0xFB else 0, one_up)(b)),
-        SERIAL,
+    "reply": (
+        Row("lk-reply-lost", "each fourth reply is lost", every(4, _lost)),
+        Row("lk-reply-twice", "replies come twice", frames(_twice)),
+        Row("lk-reply-cut", "replies break off two bytes before their end", whole(lambda f: f[:-2])),
+        Row("lk-reply-noise", "a byte 00 comes before each reply", whole(lambda f: b"\0" + f)),
     ),
-    fault("wrong-reply-id", "address", "replies carry an ID one too high", _under_id(one_up), CAN),
-    fault("reply-under-id-0", "address", "replies carry the ID 0", _under_id(lambda _: 0), CAN),
-    fault("lk-reply-address-wrong", "reply address", "replies carry the next higher address", _lk_head(2, one_up)),
-    fault("wrong-reply-code", "code", "replies carry a code (Modbus: function) one too high", frames(_next_code)),
-    fault(
-        "lk-reply-code-wrong",
-        "reply code",
-        "motion commands are answered with the code of 0x9C instead of their own",
-        _lk_head(1, lambda _: 0x9C, LK_MOTIONS),
+    "head": (
+        Row("wrong-reply-head", "replies begin with FA", bodies(byte(0, lambda _: 0xFA)), NATIVE),
+        Row("unknown-reply-head", "replies begin with FD", bodies(byte(0, lambda _: 0xFD)), NATIVE),
     ),
-    fault(
-        "lk-echo-code-wrong",
-        "reply code",
-        "0x80, 0x81, 0x88, 0x93 and 0x95 are answered with the next higher code",
-        _lk_head(1, one_up, LK_ECHOED),
+    "reply head": (Row("lk-reply-start-wrong", "replies begin with 3D", _lk_head(0, lambda _: 0x3D)),),
+    "address": (
+        Row(
+            "wrong-reply-address",
+            "replies carry an address one too high",
+            bodies(lambda b: byte(1 if b[0] == 0xFB else 0, one_up)(b)),
+            SERIAL,
+        ),
+        Row("wrong-reply-id", "replies carry an ID one too high", _under_id(one_up), CAN),
+        Row("reply-under-id-0", "replies carry the ID 0", _under_id(lambda _: 0), CAN),
     ),
-    fault("reply-too-short", "length", "replies lack their last byte of data", bodies(lambda b: b[:-1])),
-    fault("reply-too-long", "length", "replies have a byte of data more", bodies(lambda b: b + b"\0")),
-    fault(
-        "reply-padded",
-        "length",
-        "replies are filled up to eight bytes behind their checksum",
-        whole(lambda f: f.ljust(CAN_LONGEST, b"\0")),
-        CAN,
+    "reply address": (Row("lk-reply-address-wrong", "replies carry the next higher address", _lk_head(2, one_up)),),
+    "code": (Row("wrong-reply-code", "replies carry a code (Modbus: function) one too high", frames(_next_code)),),
+    "reply code": (
+        Row(
+            "lk-reply-code-wrong",
+            "motion commands are answered with the code of 0x9C instead of their own",
+            _lk_head(1, lambda _: 0x9C, LK_MOTIONS),
+        ),
+        Row(
+            "lk-echo-code-wrong",
+            "0x80, 0x81, 0x88, 0x93 and 0x95 are answered with the next higher code",
+            _lk_head(1, one_up, LK_ECHOED),
+        ),
     ),
-    fault(
-        "lk-reply-length-wrong",
-        "reply length",
-        "the length of a reply counts the data sum too",
-        _lk_head(3, lambda n: n + 1 if n else n),
+    "length": (
+        Row("reply-too-short", "replies lack their last byte of data", bodies(lambda b: b[:-1])),
+        Row("reply-too-long", "replies have a byte of data more", bodies(lambda b: b + b"\0")),
+        Row(
+            "reply-padded",
+            "replies are filled up to eight bytes behind their checksum",
+            whole(lambda f: f.ljust(CAN_LONGEST, b"\0")),
+            CAN,
+        ),
     ),
-    fault(
-        "lk-reply-short",
-        "reply length",
-        "replies to motion commands lack the last byte of their data",
-        _lk_data(lambda d: d[:-1], LK_MOTIONS),
+    "reply length": (
+        Row("lk-reply-length-wrong", "the length of a reply counts the data sum too", _lk_head(3, lambda n: n + 1 if n else n)),
+        Row(
+            "lk-reply-short",
+            "replies to motion commands lack the last byte of their data",
+            _lk_data(lambda d: d[:-1], LK_MOTIONS),
+        ),
     ),
-    fault(
-        "lk-motion-reply-empty",
-        "reply layout",
-        "motion commands are answered with a head alone, without the state",
-        _lk_data(lambda d: b"", LK_MOTIONS),
+    "reply layout": (
+        Row(
+            "lk-motion-reply-empty",
+            "motion commands are answered with a head alone, without the state",
+            _lk_data(lambda d: b"", LK_MOTIONS),
+        ),
+        Row(
+            "lk-set-position-reply-empty",
+            "0x95 is answered with a head alone instead of an echo",
+            _lk_data(lambda d: b"", Verb.OTHER),
+        ),
+        Row(
+            "lk-echo-with-status",
+            "0x80, 0x81, 0x88 and 0x93 are answered with a data byte 00 instead of an echo",
+            _lk_data(lambda d: d or b"\0"),
+        ),
+        Row(
+            "lk-parameter-bytes-shifted",
+            "the values that 0xC0 and 0xC1 answer stand one byte too early",
+            _lk_data(lambda d: d[:1] + d[2:] + b"\0", (Verb.READ_PARAMETER, Verb.WRITE_PARAMETER)),
+        ),
     ),
-    fault(
-        "lk-set-position-reply-empty",
-        "reply layout",
-        "0x95 is answered with a head alone instead of an echo",
-        _lk_data(lambda d: b"", Verb.OTHER),
-    ),
-    fault(
-        "lk-echo-with-status",
-        "reply layout",
-        "0x80, 0x81, 0x88 and 0x93 are answered with a data byte 00 instead of an echo",
-        _lk_data(lambda d: d or b"\0"),
-    ),
-    fault(
-        "lk-parameter-bytes-shifted",
-        "reply layout",
-        "the values that 0xC0 and 0xC1 answer stand one byte too early",
-        _lk_data(lambda d: d[:1] + d[2:] + b"\0", (Verb.READ_PARAMETER, Verb.WRITE_PARAMETER)),
-    ),
-)
+}
 
 # --- numbers ---------------------------------------------------------------------------------------------------------
 
@@ -329,7 +334,7 @@ def _wrong_numbers() -> Iterator[Fault]:
     for end, breaks, text, change in WRONG_NUMBERS:
         for verb, name in MEASURES:
             told = f"{mks_rs485.DIALECT.by_verb[verb].code:02X}: {name.replace('_', ' ')} {text}"
-            yield fault(f"{name.replace('_', '-')}-{end}", breaks, told, reply(name, change, verb))
+            yield from faults({breaks: (Row(f"{name.replace('_', '-')}-{end}", told, reply(name, change, verb)),)})
 
 
 #: A control parameter of an LK drive that has more than 16 bits.
@@ -344,184 +349,157 @@ def tenfold(value: int, field: Field) -> int:
     return min(10 * value, field.high)
 
 
-NUMBER: tuple[Fault, ...] = (
-    fault("current-bytes-swapped", "byte order", "83 stores the current low byte first", stored("current", swap_bytes), CAN),
-    fault("lk-speed-bytes-swapped", "byte order", "replies have the speed high byte first", reply("speed", swap_bytes)),
-    fault("lk-angle-bytes-swapped", "byte order", "0x94 answers the angle high byte first", reply("angle", swap_bytes)),
-    fault(
-        "lk-voltage-bytes-swapped",
-        "byte order",
-        "the voltage of 0x9A and 0x9B has its high byte first",
-        reply("voltage", swap_bytes),
+NUMBER: Rows = {
+    "byte order": (
+        Row("current-bytes-swapped", "83 stores the current low byte first", stored("current", swap_bytes), CAN),
+        Row("lk-speed-bytes-swapped", "replies have the speed high byte first", reply("speed", swap_bytes)),
+        Row("lk-angle-bytes-swapped", "0x94 answers the angle high byte first", reply("angle", swap_bytes)),
+        Row("lk-voltage-bytes-swapped", "the voltage of 0x9A and 0x9B has its high byte first", reply("voltage", swap_bytes)),
+        Row("lk-asked-speed-swapped", "0xA2 takes the speed high byte first", asked("speed", swap_bytes)),
+        Row("lk-asked-angle-swapped", "0xA5 and 0xA6 take the angle high byte first", asked("angle", swap_bytes)),
     ),
-    fault("lk-asked-speed-swapped", "byte order", "0xA2 takes the speed high byte first", asked("speed", swap_bytes)),
-    fault("lk-asked-angle-swapped", "byte order", "0xA5 and 0xA6 take the angle high byte first", asked("angle", swap_bytes)),
-    fault("negative-positions-cut", "sign", "positions below zero are taken for zero", asked("position", at_least(0))),
-    fault("lk-speed-sign-lost", "sign", "replies have the speed without its sign", reply("speed", without_sign)),
-    fault(
-        "lk-position-sign-lost",
-        "sign",
-        "0x92 answers the angle without its sign",
-        reply("position", without_sign, Verb.READ_POSITION),
+    "sign": (
+        Row("negative-positions-cut", "positions below zero are taken for zero", asked("position", at_least(0))),
+        Row("lk-speed-sign-lost", "replies have the speed without its sign", reply("speed", without_sign)),
+        Row(
+            "lk-position-sign-lost",
+            "0x92 answers the angle without its sign",
+            reply("position", without_sign, Verb.READ_POSITION),
+        ),
+        Row("lk-torque-sign-lost", "replies have the torque current without its sign", reply(TORQUE, without_sign)),
+        Row("lk-asked-speed-sign-lost", "0xA2 runs clockwise whatever the sign", asked("speed", without_sign)),
+        Row(
+            "lk-increment-sign-lost",
+            "0xA7 and 0xA8 go clockwise whatever the sign",
+            asked("position", without_sign, INCREMENTS),
+        ),
+        Row("lk-temperature-unsigned", "temperatures below zero are answered as 0", reply("temperature", at_least(0))),
     ),
-    fault("lk-torque-sign-lost", "sign", "replies have the torque current without its sign", reply(TORQUE, without_sign)),
-    fault("lk-asked-speed-sign-lost", "sign", "0xA2 runs clockwise whatever the sign", asked("speed", without_sign)),
-    fault(
-        "lk-increment-sign-lost",
-        "sign",
-        "0xA7 and 0xA8 go clockwise whatever the sign",
-        asked("position", without_sign, INCREMENTS),
+    "width": (
+        Row(
+            "position-16-bit",
+            "moves by the encoder keep only 16 bits of the position",
+            asked("position", low_bits(16), (Verb.MOVE_RELATIVE_AXIS, Verb.MOVE_ABSOLUTE_AXIS)),
+        ),
+        Row("pulses-16-bit", "FD keeps only 16 bits of the pulses", asked("pulses", low_bits(16))),
+        Row("speed-8-bit", "speeds keep only their low byte", asked("speed", low_bits(8))),
+        Row("home-speed-low-byte", "90 stores only the low byte of the speed", stored("home_speed", low_bits(8))),
+        Row(
+            "lk-position-int32",
+            "0x92 answers only the lower 32 bits of the angle",
+            reply("position", half_signed, Verb.READ_POSITION),
+        ),
+        Row(
+            "lk-target-int32",
+            "0xA3 and 0xA4 take only the lower 32 bits of the angle",
+            asked("position", half_signed, MULTI_TURN),
+        ),
+        Row("lk-asked-speed-int16", "0xA2 takes only the lower 16 bits of the speed", asked("speed", half_signed)),
+        Row(
+            "lk-parameter-int16", "0xC1 takes only the lower 16 bits of limits and ramps", asked(WIDE_PARAMETERS, low_bits(16))
+        ),
     ),
-    fault("lk-temperature-unsigned", "sign", "temperatures below zero are answered as 0", reply("temperature", at_least(0))),
-    fault(
-        "position-16-bit",
-        "width",
-        "moves by the encoder keep only 16 bits of the position",
-        asked("position", low_bits(16), (Verb.MOVE_RELATIVE_AXIS, Verb.MOVE_ABSOLUTE_AXIS)),
+    "scale": (
+        Row(
+            "angle-error-in-counts", "the angle error is in counts of the encoder", reply("angle_error", scaled(COUNTS, 51200))
+        ),
+        Row(
+            "position-in-pulses", "31 shows pulses of 3200 a turn", reply("position", scaled(3200, COUNTS), Verb.READ_POSITION)
+        ),
+        Row("position-offset", "31 shows 100 counts too many", reply("position", plus(100), Verb.READ_POSITION)),
+        Row("move-pulses-doubled", "FD moves by twice the pulses", asked("pulses", scaled(2))),
+        Row("speed-5-percent-high", "F6 turns five per cent too fast", asked("speed", scaled(21, 20), Verb.RUN_SPEED)),
+        Row("lk-asked-speed-tenfold", "0xA2 takes the speed in 0.1 deg/s", asked("speed", scaled(10))),
+        Row("lk-speed-tenth", "replies have the speed in 10 deg/s", reply("speed", scaled(1, 10))),
+        Row("lk-position-tenth", "0x92 answers the angle in 0.1 deg", reply("position", scaled(1, 10), Verb.READ_POSITION)),
+        Row("lk-target-tenfold", "0xA3 and 0xA4 take the angle in 0.1 deg", asked("position", scaled(10), MULTI_TURN)),
+        Row("lk-voltage-tenth", "the voltage is answered in 0.1 V", reply("voltage", scaled(1, 10))),
+        Row("lk-torque-half", "replies have half the torque current", reply(TORQUE, scaled(1, 2))),
+        Row("lk-max-speed-tenfold", "max_speed is taken in 0.1 deg/s", asked("max_speed", tenfold)),
     ),
-    fault("pulses-16-bit", "width", "FD keeps only 16 bits of the pulses", asked("pulses", low_bits(16))),
-    fault("speed-8-bit", "width", "speeds keep only their low byte", asked("speed", low_bits(8))),
-    fault("home-speed-low-byte", "width", "90 stores only the low byte of the speed", stored("home_speed", low_bits(8))),
-    fault(
-        "lk-position-int32",
-        "width",
-        "0x92 answers only the lower 32 bits of the angle",
-        reply("position", half_signed, Verb.READ_POSITION),
-    ),
-    fault(
-        "lk-target-int32",
-        "width",
-        "0xA3 and 0xA4 take only the lower 32 bits of the angle",
-        asked("position", half_signed, MULTI_TURN),
-    ),
-    fault("lk-asked-speed-int16", "width", "0xA2 takes only the lower 16 bits of the speed", asked("speed", half_signed)),
-    fault(
-        "lk-parameter-int16",
-        "width",
-        "0xC1 takes only the lower 16 bits of limits and ramps",
-        asked(WIDE_PARAMETERS, low_bits(16)),
-    ),
-    fault(
-        "angle-error-in-counts",
-        "scale",
-        "the angle error is in counts of the encoder",
-        reply("angle_error", scaled(COUNTS, 51200)),
-    ),
-    fault(
-        "position-in-pulses",
-        "scale",
-        "31 shows pulses of 3200 a turn",
-        reply("position", scaled(3200, COUNTS), Verb.READ_POSITION),
-    ),
-    fault("position-offset", "scale", "31 shows 100 counts too many", reply("position", plus(100), Verb.READ_POSITION)),
-    fault("move-pulses-doubled", "scale", "FD moves by twice the pulses", asked("pulses", scaled(2))),
-    fault("speed-5-percent-high", "scale", "F6 turns five per cent too fast", asked("speed", scaled(21, 20), Verb.RUN_SPEED)),
-    fault("lk-asked-speed-tenfold", "scale", "0xA2 takes the speed in 0.1 deg/s", asked("speed", scaled(10))),
-    fault("lk-speed-tenth", "scale", "replies have the speed in 10 deg/s", reply("speed", scaled(1, 10))),
-    fault(
-        "lk-position-tenth", "scale", "0x92 answers the angle in 0.1 deg", reply("position", scaled(1, 10), Verb.READ_POSITION)
-    ),
-    fault("lk-target-tenfold", "scale", "0xA3 and 0xA4 take the angle in 0.1 deg", asked("position", scaled(10), MULTI_TURN)),
-    fault("lk-voltage-tenth", "scale", "the voltage is answered in 0.1 V", reply("voltage", scaled(1, 10))),
-    fault("lk-torque-half", "scale", "replies have half the torque current", reply(TORQUE, scaled(1, 2))),
-    fault("lk-max-speed-tenfold", "scale", "max_speed is taken in 0.1 deg/s", asked("max_speed", tenfold)),
-)
+}
 
 # --- limits and choices ----------------------------------------------------------------------------------------------
 
-LIMIT: tuple[Fault, ...] = (
-    fault("current-highest-refused", "limit", "83 refuses the highest current", limit("current", highest_refused)),
-    fault("current-one-more", "limit", "83 accepts one mA more than the highest", limit("current", one_more)),
-    fault("current-zero-refused", "limit", "83 refuses 0 mA", limit("current", lowest_refused)),
-    fault("current-unlimited", "limit", "83 accepts any current", limit("current", unlimited)),
-    fault(
-        "current-clipped",
-        "limit",
-        "83 cuts a current that is too high and says success",
-        together(limit("current", unlimited), stored("current", to_highest)),
+LIMIT: Rows = {
+    "limit": (
+        Row("current-highest-refused", "83 refuses the highest current", limit("current", highest_refused)),
+        Row("current-one-more", "83 accepts one mA more than the highest", limit("current", one_more)),
+        Row("current-zero-refused", "83 refuses 0 mA", limit("current", lowest_refused)),
+        Row("current-unlimited", "83 accepts any current", limit("current", unlimited)),
+        Row(
+            "current-clipped",
+            "83 cuts a current that is too high and says success",
+            together(limit("current", unlimited), stored("current", to_highest)),
+        ),
+        Row("home-speed-one-more", "90 accepts 3001 rpm", limit("home_speed", one_more)),
+        Row("home-speed-highest-refused", "90 refuses 3000 rpm", limit("home_speed", highest_refused)),
+        Row("home-current-unlimited", "94 (CAN: 93) accepts any current", limit("home_current", unlimited)),
+        Row("zero-speed-5", "9A accepts the speed 5", limit("zero_speed", one_more)),
+        Row("zero-speed-4-refused", "9A refuses the speed 4", limit("zero_speed", highest_refused)),
+        Row("stall-tolerance-one-more", "89 accepts 8000h", limit("stall_tolerance", one_more)),
+        Row("stall-tolerance-highest-refused", "89 refuses 7FFFh", limit("stall_tolerance", highest_refused)),
+        Row("address-0-accepted", "8B accepts the address of all drives", limit("new_address", accepts(0))),
+        Row("address-248-accepted", "8B accepts an address that Modbus reserves", limit("new_address", accepts(248))),
+        Row("group-0-accepted", "8D accepts the address of all drives", limit("group_address", accepts(0))),
+        Row(
+            "acceleration-256-accepted",
+            "moves accept an acceleration of 256 and take it for 0",
+            together(limit("acceleration", accepts(256)), asked("acceleration", low_bits(8))),
+        ),
+        Row("speed-2900-at-most", "3000 rpm is run at 2900", asked("speed", at_most(2900))),
+        Row("address-highest-refused", "8B refuses the highest address", limit("new_address", highest_refused), TELLING),
+        Row("address-beyond-7ff", "8B accepts 800h", limit("new_address", one_more), CAN),
+        Row("lowest-position-accepted", "moves accept -8388608", limit("position", accepts(-8388608)), CAN),
     ),
-    fault("home-speed-one-more", "limit", "90 accepts 3001 rpm", limit("home_speed", one_more)),
-    fault("home-speed-highest-refused", "limit", "90 refuses 3000 rpm", limit("home_speed", highest_refused)),
-    fault("home-current-unlimited", "limit", "94 (CAN: 93) accepts any current", limit("home_current", unlimited)),
-    fault("zero-speed-5", "limit", "9A accepts the speed 5", limit("zero_speed", one_more)),
-    fault("zero-speed-4-refused", "limit", "9A refuses the speed 4", limit("zero_speed", highest_refused)),
-    fault("stall-tolerance-one-more", "limit", "89 accepts 8000h", limit("stall_tolerance", one_more)),
-    fault("stall-tolerance-highest-refused", "limit", "89 refuses 7FFFh", limit("stall_tolerance", highest_refused)),
-    fault("address-0-accepted", "limit", "8B accepts the address of all drives", limit("new_address", accepts(0))),
-    fault("address-248-accepted", "limit", "8B accepts an address that Modbus reserves", limit("new_address", accepts(248))),
-    fault("group-0-accepted", "limit", "8D accepts the address of all drives", limit("group_address", accepts(0))),
-    fault(
-        "acceleration-256-accepted",
-        "limit",
-        "moves accept an acceleration of 256 and take it for 0",
-        together(limit("acceleration", accepts(256)), asked("acceleration", low_bits(8))),
+    "choice": (
+        Row("work-mode-6-accepted", "82 accepts a mode that is not listed", limit("work_mode", accepts(6))),
+        Row(
+            "holding-current-0-refused",
+            "9B refuses 0 (10 %), as the manual's head has it",
+            limit("holding_current", refuses(0)),
+        ),
+        Row("holding-current-8-refused", "9B refuses 8 (90 %)", limit("holding_current", refuses(8))),
+        Row("holding-current-9-accepted", "9B accepts 9", limit("holding_current", accepts(9))),
+        Row("enable-always-refused", "85 refuses 2 (always)", limit("enable_level", refuses(2))),
+        Row("enable-3-accepted", "85 accepts 3", limit("enable_level", accepts(3))),
+        Row("baud-256000-refused", "8A refuses 7 (256000)", limit("baud_rate", refuses(7))),
+        Row("baud-0-accepted", "8A accepts 0", limit("baud_rate", accepts(0))),
+        Row("bit-rate-0-refused", "8A refuses 0 (125 kbit/s)", limit("bit_rate", refuses(0))),
+        Row("bit-rate-4-accepted", "8A accepts 4", limit("bit_rate", accepts(4))),
+        Row("subdivision-256-refused", "84 refuses 256 (0 on serial lines and CAN)", limit("subdivision", refuses(0, 256))),
+        Row("subdivision-257-accepted", "84 accepts 257", limit("subdivision", accepts(257))),
+        Row("home-direction-2-accepted", "90 accepts a third direction", limit("home_direction", accepts(2))),
+        Row("respond-2-accepted", "8C accepts 2", limit("respond", accepts(2))),
+        Row("save-any-state", "FF accepts any state", limit("save_state", unlimited)),
+        Row("pulse-delay-3-refused", "87 refuses 3 (40 ms)", limit("pulse_delay", refuses(3))),
+        Row("close-mode-refused", "82 refuses SR_CLOSE", limit("work_mode", refuses(4)), SERIAL),
+        Row("open-mode-refused", "82 refuses the open loop without an encoder", limit("work_mode", refuses(0x14)), CAN),
+        Row("subdivision-3-accepted", "84 accepts a subdivision that is not listed", limit("subdivision", accepts(3)), CAN),
+        Row("subdivision-25-refused", "84 refuses 25", limit("subdivision", refuses(25)), CAN),
     ),
-    fault("speed-2900-at-most", "limit", "3000 rpm is run at 2900", asked("speed", at_most(2900))),
-    fault("address-highest-refused", "limit", "8B refuses the highest address", limit("new_address", highest_refused), TELLING),
-    fault("address-beyond-7ff", "limit", "8B accepts 800h", limit("new_address", one_more), CAN),
-    fault("lowest-position-accepted", "limit", "moves accept -8388608", limit("position", accepts(-8388608)), CAN),
-    fault("work-mode-6-accepted", "choice", "82 accepts a mode that is not listed", limit("work_mode", accepts(6))),
-    fault(
-        "holding-current-0-refused",
-        "choice",
-        "9B refuses 0 (10 %), as the manual's head has it",
-        limit("holding_current", refuses(0)),
+    "range": (
+        Row("lk-torque-any", "0xA1 obeys torque currents beyond 2048", limit("torque_current", unlimited)),
+        Row("lk-torque-short", "0xA1 does not obey its highest torque current", limit("torque_current", highest_refused)),
+        Row("lk-torque-short-below", "0xA1 does not obey its lowest torque current", limit("torque_current", lowest_refused)),
+        Row("lk-torque-one-more", "0xA1 obeys one torque current too many above", limit("torque_current", one_more)),
+        Row("lk-torque-one-less", "0xA1 obeys one torque current too many below", limit("torque_current", one_less)),
+        Row("lk-power-any", "0xA0 obeys powers beyond 850", limit("power", unlimited)),
+        Row("lk-power-short", "0xA0 does not obey its highest power", limit("power", highest_refused)),
+        Row("lk-power-short-below", "0xA0 does not obey its lowest power", limit("power", lowest_refused)),
+        Row("lk-power-one-more", "0xA0 obeys one power too many above", limit("power", one_more)),
+        Row("lk-power-one-less", "0xA0 obeys one power too many below", limit("power", one_less)),
+        Row("lk-angle-any", "0xA5 and 0xA6 obey angles beyond 359.99 degrees", limit("angle", unlimited)),
+        Row("lk-angle-short", "0xA5 and 0xA6 do not obey 359.99 degrees", limit("angle", highest_refused)),
+        Row("lk-angle-one-more", "0xA5 and 0xA6 obey 360 degrees", limit("angle", one_more)),
+        Row("lk-angle-not-0", "0xA5 and 0xA6 do not obey 0 degrees", limit("angle", lowest_refused)),
     ),
-    fault("holding-current-8-refused", "choice", "9B refuses 8 (90 %)", limit("holding_current", refuses(8))),
-    fault("holding-current-9-accepted", "choice", "9B accepts 9", limit("holding_current", accepts(9))),
-    fault("enable-always-refused", "choice", "85 refuses 2 (always)", limit("enable_level", refuses(2))),
-    fault("enable-3-accepted", "choice", "85 accepts 3", limit("enable_level", accepts(3))),
-    fault("baud-256000-refused", "choice", "8A refuses 7 (256000)", limit("baud_rate", refuses(7))),
-    fault("baud-0-accepted", "choice", "8A accepts 0", limit("baud_rate", accepts(0))),
-    fault("bit-rate-0-refused", "choice", "8A refuses 0 (125 kbit/s)", limit("bit_rate", refuses(0))),
-    fault("bit-rate-4-accepted", "choice", "8A accepts 4", limit("bit_rate", accepts(4))),
-    fault(
-        "subdivision-256-refused", "choice", "84 refuses 256 (0 on serial lines and CAN)", limit("subdivision", refuses(0, 256))
+    "choices": (
+        Row("lk-direction-any", "0xA5 and 0xA6 take any direction but 0 for counter-clockwise", limit("direction", unlimited)),
+        Row(
+            "lk-direction-not-1", "0xA5 and 0xA6 do not obey counter-clockwise", limit("direction", refuses(SpinDirection.CCW))
+        ),
     ),
-    fault("subdivision-257-accepted", "choice", "84 accepts 257", limit("subdivision", accepts(257))),
-    fault("home-direction-2-accepted", "choice", "90 accepts a third direction", limit("home_direction", accepts(2))),
-    fault("respond-2-accepted", "choice", "8C accepts 2", limit("respond", accepts(2))),
-    fault("save-any-state", "choice", "FF accepts any state", limit("save_state", unlimited)),
-    fault("pulse-delay-3-refused", "choice", "87 refuses 3 (40 ms)", limit("pulse_delay", refuses(3))),
-    fault("close-mode-refused", "choice", "82 refuses SR_CLOSE", limit("work_mode", refuses(4)), SERIAL),
-    fault("open-mode-refused", "choice", "82 refuses the open loop without an encoder", limit("work_mode", refuses(0x14)), CAN),
-    fault(
-        "subdivision-3-accepted", "choice", "84 accepts a subdivision that is not listed", limit("subdivision", accepts(3)), CAN
-    ),
-    fault("subdivision-25-refused", "choice", "84 refuses 25", limit("subdivision", refuses(25)), CAN),
-    fault("lk-torque-any", "range", "0xA1 obeys torque currents beyond 2048", limit("torque_current", unlimited)),
-    fault(
-        "lk-torque-short", "range", "0xA1 does not obey its highest torque current", limit("torque_current", highest_refused)
-    ),
-    fault(
-        "lk-torque-short-below",
-        "range",
-        "0xA1 does not obey its lowest torque current",
-        limit("torque_current", lowest_refused),
-    ),
-    fault("lk-torque-one-more", "range", "0xA1 obeys one torque current too many above", limit("torque_current", one_more)),
-    fault("lk-torque-one-less", "range", "0xA1 obeys one torque current too many below", limit("torque_current", one_less)),
-    fault("lk-power-any", "range", "0xA0 obeys powers beyond 850", limit("power", unlimited)),
-    fault("lk-power-short", "range", "0xA0 does not obey its highest power", limit("power", highest_refused)),
-    fault("lk-power-short-below", "range", "0xA0 does not obey its lowest power", limit("power", lowest_refused)),
-    fault("lk-power-one-more", "range", "0xA0 obeys one power too many above", limit("power", one_more)),
-    fault("lk-power-one-less", "range", "0xA0 obeys one power too many below", limit("power", one_less)),
-    fault("lk-angle-any", "range", "0xA5 and 0xA6 obey angles beyond 359.99 degrees", limit("angle", unlimited)),
-    fault("lk-angle-short", "range", "0xA5 and 0xA6 do not obey 359.99 degrees", limit("angle", highest_refused)),
-    fault("lk-angle-one-more", "range", "0xA5 and 0xA6 obey 360 degrees", limit("angle", one_more)),
-    fault("lk-angle-not-0", "range", "0xA5 and 0xA6 do not obey 0 degrees", limit("angle", lowest_refused)),
-    fault(
-        "lk-direction-any",
-        "choices",
-        "0xA5 and 0xA6 take any direction but 0 for counter-clockwise",
-        limit("direction", unlimited),
-    ),
-    fault(
-        "lk-direction-not-1",
-        "choices",
-        "0xA5 and 0xA6 do not obey counter-clockwise",
-        limit("direction", refuses(SpinDirection.CCW)),
-    ),
-)
+}
 
-FAULTS: tuple[Fault, ...] = (*LINK, *_wrong_numbers(), *NUMBER, *LIMIT)
+FAULTS = (*faults(LINK), *_wrong_numbers(), *faults(NUMBER, LIMIT))

@@ -15,7 +15,7 @@ from analyzer.protocols.lk_rs485 import (
     SpinDirection,
 )
 from analyzer.records import Frame, Message
-from conformance.drives.drive import Drive, Fault, Hooks, Request, Values
+from conformance.drives.drive import Drive, Hooks, Request, Values
 from conformance.drives.faults.generic import LK_MOTIONS
 from conformance.drives.faults.lk_behaviour import (
     INCREMENTS,
@@ -32,7 +32,20 @@ from conformance.drives.faults.lk_behaviour import (
     tuned,
 )
 from conformance.drives.faults.numbers import always, exchanged, negated, renamed
-from conformance.drives.faults.places import LK, Change, asked, fault, reply, result, storing, taken, together, unstored
+from conformance.drives.faults.places import (
+    LK,
+    Change,
+    Row,
+    Rows,
+    asked,
+    faults,
+    reply,
+    result,
+    storing,
+    taken,
+    together,
+    unstored,
+)
 from conformance.drives.lk.commands import MOVES, Act
 from conformance.drives.lk.drive import LkDrive
 from conformance.drives.lk.motor import Goal, Position
@@ -222,230 +235,227 @@ def _position_kept(hooks: Hooks) -> None:
     together(acting("set_position", remember, after=True), at_power_up(powered))(hooks)
 
 
-FAULTS: tuple[Fault, ...] = (
-    # Which requests it takes
-    fault(
-        "lk-answers-other-address",
-        "addressing",
-        "requests to any address are obeyed and answered",
-        _hearing(lambda d, f, m: f.checksum_ok and m.form is not None),
+ROWS: Rows = {
+    "addressing": (
+        # Which requests it takes
+        Row(
+            "lk-answers-other-address",
+            "requests to any address are obeyed and answered",
+            _hearing(lambda d, f, m: f.checksum_ok and m.form is not None),
+        ),
+        Row(
+            "lk-answers-address-0",
+            "address 0 is taken for a broadcast, obeyed and answered",
+            _hearing(lambda d, f, m: f.checksum_ok and m.form is not None and m.address == 0),
+        ),
     ),
-    fault(
-        "lk-answers-address-0",
-        "addressing",
-        "address 0 is taken for a broadcast, obeyed and answered",
-        _hearing(lambda d, f, m: f.checksum_ok and m.form is not None and m.address == 0),
+    "checksum": (
+        Row(
+            "lk-answers-wrong-data-sum", "requests are obeyed and answered although the sum of their data is wrong", _broken(1)
+        ),
+        Row(
+            "lk-answers-wrong-head-sum", "requests are obeyed and answered although the sum of their head is wrong", _broken(0)
+        ),
     ),
-    fault(
-        "lk-answers-wrong-data-sum",
-        "checksum",
-        "requests are obeyed and answered although the sum of their data is wrong",
-        _broken(1),
+    "unknown code": (
+        Row(
+            "lk-answers-unknown-code",
+            "a code that no command has is echoed",
+            _hearing(lambda d, f, m: f.checksum_ok and _own(d, m) and m.command is None),
+        ),
     ),
-    fault(
-        "lk-answers-wrong-head-sum",
-        "checksum",
-        "requests are obeyed and answered although the sum of their head is wrong",
-        _broken(0),
+    "length": (
+        Row(
+            "lk-answers-wrong-length",
+            "a known code with a wrong length is echoed",
+            _hearing(lambda d, f, m: f.checksum_ok and _own(d, m) and m.command is not None and m.form is None),
+        ),
     ),
-    fault(
-        "lk-answers-unknown-code",
-        "unknown code",
-        "a code that no command has is echoed",
-        _hearing(lambda d, f, m: f.checksum_ok and _own(d, m) and m.command is None),
+    "off": (
+        Row(
+            "lk-silent-while-off",
+            "motion commands are not answered while the motor is off",
+            result(lambda drive, command, asked, values: values if lk(drive).motor.on else None, LK_MOTIONS),
+        ),
+        Row("lk-state-always-on", "the motor is reported on while it is off", reply("state", always(MotorState.ON))),
+        Row("lk-off-still-moves", "motion commands are obeyed while the motor is off", tuned(_disobedient)),
+        Row("lk-off-keeps-running", "0x80 does not end a motion under way", acting("motor_off", _keep_running)),
+        Row("lk-off-ignored", "0x80 is answered and does nothing", acting("motor_off", nothing)),
     ),
-    fault(
-        "lk-answers-wrong-length",
-        "length",
-        "a known code with a wrong length is echoed",
-        _hearing(lambda d, f, m: f.checksum_ok and _own(d, m) and m.command is not None and m.form is None),
+    "reply layout": (
+        # What replies say
+        Row(
+            "lk-state-1-swapped",
+            "0x9A and 0x9B answer current and voltage in each other's place",
+            _read(lambda d, v: {"voltage": v["current"], "current": v["voltage"]}, *STATE_1),
+        ),
     ),
-    fault(
-        "lk-silent-while-off",
-        "off",
-        "motion commands are not answered while the motor is off",
-        result(lambda drive, command, asked, values: values if lk(drive).motor.on else None, LK_MOTIONS),
+    "error flags": (
+        Row(
+            "lk-error-bits-shifted",
+            "each error flag is shown one bit too high",
+            _read(lambda d, v: {name: v[low] for name, low in zip(FLAGS, FLAGS[1:] + FLAGS[:1], strict=True)}, *STATE_1),
+        ),
+        Row("lk-error-bits-hidden", "error flags are never shown", reply(FLAGS, always(0), STATE_1)),
+        Row("lk-error-bits-frozen", "an error flag that was shown once is shown for ever", Change(_shown_for_ever, LK)),
+        Row(
+            "lk-clear-errors-always",
+            "0x9B clears flags whose cause lasts",
+            acting("clear_errors", lambda drive, request: drive.errors.clear(), after=True),
+        ),
+        Row("lk-clear-errors-never", "0x9B clears nothing", acting("clear_errors", nothing)),
     ),
-    # What replies say
-    fault(
-        "lk-state-1-swapped",
-        "reply layout",
-        "0x9A and 0x9B answer current and voltage in each other's place",
-        _read(lambda d, v: {"voltage": v["current"], "current": v["voltage"]}, *STATE_1),
+    "encoder": (
+        Row(
+            "lk-encoder-not-offset",
+            "0x90 answers the raw value in place of the difference",
+            _read(lambda d, v: {"encoder": d.motor.encoder_raw}, Verb.READ_ENCODER),
+        ),
+        Row(
+            "lk-encoder-offset-added", "0x90 adds the offset instead of taking it away", _read(_offset_added, Verb.READ_ENCODER)
+        ),
+        Row(
+            "lk-encoder-coarse",
+            "motion commands and 0x9C answer the encoder with two bits fewer",
+            reply("encoder", lambda v, field: v >> 2, (Verb.READ_STATE_2, *LK_MOTIONS)),
+        ),
     ),
-    fault("lk-state-always-on", "off", "the motor is reported on while it is off", reply("state", always(MotorState.ON))),
-    fault(
-        "lk-error-bits-shifted",
-        "error flags",
-        "each error flag is shown one bit too high",
-        _read(lambda d, v: {name: v[low] for name, low in zip(FLAGS, FLAGS[1:] + FLAGS[:1], strict=True)}, *STATE_1),
+    "range": (Row("lk-single-turn-runs-on", "0x94 counts on past 359.99 degrees", _read(_running_on, Verb.READ_SINGLE_TURN)),),
+    "position": (
+        Row("lk-position-single-turn", "0x92 answers the angle within the turn", _read(_within_turn, Verb.READ_POSITION)),
+        Row(
+            "lk-stops-short",
+            "moves end half a degree before their position",
+            moving((*MULTI_TURN, *SINGLE_TURN, *INCREMENTS), _land_short, after=True),
+        ),
+        # Positions, parameters, models
+        Row("lk-set-position-ignored", "0x95 is echoed and does nothing", acting("set_position", nothing)),
+        Row("lk-clear-turns-ignored", "0x93 is echoed and does nothing", acting("clear_turns", nothing)),
     ),
-    fault("lk-error-bits-hidden", "error flags", "error flags are never shown", reply(FLAGS, always(0), STATE_1)),
-    fault(
-        "lk-error-bits-frozen",
-        "error flags",
-        "an error flag that was shown once is shown for ever",
-        Change(_shown_for_ever, LK),
+    "phase currents": (
+        Row(
+            "lk-phases-in-step",
+            "0x9D answers the same current for all phases",
+            _read(lambda d, v: dict.fromkeys(("phase_b_current", "phase_c_current"), v["phase_a_current"]), Verb.READ_STATE_3),
+        ),
     ),
-    fault(
-        "lk-encoder-not-offset",
-        "encoder",
-        "0x90 answers the raw value in place of the difference",
-        _read(lambda d, v: {"encoder": d.motor.encoder_raw}, Verb.READ_ENCODER),
+    "zero": (
+        Row(
+            "lk-zero-not-raw",
+            "0x19 answers the encoder counted from the old zero",
+            _read(lambda d, v: {"encoder_zero": d.motor.encoder}, Verb.SET_ZERO),
+        ),
+        Row("lk-zero-at-once", "0x19 moves the zero at once", acting("set_zero", _zero_now, after=True)),
+        Row("lk-zero-lost", "the zero of 0x19 is not there after power-up", unstored("encoder_zero")),
     ),
-    fault(
-        "lk-encoder-offset-added",
-        "encoder",
-        "0x90 adds the offset instead of taking it away",
-        _read(_offset_added, Verb.READ_ENCODER),
+    "parameters": (
+        Row(
+            "lk-parameter-other",
+            "0xC0 answers for the next parameter of the table",
+            result(_other_parameter, Verb.READ_PARAMETER),
+        ),
+        Row("lk-gains-swapped", "0xC0 and 0xC1 answer kp and ki in each other's place", _read(_gains_exchanged, *PARAMETERS)),
+        Row(
+            "lk-parameter-write-zeros",
+            "0xC1 answers zeros instead of the values after writing",
+            _read(lambda d, v: dict.fromkeys(v.keys() - {"parameter"}, 0), Verb.WRITE_PARAMETER),
+        ),
+        Row(
+            "lk-parameter-not-stored",
+            "0xC1 answers the old values and keeps them",
+            storing(lambda drive, name, value: None if name in lk(drive).parameters else (name, value)),
+        ),
+        Row("lk-parameter-elsewhere", "0xC1 stores each value in the next one's place", storing(_next_parameter)),
     ),
-    fault(
-        "lk-encoder-coarse",
-        "encoder",
-        "motion commands and 0x9C answer the encoder with two bits fewer",
-        reply("encoder", lambda v, field: v >> 2, (Verb.READ_STATE_2, *LK_MOTIONS)),
+    "brake": (
+        Row(
+            "lk-brake-state-inverted",
+            "0x8C answers the opposite of the brake's state",
+            reply("brake_state", exchanged(BrakeState.POWER_OFF, BrakeState.RELEASED)),
+        ),
+        Row(
+            "lk-brake-read-releases",
+            "reading the brake's state releases it",
+            asked("brake_control", renamed(BrakeControl.READ, BrakeControl.RELEASE)),
+        ),
+        # Brake and errors
+        Row("lk-brake-without-effect", "the brake does not hold the shaft", rebuilt(brake=False)),
+        Row("lk-brake-backwards", "0x8C releases the brake for 00 and holds for 01", acting("brake", _brake_backwards)),
     ),
-    fault("lk-single-turn-runs-on", "range", "0x94 counts on past 359.99 degrees", _read(_running_on, Verb.READ_SINGLE_TURN)),
-    fault(
-        "lk-position-single-turn", "position", "0x92 answers the angle within the turn", _read(_within_turn, Verb.READ_POSITION)
+    "direction": (
+        # Motion
+        Row(
+            "lk-single-turn-inverted",
+            "0xA5 and 0xA6 turn in the other direction",
+            asked("direction", exchanged(SpinDirection.CW, SpinDirection.CCW)),
+        ),
+        Row(
+            "lk-single-turn-shortest",
+            "0xA5 and 0xA6 take the shortest way whatever the direction",
+            moving(SINGLE_TURN, _shortest),
+        ),
+        Row("lk-speed-inverted", "0xA2 runs in the other direction", asked("speed", negated)),
     ),
-    fault(
-        "lk-phases-in-step",
-        "phase currents",
-        "0x9D answers the same current for all phases",
-        _read(lambda d, v: dict.fromkeys(("phase_b_current", "phase_c_current"), v["phase_a_current"]), Verb.READ_STATE_3),
+    "relative and absolute": (
+        Row(
+            "lk-increment-absolute",
+            "0xA7 and 0xA8 move to a position instead of by a distance",
+            moving(INCREMENTS, _as_absolute),
+        ),
+        Row(
+            "lk-multi-turn-relative",
+            "0xA3 and 0xA4 move by a distance instead of to a position",
+            moving(MULTI_TURN, _as_relative),
+        ),
     ),
-    fault(
-        "lk-zero-not-raw",
-        "zero",
-        "0x19 answers the encoder counted from the old zero",
-        _read(lambda d, v: {"encoder_zero": d.motor.encoder}, Verb.SET_ZERO),
+    "limits": (
+        Row(
+            "lk-max-speed-ignored",
+            "max_speed of 0xA4, 0xA6 and 0xA8 is not kept",
+            asked("max_speed", lambda value, field: field.high),
+        ),
+        Row("lk-speed-limit-ignored", "the speed limit of 0xC1 has no effect", _without_effect("speed_limit")),
+        Row("lk-speed-ramp-ignored", "the speed ramp of 0xC1 has no effect", _without_effect("speed_ramp")),
+        Row("lk-torque-limit-ignored", "the torque limit of 0xC1 has no effect", _without_effect("torque_limit")),
+        Row("lk-angle-limit-ignored", "0xA3 and 0xA4 go beyond the angle limit", moving(MULTI_TURN, _past_angle_limit)),
     ),
-    fault(
-        "lk-parameter-other",
-        "parameters",
-        "0xC0 answers for the next parameter of the table",
-        result(_other_parameter, Verb.READ_PARAMETER),
+    "ramp": (
+        Row("lk-ramp-fast", "accelerations are twice the ramp", rebuilt(ramp_error=2.0)),
+        Row("lk-ramp-slow", "accelerations are half the ramp", rebuilt(ramp_error=0.5)),
+        Row("lk-overshoot", "moves overshoot by 3 degrees and come back", rebuilt(overshoot=OVERSHOOT)),
     ),
-    fault(
-        "lk-gains-swapped",
-        "parameters",
-        "0xC0 and 0xC1 answer kp and ki in each other's place",
-        _read(_gains_exchanged, *PARAMETERS),
+    "stop": (
+        # On, off, stop
+        Row("lk-stop-is-off", "0x81 turns the motor off", acting("stop", lambda drive, request: drive.motor.turn_off())),
+        Row(
+            "lk-stop-coasts",
+            "0x81 takes the torque away and lets the shaft run out",
+            acting("stop", lambda drive, request: drive.motor.release()),
+        ),
+        Row("lk-stop-ignored", "0x81 is answered and does nothing", acting("stop", nothing)),
+        Row(
+            "lk-stop-clears-turns",
+            "0x81 drops the counted turns",
+            acting("stop", lambda drive, request: drive.motor.clear_turns(), after=True),
+        ),
     ),
-    fault(
-        "lk-parameter-write-zeros",
-        "parameters",
-        "0xC1 answers zeros instead of the values after writing",
-        _read(lambda d, v: dict.fromkeys(v.keys() - {"parameter"}, 0), Verb.WRITE_PARAMETER),
+    "on": (
+        Row("lk-on-needed-twice", "only each second 0x88 turns the motor on", replaced("motor_on", _second_time)),
+        Row("lk-on-resumes", "0x88 takes up the motion that 0x80 ended", Change(_resuming, LK)),
+        Row(
+            "lk-off-at-power-up",
+            "the motor is off after power-up",
+            together(tuned(lambda drive: drive.motor.turn_off()), at_power_up(lambda drive: drive.motor.turn_off())),
+        ),
     ),
-    fault(
-        "lk-brake-state-inverted",
-        "brake",
-        "0x8C answers the opposite of the brake's state",
-        reply("brake_state", exchanged(BrakeState.POWER_OFF, BrakeState.RELEASED)),
+    "power": (
+        Row("lk-set-position-kept", "what 0x95 set survives the power", Change(_position_kept, LK)),
+        Row("lk-parameter-survives", "what 0xC1 wrote survives the power", storing(_kept_parameter)),
     ),
-    fault(
-        "lk-brake-read-releases",
-        "brake",
-        "reading the brake's state releases it",
-        asked("brake_control", renamed(BrakeControl.READ, BrakeControl.RELEASE)),
+    "models": (
+        Row("lk-ms-runs-torque", "an MS obeys and answers 0xA1", learning("run_torque", CURRENT_MODELS)),
+        Row("lk-runs-open-loop", "an MF, MG or MH obeys and answers 0xA0", learning("run_open_loop", POWER_MODELS)),
     ),
-    # Motion
-    fault(
-        "lk-single-turn-inverted",
-        "direction",
-        "0xA5 and 0xA6 turn in the other direction",
-        asked("direction", exchanged(SpinDirection.CW, SpinDirection.CCW)),
-    ),
-    fault(
-        "lk-single-turn-shortest",
-        "direction",
-        "0xA5 and 0xA6 take the shortest way whatever the direction",
-        moving(SINGLE_TURN, _shortest),
-    ),
-    fault("lk-speed-inverted", "direction", "0xA2 runs in the other direction", asked("speed", negated)),
-    fault(
-        "lk-increment-absolute",
-        "relative and absolute",
-        "0xA7 and 0xA8 move to a position instead of by a distance",
-        moving(INCREMENTS, _as_absolute),
-    ),
-    fault(
-        "lk-multi-turn-relative",
-        "relative and absolute",
-        "0xA3 and 0xA4 move by a distance instead of to a position",
-        moving(MULTI_TURN, _as_relative),
-    ),
-    fault(
-        "lk-max-speed-ignored",
-        "limits",
-        "max_speed of 0xA4, 0xA6 and 0xA8 is not kept",
-        asked("max_speed", lambda value, field: field.high),
-    ),
-    fault("lk-speed-limit-ignored", "limits", "the speed limit of 0xC1 has no effect", _without_effect("speed_limit")),
-    fault("lk-speed-ramp-ignored", "limits", "the speed ramp of 0xC1 has no effect", _without_effect("speed_ramp")),
-    fault("lk-torque-limit-ignored", "limits", "the torque limit of 0xC1 has no effect", _without_effect("torque_limit")),
-    fault("lk-angle-limit-ignored", "limits", "0xA3 and 0xA4 go beyond the angle limit", moving(MULTI_TURN, _past_angle_limit)),
-    fault("lk-ramp-fast", "ramp", "accelerations are twice the ramp", rebuilt(ramp_error=2.0)),
-    fault("lk-ramp-slow", "ramp", "accelerations are half the ramp", rebuilt(ramp_error=0.5)),
-    fault("lk-overshoot", "ramp", "moves overshoot by 3 degrees and come back", rebuilt(overshoot=OVERSHOOT)),
-    fault(
-        "lk-stops-short",
-        "position",
-        "moves end half a degree before their position",
-        moving((*MULTI_TURN, *SINGLE_TURN, *INCREMENTS), _land_short, after=True),
-    ),
-    # On, off, stop
-    fault("lk-stop-is-off", "stop", "0x81 turns the motor off", acting("stop", lambda drive, request: drive.motor.turn_off())),
-    fault(
-        "lk-stop-coasts",
-        "stop",
-        "0x81 takes the torque away and lets the shaft run out",
-        acting("stop", lambda drive, request: drive.motor.release()),
-    ),
-    fault("lk-stop-ignored", "stop", "0x81 is answered and does nothing", acting("stop", nothing)),
-    fault(
-        "lk-stop-clears-turns",
-        "stop",
-        "0x81 drops the counted turns",
-        acting("stop", lambda drive, request: drive.motor.clear_turns(), after=True),
-    ),
-    fault("lk-off-still-moves", "off", "motion commands are obeyed while the motor is off", tuned(_disobedient)),
-    fault("lk-off-keeps-running", "off", "0x80 does not end a motion under way", acting("motor_off", _keep_running)),
-    fault("lk-off-ignored", "off", "0x80 is answered and does nothing", acting("motor_off", nothing)),
-    fault("lk-on-needed-twice", "on", "only each second 0x88 turns the motor on", replaced("motor_on", _second_time)),
-    fault("lk-on-resumes", "on", "0x88 takes up the motion that 0x80 ended", Change(_resuming, LK)),
-    fault(
-        "lk-off-at-power-up",
-        "on",
-        "the motor is off after power-up",
-        together(tuned(lambda drive: drive.motor.turn_off()), at_power_up(lambda drive: drive.motor.turn_off())),
-    ),
-    # Brake and errors
-    fault("lk-brake-without-effect", "brake", "the brake does not hold the shaft", rebuilt(brake=False)),
-    fault("lk-brake-backwards", "brake", "0x8C releases the brake for 00 and holds for 01", acting("brake", _brake_backwards)),
-    fault(
-        "lk-clear-errors-always",
-        "error flags",
-        "0x9B clears flags whose cause lasts",
-        acting("clear_errors", lambda drive, request: drive.errors.clear(), after=True),
-    ),
-    fault("lk-clear-errors-never", "error flags", "0x9B clears nothing", acting("clear_errors", nothing)),
-    # Positions, parameters, models
-    fault("lk-set-position-ignored", "position", "0x95 is echoed and does nothing", acting("set_position", nothing)),
-    fault("lk-set-position-kept", "power", "what 0x95 set survives the power", Change(_position_kept, LK)),
-    fault("lk-clear-turns-ignored", "position", "0x93 is echoed and does nothing", acting("clear_turns", nothing)),
-    fault("lk-zero-at-once", "zero", "0x19 moves the zero at once", acting("set_zero", _zero_now, after=True)),
-    fault("lk-zero-lost", "zero", "the zero of 0x19 is not there after power-up", unstored("encoder_zero")),
-    fault(
-        "lk-parameter-not-stored",
-        "parameters",
-        "0xC1 answers the old values and keeps them",
-        storing(lambda drive, name, value: None if name in lk(drive).parameters else (name, value)),
-    ),
-    fault("lk-parameter-elsewhere", "parameters", "0xC1 stores each value in the next one's place", storing(_next_parameter)),
-    fault("lk-parameter-survives", "power", "what 0xC1 wrote survives the power", storing(_kept_parameter)),
-    fault("lk-ms-runs-torque", "models", "an MS obeys and answers 0xA1", learning("run_torque", CURRENT_MODELS)),
-    fault("lk-runs-open-loop", "models", "an MF, MG or MH obeys and answers 0xA0", learning("run_open_loop", POWER_MODELS)),
-)
+}
+
+FAULTS = faults(ROWS)

@@ -21,6 +21,9 @@ from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Hooks, Outgoing, Request, Values
 from conformance.drives.faults.places import (
+    MODBUS,
+    NATIVE,
+    TELLING,
     Change,
     Of,
     answered,
@@ -263,7 +266,7 @@ def completing(
         else:
             drive.drop()
 
-    return ended(script, of)
+    return Change(ended(script, of).install, TELLING)
 
 
 def half_way(begin_ns: int, settled: Number) -> Number:
@@ -285,7 +288,8 @@ def complete_older(drive: MksCore, request: Request) -> None:
 
 def unsaid(of: Of, *statuses: int) -> Change:
     """Do not send replies of these statuses."""
-    return result(lambda drive, command, asked, values: None if values.get("status") in statuses else values, of)
+    change = result(lambda drive, command, asked, values: None if values.get("status") in statuses else values, of)
+    return Change(change.install, TELLING)
 
 
 def unless(silent: Callable[[MksCore, Command], bool], of: Of = ()) -> Change:
@@ -579,7 +583,7 @@ def startle(hooks: Hooks) -> None:
 
 def slots(choose: Callable[[int, list[Slot], list[Slot]], list[Slot]]) -> Change:
     """Choose which slots of a package are executed: `choose(address, slots, those of the manual)`."""
-    return Change(lambda hooks: hooks.slots.append(lambda drive, every, wanted: choose(drive.address, every, wanted)))
+    return Change(lambda hooks: hooks.slots.append(lambda drive, every, wanted: choose(drive.address, every, wanted)), NATIVE)
 
 
 def mine(address: int, every: list[Slot]) -> list[Slot]:
@@ -609,7 +613,7 @@ def of_functions(functions: Iterable[int], change: Callable[[bytes], bytes], *, 
         fits = body[FUNCTION] & 0x7F in chosen and bool(body[FUNCTION] & 0x80) == exceptions
         yield rebuilt(drive, outgoing, change(body)) if fits else outgoing
 
-    return frames(say)
+    return Change(frames(say).install, MODBUS)
 
 
 def refused(body: bytes) -> bool:
@@ -665,7 +669,7 @@ def translated(change: Callable[[MksCore, bytes], bytes | None]) -> Change:
         core.obey(request)
         return False
 
-    return taken(judge)
+    return Change(taken(judge).install, MODBUS)
 
 
 def as_04(drive: MksCore, body: bytes) -> bytes | None:

@@ -9,7 +9,7 @@
     taken(judge), answered(judge)              which frames the drive takes, and which of them it answers
 
 Rules kept here:
-- A change knows from the catalogue which dialects have what it touches. `fault` asks it.
+- A change knows from the catalogue which dialects have what it touches. `faults` asks it.
 - `of` names the commands that are meant; without it, all are.
 - State that a change keeps belongs to one drive: it is made when the change is installed.
 - Bytes are taken apart by the dialect's link. Nothing on CAN grows beyond eight bytes.
@@ -17,9 +17,10 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 from msgspec.structs import replace
 
@@ -55,10 +56,27 @@ class Change:
         self.install(hooks)
 
 
-def fault(name: str, breaks: str, text: str, change: Change, dialects: tuple[str, ...] = ()) -> Fault:
-    """Return a fault in those dialects that have what it touches: of LK where its name says so, else of MKS."""
-    family = dialects or (LK if name.startswith("lk-") else MKS)
-    return Fault(name, tuple(d for d in family if d in change.dialects), text, breaks, change)
+class Row(NamedTuple):
+    """One fault of a table. `dialects`: those it is for; none: LK where its name says so, else MKS."""
+
+    name: str
+    text: str
+    change: Change
+    dialects: tuple[str, ...] = ()
+
+
+#: Tables of faults, by what they break.
+Rows = Mapping[str, Iterable[Row]]
+
+
+def faults(*tables: Rows) -> tuple[Fault, ...]:
+    """Return the faults of tables, each in those of its dialects that have what it touches."""
+    found = []
+    for breaks, rows in (entry for table in tables for entry in table.items()):
+        for name, text, change, dialects in rows:
+            family = dialects or (LK if name.startswith("lk-") else MKS)
+            found.append(Fault(name, tuple(d for d in family if d in change.dialects), text, breaks, change))
+    return tuple(found)
 
 
 def together(*changes: Change) -> Change:
