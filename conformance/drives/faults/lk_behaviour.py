@@ -1,8 +1,11 @@
 """How an LK drive can misbehave: makers of changes to the drive itself and to what its commands do.
 
-acting("stop", nothing)                 what a command does instead
-acting("stop", turn_off, after=True)    what it does besides
-moving(INCREMENTS, as_absolute)         the same for motion commands, which move only while the drive obeys
+    acting("stop", nothing)                  what a command does instead
+    acting("stop", clear_turns, after=True)  what it does besides
+    moving(INCREMENTS, as_absolute)          the same for motion commands
+
+Rules kept here:
+- A command is named as in the catalogue. A motion command does something else only while the drive obeys.
 """
 
 from __future__ import annotations

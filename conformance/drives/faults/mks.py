@@ -14,7 +14,6 @@ from analyzer.link import READS, WRITE_MANY, WRITE_ONE
 from conformance.drives.faults import mks_behaviour as mks
 from conformance.drives.faults.mks_behaviour import (
     MOVES,
-    RUNS,
     afterwards,
     answering,
     before,
@@ -66,7 +65,7 @@ from conformance.drives.faults.places import (
     together,
     unstored,
 )
-from conformance.drives.mks.core import STOPS
+from conformance.drives.mks.core import MOTIONS, STOPS
 from conformance.drives.mks.paths import ramp_step_ns
 from conformance.drives.mks.settings import SETTINGS
 
@@ -339,8 +338,8 @@ MOTION: Rows = {
             SERIAL,
         ),
         Row("speed-unlimited", "speeds above 3000 are run", with_law("highest_speed", lambda declared: 0xFFFF)),
-        Row("speed-above-3000-refused", "speeds above 3000 are refused", before(RUNS, mks.refuse_above(3000))),
-        Row("speed-3000-refused", "3000 rpm is refused", before(RUNS, mks.refuse_above(2999))),
+        Row("speed-above-3000-refused", "speeds above 3000 are refused", before(MOTIONS, mks.refuse_above(3000))),
+        Row("speed-3000-refused", "3000 rpm is refused", before(MOTIONS, mks.refuse_above(2999))),
         Row("end-limit-ignored", "the end limit stops nothing", heedless("end_limit")),
         Row("limit-remap-ignored", "9E remaps nothing", unstored("limit_remap")),
     ),
@@ -362,10 +361,10 @@ MOTION: Rows = {
     ),
     "enable": (
         Row("disable-ignored", "F3 00 disables nothing", lying(Verb.ENABLE)),
-        Row("disabled-moves", "a disabled motor moves when told", with_state(RUNS, enabled=True)),
+        Row("disabled-moves", "a disabled motor moves when told", with_state(MOTIONS, enabled=True)),
     ),
     "protection": (
-        Row("protected-moves", "a protected motor moves when told", with_state(RUNS, protected=False)),
+        Row("protected-moves", "a protected motor moves when told", with_state(MOTIONS, protected=False)),
         Row("protection-ignored", "a locked rotor is never let go", heedless("protection")),
         Row("release-ignored", "3D ends no protection", lying(Verb.RELEASE_PROTECTION)),
         Row("stall-tolerance-ignored", "the stall tolerance is 180 degrees always", unstored("stall_tolerance")),
@@ -417,7 +416,7 @@ COMPLETION: Rows = {
         Row(
             "superseded-completes-too",
             "a move whose place a newer one took is told as done",
-            before(RUNS, mks.complete_older),
+            before(MOTIONS, mks.complete_older),
             TELLING,
         ),
         Row(
@@ -443,7 +442,7 @@ COMPLETION: Rows = {
         Row(
             "active-silences-first",
             "active 0 silences the first reply to motion too",
-            unless(lambda d, c: not d.settings["active"], RUNS | STOPS),
+            unless(lambda d, c: not d.settings["active"], MOTIONS | STOPS),
             TELLING,
         ),
     ),

@@ -1,9 +1,13 @@
 """How an MKS drive can misbehave: makers of changes to what it hears, does, keeps and tells.
 
-wrapped(MOVES, wrap)       what the drive does with a command
-ended(script)              how a move ends
-hearing(whom)              which frames it takes besides those of the manual
-of_functions(READS, ...)   the bytes of Modbus replies
+    wrapped(of, wrap), before(of, act)  what the drive does with some commands
+    completing(2, at=half_way)          how and when a move ends
+    hearing(whom), answering(whom)      which frames it takes and answers besides those of the manual
+    of_functions(READS, change)         the bytes of Modbus replies
+
+Rules kept here:
+- A behaviour does what the manual says and something more, less or else. It never packs a frame.
+- An acceleration, a speed or a position is the integer as sent; motor positions are encoder counts.
 """
 
 from __future__ import annotations
@@ -41,7 +45,6 @@ from conformance.drives.mks.motion import TARGETS
 from conformance.drives.mks.paths import Number, ramp_step_ns
 from conformance.drives.mks.responders import MksResponder
 
-RUNS = MOTIONS
 #: The moves to a position.
 MOVES = MOTIONS - {Verb.RUN_SPEED}
 OK: Values = {"status": int(mks_shared.Success.SUCCESS)}

@@ -1,7 +1,7 @@
 """Where a fault or a quirk takes hold of a drive. Each maker turns a small change into something that can be installed.
 
     reply("speed", negated, Verb.READ_SPEED)   a value of a reply
-    asked("direction", exchanged(0, 1), RUNS)  a value of a request, before the drive acts on it
+    asked("direction", exchanged(0, 1), F6)    a value of a request, before the drive acts on it
     limit("current", one_more)                 which values of a request are allowed
     stored("current", swap_bytes)              what a setting becomes when it is stored
     frames(change), bodies(change)             the bytes of a reply; `bodies` makes the last check fit again
@@ -144,7 +144,7 @@ def result(change: Callable[[Drive, Command, Values, Values], Values | None], of
 
 
 def reply(names: str | tuple[str, ...], change: Number, of: Of = ()) -> Change:
-    """Change a number of replies, under whichever of its names a reply has it."""
+    """Change a number of replies, under any of its names."""
     fields = (names,) if isinstance(names, str) else names
 
     def apply(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
