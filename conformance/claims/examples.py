@@ -15,39 +15,29 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from analyzer import encoder
-from analyzer.catalogue import Command, Dialect, Doubt, Role, Vector, Verb
+from analyzer.catalogue import Command, Dialect, Doubt, MotionKind, Risk, Role, Vector, Verb
 from analyzer.codec import codec
-from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
-from conformance.claims import examples_many
-from conformance.claims.declare import declare
+from conformance.claim import Aspect, Inconclusive, Theme
+from conformance.claims.declare import Case, claim
+from conformance.claims.examples_many import is_to_many
 from conformance.claims.hearing import came
 from conformance.claims.known_quirks import known
 from conformance.claims.requests import demands, needs_motion, put_to_rest, values_for
 from conformance.motion import motion
 from conformance.talk import samples
 from conformance.talk.exchange import Exchange, hex_of
-from conformance.talk.probe import Until
+from conformance.talk.probe import Probe, Until
 from conformance.talk.reply_match import MatchedReply, replies
-
-if TYPE_CHECKING:
-    from conformance.talk.probe import Probe
 
 OTHER_FIRMWARE, NO_CHECKSUM, SLOW_REPLIES = "lk-firmware-235", "no-checksum", "slow-replies-in-motion"
 #: How late a reply of a drive with slow replies can be.
 _SLOWEST_NS = 1_000_000_000
-#: What stands before a stop, so that there is something to stop: the run of each stop.
-_RUNS: Mapping[Verb, Verb] = {
-    Verb.STOP_SPEED: Verb.RUN_SPEED,
-    Verb.STOP_RELATIVE_PULSES: Verb.MOVE_RELATIVE_PULSES,
-    Verb.STOP_ABSOLUTE_PULSES: Verb.MOVE_ABSOLUTE_PULSES,
-    Verb.STOP_RELATIVE_AXIS: Verb.MOVE_RELATIVE_AXIS,
-    Verb.STOP_ABSOLUTE_AXIS: Verb.MOVE_ABSOLUTE_AXIS,
-}
 
 
 @dataclass
@@ -70,15 +60,6 @@ class Example:
         return {} if self.request is None else dict(self.request.values)
 
 
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims of this theme for a dialect."""
-    for command in dialect.commands:
-        if command.slots is None:
-            for number, example in enumerate(_distinct(dialect, examples(dialect, command)), 1):
-                yield _claim(dialect, example, number)
-    yield from examples_many.claims(dialect)
-
-
 def examples(dialect: Dialect, command: Command) -> list[Example]:
     """Return the examples of a command that are addressed to one drive, in the manual's order."""
     found: list[Example] = []
@@ -86,7 +67,7 @@ def examples(dialect: Dialect, command: Command) -> list[Example]:
         if vector.models and dialect.model and dialect.model not in vector.models:
             continue
         if vector.role is Role.REQUEST:
-            if not examples_many.is_to_many(dialect, command, vector):
+            if not is_to_many(dialect, command, vector):
                 found.append(Example(command, vector))
         elif found and found[-1].section == (vector.section or command.section):
             found[-1].replies.append(vector)
@@ -116,61 +97,61 @@ def _frame(dialect: Dialect, example: Example) -> bytes:
 # --- one example ------------------------------------------------------------------------------------------------------
 
 
-def _claim(dialect: Dialect, example: Example, number: int) -> Claim:
+def _cases(dialect: Dialect) -> Iterator[Case]:
+    for command in dialect.commands:
+        for number, example in enumerate(_distinct(dialect, examples(dialect, command)) if command.slots is None else (), 1):
+            shown = example.request or example.replies[0]
+            facts = {
+                "name": f"{{command}}/{number}",
+                "section": example.section,
+                "errata": tuple(v.erratum for v in (shown, *example.replies) if v.erratum),
+                "quirks": _quirks(dialect, example),
+                "parameters": {"printed": shown.printed},
+                **demands(dialect, command),
+                "risks": _risks(dialect, example),
+            }
+            yield Case(dialect, command, {"example": example, "what": _what(example), "printed": _printed(shown)}, facts)
+
+
+def _risks(dialect: Dialect, example: Example) -> frozenset[Risk]:
     command = example.command
-    shown = example.request or example.replies[0]
-    errata = {v.erratum for v in (shown, *example.replies) if v.erratum}
-    required = demands(dialect, command)
+    risks = demands(dialect, command)["risks"]
     if example.request is not None:
-        risks = set(encoder.assemble(dialect, command, 1, example.values).risks)
-        required["risks"] = risks | (motion.risks(dialect) if needs_motion(command) else set())
-    if (run := _run_of(dialect, command)) is not None:
-        required["risks"] = {*required["risks"], *run.risks(samples.sample(dialect, run))}
-    quirks = _quirks(dialect, example)
-
-    def check(probe: Probe) -> None:
-        _prepare(probe, command)
-        values = example.values if example.request is not None else values_for(probe, command)
-        until = Until.DONE if len(example.replies) > 1 else Until.REPLY
-        exchange = probe.ask(command, values, until=until)
-        try:
-            if exchange.silent and OTHER_FIRMWARE in quirks:
-                probe.meets(OTHER_FIRMWARE)
-                return
-            _judge(probe, example, exchange)
-        finally:
-            _rest(probe, command)
-
-    return declare(
-        dialect,
-        Theme.EXAMPLES,
-        f"{command.name}/{number}",
-        f"{_statement(example)} ({_printed(shown)})",
-        "another reply, or none",
-        check,
-        command=command,
-        section=example.section,
-        aspect=Aspect.EXAMPLE,
-        rests_on=(Doubt.EXAMPLE,),
-        errata=errata,
-        quirks=quirks,
-        parameters={"printed": shown.printed},
-        **required,
-    )
+        sent = encoder.assemble(dialect, command, 1, example.values).risks
+        risks = frozenset(sent) | (motion.risks(dialect) if needs_motion(command) else frozenset())
+    run = _run_of(dialect, command)
+    return frozenset(risks | run.risks(samples.sample(dialect, run)) if run is not None else risks)
 
 
 def _quirks(dialect: Dialect, example: Example) -> tuple[str, ...]:
     """Return the quirks that an example can meet."""
-    parameter = example.command.verb in (Verb.READ_PARAMETER, Verb.WRITE_PARAMETER)
+    command = example.command
     concerned = {
-        OTHER_FIRMWARE: parameter,
+        OTHER_FIRMWARE: command.verb in (Verb.READ_PARAMETER, Verb.WRITE_PARAMETER),
         NO_CHECKSUM: bool(example.replies),
-        SLOW_REPLIES: len(example.replies) > 1 and example.command.verb in _RUNS,
+        SLOW_REPLIES: len(example.replies) > 1 and _run_of(dialect, command) is not None,
     }
     return known(dialect, *(name for name, is_so in concerned.items() if is_so))
 
 
-def _statement(example: Example) -> str:
+@claim(Theme.EXAMPLES, each=_cases, refuted_by="another reply, or none", aspect=Aspect.EXAMPLE, rests_on=(Doubt.EXAMPLE,))
+def _example(probe: Probe, command: Command, example: Example) -> None:
+    """{what} ({printed})"""
+    _prepare(probe, command)
+    values = example.values if example.request is not None else values_for(probe, command)
+    exchange = probe.ask(command, values, until=Until.DONE if len(example.replies) > 1 else Until.REPLY)
+    try:
+        if exchange.silent and OTHER_FIRMWARE in probe.claim.quirks:
+            probe.meets(OTHER_FIRMWARE)
+        else:
+            _judge(probe, example, exchange)
+    finally:
+        # That the drive does not come to rest is for claims about motion, and for the rig.
+        with contextlib.suppress(Inconclusive):
+            put_to_rest(probe, command)
+
+
+def _what(example: Example) -> str:
     name = example.command.name
     if example.request is None:
         return f"{name} is answered by the printed frame"
@@ -187,9 +168,10 @@ def _printed(vector: Vector) -> str:
 
 
 def _run_of(dialect: Dialect, command: Command) -> Command | None:
-    """Return the run that a stop stops, None for what is no stop."""
-    run = _RUNS.get(command.verb)
-    return dialect.by_verb.get(run) if run is not None else None
+    """Return the run or move that a stop by a ramp stops, None for other commands."""
+    if command.motion is None or command.motion.kind is not MotionKind.STOP or not command.motion.acceleration:
+        return None
+    return next((c for c in dialect.commands if c.motion is not None and c.motion.stops[:1] == (command.name,)), None)
 
 
 def _prepare(probe: Probe, command: Command) -> None:
@@ -201,37 +183,31 @@ def _prepare(probe: Probe, command: Command) -> None:
         probe.do(run, values_for(probe, run))
 
 
-def _rest(probe: Probe, command: Command) -> None:
-    try:
-        put_to_rest(probe, command)
-    except Inconclusive:
-        # That the drive does not come to rest is for claims about motion, and for the rig.
-        return
-
-
 def _judge(probe: Probe, example: Example, exchange: Exchange) -> None:
     got = replies(exchange, probe.dialect).readings
     name = example.command.name
     if not got:
-        raise _refuted(exchange, f"the example of {name} is not answered", "a reply", came(exchange))
+        _expect(probe, exchange, False, f"the example of {name} is not answered", "a reply", came(exchange))
     if not example.replies:
-        if probe.refused(exchange):
-            raise _refuted(exchange, f"the example of {name} is refused", "a reply that it is done", came(exchange))
-        return
+        refused = probe.refused(exchange)
+        _expect(probe, exchange, not refused, f"the example of {name} is refused", "a reply that it is done", came(exchange))
     for number, printed in enumerate(example.replies):
-        if number >= len(got):
-            what = f"reply {number + 1} to the example of {name} does not come"
-            raise _refuted(exchange, what, printed.printed, came(exchange))
+        what = f"reply {number + 1} to the example of {name}"
+        _expect(probe, exchange, number < len(got), f"{what} does not come", printed.printed, came(exchange))
         expected = _expected(probe, example, got[number], printed)
         if got[number].lacks_check and NO_CHECKSUM in probe.claim.quirks:
             probe.meets(NO_CHECKSUM)
             continue
-        if expected != got[number].data:
-            if _overtaken(probe, example, got):
-                probe.meets(SLOW_REPLIES)
-                return
-            what = f"reply {number + 1} to the example of {name} is another"
-            raise _refuted(exchange, what, expected.hex(" ").upper(), got[number].data.hex(" ").upper())
+        if expected != got[number].data and _overtaken(probe, example, got):
+            probe.meets(SLOW_REPLIES)
+            return
+        came_now = got[number].data
+        _expect(probe, exchange, expected == came_now, f"{what} is another", hex_of(expected), hex_of(came_now))
+
+
+def _expect(probe: Probe, exchange: Exchange, holds: bool, refutes: str, expected: str, got: str) -> None:
+    asked = hex_of(exchange.sent or b"")
+    probe.expect(got, holds=holds, expected=f"{expected} to {asked}", refutes=refutes, exchange=exchange)
 
 
 def _overtaken(probe: Probe, example: Example, got: Sequence[MatchedReply]) -> bool:
@@ -241,10 +217,6 @@ def _overtaken(probe: Probe, example: Example, got: Sequence[MatchedReply]) -> b
     first, last = (_expected(probe, example, got[0], printed) for printed in (example.replies[0], example.replies[-1]))
     later = [reading.data for reading in got[1:]] + [a.data for a in probe.listen(_SLOWEST_NS).answers]
     return got[0].data == last and first in later
-
-
-def _refuted(exchange: Exchange, what: str, expected: str, got: str) -> Refuted:
-    return Refuted(what, expected=f"{expected} to {hex_of(exchange.sent or b'')}", got=got, exchange=exchange, key=what)
 
 
 def _expected(probe: Probe, example: Example, reading: MatchedReply, printed: Vector) -> bytes:

@@ -1,13 +1,10 @@
-"""Ranges of motion commands (MKS): limits of speed, acceleration and distance, and that all their bits count.
+"""Ranges of motion commands that can be refused: limits of speed, acceleration and distance, and that all their bits count.
 
 Other than with a setting, a speed above the limit is no mistake: the drive runs at the highest speed of its work mode and
-answers success. Which speed that is stands in the manual's table of modes (CAN has none: 3000 rpm).
-
-    lowest, highest, inside    accepted                  above    speed: run at the highest; others: refused
-    listed, unlisted           the direction             width    every byte counts: what it would be without one is not done
+answers success. The manual's table of modes says which speed that is (CAN has none: 3000 rpm).
 
 Rules kept here:
-- A move to a far place is begun slowly and stopped after a turn at most; whether it was begun is what counts.
+- A move to a far place is begun slowly and stopped after a turn at most; the claim judges whether it was begun.
 - Speeds are those of the shaft at 16 subdivisions.
 - Distances go from where the shaft is, absolute places too.
 """
@@ -17,84 +14,60 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
 from analyzer.layout import Field, Kind
-from analyzer.protocols.mks_shared import MODE_MAXIMUM_SPEEDS
-from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
-from conformance.claims import effects, ranges
-from conformance.claims.declare import declare
+from conformance.claim import Aspect, Inconclusive
+from conformance.claims import ranges, setting_effects
+from conformance.claims.declare import Case
+from conformance.claims.ranges import of_ranges
 from conformance.claims.requests import with_reserved
 from conformance.model import limits
-from conformance.motion import motion, moves
+from conformance.motion import motion, moves, ramp
 from conformance.motion.motion import MS, SECOND_NS
-from conformance.talk.acceptance import expect_accepted, expect_refused
+from conformance.talk.acceptance import can_refuse, expect_accepted, expect_refused
+from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
-RUNS = frozenset(moves.STOP_OF)
-STOPS = frozenset(moves.STOP_OF.values())
-
+_RUNS = (MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO)
 #: How slow a move is whose distance does not matter, and how steep the ramp of one that is to reach a high speed. (Not 250:
 #: that byte begins a frame, and what follows it would have to be allowed as one.)
 SLOW, STEEP = 10, 248
-#: How long such a move is watched.
-WATCH_NS = SECOND_NS
+#: How long a move is watched.
+_WATCH_NS = SECOND_NS
 #: A speed that reads so much off (a share) is another one.
-SPEED_SHARE = 0.015
+_SPEED_SHARE = 0.015
 #: Turns of a move that is to reach the highest speed and is stopped then.
-FAR_TURNS = 160
-#: What the speed rests on.
-#: Speeds one bit pattern of which has both bytes filled.
+_FAR_TURNS = 160
+#: A speed both bytes of which are filled.
 _TELLING_RPM = 257
 
 
 def turns(command: Command) -> bool:
-    """Say whether a command is a run, a move or the stop of one."""
-    return command.verb in RUNS | STOPS and bool(command.replies.failed or command.replies.failed_forms)
+    """Say whether a command is a run, a move or the stop of one by a ramp, and can be refused."""
+    moving = command.motion
+    kinds = (*_RUNS, MotionKind.STOP)
+    return can_refuse(command) and moving is not None and moving.kind in kinds and bool(moving.acceleration)
 
 
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about the ranges of motion commands."""
-    if not moves.is_mks(dialect):
-        return
-    for command in dialect.commands:
-        if turns(command):
-            for field in command.request_forms[0].layout.named.values():
-                if field.fixed is None:
-                    yield from _of_field(dialect, command, field)
-        if command.verb in RUNS and _reserved_bits(command):
-            yield _reserved(dialect, command)
-    for mode in motion.bus_modes(dialect):
-        yield _mode_limit(dialect, mode)
+def _commands(dialect: Dialect) -> Iterator[Command]:
+    return (command for command in dialect.commands if turns(command))
 
 
-def _of_field(dialect: Dialect, command: Command, field: Field) -> Iterator[Claim]:
-    if limits.listed(field) is not None:
-        yield _accepted(dialect, command, field, "listed", limits.edges(field), "Every listed value")
-        unlisted = ranges.unlisted(dialect, command, field)
-        if unlisted:
-            yield _refused(dialect, command, field, "unlisted", unlisted, "A value that is not listed")
-        return
-    yield _accepted(dialect, command, field, "lowest", (field.low,), "The lowest value")
-    yield _accepted(dialect, command, field, "highest", (field.high,), "The highest value")
-    yield _accepted(dialect, command, field, "inside", None, "A value between the limits")
-    below = tuple(v for v in limits.beyond(field) if v < field.low)
-    above = tuple(v for v in limits.beyond(field) if v > field.high)
-    if below:
-        yield _refused(dialect, command, field, "below", below, "A value below the lowest")
-    if above and field.name == "speed":
-        yield _too_fast(dialect, command, field, above)
-    elif above:
-        yield _refused(dialect, command, field, "above", above, "A value above the highest")
-    if field.name == "speed":
-        yield _speed_width(dialect, command)
-    if field.name in ("pulses", "position") and command.verb in RUNS:
-        yield _width(dialect, command, field)
+def _runs(dialect: Dialect) -> Iterator[Command]:
+    return (c for c in _commands(dialect) if c.motion is not None and c.motion.kind in _RUNS)
+
+
+def _needs(dialect: Dialect, command: Command, *, stands: bool = False) -> dict[str, Any]:
+    """Return what a claim must declare that begins a motion; `stands`: only at speed 0."""
+    runs = command.motion is not None and command.motion.kind is MotionKind.RUN
+    more = {Risk.UNBOUNDED} if runs and not stands else set()
+    return {"risks": motion.risks(dialect, *more), "settings": motion.settings(dialect)}
 
 
 # --- moving -----------------------------------------------------------------------------------------------------------
 
 
-def base(probe: Probe, command: Command) -> int:
+def _base(probe: Probe, command: Command) -> int:
     """Return what a distance is added to: where an absolute move begins, 0 for others."""
     start = moves.place(probe, command)
     if moves.is_absolute(command):
@@ -103,239 +76,259 @@ def base(probe: Probe, command: Command) -> int:
     return start
 
 
-def values_for(probe: Probe, command: Command, **changed: int) -> dict[str, Any]:
+def _values(probe: Probe, command: Command, **changed: int) -> dict[str, int]:
     """Return a slow move of a tenth of a turn (a run, a stop) with some values changed."""
-    named = command.request_forms[0].layout.named
-    values: dict[str, Any] = dict.fromkeys(named, 0)
-    if command.verb in STOPS:
-        return values | {"acceleration": motion.GENTLE} | changed
-    values |= {"speed": SLOW, "acceleration": motion.GENTLE}
-    tenth = moves.units_per_turn(command) // 10
-    if "pulses" in named:
-        values["pulses"] = tenth
-    if "position" in named:
-        values["position"] = base(probe, command) + tenth
+    moving = command.motion
+    assert moving is not None  # only those are asked for
+    values: dict[str, int] = dict.fromkeys(command.request_forms[0].layout.named, 0) | {"acceleration": motion.GENTLE}
+    if moving.kind is not MotionKind.STOP:
+        values["speed"] = SLOW
+    if moving.distance:
+        tenth = moves.units_per_turn(command) // 10
+        values[moving.distance] = tenth if moving.direction else _base(probe, command) + tenth
     return values | changed
 
 
-def far_values(probe: Probe, command: Command, turns: int = FAR_TURNS) -> dict[str, int]:
-    """Return the distance field of a move so far that it is stopped before it ends; nothing for a run."""
-    named = command.request_forms[0].layout.named
-    units = turns * moves.units_per_turn(command)
-    if "pulses" in named:
-        return {"pulses": units}
-    if "position" in named:
-        start = base(probe, command)
-        field = named["position"]
-        return {"position": start + units if start + units <= field.high else start - units}
-    return {}
+def _far(probe: Probe, command: Command) -> dict[str, int]:
+    """Return the distance of a move so far that it is stopped before it ends; nothing for a run."""
+    moving = command.motion
+    assert moving is not None  # only those are asked for
+    if not moving.distance:
+        return {}
+    units = _FAR_TURNS * moves.units_per_turn(command)
+    if moving.direction:
+        return {moving.distance: units}
+    start, field = _base(probe, command), command.request_forms[0].layout.named[moving.distance]
+    return {moving.distance: start + units if start + units <= field.high else start - units}
 
 
-def end(probe: Probe, command: Command) -> None:
+def _end(probe: Probe, command: Command) -> None:
     """Stop what a command began, and wait until the shaft stands."""
-    stop = moves.STOP_OF.get(command.verb)
-    if stop is not None:
+    stops = probe.dialect.stops_of(command)
+    if stops:
         # The end of a stop is told unasked: a request that is sent meanwhile would collide with it.
-        probe.ask(stop, {"acceleration": motion.GENTLE}, until=Until.DONE)
+        probe.ask(stops[0], {"acceleration": motion.GENTLE}, until=Until.DONE)
     motion.wait_standing(probe)
 
 
-def ready(probe: Probe, mode: str = "") -> None:
-    """Make the drive ready, at a subdivision at which speeds are plain."""
+def _ready(probe: Probe, mode: str = "") -> None:
+    """Make the drive ready, at a subdivision at which the shaft turns at the speed as sent."""
     motion.ready_to_move(probe, mode, subdivision=moves.SUBDIVISION)
-
-
-def _needs(dialect: Dialect, command: Command, *, stands: bool = False) -> dict[str, Any]:
-    """Return what a claim must declare that begins a motion; `stands`: only at speed 0."""
-    more = {Risk.UNBOUNDED} if command.verb is Verb.RUN_SPEED and not stands else set()
-    return {"risks": motion.risks(dialect, *more), "settings": motion.settings(dialect)}
 
 
 # --- accepted and refused ---------------------------------------------------------------------------------------------
 
 
-def _accepted(dialect: Dialect, command: Command, field: Field, what: str, values: tuple[int, ...] | None, words: str) -> Claim:
-    def check(probe: Probe) -> None:
-        ready(probe)
-        for value in ranges.inner(dialect, command, field) if values is None else values:
-            expect_accepted(probe, command, values_for(probe, command, **{field.name: value}), ranges.shown(field, value))
-            probe.wait(100 * MS)
-            end(probe, command)
-
-    return declare(
-        dialect, Theme.RANGES, f"{command.name}/{field.name}/{what}", f"{words} of {field.name} is accepted.", "a refusal",
-        check, command=command, aspect=Aspect.BOUNDARY if what in ("lowest", "highest") else Aspect.RANGE,
-        rests_on=(Doubt.LIMITS,),
-        fields=(field.name,), parameters={"field": field.name, "values": values or ()},
-        **_needs(dialect, command, stands=field.name == "speed" and values == (0,)),
-    )  # fmt: skip
+def _allowed(dialect: Dialect) -> Iterator[Case]:
+    for command in _commands(dialect):
+        for field in ranges.fields(command):
+            rests_on = (Doubt.LIMITS,) if field.name in ("speed", "position") else ()
+            for where, values in ranges.allowed(field).items():
+                needs = _needs(dialect, command, stands=field.name == "speed" and values == (0,))
+                yield ranges.case(dialect, command, field, where, values, rests_on=rests_on, **needs)
 
 
-def _refused(dialect: Dialect, command: Command, field: Field, what: str, values: tuple[int, ...], words: str) -> Claim:
-    def check(probe: Probe) -> None:
-        ready(probe)
-        start = motion.position(probe)
-        for value in values:
-            built = probe.build(command, values_for(probe, command, **{field.name: value}))
-            exchange = expect_refused(probe, built, ranges.shown(field, value))
-            probe.wait(100 * MS)
-            now = motion.position(probe)
-            if abs(now.value - start.value) > 1:
-                raise Refuted(
-                    f"{command.name}: {ranges.shown(field, value)} is refused and moves the shaft",
-                    expected="a shaft that stays", got=f"{now.value - start.value:+.1f} deg", exchange=exchange,
-                    key=f"{command.name} refused and moved",
-                )  # fmt: skip
-
-    return declare(
-        dialect, Theme.RANGES, f"{command.name}/{field.name}/{what}", f"{words} of {field.name} is refused.",
-        "success, silence, or a shaft that moves", check, command=command, rests_on=(Doubt.LIMITS,), at_best=Certainty.LIKELY,
-        aspect=Aspect.BOUNDARY if what != "unlisted" else Aspect.RANGE, fields=(field.name,),
-        parameters={"field": field.name, "values": values}, **_needs(dialect, command),
-    )  # fmt: skip
+def _forbidden(dialect: Dialect) -> Iterator[Case]:
+    for command in _commands(dialect):
+        for field in ranges.fields(command):
+            rests_on = (Doubt.LIMITS,) if field.name == "position" else ()
+            for where, values in ranges.forbidden(dialect, command, field, far=False).items():
+                if (field.name, where) != ("speed", "above"):
+                    yield ranges.case(dialect, command, field, where, values, rests_on=rests_on, **_needs(dialect, command))
 
 
-def _reserved_bits(command: Command) -> tuple[int, ...]:
-    return limits.reserved_masks(command.request_forms[0].layout)
+@of_ranges(each=_allowed, refuted_by="a refusal")
+def _accepted(probe: Probe, command: Command, field: Field, values: tuple[int, ...]) -> None:
+    """{where} of {field} is accepted."""
+    _ready(probe)
+    for value in ranges.tried(probe, command, field, values):
+        expect_accepted(probe, command, _values(probe, command, **{field.name: value}), ranges.text(field, value))
+        probe.wait(100 * MS)
+        _end(probe, command)
 
 
-def _reserved(dialect: Dialect, command: Command) -> Claim:
-    """Make the claim about reserved bits of a motion: they change nothing, as far as anybody can say."""
-    form = command.request_forms[0]
+@of_ranges(each=_forbidden, refuted_by="success, silence, or a shaft that moves", at_best=Certainty.LIKELY)
+def _refused(probe: Probe, command: Command, field: Field, values: tuple[int, ...]) -> None:
+    """{where} of {field} is refused."""
+    _ready(probe)
+    start = motion.position(probe)
+    for value in values:
+        built = probe.build(command, _values(probe, command, **{field.name: value}))
+        exchange = expect_refused(probe, built, ranges.text(field, value))
+        probe.wait(100 * MS)
+        gone = motion.position(probe).value - start.value
+        probe.expect(
+            f"{gone:+.1f} deg",
+            holds=abs(gone) <= 1,
+            expected="a shaft that stays",
+            refutes=f"{command.name}: {ranges.text(field, value)} is refused and moves the shaft",
+            exchange=exchange,
+            key=f"{command.name} refused and moved",
+        )
 
-    def check(probe: Probe) -> None:
-        ready(probe)
-        for mask in _reserved_bits(command):
-            values = values_for(probe, command)
-            exchange = probe.ask_built(with_reserved(probe, command, form, values, mask))
-            probe.reply(exchange)
-            refused = probe.refused(exchange)
-            probe.wait(200 * MS)
-            rpm = abs(motion.speed(probe).value)
-            end(probe, command)
-            if refused or abs(rpm - SLOW) > 2:
-                got = "a refusal" if refused else f"{rpm:.0f} rpm"
-                raise Refuted(
-                    f"{command.name} with the reserved bit {mask:#x}: {got}", expected=f"{SLOW} rpm", got=got, exchange=exchange
-                )
 
-    return declare(
-        dialect, Theme.RANGES, f"{command.name}/reserved", "Reserved bits of a motion change nothing.",
-        "a refusal, or another speed", check, command=command, at_best=Certainty.OPEN, aspect=Aspect.RANGE,
-        parameters={"masks": _reserved_bits(command)}, **_needs(dialect, command),
-    )  # fmt: skip
+def _with_reserved_bits(dialect: Dialect) -> Iterator[Case]:
+    for command in _runs(dialect):
+        masks = limits.reserved_masks(command.request_forms[0].layout)
+        if masks:
+            yield Case(dialect, command, {"masks": masks}, _needs(dialect, command))
+
+
+@of_ranges(each=_with_reserved_bits, refuted_by="a refusal, or another speed", at_best=Certainty.OPEN, aspect=Aspect.RANGE)
+def _reserved(probe: Probe, command: Command, masks: tuple[int, ...]) -> None:
+    """Reserved bits of a motion change nothing."""
+    _ready(probe)
+    for mask in masks:
+        exchange = probe.ask_built(with_reserved(probe, command, command.request_forms[0], _values(probe, command), mask))
+        probe.reply(exchange)
+        refused = probe.refused(exchange)
+        probe.wait(200 * MS)
+        rpm = abs(motion.speed(probe).value)
+        _end(probe, command)
+        got = "a refusal" if refused else f"{rpm:.0f} rpm"
+        probe.expect(
+            got,
+            holds=not refused and abs(rpm - SLOW) <= 2,
+            expected=f"{SLOW} rpm",
+            refutes=f"{command.name} with the reserved bit {mask:#x}: {got}",
+            exchange=exchange,
+        )
 
 
 # --- speeds -----------------------------------------------------------------------------------------------------------
 
 
-def run_up(probe: Probe, command: Command, speed: int) -> tuple[float, Any]:
+def _run_up(probe: Probe, command: Command, speed: int) -> tuple[float, Exchange]:
     """Begin a run or a far move at a speed by a steep ramp, measure the shaft's speed, and stop; rpm and the exchange.
 
     Raises Refuted where the drive refuses it.
     """
-    values = values_for(probe, command, **far_values(probe, command), speed=speed, acceleration=STEEP)
+    values = _values(probe, command, **_far(probe, command), speed=speed, acceleration=STEEP)
     exchange = expect_accepted(probe, command, values, f"speed {speed}")
-    probe.wait(min(speed, 3100) * (256 - STEEP) * 50_000 + 200 * MS)
-    rpm = abs(effects.steady_speed(probe))
-    end(probe, command)
+    probe.wait(min(speed, 3100) * ramp.step_ns(STEEP) + 200 * MS)
+    rpm = abs(setting_effects.steady_speed(probe))
+    _end(probe, command)
     if rpm < 1 and speed:
         raise Inconclusive(f"{command.name} at speed {speed} is over already: how far it goes is another claim's")
     return rpm, exchange
 
 
-def _judge(command: Command, speed: int, expected: int, rpm: float, exchange: Any, why: str) -> None:
-    if abs(rpm - expected) > max(2.0, expected * SPEED_SHARE):
-        raise Refuted(
-            f"{command.name} at speed {speed} turns the shaft at {rpm:.0f} rpm, {why}", expected=f"{expected} rpm",
-            got=f"{rpm:.0f} rpm", exchange=exchange, key=f"{command.name} speed {expected}",
-        )  # fmt: skip
+def _expect_speed(probe: Probe, command: Command, speed: int, expected: int, why: str) -> None:
+    rpm, exchange = _run_up(probe, command, speed)
+    probe.expect(
+        rpm,
+        near=expected,
+        within=max(2.0, expected * _SPEED_SHARE),
+        unit="rpm",
+        refutes=f"{command.name} at speed {speed} turns the shaft at {rpm:.0f} rpm, {why}",
+        exchange=exchange,
+        key=f"{command.name} speed {expected}",
+    )
 
 
-def _too_fast(dialect: Dialect, command: Command, field: Field, values: tuple[int, ...]) -> Claim:
-    mode = motion.bus_modes(dialect)[-1]
-    highest = MODE_MAXIMUM_SPEEDS.get(mode, field.high)
-
-    def check(probe: Probe) -> None:
-        ready(probe, mode)
-        for value in values:
-            rpm, exchange = run_up(probe, command, value)
-            _judge(command, value, highest, rpm, exchange, f"expected the highest of {mode}")
-
-    return declare(
-        dialect, Theme.RANGES, f"{command.name}/speed/above", f"A speed above {field.high} runs at the highest of the mode.",
-        "a refusal, or another speed", check, command=command, rests_on=(Doubt.LIMITS,), aspect=Aspect.BOUNDARY,
-        fields=("speed",), parameters={"field": "speed", "values": values}, **_needs(dialect, command),
-    )  # fmt: skip
+def _with_speed(dialect: Dialect) -> Iterator[tuple[Command, Field]]:
+    for command in _runs(dialect):
+        yield command, command.request_forms[0].layout.named["speed"]
 
 
-def _speed_width(dialect: Dialect, command: Command) -> Claim:
-    def check(probe: Probe) -> None:
-        ready(probe)
-        rpm, exchange = run_up(probe, command, _TELLING_RPM)
-        _judge(command, _TELLING_RPM, _TELLING_RPM, rpm, exchange, "expected the speed that was sent")
-
-    return declare(
-        dialect, Theme.RANGES, f"{command.name}/speed/width", "All bits of a speed count.", "the speed of its low byte alone",
-        check, command=command, aspect=Aspect.RANGE, fields=("speed",), parameters={"field": "speed"},
-        **_needs(dialect, command),
-    )  # fmt: skip
+def _highest(dialect: Dialect, mode: str, field: Field) -> int:
+    return dialect.mode_speeds.get(mode, field.high)
 
 
-def _mode_limit(dialect: Dialect, mode: str) -> Claim:
-    command = dialect.by_verb[Verb.RUN_SPEED]
-    declared = command.request_forms[0].layout.named["speed"]
-    highest = MODE_MAXIMUM_SPEEDS.get(mode, declared.high)
-    below, above = highest - 50, min(highest + 100, declared.wire_maximum)
+def _too_fast(dialect: Dialect) -> Iterator[Case]:
+    for command, field in _with_speed(dialect):
+        values = ranges.above(field)
+        if values:
+            yield ranges.case(dialect, command, field, "above", values, **_needs(dialect, command))
 
-    def check(probe: Probe) -> None:
-        ready(probe, mode)
-        for speed, expected in ((below, below), (highest, highest), (above, highest)):
-            rpm, exchange = run_up(probe, command, speed)
-            _judge(command, speed, expected, rpm, exchange, f"in {mode}, whose highest speed is {highest}")
 
-    statement = f"In {mode} the shaft turns at {highest} rpm at most, and at less as sent."
-    return declare(
-        dialect, Theme.RANGES, f"run_speed/speed/{mode}", statement,
-        "a refusal, or another speed", check, command=command, rests_on=(Doubt.LIMITS,), aspect=Aspect.BOUNDARY,
-        fields=("speed", "work_mode"), parameters={"mode": mode}, **_needs(dialect, command),
-    )  # fmt: skip
+@of_ranges(
+    each=_too_fast,
+    refuted_by="a refusal, or another speed",
+    statement=lambda case: f"A speed above {case['field'].high} runs at the highest of the mode.",
+    rests_on=(Doubt.LIMITS,),
+)
+def _clipped(probe: Probe, command: Command, field: Field, values: tuple[int, ...]) -> None:
+    mode = motion.bus_modes(probe.dialect)[-1]
+    _ready(probe, mode)
+    for value in values:
+        _expect_speed(probe, command, value, _highest(probe.dialect, mode, field), f"expected the highest of {mode}")
+
+
+def _speeds(dialect: Dialect) -> Iterator[Case]:
+    for command, field in _with_speed(dialect):
+        yield ranges.case(dialect, command, field, "width", (), parameters={"field": "speed"}, **_needs(dialect, command))
+
+
+@of_ranges(each=_speeds, refuted_by="the speed of its low byte alone")
+def _speed_width(probe: Probe, command: Command) -> None:
+    """All bits of a speed count."""
+    _ready(probe)
+    _expect_speed(probe, command, _TELLING_RPM, _TELLING_RPM, "expected the speed that was sent")
+
+
+def _modes(dialect: Dialect) -> Iterator[Case]:
+    for command, field in _with_speed(dialect):
+        for mode in motion.bus_modes(dialect) if command.verb is Verb.RUN_SPEED else ():
+            given = {"mode": mode, "highest": _highest(dialect, mode, field)}
+            yield Case(dialect, command, given, {"parameters": {"mode": mode}, **_needs(dialect, command)})
+
+
+@of_ranges(
+    each=_modes,
+    name="{command}/speed/{mode}",
+    refuted_by="a refusal, or another speed",
+    rests_on=(Doubt.LIMITS,),
+    aspect=Aspect.BOUNDARY,
+    fields=("speed", "work_mode"),
+)
+def _highest_of_mode(probe: Probe, command: Command, mode: str, highest: int) -> None:
+    """In {mode} the shaft turns at {highest} rpm at most, and at less as sent."""
+    below = highest - 50
+    above = min(highest + 100, command.request_forms[0].layout.named["speed"].wire_maximum)
+    _ready(probe, mode)
+    for speed, expected in ((below, below), (highest, highest), (above, highest)):
+        _expect_speed(probe, command, speed, expected, f"in {mode}, whose highest speed is {highest}")
 
 
 # --- distances --------------------------------------------------------------------------------------------------------
 
 
-def _width(dialect: Dialect, command: Command, field: Field) -> Claim:
-    """Make the claim that every byte of a distance counts: a move of 256^n + a little is not one of a little."""
-    signs = (1, -1) if field.kind is Kind.INT else (1,)
+def _distances(dialect: Dialect) -> Iterator[Case]:
+    """Yield distances of 256^n and a little: without the high bytes, a little is left."""
+    for command in _runs(dialect):
+        if command.motion is not None and command.motion.distance:
+            field = command.request_forms[0].layout.named[command.motion.distance]
+            signs = (1, -1) if field.kind is Kind.INT else (1,)
+            little = moves.units_per_turn(command) // 64
+            shifts = range(8, field.bit_width - (len(signs) - 1), 8)
+            values = tuple(s * ((1 << shift) + little) for s in signs for shift in shifts)
+            yield ranges.case(dialect, command, field, "width", values, **_needs(dialect, command))
+
+
+@of_ranges(each=_distances, refuted_by="a move by what its low bytes say")
+def _distance_width(probe: Probe, command: Command, field: Field, values: tuple[int, ...]) -> None:
+    """All bytes of {field} count, and its sign."""
     units = moves.units_per_turn(command)
-    little = units // 64
-    distances = tuple(s * ((1 << shift) + little) for s in signs for shift in range(8, field.bit_width - (len(signs) - 1), 8))
-
-    def check(probe: Probe) -> None:
-        ready(probe)
-        ways: set[bool] = set()
-        for distance in distances:
-            start = base(probe, command)
-            if not field.low <= start + distance <= field.high:
-                raise Inconclusive(f"from {start} no move by {distance} fits the field")
-            before = motion.position(probe)
-            values = values_for(probe, command, speed=60, acceleration=STEEP, **{field.name: start + distance})
-            exchange = expect_accepted(probe, command, values, f"a distance of {distance}")
-            probe.wait(WATCH_NS)
-            gone = (motion.position(probe).value - before.value) / 360 * units
-            end(probe, command)
-            least = min(abs(distance), units // 2)
-            ways.add(gone * distance > 0)
-            if abs(gone) < least * 0.95 or abs(gone) > abs(distance) * 1.05 + units * 0.01 or len(ways) > 1:
-                raise Refuted(
-                    f"{command.name} by {distance} {field.unit} moves the shaft by {gone:.0f} in the first second",
-                    expected=f"{least} or more, and the other way for the other sign",
-                    got=f"{gone:.0f}", exchange=exchange, key=f"{command.name} width",
-                )  # fmt: skip
-
-    return declare(
-        dialect, Theme.RANGES, f"{command.name}/{field.name}/width", f"All bytes of {field.name} count, and its sign.",
-        "a move by what its low bytes say", check, command=command, aspect=Aspect.RANGE, fields=(field.name,),
-        parameters={"field": field.name, "values": distances}, **_needs(dialect, command),
-    )  # fmt: skip
+    _ready(probe)
+    ways: set[bool] = set()
+    for distance in values:
+        start = _base(probe, command)
+        if not field.low <= start + distance <= field.high:
+            raise Inconclusive(f"from {start} no move by {distance} fits the field")
+        before = motion.position(probe)
+        asked = _values(probe, command, speed=60, acceleration=STEEP, **{field.name: start + distance})
+        exchange = expect_accepted(probe, command, asked, f"a distance of {distance}")
+        probe.wait(_WATCH_NS)
+        gone = (motion.position(probe).value - before.value) / 360 * units
+        _end(probe, command)
+        least = min(abs(distance), units // 2)
+        ways.add(gone * distance > 0)
+        probe.expect(
+            f"{gone:.0f}",
+            holds=least * 0.95 <= abs(gone) <= abs(distance) * 1.05 + units * 0.01 and len(ways) == 1,
+            expected=f"{least} or more, and the other way for the other sign",
+            refutes=f"{command.name} by {distance} {field.unit} moves the shaft by {gone:.0f} in the first second",
+            exchange=exchange,
+            key=f"{command.name} width",
+        )

@@ -1,13 +1,9 @@
-"""Read-back: what is set is what is read, stored in its own place, and kept or lost as the manual says.
+"""Read-back: what is set is what is read, stored in its own place. For settings that can be read.
 
-    read       what is set is what the parameter read answers              (CAN 00, LK C0)
+    read       what is set is what the parameter read answers (CAN 00, LK 0xC0)
     others     setting one changes no other
-    effect     where nothing can be read: what the drive does is what was set
-    restart    41 keeps what is stored                                     restore    3F puts the defaults back
-    power      cutting the power is a restart
 
-This module has what can be read by a parameter read; effects stand in `read_back_effects`, restart in `read_back_restart`,
-restore in `read_back_restore`, LK in `read_back_lk`.
+What settings do stands in `read_back_effects`, what a restart or a restore leaves of them in `restart` and `restore`.
 
 Rules kept here:
 - Which settings of a CAN drive can be read is open (the manual names two): one that cannot be read is observed. One that
@@ -18,41 +14,31 @@ Rules kept here:
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import partial
 from typing import Any
 
-from analyzer import layout
-from analyzer.catalogue import Command, Dialect, Doubt, Verb
-from conformance.claim import Aspect, Claim, Inconclusive, Observed, Refuted, Theme
-from conformance.claims import effects, ranges, read_back_effects, read_back_lk, read_back_restart, read_back_restore
-from conformance.claims.declare import declare
-from conformance.claims.effects import LINK_FIELDS
-from conformance.claims.requests import needing_plain_replies
+from analyzer.catalogue import Command, Dialect, Doubt, Form, Verb
+from analyzer.layout import Effect, Field
+from conformance.claim import Aspect, Observed, Theme
+from conformance.claims import ranges
+from conformance.claims.declare import Case, claim, commands
+from conformance.claims.setting_effects import differing
+from conformance.claims.setting_effects import stored as stored_values
+from conformance.model import lk_parameters
+from conformance.model.lk_parameters import OTHER_FIRMWARE, number_of, read_parameter
+from conformance.talk import settings
+from conformance.talk.acceptance import need_plain_replies
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims of this theme for a dialect."""
-    return map(needing_plain_replies, _claims(dialect))
+#: Declares a check as claims about what is stored.
+of_read_back = partial(claim, Theme.READ_BACK, first=need_plain_replies, aspect=Aspect.STATE)
 
 
-def _claims(dialect: Dialect) -> Iterator[Claim]:
-    for command in dialect.commands:
-        if command.readable:
-            yield _link(dialect, command) if is_link(command) else _read(dialect, command)
-            if not is_link(command):
-                yield _others(dialect, command)
-        if command.verb is Verb.WRITE_USER_ID:
-            yield _user_id(dialect, command)
-    yield from read_back_effects.claims(dialect)
-    yield from read_back_restart.claims(dialect)
-    yield from read_back_restore.claims(dialect)
-    yield from read_back_lk.claims(dialect)
-
-
-def is_link(command: Command) -> bool:
-    """Say whether a setting is one of where and how the drive answers."""
-    return bool(set(command.request_forms[0].layout.named) & LINK_FIELDS)
+def fields_of(case: Case) -> tuple[str, ...]:
+    """Return the names of the fields of a case's command."""
+    assert case.command is not None  # only cases of commands are asked for
+    return tuple(case.command.request_forms[0].layout.named)
 
 
 def stored(probe: Probe, command: Command) -> tuple[dict[str, int], Exchange]:
@@ -60,117 +46,165 @@ def stored(probe: Probe, command: Command) -> tuple[dict[str, int], Exchange]:
 
     Raises Observed where it cannot be read, Inconclusive where it is not answered or by another layout.
     """
-    exchange = probe.ask(Verb.READ_PARAMETER, {"parameter": command.code})
-    answer = probe.reply(exchange)
-    if probe.refused(exchange):
-        raise Observed(f"{command.name} cannot be read: {answer.data.hex(' ').upper()}")
-    names = command.request_forms[0].layout.named.keys()
-    values = {n: int(v) for n, v in answer.values.items() if n in names}
-    if not values:
-        raise Inconclusive(f"the read of {command.name} was answered {answer.data.hex(' ').upper()}")
-    return values, exchange
+    return stored_values(probe, command, cannot=Observed)
 
 
-def compare(command: Command, wanted: Mapping[str, Any], got: Mapping[str, int], exchange: Exchange | None, when: str) -> None:
-    """Refute where values differ. `when`: after what they were read."""
+def expect_values(
+    probe: Probe, command: Command, wanted: Mapping[str, int], got: Mapping[str, int], exchange: Exchange | None, when: str
+) -> None:
+    """Refute the claim where values differ. `when`: after what they were read."""
     wrong = {n: v for n, v in got.items() if n in wanted and wanted[n] != v}
-    if wrong:
-        shown = ", ".join(f"{n} {v}" for n, v in wrong.items())
-        expected = ", ".join(f"{n} {wanted[n]}" for n in wrong)
-        raise Refuted(
-            f"{command.name} {when}: {shown}, expected {expected}", expected=expected, got=shown, exchange=exchange,
-            key=f"{command.name} {when}",
-        )  # fmt: skip
+    shown = ", ".join(f"{n} {v}" for n, v in wrong.items())
+    expected = ", ".join(f"{n} {wanted[n]}" for n in wrong)
+    probe.expect(
+        shown,
+        holds=not wrong,
+        expected=expected,
+        refutes=f"{command.name} {when}: {shown}, expected {expected}",
+        exchange=exchange,
+        key=f"{command.name} {when}",
+    )
 
 
-def needs(dialect: Dialect, command: Command) -> dict[str, Any]:
-    """Return what a claim must declare that sets a setting to telling values."""
-    form = command.request_forms[0]
-    return ranges.needs(dialect, command, effects.differing(form))
+# --- settings ---------------------------------------------------------------------------------------------------------
 
 
-# --- one setting ------------------------------------------------------------------------------------------------------
+def _readable(dialect: Dialect) -> Iterator[Case]:
+    for command in dialect.commands:
+        if command.readable and not settings.changes_link(command):
+            yield Case(dialect, command, {}, ranges.needs(dialect, command, differing(command.request_forms[0])))
 
 
-def _read(dialect: Dialect, command: Command) -> Claim:
-    form = command.request_forms[0]
-
-    def check(probe: Probe) -> None:
-        ranges.prepare(probe, command)
-        for values in effects.differing(form):
-            probe.do(command, values)
-            got, exchange = stored(probe, command)
-            compare(command, values, got, exchange, "is read as")
-
-    return declare(
-        dialect, Theme.READ_BACK, f"{command.name}/read", f"What {command.name} sets is what is read.", "another value", check,
-        command=command, aspect=Aspect.STATE, rests_on=(Doubt.LAYOUT,),
-        fields=tuple(form.layout.named), **needs(dialect, command),
-    )  # fmt: skip
+@of_read_back(each=_readable, refuted_by="another value", rests_on=(Doubt.LAYOUT,), fields=fields_of)
+def _read(probe: Probe, command: Command) -> None:
+    """What {command} sets is what is read."""
+    ranges.prepare(probe, command)
+    for values in differing(command.request_forms[0]):
+        probe.do(command, values)
+        got, exchange = stored(probe, command)
+        expect_values(probe, command, values, got, exchange, "is read as")
 
 
-def _others(dialect: Dialect, command: Command) -> Claim:
-    form = command.request_forms[0]
-    own = set(form.layout.named)
-    others = [c for c in dialect.commands if c.readable and c.name != command.name]
+@of_read_back(each=_readable, refuted_by="another setting that reads differently")
+def _others(probe: Probe, command: Command) -> None:
+    """{command} changes no other setting."""
+    ranges.prepare(probe, command)
+    before = _stored_others(probe, command)
+    for values in differing(command.request_forms[0]):
+        exchange = probe.do(command, values)
+        after = _stored_others(probe, command)
+        for name, was in before.items():
+            text = f"{command.name} changes {name}"
+            probe.expect(after.get(name), equal=was, refutes=text, exchange=exchange, key=text)
 
-    def readable(probe: Probe) -> dict[str, dict[str, int]]:
-        found = {}
-        for other in others:
+
+def _stored_others(probe: Probe, command: Command) -> dict[str, dict[str, int]]:
+    """Return what the other settings read, those that cannot be read left out."""
+    own = command.request_forms[0].layout.named
+    found = {}
+    for other in probe.dialect.commands:
+        if other.readable and other.name != command.name:
             exchange = probe.ask(Verb.READ_PARAMETER, {"parameter": other.code})
             answer = probe.reply(exchange)
             if not probe.refused(exchange):
                 # A field that both have is one setting: 93 and 94 of the CAN drives.
                 found[other.name] = {n: int(v) for n, v in answer.values.items() if n not in own}
-        return found
-
-    def check(probe: Probe) -> None:
-        ranges.prepare(probe, command)
-        before = readable(probe)
-        for values in effects.differing(form):
-            exchange = probe.do(command, values)
-            after = readable(probe)
-            for name, was in before.items():
-                if after.get(name) != was:
-                    raise Refuted(
-                        f"{command.name} changes {name}", expected=f"{name}: {was} as before", got=str(after.get(name)),
-                        exchange=exchange, key=f"{command.name} changes {name}",
-                    )  # fmt: skip
-
-    return declare(
-        dialect, Theme.READ_BACK, f"{command.name}/others", f"{command.name} changes no other setting.",
-        "another setting that reads differently", check, command=command, aspect=Aspect.STATE, **needs(dialect, command),
-    )  # fmt: skip
+    return found
 
 
-def _link(dialect: Dialect, command: Command) -> Claim:
-    """Make the claim that a setting of the link reads as the link is."""
-    name = next(iter(set(command.request_forms[0].layout.named) & LINK_FIELDS))
-
-    def check(probe: Probe) -> None:
-        wanted = probe.address
-        if name == command.sets(layout.Effect.BAUD_RATE):
-            rate = probe.gate.line.endpoint.bits_per_second
-            wanted = next((v for v, r in probe.dialect.rates.items() if r == rate), -1)
-        got, exchange = stored(probe, command)
-        compare(command, {name: wanted}, got, exchange, "is read as")
-
-    return declare(
-        dialect, Theme.READ_BACK, f"{command.name}/read", f"{name} reads as the drive is reached.", "another value", check,
-        command=command, aspect=Aspect.STATE, fields=(name,),
-    )  # fmt: skip
+def _link_settings(dialect: Dialect) -> Iterator[Case]:
+    for effect in settings.LINK_EFFECTS:
+        for command, field in dialect.effects(effect):
+            if command.readable:
+                yield Case(dialect, command, {"field": field}, {"fields": (field.name,), "parameters": {}})
 
 
-def _user_id(dialect: Dialect, command: Command) -> Claim:
+@of_read_back(each=_link_settings, name="{command}/read", refuted_by="another value")
+def _link(probe: Probe, command: Command, field: Field) -> None:
+    """{field} reads as the drive is reached."""
+    wanted = probe.address
+    if field.effect is Effect.BAUD_RATE:
+        rate = probe.gate.line.endpoint.bits_per_second
+        wanted = next((v for v, r in probe.dialect.rates.items() if r == rate), -1)
+    got, exchange = stored(probe, command)
+    expect_values(probe, command, {field.name: wanted}, got, exchange, "is read as")
+
+
+@of_read_back(
+    each=commands(Verb.WRITE_USER_ID),
+    name="{command}/read",
+    refuted_by="another number",
+    fields=fields_of,
+    settings=fields_of,
+    risks=lambda case: case.command.all_risks,
+)
+def _user_id(probe: Probe, command: Command) -> None:
+    """The user's number reads as it was written."""
     field = next(iter(command.request_forms[0].layout.named.values()))
+    for value in (0x01020304, field.high, 0x80000000, field.low):
+        exchange = probe.do(command, {field.name: value})
+        got = probe.read(Verb.READ_USER_ID)
+        expect_values(probe, command, {field.name: value}, {field.name: got}, exchange, "is read as")
 
-    def check(probe: Probe) -> None:
-        for value in (0x01020304, field.high, 0x80000000, field.low):
-            exchange = probe.do(command, {field.name: value})
-            got = probe.read(Verb.READ_USER_ID)
-            compare(command, {field.name: value}, {field.name: got}, exchange, "is read as")
 
-    return declare(
-        dialect, Theme.READ_BACK, f"{command.name}/read", "The user's number reads as it was written.", "another number", check,
-        command=command, aspect=Aspect.STATE, fields=(field.name,), settings=(field.name,), risks=command.all_risks,
-    )  # fmt: skip
+# --- control parameters (LK) ------------------------------------------------------------------------------------------
+
+
+def parameters(dialect: Dialect) -> Iterator[Case]:
+    """Yield the control parameters that a dialect lists, each as a form of the write."""
+    command = dialect.by_verb.get(Verb.WRITE_PARAMETER)
+    for form in lk_parameters.listed(command) if command is not None else ():
+        facts: dict[str, Any] = {
+            "risks": command.risks({"parameter": number_of(form)}) if command is not None else (),
+            "settings": (form.name,),
+            "quirks": (OTHER_FIRMWARE,),
+            "fields": tuple(n for n, f in form.layout.named.items() if f.fixed is None),
+            "parameters": {},
+        }
+        yield Case(dialect, command, {"form": form}, facts)
+
+
+@of_read_back(each=parameters, name="parameter/{form}/written", refuted_by="another value")
+def _written(probe: Probe, command: Command, form: Form) -> None:
+    """{form} is held, answered and read as it was written."""
+    before = read_parameter(probe, number_of(form))
+    for which in (0, 1):
+        wanted = lk_parameters.moderate(form, which)
+        exchange = probe.ask(command, wanted, form=form)
+        answered = {n: int(v) for n, v in probe.reply(exchange).values.items()}
+        held = read_parameter(probe, number_of(form))
+        probe.do(command, before)
+        got = f"0xC1 answers {text(answered)}, 0xC0 reads {text(held)}"
+        probe.expect(
+            got,
+            holds=held == wanted == answered,
+            expected=text(wanted),
+            refutes=f"{form.name} written {text(wanted)}: {got}",
+            exchange=exchange,
+            key=f"{form.name} written",
+        )
+
+
+@of_read_back(each=parameters, name="parameter/{form}/others", refuted_by="another parameter that reads differently")
+def _other_parameters(probe: Probe, command: Command, form: Form) -> None:
+    """Writing {form} changes no other parameter."""
+    rest = [number_of(f) for f in lk_parameters.listed(command) if f.name != form.name]
+    before = read_parameter(probe, number_of(form))
+    was = {n: read_parameter(probe, n) for n in rest}
+    exchange = probe.do(command, lk_parameters.moderate(form, 0))
+    now = {n: read_parameter(probe, n) for n in rest}
+    probe.do(command, before)
+    for number in rest:
+        probe.expect(
+            text(now[number]),
+            holds=now[number] == was[number],
+            expected=text(was[number]),
+            refutes=f"writing {form.name} changes parameter {number}",
+            exchange=exchange,
+            key="parameter elsewhere",
+        )
+
+
+def text(values: Mapping[str, int]) -> str:
+    """Return the values of a parameter for people."""
+    return " ".join(f"{n} {v}" for n, v in values.items() if n != "parameter")

@@ -21,11 +21,10 @@ from typing import TYPE_CHECKING, Any
 from analyzer import layout
 from analyzer.catalogue import Command, Dialect, Form, Risk, Role, Verb
 from analyzer.encoder import Built
-from conformance.claim import Claim, Inconclusive
+from conformance.claim import Inconclusive
 from conformance.model.limits import with_bits
 from conformance.motion import motion
 from conformance.talk import samples
-from conformance.talk.acceptance import need_plain_replies
 from conformance.talk.exchange import Exchange
 
 if TYPE_CHECKING:
@@ -148,16 +147,6 @@ def with_reserved(probe: Probe, command: Command, form: Form, values: Mapping[st
     data = with_bits(form.layout, values, mask)
     frame = probe.dialect.link.build(command, form, probe.address, data, Role.REQUEST)
     return replace(probe.build(command, values, form=form), frame=frame, risks=command.risks(values), refusals=())
-
-
-def needing_plain_replies(claim: Claim) -> Claim:
-    """Return a claim that is inconclusive unless the drive answers a plain read plainly."""
-
-    def check(probe: Probe) -> None:
-        need_plain_replies(probe)
-        claim.check(probe)
-
-    return replace(claim, check=check)
 
 
 def demands(dialect: Dialect, command: Command) -> dict[str, Any]:

@@ -6,8 +6,7 @@ import pytest
 
 from analyzer import dialects
 from analyzer.catalogue import Certainty, Role
-from conformance.claim import Outcome
-from conformance.claims import examples
+from conformance.claim import Outcome, Theme
 from conformance.drives import make
 from conformance.suite.rig_emulated import EmulatedRig
 from tests.conformance.theme_runs import DRIVES, OTHERS, claims_of, not_confirmed, refuted, run
@@ -15,13 +14,13 @@ from tests.conformance.theme_runs import DRIVES, OTHERS, claims_of, not_confirme
 
 @pytest.mark.parametrize("drive", [*DRIVES, *OTHERS])
 def test_conforming_drives_confirm_every_claim(drive):
-    assert not_confirmed(examples, drive) == {}
+    assert not_confirmed(Theme.EXAMPLES, drive) == {}
 
 
 @pytest.mark.parametrize("dialect", ["mks-rs485", "mks-modbus", "mks-can", "lk-rs485"])
 def test_every_printed_request_and_reply_stands_in_a_claim(dialect):
     spoken = dialects.get(dialect)
-    claims = claims_of(examples, EmulatedRig(make.parse(f"{dialect}@1")))
+    claims = claims_of(Theme.EXAMPLES, EmulatedRig(make.parse(f"{dialect}@1")))
     told = " ".join(f"{c.statement} {c.parameters['printed']}" for c in claims)
     sent = [c.parameters["printed"] for c in claims]
     for command in spoken.commands:
@@ -35,14 +34,14 @@ def test_every_printed_request_and_reply_stands_in_a_claim(dialect):
 
 
 def test_an_example_is_sent_to_the_drive_that_is_there_and_its_reply_judged_to_the_byte():
-    verdict = run(examples, "mks-can@0x123", "save_speed/1")["save_speed/1"]
+    verdict = run(Theme.EXAMPLES, "mks-can@0x123", "save_speed/1")["save_speed/1"]
     assert verdict.outcome is Outcome.CONFIRMED
     sent = [e for e in verdict.traffic if getattr(e, "id", None) == 0x123 and e.data[:1] == b"\xff"]
     assert [frame.data.hex(" ").upper() for frame in sent] == ["FF C8 EA", "FF 01 23"]
 
 
 def test_an_example_is_as_sure_as_its_erratum():
-    claims = {c.id.split("/", 2)[2]: c for c in claims_of(examples, EmulatedRig(make.parse("mks-rs485@1")))}
+    claims = {c.id.split("/", 2)[2]: c for c in claims_of(Theme.EXAMPLES, EmulatedRig(make.parse("mks-rs485@1")))}
     assert claims["save_speed/1"].certainty is Certainty.OPEN
     assert claims["move_relative_axis/2"].certainty is Certainty.CERTAIN
     assert "corrected" in claims["move_relative_axis/2"].statement
@@ -65,10 +64,10 @@ def test_an_example_is_as_sure_as_its_erratum():
     ],
 )
 def test_a_fault_is_refuted_by_the_example_that_shows_it(fault, dialect, name):
-    found = run(examples, f"{dialect}@1,fault={fault}", f"{name.split('/')[0]}/")[name]
+    found = run(Theme.EXAMPLES, f"{dialect}@1,fault={fault}", f"{name.split('/')[0]}/")[name]
     assert found.outcome in (Outcome.REFUTED, Outcome.OBSERVED)
     assert found.outcome is Outcome.REFUTED or found.claim.certainty is Certainty.OPEN
 
 
 def test_values_that_are_measured_are_left_aside():
-    assert refuted(examples, "mks-rs485@1,fault=position-offset", "read_") == set()
+    assert refuted(Theme.EXAMPLES, "mks-rs485@1,fault=position-offset", "read_") == set()

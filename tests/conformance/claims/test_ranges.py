@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from analyzer.catalogue import Risk
-from conformance.claim import Outcome
-from conformance.claims import ranges
+from conformance.claim import Outcome, Theme
 from conformance.drives import make
 from conformance.gate.permissions import Allowance
 from conformance.suite import engine
@@ -19,7 +18,7 @@ ELSEWHERE = {"mks-rs485@255,model=57D": {"set_modbus/modbus/listed"}}
 
 @pytest.mark.parametrize("drive", [*theme_runs.DRIVES, "mks-rs485@255,model=57D", "lk-rs485@32,model=MS"])
 def test_a_drive_as_its_manual_has_it_confirms_every_claim(drive):
-    assert set(theme_runs.not_confirmed(ranges, drive)) == ELSEWHERE.get(drive, set())
+    assert set(theme_runs.not_confirmed(Theme.RANGES, drive)) == ELSEWHERE.get(drive, set())
 
 
 FAULTS = (
@@ -61,23 +60,27 @@ FAULTS = (
 
 @pytest.mark.parametrize(("drive", "fault", "claim"), FAULTS)
 def test_a_fault_is_refuted_by_the_claim_about_it(drive, fault, claim):
-    verdicts = theme_runs.run(ranges, f"{drive},fault={fault}", claim)
+    verdicts = theme_runs.run(Theme.RANGES, f"{drive},fault={fault}", claim)
     assert (verdicts[claim].outcome, verdicts[claim].reason) == (Outcome.REFUTED, verdicts[claim].reason)
 
 
 def test_a_fault_of_one_limit_is_refuted_by_that_claim_alone():
     wanted = ("set_zero_mode", "set_home", "set_current", "set_work_mode")
-    assert theme_runs.refuted(ranges, "mks-rs485@1,fault=zero-speed-4-refused", *wanted) == {"set_zero_mode/zero_speed/highest"}
+    assert theme_runs.refuted(Theme.RANGES, "mks-rs485@1,fault=zero-speed-4-refused", *wanted) == {
+        "set_zero_mode/zero_speed/highest"
+    }
 
 
 def test_a_line_that_loses_replies_is_no_drive_that_ignores_values():
     for fault in ("lost-reply", "first-reply-only", "late-reply", "echo", "doubled-reply"):
-        assert theme_runs.refuted(ranges, f"mks-rs485@1,fault={fault}", "set_baud", "set_address", "set_modbus") == set()
-        assert theme_runs.refuted(ranges, f"mks-can@1,fault={fault}", "set_current", "set_bit_rate") == set()
+        assert theme_runs.refuted(Theme.RANGES, f"mks-rs485@1,fault={fault}", "set_baud", "set_address", "set_modbus") == set()
+        assert theme_runs.refuted(Theme.RANGES, f"mks-can@1,fault={fault}", "set_current", "set_bit_rate") == set()
 
 
 def test_what_a_refutation_says():
-    (verdict,) = theme_runs.run(ranges, "mks-rs485@1,model=42D,fault=current-one-more", "set_current/current/above").values()
+    (verdict,) = theme_runs.run(
+        Theme.RANGES, "mks-rs485@1,model=42D,fault=current-one-more", "set_current/current/above"
+    ).values()
     assert verdict.reason == "set_current: current 3001 is accepted"
     assert verdict.got == "FB 01 83 01 80"
     assert "FA 01 83 0B B9 42" in "\n".join(verdict.exchange.lines())
@@ -87,7 +90,7 @@ def test_what_a_refutation_says():
 def test_a_claim_sends_nothing_that_its_risks_do_not_name(drive):
     """Every third claim: all of them are run without limits above."""
     specification = make.parse(drive)
-    for claim in theme_runs.claims_of(ranges, EmulatedRig(specification))[:: 3 if "lk" not in drive else 1]:
+    for claim in theme_runs.claims_of(Theme.RANGES, EmulatedRig(specification))[:: 3 if "lk" not in drive else 1]:
         allowance = Allowance(claim.risks | {Risk.READ}, alone=claim.alone, addresses=frozenset({1}))
         verdict = engine.run_claim(claim, EmulatedRig(specification, allowance=allowance))
         assert (claim.id, verdict.outcome, verdict.reason) == (claim.id, Outcome.CONFIRMED, "")

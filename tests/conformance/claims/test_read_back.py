@@ -5,21 +5,17 @@ from __future__ import annotations
 import pytest
 
 from analyzer.catalogue import Risk
-from conformance.claim import Outcome
-from conformance.claims import read_back
+from conformance.claim import Outcome, Theme
 from conformance.drives import make
 from conformance.gate.permissions import Allowance
 from conformance.suite import engine
 from conformance.suite.rig_emulated import EmulatedRig
 from tests.conformance import theme_runs
 
-#: A 57 has a port for each switch, so that nothing shows whether they are remapped.
-ELSEWHERE = {"mks-rs485@255,model=57D": {"set_limit_remap/effect"}}
-
 
 @pytest.mark.parametrize("drive", [*theme_runs.DRIVES, "mks-rs485@255,model=57D", "mks-rs485@3,baud=115200"])
 def test_a_drive_as_its_manual_has_it_confirms_every_claim(drive):
-    assert set(theme_runs.not_confirmed(read_back, drive)) == ELSEWHERE.get(drive, set())
+    assert set(theme_runs.not_confirmed(Theme.READ_BACK, drive)) == set()
 
 
 FAULTS = (
@@ -59,22 +55,22 @@ FAULTS = (
 @pytest.mark.parametrize(("dialect", "fault", "claim"), FAULTS)
 def test_a_fault_is_refuted_by_the_claim_about_it(dialect, fault, claim):
     model = ",model=42D" if dialect == "mks-rs485" else ""
-    verdicts = theme_runs.run(read_back, f"{dialect}@1{model},fault={fault}", claim)
+    verdicts = theme_runs.run(Theme.READ_BACK, f"{dialect}@1{model},fault={fault}", claim)
     assert (verdicts[claim].outcome, verdicts[claim].reason) == (Outcome.REFUTED, verdicts[claim].reason)
 
 
 def test_a_setting_that_cannot_be_read_is_observed():
-    (verdict,) = theme_runs.run(read_back, "mks-can@1,fault=subdivision-unreadable", "set_subdivision/read").values()
+    (verdict,) = theme_runs.run(Theme.READ_BACK, "mks-can@1,fault=subdivision-unreadable", "set_subdivision/read").values()
     assert verdict.outcome is Outcome.OBSERVED
 
 
 @pytest.mark.parametrize("fault", ["position-low-byte-first", "position-half-width", "speed-low-byte-first", "speed-doubled"])
 def test_what_reads_wrongly_is_not_taken_for_a_setting_that_is_not_stored(fault):
-    assert theme_runs.refuted(read_back, f"mks-rs485@1,fault={fault}", "set_subdivision", "set_home") == set()
+    assert theme_runs.refuted(Theme.READ_BACK, f"mks-rs485@1,fault={fault}", "set_subdivision", "set_home") == set()
 
 
 def test_a_firmware_without_parameters_is_observed():
-    verdicts = theme_runs.run(read_back, "lk-rs485@1,quirk=lk-firmware-235", "parameter/speed_limit")
+    verdicts = theme_runs.run(Theme.READ_BACK, "lk-rs485@1,quirk=lk-firmware-235", "parameter/speed_limit")
     assert {v.outcome for v in verdicts.values()} == {Outcome.OBSERVED}
     assert {v.quirks for v in verdicts.values()} == {("lk-firmware-235",)}
 
@@ -82,7 +78,7 @@ def test_a_firmware_without_parameters_is_observed():
 @pytest.mark.parametrize("drive", theme_runs.DRIVES)
 def test_a_claim_sends_nothing_that_its_risks_do_not_name(drive):
     specification = make.parse(drive)
-    for claim in theme_runs.claims_of(read_back, EmulatedRig(specification)):
+    for claim in theme_runs.claims_of(Theme.READ_BACK, EmulatedRig(specification)):
         allowance = Allowance(claim.risks | {Risk.READ}, alone=claim.alone, addresses=frozenset({1}))
         verdict = engine.run_claim(claim, EmulatedRig(specification, allowance=allowance))
         assert (claim.id, verdict.outcome, verdict.reason) == (claim.id, Outcome.CONFIRMED, "")

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from analyzer.catalogue import Risk
-from conformance.claim import Outcome
-from conformance.claims import state
+from conformance.claim import Outcome, Theme
 from conformance.drives import make
 from conformance.gate.permissions import Allowance
 from conformance.suite import engine
@@ -16,7 +15,7 @@ from tests.conformance import theme_runs
 
 @pytest.mark.parametrize("drive", theme_runs.DRIVES)
 def test_a_drive_as_its_manual_has_it_confirms_every_claim(drive):
-    assert theme_runs.not_confirmed(state, drive) == {}
+    assert theme_runs.not_confirmed(Theme.STATE, drive) == {}
 
 
 FAULTS = (
@@ -40,7 +39,7 @@ def test_a_fault_of_state_is_refuted_by_a_few_steps(dialect, fault, variant):
     # What Hypothesis draws depends on the modules that are loaded, too, so more than one seed may be needed.
     for number in range(8):
         rig = EmulatedRig(make.parse(f"{dialect}@1,fault={fault}"), seed=number)
-        claim = next(c for c in theme_runs.claims_of(state, rig) if c.parameters["variant"] == variant)
+        claim = next(c for c in theme_runs.claims_of(Theme.STATE, rig) if c.parameters["variant"] == variant)
         verdict = engine.run_claim(claim, rig)
         if verdict.outcome is Outcome.REFUTED:
             break
@@ -52,7 +51,7 @@ def test_a_fault_of_state_is_refuted_by_a_few_steps(dialect, fault, variant):
 @pytest.mark.parametrize("fault", ["lost-reply", "checksum-wrong", "half-frame", "late-reply"])
 def test_what_other_claims_judge_is_not_refuted_here(fault):
     for dialect in ("mks-rs485", "lk-rs485"):
-        assert theme_runs.refuted(state, f"{dialect}@1,fault={fault}", "mixed") == set()
+        assert theme_runs.refuted(Theme.STATE, f"{dialect}@1,fault={fault}", "mixed") == set()
 
 
 @pytest.mark.parametrize("drive", ["mks-rs485@1", "lk-rs485@1,model=MF"])
@@ -60,7 +59,7 @@ def test_a_bounded_run_draws_within_its_bounds(drive):
     specification = make.parse(drive)
     bounds = {"speed": 300.0, "turns": 2.0, "acceleration": 250.0, "current": 1500.0, "subdivision": 16}
     rig = EmulatedRig(specification, allowance=Allowance(frozenset(Risk), alone=True, **bounds))
-    for claim in theme_runs.claims_of(state, rig):
+    for claim in theme_runs.claims_of(Theme.STATE, rig):
         verdict = engine.run_claim(claim, rig)
         assert (claim.id, verdict.outcome, verdict.reason) == (claim.id, Outcome.CONFIRMED, "")
         assert verdict.measured["steps"] > 80
@@ -68,7 +67,7 @@ def test_a_bounded_run_draws_within_its_bounds(drive):
 
 def test_a_claim_sends_nothing_that_its_risks_do_not_name():
     specification = make.parse("mks-can@1,model=42E")
-    for claim in theme_runs.claims_of(state, EmulatedRig(specification)):
+    for claim in theme_runs.claims_of(Theme.STATE, EmulatedRig(specification)):
         allowance = Allowance(claim.risks | {Risk.READ}, alone=claim.alone, addresses=frozenset({1}))
         verdict = engine.run_claim(claim, EmulatedRig(specification, allowance=allowance))
         assert (claim.id, verdict.outcome, verdict.reason) == (claim.id, Outcome.CONFIRMED, "")

@@ -1,17 +1,16 @@
-"""Effects: what a drive shows of a setting, so that it can be said whether a value is stored.
+"""What a drive shows of a setting, so that a claim can tell whether a value is stored.
 
     effect = of(dialect, command)
     effect.see(probe)      what the drive does now, in words and numbers that can be compared
 
-A dialect that reads its settings back (CAN: 00, LK: 0xC0) shows the values themselves. The others show them by what they
-do: a work mode by whether the motor can be enabled, a subdivision by how far 200 pulses go, `respond` by which replies a
-move gets, homing by its speed and way, a group by who hears it.
+A dialect that reads its settings back (CAN) shows the values themselves. The others show them by what they do: a work mode by
+whether the motor can be enabled, a subdivision by how far 200 pulses go, `respond` by which replies a move gets, homing by its
+speed and direction, a group by which address the drive obeys.
 
 Rules kept here:
 - Seeing changes nothing that is stored and moves the shaft a turn at most, 200 rpm at most, and leaves it standing.
 - What does not work on the way raises Inconclusive.
-- A setting that nothing shows (screen, keys, currents of a native drive) has no effect here: nobody can say whether it was
-  stored.
+- A setting that shows nowhere (screen, keys, currents of a native drive) has no effect here.
 """
 
 from __future__ import annotations
@@ -22,19 +21,18 @@ from typing import TYPE_CHECKING, Any
 
 from analyzer.catalogue import Command, Dialect, Form, Risk, Verb
 from analyzer.layout import Field
-from analyzer.protocols.mks_shared import COUNTS_PER_TURN
 from conformance.claim import Inconclusive
 from conformance.model import limits
-from conformance.motion import motion
+from conformance.motion import motion, moves
+from conformance.motion.motion import MS
+from conformance.talk import settings
 from conformance.talk.acceptance import Acceptance, acceptance, answers, need_reliable_replies, without_repeats
+from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Until
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
 
-MS = 1_000_000
-#: Where subdivision and speed are plain.
-PLAIN_SUBDIVISION = 16
 #: The acceleration of moves that are to be short. (Not 250: that byte begins a frame.)
 STEEP = 248
 #: Pulses of the move that shows a subdivision: a turn at 1, a 256th at 256.
@@ -48,9 +46,6 @@ _COUNTS = 24
 #: Speeds that are one.
 _SPEED_SHARE = 0.1
 
-#: Settings that change where and how a drive answers.
-LINK_FIELDS = frozenset({"baud_rate", "bit_rate", "new_address", "modbus"})
-
 Seen = Any
 
 
@@ -63,13 +58,13 @@ def _words(seen: Seen) -> str:
 
 
 @dataclass(frozen=True)
-class Effect:
+class SettingEffect:
     """How a setting shows.
 
     `see`: what the drive does now. `values`: sets of values that show differently, the first one not the default.
     `ready`: what must be done first. `same`: whether two things seen are one. `sends`: verbs that it sends, with values;
-    their risks are the claim's. `expected(values)`: what is seen after these values, None where only differences count.
-    `set_first` False: what the drive has already is what is to stay.
+    their risks are the claim's. `moves`: it moves the shaft. `expected(values)`: what is seen after these values, None where
+    only differences count. `set_first` False: what the drive has already is what is to stay.
     """
 
     see: Callable[[Probe], Seen]
@@ -81,9 +76,6 @@ class Effect:
     sends: tuple[tuple[Verb, Mapping[str, int]], ...] = ()
     moves: bool = False
     alone: bool = False
-    emulated: bool = False
-    quirks: tuple[str, ...] = ()
-    changes: tuple[str, ...] = ()
     set_first: bool = True
 
     def pair(self, form: Form) -> tuple[dict[str, int], dict[str, int]]:
@@ -101,9 +93,15 @@ class Effect:
             found |= dialect.by_verb[verb].risks(values)
         return frozenset(found) - {Risk.READ}
 
-    def settings(self, dialect: Dialect) -> tuple[str, ...]:
-        """Return the settings that `ready` and `see` may change."""
-        return (*self.changes, *(motion.settings(dialect) if self.moves else ()))
+    def needed(self, dialect: Dialect, needs: Mapping[str, Any], *more: Risk) -> dict[str, Any]:
+        """Return what a claim must declare that uses this effect beside what `needs` says, with the risks `more`."""
+        changed = motion.settings(dialect) if self.moves else ()
+        return {
+            **needs,
+            "risks": needs["risks"] | self.risks(dialect) | set(more),
+            "settings": tuple(dict.fromkeys((*needs["settings"], *changed))),
+            "alone": needs["alone"] or self.alone,
+        }
 
 
 def differing(form: Form) -> tuple[dict[str, int], dict[str, int]]:
@@ -131,9 +129,9 @@ def _telling(declared: Field) -> list[int]:
     return [v for v in (*marks, *inner, declared.high, declared.low) if declared.allows(v)]
 
 
-def of(dialect: Dialect, command: Command) -> Effect | None:
+def of(dialect: Dialect, command: Command) -> SettingEffect | None:
     """Return how a setting of a dialect shows, None where it does not."""
-    if set(command.request_forms[0].layout.named) & LINK_FIELDS:
+    if settings.changes_link(command):
         return _LINK
     if command.readable:
         return _read_back(command)
@@ -148,24 +146,23 @@ def _needs_met(dialect: Dialect) -> set[Verb]:
 # --- read back --------------------------------------------------------------------------------------------------------
 
 
-def parameter(probe: Probe, command: Command) -> dict[str, int]:
-    """Return the stored values of a setting by the parameter read.
+def stored(probe: Probe, command: Command, cannot: type[Exception] = Inconclusive) -> tuple[dict[str, int], Exchange]:
+    """Return the stored values of a setting, and the exchange that read them.
 
-    Raises Inconclusive where it cannot be read or the answer is of another layout.
+    Raises `cannot` where the drive says that it cannot be read, Inconclusive where it is not answered or by another layout.
     """
-    exchange = probe.ask(Verb.READ_PARAMETER, {"parameter": command.code})
-    answer = probe.reply(exchange)
-    if probe.refused(exchange):
-        raise Inconclusive(f"{command.name} cannot be read back ({answer.data.hex(' ').upper()})")
-    names = command.request_forms[0].layout.named.keys()
-    if not names & answer.values.keys():
-        raise Inconclusive(f"the read of {command.name} was answered {answer.data.hex(' ').upper()}")
-    return {name: value for name, value in answer.values.items() if name in names}
+    values, exchange = settings.stored(probe, command)
+    text = probe.reply(exchange).data.hex(" ").upper()
+    if values is None:
+        raise cannot(f"{command.name} cannot be read: {text}")
+    if not values:
+        raise Inconclusive(f"the read of {command.name} was answered {text}")
+    return values, exchange
 
 
-def _read_back(command: Command) -> Effect:
-    return Effect(
-        see=lambda probe: parameter(probe, command),
+def _read_back(command: Command) -> SettingEffect:
+    return SettingEffect(
+        see=lambda probe: stored(probe, command)[0],
         expected=lambda dialect, values: {n: values[n] for n in command.request_forms[0].layout.named if n in values},
     )
 
@@ -175,7 +172,7 @@ def _answers(probe: Probe) -> str:
 
 
 #: A setting of the link shows by where the drive answers. It is not tried out here: that would lead the drive away.
-_LINK = Effect(see=_answers, set_first=False)
+_LINK = SettingEffect(see=_answers, set_first=False)
 
 # --- by what it does --------------------------------------------------------------------------------------------------
 
@@ -201,7 +198,7 @@ def counts(probe: Probe) -> int:
     """
     position = probe.read(Verb.READ_POSITION, "position")
     parts = probe.reply(probe.ask(Verb.READ_ENCODER_CARRY)).values
-    whole = parts.get("carry", 0) * COUNTS_PER_TURN + parts.get("encoder", 0)
+    whole = parts.get("carry", 0) * probe.dialect.counts_per_turn + parts.get("encoder", 0)
     if abs(whole - position) > _COUNTS:
         raise Inconclusive(f"31 reads {position} and 30 {whole}")
     return position
@@ -221,32 +218,27 @@ def steady_speed(probe: Probe) -> float:
     return read
 
 
-def shift(probe: Probe, verb: Verb, values: Mapping[str, Any], *, until: Until = Until.REPLY) -> tuple[int, list[int]]:
-    """Do a move and return how far the encoder went, and the statuses that were answered.
+def shift(probe: Probe, verb: Verb, values: Mapping[str, Any]) -> int:
+    """Do a move and return how far the encoder went.
 
     Raises Inconclusive where the drive refuses it or does not come to rest.
     """
     start = counts(probe)
-    exchange = probe.ask(verb, values, until=until)
+    exchange = probe.ask(verb, values)
     if exchange.answers and probe.refused(exchange):
         raise Inconclusive(f"{probe.command(verb).name} was refused")
     motion.wait_standing(probe)
     probe.wait(SETTLING_NS)
-    return counts(probe) - start, exchange.status()
+    return counts(probe) - start
 
 
 def _distance(probe: Probe) -> int:
     values = {"direction": 0, "speed": 10, "acceleration": STEEP, "pulses": PULSES}
-    return shift(probe, Verb.MOVE_RELATIVE_PULSES, values)[0]
-
-
-def pulse_counts(pulses: int, subdivision: int) -> int:
-    """Return the encoder counts of pulses at a subdivision as sent (0 is 256), without a sign."""
-    return round(pulses * COUNTS_PER_TURN / (200 * (subdivision or 256)))
+    return shift(probe, Verb.MOVE_RELATIVE_PULSES, values)
 
 
 def _far(dialect: Dialect, values: Mapping[str, int]) -> int:
-    return pulse_counts(PULSES, values["subdivision"])
+    return moves.pulse_counts(dialect, PULSES, values["subdivision"])
 
 
 def near(one: int, other: int) -> bool:
@@ -271,7 +263,7 @@ def _told(dialect: Dialect, values: Mapping[str, int]) -> str:
 
 
 def _plain_subdivision(probe: Probe) -> None:
-    motion.ready_to_move(probe, subdivision=PLAIN_SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
 
 
 @dataclass(frozen=True)
@@ -306,7 +298,7 @@ def _same_homing(one: Homing, other: Homing) -> bool:
 
 
 def hears(probe: Probe, address: int) -> bool:
-    """Say whether the drive executes what is sent to an address that does not answer: it is enabled, and disabled again."""
+    """Say whether the drive obeys what is sent to an address that does not answer: it is enabled, and disabled again."""
     seen = []
     for wanted in (0, 1):
         probe.ask(Verb.ENABLE, {"enabled": wanted}, address=address, until=Until.TIMEOUT, timeout_ns=100 * MS)
@@ -335,32 +327,32 @@ _MOVE = (Verb.MOVE_RELATIVE_PULSES, {"direction": 0, "speed": 60, "acceleration"
 _ON, _OFF = (Verb.ENABLE, {"enabled": 1}), (Verb.ENABLE, {"enabled": 0})
 
 #: What a setting shows by, where it cannot be read.
-BY_VERB: Mapping[Verb, Effect] = {
-    Verb.SET_WORK_MODE: Effect(
+BY_VERB: Mapping[Verb, SettingEffect] = {
+    Verb.SET_WORK_MODE: SettingEffect(
         see=_can_be_enabled, values=({"work_mode": 5}, {"work_mode": 0}), expected=_who_controls, sends=(_ON,),
     ),
-    Verb.SET_SUBDIVISION: Effect(
+    Verb.SET_SUBDIVISION: SettingEffect(
         see=_distance, ready=motion.ready_to_move, same=near, expected=_far, sends=(_MOVE,), moves=True,
         values=tuple({"subdivision": n} for n in (32, 8, 1, 64, 128, 200)),
         words=lambda seen: f"{PULSES} pulses turn the shaft by {abs(seen)} counts",
     ),
-    Verb.SET_RESPOND: Effect(
+    Verb.SET_RESPOND: SettingEffect(
         see=_replies, ready=_plain_subdivision, expected=_told, sends=(_MOVE,), moves=True,
         values=tuple({"respond": r, "active": a} for r, a in ((1, 0), (0, 1), (0, 0), (1, 1))),
         words=lambda seen: f"a move is answered by {seen}",
     ),
-    Verb.SET_HOME: Effect(
+    Verb.SET_HOME: SettingEffect(
         see=homing, ready=_plain_subdivision, same=_same_homing, moves=True, sends=((Verb.HOME, {}), (Verb.EMERGENCY_STOP, {})),
         values=(
             {"home_trigger": 0, "home_direction": 1, "home_speed": 90, "end_limit": 0},
             {"home_trigger": 1, "home_direction": 0, "home_speed": 180, "end_limit": 0},
         ),
     ),
-    Verb.SET_GROUP_ADDRESS: Effect(
+    Verb.SET_GROUP_ADDRESS: SettingEffect(
         see=_group, ready=motion.ready_to_move, expected=_member, moves=True, alone=True, sends=(_ON, _OFF),
         values=({"group_address": GROUP}, {"group_address": OTHER_GROUP}),
     ),
-    Verb.ENABLE: Effect(
+    Verb.ENABLE: SettingEffect(
         see=_enabled, ready=motion.ready_to_move, moves=True, values=({"enabled": 0}, {"enabled": 1}),
         expected=lambda dialect, values: values["enabled"], sends=(_ON, _OFF),
         words=lambda seen: f"enabled reads {seen}",

@@ -1,0 +1,92 @@
+"""Changing where and how a drive answers, following it there and leading it back. For claims about settings of the link.
+
+Rules kept here:
+- The reply to such a setting uses the old setting; one that already uses the new is accepted.
+"""
+
+from __future__ import annotations
+
+from analyzer import encoder
+from analyzer.catalogue import Command, Dialect
+from analyzer.errors import UsageError
+from analyzer.layout import Effect
+from conformance.claim import Inconclusive, NotRun
+from conformance.motion.motion import MS
+from conformance.talk.acceptance import Acceptance, acceptance
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe, Until
+
+#: A drive that changes its link gets so long for it.
+SETTLE_NS = 200 * MS
+NEW_ADDRESS_ANSWERS = "new-address-answers"
+#: An address that a claim can give a drive for a while.
+OTHER_ADDRESS = 0x5A
+#: Head, address and check are no reply yet.
+_SHORTEST = 4
+
+
+def change_address(probe: Probe, command: Command, address: int, *, at: int | None = None) -> Exchange:
+    """Give the drive (that answers `at` an address) another one; the claim is refuted where it refuses.
+
+    Raises Inconclusive where it does not answer.
+    """
+    built = probe.build(command, {command.sets(Effect.ADDRESS): address}, address=at)
+    exchange = probe.ask_built(built)
+    if exchange.silent:
+        raise Inconclusive(f"{command.name} {address} was not answered")
+    from_new = exchange.answers and exchange.answers[0].message.address == address != built.address
+    if from_new and NEW_ADDRESS_ANSWERS in probe.claim.quirks:
+        probe.meets(NEW_ADDRESS_ANSWERS)
+    expect_not_refused(probe, command, address, exchange)
+    probe.wait(SETTLE_NS)
+    return exchange
+
+
+def expect_not_refused(probe: Probe, command: Command, value: int, exchange: Exchange) -> None:
+    """Refute the claim where a drive refused a value that the manual lists."""
+    probe.expect(
+        exchange.answers[0].data.hex(" ").upper() if exchange.answers else "silence",
+        holds=acceptance(probe, exchange) is not Acceptance.REFUSED,
+        expected="success: the manual lists it",
+        refutes=f"{command.name}: {value} is refused",
+        exchange=exchange,
+        key=f"{command.name} refused",
+    )
+
+
+def follow(probe: Probe, rate: int) -> None:
+    """Bring this end to a speed. Raises NotRun where that cannot be."""
+    try:
+        probe.gate.set_speed(rate)
+    except UsageError as error:
+        raise NotRun(f"this end cannot follow the drive to {rate} bits per second: {error}") from None
+
+
+def set_rate(probe: Probe, rate: int) -> None:
+    """Set the drive to a speed, without following it. Raises Inconclusive where it has no such setting."""
+    code = next((v for v, r in probe.dialect.rates.items() if r == rate), None)
+    found = probe.dialect.effect(Effect.BAUD_RATE)
+    if found is None or code is None:
+        raise Inconclusive(f"{probe.dialect.name} has no setting for {rate} bits per second")
+    probe.ask(found[0], {found[1].name: code})
+
+
+def ask_in(
+    probe: Probe, other: Dialect, what: str, values: dict[str, int] | None = None, *, address: int | None = None
+) -> bytes:
+    """Send a request in another dialect, and return what came back."""
+    item = encoder.build(other, what, probe.address if address is None else address, values)
+    exchange = probe.send(item, until=Until.TIMEOUT, timeout_ns=SETTLE_NS)
+    pieces = [(a.first_ns, a.data) for a in exchange.answers] + [(j.first_ns or 0, j.data) for j in exchange.junk]
+    return b"".join(data for _, data in sorted(pieces))
+
+
+def is_reply(dialect: Dialect, address: int, data: bytes) -> bool:
+    """Say whether data is a whole reply of a drive in a dialect."""
+    return len(data) > _SHORTEST and dialect.link.fits(data) and dialect.link.parse(data).address == address
+
+
+def need_reply_or_silence(dialect: Dialect, address: int, data: bytes) -> None:
+    """Raise Inconclusive for bytes that are neither a reply nor nothing, which other claims judge."""
+    if data and not is_reply(dialect, address, data):
+        raise Inconclusive(f"what came in {dialect.name} is no reply: {data.hex(' ').upper()}")

@@ -1,0 +1,278 @@
+"""Restart and power: what is stored stays, what is held only while the drive runs goes.
+
+    NAME/restart, NAME/power              a setting that is not the default is there after a restart, or after its power was cut
+    save_speed/restart, clean             a kept run begins again, a forgotten one does not
+    set_zero_mode/restart                 the shaft goes back to the kept zero
+    parameter/NAME/power                  a control parameter (LK) is as before when power comes on
+
+Rules kept here:
+- A setting that can be read is read, another one is seen by its effect (`setting_effects`).
+- What a restart does to motion, and how long it takes, is for other themes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, Risk, Verb
+from analyzer.layout import Effect
+from conformance.claim import Inconclusive
+from conformance.claims import ranges, setting_effects
+from conformance.claims.declare import Case, commands
+from conformance.claims.known_quirks import may_meet
+from conformance.claims.link_changes import NEW_ADDRESS_ANSWERS, OTHER_ADDRESS, change_address
+from conformance.claims.read_back import expect_values, fields_of, of_read_back, parameters, text
+from conformance.claims.setting_effects import STEEP, SettingEffect
+from conformance.model import lk_parameters
+from conformance.model.lk_parameters import number_of, read_parameter
+from conformance.motion import motion, moves
+from conformance.motion.motion import MS
+from conformance.talk import settings
+from conformance.talk.acceptance import answers, need_reliable_replies
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
+from conformance.talk.restarts import power_cycle, restart
+
+#: How long a drive that cannot be asked meanwhile may take to come back.
+RESTORED_NS = 4_000 * MS
+_RPM = 60
+#: Speeds that are one, as a share; counts within which a shaft is where it should be.
+_SHARE, _PLAY = 0.1, 100
+#: What keeps a run, and what makes the drive forget it.
+_KEEP, _FORGET = {"save_state": 0xC8}, {"save_state": 0xCA}
+
+
+def stored_effect(dialect: Dialect, command: Command) -> SettingEffect | None:
+    """Return how a stored setting shows, None for those that do not show or that other claims judge."""
+    if Verb.RESTART not in dialect.by_verb or settings.changes_link(command) or command.verb is Verb.ENABLE:
+        return None
+    return setting_effects.of(dialect, command)
+
+
+def _restart_risks(case: Case) -> frozenset[Risk]:
+    assert case.command is not None  # only cases of commands are asked for
+    return case.command.all_risks | case.dialect.by_verb[Verb.RESTART].all_risks
+
+
+# --- settings ---------------------------------------------------------------------------------------------------------
+
+
+def _kept_settings(dialect: Dialect) -> Iterator[Case]:
+    for command in dialect.commands:
+        effect = stored_effect(dialect, command)
+        if effect is not None:
+            one, _ = effect.pair(command.request_forms[0])
+            needs = ranges.needs(dialect, command, [one])
+            for end, how in (("restart", "a restart"), ("power", "the power was cut")):
+                more = dialect.by_verb[Verb.RESTART].all_risks if end == "restart" else ()
+                facts = effect.needed(dialect, needs, *more) | {"parameters": {}, "emulated": end == "power"}
+                yield Case(dialect, command, {"effect": effect, "end": end, "how": how}, facts)
+
+
+@of_read_back(each=_kept_settings, name="{command}/{end}", refuted_by="another setting", fields=fields_of)
+def _kept(probe: Probe, command: Command, effect: SettingEffect, end: str, how: str) -> None:
+    """What {command} set is there after {how}."""
+    form = command.request_forms[0]
+    values, _ = effect.pair(form)
+    effect.ready(probe)
+    ranges.prepare(probe, command)
+    exchange = probe.do(command, ranges.plain(probe, command, form, **values))
+    before = effect.see(probe)
+    if end == "power":
+        power_cycle(probe)
+    else:
+        restart(probe)
+    if effect.moves and command.verb is not Verb.SET_WORK_MODE:
+        motion.ready_to_move(probe)
+    after = effect.see(probe)
+    probe.expect(
+        effect.words(after),
+        holds=effect.same(before, after),
+        expected=effect.words(before),
+        refutes=f"{command.name} after {how}: {effect.words(after)}",
+        exchange=exchange,
+        key=f"{command.name} lost",
+    )
+
+
+@of_read_back(
+    each=commands(Verb.WRITE_USER_ID),
+    name="{command}/restart",
+    refuted_by="another number",
+    fields=fields_of,
+    settings=fields_of,
+    risks=_restart_risks,
+)
+def _user_id(probe: Probe, command: Command) -> None:
+    """A restart keeps the user's number."""
+    wanted = {next(iter(command.request_forms[0].layout.named)): 0x01020304}
+    probe.do(command, wanted)
+    exchange = restart(probe)
+    got = dict.fromkeys(wanted, probe.read(Verb.READ_USER_ID))
+    expect_values(probe, command, wanted, got, exchange, "after a restart")
+
+
+def _addresses(dialect: Dialect) -> Iterator[Case]:
+    if Verb.RESTART in dialect.by_verb:
+        for command, field in dialect.effects(Effect.ADDRESS):
+            yield Case(dialect, command, {}, {"fields": (field.name,), "settings": (field.name,)})
+
+
+@of_read_back(
+    each=_addresses,
+    name="{command}/restart",
+    refuted_by="an answer at another address",
+    alone=True,
+    risks=_restart_risks,
+    quirks=may_meet(NEW_ADDRESS_ANSWERS),
+)
+def _address(probe: Probe, command: Command) -> None:
+    """A restart keeps the address."""
+    before = probe.address
+    move_away(probe, command)
+    exchange = probe.ask(Verb.RESTART, address=OTHER_ADDRESS)
+    probe.wait(RESTORED_NS)
+    here, there = answers(probe, before), answers(probe, OTHER_ADDRESS)
+    if there:
+        change_address(probe, command, before, at=OTHER_ADDRESS)
+    probe.expect(
+        f"an answer at {before}" if here else "silence at both",
+        holds=there,
+        expected=f"an answer at {OTHER_ADDRESS}",
+        refutes=f"{command.name}: a restart loses the address",
+        exchange=exchange,
+        key=f"{command.name} lost",
+    )
+
+
+def move_away(probe: Probe, command: Command) -> None:
+    """Give the drive another address. Raises Inconclusive where it does not answer there."""
+    need_reliable_replies(probe)
+    change_address(probe, command, OTHER_ADDRESS)
+    if not answers(probe, OTHER_ADDRESS):
+        raise Inconclusive(f"the drive does not answer at {OTHER_ADDRESS}, which it was given")
+
+
+# --- what happens at power-on -----------------------------------------------------------------------------------------
+
+
+def _saved_runs(dialect: Dialect) -> Iterator[Case]:
+    command = dialect.by_verb.get(Verb.SAVE_SPEED)
+    if command is not None:
+        risks = command.risks(_KEEP) | command.risks(_FORGET) | motion.risks(dialect, Risk.UNBOUNDED)
+        facts = {
+            "fields": ("save_state",),
+            "risks": risks | dialect.by_verb[Verb.RESTART].all_risks,
+            "settings": motion.settings(dialect),
+        }
+        yield Case(dialect, command, {}, facts)
+
+
+def _turning(probe: Probe, rpm: int) -> float:
+    motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
+    motion.run_at(probe, rpm)
+    probe.wait(400 * MS)
+    return motion.speed(probe).value
+
+
+def _after_restart(probe: Probe) -> tuple[float, Exchange]:
+    """Stop the shaft, restart the drive, and return how fast it turns then."""
+    motion.stand_still(probe)
+    exchange = restart(probe)
+    probe.wait(600 * MS)
+    return motion.speed(probe).value, exchange
+
+
+def _forget(probe: Probe, command: Command) -> None:
+    probe.ask(command, _FORGET)
+    motion.stand_still(probe)
+
+
+@of_read_back(each=_saved_runs, name="{command}/restart", refuted_by="another speed, or none", rests_on=(Doubt.VALUES,))
+def _saved(probe: Probe, command: Command) -> None:
+    """A run that was kept begins again after a restart, the same way."""
+    before = _turning(probe, -_RPM)
+    probe.do(command, _KEEP)
+    after, exchange = _after_restart(probe)
+    _forget(probe, command)
+    probe.expect(
+        after,
+        near=before,
+        within=max(2.0, abs(before) * _SHARE),
+        unit="rpm",
+        refutes=f"a kept run at {before:.0f} rpm is one at {after:.0f} rpm after a restart",
+        exchange=exchange,
+        key="saved run",
+    )
+
+
+@of_read_back(each=_saved_runs, refuted_by="a shaft that turns", rests_on=(Doubt.VALUES,))
+def _clean(probe: Probe, command: Command) -> None:
+    """A run that was forgotten does not begin after a restart."""
+    _turning(probe, _RPM)
+    probe.do(command, _KEEP)
+    probe.do(command, _FORGET)
+    after, exchange = _after_restart(probe)
+    if abs(after) > 1:
+        _forget(probe, command)
+    refutes = f"a forgotten run turns the shaft at {after:.0f} rpm after a restart"
+    probe.expect(abs(after), at_most=1, unit="rpm", refutes=refutes, exchange=exchange, key="clean run")
+
+
+def _zero_modes(dialect: Dialect) -> Iterator[Case]:
+    command = dialect.by_verb.get(Verb.SET_ZERO_MODE)
+    if command is not None:
+        fields = tuple(command.request_forms[0].layout.named)
+        risks = command.risks({"zero_mode": 2}) | command.risks({"zero_mode": 0}) | motion.risks(dialect)
+        facts = {
+            "fields": fields,
+            "risks": risks | dialect.by_verb[Verb.RESTART].all_risks,
+            "settings": motion.settings(dialect, *fields),
+        }
+        yield Case(dialect, command, {}, facts)
+
+
+@of_read_back(each=_zero_modes, name="{command}/restart", refuted_by="another place", at_best=Certainty.LIKELY)
+def _returns_to_zero(probe: Probe, command: Command) -> None:
+    """With a zero kept, the shaft goes back to it after a restart."""
+    turn = probe.dialect.counts_per_turn
+    motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
+    probe.do(command, {"zero_mode": 2, "set_zero": 1, "zero_speed": 2, "zero_direction": 0})
+    setting_effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 60, "acceleration": STEEP, "position": turn // 4})
+    before = probe.read(Verb.READ_ENCODER_CARRY, "encoder")
+    exchange = restart(probe)
+    probe.wait(1_500 * MS)
+    motion.wait_standing(probe)
+    status, now = probe.read(Verb.READ_ZERO_STATUS), probe.read(Verb.READ_ENCODER_CARRY, "encoder")
+    probe.do(command, {"zero_mode": 0, "set_zero": 0, "zero_speed": 0, "zero_direction": 0})
+    # The drive takes the end of the way back for its zero, so that the angle within the turn is what shows it.
+    probe.expect(
+        f"{now} (before: {before}), 3B {status}",
+        holds=status == 1 and min(now, turn - now) <= _PLAY,
+        expected="zero, and 3B 1",
+        refutes=f"the shaft is at {now} counts within the turn after a restart, and 3B says {status}",
+        exchange=exchange,
+        key="zero mode",
+    )
+
+
+# --- control parameters (LK) ------------------------------------------------------------------------------------------
+
+
+@of_read_back(each=parameters, name="parameter/{form}/power", refuted_by="the written value", emulated=True)
+def _lost(probe: Probe, command: Command, form: Form) -> None:
+    """{form} is as before when power comes on."""
+    before = read_parameter(probe, number_of(form))
+    exchange = probe.do(command, lk_parameters.moderate(form, 0))
+    if read_parameter(probe, number_of(form)) == before:
+        raise Inconclusive(f"{form.name} does not change, so nothing can be lost")
+    power_cycle(probe)
+    after = read_parameter(probe, number_of(form))
+    probe.expect(
+        text(after),
+        holds=after == before,
+        expected=text(before),
+        refutes=f"{form.name} written by 0xC1 survives the power",
+        exchange=exchange,
+        key="parameter survives",
+    )
