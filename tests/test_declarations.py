@@ -12,7 +12,7 @@ from analyzer import dialects
 from analyzer.catalogue import Command, Dialect, Doubt, MotionKind, Risk, Subject, Trait, Verb
 from analyzer.layout import Effect, Field
 from analyzer.protocols import mks_can, mks_shared
-from conformance.drives.mks import paths, state
+from conformance.drives.mks import paths
 from conformance.drives.speed import SPEEDS
 from conformance.gate import bounds
 from conformance.motion import moves, ramp
@@ -219,10 +219,10 @@ def test_the_ramp(dialect: Dialect) -> None:
 def test_the_subdivision(dialect: Dialect) -> None:
     rule = dialect.subdivision
     assert rule is not None
-    assert rule.full_steps == bounds.STEPS_PER_TURN == moves.STEPS_PER_TURN == state.STEPS_PER_TURN
-    assert rule.plain == bounds.PLAIN_SUBDIVISIONS == set(state.PLAIN_SUBDIVISIONS)
-    assert rule.counted_at == bounds.SPEED_SUBDIVISION == state.PLAIN_SUBDIVISIONS[0]
-    assert rule.largest == bounds._LARGEST_SUBDIVISION == state.WIDEST_SUBDIVISION
+    assert rule.full_steps == bounds.STEPS_PER_TURN == moves.STEPS_PER_TURN
+    assert rule.plain == bounds.PLAIN_SUBDIVISIONS
+    assert rule.counted_at == bounds.SPEED_SUBDIVISION
+    assert rule.largest == bounds._LARGEST_SUBDIVISION
     setting = dialect.effect(Effect.SUBDIVISION)
     assert setting is not None
     assert setting[1].default == moves.SUBDIVISION

@@ -25,7 +25,6 @@ from itertools import count
 
 from analyzer.records import CanFrame, Chunk, Comment, Frame
 from conformance.drives.drive import Drive, Outgoing
-from conformance.drives.speed import speed_of
 
 Traffic = Chunk | CanFrame | Comment
 Watcher = Callable[[Traffic], None]
@@ -47,7 +46,7 @@ class Station:
     @property
     def speed(self) -> int:
         """The bits per second at which the drive listens and sends."""
-        return speed_of(self.drive)
+        return self.drive.speed
 
 
 class Bus(ABC):

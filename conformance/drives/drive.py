@@ -33,11 +33,13 @@ import msgspec
 from analyzer.catalogue import Command, Dialect, Form, Replies, Risk, Role
 from analyzer.codec import Violation, codec
 from analyzer.decoder import Decoder, Slot, slots_of
-from analyzer.layout import Field, Kind
+from analyzer.layout import Effect, Field, Kind
 from analyzer.records import Frame, Message
 
 Values = dict[str, Any]
 
+#: The speed of a drive whose setting stands for none, and the lowest that a setting can hold as a number.
+_ANY_SPEED, _LOWEST_SPEED = 115_200, 300
 #: A frame has a code and a check at least.
 _SHORTEST = 2
 
@@ -262,14 +264,31 @@ class Drive(ABC):
         changes: list[Quirk | Fault] = [*quirks, *faults]
         for change in changes:
             change.install(self.hooks)
+        #: The names of the settings that hold the speed of the link and the group that the drive is in. A drive whose speed
+        #: no command sets is told it in bits per second.
+        self.speed_setting = self._named(Effect.BAUD_RATE) or "baud_rate"
+        self.group_setting = self._named(Effect.GROUP)
         self._outbox: list[Outgoing] = []
         self._due: tuple[int, Callable[[], None]] | None = None
         self._stale = True
+
+    def _named(self, effect: Effect) -> str:
+        """Return the name of the setting that has an effect, in any dialect of the drive; empty where there is none."""
+        found = (responder.dialect.effect(effect) for responder in self.responders)
+        return next((declared.name for _, declared in filter(None, found)), "")
 
     @property
     def responder(self) -> Responder:
         """The responder of the dialect that the drive speaks now."""
         return self.responders[0]
+
+    @property
+    def speed(self) -> int:
+        """The bits per second at which the drive listens and sends; its dialect's default where no setting says."""
+        value = self.settings.get(self.speed_setting)
+        if value is None:
+            return self.dialect.baud_rates[0] if self.dialect.baud_rates else _ANY_SPEED
+        return self.dialect.rates.get(value) or (value if value >= _LOWEST_SPEED else _ANY_SPEED)
 
     # --- a frame --------------------------------------------------------------------------------------------------
 
@@ -293,7 +312,7 @@ class Drive(ABC):
         known = frame.dialect.name == responder.dialect.name and responder.understands(message)
         package = message.command is not None and message.command.slots is not None
         own = message.address == self.address and not package
-        shared = package or message.address in (responder.dialect.broadcast, self.settings.get("group_address"))
+        shared = package or message.address in (responder.dialect.broadcast, self.settings.get(self.group_setting))
         wanted = frame.checksum_ok and known and (own or shared)
         for accept in self.hooks.accept:
             wanted = accept(self, frame, message, wanted)

@@ -25,7 +25,6 @@ from analyzer.errors import UsageError
 from analyzer.layout import Field
 from analyzer.values import near, parse_value, quote, refusal
 from conformance.drives.drive import Drive, Fault, Quirk
-from conformance.drives.speed import SPEEDS, speed_setting
 
 
 class Kind(NamedTuple):
@@ -175,9 +174,10 @@ def _speed(dialect: Dialect, head: str, found: Mapping[str, Sequence[str]]) -> i
 class Settings:
     """What the settings of one kind of drive are called and may be. `held`: all of them at their defaults."""
 
-    def __init__(self, dialect: Dialect, held: Mapping[str, int]) -> None:
-        self.dialect = dialect
-        self.held = held
+    def __init__(self, drive: Drive) -> None:
+        self.dialect = dialect = drive.dialect
+        self.held = held = dict(drive.settings)
+        self._speed = drive.speed_setting
         self._fields: dict[str, Field] = {}
         self._by_command: dict[str, str] = {}
         for command in dialect.commands:
@@ -209,7 +209,7 @@ class Settings:
 
         Raises UsageError for one that it cannot have.
         """
-        speeds = {speed: code for code, speed in SPEEDS.get(name, {}).items()}
+        speeds = {speed: code for code, speed in self.dialect.rates.items()} if name == self._speed else {}
         if text.isdecimal() and int(text) in speeds and self.held[name] in speeds.values():
             return speeds[int(text)]
         field = self._fields.get(name)
@@ -226,8 +226,7 @@ class Settings:
 
     def of_speed(self, speed: int) -> dict[str, int]:
         """Return the setting that makes the drive listen at a speed."""
-        name = speed_setting(self.held)
-        return {} if name is None else {name: self.value(name, str(speed))}
+        return {self._speed: self.value(self._speed, str(speed))} if self._speed in self.held else {}
 
 
 def parse_settings(texts: Iterable[str]) -> list[tuple[str, str]]:
@@ -284,7 +283,7 @@ class Plain(NamedTuple):
 def plain_drive(dialect: str, model: str = "") -> Plain:
     """Return what a drive of a dialect and model is when nothing is said of it."""
     drive = _made(Specification(registry.get(dialect), 1, model))
-    return Plain(Settings(drive.dialect, drive.settings), drive.reply_delay_ns)
+    return Plain(Settings(drive), drive.reply_delay_ns)
 
 
 def _made(specification: Specification, **options: Any) -> Drive:

@@ -14,7 +14,8 @@ import math
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
-from analyzer.protocols.lk_rs485 import ERROR_BITS, BrakeControl, BrakeState, MotorState, SpinDirection
+from analyzer.catalogue import MotionKind
+from analyzer.protocols.lk_rs485 import DIALECT, ERROR_BITS, BrakeControl, BrakeState, MotorState, SpinDirection
 from conformance.drives.drive import Request, Values
 from conformance.drives.lk.motor import LkMotor, Speed, Torque
 
@@ -33,42 +34,36 @@ Move = Callable[[LkMotor, Request], None]
 
 
 def _torque(motor: LkMotor, request: Request) -> None:
-    motor.go(Torque(request.values["torque_current"]))
+    (torque,) = request.values.values()
+    motor.go(Torque(torque))
 
 
-def _open_loop(motor: LkMotor, request: Request) -> None:
-    motor.go(Torque(request.values["power"]))
-
-
-def _speed(motor: LkMotor, request: Request) -> None:
+def _run(motor: LkMotor, request: Request) -> None:
     motor.go(Speed(request.physical["speed"]))
 
 
-def _multi_turn(motor: LkMotor, request: Request) -> None:
+def _to(motor: LkMotor, request: Request) -> None:
     motor.move_to(request.physical["position"], request.physical.get("max_speed"))
 
 
-def _single_turn(motor: LkMotor, request: Request) -> None:
+def _to_in_turn(motor: LkMotor, request: Request) -> None:
     clockwise = request.values["direction"] == SpinDirection.CW
     motor.turn_to(request.physical["angle"], clockwise=clockwise, top=request.physical.get("max_speed"))
 
 
-def _increment(motor: LkMotor, request: Request) -> None:
+def _by(motor: LkMotor, request: Request) -> None:
     motor.move_by(request.physical["position"], request.physical.get("max_speed"))
 
 
-#: Commands of motion: command name -> what it asks of the motor.
-MOVES: Mapping[str, Move] = {
-    "run_open_loop": _open_loop,
-    "run_torque": _torque,
-    "run_speed": _speed,
-    "move_multi_turn": _multi_turn,
-    "move_multi_turn_limited": _multi_turn,
-    "move_single_turn": _single_turn,
-    "move_single_turn_limited": _single_turn,
-    "move_increment": _increment,
-    "move_increment_limited": _increment,
+_KINDS: Mapping[MotionKind, Move] = {
+    MotionKind.TORQUE: _torque,
+    MotionKind.RUN: _run,
+    MotionKind.MOVE_TO: _to,
+    MotionKind.MOVE_IN_TURN: _to_in_turn,
+    MotionKind.MOVE_BY: _by,
 }
+#: Commands of motion: command name -> what it asks of the motor.
+MOVES: Mapping[str, Move] = {c.name: _KINDS[c.motion.kind] for c in DIALECT.motions(*_KINDS) if c.motion is not None}
 
 
 def obeying(move: Move) -> Act:

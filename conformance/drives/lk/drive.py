@@ -40,7 +40,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Unpack
 
-from analyzer.catalogue import Command, Dialect
+from analyzer.catalogue import Command, Dialect, MotionKind
 from analyzer.codec import Violation
 from analyzer.errors import UsageError
 from analyzer.layout import Field
@@ -80,18 +80,6 @@ OFF_VOLTS, LOW_VOLTAGE, HIGH_VOLTAGE = 5.0, 10.0, 52.0
 MOTOR_HOT, DRIVE_HOT = 90.0, 110.0
 
 
-#: Dialects as one model speaks them, so that their codecs are made once: (name, model) -> (of which one, as spoken).
-_spoken: dict[tuple[str, str], tuple[Dialect, Dialect]] = {}
-
-
-def _as_spoken(dialect: Dialect, model: str) -> Dialect:
-    """Return a dialect as one model speaks it; the same object each time."""
-    known = _spoken.get((dialect.name, model))
-    if known is None or known[0] is not dialect:
-        known = _spoken[dialect.name, model] = (dialect, dialect.for_model(model))
-    return known[1]
-
-
 def _nothing() -> None:
     """Do nothing at the end of a ramp."""
 
@@ -111,7 +99,7 @@ class LkDrive(Drive):
     def __init__(
         self, dialect: Dialect = DIALECT, address: int = 1, *, model: str = "", angle: float = 0.0, **options: Unpack[Options]
     ) -> None:
-        spoken = _as_spoken(dialect, (model or dialect.model or DEFAULT_MODEL).upper())
+        spoken = dialect.for_model((model or dialect.model or DEFAULT_MODEL).upper())
         super().__init__((Responder(spoken),), address, **options)
         self.settings = self._checked(self.settings)
         self.reply_delay_ns = REPLY_DELAY_NS
@@ -129,7 +117,7 @@ class LkDrive(Drive):
             setup(self)
 
     def _checked(self, given: Mapping[str, int]) -> dict[str, int]:
-        asked = next(c for n in ("run_torque", "run_open_loop") if (c := self.dialect.by_name.get(n)) is not None)
+        (asked,) = self.dialect.motions(MotionKind.TORQUE)
         torque = next(iter(asked.request_forms[0].layout.named.values()))
         width = BUILDS[self.dialect.model].encoder_bits
         held = {name: FACTORY.get(name, 0) for name in PARAMETERS}

@@ -26,9 +26,9 @@ from enum import StrEnum
 from math import ceil
 from typing import Unpack
 
-from analyzer.catalogue import Command, Verb
+from analyzer.catalogue import Command, MotionKind, Verb
 from analyzer.codec import Violation
-from analyzer.protocols import mks_shared
+from analyzer.protocols import mks_rs485, mks_shared
 from conformance.drives.drive import Options, Request, Values
 from conformance.drives.mks.paths import Number
 from conformance.drives.mks.responders import MksResponder
@@ -38,19 +38,10 @@ from conformance.drives.mks.state import MksState
 Wait = Callable[[], Number | None]
 Script = Generator[Wait, None, None]
 
-#: Commands that turn the motor; a speed above their range is cut and not refused.
-MOTIONS = frozenset(
-    {
-        Verb.RUN_SPEED, Verb.MOVE_RELATIVE_PULSES, Verb.MOVE_ABSOLUTE_PULSES, Verb.MOVE_RELATIVE_AXIS,
-        Verb.MOVE_ABSOLUTE_AXIS,
-    }
-)  # fmt: skip
-STOPS = frozenset(
-    {
-        Verb.STOP_SPEED, Verb.STOP_RELATIVE_PULSES, Verb.STOP_ABSOLUTE_PULSES, Verb.STOP_RELATIVE_AXIS,
-        Verb.STOP_ABSOLUTE_AXIS,
-    }
-)  # fmt: skip
+_RAMPED = [c for c in mks_rs485.DIALECT.commands if c.motion is not None and c.motion.acceleration]
+#: What the commands that ramp the speed of the motor do: up, or down to a stop.
+STOPS = frozenset(c.verb for c in _RAMPED if c.motion is not None and c.motion.kind is MotionKind.STOP)
+MOTIONS = frozenset(c.verb for c in _RAMPED) - STOPS
 
 
 class Kind(StrEnum):
@@ -119,7 +110,9 @@ class MksCore(MksState):
 
     def tolerates(self, command: Command, violation: Violation) -> bool:
         """Say whether the drive overlooks what a request breaks: reserved bits and the speed of a motion."""
-        return command.verb in MOTIONS | STOPS and (violation.rule == "reserved_bits" or violation.field == "speed")
+        motion = command.motion
+        ramped = motion is not None and motion.acceleration != ""
+        return ramped and (violation.rule == "reserved_bits" or violation.field == "speed")
 
     def silenced(self, command: Command) -> bool:
         """Say whether the replies of a command are switched off."""

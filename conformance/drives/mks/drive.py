@@ -24,8 +24,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Unpack
 
+from analyzer import dialects as registry
 from analyzer.catalogue import Dialect, Verb
-from analyzer.protocols import mks_modbus, mks_rs485
+from analyzer.layout import Effect
+from analyzer.link import CanLink, HeadLink, Link, ModbusLink
+from analyzer.protocols import mks_rs485
 from conformance.drives.drive import Options
 from conformance.drives.mks.core import Behaviour, MksCore
 from conformance.drives.mks.motion import MOTION, power_on
@@ -41,15 +44,17 @@ BEHAVIOURS: Mapping[Verb, Behaviour] = {**READING, **SETTINGS, **MOTION, **POWER
 OFF_VOLTS = 5.0
 
 
-def _responders(dialect: Dialect, model: str) -> tuple[MksResponder, ...]:
-    """Return the dialects of the drive that speaks one, as a model has them."""
+_RESPONDERS: Mapping[type[Link], type[MksResponder]] = {
+    HeadLink: NativeResponder,
+    ModbusLink: ModbusResponder,
+    CanLink: CanResponder,
+}
 
-    def spoken(each: Dialect) -> Dialect:
-        return each.for_model(model) if model and each.model != model else each
 
-    if dialect.bus == "can":
-        return (CanResponder(spoken(dialect)),)
-    return NativeResponder(spoken(mks_rs485.DIALECT)), ModbusResponder(spoken(mks_modbus.DIALECT))
+def _responders(dialect: Dialect, model: str) -> list[MksResponder]:
+    """Return the dialects of the drive that speaks one, as a model has them, by the value that chooses each."""
+    every = sorted((dialect.whole, *map(registry.get, dialect.siblings)), key=lambda each: each.chosen_by)
+    return [_RESPONDERS[type(each.link)](each.for_model(model) if model else each) for each in every]
 
 
 class MksDrive(MksCore):
@@ -61,9 +66,9 @@ class MksDrive(MksCore):
     def __init__(
         self, dialect: Dialect = mks_rs485.DIALECT, address: int = 1, *, model: str = "", **options: Unpack[Options]
     ) -> None:
-        if dialect.bus != "can":
-            modbus = int(dialect.name == mks_modbus.DIALECT.name)
-            options["settings"] = {"modbus": modbus} | dict(options.get("settings") or {})
+        chosen = dialect.effect(Effect.DIALECT)
+        if chosen is not None:
+            options["settings"] = {chosen[1].name: int(dialect.chosen_by)} | dict(options.get("settings") or {})
         super().__init__(_responders(dialect, model or dialect.model), address, BEHAVIOURS, power_on, **options)
 
     def power_cycle(self, t_ns: int) -> None:

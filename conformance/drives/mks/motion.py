@@ -37,7 +37,7 @@ from collections.abc import Callable, Mapping
 from analyzer.catalogue import Verb
 from analyzer.protocols import mks_shared as mks
 from conformance.drives.drive import Request, Values
-from conformance.drives.mks.core import Behaviour, Kind, MksCore, Script
+from conformance.drives.mks.core import STOPS, Behaviour, Kind, MksCore, Script
 from conformance.drives.mks.paths import Number, divided
 from conformance.drives.mks.state import way_of
 
@@ -326,11 +326,7 @@ def _run_again(drive: MksCore) -> None:
 MOTION: Mapping[Verb, Behaviour] = {
     Verb.RUN_SPEED: _run,
     **dict.fromkeys(TARGETS, _move),
-    Verb.STOP_SPEED: _stop,
-    Verb.STOP_RELATIVE_PULSES: _stop,
-    Verb.STOP_ABSOLUTE_PULSES: _stop,
-    Verb.STOP_RELATIVE_AXIS: _stop,
-    Verb.STOP_ABSOLUTE_AXIS: _stop,
+    **dict.fromkeys(STOPS, _stop),
     Verb.EMERGENCY_STOP: _emergency_stop,
     Verb.ENABLE: _enable,
     Verb.RELEASE_PROTECTION: _release_protection,

@@ -27,14 +27,15 @@ from enum import StrEnum
 from fractions import Fraction
 from math import ceil
 
+from analyzer.catalogue import Ramp
+from analyzer.protocols.mks_shared import RAMP
+
 Number = int | Fraction
 
 #: Parts of one turn in which positions are counted: 2**14 counts, and 8 parts for one rpm in one ns.
 TURN = 480_000_000_000
 #: Parts that one rpm covers in one ns.
 RPM_NS = TURN // 60_000_000_000
-#: The step of the slowest ramp is 256 of these.
-RAMP_UNIT_NS = 50_000
 
 
 class Phase(StrEnum):
@@ -46,9 +47,9 @@ class Phase(StrEnum):
     SLOWING_DOWN = "slowing_down"
 
 
-def ramp_step_ns(acceleration: int) -> int:
-    """Return the time of one rpm for an acceleration as sent: 0 is at once, else (256 - n) * 50 us."""
-    return 0 if acceleration == 0 else (256 - acceleration) * RAMP_UNIT_NS
+def ramp_step_ns(acceleration: int, law: Ramp = RAMP) -> int:
+    """Return the time of one rpm for an acceleration as sent: 0 is at once, else the less the higher it is."""
+    return 0 if acceleration == 0 else (law.steps - acceleration) * law.unit_ns
 
 
 def ramp_ns(start: Number, end: Number, step_ns: int) -> int:

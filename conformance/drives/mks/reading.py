@@ -84,7 +84,7 @@ def _status(drive: MksCore, order: Request) -> Values:
 
 def _io(drive: MksCore, order: Request) -> Values:
     left, right, large = drive.level("left"), drive.level("right"), drive.model.startswith("57")
-    if "bit_rate" not in drive.settings:
+    if drive.dialect.bus != "can":
         stalled = drive.memory.protected
         second = right if drive.side_wired("right") else 0
         return {"in_1": left, "in_2": second, "out_1": int(large and not stalled), "out_2": 0}

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from analyzer.catalogue import Command, Form, Replies, Role
+from analyzer.catalogue import Command, Dialect, Form, Replies, Role, Trait
 from analyzer.codec import codec
 from analyzer.link import READS, WRITE_MANY, ModbusLink
 from analyzer.protocols import mks_rs485
@@ -48,10 +48,13 @@ class MksResponder(Responder):
     """
 
     completes = True
-    turns_bus_motion = False
-    lets_go_at_home = True
     backs_off_by_angle = False
     supply = (12.0, 24.0)
+
+    def __init__(self, dialect: Dialect) -> None:
+        super().__init__(dialect)
+        self.turns_bus_motion = Trait.DIRECTION_TURNS_BUS_MOTION in dialect.traits
+        self.lets_go_at_home = Trait.LETS_GO_AT_END_LIMIT in dialect.traits
 
     def exception(self, message: Message) -> int | None:
         """Return the Modbus exception that answers a request, None where a command answers it."""
@@ -141,8 +144,6 @@ class ModbusResponder(MksResponder):
 class CanResponder(MksResponder):
     """The CAN frames of the E drives."""
 
-    turns_bus_motion = True
-    lets_go_at_home = False
     backs_off_by_angle = True
     supply = (20.0, 60.0)
 

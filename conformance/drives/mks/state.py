@@ -23,20 +23,14 @@ from typing import NamedTuple, Unpack
 
 from analyzer.catalogue import Command, Dialect, Verb
 from analyzer.errors import UsageError
-from analyzer.layout import Field
+from analyzer.layout import Effect, Field
 from analyzer.protocols import mks_shared
 from conformance.drives.drive import Drive, Options
 from conformance.drives.mks.motor import Motor, Switch
 from conformance.drives.mks.paths import Number, divided, ramp_step_ns
 from conformance.drives.mks.responders import MksResponder
 
-COUNTS_PER_TURN = mks_shared.COUNTS_PER_TURN
-#: Full steps of a turn: a turn has so many times `subdivision` pulses.
-STEPS_PER_TURN = 200
-#: The byte of the subdivision cannot hold 256, so 0 stands for it.
-WIDEST_SUBDIVISION = 256
-#: At these subdivisions the shaft turns at the speed as sent; at others the speed is reckoned from the first.
-PLAIN_SUBDIVISIONS = (16, 32, 64)
+COUNTS_PER_TURN, SUBDIVISION = mks_shared.COUNTS_PER_TURN, mks_shared.SUBDIVISION
 #: The position error at which a locked rotor counts as one where no setting says: that of the CAN drives.
 STALL_COUNTS = COUNTS_PER_TURN // 2
 DEGREES = 360
@@ -128,7 +122,7 @@ class Memory:
 
 
 class MksState(Drive):
-    """The state of one drive. `responders`: its dialects, by the value of the setting `modbus`.
+    """The state of one drive. `responders`: its dialects, by the value of the setting that chooses one.
 
     Raises UsageError for a name that is no setting and for a value that a setting cannot have.
 
@@ -140,6 +134,7 @@ class MksState(Drive):
 
     def __init__(self, responders: Sequence[MksResponder], address: int, **options: Unpack[Options]) -> None:
         super().__init__(responders, address, **options)
+        self.dialect_setting = self._named(Effect.DIALECT)
         self.fields, self.factory = catalogued(self.dialect)
         self.settings = self._checked({"new_address": address} | self.settings)
         self.ramp: Callable[[int], int] = ramp_step_ns
@@ -178,7 +173,7 @@ class MksState(Drive):
     @property
     def responder(self) -> MksResponder:
         """The responder of the dialect that the drive speaks now."""
-        responder = self.responders[min(self.settings.get("modbus", 0), len(self.responders) - 1)]
+        responder = self.responders[min(self.settings.get(self.dialect_setting, 0), len(self.responders) - 1)]
         assert isinstance(responder, MksResponder)
         return responder
 
@@ -221,7 +216,7 @@ class MksState(Drive):
     @property
     def subdivision(self) -> int:
         """The pulses of a full step."""
-        return self.settings["subdivision"] or WIDEST_SUBDIVISION
+        return self.settings["subdivision"] or SUBDIVISION.largest
 
     @property
     def bus_sense(self) -> int:
@@ -232,7 +227,7 @@ class MksState(Drive):
     @property
     def pulse_counts(self) -> Number:
         """The encoder counts of one pulse, below 0 where pulses lower the encoder."""
-        return Fraction(self.bus_sense * COUNTS_PER_TURN, STEPS_PER_TURN * self.subdivision)
+        return Fraction(self.bus_sense * COUNTS_PER_TURN, SUBDIVISION.full_steps * self.subdivision)
 
     @property
     def pulses(self) -> int:
@@ -246,12 +241,12 @@ class MksState(Drive):
 
     def highest_speed(self, declared: int) -> int:
         """Return the speed as sent that the work mode allows at most; `declared` is that of the command."""
-        return mks_shared.MODE_MAXIMUM_SPEEDS.get(self.mode, declared)
+        return self.dialect.mode_speeds.get(self.mode, declared)
 
     def real_speed(self, speed: int) -> Number:
         """Return the rpm of the shaft for a speed as sent."""
-        plain = self.subdivision in PLAIN_SUBDIVISIONS
-        return speed if plain else divided(speed * PLAIN_SUBDIVISIONS[0], self.subdivision)
+        plain = self.subdivision in SUBDIVISION.plain
+        return speed if plain else divided(speed * SUBDIVISION.counted_at, self.subdivision)
 
     @property
     def stall_counts(self) -> Number:

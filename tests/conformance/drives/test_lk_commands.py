@@ -21,7 +21,6 @@ from analyzer.records import Frame
 from conformance.drives.drive import Request
 from conformance.drives.lk.commands import ACTS, ANSWERS, MOVES, PHYSICAL, SENT
 from conformance.drives.lk.drive import FACTORY, PARAMETERS, LkDrive
-from conformance.drives.speed import speed_of
 from tests.conformance.drives.lk_bench import STEP_NS, Bench
 
 MODELS = DIALECT.models
@@ -416,8 +415,8 @@ def test_settings_that_cannot_be_are_told(settings: dict[str, int], text: str) -
 
 
 def test_line_speed() -> None:
-    assert speed_of(LkDrive()) == 115200
-    assert speed_of(LkDrive(settings={"baud_rate": 1_000_000})) == 1_000_000
+    assert LkDrive().speed == 115200
+    assert LkDrive(settings={"baud_rate": 1_000_000}).speed == 1_000_000
 
 
 def test_the_reply_form_is_the_one_of_its_fields() -> None:
