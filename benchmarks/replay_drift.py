@@ -90,7 +90,7 @@ def gate_cost() -> None:
     new = [rng.randbytes(12) for _ in range(2000)]
     started = time.perf_counter()
     for item in new:
-        judge.read(item)
+        judge.interpret(item)
     unknown = (time.perf_counter() - started) / len(new)
     print(f"the gate: {known * 1e6:.2f} us for a read it has seen, {unknown * 1e6:.0f} us for 12 bytes that are new to it")
 

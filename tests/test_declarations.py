@@ -13,7 +13,6 @@ from analyzer.catalogue import Command, Dialect, Doubt, MotionKind, Risk, Subjec
 from analyzer.layout import Effect, Field
 from analyzer.protocols import mks_can, mks_shared
 from conformance.drives.mks import paths
-from conformance.gate import bounds
 from conformance.motion import moves, ramp
 from conformance.safety import stopping
 
@@ -37,17 +36,6 @@ def named(command: Command) -> dict[str, Field]:
 
 
 # --- motion -----------------------------------------------------------------------------------------------------------
-
-
-@EVERY
-def test_the_bounds_knew_these_motions(dialect: Dialect) -> None:
-    known = set(dialect.by_verb)
-    assert verbs(dialect, MotionKind.STOP) == bounds.STOPS & known
-    assert verbs(dialect, MotionKind.RUN, MotionKind.TORQUE) == bounds.RUNS & known
-    assert verbs(dialect, *MOVES, MotionKind.MOVE_IN_TURN) == bounds.MOVES & known
-    assert verbs(dialect, MotionKind.HOME, MotionKind.CALIBRATE) == bounds.OWN_WAYS & known
-    assert verbs(dialect, MotionKind.MOVE_IN_TURN) == {Verb.MOVE_SINGLE_TURN} & known
-    assert verbs(dialect, MotionKind.RUN) == {Verb.RUN_SPEED} & known
 
 
 @EVERY
@@ -149,7 +137,7 @@ def test_currents_are_those_that_the_bounds_knew(dialect: Dialect) -> None:
         for c in dialect.commands
         for form in c.request_forms
         for name, field in form.layout.named.items()
-        if bounds._is_current(name, field)
+        if field.unit in ("mA", "A") or name.endswith("current") or name in ("torque_limit", "power")
     }
     assert {(c.name, f.name) for c, f in dialect.effects(Effect.CURRENT)} == expected
 
@@ -217,10 +205,7 @@ def test_the_ramp(dialect: Dialect) -> None:
 def test_the_subdivision(dialect: Dialect) -> None:
     rule = dialect.subdivision
     assert rule is not None
-    assert rule.full_steps == bounds.STEPS_PER_TURN == moves.STEPS_PER_TURN
-    assert rule.plain == bounds.PLAIN_SUBDIVISIONS
-    assert rule.counted_at == bounds.SPEED_SUBDIVISION
-    assert rule.largest == bounds._LARGEST_SUBDIVISION
+    assert rule.full_steps == moves.STEPS_PER_TURN
     setting = dialect.effect(Effect.SUBDIVISION)
     assert setting is not None
     assert setting[1].default == moves.SUBDIVISION
@@ -228,7 +213,7 @@ def test_the_subdivision(dialect: Dialect) -> None:
 
 @EVERY
 def test_only_a_drive_with_the_setting_has_a_rule(dialect: Dialect) -> None:
-    assert (dialect.subdivision is not None) == bounds.has_subdivision(dialect)
+    assert (dialect.subdivision is not None) == (dialect.effect(Effect.SUBDIVISION) is not None)
 
 
 @EVERY_MKS

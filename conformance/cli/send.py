@@ -116,7 +116,7 @@ class _Given:
         self.address = address
         self.dialect = self.dialects[0] if command is not None else None
         #: Whether anything but a read can be meant.
-        self.acts = any(not r.reads_only for r in Judge(Allowance(), registry.every()).read(item))
+        self.acts = any(not r.reads_only for r in Judge(Allowance(), registry.every()).interpret(item))
         many = self.dialect is not None and address == self.dialect.broadcast
         self.answered = command is None or (bool(command.reply_forms) and not many and command.slots is None)
 
@@ -164,10 +164,10 @@ def _first_look(given: _Given, allowance: Allowance, dialects: Sequence[Dialect]
 
 def _dry_run(given: _Given, allowance: Allowance, arguments: argparse.Namespace) -> int:
     judge = Judge(replace(allowance, budget=allowance.budget.rehearsal()), _every(arguments))
-    readings, objections = judge.read(given.item), judge.objections(given.item)
+    readings, objections = judge.interpret(given.item), judge.objections(given.item)
     if arguments.json:
         listed = [{"reading": str(r), "risk": sorted(r.risks)} for r in readings]
-        refused = [{"reading": str(o.reading), "reasons": list(o.reasons), "hint": o.hint} for o in objections]
+        refused = [{"reading": str(o.interpretation), "reasons": list(o.reasons), "hint": o.hint} for o in objections]
         print(json.dumps({"sent": shown(given.item), "readings": listed, "refused": refused}))
     else:
         print(shown(given.item))

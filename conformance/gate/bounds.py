@@ -1,60 +1,46 @@
-"""How far, how fast, how hard: what a reading would make a drive do, from the fields that the catalogue declares.
+"""Bounds: how fast, how far and how hard one command may move a drive. They are judged here, and drawn values stay within.
 
-    speed          fields in rpm: the real rpm of the shaft, which depends on the subdivision; deg/s: a sixth of it
-    turns          relative moves by their length; absolute ones from where the drive is; within one turn: one
-    acceleration   as sent, 1..255, where 0 means at once and is above every bound
-    current        fields in mA, or in A once the model is known
+    speed          fields in rpm: the rpm of the shaft, by the subdivision; in deg/s: a sixth of the number
+    turns          a move by its length; a move to a place from where the shaft is; a move within one turn: 1
+    acceleration   as sent, 1..255; 0 changes the speed at once, which is above every bound
+    current        mA, A once the model is known
 
-What is not in the frame has to be known: `Knowledge` has what was told (`note_...`) and what was sent since, and of
-several possibilities the worst counts. What cannot be told is no bounded command: it is refused, and said why. An unknown
-subdivision counts as 1 (the real rpm is then 16 times what is sent).
+One rule for each bound says what a field's value amounts to (`Measure`). The gate compares that amount (`Knowledge.problems`);
+who draws values asks which of them stay within (`span`). So what the gate refuses is never drawn.
 
-A stop is never bounded. A run without an end has no length: that it may be sent is what the risk `unbounded` says.
+Rules kept here:
+- Motions, their fields and their units are those that the catalogue declares. A motion that it does not declare has an
+  unknown length and speed: it is beyond every bound.
+- What the frame does not say has to be known: `Knowledge` has what was noted, and what was sent since. Of several
+  possibilities the worst counts. An unknown subdivision counts as 1: the shaft then turns 16 times as fast as is sent.
+- What is unknown and bounded is refused, with the reason.
+- A stop is never bounded. A run without an end has no length: it needs the risk `unbounded`.
+
+Not known here: which risks are allowed (`conformance.gate.permissions`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from copy import deepcopy
 from dataclasses import dataclass, field
+from fractions import Fraction
+from math import ceil, floor
 
-from analyzer.catalogue import Dialect, Risk, Verb
-from analyzer.layout import Field
-from analyzer.protocols.mks_shared import COUNTS_PER_TURN
-from conformance.gate.interpretations import Reading
+from analyzer.catalogue import Command, Dialect, Form, MotionKind, Risk, Verb
+from analyzer.layout import Effect, Field
+from conformance.gate.interpretations import Interpretation
 
-DEGREES = 360.0
-#: Full steps of a turn of the shaft; finer motors turn less for the same pulses.
-STEPS_PER_TURN = 200
-#: Subdivisions at which a speed as sent is that of the shaft, and the factor for all others.
-PLAIN_SUBDIVISIONS = frozenset({16, 32, 64})
-SPEED_SUBDIVISION = 16
-_LARGEST_SUBDIVISION = 256
-
-STOPS = frozenset(
-    {
-        Verb.STOP,
-        Verb.EMERGENCY_STOP,
-        Verb.STOP_SPEED,
-        Verb.STOP_RELATIVE_PULSES,
-        Verb.STOP_ABSOLUTE_PULSES,
-        Verb.STOP_RELATIVE_AXIS,
-        Verb.STOP_ABSOLUTE_AXIS,
-    }
-)
-RUNS = frozenset({Verb.RUN_SPEED, Verb.RUN_TORQUE, Verb.RUN_OPEN_LOOP})
-MOVES = frozenset(
-    {
-        Verb.MOVE_RELATIVE_PULSES,
-        Verb.MOVE_ABSOLUTE_PULSES,
-        Verb.MOVE_RELATIVE_AXIS,
-        Verb.MOVE_ABSOLUTE_AXIS,
-        Verb.MOVE_SINGLE_TURN,
-    }
-)
-#: What turns the shaft by rules of its own.
-OWN_WAYS = frozenset({Verb.HOME, Verb.CALIBRATE})
-#: After these the position that was known is another one, or counted from elsewhere.
-_FORGET = OWN_WAYS | {Verb.SET_ZERO, Verb.CLEAR_TURNS, Verb.RESTART, Verb.RESTORE, Verb.ENABLE, Verb.MOTOR_OFF, Verb.OTHER}
+DEGREES = 360
+_MA_PER_A = 1000
+_MOVES = frozenset({MotionKind.MOVE_BY, MotionKind.MOVE_TO, MotionKind.MOVE_IN_TURN})
 _MOVING_RISKS = frozenset({Risk.MOTION, Risk.UNBOUNDED})
+#: Names that fields of moves have, for a field of which the command is not known.
+_DISTANCES = ("pulses", "position")
+
+#: First and last of a stretch of values, as sent; empty where the first is higher.
+Span = tuple[int, int]
+EMPTY: Span = (1, 0)
 
 
 @dataclass(frozen=True)
@@ -73,7 +59,7 @@ class Bounds:
 
 
 @dataclass
-class _Drive:
+class DriveState:
     """What is known of one drive: the values that a setting may have, and where the shaft may be, low and high."""
 
     subdivisions: set[int] = field(default_factory=lambda: {1})
@@ -84,29 +70,164 @@ class _Drive:
     since_ns: int = 0
 
 
+# --- what a value amounts to: one rule for each bound -----------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What a value of a field amounts to: its distance from the farthest origin, times `factor`.
+
+    `factor` None, no `origins`: that is unknown. `unlimited_zero`: 0 stands for more than any number.
+    """
+
+    factor: Fraction | None
+    origins: tuple[Fraction, ...] = (Fraction(0),)
+    unlimited_zero: bool = False
+
+    def of(self, value: int) -> float | None:
+        """Return what a value amounts to, None where that is unknown."""
+        if self.factor is None or not self.origins or (self.unlimited_zero and value == 0):
+            return None
+        return float(max(abs(value - origin) for origin in self.origins) * self.factor)
+
+    def within(self, bound: float) -> Span:
+        """Return the first and last value that amount to no more than a bound."""
+        if self.factor is None or not self.origins:
+            return EMPTY
+        reach = Fraction(bound) / self.factor
+        low, high = ceil(max(self.origins) - reach), floor(min(self.origins) + reach)
+        return (1 if self.unlimited_zero else low), high
+
+
+def _shaft_rpm(dialect: Dialect | None, drive: DriveState) -> Fraction:
+    """Return the highest rpm of the shaft for 1 rpm as sent."""
+    rule = None if dialect is None else dialect.subdivision
+    if rule is None:
+        return Fraction(1)
+    known = {s or rule.largest for s in drive.subdivisions}
+    return max(Fraction(1) if s in rule.plain else Fraction(rule.counted_at, s) for s in known)
+
+
+def _speed(dialect: Dialect | None, command: Command | None, declared: Field, drive: DriveState) -> Measure | None:
+    if declared.fixed is not None or declared.unit not in ("rpm", "deg/s"):
+        return None
+    rpm = _shaft_rpm(dialect, drive) if declared.unit == "rpm" else Fraction(1, 6)
+    # A limit of 0 may mean that there is none.
+    return Measure(rpm * declared.scale, unlimited_zero=declared.name == "max_speed")
+
+
+def _turns(dialect: Dialect | None, command: Command | None, declared: Field, drive: DriveState) -> Measure | None:
+    motion = None if command is None else command.motion
+    kind = MotionKind.MOVE_BY if motion is None else motion.kind
+    names = _DISTANCES if command is None else () if motion is None else (motion.distance,)
+    if declared.name not in names or kind not in (MotionKind.MOVE_BY, MotionKind.MOVE_TO):
+        return None
+    turns = _turns_of_one(dialect, declared, drive)
+    if kind is MotionKind.MOVE_BY or turns is None:
+        return Measure(turns)
+    if declared.unit == "pulses":
+        return Measure(turns, tuple(Fraction(p) for p in drive.pulses or ()))
+    return Measure(turns, tuple(Fraction(d) / DEGREES / turns for d in drive.degrees or ()))
+
+
+def _turns_of_one(dialect: Dialect | None, declared: Field, drive: DriveState) -> Fraction | None:
+    """Return the turns of the shaft for 1 as sent, at the most; None where that is unknown."""
+    if declared.unit == "deg":
+        return declared.scale / DEGREES
+    if dialect is not None and declared.unit == "counts" and dialect.counts_per_turn:
+        return declared.scale / dialect.counts_per_turn
+    if dialect is not None and declared.unit == "pulses" and dialect.subdivision is not None:
+        rule = dialect.subdivision
+        return Fraction(1, rule.full_steps * min(s or rule.largest for s in drive.subdivisions))
+    return None
+
+
+def _acceleration(dialect: Dialect | None, command: Command | None, declared: Field, drive: DriveState) -> Measure | None:
+    motion = None if command is None else command.motion
+    named = declared.name == "acceleration" or (motion is not None and declared.name == motion.acceleration)
+    return Measure(Fraction(1), unlimited_zero=True) if named else None
+
+
+def _current(dialect: Dialect | None, command: Command | None, declared: Field, drive: DriveState) -> Measure | None:
+    factor = {"mA": declared.scale, "A": declared.scale * _MA_PER_A}.get(declared.unit)
+    return Measure(factor) if factor is not None or declared.effect is Effect.CURRENT else None
+
+
+_Rule = Callable[[Dialect | None, Command | None, Field, DriveState], Measure | None]
+_RULES: Mapping[str, _Rule] = {"speed": _speed, "turns": _turns, "acceleration": _acceleration, "current": _current}
+
+
+# --- values that stay within ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Leeway:
+    """What bounds leave: the bounds, and what is known of the drive that they are for.
+
+    `subdivision`: what it is set to. `degrees`: where its shaft is over all turns; `pulses`: its count of them; None: unknown.
+    """
+
+    bounds: Bounds = field(default_factory=Bounds)
+    subdivision: int | None = None
+    degrees: float | None = None
+    pulses: int | None = None
+    dialect: Dialect | None = None
+
+    @property
+    def drive(self) -> DriveState:
+        """What is known of the drive."""
+        degrees = None if self.degrees is None else (self.degrees, self.degrees)
+        pulses = None if self.pulses is None else (self.pulses, self.pulses)
+        return DriveState({1 if self.subdivision is None else self.subdivision}, set(), degrees, pulses)
+
+
+NO_BOUNDS = Leeway()
+
+
+def span(declared: Field, leeway: Leeway = NO_BOUNDS, command: Command | None = None) -> Span:
+    """Return the first and last value of a field, as sent, that manual and bounds allow. `command`: the one that has it."""
+    low, high = declared.low, declared.high
+    for name, rule in _RULES.items():
+        bound = getattr(leeway.bounds, name)
+        measure = None if bound is None else rule(leeway.dialect, command, declared, leeway.drive)
+        if measure is not None:
+            first, last = measure.within(bound)
+            low, high = max(low, first), min(high, last)
+    return (low, high) if low <= high else EMPTY
+
+
+def never_within(command: Command, form: Form, bounds: Bounds) -> bool:
+    """Say whether no values of a request stay within the bounds: it moves by something that it does not say."""
+    motion = command.motion
+    if motion is None:
+        return command.moves and bounds.given
+    if motion.kind in (MotionKind.STOP, MotionKind.HOLD):
+        return False
+    if bounds.speed is not None and not any(_speed(None, command, f, DriveState()) for f in form.layout.named.values()):
+        return True
+    return bounds.turns is not None and motion.kind is MotionKind.MOVE_IN_TURN and bounds.turns < 1
+
+
+# --- what is known of the drives, and what a request would make them do -----------------------------------------------
+
+
 class Knowledge:
     """What is known of the drives on a line. `subdivision`: what all of them are set to, None: unknown."""
 
     def __init__(self, subdivision: int | None = None) -> None:
-        self._subdivision = subdivision or 1
-        self._drives: dict[int | None, _Drive] = {}
+        #: By address; None: any drive that nothing was sent to alone, so that broadcasts hold for it too.
+        self._drives: dict[int | None, DriveState] = {None: DriveState({1 if subdivision is None else subdivision})}
 
-    def _of(self, address: int | None) -> _Drive:
+    def _of(self, address: int | None) -> DriveState:
         found = self._drives.get(address)
         if found is None:
-            found = self._drives[address] = _Drive({self._subdivision})
+            found = self._drives[address] = deepcopy(self._drives[None])
         return found
 
-    # --- what is told ---------------------------------------------------------------------------------------------
-
     def note_subdivision(self, value: int, address: int | None = None) -> None:
-        """Take it that a drive (None: every drive) is set to a subdivision; 0 stands for 256."""
-        value = value or _LARGEST_SUBDIVISION
-        if address is None:
-            self._subdivision = value
-            for drive in self._drives.values():
-                drive.subdivisions = {value}
-        self._of(address).subdivisions = {value}
+        """Take it that a drive (None: every drive) is set to a subdivision."""
+        for drive in self._drives.values() if address is None else (self._of(address),):
+            drive.subdivisions = {value}
 
     def note_position(self, degrees: float, address: int, pulses: int | None = None) -> None:
         """Take it that the shaft of a drive stands at `degrees` over all turns, and at a count of pulses where known."""
@@ -114,208 +235,198 @@ class Knowledge:
         drive.degrees = (degrees, degrees)
         drive.pulses = None if pulses is None else (pulses, pulses)
 
-    # --- what a reading would do ----------------------------------------------------------------------------------
-
-    def problems(self, reading: Reading, bounds: Bounds) -> list[str]:
-        """Return how a reading is beyond the bounds, or that nobody can tell; empty where it is within them."""
-        if not bounds.given or reading.command is None or reading.reads_only or reading.command.verb in STOPS:
+    def problems(self, asked: Interpretation, bounds: Bounds) -> list[str]:
+        """Return how a request is beyond the bounds, or that this is unknown; empty where it is within them."""
+        if not bounds.given or asked.command is None or asked.reads_only or stops(asked):
             return []
-        told = [self._speed(reading, bounds.speed), self._turns(reading, bounds.turns)]
-        told += [self._acceleration(reading, bounds.acceleration), self._current(reading, bounds.current)]
+        if asked.command.motion is None and moves(asked):
+            return ["how it moves is not in the catalogue, so that no bound can be held"]
+        told = [self._beyond_speed(asked, bounds.speed), self._beyond_turns(asked, bounds.turns)]
+        told += [_beyond_acceleration(asked, bounds.acceleration), _beyond_current(asked, bounds.current)]
         return [text for text in told if text]
 
-    def rpm(self, reading: Reading) -> float | None:
-        """Return the highest rpm that a reading may make the shaft turn at; None where nobody can tell."""
-        command, form = reading.command, reading.form
-        if command is None or form is None:
+    def rpm(self, asked: Interpretation) -> float | None:
+        """Return the highest rpm that a request may make the shaft turn at; None where that is unknown."""
+        command, form, drive = asked.command, asked.form, self._of(asked.address)
+        if command is None or form is None or (command.motion is None and moves(asked)):
             return None
         speeds = []
         for name, declared in form.layout.named.items():
-            if declared.unit not in ("rpm", "deg/s") or declared.fixed is not None:
-                continue
-            value = reading.values.get(name)
-            if value is None or (name == "max_speed" and value == 0):
-                return None
-            physical = abs(float(declared.physical(value)))
-            speeds.append(self._real(reading, physical) if declared.unit == "rpm" else physical / 6)
+            measure = _speed(asked.dialect, command, declared, drive)
+            if measure is not None:
+                value = asked.values.get(name)
+                rpm = None if value is None else measure.of(value)
+                if rpm is None:
+                    return None
+                speeds.append(rpm)
         if speeds:
             return max(speeds)
-        if command.verb is Verb.HOME:
-            known = self._of(reading.address).home_speeds
-            return max(self._real(reading, float(s)) for s in known) if known else None
-        return None if moves(reading) else 0.0
+        if _kind(asked) is MotionKind.HOME and drive.home_speeds:
+            return float(max(drive.home_speeds) * _shaft_rpm(asked.dialect, drive))
+        return None if moves(asked) else 0.0
 
-    def _real(self, reading: Reading, rpm: float) -> float:
-        """Return the rpm of the shaft for a speed as sent, at the worst subdivision the drive may be set to."""
-        if not has_subdivision(reading.dialect):
-            return rpm
-        return max(
-            rpm if s in PLAIN_SUBDIVISIONS else rpm * SPEED_SUBDIVISION / s for s in self._of(reading.address).subdivisions
-        )
-
-    def turns(self, reading: Reading) -> float | None:
-        """Return how many turns a reading makes the shaft turn at most; None where nobody can tell."""
-        command, form = reading.command, reading.form
+    def turns(self, asked: Interpretation) -> float | None:
+        """Return how many turns a request makes the shaft turn at most; None where that is unknown."""
+        command, form = asked.command, asked.form
         if command is None or form is None:
             return None
-        verb = command.verb
-        if verb not in MOVES:
-            return None if moves(reading) else 0.0
-        if verb is Verb.MOVE_SINGLE_TURN:
+        motion = command.motion
+        if motion is None or motion.kind not in _MOVES:
+            return None if moves(asked) else 0.0
+        if motion.kind is MotionKind.MOVE_IN_TURN:
             return 1.0
-        name = next((n for n in ("pulses", "position") if n in form.layout.named), "")
-        value = reading.values.get(name)
-        if value is None:
-            return None
-        drive = self._of(reading.address)
-        if verb in (Verb.MOVE_RELATIVE_PULSES, Verb.MOVE_ABSOLUTE_PULSES):
-            pulses = abs(value) if verb is Verb.MOVE_RELATIVE_PULSES else _farthest(drive.pulses, value)
-            return None if pulses is None else pulses / (STEPS_PER_TURN * min(drive.subdivisions))
-        degrees = _degrees(form.layout.named[name], value)
-        if verb is Verb.MOVE_RELATIVE_AXIS:
-            return abs(degrees) / DEGREES
-        farthest = _farthest(drive.degrees, degrees)
-        return None if farthest is None else farthest / DEGREES
+        value, declared = asked.values.get(motion.distance), form.layout.named.get(motion.distance)
+        measure = None if declared is None else _turns(asked.dialect, command, declared, self._of(asked.address))
+        return None if measure is None or value is None else measure.of(value)
 
-    # --- bound by bound -------------------------------------------------------------------------------------------
-
-    def _speed(self, reading: Reading, bound: float | None) -> str:
+    def _beyond_speed(self, asked: Interpretation, bound: float | None) -> str:
         if bound is None:
             return ""
-        rpm = self.rpm(reading)
+        rpm = self.rpm(asked)
         if rpm is None:
-            return f"its speed cannot be told from the frame{_hint(reading)}, and --max-speed is {bound:g} rpm"
+            hint = " (set_home says it, if it is sent first)" if _kind(asked) is MotionKind.HOME else ""
+            return f"its speed cannot be told from the frame{hint}, and --max-speed is {bound:g} rpm"
         if rpm <= bound:
             return ""
-        if has_subdivision(reading.dialect) and 1 in self._of(reading.address).subdivisions:
+        if asked.dialect.subdivision is not None and 1 in self._of(asked.address).subdivisions:
             unknown = "while the subdivision is not known (tell it: --subdivision N)"
             return f"up to {rpm:g} rpm {unknown}, above --max-speed {bound:g}"
         return f"{rpm:g} rpm, above --max-speed {bound:g}"
 
-    def _turns(self, reading: Reading, bound: float | None) -> str:
-        if bound is None or not moves(reading) or Risk.UNBOUNDED in reading.risks:
+    def _beyond_turns(self, asked: Interpretation, bound: float | None) -> str:
+        if bound is None or not moves(asked) or Risk.UNBOUNDED in asked.risks:
             return ""
-        turns = self.turns(reading)
+        turns = self.turns(asked)
         if turns is None:
             return f"how far it turns cannot be told without the drive's position, and --max-turns is {bound:g}"
         return f"{turns:.4g} turns, above --max-turns {bound:g}" if turns > bound else ""
 
-    @staticmethod
-    def _acceleration(reading: Reading, bound: float | None) -> str:
-        if bound is None or reading.form is None:
-            return "" if bound is None or not moves(reading) else "its acceleration has not come yet"
-        declared = reading.form.layout.named.get("acceleration")
-        if declared is None:
-            return ""
-        value = reading.values.get("acceleration")
-        if value is None:
-            return "its acceleration has not come yet"
-        if value == 0:
-            return f"acceleration 0 is at once, above --max-acceleration {bound:g}"
-        return f"acceleration {value}, above --max-acceleration {bound:g}" if value > bound else ""
-
-    @staticmethod
-    def _current(reading: Reading, bound: float | None) -> str:
-        if bound is None or reading.form is None:
-            return ""
-        for name, declared in reading.form.layout.named.items():
-            if not _is_current(name, declared):
-                continue
-            value = reading.values.get(name)
-            if declared.unit not in ("mA", "A") or value is None:
-                return f"{name} in mA is not known without the drive's model, and --max-current is {bound:g} mA"
-            milliamperes = abs(float(declared.physical(value))) * (1000 if declared.unit == "A" else 1)
-            if milliamperes > bound:
-                return f"{name} {milliamperes:g} mA, above --max-current {bound:g}"
-        return ""
-
     # --- what was sent --------------------------------------------------------------------------------------------
 
-    def learn(self, reading: Reading, now_ns: int) -> None:
-        """Take it that a reading has left and that a drive may have obeyed."""
-        command = reading.command
-        if command is None or reading.reads_only:
+    def learn(self, asked: Interpretation, now_ns: int) -> None:
+        """Take it that a request has left and that a drive may have obeyed."""
+        if asked.command is None or asked.reads_only:
             return
-        for drive in self._concerned(reading):
-            if command.verb in STOPS or moves(reading):
+        for drive in self._concerned(asked):
+            if stops(asked) or moves(asked):
                 drive.running_rpm, drive.since_ns = 0.0, now_ns
-            if command.verb is Verb.RUN_SPEED:
-                drive.running_rpm = self.rpm(reading) or 0.0
-            if command.verb in RUNS | _FORGET:
-                drive.degrees = drive.pulses = None
-            elif command.verb in MOVES:
-                self._shift(drive, reading)
-            self._settings(drive, reading)
+            if runs(asked):
+                drive.running_rpm = self.rpm(asked) or 0.0
+            self._learn_place(drive, asked)
+            _learn_settings(drive, asked)
 
-    def run_turns(self, reading: Reading, now_ns: int) -> float:
-        """Return the turns that a drive has made in the run that this reading ends, as far as any."""
-        minutes = [d.running_rpm * (now_ns - d.since_ns) / 60e9 for d in self._concerned(reading)]
+    def run_turns(self, asked: Interpretation, now_ns: int) -> float:
+        """Return the turns that a drive has made in the run that this request ends, as far as any."""
+        minutes = [d.running_rpm * (now_ns - d.since_ns) / 60e9 for d in self._concerned(asked)]
         return max(minutes, default=0.0)
 
-    def _concerned(self, reading: Reading) -> list[_Drive]:
-        if reading.slot or not reading.to_many:
-            return [self._of(reading.address)]
+    def _concerned(self, asked: Interpretation) -> list[DriveState]:
+        if asked.slot or not asked.to_many:
+            return [self._of(asked.address)]
         return list(self._drives.values())
 
-    @staticmethod
-    def _shift(drive: _Drive, reading: Reading) -> None:
-        command, form = reading.command, reading.form
+    def _learn_place(self, drive: DriveState, asked: Interpretation) -> None:
+        command, form, known = asked.command, asked.form, drive.degrees
         assert command is not None
-        value = reading.values.get("position")
-        known = drive.degrees
+        if stops(asked) or _leaves_the_shaft(command):
+            return
         drive.degrees = drive.pulses = None
-        if known is None or value is None or form is None or form.layout.named["position"].unit == "pulses":
+        motion = command.motion
+        declared = form.layout.named.get(motion.distance) if form is not None and motion is not None else None
+        value = None if motion is None else asked.values.get(motion.distance)
+        if motion is None or declared is None or known is None or value is None or declared.unit == "pulses":
+            return
+        turns = _turns_of_one(asked.dialect, declared, drive)
+        if turns is None or motion.kind not in (MotionKind.MOVE_BY, MotionKind.MOVE_TO):
             return
         # It may have been refused, or be under way.
         low, high = known
-        degrees = _degrees(form.layout.named["position"], value)
-        ends = (degrees,) if command.verb is Verb.MOVE_ABSOLUTE_AXIS else (low + degrees, high + degrees)
+        degrees = float(value * turns * DEGREES)
+        ends = (degrees,) if motion.kind is MotionKind.MOVE_TO else (low + degrees, high + degrees)
         drive.degrees = (min(low, *ends), max(high, *ends))
 
-    @staticmethod
-    def _settings(drive: _Drive, reading: Reading) -> None:
-        command, values = reading.command, reading.values
-        assert command is not None
-        if command.verb is Verb.SET_SUBDIVISION:
-            drive.subdivisions.add(values.get("subdivision", 1) or _LARGEST_SUBDIVISION)
-        elif command.verb is Verb.SET_HOME and "home_speed" in values:
-            drive.home_speeds.add(values["home_speed"])
-        elif command.verb is Verb.RESTORE:
-            drive.subdivisions.add(SPEED_SUBDIVISION)
-            drive.home_speeds.clear()
+
+def _learn_settings(drive: DriveState, asked: Interpretation) -> None:
+    command, rule = asked.command, asked.dialect.subdivision
+    assert command is not None
+    for form in command.request_forms if asked.form is None else (asked.form,):
+        for name, declared in form.layout.named.items():
+            value = asked.values.get(name)
+            if declared.effect is Effect.SUBDIVISION:
+                drive.subdivisions.add(1 if value is None else value)
+            elif declared.effect is Effect.HOME_SPEED and value is not None:
+                drive.home_speeds.add(value)
+    if Risk.DESTRUCTIVE in command.all_risks:
+        # The settings may be those of the factory again.
+        drive.home_speeds.clear()
+        if rule is not None:
+            drive.subdivisions.add(rule.counted_at)
 
 
-def moves(reading: Reading) -> bool:
-    """Say whether a reading makes the shaft go somewhere, stops aside."""
-    command = reading.command
-    if command is None:
-        return False
-    if command.verb in MOVES | RUNS | OWN_WAYS:
-        return True
-    return command.verb is Verb.OTHER and bool(reading.risks & _MOVING_RISKS)
+def _leaves_the_shaft(command: Command) -> bool:
+    """Say whether a command surely leaves the shaft where it is, and counted as it was: it sets a value, or takes hold."""
+    if command.motion is not None:
+        # One that risks torque can let go too.
+        return command.motion.kind is MotionKind.HOLD and Risk.TORQUE not in command.all_risks
+    fields = [f for form in command.request_forms for f in form.layout.named.values()]
+    chosen = any(f.fixed is None and f.low < f.high for f in fields)
+    return Risk.SETTING in command.all_risks and chosen and command.verb is not Verb.OTHER
 
 
-def has_subdivision(dialect: Dialect) -> bool:
-    """Say whether the drives of a dialect turn at another speed than is sent, by their subdivision."""
-    return Verb.SET_SUBDIVISION in dialect.by_verb
-
-
-def _degrees(declared: Field, value: int) -> float:
-    if declared.unit == "counts":
-        return value * DEGREES / COUNTS_PER_TURN
-    return float(declared.physical(value))
-
-
-def _farthest(known: tuple[float, float] | None, target: float) -> float | None:
-    return None if known is None else max(abs(target - known[0]), abs(target - known[1]))
-
-
-def _is_current(name: str, declared: Field) -> bool:
-    return declared.unit == "mA" or name.endswith("current") or name in ("torque_limit", "power")
-
-
-def _hint(reading: Reading) -> str:
-    assert reading.command is not None
-    if reading.command.verb is Verb.HOME:
-        return " (set_home says it, if it is sent first)"
+def _beyond_acceleration(asked: Interpretation, bound: float | None) -> str:
+    if bound is None or asked.form is None:
+        return "" if bound is None or not moves(asked) else "its acceleration has not come yet"
+    for name, declared in asked.form.layout.named.items():
+        measure = _acceleration(asked.dialect, asked.command, declared, DriveState())
+        if measure is None:
+            continue
+        value = asked.values.get(name)
+        if value is None:
+            return "its acceleration has not come yet"
+        amount = measure.of(value)
+        if amount is None:
+            return f"acceleration 0 is at once, above --max-acceleration {bound:g}"
+        if amount > bound:
+            return f"acceleration {value}, above --max-acceleration {bound:g}"
     return ""
+
+
+def _beyond_current(asked: Interpretation, bound: float | None) -> str:
+    if bound is None or asked.form is None:
+        return ""
+    for name, declared in asked.form.layout.named.items():
+        measure = _current(asked.dialect, asked.command, declared, DriveState())
+        if measure is None:
+            continue
+        value = asked.values.get(name)
+        milliamperes = None if value is None else measure.of(value)
+        if milliamperes is None:
+            return f"{name} in mA is not known without the drive's model, and --max-current is {bound:g} mA"
+        if milliamperes > bound:
+            return f"{name} {milliamperes:g} mA, above --max-current {bound:g}"
+    return ""
+
+
+# --- kinds of motion --------------------------------------------------------------------------------------------------
+
+
+def _kind(asked: Interpretation) -> MotionKind | None:
+    return None if asked.command is None or asked.command.motion is None else asked.command.motion.kind
+
+
+def stops(asked: Interpretation) -> bool:
+    """Say whether a request does nothing but end motion."""
+    return _kind(asked) is MotionKind.STOP
+
+
+def runs(asked: Interpretation) -> bool:
+    """Say whether a request makes the shaft turn at a speed without an end."""
+    return _kind(asked) is MotionKind.RUN
+
+
+def moves(asked: Interpretation) -> bool:
+    """Say whether a request makes the shaft go somewhere, by a motion that is declared or not."""
+    kind = _kind(asked)
+    if kind is None:
+        return asked.command is not None and bool(asked.risks & _MOVING_RISKS)
+    return kind not in (MotionKind.STOP, MotionKind.HOLD)

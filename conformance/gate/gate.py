@@ -1,13 +1,13 @@
-"""The gate: the one place where bytes leave for a bus. It judges them, not what somebody meant by them.
+"""The gate: the one place where bytes leave for a bus. It judges the bytes, whatever was meant by them.
 
     gate = Gate(line, Allowance(parse_allow("motion"), speed=300))
-    gate.send(bytes.fromhex("FA 01 31 2C"))        judged, then written; Refused says what could be read and why not
+    gate.send(bytes.fromhex("FA 01 31 2C"))        judged, then written; Refused says what was found and why it may not leave
 
-Every frame that can be read in what leaves (`gate.interpretations`: at any offset, in any dialect, whole or cut off,
-its checks right or wrong) is held against what is allowed (`gate.permissions`), and within its bounds and budget.
-Only then is it written, and only here: nothing else may call `Line.write`.
+Every interpretation of the bytes (`gate.interpretations`: at any offset, in any dialect, whole or cut off, checks right or
+wrong) has to be permitted (`gate.permissions`), within the bounds, and within the budget. Only then it is written, and only
+here: nothing else may call `Line.write`.
 
-Several gates on one line share what was sent: take the second one by `Gate.under`, never by `Gate(line, ...)`.
+Several gates on one line share what was sent: make the second one by `Gate.under`, never by `Gate(line, ...)`.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from copy import copy, deepcopy
 from dataclasses import replace
 
 from analyzer import dialects as registry
-from analyzer.catalogue import Dialect, Risk, Role, Verb
+from analyzer.catalogue import Dialect, Risk, Role
 from analyzer.errors import ServotapError
 from analyzer.records import CanFrame, Chunk
 from analyzer.reference.hex_frame import write_frame
 from conformance.bus.line import Line
-from conformance.gate.bounds import STOPS, Knowledge, moves
+from conformance.gate.bounds import Knowledge, moves, runs, stops
 from conformance.gate.budget import Budget, Cost
-from conformance.gate.interpretations import CanReader, Reading, SerialReader, Stream
+from conformance.gate.interpretations import CanInterpreter, Interpretation, Pending, SerialInterpreter
 from conformance.gate.permissions import Allowance, Objection, add_gate_arguments, allowance_from, parse_allow
 
 __all__ = [
     "Allowance",
     "Budget",
     "Gate",
+    "Interpretation",
     "Judge",
     "Objection",
-    "Reading",
     "Refused",
     "add_gate_arguments",
     "allowance_from",
@@ -44,7 +44,7 @@ __all__ = [
 Item = bytes | CanFrame
 #: What is told to those who listen to a gate: when the last of it was on the wire, and what it was.
 Told = Callable[[int, Item], None]
-#: Readings that a refusal lists.
+#: Interpretations that a refusal lists.
 _LISTED = 6
 #: Items that are kept as allowed, for hosts that ask the same again and again.
 _KEPT = 4096
@@ -71,10 +71,10 @@ def shown(item: Item) -> str:
 
 
 class _Sent:
-    """What was sent on a line, as far as it can still matter; judges and gates of one line share it."""
+    """What was sent on a line and can still matter; judges and gates of one line share it."""
 
     def __init__(self) -> None:
-        self.stream = Stream()
+        self.pending = Pending()
 
 
 class Judge:
@@ -88,12 +88,12 @@ class Judge:
         self.allowance = allowance
         self._wears = wears
         chosen = registry.every() if dialects is None else list(dialects)
-        self._serial = SerialReader([d for d in chosen if d.bus == "serial"])
-        self._can = CanReader([d for d in chosen if d.bus == "can"])
+        self._serial = SerialInterpreter([d for d in chosen if d.bus == "serial"])
+        self._can = CanInterpreter([d for d in chosen if d.bus == "can"])
         self._sent = _Sent()
         self.known = Knowledge(allowance.subdivision)
-        #: Bytes that do nothing but read, by the stream they follow: they were allowed, and nothing can change that.
-        self._plain: dict[tuple[Stream, bytes], Stream] = {}
+        #: Bytes that do nothing but read, by what was pending: they were allowed, and nothing can change that.
+        self._plain: dict[tuple[Pending, bytes], Pending] = {}
 
     def under(self, allowance: Allowance) -> Judge:
         """Return a judge by another allowance, which shares with this one what was sent and what is known."""
@@ -109,82 +109,78 @@ class Judge:
         other._sent, other.known = copy(self._sent), deepcopy(self.known)
         return other
 
-    def read(self, item: Item) -> tuple[Reading, ...]:
-        """Return what can be read in an item, if it left now."""
-        return self._read(item)[0]
+    def interpret(self, item: Item) -> tuple[Interpretation, ...]:
+        """Return the interpretations of an item, if it left now."""
+        return self._interpret(item)[0]
 
-    def _read(self, item: Item) -> tuple[tuple[Reading, ...], Stream]:
-        if isinstance(item, CanFrame):
-            return self._can.read(item), self._sent.stream
-        return self._serial.read(self._sent.stream, item)
+    def _interpret(self, item: Item) -> tuple[tuple[Interpretation, ...], Pending]:
+        pending = self._sent.pending
+        return (self._can.interpret(item), pending) if isinstance(item, CanFrame) else self._serial.interpret(pending, item)
 
     def objections(self, item: Item, now_ns: int = 0) -> list[Objection]:
         """Return why an item may not leave now; empty where it may. Nothing changes by it."""
-        readings = self.read(item)
-        found = self._objections(readings)
-        return found or self._beyond(self.allowance.budget.refusal(self._cost(readings, now_ns), now_ns), readings)
+        return self._objections(self.interpret(item), now_ns, self.allowance.budget.refusal)
 
-    def admit(self, item: Item, now_ns: int = 0) -> tuple[Reading, ...]:
-        """Take it that an item leaves now, spend what it costs, and return what can be read in it.
+    def admit(self, item: Item, now_ns: int = 0) -> tuple[Interpretation, ...]:
+        """Take it that an item leaves now, spend what it costs, and return its interpretations.
 
         Raises Refused, with nothing changed.
         """
-        key = (self._sent.stream, item)
+        key = (self._sent.pending, item)
         after = self._plain.get(key) if isinstance(item, bytes) else None  # type: ignore[arg-type]
         if after is not None:
-            self._sent.stream = after
+            self._sent.pending = after
             return ()
-        readings, after = self._read(item)
-        found = self._objections(readings)
-        if not found:
-            found = self._beyond(self.allowance.budget.take(self._cost(readings, now_ns), now_ns), readings)
-        if found:
-            raise Refused(item, found)
-        self._sent.stream = after
-        for reading in readings:
-            self.known.learn(reading, now_ns)
-        if isinstance(item, bytes) and all(r.reads_only for r in readings):
+        found, after = self._interpret(item)
+        objections = self._objections(found, now_ns, self.allowance.budget.take)
+        if objections:
+            raise Refused(item, objections)
+        self._sent.pending = after
+        for each in found:
+            self.known.learn(each, now_ns)
+        if isinstance(item, bytes) and all(each.reads_only for each in found):
             if len(self._plain) >= _KEPT:
                 self._plain.clear()
             self._plain[key] = after  # type: ignore[index]
-        return readings
+        return found
 
     # --- why not --------------------------------------------------------------------------------------------------
 
-    def _objections(self, readings: Sequence[Reading]) -> list[Objection]:
+    def _objections(self, found: Sequence[Interpretation], now_ns: int, charge: Callable[[Cost, int], str]) -> list[Objection]:
+        """Return what is not permitted; where all is, what `charge` says of the budget."""
         allowance, known = self.allowance, self.known
-        return [o for reading in readings if (o := allowance.objection(reading, known)) is not None]
+        objections = [o for each in found if (o := allowance.objection(each, known)) is not None]
+        if objections:
+            return objections
+        beyond = charge(self._cost(found, now_ns), now_ns)
+        return [Objection(next(each for each in found if _acts(each)), (beyond,))] if beyond else []
 
-    @staticmethod
-    def _beyond(reason: str, readings: Sequence[Reading]) -> list[Objection]:
-        return [Objection(next(r for r in readings if _acts(r)), (reason,))] if reason else []
-
-    def _cost(self, readings: Sequence[Reading], now_ns: int) -> Cost:
+    def _cost(self, found: Sequence[Interpretation], now_ns: int) -> Cost:
         """Return what an item costs: nothing if it only reads; a stop the turns of the run that it ends."""
         turns: float | None = 0.0
-        for reading in readings:
+        for each in found:
             if turns is not None and self.allowance.budget.turns is not None:
-                one = self._turns(reading, now_ns)
+                one = self._turns(each, now_ns)
                 turns = None if one is None else turns + one
-        acting = [r for r in readings if _acts(r)]
-        return Cost(1 if acting else 0, turns, self._wears and any(Risk.WEAR in r.risks for r in acting))
+        acting = [each for each in found if _acts(each)]
+        return Cost(1 if acting else 0, turns, self._wears and any(Risk.WEAR in each.risks for each in acting))
 
-    def _turns(self, reading: Reading, now_ns: int) -> float | None:
-        known, command = self.known, reading.command
-        if command is None or reading.reads_only:
+    def _turns(self, asked: Interpretation, now_ns: int) -> float | None:
+        known = self.known
+        if asked.command is None or asked.reads_only:
             return 0.0
-        stops = command.verb in STOPS
-        before = known.run_turns(reading, now_ns) if stops or moves(reading) else 0.0
-        if stops or (command.verb is Verb.RUN_SPEED and known.rpm(reading) is not None):
+        ends = stops(asked)
+        before = known.run_turns(asked, now_ns) if ends or moves(asked) else 0.0
+        if ends or (runs(asked) and known.rpm(asked) is not None):
             # How far a run turns is known when the next command ends it.
             return before
-        own = known.turns(reading)
+        own = known.turns(asked)
         return None if own is None else own + before
 
 
-def _acts(reading: Reading) -> bool:
-    """Say whether a reading does something, stops aside: those are never refused by a budget."""
-    return not reading.reads_only and (reading.command is None or reading.command.verb not in STOPS)
+def _acts(asked: Interpretation) -> bool:
+    """Say whether a request does something, stops aside: those are never refused by a budget."""
+    return not asked.reads_only and not stops(asked)
 
 
 class Gate:
@@ -235,9 +231,9 @@ class Gate:
             told(t_ns, item)
         return t_ns
 
-    def judge(self, item: Item) -> tuple[Reading, ...]:
-        """Return what can be read in an item, if it left now; nothing is sent."""
-        return self._judge.read(item)
+    def interpret(self, item: Item) -> tuple[Interpretation, ...]:
+        """Return the interpretations of an item, if it left now; nothing is sent."""
+        return self._judge.interpret(item)
 
     def objections(self, item: Item) -> list[Objection]:
         """Return why an item may not leave now; empty where it may."""

@@ -1,29 +1,30 @@
-"""What can be read in what leaves: every frame, at any offset, in any dialect, whole or cut off, its checks right or wrong.
+"""Interpretations: every request that some drive could take from the bytes that are to leave.
 
-    sent before (as far as it can still matter) + what is to leave -> readings, each with its risks
+    bytes sent before + bytes to leave -> interpretations, each with its risks
 
-A line is a stream: a frame may be cut into several sendings, and a drive keeps what it has for as long as it likes. So the
-end of what was sent stays here until nothing that begins in it can go on, and time clears nothing.
+A link finds the candidates (`Link.finder`): at any offset, whole or cut off, whatever their checks. Here it is decided which
+of them count, and what each may mean. A serial line is a stream: a frame may be cut into several sendings, and a drive may keep
+what it has for any time. So the end of what was sent stays in `Pending` until no frame that begins in it can go on.
 
-Which readings count. A frame is good where its checks fit and its code is in the catalogue.
+Which candidates count. A frame is good if its checks fit and its code is in the catalogue.
 
-1. A frame whose checks fit counts, wherever it stands.
-2. A known frame whose checks do not fit counts too, wherever it stands, and so does one that is cut off as soon as its code
-   can be read, with the worst of the values that are missing. So no first piece can leave whose last piece could not.
-3. A code outside the catalogue counts wherever a head stands before it. Where a head byte stands in place of the code, it
-   is the next frame's. LK's head is a common byte: there the sum of the head has to fit, or a sending has to begin with it.
-4. Modbus has no heads, so any two bytes could be a frame: writes of registers outside the catalogue whose CRC does not fit
-   count where a sending begins, for there a Modbus drive begins to read; other functions count where their CRC fits.
+1. A frame whose checks fit counts everywhere.
+2. A known frame whose checks do not fit counts everywhere too. One that is cut off counts as soon as its code has come, with
+   the worst of the values that are missing. So no first piece can leave whose last piece could not.
+3. A code outside the catalogue counts everywhere behind a head. A head byte in place of a code belongs to the next frame. The
+   head of LK is a common byte: there the sum of the head has to fit, or a sending has to begin with it.
+4. Modbus has no heads, so any two bytes could be a frame. Writes of uncatalogued registers whose CRC does not fit count where a
+   sending begins, for there a Modbus drive begins to read. Other functions count where their CRC fits.
 
-Exceptions, without which ordinary reads would be refused. None is for a frame whose checks fit (one of a code outside the
-catalogue must check within the good frame it stands in), and none hides a frame that is sent by itself:
+Exceptions, without which ordinary reads would be refused. None of them is for a frame whose checks fit (one of an uncatalogued
+code must check within the good frame it stands in), and none hides a frame that is sent by itself:
 
-- The reading begins inside a good frame, goes on beyond its end, and every byte of it belongs to good frames: two good
-  frames, seen by somebody out of step (`3E 9C 20 00 [FA | 3E 9A 20 00 F8]`).
+- The candidate begins inside a good frame, goes on beyond its end, and all its bytes belong to good frames: a drive that is out
+  of step reads two good frames so (`3E 9C 20 00 [FA | 3E 9A 20 00 F8]`).
 - Its code belongs to a good frame that began later than itself: a head that was left over, and a good frame behind it.
-- It is a slot of a package that does not check, or a code outside the catalogue, and its code belongs to a good frame.
+- It is a slot of a package that does not check, or has an uncatalogued code, and its code belongs to a good frame.
 
-On CAN a frame is a frame: one reading for each dialect, by its code, whatever its sum.
+On CAN each frame is judged by itself: one interpretation in each dialect, whatever its sum.
 
 Not known here: what is allowed (`conformance.gate.permissions`).
 """
@@ -49,13 +50,13 @@ _KEPT = 8192
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
-    """A frame that can be read in what is to leave.
+class Interpretation:
+    """A request that some drive could take from the bytes that are to leave.
 
-    `address` None: it has not come yet, or it is of no one drive (a package). `command` None: its code is not in the
-    catalogue. `values`: integers as sent, of the fields that are there. `offset`: of its first byte from the first byte
-    that is to leave; below 0 it began in an earlier sending. `data`: its bytes as far as they are there. `slot`: number of
-    the slot of a package, 0 for none. `to_many`: no one drive is meant: all, or a package.
+    `address` None: it has not come yet, or no one drive is meant (a package). `command` None: its code is not in the catalogue.
+    `values`: integers as sent, of the fields that have come. `offset`: place of its first byte, from the first byte to leave;
+    below 0 it began in an earlier sending. `data`: its bytes that have come; `fits`: all have, and its checks are right.
+    `slot`: number of the slot of a package, 0 for none. `to_many`: all drives are meant, or those of a package.
     """
 
     dialect: Dialect
@@ -67,7 +68,7 @@ class Reading:
     risks: frozenset[Risk]
     offset: int
     data: bytes
-    sound: bool
+    fits: bool
     complete: bool
     slot: int = 0
     to_many: bool = False
@@ -79,14 +80,14 @@ class Reading:
         return self.risks <= _READ
 
     def __str__(self) -> str:
-        """Return it for people: who, what, where, and how well it reads."""
+        """Return it for people: which drive, what, and why it is doubtful."""
         who = "all" if self.address is None or self.to_many else str(self.address)
         wide = self.dialect.link.kind == "serial" and bool(self.dialect.fallbacks)
         name = self.command.name if self.command is not None else f"code {code_text(self.code, 0 if wide else None)}"
         shown = [f"{n}={_shown(self.form, n, v)}" for n, v in self.values.items()]
         told = [f"slot {self.slot}"] * bool(self.slot)
         told += [] if self.offset == 0 else [f"from byte {self.offset}" if self.offset > 0 else "begun in an earlier sending"]
-        told += ["cut off"] if not self.complete else ["its check is wrong"] if not self.sound else []
+        told += ["cut off"] if not self.complete else ["its check is wrong"] if not self.fits else []
         told += [self.note] * bool(self.note)
         return " ".join([f"{self.dialect.name}@{who} {name}", *shown]) + (f" ({', '.join(told)})" if told else "")
 
@@ -99,8 +100,8 @@ def _shown(form: Form | None, name: str, value: int) -> str:
     return str(value) if field is None else value_text(field, value)
 
 
-class Stream(NamedTuple):
-    """What was sent before, from where something in it can still go on.
+class Pending(NamedTuple):
+    """The end of what was sent: from where the first frame begins that can still go on.
 
     `starts`: where sendings begin in it; `good`: the good frames in it, first byte and the one behind the last.
     """
@@ -154,14 +155,16 @@ class _Dialect:
             if not any(m.risks < o.risks or (m.risks == o.risks and n > i) for n, o in enumerate(found) if n != i)
         ]
 
-    def interpretations(self, candidate: Candidate, buffer: bytes, new: int, beside: frozenset[Risk]) -> Iterator[Reading]:
-        """Yield a candidate's interpretations. `new`: where what leaves begins; `beside`: risks that each has too."""
+    def interpretations(
+        self, candidate: Candidate, buffer: bytes, new: int, beside: frozenset[Risk] = frozenset()
+    ) -> Iterator[Interpretation]:
+        """Yield a candidate's interpretations. `new`: where the bytes to leave begin; `beside`: further risks of each."""
         at, stop, slot = candidate.start, candidate.stop, candidate.slot
         to_many = slot > 0 or (candidate.address is None and candidate.complete) or candidate.address == self.dialect.broadcast
         if not self.known(candidate) and not slot:
             beside = beside | UNKNOWN
         for command, form, values, risks in self.meanings(candidate):
-            yield Reading(
+            yield Interpretation(
                 self.dialect,
                 candidate.address,
                 candidate.code,
@@ -179,26 +182,26 @@ class _Dialect:
             )
 
 
-class SerialReader:
-    """Reads what leaves on a serial line."""
+class SerialInterpreter:
+    """Interprets what leaves on a serial line."""
 
     def __init__(self, dialects: Sequence[Dialect]) -> None:
         self._dialects = [_Dialect(d) for d in dialects]
         self._longest = max((d.finder.longest for d in self._dialects), default=0)
-        self._kept: dict[tuple[Stream, bytes], tuple[tuple[Reading, ...], Stream]] = {}
+        self._kept: dict[tuple[Pending, bytes], tuple[tuple[Interpretation, ...], Pending]] = {}
 
-    def read(self, stream: Stream, item: bytes) -> tuple[tuple[Reading, ...], Stream]:
-        """Return what can be read once `item` has left, of which at least a byte is in it, and the stream behind it."""
-        key = (stream, item)
-        found = self._kept.get(key)
-        if found is None:
+    def interpret(self, pending: Pending, item: bytes) -> tuple[tuple[Interpretation, ...], Pending]:
+        """Return the interpretations that need a byte of `item`, and what is pending behind it."""
+        key = (pending, item)
+        known = self._kept.get(key)
+        if known is None:
             if len(self._kept) >= _KEPT:
                 self._kept.clear()
-            found = self._kept[key] = self._read(stream, item)
-        return found
+            known = self._kept[key] = self._interpret(pending, item)
+        return known
 
-    def _read(self, stream: Stream, item: bytes) -> tuple[tuple[Reading, ...], Stream]:
-        buffer, new = stream.tail + item, len(stream.tail)
+    def _interpret(self, pending: Pending, item: bytes) -> tuple[tuple[Interpretation, ...], Pending]:
+        buffer, new = pending.tail + item, len(pending.tail)
         candidates: list[tuple[Candidate, _Dialect]] = []
         opens: list[int] = []
         for at in range(len(buffer)):
@@ -207,26 +210,26 @@ class SerialReader:
                 candidates += [(c, each) for c in found if min(c.stop, c.judged_to) > new]
                 if is_open:
                     opens.append(at)
-        good = _Good([*stream.good, *((c.start, c.stop) for c, d in candidates if c.fits and not c.slot and d.known(c))])
-        starts = (*stream.starts, new)
+        good = _Good([*pending.good, *((c.start, c.stop) for c, d in candidates if c.fits and not c.slot and d.known(c))])
+        starts = (*pending.starts, new)
         for each in self._dialects:
             if not each.finder.headless:
                 continue
-            begins = [at for at in (*stream.starts, *range(new, len(buffer))) if not good.holds(at, len(buffer))]
+            begins = [at for at in (*pending.starts, *range(new, len(buffer))) if not good.holds(at, len(buffer))]
             checked = (c for at in begins for c in each.finder.checked(buffer, at, new + 1))
             candidates += [(c, each) for c in checked if not good.holds(c.start, c.stop)]
-            # A function that nobody knows may still come to check: it is followed from where sendings begin, until a
-            # good frame has ended one.
+            # An unknown function may still come to check. It is followed from where sendings begin, until a good frame has
+            # ended one.
             if not any(stop == len(buffer) for _, stop in good.spans):
                 opens += starts
-        readings = tuple(
-            reading
+        counting = tuple(
+            interpretation
             for candidate, each in sorted(candidates, key=lambda c: (c[0].start, c[0].slot))
             if _counts(candidate, each.known(candidate), good, starts)
-            for reading in each.interpretations(candidate, buffer, new, frozenset())
+            for interpretation in each.interpretations(candidate, buffer, new)
         )
         first = max(min(opens, default=len(buffer)), len(buffer) - self._longest)
-        return readings, Stream(
+        return counting, Pending(
             buffer[first:],
             tuple(s - first for s in starts if first <= s < len(buffer)),
             tuple(sorted({(max(a - first, -1), b - first) for a, b in good.spans if b > first})),
@@ -323,29 +326,29 @@ def _partly(form: Form, data: bytes) -> dict[str, int] | None:
 # --- CAN ----------------------------------------------------------------------------------------------------------
 
 
-class CanReader:
-    """Reads what leaves on a CAN bus: each frame is judged by itself."""
+class CanInterpreter:
+    """Interprets what leaves on a CAN bus."""
 
     def __init__(self, dialects: Sequence[Dialect]) -> None:
         self._dialects = [_Dialect(d) for d in dialects]
-        self._kept: dict[tuple[int, bytes, str], tuple[Reading, ...]] = {}
+        self._kept: dict[tuple[int, bytes, str], tuple[Interpretation, ...]] = {}
 
-    def read(self, frame: CanFrame) -> tuple[Reading, ...]:
-        """Return what can be read in a frame, in each dialect."""
+    def interpret(self, frame: CanFrame) -> tuple[Interpretation, ...]:
+        """Return the interpretations of a frame in all dialects."""
         strange = _strangeness(frame)
         key = (frame.id, frame.data, strange)
-        found = self._kept.get(key)
-        if found is None:
+        known = self._kept.get(key)
+        if known is None:
             if len(self._kept) >= _KEPT:
                 self._kept.clear()
-            found = self._kept[key] = tuple(self._read(frame, strange))
-        return found
+            known = self._kept[key] = tuple(self._interpret(frame, strange))
+        return known
 
-    def _read(self, frame: CanFrame, strange: str) -> Iterator[Reading]:
-        note = strange or ("" if frame.data else "a frame without data")
+    def _interpret(self, frame: CanFrame, strange: str) -> Iterator[Interpretation]:
         beside = UNKNOWN if strange else frozenset[Risk]()
         for each in self._dialects:
             for candidate in each.finder.at(frame.data, 0, frame.id).found:
+                note = strange or ("" if frame.data or candidate.complete else "a frame without data")
                 yield from each.interpretations(candidate._replace(note=note), frame.data, 0, beside)
 
 

@@ -1,12 +1,12 @@
-"""What a user allows to be sent: risks, bounds, addresses, a budget. And the options by which it is said.
+"""Permissions: the risks, bounds, addresses and budget that a user allows, and the options that say so.
 
     --allow setting,motion --max-speed 300 --max-turns 2 --max-acceleration 200 --max-current 1500 --budget commands=500
 
-Reads are always allowed, and nothing else is unless it is said. Every risk of a frame has to be allowed: `motion` brings
-neither `torque` nor `unbounded`. (`unbounded` brings `motion`: who may run for ever may move, and must be able to stop.)
+Reads are always allowed; everything else has to be allowed by name, each risk of a frame. `motion` includes neither `torque`
+nor `unbounded`. `unbounded` includes `motion`: a run without an end must be stopped.
 
 Neighbours: where addresses are named, all others need `alone`, and so do a broadcast, a package and a change of the link
-anywhere. A reading that is no good frame and only reads has no address: no drive would answer it.
+anywhere. An interpretation that only reads and whose checks do not fit has no address: no drive would answer it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from analyzer.errors import UsageError
 from analyzer.values import near, quote
 from conformance.gate.bounds import Bounds, Knowledge
 from conformance.gate.budget import Budget, parse_budget
-from conformance.gate.interpretations import Reading
+from conformance.gate.interpretations import Interpretation
 
 #: The order in which risks are listed.
 WORDS = tuple(risk.value for risk in Risk if risk is not Risk.READ)
@@ -29,14 +29,14 @@ READS = frozenset({Risk.READ})
 
 @dataclass(frozen=True)
 class Objection:
-    """Why a reading may not leave. `hint`: what would allow it."""
+    """Why an interpretation may not leave. `hint`: what would allow it."""
 
-    reading: Reading
+    interpretation: Interpretation
     reasons: tuple[str, ...]
     hint: str = ""
 
     def __str__(self) -> str:
-        return f"{self.reading}: {'; '.join(self.reasons)}" + (f" ({self.hint})" if self.hint else "")
+        return f"{self.interpretation}: {'; '.join(self.reasons)}" + (f" ({self.hint})" if self.hint else "")
 
 
 @dataclass(frozen=True)
@@ -75,31 +75,31 @@ class Allowance:
         budget = ",".join(f"{n}={v}" for n, v in self.budget.described().items())
         return shown | ({"budget": budget} if budget else {}) | ({"alone": "yes"} if self.alone else {})
 
-    def objection(self, reading: Reading, known: Knowledge) -> Objection | None:
-        """Return why a reading may not leave, None where it may; the budget aside."""
-        if reading.reads_only and (self.addresses is None or self.alone) and not reading.to_many:
+    def objection(self, asked: Interpretation, known: Knowledge) -> Objection | None:
+        """Return why an interpretation may not leave, None where it may; the budget aside."""
+        if asked.reads_only and (self.addresses is None or self.alone) and not asked.to_many:
             return None
-        missing = [risk.value for risk in Risk if risk in reading.risks - self.risks]
+        missing = [risk.value for risk in Risk if risk in asked.risks - self.risks]
         reasons = [f"needs {', '.join(missing)}"] * bool(missing)
         hint = [f"--allow {','.join(missing)}"] * bool(missing)
-        neighbour = "" if self.alone else self._neighbour(reading)
+        neighbour = "" if self.alone else self._neighbour(asked)
         if neighbour:
             reasons.append(neighbour)
             hint.append("--alone if no other drive is on the bus")
-        reasons += known.problems(reading, self.bounds)
-        return Objection(reading, tuple(reasons), " ".join(hint)) if reasons else None
+        reasons += known.problems(asked, self.bounds)
+        return Objection(asked, tuple(reasons), " ".join(hint)) if reasons else None
 
-    def _neighbour(self, reading: Reading) -> str:
-        if reading.reads_only and not reading.sound:
+    def _neighbour(self, asked: Interpretation) -> str:
+        if asked.reads_only and not asked.fits:
             return ""
-        if reading.slot or (reading.to_many and reading.address is None):
+        if asked.slot or (asked.to_many and asked.address is None):
             return "a package, which several drives obey"
-        if reading.to_many:
+        if asked.to_many:
             return "meant for all drives"
-        if Risk.LINK in reading.risks:
+        if Risk.LINK in asked.risks:
             return "it changes the link, and may put a drive where another one is"
-        if self.addresses is not None and reading.address is not None and reading.address not in self.addresses:
-            return f"meant for {reading.address}, and the drive is {_listed(self.addresses)}"
+        if self.addresses is not None and asked.address is not None and asked.address not in self.addresses:
+            return f"meant for {asked.address}, and the drive is {_listed(self.addresses)}"
         return ""
 
 

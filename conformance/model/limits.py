@@ -15,7 +15,7 @@ from typing import Any
 from analyzer.catalogue import Command
 from analyzer.codec import codec
 from analyzer.layout import Field, Kind, Layout
-from conformance.gate.drawing import ROOMY, Room, Span, span
+from conformance.gate.bounds import NO_BOUNDS, Leeway, Span, span
 
 
 def listed(field: Field) -> tuple[int, ...] | None:
@@ -29,22 +29,24 @@ def listed(field: Field) -> tuple[int, ...] | None:
     return tuple(v for v in sorted(field.values or field.choice_names) if field.allows(v))
 
 
-def edges(field: Field, room: Room = ROOMY) -> tuple[int, ...]:
-    """Return the limits of a field, or all its choices, within the bounds of `room`; empty where they leave nothing."""
-    kept = span(field, room)
+def edges(field: Field, leeway: Leeway = NO_BOUNDS) -> tuple[int, ...]:
+    """Return the limits of a field, or all its choices, within the bounds of `leeway`; empty where they leave nothing."""
+    kept = span(field, leeway)
     choices = listed(field)
     if choices is not None:
         return tuple(v for v in choices if kept[0] <= v <= kept[1])
     return tuple(sorted(set(kept))) if kept[0] <= kept[1] else ()
 
 
-def allowed(field: Field, room: Room = ROOMY, without: Sequence[Span] = (), command: Command | None = None) -> list[Span]:
-    """Return the stretches of values that the manual, the bounds of `room` and `without` leave.
+def allowed(
+    field: Field, leeway: Leeway = NO_BOUNDS, without: Sequence[Span] = (), command: Command | None = None
+) -> list[Span]:
+    """Return the stretches of values that the manual, the bounds of `leeway` and `without` leave.
 
     `command`: the one that has the field, where it matters what that does.
     """
     choices = listed(field)
-    kept = span(field, room, command)
+    kept = span(field, leeway, command)
     if choices is not None:
         left = [(v, v) for v in choices if kept[0] <= v <= kept[1]]
     else:

@@ -25,7 +25,7 @@ from hypothesis.strategies import SearchStrategy
 
 from analyzer.catalogue import Risk
 from conformance.claim import Inconclusive
-from conformance.gate.drawing import Room
+from conformance.gate.bounds import Leeway
 from conformance.gate.gate import Refused as GateRefused
 from conformance.motion import motion
 from conformance.motion.motion import MS
@@ -117,7 +117,7 @@ def up_to(units: int) -> SearchStrategy[int]:
 
 
 class Session(ABC):
-    """One drive and the model of it. `steps`: what was done, `done`: how many. `room`: bounds of motion.
+    """One drive and the model of it. `steps`: what was done, `done`: how many. `leeway`: bounds of motion.
 
     `running`: rpm of the shaft, signed; `at`: where it stands, in the unit of the drive's reads, None while that is not known.
     `KINDS`: kinds of steps by name. `VARIANTS`: the names of those that each variant draws, twice as often where a name
@@ -138,7 +138,7 @@ class Session(ABC):
         self.dialect = probe.dialect
         self.steps: list[Step] = []
         self.done = 0
-        self.room = Room(probe.gate.allowance.bounds, probe.gate.allowance.subdivision)
+        self.leeway = Leeway(probe.gate.allowance.bounds, probe.gate.allowance.subdivision, dialect=probe.dialect)
         self.begin()
 
     @abstractmethod

@@ -4,15 +4,15 @@
     outside(field)          those that it forbids and the bits can hold   beyond(field)   the nearest of them, and the last
     layouts(layout)         {name: value}, all inside                     strays(layout)  exactly one of them outside
     reserved_set(layout)    data whose reserved bits are not all 0
-    requests(dialect, risks, room)     whole requests, every risk of which is allowed
-    packages(dialect, risks, room)     packages of such requests
+    requests(dialect, risks, leeway)     whole requests, every risk of which is allowed
+    packages(dialect, risks, leeway)     packages of such requests
     drawn(strategy, count, seed)        so many different values, the same for the same seed
 
-All take a `room`: bounds (how fast, far, hard and strong a motion may be) and what is known of the drive. Values are drawn
+All take a `leeway`: bounds (how fast, far, hard and strong a motion may be) and what is known of the drive. Values are drawn
 within it and within the risks; nothing is drawn and thrown away. A field that no bound is about is not narrowed. Where all
 bits of a field are used, there is nothing outside: `beyond` is empty, `outside` draws nothing.
 
-    @given(strategies.requests(dialect, {Risk.READ, Risk.MOTION}, Room(Bounds(speed=300, turns=2))))
+    @given(strategies.requests(dialect, {Risk.READ, Risk.MOTION}, Leeway(Bounds(speed=300, turns=2))))
     def test_mine(request):
         probe.ask(request.command, request.values, form=request.form)
 
@@ -22,23 +22,23 @@ Numbers are integers as sent, as everywhere in the catalogue. Not known here: li
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
-from analyzer.catalogue import Command, Dialect, Form, Risk, Verb
+from analyzer.catalogue import Command, Dialect, Form, MotionKind, Risk
 from analyzer.layout import Field, Kind, Layout
-from conformance.gate.bounds import Bounds
-from conformance.gate.drawing import ROOMY, Room, Span, untold
+from conformance.gate.bounds import NO_BOUNDS, Bounds, Leeway, Span, never_within
 from conformance.model.limits import allowed, beyond, edges, forbidden, reserved_masks, with_bits
 
 __all__ = [
-    "ROOMY",
+    "NO_BOUNDS",
     "Bounds",
+    "Leeway",
     "Request",
-    "Room",
     "Stray",
     "beyond",
     "drawn",
@@ -78,9 +78,9 @@ class Stray(NamedTuple):
 # --- fields -----------------------------------------------------------------------------------------------------------
 
 
-def inside(field: Field, room: Room = ROOMY) -> SearchStrategy[Any]:
+def inside(field: Field, leeway: Leeway = NO_BOUNDS) -> SearchStrategy[Any]:
     """Draw a value that the manual allows, the limits more often than others."""
-    return _from(allowed(field, room), field)
+    return _from(allowed(field, leeway), field)
 
 
 def outside(field: Field) -> SearchStrategy[int]:
@@ -91,59 +91,63 @@ def outside(field: Field) -> SearchStrategy[int]:
 # --- layouts ----------------------------------------------------------------------------------------------------------
 
 
-def layouts(layout: Layout, room: Room = ROOMY) -> SearchStrategy[dict[str, Any]]:
+def layouts(layout: Layout, leeway: Leeway = NO_BOUNDS) -> SearchStrategy[dict[str, Any]]:
     """Draw values of a layout, all of them allowed."""
-    return st.fixed_dictionaries({name: inside(field, room) for name, field in layout.named.items()})
+    return st.fixed_dictionaries({name: inside(field, leeway) for name, field in layout.named.items()})
 
 
-def strays(layout: Layout, room: Room = ROOMY) -> SearchStrategy[Stray]:
+def strays(layout: Layout, leeway: Leeway = NO_BOUNDS) -> SearchStrategy[Stray]:
     """Draw values of a layout of which exactly one is forbidden; nothing where all bits are used."""
     wrong = [name for name, field in layout.named.items() if beyond(field)]
-    return st.one_of([_stray(layout, name, room) for name in wrong]) if wrong else st.nothing()
+    return st.one_of([_stray(layout, name, leeway) for name in wrong]) if wrong else st.nothing()
 
 
-def _stray(layout: Layout, name: str, room: Room) -> SearchStrategy[Stray]:
-    drawn = {n: outside(f) if n == name else inside(f, room) for n, f in layout.named.items()}
+def _stray(layout: Layout, name: str, leeway: Leeway) -> SearchStrategy[Stray]:
+    drawn = {n: outside(f) if n == name else inside(f, leeway) for n, f in layout.named.items()}
     return st.fixed_dictionaries(drawn).map(lambda values: Stray(name, values))
 
 
-def reserved_set(layout: Layout, room: Room = ROOMY) -> SearchStrategy[bytes]:
+def reserved_set(layout: Layout, leeway: Leeway = NO_BOUNDS) -> SearchStrategy[bytes]:
     """Draw data of a layout, all named values allowed and some reserved bits set; nothing where none are reserved."""
     masks = reserved_masks(layout)
     if not masks:
         return st.nothing()
     drawn = st.lists(st.sampled_from(masks), min_size=1, unique=True).map(sum)
-    return st.builds(lambda values, mask: with_bits(layout, values, mask), layouts(layout, room), drawn)
+    return st.builds(lambda values, mask: with_bits(layout, values, mask), layouts(layout, leeway), drawn)
 
 
 # --- requests ---------------------------------------------------------------------------------------------------------
 
 
 def requests(
-    dialect: Dialect, risks: Collection[Risk], room: Room = ROOMY, *, commands: Collection[str] | None = None
+    dialect: Dialect, risks: Collection[Risk], leeway: Leeway = NO_BOUNDS, *, commands: Collection[str] | None = None
 ) -> SearchStrategy[Request]:
     """Draw requests of a dialect with allowed values, every risk of which is among `risks`.
 
     `commands`: only these, by name. Packages are left out (see `packages`). Draws nothing where nothing is allowed.
     """
+    leeway = replace(leeway, dialect=dialect)
     chosen = [c for c in dialect.commands if c.slots is None and (commands is None or c.name in commands)]
-    drawn = [s for c in chosen for s in (request(c, f, risks, room) for f in c.request_forms) if s is not None]
+    drawn = [s for c in chosen for s in (request(c, f, risks, leeway) for f in c.request_forms) if s is not None]
     return st.one_of(drawn) if drawn else st.nothing()
 
 
-def request(command: Command, form: Form, risks: Collection[Risk], room: Room = ROOMY) -> SearchStrategy[Request] | None:
+def request(
+    command: Command, form: Form, risks: Collection[Risk], leeway: Leeway = NO_BOUNDS
+) -> SearchStrategy[Request] | None:
     """Return the strategy of one form of a request, None where no values of it are allowed."""
     open_ended = any(f.kind is Kind.BYTES for f in form.layout.named.values())
     closed = [rule for rule in command.risk if not rule.risks <= {*risks, Risk.READ}]
-    if open_ended or any(not rule.field for rule in closed) or untold(command, form, room.bounds):
+    if open_ended or any(not rule.field for rule in closed) or never_within(command, form, leeway.bounds):
         return None
     taken = _taken(command, form)
     drawn: dict[str, SearchStrategy[Any]] = {}
     for name, field in form.layout.named.items():
         without = [(rule.low, rule.high) for rule in closed if rule.field == name]
-        if command.verb is Verb.RUN_SPEED and room.bounds.turns is not None and name == "speed":
+        runs = command.motion is not None and command.motion.kind is MotionKind.RUN and name == command.motion.speed
+        if runs and leeway.bounds.turns is not None:
             without.append((0, 0))  # a run that does not turn: to the gate a run whose end nobody can tell
-        left = allowed(field, room, [*without, *((v, v) for v in taken.get(name, ()))], command)
+        left = allowed(field, leeway, [*without, *((v, v) for v in taken.get(name, ()))], command)
         if not left:
             return None
         drawn[name] = _from(left, field)
@@ -153,7 +157,7 @@ def request(command: Command, form: Form, risks: Collection[Risk], room: Room = 
 
 
 def packages(
-    dialect: Dialect, risks: Collection[Risk], room: Room = ROOMY, *, addresses: Sequence[int] = (1,)
+    dialect: Dialect, risks: Collection[Risk], leeway: Leeway = NO_BOUNDS, *, addresses: Sequence[int] = (1,)
 ) -> SearchStrategy[Request]:
     """Draw packages whose slots hold requests to these addresses, at most one slot for each."""
     package = next((c for c in dialect.commands if c.slots is not None), None)
@@ -163,7 +167,7 @@ def packages(
     fitting = {
         c.name for c in dialect.commands if c.slots is None and all(f.layout.byte_length <= size for f in c.request_forms)
     }
-    slot = requests(dialect, risks, room, commands=fitting)
+    slot = requests(dialect, risks, leeway, commands=fitting)
     places = st.lists(st.sampled_from(addresses), unique=True, min_size=1, max_size=package.slots.count)
     form, command = package.request_forms[0], package
 

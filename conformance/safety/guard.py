@@ -34,8 +34,8 @@ from analyzer.records import CanFrame
 from conformance.bus import open_line
 from conformance.bus.line import LineLost
 from conformance.claim import NotStopped, RigFault
-from conformance.gate.bounds import STOPS
-from conformance.gate.gate import Allowance, Budget, Gate, Reading, Refused
+from conformance.gate.bounds import stops
+from conformance.gate.gate import Allowance, Budget, Gate, Interpretation, Refused
 from conformance.safety import journal as journals
 from conformance.safety import messages as say
 from conformance.safety.keeper import PUTTING_BACK, link_changed, restore
@@ -100,7 +100,7 @@ class Guard:
         item = say.sendable(request.item, self.line.endpoint.name)
         gate = self._gate_for(item)
         # Before it leaves: from then on the drive may be moving, whatever happens here.
-        for reading in gate.judge(item):
+        for reading in gate.interpret(item):
             self._note(reading)
         return say.Done(gate.send(item))
 
@@ -108,15 +108,15 @@ class Guard:
         """Return the gate that an item has to pass: a stop, and what puts back what was there, have one of their own."""
         if not self.gate.objections(item):
             return self.gate
-        whole = [r for r in self.gate.judge(item) if r.sound and not r.reads_only]
+        whole = [r for r in self.gate.interpret(item) if r.fits and not r.reads_only]
         drive = next((d for d in self._drives if all(r.address == d.address for r in whole)), None)
-        if whole and drive is not None and all(r.command is not None and r.command.verb in STOPS for r in whole):
+        if whole and drive is not None and all(stops(r) for r in whole):
             return self.gate.under(stopping(drive.address))
         if whole and self._puts_back(whole):
             return self.gate.under(PUTTING_BACK)
         return self.gate
 
-    def _puts_back(self, readings: list[Reading]) -> bool:
+    def _puts_back(self, readings: list[Interpretation]) -> bool:
         """Say whether all that is sent is what the journal says was there."""
         if not self._begin.journal or not Path(self._begin.journal).exists():
             return False
@@ -124,8 +124,8 @@ class Guard:
         there = [(c.command, dict(c.values)) for c in changes]
         return all(r.command is not None and (r.command.name, dict(r.values)) in there for r in readings)
 
-    def _note(self, reading: Reading) -> None:
-        if reading.command is not None and reading.command.verb is Verb.SET_SUBDIVISION and reading.sound:
+    def _note(self, reading: Interpretation) -> None:
+        if reading.command is not None and reading.command.verb is Verb.SET_SUBDIVISION and reading.fits:
             self._subdivision = reading.values.get("subdivision", 0) or LARGEST
         if not reading.risks & MAY_MOVE:
             return
@@ -133,7 +133,7 @@ class Guard:
             # A faulty drive that is alone may take what is meant for another one.
             if not (reading.to_many or reading.address in (None, drive.address) or self._begin.alone):
                 continue
-            if reading.command is not None and reading.command.verb in STOPS:
+            if stops(reading):
                 drive.asked = drive.endless_since is not None
                 drive.endless_since = time.monotonic() if drive.asked else None
                 continue

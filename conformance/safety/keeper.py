@@ -23,7 +23,7 @@ from analyzer.layout import Effect, Field
 from conformance.claim import NotRun
 from conformance.gate.budget import Budget
 from conformance.gate.gate import Gate
-from conformance.gate.interpretations import Reading
+from conformance.gate.interpretations import Interpretation
 from conformance.gate.permissions import Allowance
 from conformance.motion import motion
 from conformance.safety import following, settings
@@ -95,28 +95,28 @@ class Keeper:
             return True
         return _fields(command) <= self._known.keys() or changes_link(command)
 
-    def keep_before(self, readings: tuple[Reading, ...]) -> None:
+    def keep_before(self, found: tuple[Interpretation, ...]) -> None:
         """Make sure that the changes of what is about to leave can be put back.
 
         Raises NotRun where an old value is not known.
         """
         if self._asking:
             return
-        for reading in readings:
-            if reading.command is None or not reading.sound or not self._may_hear(reading):
+        for asked in found:
+            if asked.command is None or not asked.fits or not self._may_hear(asked):
                 continue
             # In another dialect too, for a drive that was switched: its settings stay the same.
-            command = self._dialect.by_name.get(reading.command.name)
+            command = self._dialect.by_name.get(asked.command.name)
             if command is None:
                 continue
             if command.verb is Verb.RESTORE:
                 self._keep_all()
-            elif settings.changes(command) and reading.values:
-                self._keep(command, dict(reading.values))
+            elif settings.changes(command) and asked.values:
+                self._keep(command, dict(asked.values))
 
-    def _may_hear(self, reading: Reading) -> bool:
-        """Say whether the drive may take a reading for its own; where it is alone a faulty one may take any."""
-        return self._alone or reading.to_many or reading.address in (None, self._address)
+    def _may_hear(self, asked: Interpretation) -> bool:
+        """Say whether the drive may take a asked for its own; where it is alone a faulty one may take any."""
+        return self._alone or asked.to_many or asked.address in (None, self._address)
 
     def _keep_all(self) -> None:
         """Keep all that can be, before the drive goes back to its defaults."""

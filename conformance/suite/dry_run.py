@@ -101,7 +101,7 @@ def _list(what: str, sent: list[Item], judge: Judge) -> int:
 
 
 def _shown(judge: Judge, item: Item) -> str:
-    readings = judge.read(item)
+    readings = judge.interpret(item)
     risks = sorted({risk.value for reading in readings for risk in reading.risks})
-    names = dict.fromkeys(r.command.name if r.command is not None else "unknown" for r in readings if r.sound)
+    names = dict.fromkeys(r.command.name if r.command is not None else "unknown" for r in readings if r.fits)
     return f"{hex_of(item)}   {' '.join(names)}  [{','.join(risks) or 'nothing that can be read'}]"

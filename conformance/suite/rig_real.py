@@ -151,7 +151,7 @@ class RealRig(ClaimRig):
 
     def before_send(self, item: bytes | CanFrame) -> None:
         """Keep what an item is about to change, and know that it may move the motor."""
-        readings = self.gate.judge(item)
+        readings = self.gate.interpret(item)
         # What the gate refuses changes nothing, so there is nothing to keep.
         if not self.gate.objections(item):
             self.keeper.keep_before(readings)

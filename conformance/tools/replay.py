@@ -22,12 +22,11 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, NamedTuple
 
-from analyzer.catalogue import Command, Dialect, Risk
+from analyzer.catalogue import Command, Dialect, MotionKind, Risk
 from analyzer.codec import codec
 from analyzer.decoder import slots_of
 from analyzer.encoder import assemble
 from analyzer.errors import ServotapError
-from conformance.gate.bounds import MOVES, OWN_WAYS, RUNS, STOPS
 from conformance.gate.gate import Gate, Judge, Objection, Refused
 from conformance.safety.signals import undisturbed
 from conformance.safety.stopping import ramped_stops, stop
@@ -301,9 +300,10 @@ class Replay:
             slots = slots_of(step.dialect, message.command, message.data)
             commands = [(s.address, s.command, codec(s.form.layout).wire(s.data) if s.form else {}) for s in slots]
         for address, command, values in commands:
-            if command is not None and command.verb in STOPS:
+            kind = None if command is None or command.motion is None else command.motion.kind
+            if kind is MotionKind.STOP:
                 self.moving.pop((step.dialect.name, address), None)
-            elif command is not None and command.verb in RUNS | MOVES | OWN_WAYS:
+            elif command is not None and command.moves and kind is not MotionKind.HOLD:
                 self.moving[step.dialect.name, address] = _Moving(step.dialect, Risk.UNBOUNDED in command.risks(values))
 
     def stop(self, *, only_runs: bool = False) -> None:

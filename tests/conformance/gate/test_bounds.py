@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from fractions import Fraction
 from typing import Any
 
 import pytest
 
 from analyzer import dialects
+from analyzer.catalogue import Command, Motion, MotionKind, Risk, Verb, always
 from analyzer.encoder import build
+from analyzer.layout import Layout, i32, u16
 from conformance.bus.emulated import EmulatedLine
 from conformance.drives import make
+from conformance.gate.bounds import Bounds, Leeway
+from conformance.gate.budget import Budget
 from conformance.gate.gate import Allowance, Gate, Judge
+from conformance.model import strategies
 from tests.conformance.vectors import EVERYTHING, on_can
 
 MKS, MODBUS, CAN, LK = (dialects.get(n) for n in ("mks-rs485", "mks-modbus", "mks-can", "lk-rs485"))
@@ -61,7 +68,7 @@ def test_the_bound_is_what_the_emulated_drive_does():
         drive = make.make(make.parse(f"mks-rs485@1,work_mode=sr_vfoc,subdivision={subdivision % 256}"))
         gate = Gate(EmulatedLine([drive]), Allowance(EVERYTHING, subdivision=subdivision))
         item = build(MKS, "run_speed", 1, {"speed": 30, "acceleration": 0})
-        expected = gate.rehearsal().known.rpm(gate.judge(item)[0])
+        expected = gate.rehearsal().known.rpm(gate.interpret(item)[0])
         gate.send(item)
         gate.wait(SECOND_NS)
         before = float(drive.axis)
@@ -77,6 +84,12 @@ def test_a_subdivision_that_is_sent_may_be_or_may_not():
     assert refusal(bounded, MKS, "run_speed", speed=80, acceleration=2) == ""
     bounded.known.note_subdivision(16, 1)
     assert refusal(bounded, MKS, "run_speed", speed=300, acceleration=2) == ""
+
+
+def test_a_subdivision_that_is_sent_to_all_may_be_that_of_a_drive_addressed_later():
+    bounded = judge(speed=320, subdivision=16)
+    bounded.admit(build(MKS, "set_subdivision", 0, {"subdivision": 1}))
+    assert "above --max-speed" in refusal(bounded, MKS, "run_speed", speed=300, acceleration=2)
 
 
 def test_lk_speeds_are_in_degrees():
@@ -229,3 +242,39 @@ def test_a_package_and_a_cut_frame_are_bounded():
     assert bounded.objections(run) == []
     # The speed of a frame that is cut off could still be any.
     assert any("cannot be told" in r for o in bounded.objections(run[:4]) for r in o.reasons)
+
+
+# --- motion that the catalogue does not declare -----------------------------------------------------------------------
+
+_TURNS = Command(
+    name="spin_turns", verb=Verb.SAVE_SPEED, code=0x55, section="", summary="", risk=(always(Risk.MOTION),),
+    request=Layout(u16("turns"), u16("speed", unit="rpm")), reply=Layout(),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("bound", ["speed", "turns", "acceleration", "current"])
+def test_a_motion_that_is_not_declared_is_beyond_every_bound(bound: str):
+    # Its length and its speed are unknown, whatever its verb and its fields are called.
+    dialect = replace(MKS, commands=(*MKS.commands, _TURNS))
+    assert refusal(judge(dialect=dialect), dialect, "spin_turns", turns=50, speed=1) == ""
+    assert "not in the catalogue" in refusal(judge(dialect=dialect, **{bound: 0.1}), dialect, "spin_turns", turns=50, speed=1)
+    budget = judge(dialect=dialect, budget=Budget(turns=1000))
+    assert "how far it turns cannot be told" in refusal(budget, dialect, "spin_turns", turns=50)
+
+
+def test_a_motion_that_is_declared_is_bounded_whatever_its_verb():
+    motion = Motion(kind=MotionKind.MOVE_BY, speed="speed", distance="turns")
+    declared = replace(
+        _TURNS, motion=motion, request=Layout(i32("turns", unit="deg", scale=Fraction(1, 100)), u16("speed", unit="rpm"))
+    )
+    dialect = replace(MKS, commands=(*MKS.commands, declared))
+    bounded = judge(dialect=dialect, turns=2, speed=100, subdivision=16)
+    assert refusal(bounded, dialect, "spin_turns", turns=72000, speed=100) == ""
+    assert "2.5 turns" in refusal(bounded, dialect, "spin_turns", turns=-90000, speed=100)
+    assert "101 rpm" in refusal(bounded, dialect, "spin_turns", turns=1, speed=101)
+
+
+def test_what_a_motion_is_not_declared_for_is_never_drawn():
+    dialect = replace(MKS, commands=(_TURNS,))
+    assert not strategies.requests(dialect, {Risk.MOTION}, Leeway()).is_empty
+    assert strategies.requests(dialect, {Risk.MOTION}, Leeway(Bounds(current=1))).is_empty

@@ -62,7 +62,7 @@ def test_what_is_refused_does_not_leave():
     assert "mks-rs485@1 run_speed" in text
     assert "--allow motion,unbounded" in text
     assert refused.value.item == RUN
-    assert refused.value.objections[0].reading.risks == {Risk.MOTION, Risk.UNBOUNDED}
+    assert refused.value.objections[0].interpretation.risks == {Risk.MOTION, Risk.UNBOUNDED}
 
 
 def test_a_refused_item_is_as_if_it_had_not_been_tried():
@@ -147,7 +147,7 @@ def test_a_failed_write_counts_as_sent_for_what_can_be_read_next():
     with pytest.raises(LineLost):
         gate.send(b"\xfa\x01")
     # Some of it may have left: what would complete it is judged so.
-    assert [r.command.name for r in gate.judge(b"\xf7\xf2") if r.command] == ["emergency_stop"]
+    assert [r.command.name for r in gate.interpret(b"\xf7\xf2") if r.command] == ["emergency_stop"]
     assert gate.sent == 0
 
 

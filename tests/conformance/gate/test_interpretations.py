@@ -18,7 +18,7 @@ from analyzer.layout import Field
 from analyzer.link import sum8
 from analyzer.records import CanFrame, Frame
 from conformance.gate.gate import Allowance, Item, Judge, Refused
-from conformance.gate.interpretations import SerialReader, Stream
+from conformance.gate.interpretations import Pending, SerialInterpreter
 from tests.conformance.vectors import ALL, EVERYTHING, READS, RISKY, SAFE, SERIAL, Sending, ids, on_can
 
 MKS = dialects.get("mks-rs485")
@@ -134,7 +134,7 @@ def test_inside_a_package(sending: Sending):
     for wrapped in (whole, spoiled(whole), whole[:-1], whole[:25]):
         assert refuses(wrapped)
     assert not leaves([whole[:11], whole[11:]])
-    found = [r for r in judge().read(whole) if r.slot == 2]
+    found = [r for r in judge().interpret(whole) if r.slot == 2]
     assert [r.command.name for r in found if r.command] == [sending.command.name]
     assert found[0].risks >= sending.risks
 
@@ -180,7 +180,7 @@ def test_a_reply_head_is_read_as_a_request():
 def test_lk_data_of_another_length_than_its_command_is_the_worst():
     head = bytes((0x3E, 0xA2, 1, 5))
     found = judge().objections(head + bytes((sum8(head),)) + bytes(6))
-    assert Risk.UNBOUNDED in found[0].reading.risks
+    assert Risk.UNBOUNDED in found[0].interpretation.risks
     assert "5 bytes of data, expected 4" in str(found[0])
 
 
@@ -237,10 +237,10 @@ def test_reads_of_all_dialects_behind_each_other():
 
 def test_allowed_examples_behind_each_other():
     known = EVERYTHING - {Risk.UNKNOWN}
-    reader = SerialReader([MKS, MODBUS, LK])
+    reader = SerialInterpreter([MKS, MODBUS, LK])
     chosen = list({s.command.name: s for s in SERIAL}.values()) + [s for s in SERIAL if s.dialect is LK][::4]
     for first, second in itertools.product(chosen, repeat=2):
-        readings = reader.read(reader.read(Stream(), first.data)[1], second.data)[0]
+        readings = reader.interpret(reader.interpret(Pending(), first.data)[1], second.data)[0]
         assert all(r.risks <= known for r in readings), f"{second.name} behind {first.name}"
 
 
@@ -316,32 +316,32 @@ def test_random_allowed_requests_are_seldom_refused(dialect: Dialect):
 
 
 def test_what_was_sent_is_forgotten_once_nothing_in_it_can_go_on():
-    reader = SerialReader([MKS, LK])
-    assert reader.read(Stream(), READ)[1] == Stream()
-    assert reader.read(Stream(), READ[:3])[1].tail == READ[:3]
-    assert len(reader.read(Stream(), b"\xfc" + bytes(20))[1].tail) == 21
+    reader = SerialInterpreter([MKS, LK])
+    assert reader.interpret(Pending(), READ)[1] == Pending()
+    assert reader.interpret(Pending(), READ[:3])[1].tail == READ[:3]
+    assert len(reader.interpret(Pending(), b"\xfc" + bytes(20))[1].tail) == 21
 
 
 def test_it_never_grows_beyond_the_longest_frame():
-    reader = SerialReader(dialects.every()[:2])
-    stream = Stream()
+    reader = SerialInterpreter(dialects.every()[:2])
+    stream = Pending()
     rng = random.Random(3)
     for _ in range(300):
-        _, stream = reader.read(stream, rng.randbytes(5))
+        _, stream = reader.interpret(stream, rng.randbytes(5))
         assert len(stream.tail) <= 262
 
 
 @settings(max_examples=200, deadline=None)
 @given(st.binary(min_size=2, max_size=40), st.data())
 def test_cutting_hides_no_sound_frame(data: bytes, drawn: st.DataObject):
-    whole = SerialReader([MKS, LK])
-    sound = {(r.dialect.name, r.code, r.data) for r in whole.read(Stream(), data)[0] if r.sound and r.command}
+    whole = SerialInterpreter([MKS, LK])
+    sound = {(r.dialect.name, r.code, r.data) for r in whole.interpret(Pending(), data)[0] if r.fits and r.command}
     cuts = sorted(drawn.draw(st.sets(st.integers(1, len(data) - 1), max_size=4)))
-    cut = SerialReader([MKS, LK])
-    stream, seen = Stream(), set()
+    cut = SerialInterpreter([MKS, LK])
+    stream, seen = Pending(), set()
     for start, stop in itertools.pairwise([0, *cuts, len(data)]):
-        readings, stream = cut.read(stream, data[start:stop])
-        seen |= {(r.dialect.name, r.code, r.data) for r in readings if r.sound}
+        readings, stream = cut.interpret(stream, data[start:stop])
+        seen |= {(r.dialect.name, r.code, r.data) for r in readings if r.fits}
     assert sound <= seen
 
 

@@ -13,8 +13,7 @@ from analyzer.catalogue import Dialect, Risk
 from analyzer.codec import codec
 from analyzer.layout import Kind
 from analyzer.records import CanFrame
-from conformance.gate.bounds import Bounds
-from conformance.gate.drawing import Room
+from conformance.gate.bounds import Bounds, Leeway
 from conformance.gate.gate import Judge
 from conformance.gate.permissions import Allowance
 from conformance.model import limits, strategies
@@ -91,32 +90,32 @@ def test_strays_have_one_value_outside_and_reserved_sets_none(data):
 
 
 BOUNDS = Bounds(speed=300, turns=2, acceleration=200, current=1000)
-ROOMS = (strategies.ROOMY, Room(BOUNDS), Room(BOUNDS, subdivision=16, degrees=100.0, pulses=50))
+LEEWAYS = (strategies.NO_BOUNDS, Leeway(BOUNDS), Leeway(BOUNDS, subdivision=16, degrees=100.0, pulses=50))
 
 
-@pytest.mark.parametrize("room", ROOMS)
+@pytest.mark.parametrize("leeway", LEEWAYS)
 @pytest.mark.parametrize(("name", "model"), MODELS[::3])
 @pytest.mark.parametrize("risks", [{Risk.READ}, {Risk.READ, Risk.SETTING, Risk.MOTION}, set(Risk)])
-def test_requests_are_valid_and_pass_a_gate_of_the_same_risks_and_bounds(name, model, risks, room):
+def test_requests_are_valid_and_pass_a_gate_of_the_same_risks_and_bounds(name, model, risks, leeway):
     dialect = spoken(name, model)
-    bounds = room.bounds
+    bounds = leeway.bounds
     allowance = Allowance(
         frozenset(risks), bounds.speed, bounds.turns, bounds.acceleration, bounds.current, alone=True,
-        subdivision=room.subdivision,
+        subdivision=leeway.subdivision,
     )  # fmt: skip
     seen = set()
 
     @QUICK
-    @given(strategies.requests(dialect, risks, room))
+    @given(strategies.requests(dialect, risks, leeway))
     def drawn(request):
         built = encoder.assemble(dialect, request.command, 1, request.values, form=request.form)
         assert built.refusals == ()
         assert built.risks <= risks | {Risk.READ}
         judge = Judge(allowance, [dialect])
-        if room.degrees is not None:
-            judge.known.note_position(room.degrees, 1, room.pulses)
+        if leeway.degrees is not None:
+            judge.known.note_position(leeway.degrees, 1, leeway.pulses)
         item = CanFrame(0, "bus", 1, built.frame) if dialect.bus == "can" else built.frame
-        own = [o for o in judge.objections(item) if o.reading.command is request.command]
+        own = [o for o in judge.objections(item) if o.interpretation.command is request.command]
         assert own == []
         seen.add(request.command.name)
 
@@ -125,7 +124,7 @@ def test_requests_are_valid_and_pass_a_gate_of_the_same_risks_and_bounds(name, m
 
 
 @QUICK
-@given(strategies.packages(dialects.get("mks-rs485"), {Risk.READ, Risk.MOTION}, Room(BOUNDS), addresses=(1, 2, 3)))
+@given(strategies.packages(dialects.get("mks-rs485"), {Risk.READ, Risk.MOTION}, Leeway(BOUNDS), addresses=(1, 2, 3)))
 def test_packages_hold_requests_of_the_same_risks(package):
     dialect = dialects.get("mks-rs485")
     built = encoder.assemble(dialect, package.command, 0, package.values)
@@ -146,7 +145,7 @@ def test_what_is_drawn_without_a_test_is_the_same_each_time_and_different_for_an
 @pytest.mark.parametrize(("name", "model"), EVERY)
 def test_plain_requests_are_valid_and_move_little_and_slowly(name, model):
     dialect = spoken(name, model)
-    room = Room(Bounds(speed=60, turns=1, acceleration=200), subdivision=16)
+    leeway = Leeway(Bounds(speed=60, turns=1, acceleration=200), subdivision=16, dialect=dialect)
     for command, values in samples.every(dialect, address=3):
         built = encoder.assemble(dialect, command, 3, values)
         assert built.refusals == (), command.name
@@ -154,7 +153,7 @@ def test_plain_requests_are_valid_and_move_little_and_slowly(name, model):
             continue
         for field_name, field in built.form.layout.named.items():
             if field.name in ("speed", "max_speed", "acceleration", "pulses") and field.fixed is None:
-                stretch = limits.allowed(field, room, command=command)
+                stretch = limits.allowed(field, leeway, command=command)
                 assert any(low <= values[field_name] <= high for low, high in stretch), (command.name, field_name)
         if "new_address" in values:
             assert values["new_address"] == 3

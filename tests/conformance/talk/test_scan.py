@@ -74,7 +74,7 @@ def test_nothing_but_reads_leave():
     scan(scanned, SERIAL, addresses=range(1, 256))
     sent = [r for r in logged if r.direction is Role.REQUEST]
     assert len(sent) > 255 + 247 + 32
-    readings = [r for item in sent for r in gate("mks-rs485@1").judge(item.data)]
+    readings = [r for item in sent for r in gate("mks-rs485@1").interpret(item.data)]
     assert all(r.reads_only for r in readings)
 
 
