@@ -171,7 +171,7 @@ class Leeway:
     subdivision: int | None = None
     degrees: float | None = None
     pulses: int | None = None
-    dialect: Dialect | None = None
+    dialect: Dialect | None = field(default=None, compare=False)
 
     @property
     def drive(self) -> DriveState:

@@ -8,7 +8,7 @@ Rules kept here:
 - A motor that was let go or stopped on its way stands wherever it comes to rest: the model asks.
 - What 0x93 leaves of the position is open, but for the turns: the model asks.
 - Control parameters are moderate, and such that the motor can still move. On hardware the gains of the loops are left alone.
-- Values are drawn within the bounds of the session's room; positions from where the shaft is. A move within the turn goes to
+- Values are drawn within the bounds of the session; positions from where the shaft is. A move within the turn goes to
   another angle than that of the shaft: the manual does not say whether that is no distance or a turn.
 
 Not modelled: torque, limits at their ends, errors, what 0x19 stores.
@@ -54,7 +54,7 @@ def _moderate(form: Form, which: int) -> dict[str, int]:
 
 
 def _fastest(session: LkSession) -> int:
-    return min(FASTEST, int(session.room.bounds.speed or FASTEST))
+    return min(FASTEST, int(session.leeway.bounds.speed or FASTEST))
 
 
 def _speed_limits(session: LkSession) -> SearchStrategy[int]:
@@ -62,7 +62,7 @@ def _speed_limits(session: LkSession) -> SearchStrategy[int]:
 
 
 def _distances(session: LkSession) -> SearchStrategy[int]:
-    return up_to(int(min(LONGEST, session.room.bounds.turns or LONGEST) * TURN))
+    return up_to(int(min(LONGEST, session.leeway.bounds.turns or LONGEST) * TURN))
 
 
 def _runs(session: LkSession) -> Values:
@@ -117,7 +117,7 @@ def _stands_on(session: LkSession) -> bool:
 
 
 def _stands_unbounded(session: LkSession) -> bool:
-    return _stands(session) and session.room.bounds.speed is None
+    return _stands(session) and session.leeway.bounds.speed is None
 
 
 def _has_parameters(session: LkSession) -> bool:

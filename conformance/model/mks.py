@@ -12,7 +12,7 @@ Rules kept here:
 - The manual does not say what a setting does to a motion under way: settings that motion depends on are given to a shaft that
   stands.
 - Values are those of the catalogue; a setting outside them is refused and changes nothing.
-- Values of motion are drawn within the bounds of the session's room. Speeds are as sent: at a finer subdivision than 16 the
+- Values of motion are drawn within the bounds of the session. Speeds are as sent: at a finer subdivision than 16 the
   shaft turns slower.
 - On hardware no setting is changed that the motor cannot move without, or that a switch decides (`_STRONG`).
 
@@ -90,7 +90,7 @@ def _values(session: MksSession, command: Command, *, telling: bool) -> Values:
         elif telling and field.effect is Effect.SUBDIVISION:
             drawn[name] = st.sampled_from([n for n in (128, 0, 16, 64, 32) if field.allows(n)])
         else:
-            drawn[name] = strategies.inside(field, session.room)
+            drawn[name] = strategies.inside(field, session.leeway)
     return st.fixed_dictionaries(drawn)
 
 
@@ -101,7 +101,7 @@ _made: dict[tuple[Any, ...], Values] = {}
 def _made_once(make: Callable[[MksSession], Values]) -> Callable[[MksSession], Values]:
     def draw(session: MksSession) -> Values:
         probe = session.probe
-        key = (make, session.dialect.name, session.dialect.model, probe.rig.allowed, probe.drive is None, session.room)
+        key = (make, session.dialect.name, session.dialect.model, probe.rig.allowed, probe.drive is None, session.leeway)
         if key not in _made:
             _made[key] = make(session)
         return _made[key]
@@ -125,7 +125,7 @@ def _strays(session: MksSession) -> Values:
     for command in settable(session):
         layout = command.request_forms[0].layout
         if any(limits.beyond(f) for f in layout.named.values()):
-            drawn.append(st.tuples(st.just(command.code), strategies.strays(layout, session.room)))
+            drawn.append(st.tuples(st.just(command.code), strategies.strays(layout, session.leeway)))
     return st.one_of(drawn).map(lambda pair: {"command": pair[0], **pair[1].values})
 
 
@@ -135,7 +135,7 @@ def _user_ids(session: MksSession) -> Values:
 
 def _paces(session: MksSession) -> dict[str, SearchStrategy[int]]:
     """Return strategies of speed and acceleration within the bounds."""
-    bounds = session.room.bounds
+    bounds = session.leeway.bounds
     fastest = min(FASTEST, int(bounds.speed or FASTEST))
     steepest = min(STEEPEST, int(bounds.acceleration or STEEPEST))
     slowest, gentlest = min(SLOWEST, fastest), min(GENTLEST, steepest)
@@ -148,7 +148,7 @@ def _runs(session: MksSession) -> Values:
 
 def _moves(unit: str) -> Callable[[MksSession], Values]:
     def draw(session: MksSession) -> Values:
-        longest = min(LONGEST, session.room.bounds.turns or LONGEST)
+        longest = min(LONGEST, session.leeway.bounds.turns or LONGEST)
         # At the subdivision of the suite; the same pulses go less far at finer ones.
         per_turn = session.dialect.counts_per_turn if unit == "counts" else moves.STEPS_PER_TURN * moves.SUBDIVISION
         return st.fixed_dictionaries({unit: up_to(int(longest * per_turn)), **_paces(session)})
