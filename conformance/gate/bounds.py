@@ -22,8 +22,7 @@ Not known here: which risks are allowed (`conformance.gate.permissions`).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from math import ceil, floor
 
@@ -221,7 +220,9 @@ class Knowledge:
     def _of(self, address: int | None) -> DriveState:
         found = self._drives.get(address)
         if found is None:
-            found = self._drives[address] = deepcopy(self._drives[None])
+            # A homing speed counts as known where it was sent to the drive itself.
+            common = self._drives[None]
+            found = self._drives[address] = replace(common, subdivisions=set(common.subdivisions), home_speeds=set())
         return found
 
     def note_subdivision(self, value: int, address: int | None = None) -> None:
