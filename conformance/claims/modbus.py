@@ -16,23 +16,20 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk
-from analyzer.link import READS, WRITE_MANY, WRITE_ONE, ModbusLink
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Subject
+from analyzer.link import READS, WRITE_MANY, WRITE_ONE
 from analyzer.protocols.modbus import ModbusException
-from conformance.claim import Claim, Refuted, Theme
+from conformance.claim import Claim, Theme
 from conformance.claims import modbus_writes
-from conformance.claims.declare import declare
-from conformance.claims.hearing import ask_cleanly, came, plain_read, section
-from conformance.claims.modbus_frames import ask, exception, judge, request
+from conformance.claims.declare import Case, claim, declared_in, described_in
+from conformance.claims.hearing import ask_cleanly, came, plain_read
+from conformance.claims.modbus_frames import ask, exception, expect_answer, on_modbus, request
 from conformance.talk.exchange import hex_of
 from conformance.talk.garbling import harmless
-
-if TYPE_CHECKING:
-    from conformance.talk.probe import Probe
+from conformance.talk.probe import Probe
 
 FUNCTION, ADDRESS, VALUE = (
     ModbusException.ILLEGAL_FUNCTION,
@@ -48,14 +45,13 @@ _RESERVED = (248, 249, 253, 254, 255)
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims of this theme for a dialect on Modbus, none for another."""
-    if not isinstance(dialect.link, ModbusLink):
-        return
-    for kind in _KINDS:
-        yield _refused(dialect, kind)
-    yield _reserved_addresses(dialect)
-    yield _nobody_else(dialect, "broadcast", "by broadcast", lambda own: (0,))
-    yield _nobody_else(dialect, "other", "to another address", lambda own: (own % 247 + 1, (own + 100) % 247 + 1))
+    yield from declared_in(__name__, dialect)
     yield from modbus_writes.claims(dialect)
+
+
+def _with_standard(case: Case) -> str:
+    """Return the section of what the manual leaves to the standard."""
+    return f"{described_in(Subject.FRAMING)(case)}; Modbus V1.1b3, 7"
 
 
 # --- what calls for an exception --------------------------------------------------------------------------------------
@@ -166,86 +162,89 @@ _KINDS = (
 )  # fmt: skip
 
 
-def _refused(dialect: Dialect, kind: _Kind) -> Claim:
-    def check(probe: Probe) -> None:
-        ask_cleanly(probe)
-        following = probe.build(plain_read(dialect)).frame
-        for what, function, frame in kind.make(probe):
-            # Bytes that begin a frame of another dialect are left to drives that are alone.
-            if not harmless(frame, probe.address, following, beside=kind.risks):
-                continue
-            judge(probe, ask(probe, frame), exception(probe, function, kind.code), what)
+def _kinds(dialect: Dialect) -> Iterator[Case]:
+    for case in on_modbus(dialect):
+        for kind in _KINDS:
+            facts = {"statement": kind.statement, "at_best": kind.sure, "risks": kind.risks}
+            yield Case(case.dialect, given={"kind": kind}, facts=facts)
 
-    return declare(
-        dialect,
-        Theme.MODBUS,
-        kind.name,
-        kind.statement,
-        "silence, another exception, or an answer that is none",
-        check,
-        section=f"{section(dialect)}; Modbus V1.1b3, 7",
-        at_best=kind.sure,
-        risks=kind.risks,
-    )
+
+@claim(
+    Theme.MODBUS,
+    each=_kinds,
+    name="{kind}",
+    refuted_by="silence, another exception, or an answer that is none",
+    section=_with_standard,
+    parameters={},
+)
+def _refused(probe: Probe, kind: _Kind) -> None:
+    ask_cleanly(probe)
+    following = probe.build(plain_read(probe.dialect)).frame
+    for what, function, frame in kind.make(probe):
+        # Bytes that begin a frame of another dialect are left to drives that are alone.
+        if harmless(frame, probe.address, following, beside=kind.risks):
+            expect_answer(probe, ask(probe, frame), exception(probe, function, kind.code), what)
 
 
 # --- addresses --------------------------------------------------------------------------------------------------------
 
 
-def _reserved_addresses(dialect: Dialect) -> Claim:
-    def check(probe: Probe) -> None:
-        ask_cleanly(probe)
-        read = plain_read(dialect)
-        for address in _RESERVED:
-            sent = probe.send(request(probe, read.function or 0, read.code, read.quantity, address=address))
-            if not sent.silent:
-                raise Refuted(
-                    f"the reserved address {address} is answered",
-                    expected=f"silence after {hex_of(sent.sent or b'')}",
-                    got=came(sent),
-                    exchange=sent,
-                )
-
-    return declare(
-        dialect,
-        Theme.MODBUS,
-        "address/reserved",
-        "A request to an address above 247, which Modbus keeps back, is not answered.",
-        "any answer",
-        check,
-        section="8.2.15; Modbus over Serial Line V1.02, 2.2",
-        alone=True,
-        rests_on=(Doubt.ADDRESSING,),
-    )
+def _expect_silence(probe: Probe, frame: bytes, refutes: str) -> None:
+    sent = probe.send(frame)
+    expected = f"silence after {hex_of(frame)}"
+    probe.expect(came(sent), holds=sent.silent, expected=expected, refutes=refutes, exchange=sent)
 
 
-def _nobody_else(dialect: Dialect, name: str, how: str, addresses: Callable[[int], tuple[int, ...]]) -> Claim:
-    def check(probe: Probe) -> None:
-        ask_cleanly(probe)
-        read = plain_read(dialect)
-        for address in addresses(probe.address):
-            frames = (
-                request(probe, 0x03, read.code, read.quantity, address=address),
-                request(probe, read.function or 0, 0x0035, 1, address=address),
-                request(probe, read.function or 0, read.code, 0, address=address),
-            )
-            for frame in frames:
-                sent = probe.send(frame)
-                if not sent.silent:
-                    raise Refuted(
-                        f"a wrong request {how} is answered",
-                        expected=f"silence after {hex_of(frame)}",
-                        got=came(sent),
-                        exchange=sent,
-                    )
+@claim(
+    Theme.MODBUS,
+    each=on_modbus,
+    name="address/reserved",
+    refuted_by="any answer",
+    section="8.2.15; Modbus over Serial Line V1.02, 2.2",
+    alone=True,
+    rests_on=(Doubt.ADDRESSING,),
+)
+def _reserved_addresses(probe: Probe) -> None:
+    """A request to an address above 247, which Modbus keeps back, is not answered."""
+    ask_cleanly(probe)
+    read = plain_read(probe.dialect)
+    for address in _RESERVED:
+        frame = request(probe, read.function or 0, read.code, read.quantity, address=address)
+        _expect_silence(probe, frame, f"the reserved address {address} is answered")
 
-    return declare(
-        dialect,
-        Theme.MODBUS,
-        f"exception/{name}",
-        f"What calls for an exception is not answered when it is sent {how}.",
-        "any answer",
-        check,
-        section=f"{section(dialect)}; Modbus V1.1b3, 7",
-        alone=True,
-    )
+
+def _by_broadcast(own: int) -> tuple[int, ...]:
+    return (0,)
+
+
+def _to_others(own: int) -> tuple[int, ...]:
+    return (own % 247 + 1, (own + 100) % 247 + 1)
+
+
+def _other_addresses(dialect: Dialect) -> Iterable[Case]:
+    for case in on_modbus(dialect):
+        yield Case(case.dialect, given={"kind": "broadcast", "how": "by broadcast", "addresses": _by_broadcast})
+        yield Case(case.dialect, given={"kind": "other", "how": "to another address", "addresses": _to_others})
+
+
+@claim(
+    Theme.MODBUS,
+    each=_other_addresses,
+    name="exception/{kind}",
+    refuted_by="any answer",
+    section=_with_standard,
+    alone=True,
+    parameters={},
+)
+def _no_exception(probe: Probe, how: str, addresses: Callable[[int], tuple[int, ...]]) -> None:
+    """What calls for an exception is not answered when it is sent {how}."""
+    ask_cleanly(probe)
+    read = plain_read(probe.dialect)
+    for address in addresses(probe.address):
+        for function, register, quantity in (
+            (0x03, read.code, read.quantity),
+            (read.function or 0, 0x0035, 1),
+            (read.function or 0, read.code, 0),
+        ):
+            frame = request(probe, function, register, quantity, address=address)
+            _expect_silence(probe, frame, f"a wrong request {how} is answered")

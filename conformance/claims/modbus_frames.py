@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
 
-from conformance.claim import Refuted
+from analyzer.catalogue import Dialect
+from analyzer.link import ModbusLink
+from conformance.claims.declare import Case, once
 from conformance.claims.hearing import came
 from conformance.talk.exchange import Exchange, hex_of
-from conformance.talk.probe import Until
+from conformance.talk.probe import Probe, Until
 
-if TYPE_CHECKING:
-    from conformance.talk.probe import Probe
 
 
 def request(probe: Probe, function: int, *words: int, data: bytes = b"", address: int | None = None) -> bytes:
@@ -30,19 +30,21 @@ def ask(probe: Probe, frame: bytes) -> Exchange:
     return probe.send(frame, until=Until.REPLY, timeout_ns=probe.rig.late_ns)
 
 
-def judge(probe: Probe, sent: Exchange, expected: bytes, what: str) -> None:
+def expect_answer(probe: Probe, sent: Exchange, expected: bytes, what: str) -> None:
     """Refute a drive that does not answer what was sent with these bytes and nothing else."""
-    got = sent.received
-    if got == expected:
-        return
-    # Once more: a line that loses or garbles a reply now and then is another matter.
-    again = ask(probe, sent.data)
-    if again.received == expected:
-        return
-    raise Refuted(
-        f"{what} is answered otherwise",
-        expected=f"{hex_of(expected)} to {hex_of(sent.sent or b'')}",
-        got=came(again),
-        exchange=again,
-        key=what,
-    )
+    if sent.received != expected:
+        # Once more: a line that loses or garbles a reply now and then is another matter.
+        again = ask(probe, sent.data)
+        probe.expect(
+            came(again),
+            holds=again.received == expected,
+            expected=f"{hex_of(expected)} to {hex_of(sent.sent or b'')}",
+            refutes=f"{what} is answered otherwise",
+            exchange=again,
+            key=what,
+        )
+
+
+def on_modbus(dialect: Dialect) -> Iterable[Case]:
+    """Yield one case for a dialect on Modbus, none for another."""
+    return once(dialect) if isinstance(dialect.link, ModbusLink) else ()

@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from analyzer.link import WRITE_MANY, WRITE_ONE, ModbusLink
 from analyzer.protocols.modbus import ModbusException
-from conformance.claim import Claim, Inconclusive, Refuted, Theme
-from conformance.claims.declare import declare
+from conformance.claim import Claim, Inconclusive, Theme
+from conformance.claims.declare import Case, Cases, claim, declared_in
 from conformance.claims.hearing import ask_cleanly, came
-from conformance.claims.known_quirks import known
-from conformance.claims.modbus_frames import ask, exception, judge, request
+from conformance.claims.known_quirks import may_meet
+from conformance.claims.modbus_frames import ask, exception, expect_answer, on_modbus, request
 from conformance.motion import motion
 from conformance.motion.effects import STEP_NS
 from conformance.talk import samples
 from conformance.talk.exchange import hex_of
+from conformance.talk.probe import Probe
 
-if TYPE_CHECKING:
-    from conformance.talk.probe import Probe
 
 REGISTER_94 = "register-94h"
+_ADDRESS, _VALUE = ModbusException.ILLEGAL_DATA_ADDRESS, ModbusException.ILLEGAL_DATA_VALUE
+_STANDARD = "8.2; Modbus V1.1b3, 7"
 _LATER_MANUAL = "vendor's Modbus manual V1.0.9"
-#: What the refused forms rest on: no erratum of this manual, the vendor's later one.
-_REFUSAL = Certainty.LIKELY
 #: A write of several registers that no command has: homing without a switch, as the later manual has it.
 _HOME_94 = 0x0094
 _HOME_94_DATA = bytes.fromhex("00 00 20 00 00 00 02 58")
@@ -32,67 +31,72 @@ _HOME_94_DATA = bytes.fromhex("00 00 20 00 00 00 02 58")
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims about writes."""
-    ones, several = _harmless(dialect, WRITE_ONE), _harmless(dialect, WRITE_MANY)
-    yield _echoed_one(dialect, ones)
-    yield _echoed_several(dialect, several)
-    yield _refused(dialect, "write_one", ones)
-    yield _refused(dialect, "write_many", several)
-    yield _unknown_registers(dialect)
-    yield from _counts(dialect, several)
-    yield from _other_function(dialect, ones, several)
-    if motion.can_move(dialect):
-        yield _answered_once(dialect)
+    return declared_in(__name__, dialect)
 
 
-def _harmless(dialect: Dialect, functions: frozenset[int]) -> list[Command]:
+# --- what is written --------------------------------------------------------------------------------------------------
+
+
+def _settings(dialect: Dialect, functions: frozenset[int]) -> tuple[Command, ...]:
     """Return the settings of these functions whose plain values risk nothing but that a setting changes."""
     settings = (c for c in dialect.commands if c.verb.value.startswith("set_") and c.verb is not Verb.SET_ZERO)
     fit = (c for c in settings if c.function in functions and not c.modes)
-    return [c for c in fit if c.risks(samples.sample(dialect, c)) == {Risk.SETTING}]
+    return tuple(c for c in fit if c.risks(samples.sample(dialect, c)) == {Risk.SETTING})
 
 
-def _fields(commands: list[Command]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(name for c in commands for name in c.request_forms[0].layout.named))
+def _writes(*functions: frozenset[int]) -> Cases:
+    """Return one case with all settings that are written by these functions."""
+
+    def cases(dialect: Dialect) -> Iterator[Case]:
+        for case in on_modbus(dialect):
+            commands = tuple(c for f in functions for c in _settings(dialect, f))
+            fields = tuple(dict.fromkeys(name for c in commands for name in c.request_forms[0].layout.named))
+            facts = {"settings": fields, "commands": tuple(c.name for c in commands)}
+            yield Case(case.dialect, given={"settings": commands}, facts=facts)
+
+    return cases
 
 
-def _make(
-    dialect: Dialect, name: str, statement: str, refuted_by: str, check: Any, commands: list[Command], **rest: Any
-) -> Claim:
-    rest.setdefault("risks", {Risk.SETTING})
-    section = rest.pop("section", "8.2")
-    named = tuple(c.name for c in commands)
-    fields = _fields(commands)
-    return declare(
-        dialect, Theme.MODBUS, name, statement, refuted_by, check, section=section, settings=fields, commands=named, **rest
-    )
+_ones, _several, _both = _writes(WRITE_ONE), _writes(WRITE_MANY), _writes(WRITE_ONE, WRITE_MANY)
+_none = _writes()
+
+
+def _of_writes(refuted_by: str, *, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    facts = {"section": "8.2", "risks": {Risk.SETTING}, "parameters": {}, **facts}
+    return claim(Theme.MODBUS, each=each, refuted_by=refuted_by, **facts)
+
+
+def _any_risk(case: Case) -> set[Risk]:
+    """Return the risks of settings with a count that is not theirs: it can be read with any values."""
+    return {Risk.UNKNOWN}.union(*(c.all_risks for c in case["settings"]))
+
+
+def _plain(probe: Probe, command: Command) -> bytes:
+    return probe.build(command, samples.sample(probe.dialect, command)).frame
 
 
 # --- echoes -----------------------------------------------------------------------------------------------------------
 
 
-def _echoed_one(dialect: Dialect, commands: list[Command]) -> Claim:
-    def check(probe: Probe) -> None:
-        ask_cleanly(probe)
-        for command in commands:
-            frame = probe.build(command, samples.sample(dialect, command)).frame
-            judge(probe, ask(probe, frame), frame, f"a write of {command.code:04X}h by 06h")
-            probe.wait(probe.rig.write_gap_ns)
-
-    statement = "A write by function 06h is answered by its own bytes."
-    return _make(dialect, "write_one/echo", statement, "other bytes, or silence", check, commands)
+@_of_writes("other bytes, or silence", each=_ones, name="write_one/echo")
+def _echoed(probe: Probe, settings: tuple[Command, ...]) -> None:
+    """A write by function 06h is answered by its own bytes."""
+    ask_cleanly(probe)
+    for command in settings:
+        frame = _plain(probe, command)
+        expect_answer(probe, ask(probe, frame), frame, f"a write of {command.code:04X}h by 06h")
+        probe.wait(probe.rig.write_gap_ns)
 
 
-def _echoed_several(dialect: Dialect, commands: list[Command]) -> Claim:
-    def check(probe: Probe) -> None:
-        ask_cleanly(probe)
-        for command in commands:
-            frame = probe.build(command, samples.sample(dialect, command)).frame
-            expected = dialect.link.completed(frame[:6])
-            judge(probe, ask(probe, frame), expected, f"a write of {command.code:04X}h by 10h")
-            probe.wait(probe.rig.write_gap_ns)
-
-    statement = "A write by function 10h is answered by its register and quantity."
-    return _make(dialect, "write_many/echo", statement, "other bytes, or silence", check, commands)
+@_of_writes("other bytes, or silence", each=_several, name="write_many/echo")
+def _echoed_shortly(probe: Probe, settings: tuple[Command, ...]) -> None:
+    """A write by function 10h is answered by its register and quantity."""
+    ask_cleanly(probe)
+    for command in settings:
+        frame = _plain(probe, command)
+        expected = probe.dialect.link.completed(frame[:6])
+        expect_answer(probe, ask(probe, frame), expected, f"a write of {command.code:04X}h by 10h")
+        probe.wait(probe.rig.write_gap_ns)
 
 
 # --- refusals ---------------------------------------------------------------------------------------------------------
@@ -112,127 +116,135 @@ def _outside(command: Command) -> dict[str, int] | None:
     return None
 
 
-#: Function by which a write is refused: the last two bytes of the refusal, and what they are.
-_REFUSALS = {
-    "write_one": (b"\xff\xff", "06h", "FFFFh in place of the value"),
-    "write_many": (b"\0\0", "10h", "a quantity of 0"),
-}
+def _refusals(dialect: Dialect) -> Iterator[Case]:
+    """Yield the writes of each function with the end of a refusal by it, and what that is."""
+    for name, each, end, function, words in (
+        ("write_one", _ones, b"\xff\xff", "06h", "FFFFh in place of the value"),
+        ("write_many", _several, b"\0\0", "10h", "a quantity of 0"),
+    ):
+        for case in each(dialect):
+            statement = f"A refused write by function {function} is answered with {words} ({_LATER_MANUAL})."
+            facts = dict(case.facts) | {"statement": statement, "name": f"{name}/refused"}
+            yield Case(case.dialect, given={**case.given, "end": end}, facts=facts)
 
 
-def _refused(dialect: Dialect, name: str, commands: list[Command]) -> Claim:
-    end, function, words = _REFUSALS[name]
-
-    def check(probe: Probe) -> None:
-        ask_cleanly(probe)
-        for command in commands:
-            values = _outside(command)
-            if values is not None:
-                frame = probe.build(command, values).frame
-                expected = dialect.link.completed(frame[:4] + end)
-                judge(probe, ask(probe, frame), expected, f"a value that {command.name} does not have")
-                probe.wait(probe.rig.write_gap_ns)
-
-    statement = f"A refused write by function {function} is answered with {words} ({_LATER_MANUAL})."
-    refuted_by = "the echo of a write that was done, an exception, or silence"
-    return _make(dialect, f"{name}/refused", statement, refuted_by, check, commands, at_best=_REFUSAL)
+# No erratum of this manual says so: the vendor's later one does.
+@_of_writes("the echo of a write that was done, an exception, or silence", each=_refusals, at_best=Certainty.LIKELY)
+def _refused(probe: Probe, settings: tuple[Command, ...], end: bytes) -> None:
+    ask_cleanly(probe)
+    for command in settings:
+        values = _outside(command)
+        if values is not None:
+            frame = probe.build(command, values).frame
+            expected = probe.dialect.link.completed(frame[:4] + end)
+            expect_answer(probe, ask(probe, frame), expected, f"a value that {command.name} does not have")
+            probe.wait(probe.rig.write_gap_ns)
 
 
 # --- registers --------------------------------------------------------------------------------------------------------
 
 
-def _unknown_registers(dialect: Dialect) -> Claim:
-    quirks = known(dialect, REGISTER_94)
+@_of_writes(
+    "silence, an echo, or another exception",
+    each=_none,
+    name="register/unknown_write",
+    section=_STANDARD,
+    at_best=Certainty.LIKELY,
+    risks={Risk.UNKNOWN},
+    quirks=may_meet(REGISTER_94),
+)
+def _unknown_registers(probe: Probe) -> None:
+    """A write of a register that no command has is refused by exception 02."""
+    ask_cleanly(probe)
+    known = {c.code for c in probe.dialect.commands}
+    for register in sorted({0x0000, 0x00A0, 0x0182, 0x7FFF} - known):
+        for function, frame in (
+            (0x06, request(probe, 0x06, register, 0x0000)),
+            (0x10, request(probe, 0x10, register, 1, data=b"\x02\0\0")),
+        ):
+            refusal = exception(probe, function, _ADDRESS)
+            expect_answer(probe, ask(probe, frame), refusal, f"a write of register {register:04X}h")
+    if _HOME_94 in known:
+        return
+    frame = request(probe, 0x10, _HOME_94, 4, data=b"\x08" + _HOME_94_DATA)
+    sent = ask(probe, frame)
+    if sent.received[:4] == frame[:4]:
+        probe.meets(REGISTER_94)
+    else:
+        expect_answer(probe, sent, exception(probe, 0x10, _ADDRESS), "a write of register 0094h")
 
-    def check(probe: Probe) -> None:
-        ask_cleanly(probe)
-        known = {c.code for c in dialect.commands}
-        refused = ModbusException.ILLEGAL_DATA_ADDRESS
-        for register in sorted({0x0000, 0x00A0, 0x0182, 0x7FFF} - known):
-            frame = request(probe, 0x06, register, 0x0000)
-            judge(probe, ask(probe, frame), exception(probe, 0x06, refused), f"a write of register {register:04X}h")
-            frame = request(probe, 0x10, register, 1, data=b"\x02\0\0")
-            judge(probe, ask(probe, frame), exception(probe, 0x10, refused), f"a write of register {register:04X}h")
-        if _HOME_94 in known:
-            return
-        frame = request(probe, 0x10, _HOME_94, 4, data=b"\x08" + _HOME_94_DATA)
-        sent = ask(probe, frame)
-        if sent.received[:4] == frame[:4]:
-            probe.meets(REGISTER_94)
-            return
-        judge(probe, sent, exception(probe, 0x10, refused), "a write of register 0094h")
 
-    return _make(
-        dialect, "register/unknown_write", "A write of a register that no command has is refused by exception 02.",
-        "silence, an echo, or another exception", check, [], section="8.2; Modbus V1.1b3, 7", at_best=Certainty.LIKELY,
-        risks={Risk.UNKNOWN}, quirks=quirks,
-    )  # fmt: skip
+@_of_writes("an echo", each=_both, name="function/other_write", at_best=Certainty.OPEN, risks={Risk.SETTING, Risk.UNKNOWN})
+def _other_function(probe: Probe, settings: tuple[Command, ...]) -> None:
+    """A register is written by its own function, 06h or 10h, and not by the other."""
+    ask_cleanly(probe)
+    for command in [c for c in settings if c.function in WRITE_ONE][:2]:
+        frame = request(probe, 0x10, command.code, 1, data=b"\x02" + _plain(probe, command)[4:-2])
+        refusal = exception(probe, 0x10, _ADDRESS)
+        expect_answer(probe, ask(probe, frame), refusal, f"{command.code:04X}h by function 10h")
+    for command in [c for c in settings if c.function in WRITE_MANY][:2]:
+        frame = request(probe, 0x06, command.code, 0)
+        refusal = exception(probe, 0x06, _ADDRESS)
+        expect_answer(probe, ask(probe, frame), refusal, f"{command.code:04X}h by function 06h")
 
 
 # --- byte counts ------------------------------------------------------------------------------------------------------
 
 
-def _counts(dialect: Dialect, commands: list[Command]) -> Iterator[Claim]:
-    link = dialect.link
-    assert isinstance(link, ModbusLink)  # asked by the theme
-    refused = ModbusException.ILLEGAL_DATA_VALUE
-    # A count that is not the register's can be read with any values.
-    risks = {Risk.UNKNOWN}.union(*(c.all_risks for c in commands))
-
-    def odd(probe: Probe) -> None:
-        ask_cleanly(probe)
-        for register, count in link.odd_counts.items():
-            for command in (c for c in commands if c.code == register):
-                data = probe.build(command, samples.sample(dialect, command)).frame[7:-2]
-                frame = request(probe, 0x10, register, command.quantity, data=bytes((count,)) + data)
-                judge(probe, ask(probe, frame), link.completed(frame[:6]), f"register {register:04X}h with {count} bytes")
-                wrong = 2 * command.quantity
-                frame = request(probe, 0x10, register, command.quantity, data=bytes((wrong,)) + data.ljust(wrong, b"\0"))
-                what = f"register {register:04X}h with {wrong} bytes"
-                judge(probe, ask(probe, frame), exception(probe, 0x10, refused), what)
-
-    def others(probe: Probe) -> None:
-        ask_cleanly(probe)
-        for command in commands:
-            data = probe.build(command, samples.sample(dialect, command)).frame[7:-2]
-            for quantity, own in ((command.quantity, data[:-1]), (command.quantity, data + b"\0"),
-                                  (command.quantity + 1, data + b"\0\0"), (command.quantity - 1, data[:-2])):  # fmt: skip
-                if quantity == command.quantity and len(own) == 2 * quantity:
-                    continue
-                frame = request(probe, 0x10, command.code, quantity, data=bytes((len(own),)) + own)
-                what = f"{quantity} registers in {len(own)} bytes to {command.code:04X}h, which has {command.quantity}"
-                judge(probe, ask(probe, frame), exception(probe, 0x10, refused), what)
-
-    if link.odd_counts:
-        listed = ", ".join(f"{r:04X}h" for r in link.odd_counts)
-        yield _make(
-            dialect, "byte_count/odd", f"Register {listed} is written with the byte count that is printed, and no other.",
-            "a refusal of the printed count, or anything but exception 03 to another", odd, commands,
-            section="8.2.20", rests_on=(Doubt.LAYOUT,), about=("set_home",), risks=risks,
-        )  # fmt: skip
-    yield _make(
-        dialect, "byte_count/others", "A write by 10h with another quantity or byte count than its register's is refused"
-        " by exception 03.", "an echo, silence, or another exception", others, commands, section="8.2; Modbus V1.1b3, 7",
-        at_best=Certainty.LIKELY, risks=risks,
-    )  # fmt: skip
+def _odd_counts(dialect: Dialect) -> Mapping[int, int]:
+    return dialect.link.odd_counts if isinstance(dialect.link, ModbusLink) else {}
 
 
-def _other_function(dialect: Dialect, ones: list[Command], several: list[Command]) -> Iterator[Claim]:
-    refused = ModbusException.ILLEGAL_DATA_ADDRESS
+def _odd(dialect: Dialect) -> Iterator[Case]:
+    counts = _odd_counts(dialect)
+    if counts:
+        listed = ", ".join(f"{register:04X}h" for register in counts)
+        statement = f"Register {listed} is written with the byte count that is printed, and no other."
+        for case in _several(dialect):
+            yield Case(case.dialect, given=case.given, facts=dict(case.facts) | {"statement": statement})
 
-    def check(probe: Probe) -> None:
-        ask_cleanly(probe)
-        for command in ones[:2]:
-            data = probe.build(command, samples.sample(dialect, command)).frame[4:-2]
-            frame = request(probe, 0x10, command.code, 1, data=b"\x02" + data)
-            judge(probe, ask(probe, frame), exception(probe, 0x10, refused), f"{command.code:04X}h by function 10h")
-        for command in several[:2]:
-            frame = request(probe, 0x06, command.code, 0)
-            judge(probe, ask(probe, frame), exception(probe, 0x06, refused), f"{command.code:04X}h by function 06h")
 
-    yield _make(
-        dialect, "function/other_write", "A register is written by its own function, 06h or 10h, and not by the other.",
-        "an echo", check, [*ones, *several], at_best=Certainty.OPEN, risks={Risk.SETTING, Risk.UNKNOWN},
-    )  # fmt: skip
+@_of_writes(
+    "a refusal of the printed count, or anything but exception 03 to another",
+    each=_odd,
+    name="byte_count/odd",
+    section="8.2.20",
+    rests_on=(Doubt.LAYOUT,),
+    about=("set_home",),
+    risks=_any_risk,
+)
+def _odd_byte_count(probe: Probe, settings: tuple[Command, ...]) -> None:
+    ask_cleanly(probe)
+    for register, count in _odd_counts(probe.dialect).items():
+        for command in (c for c in settings if c.code == register):
+            data, even = _plain(probe, command)[7:-2], 2 * command.quantity
+            frame = request(probe, 0x10, register, command.quantity, data=bytes((count,)) + data)
+            echo = probe.dialect.link.completed(frame[:6])
+            expect_answer(probe, ask(probe, frame), echo, f"register {register:04X}h with {count} bytes")
+            frame = request(probe, 0x10, register, command.quantity, data=bytes((even,)) + data.ljust(even, b"\0"))
+            refusal = exception(probe, 0x10, _VALUE)
+            expect_answer(probe, ask(probe, frame), refusal, f"register {register:04X}h with {even} bytes")
+
+
+@_of_writes(
+    "an echo, silence, or another exception",
+    each=_several,
+    name="byte_count/others",
+    section=_STANDARD,
+    at_best=Certainty.LIKELY,
+    risks=_any_risk,
+)
+def _other_byte_counts(probe: Probe, settings: tuple[Command, ...]) -> None:
+    """A write by 10h with another quantity or byte count than its register's is refused by exception 03."""
+    ask_cleanly(probe)
+    for command in settings:
+        data, own = _plain(probe, command)[7:-2], command.quantity
+        for quantity, wrong in ((own, data[:-1]), (own, data + b"\0"), (own + 1, data + b"\0\0"), (own - 1, data[:-2])):
+            if quantity == own and len(wrong) == 2 * quantity:
+                continue
+            frame = request(probe, 0x10, command.code, quantity, data=bytes((len(wrong),)) + wrong)
+            what = f"{quantity} registers in {len(wrong)} bytes to {command.code:04X}h, which has {own}"
+            expect_answer(probe, ask(probe, frame), exception(probe, 0x10, _VALUE), what)
 
 
 # --- moves ------------------------------------------------------------------------------------------------------------
@@ -240,33 +252,34 @@ def _other_function(dialect: Dialect, ones: list[Command], several: list[Command
 _STEP: Mapping[str, int] = {"speed": 60, "acceleration": 200, "position": 400}
 
 
-def _answered_once(dialect: Dialect) -> Claim:
-    command = dialect.by_verb[Verb.MOVE_RELATIVE_AXIS]
+def _moves(dialect: Dialect) -> Iterator[Case]:
+    for case in on_modbus(dialect):
+        if motion.can_move(dialect):
+            yield Case(case.dialect, dialect.by_verb[Verb.MOVE_RELATIVE_AXIS])
 
-    def check(probe: Probe) -> None:
-        ask_cleanly(probe)
-        motion.ready_to_move(probe)
-        before = probe.read(Verb.READ_POSITION, "position")
-        frame = probe.build(command, _STEP).frame
-        sent = probe.send(frame, timeout_ns=STEP_NS)
-        if probe.read(Verb.READ_POSITION, "position") == before or not sent.received:
-            raise Inconclusive("the shaft did not move")
-        if sent.received != dialect.link.completed(frame[:6]):
-            raise Refuted(
-                "a move is not answered once, by its echo",
-                expected=f"{hex_of(dialect.link.completed(frame[:6]))} and nothing more to {hex_of(frame)}",
-                got=came(sent),
-                exchange=sent,
-            )
 
-    return declare(
-        dialect,
-        Theme.MODBUS,
-        "write_many/once",
-        "A move is answered once, when it begins; that it is done has to be asked for.",
-        "a second frame when the move is done",
-        check,
-        command=command,
-        risks=motion.risks(dialect),
-        settings=motion.settings(dialect),
+@claim(
+    Theme.MODBUS,
+    each=_moves,
+    name="write_many/once",
+    refuted_by="a second frame when the move is done",
+    risks=lambda case: motion.risks(case.dialect),
+    settings=lambda case: motion.settings(case.dialect),
+)
+def _answered_once(probe: Probe, command: Command) -> None:
+    """A move is answered once, when it begins; that it is done has to be asked for."""
+    ask_cleanly(probe)
+    motion.ready_to_move(probe)
+    before = probe.read(Verb.READ_POSITION, "position")
+    frame = probe.build(command, _STEP).frame
+    sent = probe.send(frame, timeout_ns=STEP_NS)
+    if probe.read(Verb.READ_POSITION, "position") == before or not sent.received:
+        raise Inconclusive("the shaft did not move")
+    echo = probe.dialect.link.completed(frame[:6])
+    probe.expect(
+        came(sent),
+        holds=sent.received == echo,
+        expected=f"{hex_of(echo)} and nothing more to {hex_of(frame)}",
+        refutes="a move is not answered once, by its echo",
+        exchange=sent,
     )
