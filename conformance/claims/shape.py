@@ -1,7 +1,7 @@
 """Shape: a reply has the head, address, code, length and checksum that the manual gives it, and a status of its list.
 
-One claim for each command and each thing about its reply. What came is laid over what should have come (`conformance.
-anatomy`), so a defect is named by the claim that is about it, and the others go on.
+One claim for each command and each thing about its reply. What came is laid over what should have come
+(`talk.reply_match`), so a defect is named by the claim that is about it, and the others go on.
 
 Rules kept here:
 - All claims about one command judge one exchange where they run on one rig: a setting is written once, a motor moved
@@ -12,165 +12,38 @@ Rules kept here:
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
 from weakref import WeakKeyDictionary
 
-from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Subject, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, Subject, Verb
+from analyzer.codec import codec
 from analyzer.layout import Field, Kind
-from conformance.claim import Aspect, Claim, Refuted, Theme
-from conformance.claims.declare import declare
+from conformance.claim import Aspect, Claim, Inconclusive, Theme
+from conformance.claims import shape_parameters
+from conformance.claims.declare import Case, Cases, claim, declared_in, described_in
 from conformance.claims.known_quirks import known
 from conformance.claims.requests import demands, plain_exchange
-from conformance.claims.shape_judges import (
-    NO_CHECKSUM,
-    OTHER_FIRMWARE,
-    SECOND_REPLY,
-    Judge,
-    Met,
-    check_judge,
-    echo_judge,
-    fixed_judge,
-    judge_answered,
-    judge_clean,
-    judge_length,
-    judge_once,
-    judge_reserved,
-    judge_status,
-    judge_values,
-    part_judge,
-    shown,
-)
-from conformance.claims.shape_parameters import parameters
-from conformance.talk.exchange import Exchange
-from conformance.talk.reply_match import COUNTS, replies, templates
+from conformance.talk.exchange import Exchange, hex_of
+from conformance.talk.probe import Probe
+from conformance.talk.reply_match import COUNTS, Reading, Replies, replies, templates
 
-if TYPE_CHECKING:
-    from conformance.talk.probe import Probe, Rig
-
+SECOND_REPLY, NO_CHECKSUM, OTHER_FIRMWARE = "second-reply", "no-checksum", "lk-firmware-235"
 #: How long nothing may come unasked.
 _LISTEN_NS = 5_000_000_000
 #: Settings as the drives know them: what a second reply was seen after.
 _SETTING = ("set_", "write_user_id")
-#: What a claim rests on that names more than one thing of a reply, by the end of its id.
-_RESTS_ON: Mapping[str, tuple[Doubt, ...]] = {
-    "once": (Doubt.REPLY_COUNT,),
-    "echo": (Doubt.ECHO,),
-    "values": (Doubt.REPLY_VALUES,),
-    "reserved": (Doubt.RESERVED,),
-}
+#: Two replies of the quirk "second-reply" are so far apart at least; a doubled reply follows at once.
+_APART_NS = 5_000_000
+#: Commands of drives whose replies were seen to have a wrong sum now and then (quirk lk-off-sum).
+_ERRING = frozenset({("lk-rs485", "move_multi_turn_limited")})
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims of this theme for a dialect."""
-    for command in dialect.commands:
-        if command.reply_forms:
-            yield from _about(dialect, command)
-    yield from parameters(dialect)
-    yield _unasked(dialect)
-
-
-def _about(dialect: Dialect, command: Command) -> Iterator[Claim]:
-    make = _Maker(dialect, command)
-    yield make("answered", "is answered", "silence, or bytes that are no reply to it", judge_answered)
-    yield make("once", "is answered once", "a second reply that is no completion", judge_once, SECOND_REPLY)
-    one = "is answered by one frame, with nothing before, in or behind it"
-    yield make("clean", one, "stray bytes, or a pause", judge_clean)
-    for name in make.parts:
-        if name not in COUNTS:
-            yield make(name, f"is answered with its {name}", f"another {name}", part_judge(name))
-    size = "has a reply of the length that the manual prints"
-    yield make("length", size, "a longer or shorter reply", judge_length, NO_CHECKSUM)
-    for name in make.checks:
-        yield make(_slug(name), f"has a reply whose {name} fits", f"a {name} that does not fit", check_judge(name), NO_CHECKSUM)
-    fields = make.fields
-    if any(f.kind is Kind.RESERVED for f in fields):
-        yield make("reserved", "has a reply whose reserved bits are 0", "a reserved bit that is 1", judge_reserved, NO_CHECKSUM)
-    status = command.replies.status
-    if any(f.name == status and f.choices is not None for f in fields):
-        listed = "is answered with a status of the manual's list"
-        yield make("status", listed, "a status that is not listed", judge_status, NO_CHECKSUM)
-    if any(_limited(f) and f.name != status for f in fields):
-        ranged = "has a reply whose values are within their ranges"
-        yield make("values", ranged, "a value beyond its range", judge_values, NO_CHECKSUM)
-    for name in make.fixed:
-        yield make(name, f"has a reply whose {name} is one that the manual prints", f"another {name}", fixed_judge(name))
-    if make.echoed:
-        same = "has a reply that repeats what was sent"
-        yield make("echo", same, "other values than those sent", echo_judge(make.echoed), NO_CHECKSUM)
-
-
-class _Maker:
-    """Makes the claims about one command."""
-
-    def __init__(self, dialect: Dialect, command: Command) -> None:
-        self.dialect, self.command = dialect, command
-        self._demands = demands(dialect, command)
-        good = [f for f in command.reply_forms if f.name not in command.replies.failed_forms]
-        self.fields = [field for form in good for _, field in form.layout]
-        asked = {n: f for form in command.request_forms for n, f in form.layout.named.items()}
-        told = [(n, f) for form in good for n, f in form.layout.named.items() if n in asked]
-        self.echoed = tuple(dict.fromkeys(n for n, f in told if f == asked[n] or f.fixed is not None))
-        #: Fields that make a reply one of a form, where there is no form without.
-        every = [{n for n, f in form.layout.named.items() if f.fixed is not None} for form in command.reply_forms]
-        self.fixed = sorted(set.intersection(*every))
-        shaped = templates(dialect, command, 1, {})
-        self.parts = list(dict.fromkeys(name for t in shaped for name, _, _ in t.parts))
-        if dialect.link.kind == "can":
-            self.parts.insert(0, "address")
-        self.checks = list(dict.fromkeys(name for t in shaped for name in t.checks))
-
-    def __call__(self, name: str, statement: str, refuted_by: str, judge: Judge, *quirks: str) -> Claim:
-        command = self.command
-        met = tuple(q for q in (*quirks, OTHER_FIRMWARE) if _concerns(q, self.dialect, command))
-
-        def check(probe: Probe) -> None:
-            exchange = _shared(probe, command)
-            if exchange.silent and OTHER_FIRMWARE in met:
-                probe.meets(OTHER_FIRMWARE)
-                return
-            with contextlib.suppress(Met):
-                judge(probe, exchange, replies(exchange, probe.dialect))
-
-        # That a reply is one piece stands in no manual; that it is the reply's bytes and no others, in all.
-        at_best = Certainty.LIKELY if name == "clean" else Certainty.CERTAIN
-        return declare(
-            self.dialect,
-            Theme.SHAPE,
-            f"{command.name}/{name}",
-            f"{command.name} {statement}.",
-            refuted_by,
-            check,
-            command=command,
-            aspect=Aspect.SHAPE,
-            rests_on=_RESTS_ON.get(name, ()),
-            at_best=at_best,
-            quirks=met,
-            **self._demands,
-        )
-
-
-def _concerns(quirk: str, dialect: Dialect, command: Command) -> bool:
-    """Say whether a quirk is one of a dialect's and of a command."""
-    if not known(dialect, quirk):
-        return False
-    if quirk == SECOND_REPLY:
-        return command.name.startswith(_SETTING) and command.verb is not Verb.SET_ZERO
-    return quirk != OTHER_FIRMWARE or command.verb in (Verb.READ_PARAMETER, Verb.WRITE_PARAMETER)
-
-
-def _limited(field: Field) -> bool:
-    """Say whether a reply's field can hold what the manual does not allow."""
-    if field.kind is Kind.RESERVED or field.fixed is not None or not field.bit_width:
-        return False
-    narrow = field.low > field.wire_minimum or field.high < field.wire_maximum
-    values = field.values if field.choices is None else frozenset(field.choice_names)
-    return narrow or (values is not None and len(values) < 1 << field.bit_width)
-
-
-def _slug(name: str) -> str:
-    return name.lower().replace(" ", "_")
+    yield from declared_in(__name__, dialect)
+    yield from shape_parameters.claims(dialect)
 
 
 # --- one exchange for all claims about a command ----------------------------------------------------------------------
@@ -184,7 +57,7 @@ class _Kept:
         self.judged: set[str] = set()
 
 
-_kept: WeakKeyDictionary[Rig, dict[str, _Kept]] = WeakKeyDictionary()
+_kept: WeakKeyDictionary[Any, dict[str, _Kept]] = WeakKeyDictionary()
 
 
 def _shared(probe: Probe, command: Command) -> Exchange:
@@ -199,21 +72,364 @@ def _shared(probe: Probe, command: Command) -> Exchange:
     return kept.exchange
 
 
+# --- what is judged ---------------------------------------------------------------------------------------------------
+
+
+def _hex(data: bytes) -> str:
+    return data.hex(" ").upper() or "nothing"
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """What came back to a plain request of a command, laid over what should have come."""
+
+    probe: Probe
+    command: Command
+    exchange: Exchange
+    found: Replies
+
+    def expect(self, holds: bool, what: str, expected: str, got: str) -> None:
+        """Refute the claim unless something holds; `what` is wrong with the reply otherwise."""
+        self.probe.expect(
+            got, holds=holds, expected=expected, refutes=f"{self.command.name}: {what}", exchange=self.exchange, key=what
+        )
+
+    @property
+    def reply(self) -> Reading:
+        """The reply. Raises Inconclusive where there is none, which another claim judges."""
+        if self.found.first is None:
+            raise Inconclusive(f"{self.command.name} was not answered by anything like a reply")
+        return self.found.first
+
+    @property
+    def meets_no_checksum(self) -> bool:
+        """Whether the reply has no checksum, as real drives were seen to answer; then there is no more to judge."""
+        met = self.reply.lacks_check and NO_CHECKSUM in self.probe.claim.quirks
+        if met:
+            self.probe.meets(NO_CHECKSUM)
+        return met
+
+    @property
+    def sized(self) -> Reading:
+        """The reply where it has the right length. Raises Inconclusive where it has not."""
+        if not self.reply.length_fits:
+            raise Inconclusive(f"the reply to {self.command.name} has a wrong length, so nothing more of it can be told")
+        return self.reply
+
+
+def _good_fields(command: Command) -> list[Field]:
+    good = [f for f in command.reply_forms if f.name not in command.replies.failed_forms]
+    return [field for form in good for _, field in form.layout]
+
+
+def _answered_commands(dialect: Dialect) -> Iterator[Case]:
+    """Yield the commands that are answered."""
+    for command in dialect.commands:
+        if command.reply_forms:
+            yield Case(dialect, command)
+
+
+def _with_fields(wanted: Callable[[Command, Field], bool]) -> Cases:
+    """Return the commands whose reply has a field that is wanted."""
+    return lambda dialect: (
+        case
+        for case in _answered_commands(dialect)
+        if case.command is not None and any(wanted(case.command, f) for f in _good_fields(case.command))
+    )
+
+
+def _concerns(quirk: str, dialect: Dialect, command: Command) -> bool:
+    """Say whether a quirk is one of a dialect's and of a command."""
+    if not known(dialect, quirk):
+        return False
+    if quirk == SECOND_REPLY:
+        return command.name.startswith(_SETTING) and command.verb is not Verb.SET_ZERO
+    return quirk != OTHER_FIRMWARE or command.verb in (Verb.READ_PARAMETER, Verb.WRITE_PARAMETER)
+
+
+def _of_replies(
+    refuted_by: str, *quirks: str, each: Cases = _answered_commands, **facts: Any
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Declare a check of what came back to a plain request: `check(answer, ...)`."""
+
+    def may_meet(case: Case) -> tuple[str, ...]:
+        assert case.command is not None
+        return tuple(q for q in (*quirks, OTHER_FIRMWARE) if _concerns(q, case.dialect, case.command))
+
+    def needed(name: str) -> Callable[[Case], Any]:
+        return lambda case: demands(case.dialect, case.command)[name] if case.command is not None else None
+
+    def declared(check: Callable[..., None]) -> Callable[..., None]:
+        def of_probe(probe: Probe, command: Command, part: str) -> None:
+            exchange = _shared(probe, command)
+            if exchange.silent and OTHER_FIRMWARE in probe.claim.quirks:
+                probe.meets(OTHER_FIRMWARE)
+                return
+            answer = _Answer(probe, command, exchange, replies(exchange, probe.dialect))
+            check(answer, part) if part else check(answer)
+
+        def cases(dialect: Dialect) -> Iterator[Case]:
+            for case in each(dialect):
+                yield Case(dialect, case.command, {"part": "", **case.given}, case.facts)
+
+        of_probe.__name__, of_probe.__doc__, of_probe.__module__ = check.__name__, check.__doc__, check.__module__
+        named = {name: needed(name) for name in ("risks", "settings", "alone", "by_name")}
+        every = {"aspect": Aspect.SHAPE, "quirks": may_meet, "parameters": {}, **named, **facts}
+        claim(Theme.SHAPE, each=cases, refuted_by=refuted_by, **every)(of_probe)
+        return check
+
+    return declared
+
+
+# --- that there is a reply, and one -----------------------------------------------------------------------------------
+
+
+@_of_replies("silence, or bytes that are no reply to it")
+def _answered(answer: _Answer) -> None:
+    """{command} is answered."""
+    exchange, received = answer.exchange, answer.exchange.received
+    assert exchange.address is not None  # asked by address
+    shape = templates(answer.probe.dialect, answer.command, exchange.address, exchange.values)[-1]
+    what = "bytes that are no reply" if received else "no answer"
+    answer.expect(answer.found.first is not None, what, f"a reply such as {_hex(shape.frame)}", _hex(received))
+
+
+def _status_of(reading: Reading) -> int | None:
+    layout = reading.template.form.layout
+    if not layout.fits(len(reading.own)):
+        return None
+    status: int | None = codec(layout).wire(reading.own).get("status")
+    return status
+
+
+def _is_second(exchange: Exchange, first: Reading, second: Reading) -> bool:
+    """Say whether a setting was answered once more after a pause, as real drives were seen to do."""
+    if first.data != second.data or len(exchange.answers) != 2:
+        return False
+    return exchange.answers[1].first_ns - exchange.answers[0].last_ns >= _APART_NS
+
+
+@_of_replies("a second reply that is no completion", SECOND_REPLY, rests_on=(Doubt.REPLY_COUNT,))
+def _once(answer: _Answer) -> None:
+    """{command} is answered once."""
+    reply, interim = answer.reply, answer.command.replies.interim
+    before = _status_of(reply)
+    for number, other in enumerate(answer.found.readings[1:], 2):
+        status = _status_of(other)
+        if before in interim and status not in interim:
+            before = status
+            continue
+        if SECOND_REPLY in answer.probe.claim.quirks and _is_second(answer.exchange, reply, other):
+            answer.probe.meets(SECOND_REPLY)
+            return
+        what = "the same reply once more" if other.data == reply.data else "another reply"
+        answer.expect(False, what, "one reply", f"reply {number}: {_hex(other.data)}")
+
+
+# That a reply is one piece stands in no manual; that it is the reply's bytes and no others, in all.
+@_of_replies("stray bytes, or a pause", at_best=Certainty.LIKELY)
+def _clean(answer: _Answer) -> None:
+    """{command} is answered by one frame, with nothing before, in or behind it."""
+    reply, exchange = answer.reply, answer.exchange
+    expected = f"{_hex(reply.data)} alone"
+    answer.expect(not answer.found.strange, "bytes beside the reply", expected, _hex(exchange.received))
+    whole = reply.fitting != reply.template.count or any(reply.data == a.data for a in exchange.answers)
+    lines = " | ".join(exchange.lines()[1:])
+    answer.expect(whole, "a pause within the reply", "a reply in one piece", lines)
+
+
+# --- its head, length and checks --------------------------------------------------------------------------------------
+
+
+def _parts(dialect: Dialect) -> Iterator[Case]:
+    """Yield each command with each part of the head of its reply."""
+    for case in _answered_commands(dialect):
+        assert case.command is not None
+        shaped = templates(dialect, case.command, 1, {})
+        names = dict.fromkeys(name for t in shaped for name, _, _ in t.parts)
+        for name in (*(("address",) if dialect.link.kind == "can" else ()), *names):
+            if name not in COUNTS:
+                yield Case(dialect, case.command, {"part": name})
+
+
+@_of_replies("another {part}", each=_parts, name="{command}/{part}")
+def _part(answer: _Answer, name: str) -> None:
+    """{command} is answered with its {part}."""
+    part = answer.reply.part(name)
+    if part is None:
+        raise Inconclusive(f"the reply to {answer.command.name} is of a form that has no {name}")
+    answer.expect(part.ok, f"another {name} in the reply", f"{name} {_hex(part.expected)}", _hex(part.got))
+
+
+@_of_replies("a longer or shorter reply", NO_CHECKSUM)
+def _length(answer: _Answer) -> None:
+    """{command} has a reply of the length that the manual prints."""
+    if answer.meets_no_checksum:
+        return
+    reply = answer.reply
+    if reply.lacks_check:
+        raise Inconclusive("the reply has no check at its end, which another claim judges")
+    expected, got = len(reply.template.frame), len(reply.data)
+    answer.expect(expected == got, "a reply of another length", f"{expected} bytes", f"{got} bytes: {_hex(reply.data)}")
+    for part in reply.parts:
+        if part.name in COUNTS:
+            what = f"another {part.name} in the reply"
+            answer.expect(part.ok, what, f"{part.name} {_hex(part.expected)}", _hex(part.got))
+
+
+def _checks(dialect: Dialect) -> Iterator[Case]:
+    """Yield each command with each check of its reply."""
+    for case in _answered_commands(dialect):
+        assert case.command is not None
+        for name in dict.fromkeys(name for t in templates(dialect, case.command, 1, {}) for name in t.checks):
+            slug = name.lower().replace(" ", "_")
+            yield Case(dialect, case.command, {"part": name}, {"name": f"{case.command.name}/{slug}"})
+
+
+@_of_replies("a {part} that does not fit", NO_CHECKSUM, each=_checks)
+def _check(answer: _Answer, name: str) -> None:
+    """{command} has a reply whose {part} fits."""
+    reply = answer.reply
+    check = reply.check(name)
+    if check is not None and check.ok:
+        return
+    if reply.lacks_check and name == reply.template.checks[-1]:
+        if not answer.meets_no_checksum:
+            answer.expect(False, f"a reply without its {name}", f"a {name} at its end", _hex(reply.data))
+        return
+    if check is None or not reply.length_fits:
+        raise Inconclusive(f"the reply to {answer.command.name} has a wrong length, so its {name} cannot be told")
+    if _now_and_then(answer, name):
+        raise Inconclusive(f"the {name} of {answer.command.name} does not fit now and then, which another claim judges")
+    expected, got = _hex(check.expected), f"{_hex(check.got)} in {_hex(reply.data)}"
+    answer.expect(False, f"a {name} that does not fit", f"{name} {expected}", got)
+
+
+def _now_and_then(answer: _Answer, name: str) -> bool:
+    """Say whether a check fits when a command is asked again, that of drives which were seen to err now and then."""
+    dialect = answer.probe.dialect
+    if (dialect.name, answer.command.name) not in _ERRING:
+        return False
+    again = [replies(plain_exchange(answer.probe, answer.command), dialect).first for _ in range(2)]
+    checks = [reading.check(name) for reading in again if reading is not None]
+    return any(check is not None and check.ok for check in checks)
+
+
+# --- its values -------------------------------------------------------------------------------------------------------
+
+
+def _expect_values(answer: _Answer, wanted: Callable[[str, str], bool]) -> None:
+    """Refute a value of a reply that breaks the manual and is wanted by (field, rule)."""
+    if answer.meets_no_checksum:
+        return
+    reply = answer.sized
+    layout = codec(reply.template.form.layout)
+    for violation in layout.broken(reply.own) if layout.matches(reply.own) else ():
+        if wanted(violation.field, violation.rule):
+            what = f"a value that the manual does not allow ({violation.field})"
+            answer.expect(False, what, violation.text, _hex(reply.data))
+
+
+def _limited(field: Field) -> bool:
+    """Say whether a reply's field can hold what the manual does not allow."""
+    if field.kind is Kind.RESERVED or field.fixed is not None or not field.bit_width:
+        return False
+    narrow = field.low > field.wire_minimum or field.high < field.wire_maximum
+    values = field.values if field.choices is None else frozenset(field.choice_names)
+    return narrow or (values is not None and len(values) < 1 << field.bit_width)
+
+
+@_of_replies(
+    "a reserved bit that is 1",
+    NO_CHECKSUM,
+    each=_with_fields(lambda command, field: field.kind is Kind.RESERVED),
+    rests_on=(Doubt.RESERVED,),
+)
+def _reserved(answer: _Answer) -> None:
+    """{command} has a reply whose reserved bits are 0."""
+    _expect_values(answer, lambda field, rule: rule == "reserved_bits")
+
+
+@_of_replies(
+    "a status that is not listed",
+    NO_CHECKSUM,
+    each=_with_fields(lambda command, field: field.name == command.replies.status and field.choices is not None),
+)
+def _status(answer: _Answer) -> None:
+    """{command} is answered with a status of the manual's list."""
+    _expect_values(answer, lambda field, rule: field == answer.command.replies.status)
+
+
+@_of_replies(
+    "a value beyond its range",
+    NO_CHECKSUM,
+    each=_with_fields(lambda command, field: _limited(field) and field.name != command.replies.status),
+    rests_on=(Doubt.REPLY_VALUES,),
+)
+def _values(answer: _Answer) -> None:
+    """{command} has a reply whose values are within their ranges."""
+    status = answer.command.replies.status
+    _expect_values(answer, lambda field, rule: field != status and rule != "reserved_bits")
+
+
+def _fixed_fields(dialect: Dialect) -> Iterator[Case]:
+    """Yield each command with each field that makes a reply one of a form, where there is no form without."""
+    for case in _answered_commands(dialect):
+        assert case.command is not None
+        every = [{n for n, f in form.layout.named.items() if f.fixed is not None} for form in case.command.reply_forms]
+        for name in sorted(set.intersection(*every)):
+            yield Case(dialect, case.command, {"part": name})
+
+
+@_of_replies("another {part}", each=_fixed_fields, name="{command}/{part}")
+def _fixed(answer: _Answer, name: str) -> None:
+    """{command} has a reply whose {part} is one that the manual prints."""
+    if answer.meets_no_checksum:
+        return
+    reply = answer.sized
+    forms = [f for f in answer.command.reply_forms if f.layout.fits(len(reply.own))]
+    listed = " or ".join(str(f.layout.named[name].fixed) for f in forms)
+    got = codec(reply.template.form.layout).wire(reply.own)[name]
+    printed = any(codec(f.layout).matches(reply.own) for f in forms)
+    answer.expect(printed, f"another {name} than is printed", f"{name} {listed}", f"{got} in {_hex(reply.data)}")
+
+
+def _echoed(command: Command) -> set[str]:
+    """Return the fields that a reply repeats as they were sent."""
+    asked = {n: f for form in command.request_forms for n, f in form.layout.named.items()}
+    good: list[Form] = [f for f in command.reply_forms if f.name not in command.replies.failed_forms]
+    told = ((n, f) for form in good for n, f in form.layout.named.items() if n in asked)
+    return {n for n, f in told if f == asked[n] or f.fixed is not None}
+
+
+@_of_replies(
+    "other values than those sent",
+    NO_CHECKSUM,
+    each=_with_fields(lambda command, field: field.name in _echoed(command)),
+    rests_on=(Doubt.ECHO,),
+)
+def _echo(answer: _Answer) -> None:
+    """{command} has a reply that repeats what was sent."""
+    if answer.meets_no_checksum:
+        return
+    reply, exchange = answer.sized, answer.exchange
+    form = reply.template.form
+    if form.name in answer.command.replies.failed_forms and codec(form.layout).matches(reply.own):
+        raise Inconclusive(f"{answer.command.name} was refused, so there is no echo")
+    got = codec(form.layout).wire(reply.own)
+    echoed = _echoed(answer.command)
+    for name in (n for n in got if n in echoed and n in exchange.values):
+        sent = f"{name} {exchange.values[name]}, as in {hex_of(exchange.sent or b'')}"
+        same = got[name] == exchange.values[name]
+        answer.expect(same, "another value than was sent", sent, f"{got[name]} in {_hex(reply.data)}")
+
+
 # --- nothing comes unasked --------------------------------------------------------------------------------------------
 
 
-def _unasked(dialect: Dialect) -> Claim:
-    def check(probe: Probe) -> None:
-        exchange = probe.listen(_LISTEN_NS)
-        if not exchange.silent:
-            raise Refuted("the drive sends unasked", expected="silence", got=shown(exchange.received), exchange=exchange)
-
-    return declare(
-        dialect,
-        Theme.SHAPE,
-        "unasked",
-        "A drive that stands sends nothing that was not asked for.",
-        "anything at all",
-        check,
-        section=dialect.sections.get(Subject.SILENCE, dialect.commands[0].section),
-    )
+@claim(Theme.SHAPE, refuted_by="anything at all", section=described_in(Subject.SILENCE))
+def _unasked(probe: Probe) -> None:
+    """A drive that stands sends nothing that was not asked for."""
+    exchange = probe.listen(_LISTEN_NS)
+    got = _hex(exchange.received)
+    probe.expect(got, holds=exchange.silent, expected="silence", refutes="the drive sends unasked", exchange=exchange)

@@ -8,114 +8,36 @@ Which parameters a drive can read, and whether what it answers is what was set, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
+from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Doubt, Verb
 from analyzer.codec import codec
-from conformance.claim import Aspect, Claim, Inconclusive, Refuted, Theme
-from conformance.claims.declare import declare
-from conformance.claims.known_quirks import known
+from conformance.claim import Aspect, Claim, Inconclusive, Theme
+from conformance.claims.declare import Case, Cases, claim, commands, declared_in
+from conformance.claims.known_quirks import may_meet
 from conformance.talk.exchange import Exchange
-from conformance.talk.reply_match import MatchedReply, replies
-
-if TYPE_CHECKING:
-    from conformance.talk.probe import Probe
+from conformance.talk.probe import Probe
+from conformance.talk.reply_match import Reading, replies
 
 OTHER_FIRMWARE = "lk-firmware-235"
 
 
-def parameters(dialect: Dialect) -> Iterator[Claim]:
+def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make a claim for each parameter that a dialect's parameter read lists."""
-    command = dialect.by_verb.get(Verb.READ_PARAMETER)
-    if command is None:
-        return
-    for name, field in command.request_forms[0].layout.named.items():
-        for value, choice in field.choice_names.items():
-            # A model that has not got a setting has nothing to tell of it.
-            if not command.replies.failed_forms or any(c.readable for c in dialect.by_code.get(value, ())):
-                yield _listed(dialect, command, name, value, choice)
-        strange = _not_listed(dialect, command, set(field.choice_names))
-        if strange is not None:
-            yield _unreadable(dialect, command, name, strange)
+    return declared_in(__name__, dialect)
 
 
-def _listed(dialect: Dialect, command: Command, name: str, value: int, choice: str) -> Claim:
-    quirks = known(dialect, OTHER_FIRMWARE)
-
-    def check(probe: Probe) -> None:
-        exchange = probe.ask(command, {name: value})
-        if exchange.silent and quirks:
-            probe.meets(OTHER_FIRMWARE)
-            return
-        reading = _whole(probe, exchange)
-        code = reading.part("code")
-        if code is not None and not code.ok:
-            raise _refuted(exchange, choice, f"the code {code.expected.hex().upper()}", f"{code.got.hex().upper()}")
-        form = reading.template.form
-        if form.name in command.replies.failed_forms and codec(form.layout).matches(reading.own):
-            raise _refuted(exchange, choice, f"the value of {choice}", f"{reading.own.hex(' ').upper()}: it cannot be read")
-        if not codec(form.layout).matches(reading.own) or not reading.length_fits:
-            size = form.layout.byte_length
-            raise _refuted(exchange, choice, f"{size} bytes in the layout of {choice}", reading.own.hex(" ").upper())
-        got = codec(form.layout).wire(reading.own)
-        if name in got and got[name] != value:
-            raise _refuted(exchange, choice, f"{name} {value}", f"{name} {got[name]}")
-        broken = codec(form.layout).broken(reading.own)
-        if broken:
-            raise _refuted(exchange, choice, broken[0].text, reading.data.hex(" ").upper())
-
-    return declare(
-        dialect,
-        Theme.SHAPE,
-        f"{command.name}/of/{choice}",
-        f"{command.name} of {choice} is answered in the layout of {choice}.",
-        "the reply of another parameter, another layout, or a value that the parameter cannot have",
-        check,
-        command=command,
-        aspect=Aspect.SHAPE,
-        rests_on=(Doubt.MEANING,),
-        about=(choice,),
-        quirks=quirks,
-        parameters={name: value},
-    )
+def _of_parameters(refuted_by: str, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    return claim(Theme.SHAPE, each=each, refuted_by=refuted_by, aspect=Aspect.SHAPE, **facts)
 
 
-def _not_listed(dialect: Dialect, command: Command, listed: set[int]) -> int | None:
-    """Return a code that is no parameter and that the manual has an answer to, None where it has none."""
-    if not command.replies.failed_forms:
-        return None
-    reads = dialect.by_verb.get(Verb.READ_POSITION)
-    return reads.code if reads is not None and reads.code not in listed else None
+def _expect(probe: Probe, exchange: Exchange, choice: str, holds: bool, expected: str, got: str) -> None:
+    what = "the reply of another parameter or layout"
+    probe.expect(got, holds=holds, expected=expected, refutes=f"{choice}: {what}", exchange=exchange, key=what)
 
 
-def _unreadable(dialect: Dialect, command: Command, name: str, value: int) -> Claim:
-    failed = command.replies.failed_forms
-
-    def check(probe: Probe) -> None:
-        exchange = probe.ask(command, {name: value})
-        if exchange.silent:
-            raise _refuted(exchange, f"{value:02X}", "an answer that it cannot be read", "silence")
-        reading = _whole(probe, exchange)
-        form = reading.template.form
-        if form.name not in failed or not codec(form.layout).matches(reading.own):
-            raise _refuted(exchange, f"{value:02X}", "FF FF", reading.own.hex(" ").upper())
-
-    return declare(
-        dialect,
-        Theme.SHAPE,
-        f"{command.name}/unreadable",
-        f"{command.name} of a code that is no parameter is answered FF FF under that code.",
-        "silence, or other bytes",
-        check,
-        command=command,
-        aspect=Aspect.SHAPE,
-        rests_on=(Doubt.REFUSAL,),
-        parameters={name: value},
-    )
-
-
-def _whole(probe: Probe, exchange: Exchange) -> MatchedReply:
+def _checked(probe: Probe, exchange: Exchange) -> Reading:
     """Return the reply. Raises Inconclusive where there is none, or its checks do not fit."""
     reading = replies(exchange, probe.dialect).first
     if reading is None or not all(check.ok for check in reading.checks):
@@ -123,6 +45,66 @@ def _whole(probe: Probe, exchange: Exchange) -> MatchedReply:
     return reading
 
 
-def _refuted(exchange: Exchange, choice: str, expected: str, got: str) -> Refuted:
-    what = "the reply of another parameter or layout"
-    return Refuted(f"{choice}: {what}", expected=expected, got=got, exchange=exchange, key=what)
+def _listed(dialect: Dialect) -> Iterator[Case]:
+    """Yield each parameter that the read lists and the drive has."""
+    for case in commands(Verb.READ_PARAMETER)(dialect):
+        command = case.command
+        assert command is not None
+        for name, field in command.request_forms[0].layout.named.items():
+            for value, choice in field.choice_names.items():
+                # A model that has not got a setting has nothing to tell of it.
+                if not command.replies.failed_forms or any(c.readable for c in dialect.by_code.get(value, ())):
+                    facts = {"about": (choice,), "parameters": {name: value}}
+                    yield Case(dialect, command, {"field": name, "value": value, "choice": choice}, facts)
+
+
+@_of_parameters(
+    "the reply of another parameter, another layout, or a value that the parameter cannot have",
+    _listed,
+    name="{command}/of/{choice}",
+    rests_on=(Doubt.MEANING,),
+    quirks=may_meet(OTHER_FIRMWARE),
+)
+def _in_its_layout(probe: Probe, command: Command, field: str, value: int, choice: str) -> None:
+    """{command} of {choice} is answered in the layout of {choice}."""
+    exchange = probe.ask(command, {field: value})
+    if exchange.silent and probe.claim.quirks:
+        probe.meets(OTHER_FIRMWARE)
+        return
+    reading = _checked(probe, exchange)
+    own = reading.own.hex(" ").upper()
+    code = reading.part("code")
+    if code is not None:
+        expected, got = f"the code {code.expected.hex().upper()}", code.got.hex().upper()
+        _expect(probe, exchange, choice, code.ok, expected, got)
+    form, layout = reading.template.form, codec(reading.template.form.layout)
+    matches = layout.matches(reading.own)
+    failed = form.name in command.replies.failed_forms and matches
+    _expect(probe, exchange, choice, not failed, f"the value of {choice}", f"{own}: it cannot be read")
+    expected = f"{form.layout.byte_length} bytes in the layout of {choice}"
+    _expect(probe, exchange, choice, matches and reading.length_fits, expected, own)
+    seen = layout.wire(reading.own).get(field, value)
+    _expect(probe, exchange, choice, seen == value, f"{field} {value}", f"{field} {seen}")
+    for violation in layout.broken(reading.own):
+        _expect(probe, exchange, choice, False, violation.text, reading.data.hex(" ").upper())
+
+
+def _unlisted(dialect: Dialect) -> Iterator[Case]:
+    """Yield a code that is no parameter, where the manual has an answer to it."""
+    for case in commands(Verb.READ_PARAMETER)(dialect):
+        assert case.command is not None
+        read = dialect.by_verb.get(Verb.READ_POSITION)
+        for name, field in case.command.request_forms[0].layout.named.items():
+            if case.command.replies.failed_forms and read is not None and read.code not in field.choice_names:
+                yield Case(dialect, case.command, {"field": name, "value": read.code}, {"parameters": {name: read.code}})
+
+
+@_of_parameters("silence, or other bytes", _unlisted, rests_on=(Doubt.REFUSAL,))
+def _unreadable(probe: Probe, command: Command, field: str, value: int) -> None:
+    """{command} of a code that is no parameter is answered FF FF under that code."""
+    exchange, code = probe.ask(command, {field: value}), f"{value:02X}"
+    _expect(probe, exchange, code, not exchange.silent, "an answer that it cannot be read", "silence")
+    reading = _checked(probe, exchange)
+    form = reading.template.form
+    refused = form.name in command.replies.failed_forms and codec(form.layout).matches(reading.own)
+    _expect(probe, exchange, code, refused, "FF FF", reading.own.hex(" ").upper())
