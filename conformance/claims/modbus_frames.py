@@ -12,7 +12,6 @@ from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe, Until
 
 
-
 def request(probe: Probe, function: int, *words: int, data: bytes = b"", address: int | None = None) -> bytes:
     """Return a request of any function with 16-bit words and bytes behind it, and its CRC."""
     to = probe.address if address is None else address

@@ -19,7 +19,6 @@ from conformance.talk import samples
 from conformance.talk.exchange import hex_of
 from conformance.talk.probe import Probe
 
-
 REGISTER_94 = "register-94h"
 _ADDRESS, _VALUE = ModbusException.ILLEGAL_DATA_ADDRESS, ModbusException.ILLEGAL_DATA_VALUE
 _STANDARD = "8.2; Modbus V1.1b3, 7"

@@ -9,50 +9,51 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
-from conformance.claim import Claim, Inconclusive, Refuted, Theme
-from conformance.claims.declare import declare
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
+from conformance.claim import Claim, Inconclusive, Theme
+from conformance.claims.declare import Case, Cases, claim, declared_in
 from conformance.claims.hearing import PAUSE_NS, came, garblers, is_answered
-from conformance.claims.known_quirks import known
+from conformance.claims.known_quirks import known, may_meet
 from conformance.claims.known_reads import plain_reads
 from conformance.motion import motion
 from conformance.talk import samples
 from conformance.talk.exchange import Exchange
-
-if TYPE_CHECKING:
-    from conformance.talk.probe import Probe
+from conformance.talk.probe import Probe
 
 _SECOND_NS = 1_000_000_000
 _RPM = 60.0
 #: How far the speed may differ from the asked one while something else is said to the drive, in rpm.
 _NEAR = 6.0
 _ROUNDS = 3
-OFF_SUM = "lk-off-sum"
+#: Moves whose replies are looked at for their sums, and how far off a sum was seen to be at most.
+_MOVES, OFF_SUM = 100, "lk-off-sum"
 _OFF_SUM_MOST, _OFF_SUM_BY = 5, 4
 #: Settings without an effect on a shaft that turns, with what they risk no more than a setting does.
 _HARMLESS = (Verb.SET_SCREEN_OFF, Verb.SET_KEY_LOCK, Verb.SET_PULSE_DELAY, Verb.WRITE_USER_ID)
+_OTHER_FIRMWARE = "lk-firmware-235"
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims about busy drives."""
-    if not motion.can_move(dialect):
-        return
-    yield _reads_while(dialect, "moving", "while the shaft turns", _run, _stop, motion.risks(dialect, Risk.UNBOUNDED), {})
-    yield _settings_while_moving(dialect)
-    yield _noise_while_moving(dialect)
-    for verb, name, by_name in ((Verb.HOME, "homing", False), (Verb.CALIBRATE, "calibrating", True)):
-        command = dialect.by_verb.get(verb)
-        if command is not None:
-            risks = command.all_risks | motion.risks(dialect)
-            begin, end = partial(_begin, command=command), partial(_end, command=command)
-            yield _reads_while(dialect, name, f"while the drive is {name}", begin, end, risks, {"by_name": by_name})
-    limited = dialect.by_name.get("move_multi_turn_limited")
-    if limited is not None:
-        yield _sums_of_moves(dialect, limited)
+    return declared_in(__name__, dialect)
+
+
+def _moving(dialect: Dialect) -> Iterator[Case]:
+    if motion.can_move(dialect):
+        yield Case(dialect)
+
+
+def _of_busy(refuted_by: str, *, each: Cases = _moving, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    every: dict[str, Any] = {
+        "section": lambda case: case.dialect.by_verb[Verb.RUN_SPEED].section,
+        "risks": lambda case: motion.risks(case.dialect, Risk.UNBOUNDED),
+        "settings": lambda case: motion.settings(case.dialect),
+        "parameters": {},
+    }
+    return claim(Theme.RESILIENCE, each=each, refuted_by=refuted_by, **every | facts)
 
 
 # --- what is under way ------------------------------------------------------------------------------------------------
@@ -80,13 +81,18 @@ def _stop(probe: Probe) -> None:
     motion.wait_standing(probe)
 
 
-def _begin(probe: Probe, command: Command) -> None:
-    motion.ready_to_move(probe)
-    probe.do(command, samples.sample(probe.dialect, command))
+def _begin(probe: Probe, task: Command | None) -> None:
+    if task is None:
+        _run(probe)
+    else:
+        motion.ready_to_move(probe)
+        probe.do(task, samples.sample(probe.dialect, task))
 
 
-def _end(probe: Probe, command: Command) -> None:
-    if command.verb is Verb.HOME:
+def _end(probe: Probe, task: Command | None) -> None:
+    if task is None:
+        _stop(probe)
+    elif task.motion is not None and task.motion.kind is MotionKind.HOME:
         probe.ask(Verb.EMERGENCY_STOP)
     else:
         probe.wait(probe.rig.done_ns)
@@ -95,174 +101,144 @@ def _end(probe: Probe, command: Command) -> None:
 # --- reads ------------------------------------------------------------------------------------------------------------
 
 
-def _reads_while(
-    dialect: Dialect,
-    name: str,
-    when: str,
-    begin: Callable[[Probe], None],
-    end: Callable[[Probe], None],
-    risks: frozenset[Risk],
-    demands: Mapping[str, Any],
-) -> Claim:
-    reads = plain_reads(dialect)
-
-    def check(probe: Probe) -> None:
-        known = [c for c in reads if is_answered(probe.ask(c, quiet_ns=0))]
-        if not known:
-            raise Inconclusive("no read is answered while the shaft stands")
-        begin(probe)
-        try:
-            for _ in range(_ROUNDS):
-                for command in known:
-                    _answered_now(probe, command, when)
-        finally:
-            end(probe)
-
-    return declare(
-        dialect,
-        Theme.RESILIENCE,
-        f"{name}/reads",
-        f"Every read is answered by its own reply {when}.",
-        "silence, or another reply",
-        check,
-        section=dialect.by_verb[Verb.RUN_SPEED].section,
-        at_best=Certainty.LIKELY,
-        risks=risks,
-        settings=motion.settings(dialect),
-        commands=tuple(c.name for c in reads),
-        **demands,
-    )
+def _tasks(dialect: Dialect) -> Iterator[Case]:
+    """Yield what a drive can be busy with: a run (no command), homing, calibrating."""
+    for case in _moving(dialect):
+        reads = tuple(c.name for c in plain_reads(dialect))
+        given: dict[str, Any] = {"task": None, "kind": "moving", "when": "while the shaft turns"}
+        yield Case(case.dialect, given=given, facts={"commands": reads})
+        for task in dialect.motions(MotionKind.HOME, MotionKind.CALIBRATE):
+            calibrates = task.motion is not None and task.motion.kind is MotionKind.CALIBRATE
+            kind = "calibrating" if calibrates else "homing"
+            risks = task.all_risks | motion.risks(dialect)
+            busy = {"task": task, "kind": kind, "when": f"while the drive is {kind}"}
+            yield Case(case.dialect, given=busy, facts={"commands": reads, "risks": risks, "by_name": calibrates})
 
 
-def _answered_now(probe: Probe, command: Command, when: str) -> None:
-    exchange = probe.ask(command, quiet_ns=0)
-    if is_answered(exchange):
-        return
-    again = probe.ask(command, quiet_ns=0)
-    if not is_answered(again):
-        raise Refuted(
-            f"{command.name} is not answered {when}",
+@_of_busy("silence, or another reply", each=_tasks, name="{kind}/reads", at_best=Certainty.LIKELY)
+def _reads(probe: Probe, task: Command | None, when: str) -> None:
+    """Every read is answered by its own reply {when}."""
+    readable = [c for c in plain_reads(probe.dialect) if is_answered(probe.ask(c, quiet_ns=0))]
+    if not readable:
+        raise Inconclusive("no read is answered while the shaft stands")
+    _begin(probe, task)
+    try:
+        for _ in range(_ROUNDS):
+            for command in readable:
+                _expect_answer(probe, command, when)
+    finally:
+        _end(probe, task)
+
+
+def _expect_answer(probe: Probe, command: Command, when: str) -> None:
+    if not is_answered(probe.ask(command, quiet_ns=0)):
+        again = probe.ask(command, quiet_ns=0)
+        probe.expect(
+            came(again),
+            holds=is_answered(again),
             expected=f"a reply to {command.name}",
-            got=came(again),
+            refutes=f"{command.name} is not answered {when}",
             exchange=again,
             key=f"reads are not answered {when}",
         )
 
 
-# --- what else --------------------------------------------------------------------------------------------------------
+# --- settings and damaged requests ------------------------------------------------------------------------------------
 
 
-def _settings_while_moving(dialect: Dialect) -> Claim:
-    found = [dialect.by_verb[v] for v in _HARMLESS if v in dialect.by_verb]
-    speed_limit = dialect.by_verb.get(Verb.WRITE_PARAMETER)
-    commands = found or ([speed_limit] if speed_limit is not None else [])
-    risks = {r for c in commands for r in c.risks(samples.sample(dialect, c))}
-    fields = tuple(dict.fromkeys(n for c in commands for n in samples.sample(dialect, c)))
-    quirks = known(dialect, "lk-firmware-235") if speed_limit in commands else ()
-
-    def check(probe: Probe) -> None:
-        before = _running(probe)
-        try:
-            for command in commands:
-                exchange = probe.ask(command, samples.sample(dialect, command))
-                if exchange.silent and quirks:
-                    probe.meets(quirks[0])
-                    continue
-                _still_runs(probe, before, f"{command.name} is not answered, or stops the shaft", exchange)
-        finally:
-            _stop(probe)
-
-    return declare(
-        dialect,
-        Theme.RESILIENCE,
-        "moving/settings",
-        "A setting that has nothing to do with motion is answered while the shaft turns, and the shaft turns on.",
-        "silence, or another speed",
-        check,
-        section=dialect.by_verb[Verb.RUN_SPEED].section,
-        at_best=Certainty.LIKELY,
-        risks={*risks, *motion.risks(dialect, Risk.UNBOUNDED)},
-        settings=motion.settings(dialect, *fields),
-        commands=tuple(c.name for c in commands),
-        quirks=quirks,
-    )
+def _with_settings(dialect: Dialect) -> Iterator[Case]:
+    """Yield settings that have nothing to do with motion; a dialect without any has its speed limit."""
+    for case in _moving(dialect):
+        found = [dialect.by_verb[v] for v in _HARMLESS if v in dialect.by_verb]
+        limit = dialect.by_verb.get(Verb.WRITE_PARAMETER)
+        chosen = found or ([limit] if limit is not None else [])
+        risks = {r for c in chosen for r in c.risks(samples.sample(dialect, c))}
+        fields = tuple(dict.fromkeys(n for c in chosen for n in samples.sample(dialect, c)))
+        facts = {
+            "risks": {*risks, *motion.risks(dialect, Risk.UNBOUNDED)},
+            "settings": motion.settings(dialect, *fields),
+            "commands": tuple(c.name for c in chosen),
+            "quirks": known(dialect, _OTHER_FIRMWARE) if limit in chosen else (),
+        }
+        yield Case(case.dialect, given={"chosen": chosen}, facts=facts)
 
 
-def _still_runs(probe: Probe, before: float, what: str, exchange: Exchange) -> None:
-    now = motion.speed(probe).value
-    if exchange.silent or abs(now - before) > _NEAR:
-        raise Refuted(
-            what, expected=f"an answer, and {before:.0f} rpm", got=f"{came(exchange)}, and {now:.0f} rpm", exchange=exchange
-        )
+@_of_busy("silence, or another speed", each=_with_settings, name="moving/settings", at_best=Certainty.LIKELY)
+def _settings(probe: Probe, chosen: list[Command]) -> None:
+    """A setting that has nothing to do with motion is answered while the shaft turns, and the shaft turns on."""
+    before = _running(probe)
+    try:
+        for command in chosen:
+            exchange = probe.ask(command, samples.sample(probe.dialect, command))
+            if exchange.silent and probe.claim.quirks:
+                probe.meets(probe.claim.quirks[0])
+                continue
+            now = motion.speed(probe).value
+            probe.expect(
+                f"{came(exchange)}, and {now:.0f} rpm",
+                holds=not exchange.silent and abs(now - before) <= _NEAR,
+                expected=f"an answer, and {before:.0f} rpm",
+                refutes=f"{command.name} is not answered, or stops the shaft",
+                exchange=exchange,
+            )
+    finally:
+        _stop(probe)
 
 
-def _noise_while_moving(dialect: Dialect) -> Claim:
-    def check(probe: Probe) -> None:
-        before = _running(probe)
-        try:
-            made = garblers(probe)[0]
-            for what, item in [*made.wrong_checks(), *made.truncated()]:
-                sent = probe.send(item, timeout_ns=PAUSE_NS)
-                now = motion.speed(probe).value
-                if abs(now - before) > _NEAR:
-                    raise Refuted(
-                        f"a damaged read ({what}) changes the speed",
-                        expected=f"{before:.0f} rpm",
-                        got=f"{now:.0f} rpm",
-                        exchange=sent,
-                        key="a damaged read changes the speed",
-                    )
-        finally:
-            _stop(probe)
-
-    return declare(
-        dialect,
-        Theme.RESILIENCE,
-        "moving/noise",
-        "Damaged requests do not disturb a shaft that turns.",
-        "another speed",
-        check,
-        section=dialect.by_verb[Verb.RUN_SPEED].section,
-        risks=motion.risks(dialect, Risk.UNBOUNDED),
-        settings=motion.settings(dialect),
-    )
+@_of_busy("another speed", name="moving/noise")
+def _damaged_requests(probe: Probe) -> None:
+    """Damaged requests do not disturb a shaft that turns."""
+    before = _running(probe)
+    try:
+        garbler = garblers(probe)[0]
+        for what, item in [*garbler.wrong_checks(), *garbler.truncated()]:
+            sent = probe.send(item, timeout_ns=PAUSE_NS)
+            now = motion.speed(probe).value
+            text, key = f"a damaged read ({what}) changes the speed", "a damaged read changes the speed"
+            probe.expect(now, near=before, within=_NEAR, unit="rpm", refutes=text, exchange=sent, key=key)
+    finally:
+        _stop(probe)
 
 
-def _sums_of_moves(dialect: Dialect, command: Command) -> Claim:
-    """Return the claim that the replies to many moves all check: real drives were seen to miss it now and then."""
-    count = 100
+# --- replies to many moves: real drives were seen to miss a sum now and then ------------------------------------------
 
-    def check(probe: Probe) -> None:
-        motion.ready_to_move(probe)
-        here = probe.read(Verb.READ_POSITION, "position")
-        exchanges = [probe.ask(command, {"position": here, "max_speed": 6_000}, quiet_ns=0) for _ in range(count)]
-        bad = [e for e in exchanges if not e.silent and not is_answered(e)]
-        if not bad:
-            return
-        if len(bad) <= _OFF_SUM_MOST and all(_is_off(dialect, e) for e in bad):
-            probe.meets(OFF_SUM)
-            return
-        if len(bad) == count:
-            raise Inconclusive(f"no reply to {command.name} can be read, which another claim judges")
-        raise Refuted(
-            f"{len(bad)} of the replies to {count} moves are garbled",
+
+def _limited_moves(dialect: Dialect) -> Iterator[Case]:
+    for case in _moving(dialect):
+        command = dialect.by_name.get("move_multi_turn_limited")
+        if command is not None:
+            yield Case(case.dialect, command)
+
+
+@_of_busy(
+    "a reply that is garbled",
+    each=_limited_moves,
+    name="moves/good",
+    statement=f"The replies to {_MOVES} moves to where the shaft is all check.",
+    section="",
+    risks=lambda case: motion.risks(case.dialect),
+    settings=(),
+    quirks=may_meet(OFF_SUM),
+)
+def _moves_check(probe: Probe, command: Command) -> None:
+    motion.ready_to_move(probe)
+    here = probe.read(Verb.READ_POSITION, "position")
+    exchanges = [probe.ask(command, {"position": here, "max_speed": 6_000}, quiet_ns=0) for _ in range(_MOVES)]
+    bad = [e for e in exchanges if not e.silent and not is_answered(e)]
+    if bad and len(bad) <= _OFF_SUM_MOST and all(_is_off(probe.dialect, e) for e in bad):
+        probe.meets(OFF_SUM)
+        return
+    if len(bad) == _MOVES:
+        raise Inconclusive(f"no reply to {command.name} can be read, which another claim judges")
+    for exchange in bad[:1]:
+        probe.expect(
+            came(exchange),
+            holds=False,
             expected="replies whose checks fit",
-            got=came(bad[0]),
-            exchange=bad[0],
+            refutes=f"{len(bad)} of the replies to {_MOVES} moves are garbled",
+            exchange=exchange,
             key="replies to moves are garbled",
         )
-
-    return declare(
-        dialect,
-        Theme.RESILIENCE,
-        "moves/good",
-        f"The replies to {count} moves to where the shaft is all check.",
-        "a reply that is garbled",
-        check,
-        command=command,
-        risks=motion.risks(dialect),
-        quirks=known(dialect, OFF_SUM),
-    )
 
 
 def _is_off(dialect: Dialect, exchange: Exchange) -> bool:

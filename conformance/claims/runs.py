@@ -145,7 +145,12 @@ def _and_the_bus(probe: Probe, command: Command, turns: bool) -> None:
     for value in (0, 1):
         probe.do(command, {"motor_direction": value})
         ways.append(_way(probe, _SLOW))
-    _expect_ways(probe, (ways[0], ways[1]), turns, "the setting of the motor's direction and motion by the bus")
+    probe.expect(
+        f"{ways[0]:+.1f} and {ways[1]:+.1f} degrees",
+        holds=(ways[0] * ways[1] < 0) is turns,
+        expected="opposite ways" if turns else "one way",
+        refutes="the setting of the motor's direction and motion by the bus",
+    )
 
 
 # --- as time goes on --------------------------------------------------------------------------------------------------

@@ -27,7 +27,7 @@ from conformance.claims.known_quirks import known
 from conformance.claims.requests import demands, plain_exchange
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
-from conformance.talk.reply_match import COUNTS, Reading, Replies, replies, templates
+from conformance.talk.reply_match import COUNTS, MatchedReply, Replies, replies, templates
 
 SECOND_REPLY, NO_CHECKSUM, OTHER_FIRMWARE = "second-reply", "no-checksum", "lk-firmware-235"
 #: How long nothing may come unasked.
@@ -36,8 +36,8 @@ _LISTEN_NS = 5_000_000_000
 _SETTING = ("set_", "write_user_id")
 #: Two replies of the quirk "second-reply" are so far apart at least; a doubled reply follows at once.
 _APART_NS = 5_000_000
-#: Commands of drives whose replies were seen to have a wrong sum now and then (quirk lk-off-sum).
-_ERRING = frozenset({("lk-rs485", "move_multi_turn_limited")})
+#: The quirk of replies that have a wrong sum now and then, and the command whose replies were seen so.
+_OFF_SUM, _ERRING = "lk-off-sum", "move_multi_turn_limited"
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
@@ -95,7 +95,7 @@ class _Answer:
         )
 
     @property
-    def reply(self) -> Reading:
+    def reply(self) -> MatchedReply:
         """The reply. Raises Inconclusive where there is none, which another claim judges."""
         if self.found.first is None:
             raise Inconclusive(f"{self.command.name} was not answered by anything like a reply")
@@ -110,7 +110,7 @@ class _Answer:
         return met
 
     @property
-    def sized(self) -> Reading:
+    def sized(self) -> MatchedReply:
         """The reply where it has the right length. Raises Inconclusive where it has not."""
         if not self.reply.length_fits:
             raise Inconclusive(f"the reply to {self.command.name} has a wrong length, so nothing more of it can be told")
@@ -194,7 +194,7 @@ def _answered(answer: _Answer) -> None:
     answer.expect(answer.found.first is not None, what, f"a reply such as {_hex(shape.frame)}", _hex(received))
 
 
-def _status_of(reading: Reading) -> int | None:
+def _status_of(reading: MatchedReply) -> int | None:
     layout = reading.template.form.layout
     if not layout.fits(len(reading.own)):
         return None
@@ -202,7 +202,7 @@ def _status_of(reading: Reading) -> int | None:
     return status
 
 
-def _is_second(exchange: Exchange, first: Reading, second: Reading) -> bool:
+def _is_second(exchange: Exchange, first: MatchedReply, second: MatchedReply) -> bool:
     """Say whether a setting was answered once more after a pause, as real drives were seen to do."""
     if first.data != second.data or len(exchange.answers) != 2:
         return False
@@ -232,7 +232,7 @@ def _clean(answer: _Answer) -> None:
     """{command} is answered by one frame, with nothing before, in or behind it."""
     reply, exchange = answer.reply, answer.exchange
     expected = f"{_hex(reply.data)} alone"
-    answer.expect(not answer.found.strange, "bytes beside the reply", expected, _hex(exchange.received))
+    answer.expect(not answer.found.leftover, "bytes beside the reply", expected, _hex(exchange.received))
     whole = reply.fitting != reply.template.count or any(reply.data == a.data for a in exchange.answers)
     lines = " | ".join(exchange.lines()[1:])
     answer.expect(whole, "a pause within the reply", "a reply in one piece", lines)
@@ -308,7 +308,7 @@ def _check(answer: _Answer, name: str) -> None:
 def _now_and_then(answer: _Answer, name: str) -> bool:
     """Say whether a check fits when a command is asked again, that of drives which were seen to err now and then."""
     dialect = answer.probe.dialect
-    if (dialect.name, answer.command.name) not in _ERRING:
+    if answer.command.name != _ERRING or not known(dialect, _OFF_SUM):
         return False
     again = [replies(plain_exchange(answer.probe, answer.command), dialect).first for _ in range(2)]
     checks = [reading.check(name) for reading in again if reading is not None]

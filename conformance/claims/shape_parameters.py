@@ -18,7 +18,7 @@ from conformance.claims.declare import Case, Cases, claim, commands, declared_in
 from conformance.claims.known_quirks import may_meet
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
-from conformance.talk.reply_match import Reading, replies
+from conformance.talk.reply_match import MatchedReply, replies
 
 OTHER_FIRMWARE = "lk-firmware-235"
 
@@ -37,7 +37,7 @@ def _expect(probe: Probe, exchange: Exchange, choice: str, holds: bool, expected
     probe.expect(got, holds=holds, expected=expected, refutes=f"{choice}: {what}", exchange=exchange, key=what)
 
 
-def _checked(probe: Probe, exchange: Exchange) -> Reading:
+def _checked(probe: Probe, exchange: Exchange) -> MatchedReply:
     """Return the reply. Raises Inconclusive where there is none, or its checks do not fit."""
     reading = replies(exchange, probe.dialect).first
     if reading is None or not all(check.ok for check in reading.checks):
