@@ -8,17 +8,13 @@ from analyzer.catalogue import Dialect
 from conformance.claim import Claim, Theme
 from conformance.claims import (
     calibrating,
+    control_parameters,
     enabling,
+    encoder_zero,
     end_limits,
+    health,
     homing,
-    motion_lk,
-    motion_lk_encoder,
-    motion_lk_errors,
-    motion_lk_forces,
-    motion_lk_limits,
-    motion_lk_reads,
     motion_reads,
-    motion_speeds,
     motor_states,
     moves,
     newer_motion,
@@ -28,26 +24,34 @@ from conformance.claims import (
     responding,
     runs,
     set_zero,
+    speed_limits,
     stops,
+    subdivisions,
+    torque,
 )
 from conformance.claims.declare import declared_in
-from conformance.motion import moves as old_moves
 
-_DECLARED = (moves, runs, newer_motion, stops, enabling, motor_states, refusals)
-_MKS = (motion_speeds, motion_reads, responding, set_zero, homing, end_limits, protection, power_on, calibrating)
-_LK = (motion_lk, motion_lk_forces, motion_lk_errors, motion_lk_reads, motion_lk_encoder, motion_lk_limits)
+_PARTS = (
+    moves,
+    runs,
+    newer_motion,
+    speed_limits,
+    subdivisions,
+    stops,
+    enabling,
+    motor_states,
+    refusals,
+    motion_reads,
+    torque,
+    health,
+    encoder_zero,
+    control_parameters,
+)
+#: Parts about what the drives of one family alone have.
+_OF_FAMILY = {"mks": (responding, set_zero, homing, end_limits, protection, power_on, calibrating)}
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:
     """Make the claims of this theme for a dialect."""
-    for module in _DECLARED:
-        yield from declared_in(module.__name__, dialect)
-    for part in _MKS if old_moves.is_mks(dialect) else _LK if is_lk(dialect) else ():
-        for claim in part.claims(dialect):
-            if claim.theme is Theme.MOTION:
-                yield claim
-
-
-def is_lk(dialect: Dialect) -> bool:
-    """Say whether a dialect has the moves of the LK motors."""
-    return dialect.family == "lk"
+    for part in (*_PARTS, *_OF_FAMILY.get(dialect.family, ())):
+        yield from (claim for claim in declared_in(part.__name__, dialect) if claim.theme is Theme.MOTION)

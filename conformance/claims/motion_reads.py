@@ -1,29 +1,26 @@
-"""Reads: that what the drive says of position, speed, pulses and error is what the shaft does, and that the numbers agree.
+"""What is read of a shaft that moves: that position, speed, pulses and error are what the shaft does, and that they agree.
 
-Two numbers that tell the same are held against each other (30 and 31, 31 and 32, 31 and 33), so that a wrong one shows
-whatever moved the shaft.
+Two numbers that tell the same are held against each other (30 and 31, 31 and 32, 31 and 33; LK 92 and 94), so that a wrong one
+shows whatever moved the shaft.
 
 Rules kept here:
-- A turn is 16384 counts of the encoder and 3200 pulses at 16 subdivisions.
+- A turn is 16384 counts of an MKS encoder and 3200 pulses at 16 subdivisions.
 - Both sides of zero are looked at: a sign or a width that is wrong often shows only there.
 - An angle error needs a shaft that is held: an emulated drive's can be.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import partial
+from collections.abc import Iterable, Iterator
 
-from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
-from analyzer.protocols.mks_shared import COUNTS_PER_TURN
-from conformance.claim import Aspect, Claim, Inconclusive, Theme
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
+from conformance.claim import Aspect, Inconclusive, Theme
 from conformance.claims import world
-from conformance.claims.declare import declare
-from conformance.claims.known_quirks import known
-from conformance.claims.motion_claim import motion_claim, refute
-from conformance.motion import motion, moves
-from conformance.motion.motion import MS, QUICK, SECOND_NS
-from conformance.motion.motion import mean_speed as measured
+from conformance.claims.declare import Case, claim, commands, motions
+from conformance.claims.known_quirks import may_meet
+from conformance.claims.motion_claim import of_motion, risks_by
+from conformance.motion import motion
+from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, SUBDIVISION
 from conformance.talk.probe import Probe
 
 _RPM = 120
@@ -33,188 +30,186 @@ _WIDE_TURNS = 600
 _JITTER, _LAG = 2, 1.0
 #: What the version tells of the bare encoder.
 _CW_RAISES, _CW_LOWERS = 1, 2
+#: Angles by which the shaft is turned before something is read, in degrees: no two alike within a turn.
+PLACES = (37.3, 101.7, 203.1, -171.9, 59.4)
+_by_pulses = risks_by(Verb.MOVE_RELATIVE_PULSES)
 
 
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about what is read of a shaft that moves."""
-    verbs = dialect.by_verb
-    run, pulses = verbs[Verb.RUN_SPEED].all_risks, verbs[Verb.MOVE_RELATIVE_PULSES].all_risks
-    position, carry = verbs[Verb.READ_POSITION], verbs[Verb.READ_ENCODER_CARRY]
-    yield motion_claim(
-        dialect,
-        position,
-        "turn",
-        "A turn of the shaft (3200 pulses at 16 subdivisions) changes the position by 16384.",
-        "another change",
-        _turn,
-        risks=pulses,
-    )
-    yield motion_claim(
-        dialect,
-        carry,
-        "is-position",
-        "Carry x 16384 + value is the position, above and below zero and beyond a turn; the value stays within one.",
-        "two numbers that differ, or a value beyond a turn",
-        _carry_is_position,
-        risks=pulses,
-    )
-    yield motion_claim(
-        dialect,
-        position,
-        "wide",
-        f"The position counts on over {_WIDE_TURNS} turns: more than 24 bits hold.",
-        "a position that begins anew",
-        _wide,
-        risks=run,
-    )
-    yield motion_claim(
-        dialect,
-        verbs[Verb.READ_SPEED],
-        "is-change",
-        "The speed that is read is that at which the position changes, rising positions being positive.",
-        "another speed, or another sign",
-        _speed_is_change,
-        at_best=Certainty.LIKELY,
-        risks=run,
-        quirks=known(dialect, "slow-replies-in-motion"),
-    )
-    yield motion_claim(
-        dialect, verbs[Verb.READ_SPEED], "at-rest", "The speed of a shaft that stands is 0.", "another speed", _speed_at_rest,
-        risks=run,
-    )  # fmt: skip
-    yield motion_claim(
-        dialect,
-        verbs[Verb.READ_PULSES],
-        "counts-moves",
-        "The count of pulses changes by the pulses of a move, up for one direction and down for the other.",
-        "another number, or the same way for both",
-        _pulses_count,
-        risks=pulses,
-    )
-    error = verbs[Verb.READ_ANGLE_ERROR]
-    yield motion_claim(
-        dialect, error, "at-rest", "The angle error of a shaft that stands where it should is about 0.",
-        f"more than {_LAG:g} degree", _error_at_rest,
-    )  # fmt: skip
-    for turns in (0.25, -0.25, 1.5, -1.5):
-        yield motion_claim(
-            dialect,
-            error,
-            f"held-{turns:+g}".replace(".", "_"),
-            f"With the shaft held and a move by {turns:+g} turns, the angle error is {turns * 360:+g} degrees: "
-            "51200 units are a turn, and what is wanted beyond the shaft is positive.",
-            "another number",
-            partial(_error_held, turns),
-            emulated=True,
-            settings=("protection",),
-            risks=verbs[Verb.SET_PROTECTION].all_risks,
-            parameters={"turns": turns},
-        )
-    version = verbs.get(Verb.READ_VERSION)
-    if version is not None:
-        yield declare(
-            dialect,
-            Theme.MOTION,
-            f"{version.name}/calibration",
-            "The version tells that turning clockwise lowers the bare encoder, as it lowers what 31 reads.",
-            "the other sense",
-            _calibration,
-            command=version,
-            aspect=Aspect.STATE,
-            rests_on=(Doubt.SIGN,),
-            at_best=Certainty.OPEN,
-            quirks=known(dialect, "version-cal-1"),
-        )
-    reads = tuple(c for c in dialect.commands if c.all_risks == {Risk.READ} and not c.request_forms[0].layout.fields)
-    for command in reads:
-        yield motion_claim(
-            dialect,
-            command,
-            "while-moving",
-            f"{command.name} is answered while the motor turns.",
-            "silence",
-            _answered_while_moving,
-            risks=run,
-            models=command.models,
-        )
+# --- the position -----------------------------------------------------------------------------------------------------
 
 
 def _counts(probe: Probe) -> int:
     return probe.read(Verb.READ_POSITION, "position")
 
 
-def _by_pulses(probe: Probe, turns: float) -> None:
-    moves.travel(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), turns, speed=180, acceleration=QUICK)
+def _move_by_pulses(probe: Probe, turns: float) -> None:
+    motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), turns * 360, rpm=180, acceleration=QUICK)
 
 
-def _turn(probe: Probe, command: Command) -> None:
-    moves.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
+def _counted_positions(dialect: Dialect) -> Iterable[Case]:
+    """Return the read of the position where the dialect tells how many counts a turn has."""
+    return commands(Verb.READ_POSITION)(dialect) if dialect.counts_per_turn else ()
+
+
+@of_motion(each=_counted_positions, refuted_by="another change", risks=_by_pulses)
+def _turn(probe: Probe) -> None:
+    """A turn of the shaft (3200 pulses at 16 subdivisions) changes the position by 16384."""
+    motion.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
     for turns in (1, -1):
         before = _counts(probe)
-        _by_pulses(probe, turns)
-        change = _counts(probe) - before
-        if abs(abs(change) - COUNTS_PER_TURN) > _JITTER:
-            text = "a turn of the shaft is another number of counts"
-            raise refute(probe.traffic[-1], text, expected=str(COUNTS_PER_TURN), got=str(abs(change)))
+        _move_by_pulses(probe, turns)
+        change, wanted = abs(_counts(probe) - before), probe.dialect.counts_per_turn
+        probe.expect(change, near=wanted, within=_JITTER, refutes="a turn of the shaft is another number of counts")
 
 
-def _carry_is_position(probe: Probe, command: Command) -> None:
-    moves.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
+@of_motion(
+    each=commands(Verb.READ_ENCODER_CARRY), refuted_by="two numbers that differ, or a value beyond a turn", risks=_by_pulses
+)
+def _is_position(probe: Probe, command: Command) -> None:
+    """Carry x 16384 + value is the position, above and below zero and beyond a turn; the value stays within one."""
+    turn = probe.dialect.counts_per_turn
+    motion.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
     for turns in (-0.4, 1.7, 1.0, -3.0):
-        _by_pulses(probe, turns)
+        _move_by_pulses(probe, turns)
         exchange = probe.ask(command)
         values = probe.reply(exchange).values
-        together, counts = values["carry"] * COUNTS_PER_TURN + values["encoder"], _counts(probe)
-        if not 0 <= values["encoder"] < COUNTS_PER_TURN:
-            got = str(values["encoder"])
-            raise refute(exchange, "the value is more than a turn", expected=f"0..{COUNTS_PER_TURN - 1}", got=got)
-        if abs(together - counts) > _JITTER:
-            raise refute(
-                exchange,
-                "carry and value are not the position",
-                expected=f"{counts}, as read_position has it",
-                got=f"{values['carry']} x 16384 + {values['encoder']} = {together}",
-            )
+        carry, value = values["carry"], values["encoder"]
+        probe.expect(value, at_least=0, at_most=turn - 1, refutes="the value is more than a turn", exchange=exchange)
+        together, counts = carry * turn + value, _counts(probe)
+        probe.expect(
+            f"{carry} x {turn} + {value} = {together}",
+            holds=abs(together - counts) <= _JITTER,
+            expected=f"{counts}, as read_position has it",
+            refutes="carry and value are not the position",
+            exchange=exchange,
+        )
 
 
-def _wide(probe: Probe, command: Command) -> None:
-    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=moves.SUBDIVISION)
-    duration_ns = int(_WIDE_TURNS / 3000 * 60 * SECOND_NS)
-    for direction in (0, 1, 1):
+@of_motion(
+    each=_counted_positions,
+    statement=f"The position counts on over {_WIDE_TURNS} turns: more than 24 bits hold.",
+    refuted_by="a position that begins anew",
+    risks=risks_by(Verb.RUN_SPEED),
+)
+def _wide(probe: Probe) -> None:
+    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
+    for rpm in (3000, -3000, -3000):
         before = motion.position(probe)
-        exchange = probe.do(Verb.RUN_SPEED, {"direction": direction, "speed": 3000, "acceleration": 255})
-        probe.wait(duration_ns)
+        exchange = motion.run_at(probe, rpm, 255)
+        probe.wait(int(_WIDE_TURNS / 3000 * 60 * SECOND_NS))
         motion.stop(probe, QUICK)
-        after = motion.wait_standing(probe)
-        change = abs(after.value - before.value) / 360
-        if not _WIDE_TURNS * 0.97 < change < _WIDE_TURNS * 1.2:
-            text = "the position does not count on"
-            raise refute(exchange, text, expected=f"about {_WIDE_TURNS} turns", got=f"{change:.0f} turns")
+        turns = abs(motion.wait_standing(probe).value - before.value) / 360
+        least, most = _WIDE_TURNS * 0.97, _WIDE_TURNS * 1.2
+        text = "the position does not count on"
+        probe.expect(turns, at_least=least, at_most=most, unit="turns", refutes=text, exchange=exchange)
 
 
-def _speed_is_change(probe: Probe, command: Command) -> None:
-    motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
-    for rpm in (_RPM, -_RPM, 300):
+@of_motion(each=commands(Verb.READ_PULSES), refuted_by="another number, or the same way for both", risks=_by_pulses)
+def _counts_moves(probe: Probe, command: Command) -> None:
+    """The count of pulses changes by the pulses of a move, up for one direction and down for the other."""
+    motion.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
+    changes = []
+    for turns in (0.3, -0.7, 1.5):
+        before = probe.read(command, "pulses")
+        _move_by_pulses(probe, turns)
+        changes.append(probe.read(command, "pulses") - before)
+        text = "the count of pulses does not change by those of the move"
+        probe.expect(abs(changes[-1]), near=round(abs(turns) * 3200), within=1, refutes=text)
+    probe.expect(
+        f"{changes[0]:+d} and {changes[1]:+d}",
+        holds=changes[0] * changes[1] <= 0,
+        expected="two ways",
+        refutes="the count of pulses changes the same way for both directions",
+    )
+
+
+# --- the angle within the turn ----------------------------------------------------------------------------------------
+
+
+def turn_by(probe: Probe, degrees: float) -> None:
+    """Turn the shaft by an angle and wait until it stands."""
+    motion.follow(probe, probe.command("move_increment_limited"), degrees)
+
+
+def angle(probe: Probe) -> float:
+    """Return the angle within the turn, in degrees."""
+    return probe.read(Verb.READ_SINGLE_TURN, "angle") / 100
+
+
+def around(degrees: float) -> float:
+    """Return an angle as the shortest way, -180..180."""
+    return (degrees + 180) % 360 - 180
+
+
+_single_turn = commands(Verb.READ_SINGLE_TURN)
+
+
+@of_motion(each=_single_turn, name="{command}/is-position", refuted_by="another change")
+def _angle_is_position(probe: Probe) -> None:
+    """The angle within the turn changes as the position does, around the turn."""
+    motion.ready_to_move(probe)
+    for degrees in PLACES:
+        angle_before, place_before = angle(probe), motion.position(probe).value
+        turn_by(probe, degrees)
+        turned, moved = angle(probe) - angle_before, motion.position(probe).value - place_before
+        probe.expect(
+            f"{around(turned):+.2f} degrees",
+            holds=abs(around(turned - moved)) <= motion.near(probe.dialect),
+            expected=f"{around(moved):+.2f} degrees",
+            refutes="the angle within the turn does not change as the position does",
+        )
+
+
+@of_motion(each=_single_turn, refuted_by="another angle")
+def _within_turn(probe: Probe, command: Command) -> None:
+    """The angle within the turn stays within 0 and 359.99 degrees."""
+    motion.ready_to_move(probe)
+    for degrees in (200.0, 200.0, -300.0, -300.0):
+        turn_by(probe, degrees)
+        seen = probe.read(command, "angle")
+        probe.expect(seen, at_least=0, at_most=35_999, refutes="the angle within the turn is outside of it")
+
+
+# --- the speed --------------------------------------------------------------------------------------------------------
+
+
+@of_motion(
+    each=commands(Verb.READ_SPEED),
+    statement="The speed that is read is that at which the position changes, rising positions being positive.",
+    refuted_by="another speed, or another sign",
+    at_best=Certainty.LIKELY,
+    risks=risks_by(Verb.RUN_SPEED),
+    quirks=may_meet("slow-replies-in-motion"),
+)
+@of_motion(
+    each=commands(Verb.READ_STATE_2),
+    name="{command}/speed-is-change",
+    statement="The speed that is read is that at which the position changes.",
+    refuted_by="another speed, or another sign",
+    at_best=Certainty.LIKELY,
+    risks=risks_by(Verb.RUN_SPEED),
+)
+def _is_change(probe: Probe) -> None:
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
+    for rpm in (CALM, -CALM, 90):
         motion.run_at(probe, rpm, QUICK)
-        probe.wait(300 * MS)
-        change, spread = measured(probe, 500 * MS)
-        exchange = probe.ask(command)
+        probe.wait(500 * MS)
+        change, spread = motion.mean_speed(probe, 500 * MS)
         seen = motion.speed(probe).value
+        exchange = probe.traffic[-1]
         motion.stand_still(probe)
         if spread > abs(rpm) / 10:
             if "slow-replies-in-motion" not in probe.claim.quirks:
                 raise Inconclusive("the replies came too late to measure a speed")
             probe.meets("slow-replies-in-motion")
-        if abs(seen - change) > 2 + abs(change) / 100 + spread:
-            raise refute(
-                exchange,
-                "the speed that is read is not that at which the position changes",
-                expected=f"{change:+.1f} rpm +-{spread:.1f}",
-                got=f"{seen:+g} rpm",
-            )
+        within = 1 + abs(change) / 100 + spread
+        text = "the speed that is read is not that at which the position changes"
+        probe.expect(seen, near=change, within=within, unit="rpm", refutes=text, exchange=exchange)
 
 
-def _speed_at_rest(probe: Probe, command: Command) -> None:
+@of_motion(each=commands(Verb.READ_SPEED), name="{command}/at-rest", refuted_by="another speed", risks=risks_by(Verb.RUN_SPEED))
+def _speed_at_rest(probe: Probe) -> None:
+    """The speed of a shaft that stands is 0."""
     motion.ready_to_move(probe)
     motion.run_at(probe, _RPM, QUICK)
     probe.wait(300 * MS)
@@ -222,82 +217,119 @@ def _speed_at_rest(probe: Probe, command: Command) -> None:
     probe.wait(SECOND_NS)
     before = motion.position(probe)
     seen = motion.speed(probe)
-    after = motion.position(probe)
-    if abs(after.value - before.value) > motion.SAME:
+    exchange = probe.traffic[-1]
+    if abs(motion.position(probe).value - before.value) > motion.SAME:
         raise Inconclusive("the shaft does not stand")
-    if abs(seen.value) >= 1:
-        text = "the shaft stands and its speed is not 0"
-        raise refute(probe.traffic[-1], text, expected="0 rpm", got=f"{seen.value:g} rpm")
+    text = "the shaft stands and its speed is not 0"
+    probe.expect(seen, near=0, within=0.9, unit="rpm", refutes=text, exchange=exchange)
 
 
-def _pulses_count(probe: Probe, command: Command) -> None:
-    moves.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
-    changes = []
-    for turns in (0.3, -0.7, 1.5):
-        before = probe.read(command, "pulses")
-        _by_pulses(probe, turns)
-        changes.append(probe.read(command, "pulses") - before)
-        wanted = round(abs(turns) * 3200)
-        if abs(abs(changes[-1]) - wanted) > 1:
-            text = "the count of pulses does not change by those of the move"
-            raise refute(probe.traffic[-1], text, expected=str(wanted), got=str(abs(changes[-1])))
-    if changes[0] * changes[1] > 0:
-        text = "the count of pulses changes the same way for both directions"
-        raise refute(probe.traffic[-1], text, expected="two ways", got=f"{changes[0]:+d} and {changes[1]:+d}")
+def _tells_its_speed(command: Command) -> bool:
+    return "speed" in command.reply_forms[0].layout.named
+
+
+@of_motion(each=motions(MotionKind.RUN, where=_tells_its_speed), refuted_by="another speed")
+def _tells_speed(probe: Probe, command: Command) -> None:
+    """A speed command is answered with the speed that the shaft has."""
+    motion.ready_to_move(probe)
+    for rpm in (30, -60):
+        motion.run_at(probe, rpm)
+        probe.wait(500 * MS)
+        exchange = motion.run_at(probe, rpm)
+        seen = probe.reply(exchange).values["speed"]
+        motion.stand_still(probe)
+        text = "the reply to a speed command does not tell the speed"
+        probe.expect(seen, near=rpm * 6, within=5 + abs(rpm) * 0.3, unit="deg/s", refutes=text, exchange=exchange)
 
 
 # --- the angle error --------------------------------------------------------------------------------------------------
 
+_angle_error = commands(Verb.READ_ANGLE_ERROR)
 
-def _degrees(probe: Probe, command: Command) -> float:
+
+def _error(probe: Probe, command: Command) -> float:
     field = command.reply_forms[0].layout.named["angle_error"]
     return float(field.physical(probe.read(command, "angle_error")))
 
 
+@of_motion(each=_angle_error, name="{command}/at-rest", refuted_by=f"more than {_LAG:g} degree")
 def _error_at_rest(probe: Probe, command: Command) -> None:
+    """The angle error of a shaft that stands where it should is about 0."""
     motion.ready_to_move(probe)
-    moves.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 0.25)
-    seen = _degrees(probe, command)
-    if abs(seen) > _LAG:
-        text = "a shaft that is where it should be has an angle error"
-        raise refute(probe.traffic[-1], text, expected="about 0 degrees", got=f"{seen:+.2f} degrees")
+    motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 90)
+    text = "a shaft that is where it should be has an angle error"
+    probe.expect(_error(probe, command), near=0, within=_LAG, unit="degrees", refutes=text)
 
 
-def _error_held(turns: float, probe: Probe, command: Command) -> None:
+def _held_errors(dialect: Dialect) -> Iterator[Case]:
+    for case in _angle_error(dialect):
+        for turns in (0.25, -0.25, 1.5, -1.5):
+            given = {"turns": turns, "degrees": round(turns * 360)}
+            yield Case(dialect, case.command, given, {"name": f"read_angle_error/held-{turns:+g}".replace(".", "_")})
+
+
+@of_motion(
+    each=_held_errors,
+    statement="With the shaft held and a move by {turns:+g} turns, the angle error is {degrees:+d} degrees: "
+    "51200 units are a turn, and what is wanted beyond the shaft is positive.",
+    refuted_by="another number",
+    emulated=True,
+    settings=("protection",),
+    risks=risks_by(Verb.SET_PROTECTION),
+    parameters=lambda case: {"turns": case["turns"]},
+)
+def _error_held(probe: Probe, command: Command, degrees: int) -> None:
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
-    moves.prepare(probe, move)
+    motion.prepare(probe, move)
     probe.do(Verb.SET_PROTECTION, {"protection": 0})
     world.hold(probe)
-    moves.begin(probe, move, turns, acceleration=QUICK)
+    motion.begin(probe, move, degrees, acceleration=QUICK)
     probe.wait(3 * SECOND_NS)
-    seen = _degrees(probe, command)
-    if abs(seen - turns * 360) > _LAG:
-        text = "the angle error of a shaft that is held is not what is missing"
-        raise refute(probe.traffic[-1], text, expected=f"{turns * 360:+g} degrees", got=f"{seen:+.2f} degrees")
+    text = "the angle error of a shaft that is held is not what is missing"
+    probe.expect(_error(probe, command), near=degrees, within=_LAG, unit="degrees", refutes=text)
 
 
+# --- what else is read ------------------------------------------------------------------------------------------------
+
+
+@claim(
+    Theme.MOTION,
+    each=commands(Verb.READ_VERSION),
+    refuted_by="the other sense",
+    aspect=Aspect.STATE,
+    rests_on=(Doubt.SIGN,),
+    at_best=Certainty.OPEN,
+    quirks=may_meet("version-cal-1"),
+)
 def _calibration(probe: Probe) -> None:
+    """The version tells that turning clockwise lowers the bare encoder, as it lowers what 31 reads."""
     seen = probe.read(Verb.READ_VERSION, "calibration")
     if seen == _CW_RAISES and "version-cal-1" in probe.claim.quirks:
         probe.meets("version-cal-1")
-    elif seen != _CW_LOWERS:
-        text = "the version tells another sense of the encoder"
-        raise refute(probe.traffic[-1], text, expected=str(_CW_LOWERS), got=str(seen))
+    else:
+        probe.expect(seen, equal=_CW_LOWERS, refutes="the version tells another sense of the encoder")
 
 
-# --- while it turns ---------------------------------------------------------------------------------------------------
+def _plain_reads(dialect: Dialect) -> Iterator[Case]:
+    """Yield the reads that need no values, where a read is all that tells of motion."""
+    for command in dialect.commands if Verb.READ_SPEED in dialect.by_verb else ():
+        if command.all_risks == {Risk.READ} and not command.request_forms[0].layout.fields:
+            yield Case(dialect, command)
 
 
-def _answered_while_moving(probe: Probe, command: Command) -> None:
+@of_motion(each=_plain_reads, refuted_by="silence", risks=risks_by(Verb.RUN_SPEED))
+def _while_moving(probe: Probe, command: Command) -> None:
+    """{command} is answered while the motor turns."""
     motion.ready_to_move(probe)
     if probe.ask(command).silent:
         raise Inconclusive(f"{command.name} is not answered at rest either")
     motion.run_at(probe, _RPM, QUICK)
     probe.wait(300 * MS)
     exchanges = [probe.ask(command) for _ in range(2)]
-    if all(e.silent for e in exchanges):
+    silent = all(e.silent for e in exchanges)
+    if silent:
         # Whether it stands cannot be seen where nothing is answered.
         motion.stop(probe, QUICK)
-        text = f"{command.name} is not answered while the motor turns"
-        raise refute(exchanges[0], text, expected="a reply", got="silence")
+    text = f"{command.name} is not answered while the motor turns"
+    probe.expect("silence", holds=not silent, expected="a reply", refutes=text, exchange=exchanges[0])
     motion.stand_still(probe)

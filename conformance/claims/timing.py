@@ -18,7 +18,7 @@ from typing import Any
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
 from analyzer.link import ModbusLink
 from conformance.claim import Aspect, Claim, Inconclusive, Observed, Theme
-from conformance.claims import durations, motion_lk_limits, ramps
+from conformance.claims import control_parameters, durations, ramps
 from conformance.claims.declare import Case, Cases, claim, commands, declared_in, once
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, risks_by
@@ -47,8 +47,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     yield from declared_in(__name__, dialect)
     yield from ramps.claims(dialect)
     yield from durations.claims(dialect)
-    if dialect.family == "lk":
-        yield from (claim for claim in motion_lk_limits.claims(dialect) if claim.theme is Theme.TIMING)
+    yield from (claim for claim in declared_in(control_parameters.__name__, dialect) if claim.theme is Theme.TIMING)
 
 
 def _of_reads(

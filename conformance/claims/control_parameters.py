@@ -1,0 +1,169 @@
+"""What the control parameters of LK motors (C1) do to motion: observed, for the manual does not say that they are limits.
+
+The manual has parameters called speed limit, angle limit, torque limit and speed ramp, gives them no unit, and speaks
+elsewhere of limits that a setup program sets. That they act on motion, at once and until the power goes, in the units of the
+commands, is how they are taken; a drive that does otherwise is not refuted.
+
+Rules kept here:
+- A drive without C0 and C1 (firmware 2.35) is one that was seen.
+- What a claim changed it puts back.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+from analyzer.catalogue import Doubt, Risk, Verb
+from conformance.claim import Inconclusive, Theme
+from conformance.claims.declare import commands
+from conformance.claims.known_quirks import may_meet
+from conformance.claims.motion_claim import of_motion, risks_by
+from conformance.motion import motion
+from conformance.motion.motion import MS, SECOND_NS
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
+
+_NUMBERS = {"torque_limit": 30, "speed_limit": 32, "angle_limit": 34, "speed_ramp": 38}
+_FIRMWARE = "lk-firmware-235"
+_of_parameter = partial(
+    of_motion,
+    each=commands(Verb.WRITE_PARAMETER),
+    settings=("speed_limit", "angle_limit", "torque_limit", "speed_ramp"),
+    rests_on=(Doubt.EFFECT,),
+    own=lambda case: {Risk.SETTING},
+    quirks=may_meet(_FIRMWARE),
+)
+_of_run = partial(_of_parameter, risks=risks_by(Verb.RUN_SPEED))
+
+
+def _parameter(probe: Probe, name: str) -> int | None:
+    """Return a parameter as the drive has it, None where the drive has none and the claim knows of such."""
+    exchange = probe.ask(Verb.READ_PARAMETER, {"parameter": _NUMBERS[name]})
+    if exchange.silent and _FIRMWARE in probe.claim.quirks:
+        probe.meets(_FIRMWARE)
+        return None
+    values = probe.reply(exchange).values
+    if name not in values:
+        raise Inconclusive(f"the drive does not answer with its {name}")
+    return int(values[name])
+
+
+def _set(probe: Probe, name: str, value: int) -> Exchange:
+    return probe.do(Verb.WRITE_PARAMETER, {"parameter": _NUMBERS[name], name: value})
+
+
+# --- limits -----------------------------------------------------------------------------------------------------------
+
+
+def _expect_limited(probe: Probe, kept: int, exchange: Exchange, what: str) -> None:
+    """Refute unless the shaft turns at the limit of 90 deg/s; put the limit back."""
+    rpm, _ = motion.mean_speed(probe, 500 * MS)
+    motion.stand_still(probe)
+    _set(probe, "speed_limit", kept)
+    text = f"the speed limit does not hold for {what}"
+    probe.expect(abs(rpm), near=15, within=0.5, unit="rpm", refutes=text, exchange=exchange)
+
+
+@_of_run(refuted_by="a faster shaft")
+def _speed_limit(probe: Probe) -> None:
+    """The speed limit holds at once for a run."""
+    kept = _parameter(probe, "speed_limit")
+    if kept is not None:
+        motion.ready_to_move(probe)
+        motion.run_at(probe, 30)
+        probe.wait(500 * MS)
+        exchange = _set(probe, "speed_limit", 9_000)
+        probe.wait(SECOND_NS)
+        _expect_limited(probe, kept, exchange, "a run")
+
+
+@_of_parameter(refuted_by="a faster shaft")
+def _speed_limit_moves(probe: Probe) -> None:
+    """The speed limit holds for a move without a highest speed."""
+    kept = _parameter(probe, "speed_limit")
+    if kept is not None:
+        motion.ready_to_move(probe)
+        exchange = _set(probe, "speed_limit", 9_000)
+        motion.begin(probe, probe.command("move_increment"), 180)
+        probe.wait(700 * MS)
+        _expect_limited(probe, kept, exchange, "a move")
+
+
+@_of_parameter(refuted_by="a shaft beyond it")
+def _angle_limit(probe: Probe) -> None:
+    """A move to a position goes no farther than the angle limit."""
+    kept = _parameter(probe, "angle_limit")
+    if kept is not None:
+        motion.ready_to_move(probe)
+        probe.do("set_position", {"position": 0})
+        exchange = _set(probe, "angle_limit", 6_000)
+        motion.begin(probe, probe.command("move_multi_turn"), 120, start=0)
+        probe.wait(2 * SECOND_NS)
+        end = motion.stand_still(probe)
+        _set(probe, "angle_limit", kept)
+        text = "a move goes beyond the angle limit"
+        probe.expect(end, near=60, within=1, unit="degrees", refutes=text, exchange=exchange)
+
+
+@_of_parameter(refuted_by="motion", risks=lambda case: {*risks_by(Verb.RUN_SPEED)(case), Risk.TORQUE})
+def _torque_limit(probe: Probe) -> None:
+    """With a torque limit of 0 nothing turns."""
+    kept = _parameter(probe, "torque_limit")
+    if kept is not None:
+        motion.ready_to_move(probe)
+        exchange = _set(probe, "torque_limit", 0)
+        before = motion.position(probe)
+        motion.run_at(probe, 30)
+        probe.wait(SECOND_NS)
+        went = abs(motion.position(probe).value - before.value)
+        probe.do(Verb.STOP)
+        _set(probe, "torque_limit", kept)
+        motion.stand_still(probe)
+        text = "the shaft turns with a torque limit of 0"
+        probe.expect(went, at_most=1, unit="degrees", refutes=text, exchange=exchange)
+
+
+# --- the ramp ---------------------------------------------------------------------------------------------------------
+
+_of_ramp = partial(_of_run, theme=Theme.TIMING)
+
+
+def _acceleration(probe: Probe, ramp: int) -> tuple[float, Exchange]:
+    """Run with a ramp and return the mean acceleration to full speed (deg/s2).
+
+    Two positions, both at full speed, tell how long it takes to it: the way that is missing.
+    """
+    motion.ready_to_move(probe)
+    _set(probe, "speed_ramp", ramp)
+    here = motion.position(probe)
+    exchange = probe.ask(Verb.RUN_SPEED, {"speed": 18_000}, quiet_ns=0)
+    probe.wait(3 * SECOND_NS)
+    first = motion.position(probe)
+    rpm, _ = motion.mean_speed(probe, SECOND_NS)
+    motion.stand_still(probe)
+    speed = rpm * 6
+    missing_s = (first.t_ns - exchange.sent_ns) / SECOND_NS - (first.value - here.value) / speed
+    return speed / (2 * missing_s) if missing_s > 1e-4 else float("inf"), exchange
+
+
+@_of_ramp(refuted_by="another acceleration")
+def _speed_ramp(probe: Probe) -> None:
+    """The speed rises by the speed ramp: 0.01 deg/s2 a unit."""
+    kept = _parameter(probe, "speed_ramp")
+    if kept is not None:
+        seen, exchange = _acceleration(probe, 18_000)
+        _set(probe, "speed_ramp", kept)
+        probe.measured["deg_s2"] = seen
+        probe.expect(seen, near=180, within=5, unit="deg/s2", refutes="the speed rises by another ramp", exchange=exchange)
+
+
+@_of_ramp(refuted_by="as long, or not twice")
+def _speed_ramp_halved(probe: Probe) -> None:
+    """Half the speed ramp takes the shaft twice as long to its speed."""
+    kept = _parameter(probe, "speed_ramp")
+    if kept is not None:
+        fast, _ = _acceleration(probe, 36_000)
+        slow, exchange = _acceleration(probe, 18_000)
+        _set(probe, "speed_ramp", kept)
+        text = "half the speed ramp is not half the acceleration"
+        probe.expect(fast / slow, near=2, within=0.1, refutes=text, exchange=exchange)

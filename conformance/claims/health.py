@@ -1,0 +1,130 @@
+"""What LK motors say of their health: error flags, voltage, temperature, phase currents.
+
+Most need a hand on the drive: those claims are of emulated ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from analyzer.protocols.lk_rs485 import ERROR_BITS
+from conformance.claim import Inconclusive
+from conformance.claims.declare import Case, commands
+from conformance.claims.motion_claim import of_motion, risks_by
+from conformance.claims.world import lk_drive
+from conformance.motion import motion
+from conformance.motion.motion import FORCE, MS
+from conformance.talk.probe import Probe
+
+_state = partial(of_motion, each=commands(Verb.READ_STATE_1), still=True)
+_clear = partial(of_motion, each=commands(Verb.CLEAR_ERRORS), emulated=True, still=True)
+
+
+# --- error flags ------------------------------------------------------------------------------------------------------
+
+
+def _flags(dialect: Dialect) -> Iterator[Case]:
+    for case in commands(Verb.READ_STATE_1)(dialect):
+        for field in ERROR_BITS:
+            yield Case(dialect, case.command, {"flag": field.name}, {"parameters": {}})
+
+
+def _expect_flags(probe: Probe, wanted: set[str], when: str) -> None:
+    values = probe.reply(probe.ask(Verb.READ_STATE_1)).values
+    seen = {f.name for f in ERROR_BITS if values.get(f.name)}
+    names = [", ".join(sorted(each)) or "none" for each in (wanted, seen)]
+    probe.expect(names[1], equal=names[0], refutes=f"the error flags {when} are others")
+
+
+@of_motion(
+    each=_flags,
+    name="{command}/flag-{flag}",
+    refuted_by="another flag, or none",
+    emulated=True,
+    still=True,
+    risks=risks_by(Verb.CLEAR_ERRORS),
+)
+def _flag(probe: Probe, flag: str) -> None:
+    """Where {flag} is the matter, its flag is set, and no other."""
+    drive = lk_drive(probe)
+    _expect_flags(probe, set(), "at first")
+    drive.trip(flag)
+    _expect_flags(probe, {flag}, f"with {flag}")
+    drive.trip(flag, False)
+    probe.do(Verb.CLEAR_ERRORS)
+    _expect_flags(probe, set(), f"after {flag} was cleared")
+
+
+@_clear(refuted_by="a flag that stays")
+def _clears(probe: Probe, command: Command) -> None:
+    """9B clears a flag whose cause is gone."""
+    drive = lk_drive(probe)
+    drive.trip("overcurrent")
+    drive.trip("overcurrent", False)
+    _expect_flags(probe, {"overcurrent"}, "before 9B")
+    probe.do(command)
+    _expect_flags(probe, set(), "after 9B, the cause being gone,")
+
+
+@_clear(refuted_by="a flag that is cleared")
+def _keeps(probe: Probe, command: Command) -> None:
+    """9B leaves a flag whose cause lasts."""
+    lk_drive(probe).trip("motor_hot")
+    probe.do(command)
+    _expect_flags(probe, {"motor_hot"}, "after 9B, the cause lasting,")
+
+
+# --- voltage, temperature, phases -------------------------------------------------------------------------------------
+
+
+@_state(refuted_by="another voltage", emulated=True)
+def _voltage(probe: Probe, command: Command) -> None:
+    """The voltage is that of the supply, in 0.01 V."""
+    for volts in (23.45, 18.02):
+        lk_drive(probe).supply(volts)
+        seen = probe.read(command, "voltage")
+        probe.expect(seen, near=round(volts * 100), within=1, refutes="the voltage is another one")
+
+
+@_state(refuted_by="another one", emulated=True)
+def _temperature(probe: Probe, command: Command) -> None:
+    """The temperature is that of the motor in degC, below zero too."""
+    for degrees in (41, -7):
+        lk_drive(probe).hot(degrees)
+        probe.expect(probe.read(command, "temperature"), equal=degrees, refutes="the temperature is another one")
+
+
+@_state(refuted_by="another voltage", at_best=Certainty.LIKELY)
+def _plausible(probe: Probe, command: Command) -> None:
+    """The voltage is one that a drive can have: 5 to 60 V."""
+    seen = probe.read(command, "voltage")
+    probe.expect(seen, at_least=500, at_most=6_000, refutes="no drive works at this voltage")
+
+
+@of_motion(
+    each=commands(Verb.READ_STATE_3),
+    refuted_by="currents that do not balance",
+    risks={Risk.UNBOUNDED, Risk.TORQUE},
+    at_best=Certainty.LIKELY,
+)
+def _balance(probe: Probe, command: Command) -> None:
+    """The three phase currents add up to nothing, and are not all alike."""
+    motion.ready_to_move(probe)
+    motion.begin(probe, probe.command(Verb.RUN_TORQUE))
+    probe.wait(300 * MS)
+    exchange = probe.ask(command)
+    values = probe.reply(exchange).values
+    motion.stand_still(probe)
+    currents = [values[f"phase_{p}_current"] for p in "abc"]
+    largest = max(abs(c) for c in currents)
+    if largest < FORCE / 4:
+        raise Inconclusive("no current flows")
+    probe.expect(
+        " + ".join(map(str, currents)),
+        holds=abs(sum(currents)) <= max(4, largest / 4),
+        expected="a sum of 0",
+        refutes="the phase currents do not add up to nothing",
+        exchange=exchange,
+    )

@@ -1,0 +1,132 @@
+"""How fast the shaft turns at most: by the work mode, and by the max_speed of a move.
+
+Rules kept here:
+- An MKS work mode has a highest speed (400, 1500, 3000 rpm); a greater one, in whatever width, runs at it and is no error.
+- The max_speed of an LK move holds for that move alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind
+from conformance.claims.declare import Case, motions
+from conformance.claims.known_quirks import may_meet
+from conformance.claims.motion_claim import command_of, expect_speed, expect_stays, of_motion
+from conformance.claims.moves import keeps_position, takes_angle
+from conformance.motion import motion
+from conformance.motion.motion import MOVES, MS, SECOND_NS, SUBDIVISION
+from conformance.talk.probe import Probe
+
+#: The highest speed of any MKS drive, and that of a drive whose manual has no table of modes.
+_HIGHEST = 3000
+
+
+def _limited_runs(dialect: Dialect) -> Iterator[Case]:
+    """Yield the runs and moves whose speed is in rpm, of which the manual says the highest."""
+    for command in dialect.motions(MotionKind.RUN, *MOVES):
+        speed = motion.of(command).speed
+        if speed and motion.field_of(command, speed).unit == "rpm":
+            widest = motion.field_of(command, speed).wire_maximum
+            yield Case(dialect, command, {"speed": _HIGHEST, "beyond": (_HIGHEST + 1, widest)})
+
+
+def _expect_highest(probe: Probe, command: Command, speed: int) -> None:
+    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
+    exchange = motion.ask(probe, command, 20 * 360, acceleration=255, quiet_ns=0, more={motion.of(command).speed: speed})
+    text = f"{command.name} at speed {speed} is refused"
+    taken = not motion.refused(probe, exchange)
+    probe.expect("a refusal", holds=taken, expected="no refusal", refutes=text, exchange=exchange)
+    # At 50 us for one rpm the shaft has 3000 rpm after 150 ms, and a move of 20 turns keeps it for 250 ms.
+    probe.wait(exchange.sent_ns + 230 * MS - probe.gate.now_ns())
+    seen = motion.speed(probe)
+    motion.stand_still(probe)
+    expect_speed(seen, _HIGHEST, exchange, f"{command.name} at speed {speed} turns at another speed")
+
+
+@of_motion(each=_limited_runs, refuted_by="a refusal, or another speed", parameters={"speed": _HIGHEST})
+def _highest(probe: Probe, command: Command, speed: int) -> None:
+    """{command} at speed {speed} turns the shaft at {speed} rpm."""
+    _expect_highest(probe, command, speed)
+
+
+@of_motion(
+    each=_limited_runs,
+    refuted_by="a refusal, or another speed",
+    at_best=Certainty.LIKELY,
+    parameters=lambda case: {"speeds": case["beyond"]},
+)
+def _beyond_highest(probe: Probe, command: Command, beyond: tuple[int, ...]) -> None:
+    """{command} at a greater speed than {speed} turns the shaft at {speed} rpm and is no error."""
+    for speed in beyond:
+        _expect_highest(probe, command, speed)
+
+
+def _modes(dialect: Dialect) -> Iterator[Case]:
+    for run in dialect.motions(MotionKind.RUN):
+        for mode in run.modes:
+            yield Case(dialect, run, {"mode": mode, "rpm": dialect.mode_speeds.get(mode, _HIGHEST)})
+
+
+@of_motion(each=_modes, name="{command}/highest-{mode}", refuted_by="another speed", at_best=Certainty.LIKELY)
+def _highest_of_mode(probe: Probe, command: Command, mode: str, rpm: int) -> None:
+    """In mode {mode} the shaft turns at up to {rpm} rpm, and at {rpm} rpm when more is asked for."""
+    motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
+    for speed in (rpm, _HIGHEST):
+        exchange = motion.ask(probe, command, rpm=speed, acceleration=255)
+        text = f"speed {speed} is refused in mode {mode}"
+        taken = not motion.refused(probe, exchange)
+        probe.expect("a refusal", holds=taken, expected="no refusal", refutes=text, exchange=exchange)
+        probe.wait(300 * MS)
+        seen = motion.speed(probe)
+        motion.stand_still(probe)
+        expect_speed(seen, rpm, exchange, f"speed {speed} in mode {mode} turns at another speed")
+
+
+# --- the max_speed of a move ------------------------------------------------------------------------------------------
+
+_with_max_speed = motions(*MOVES, where=lambda c: takes_angle(c) and bool(motion.of(c).speed))
+
+
+def _without_max_speed(dialect: Dialect) -> Iterator[Case]:
+    """Yield the moves without a max_speed, each with the one of its kind that has one."""
+    limited = {motion.of(command_of(case)).kind: command_of(case) for case in _with_max_speed(dialect)}
+    for command in dialect.motions(*limited):
+        if not motion.of(command).speed:
+            yield Case(dialect, command, {"limited": limited[motion.of(command).kind]})
+
+
+@of_motion(
+    each=_without_max_speed, refuted_by="the speed of the move before", at_best=Certainty.LIKELY, settings=keeps_position
+)
+def _own_speed(probe: Probe, command: Command, limited: Command) -> None:
+    """{command} does not keep to the max_speed of a move before it."""
+    motion.prepare(probe, command)
+    motion.follow(probe, limited, 30, rpm=5)
+    exchange = motion.begin(probe, command, 300)
+    probe.wait(200 * MS)
+    rpm, spread = motion.mean_speed(probe, 100 * MS)
+    motion.wait_standing(probe)
+    text = f"{command.name} keeps to the max_speed of the move before it"
+    probe.expect(abs(rpm) + spread, at_least=10, expected="more than 5 rpm", unit="rpm", refutes=text, exchange=exchange)
+
+
+@of_motion(
+    each=_with_max_speed,
+    refuted_by="motion",
+    rests_on=(Doubt.MEANING,),
+    quirks=may_meet("lk-zero-speed-moves"),
+    settings=keeps_position,
+)
+def _max_speed_0(probe: Probe, command: Command) -> None:
+    """{command} with max_speed 0 turns nothing: 0 is a limit like any other."""
+    motion.prepare(probe, command)
+    here = motion.position(probe)
+    exchange = motion.begin(probe, command, 90, rpm=0)
+    probe.wait(2 * SECOND_NS)
+    end = motion.stand_still(probe)
+    near = motion.near(probe.dialect)
+    if "lk-zero-speed-moves" in probe.claim.quirks and abs(abs(end.value - here.value) - 90) <= near:
+        probe.meets("lk-zero-speed-moves")
+    else:
+        expect_stays(here, end, exchange, f"{command.name} with max_speed 0 turns the shaft", near)

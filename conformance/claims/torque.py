@@ -1,0 +1,184 @@
+"""What drives and holds the shaft of an LK motor: torque, open loop, the brake, and commands that only some models have.
+
+Rules kept here:
+- Torques are small (60 LSB; an MF's half ampere) and last for half a second.
+- A brake may not be there on a real motor: what it holds is a claim about emulated drives.
+- A model that the manual does not give a command does not obey it; whether it answers is open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+from analyzer import dialects, encoder
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
+from conformance.claim import NotRun, Theme
+from conformance.claims.declare import Case, claim, commands, motions
+from conformance.claims.motion_claim import expect_stays, of_motion, risks_by
+from conformance.motion import motion
+from conformance.motion.motion import FORCE, MS, SECOND_NS
+from conformance.talk.probe import Probe
+
+_POWER_OFF, _RELEASE, _READ_BRAKE = 0x00, 0x01, 0x10
+_of_brake = partial(of_motion, each=commands(Verb.BRAKE))
+_of_force = partial(of_motion, each=motions(MotionKind.TORQUE))
+
+
+# --- torque and open loop ---------------------------------------------------------------------------------------------
+
+
+def _field(probe: Probe, command: Command) -> str:
+    """Return the field that says how strongly the shaft is driven."""
+    return next(iter(motion.values_of(probe.dialect, command)))
+
+
+def _force(probe: Probe, command: Command, value: int) -> float:
+    """Drive the shaft for half a second from rest; return how far it went (degrees)."""
+    before = motion.position(probe)
+    probe.do(command, {_field(probe, command): value})
+    probe.wait(500 * MS)
+    went = motion.position(probe).value - before.value
+    motion.stand_still(probe)
+    return went
+
+
+@_of_force(refuted_by="one way for both, or no motion")
+def _two_ways(probe: Probe, command: Command) -> None:
+    """{command}: a positive value drives the shaft one way, a negative one the other."""
+    motion.ready_to_move(probe)
+    up, down = (_force(probe, command, value) for value in (FORCE, -FORCE))
+    probe.expect(
+        f"{up:+.1f} and {down:+.1f} degrees",
+        holds=up * down < 0 and min(abs(up), abs(down)) >= 1,
+        expected="two ways",
+        refutes=f"{command.name} does not drive the shaft both ways",
+    )
+
+
+@_of_force(refuted_by="the other way", at_best=Certainty.LIKELY)
+def _sign(probe: Probe, command: Command) -> None:
+    """{command}: a positive value raises the position."""
+    motion.ready_to_move(probe)
+    went = _force(probe, command, FORCE)
+    text = f"a positive value of {command.name} does not raise the position"
+    probe.expect(f"{went:+.1f} degrees", holds=went > 0, expected="a greater position", refutes=text)
+
+
+@_of_force(refuted_by="a shaft that goes on", at_best=Certainty.LIKELY)
+def _zero(probe: Probe, command: Command) -> None:
+    """{command} with 0 drives nothing."""
+    motion.ready_to_move(probe)
+    _force(probe, command, FORCE)
+    exchange = probe.do(command, {_field(probe, command): 0})
+    before = motion.position(probe)
+    probe.wait(SECOND_NS)
+    expect_stays(before, motion.position(probe), exchange, f"{command.name} with 0 drives the shaft")
+
+
+@_of_force(refuted_by="another value", at_best=Certainty.LIKELY)
+def _is_read(probe: Probe, command: Command) -> None:
+    """What {command} asks for is what the state then reads, with its sign."""
+    motion.ready_to_move(probe)
+    name = _field(probe, command)
+    for value in (FORCE, -FORCE):
+        exchange = probe.do(command, {name: value})
+        probe.wait(300 * MS)
+        seen = probe.read(Verb.READ_STATE_2, name)
+        motion.stand_still(probe)
+        text = f"the state does not read the {name} that was asked for"
+        probe.expect(seen, near=value, within=FORCE / 4, refutes=text, exchange=exchange)
+
+
+def _of_other_models(dialect: Dialect) -> Iterator[Case]:
+    """Yield the commands that some models do not have, which stand in the dialect of all models alone."""
+    whole = dialects.get(dialect.name)
+    for command in whole.motions(MotionKind.TORQUE):
+        others = tuple(model for model in whole.models if model not in command.models)
+        facts = {"models": others, "section": command.section, "parameters": {}}
+        yield Case(dialect, None, {"foreign": command.name, "others": " and ".join(others)}, facts)
+
+
+@claim(
+    Theme.MOTION,
+    each=_of_other_models,
+    name="{foreign}/other-models",
+    refuted_by="motion",
+    risks=lambda case: motion.risks(case.dialect, Risk.UNBOUNDED, Risk.TORQUE, Risk.UNKNOWN),
+)
+def _other_models(probe: Probe, foreign: str) -> None:
+    """{others} do not have {foreign}, and do not obey it."""
+    model = probe.dialect.model
+    if not model:
+        raise NotRun("which model it is was not said")
+    motion.ready_to_move(probe)
+    whole = dialects.get(probe.dialect.name)
+    frame = encoder.build(whole, foreign, probe.address, motion.values_of(whole, whole.by_name[foreign]))
+    before = motion.position(probe)
+    exchange = probe.send(frame, timeout_ns=500 * MS)
+    after = motion.position(probe)
+    motion.stand_still(probe)
+    expect_stays(before, after, exchange, f"an {model} obeys {foreign}, which is not a command of its")
+
+
+# --- the brake --------------------------------------------------------------------------------------------------------
+
+
+def _brake(probe: Probe, control: int) -> int:
+    """Switch or read the brake; return the state that is answered."""
+    exchange = probe.ask(Verb.BRAKE, {"brake_control": control})
+    return int(probe.reply(exchange).values["brake_state"])
+
+
+def _way(probe: Probe) -> float:
+    """Return how far a short run turns the shaft, in degrees."""
+    before = motion.position(probe)
+    motion.run_at(probe, 15)
+    probe.wait(500 * MS)
+    went = motion.position(probe).value - before.value
+    motion.stop(probe)
+    return abs(went)
+
+
+@_of_brake(
+    refuted_by="a shaft that turns against the brake, or does not turn without", emulated=True, risks=risks_by(Verb.RUN_SPEED)
+)
+def _holds(probe: Probe) -> None:
+    """The brake without power (00h) holds the shaft; with power (01h) it lets it turn."""
+    motion.ready_to_move(probe)
+    _brake(probe, _POWER_OFF)
+    probe.expect(_way(probe), at_most=1, unit="degrees", refutes="the shaft turns against the brake")
+    _brake(probe, _RELEASE)
+    probe.wait(500 * MS)
+    free = _way(probe)
+    motion.wait_standing(probe)
+    probe.expect(free, at_least=10, unit="degrees", refutes="the shaft does not turn with the brake released")
+
+
+@_of_brake(name="{command}/is-read", refuted_by="another state")
+def _brake_is_read(probe: Probe) -> None:
+    """Reading the brake (10h) tells the state that was set last."""
+    motion.ready_to_move(probe)
+    for control in (_POWER_OFF, _RELEASE, _POWER_OFF, _RELEASE):
+        _brake(probe, control)
+        probe.expect(_brake(probe, _READ_BRAKE), equal=control, refutes="the brake reads another state than was set")
+
+
+@_of_brake(refuted_by="a brake that was switched by it", emulated=True, risks=risks_by(Verb.RUN_SPEED))
+def _read_only(probe: Probe) -> None:
+    """Reading the brake leaves it as it is."""
+    motion.ready_to_move(probe)
+    _brake(probe, _POWER_OFF)
+    _brake(probe, _READ_BRAKE)
+    held = _way(probe)
+    _brake(probe, _RELEASE)
+    probe.expect(held, at_most=1, unit="degrees", refutes="reading the brake releases it")
+
+
+@_of_brake(refuted_by="the state before", rests_on=(Doubt.REPLY_VALUES,))
+def _answers_new(probe: Probe) -> None:
+    """Switching the brake is answered with the state after it."""
+    motion.ready_to_move(probe)
+    for control in (_POWER_OFF, _RELEASE):
+        text = "switching the brake is answered with the state before"
+        probe.expect(_brake(probe, control), equal=control, refutes=text)
