@@ -84,6 +84,11 @@ def motions(*kinds: MotionKind, where: Callable[[Command], bool] = lambda comman
     return lambda dialect: (Case(dialect, command) for command in dialect.motions(*kinds) if where(command))
 
 
+def with_values(each: Cases, **given: object) -> Cases:
+    """Return cases with more arguments of the check."""
+    return lambda dialect: (Case(c.dialect, c.command, {**c.given, **given}, c.facts) for c in each(dialect))
+
+
 @dataclass(frozen=True)
 class _Declaration:
     theme: Theme

@@ -95,7 +95,7 @@ def _and_moves(probe: Probe, command: Command) -> None:
     motion.ready_to_move(probe)
     exchange = probe.do(command, {"position": 100_000})
     before = angle(probe)
-    motion.follow(probe, probe.command("move_multi_turn_limited"), 45, start=100_000)
+    motion.follow(probe, probe.command("move_multi_turn_limited"), 45, rpm=45, start=100_000)
     _expect_angle(probe, before, 45, "a move does not go by the position that 95 set", exchange)
 
 

@@ -16,11 +16,11 @@ from collections.abc import Iterable, Iterator
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
 from conformance.claim import Aspect, Inconclusive, Theme
 from conformance.claims import world
-from conformance.claims.declare import Case, claim, commands, motions
+from conformance.claims.declare import Case, claim, commands, motions, with_values
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
-from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, SUBDIVISION
+from conformance.motion.motion import MS, QUICK, SECOND_NS, SUBDIVISION
 from conformance.talk.probe import Probe
 
 _RPM = 120
@@ -174,24 +174,26 @@ def _within_turn(probe: Probe, command: Command) -> None:
 
 
 @of_motion(
-    each=commands(Verb.READ_SPEED),
+    each=with_values(commands(Verb.READ_SPEED), speeds=(_RPM, -_RPM, 300)),
     statement="The speed that is read is that at which the position changes, rising positions being positive.",
     refuted_by="another speed, or another sign",
     at_best=Certainty.LIKELY,
     risks=risks_by(Verb.RUN_SPEED),
     quirks=may_meet("slow-replies-in-motion"),
+    parameters={},
 )
 @of_motion(
-    each=commands(Verb.READ_STATE_2),
+    each=with_values(commands(Verb.READ_STATE_2), speeds=(30, -30, 60)),
     name="{command}/speed-is-change",
     statement="The speed that is read is that at which the position changes.",
     refuted_by="another speed, or another sign",
     at_best=Certainty.LIKELY,
     risks=risks_by(Verb.RUN_SPEED),
+    parameters={},
 )
-def _is_change(probe: Probe) -> None:
+def _is_change(probe: Probe, speeds: tuple[int, ...]) -> None:
     motion.ready_to_move(probe, subdivision=SUBDIVISION)
-    for rpm in (CALM, -CALM, 90):
+    for rpm in speeds:
         motion.run_at(probe, rpm, QUICK)
         probe.wait(500 * MS)
         change, spread = motion.mean_speed(probe, 500 * MS)

@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind
 from conformance.claim import Inconclusive
-from conformance.claims.declare import Case, Cases, motions
+from conformance.claims.declare import Case, motions, with_values
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import command_of, expect_speed, expect_stays, has_sign, of_motion, that_tell_their_end
 from conformance.motion import motion
@@ -63,11 +63,6 @@ def keeps_position(case: Case) -> tuple[str, ...]:
     """Return the settings that hold where the turns are counted from, for moves that go by them."""
     command = command_of(case)
     return ("position",) if _takes_place(command) and takes_angle(command) else ()
-
-
-def with_values(each: Cases, **given: object) -> Cases:
-    """Return cases with more arguments of the check."""
-    return lambda dialect: (Case(c.dialect, c.command, {**c.given, **given}, c.facts) for c in each(dialect))
 
 
 # --- where a move ends ------------------------------------------------------------------------------------------------
