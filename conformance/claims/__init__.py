@@ -2,7 +2,7 @@
 
 The checks of each module are declared as claims (`declare`); a module that makes its claims another way offers
 `claims(dialect) -> Iterator[Claim]`. Other packages add theirs by entry points of the group
-`servotap.claims`, each naming such a function.
+`servotap.claims`, each naming a module with declared checks or such a function.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from importlib import import_module
 from importlib.metadata import entry_points
+from types import ModuleType
 
 from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
@@ -70,7 +71,11 @@ def _made(dialect: Dialect) -> tuple[Claim, ...]:
 
 
 def _sources() -> list[Source]:
-    return [_source(f"{__name__}.{name}") for name in MODULES] + [point.load() for point in entry_points(group=GROUP)]
+    return [_source(f"{__name__}.{name}") for name in MODULES] + [_added(p.load()) for p in entry_points(group=GROUP)]
+
+
+def _added(loaded: ModuleType | Source) -> Source:
+    return partial(declared_in, loaded.__name__) if isinstance(loaded, ModuleType) else loaded
 
 
 def _source(name: str) -> Source:
