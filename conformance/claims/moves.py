@@ -57,6 +57,15 @@ _counted = motions(*MOVES, where=takes_counts)
 _angled = motions(*MOVES, where=takes_angle)
 _counted_places = motions(MotionKind.MOVE_TO, where=takes_counts)
 _in_turn = motions(MotionKind.MOVE_IN_TURN)
+with_max_speed = motions(*MOVES, where=lambda c: takes_angle(c) and bool(motion.of(c).speed))
+
+
+def without_max_speed(dialect: Dialect) -> Iterator[Case]:
+    """Yield the moves without a max_speed, each with the one of its kind that has one."""
+    limited = {motion.of(command_of(case)).kind: command_of(case) for case in with_max_speed(dialect)}
+    for command in dialect.motions(*limited):
+        if not motion.of(command).speed:
+            yield Case(dialect, command, {"limited": limited[motion.of(command).kind]})
 
 
 def keeps_position(case: Case) -> tuple[str, ...]:
@@ -278,10 +287,7 @@ def _both_ways(probe: Probe, command: Command) -> tuple[float, float, Exchange]:
     parameters={},
 )
 @of_motion(
-    each=with_values(
-        motions(*MOVES, where=lambda c: takes_angle(c) and bool(motion.of(c).speed)),
-        tries=((15, 300, 500 * MS), (45, 300, 500 * MS)),
-    ),
+    each=with_values(with_max_speed, tries=((15, 300, 500 * MS), (45, 300, 500 * MS))),
     name="{command}/max-speed",
     statement="{command} keeps to max_speed, and comes to it where the way is long enough.",
     refuted_by="a speed above it, or far below",
@@ -359,7 +365,7 @@ def _told_when_there(probe: Probe, command: Command) -> None:
 
 
 @of_motion(
-    each=motions(MotionKind.MOVE_TO, where=lambda c: takes_angle(c) and bool(motion.of(c).speed)),
+    each=lambda dialect: (case for case in with_max_speed(dialect) if _takes_place(command_of(case))),
     refuted_by="a sum that is off",
     quirks=may_meet("lk-off-sum"),
     statement=f"Each of {_MANY} replies has the sums that fit it.",

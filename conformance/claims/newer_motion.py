@@ -23,7 +23,7 @@ from conformance.claims.motion_claim import (
     risks_by,
     that_tell_their_end,
 )
-from conformance.claims.moves import takes_counts
+from conformance.claims.moves import takes_counts, without_max_speed
 from conformance.motion import motion
 from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS
 from conformance.talk.probe import Probe
@@ -115,9 +115,10 @@ def _without_stop(probe: Probe, command: Command) -> None:
 
 
 def _newer_moves(dialect: Dialect) -> Iterator[Case]:
-    """Yield the moves to a place that take over from an older one which has a speed."""
-    for case in motions(MotionKind.MOVE_TO, where=lambda c: not motion.of(c).speed)(dialect):
-        yield Case(dialect, case.command, {"older": dialect.by_name[f"{command_of(case).name}_limited"]})
+    """Yield the moves to a place without a speed, each with the older one from which it takes over, which has one."""
+    for case in without_max_speed(dialect):
+        if motion.of(command_of(case)).kind is MotionKind.MOVE_TO:
+            yield Case(dialect, case.command, {"older": case["limited"]})
 
 
 @of_motion(

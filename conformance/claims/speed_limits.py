@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind
-from conformance.claims.declare import Case, motions
+from conformance.claims.declare import Case
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion_claim import command_of, expect_speed, expect_stays, of_motion
-from conformance.claims.moves import keeps_position, takes_angle
+from conformance.claims.motion_claim import expect_speed, expect_stays, of_motion
+from conformance.claims.moves import keeps_position, with_max_speed, without_max_speed
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, SECOND_NS, SUBDIVISION
 from conformance.talk.probe import Probe
@@ -85,20 +85,8 @@ def _highest_of_mode(probe: Probe, command: Command, mode: str, rpm: int) -> Non
 
 # --- the max_speed of a move ------------------------------------------------------------------------------------------
 
-_with_max_speed = motions(*MOVES, where=lambda c: takes_angle(c) and bool(motion.of(c).speed))
 
-
-def _without_max_speed(dialect: Dialect) -> Iterator[Case]:
-    """Yield the moves without a max_speed, each with the one of its kind that has one."""
-    limited = {motion.of(command_of(case)).kind: command_of(case) for case in _with_max_speed(dialect)}
-    for command in dialect.motions(*limited):
-        if not motion.of(command).speed:
-            yield Case(dialect, command, {"limited": limited[motion.of(command).kind]})
-
-
-@of_motion(
-    each=_without_max_speed, refuted_by="the speed of the move before", at_best=Certainty.LIKELY, settings=keeps_position
-)
+@of_motion(each=without_max_speed, refuted_by="the speed of the move before", at_best=Certainty.LIKELY, settings=keeps_position)
 def _own_speed(probe: Probe, command: Command, limited: Command) -> None:
     """{command} does not keep to the max_speed of a move before it."""
     motion.prepare(probe, command)
@@ -112,7 +100,7 @@ def _own_speed(probe: Probe, command: Command, limited: Command) -> None:
 
 
 @of_motion(
-    each=_with_max_speed,
+    each=with_max_speed,
     refuted_by="motion",
     rests_on=(Doubt.MEANING,),
     quirks=may_meet("lk-zero-speed-moves"),

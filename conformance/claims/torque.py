@@ -90,11 +90,18 @@ def _is_read(probe: Probe, command: Command) -> None:
         probe.expect(seen, near=value, within=FORCE / 4, refutes=text, exchange=exchange)
 
 
+def _whole(dialect: Dialect) -> Dialect:
+    """Return a dialect with the commands of all its models."""
+    return dialects.get(dialect.name) if dialect.model else dialect
+
+
 def _of_other_models(dialect: Dialect) -> Iterator[Case]:
-    """Yield the commands that some models do not have, which stand in the dialect of all models alone."""
-    whole = dialects.get(dialect.name)
+    """Yield the commands that some models do not have,."""
+    whole = _whole(dialect)
     for command in whole.motions(MotionKind.TORQUE):
-        others = tuple(model for model in whole.models if model not in command.models)
+        others = tuple(model for model in whole.models if command.models and model not in command.models)
+        if not others:
+            continue
         facts = {"models": others, "section": command.section, "parameters": {}}
         yield Case(dialect, None, {"foreign": command.name, "others": " and ".join(others)}, facts)
 
@@ -112,7 +119,7 @@ def _other_models(probe: Probe, foreign: str) -> None:
     if not model:
         raise NotRun("which model it is was not said")
     motion.ready_to_move(probe)
-    whole = dialects.get(probe.dialect.name)
+    whole = _whole(probe.dialect)
     frame = encoder.build(whole, foreign, probe.address, motion.values_of(whole, whole.by_name[foreign]))
     before = motion.position(probe)
     exchange = probe.send(frame, timeout_ns=500 * MS)
