@@ -13,7 +13,7 @@ from typing import Any
 from analyzer.errors import UsageError
 from analyzer.live.can_listen_only import options_for
 from analyzer.live.endpoint import Endpoint
-from analyzer.live.reader_port import IDLE_NS, Lost, Opened, Stop, Ticks, Unopened
+from analyzer.live.reader_port import BadCount, LibraryPort, Lost, Opened, Stop, Unopened, listen
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import CanFlag
 
@@ -31,10 +31,11 @@ _FLAGS = (
 )
 
 
-class CanLibraryPort:
+class CanLibraryPort(LibraryPort):
     """A python-can bus of which nothing is kept but the ways to receive and to close."""
 
     unit = "frames"
+    library = "python-can"
 
     def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint
@@ -61,43 +62,28 @@ class CanLibraryPort:
         self._receive, self._shut, self._number = bus.recv, bus.shutdown, bus.fileno
         return Opened("stamped as python-can hands a frame over; what adapter and driver hold back comes on top", tuple(notes))
 
-    def adopt(self, fd: int) -> Opened:
-        """Refuse: a bus of python-can is more than a descriptor."""
-        raise Unopened("python-can's buses cannot be handed over")
-
-    def descriptor(self) -> int | None:
-        """Return None."""
-        return None
-
     def listen(self, store: Store, stop: Stop) -> None:
         """Store what comes. Raises Lost when receiving fails again and again."""
-        ticks = Ticks()
-        quiet_since_ns = told_ns = time.monotonic_ns()
-        failures = bad = 0
-        reason = ""
-        while not stop.asked:
-            seen_ns = time.monotonic_ns()
+        bad = BadCount("")
+        failures = 0
+
+        def take(ready: bool) -> int:
+            nonlocal failures
             try:
                 last_ns = self._take(store, _WAIT_S)
-                failures = 0
-                if last_ns:
-                    quiet_since_ns = last_ns
-                elif seen_ns - quiet_since_ns >= IDLE_NS:
-                    store.quiet(seen_ns)
             # Garbage on an adapter's port raises from deep inside its driver.
             except Exception as error:
                 failures += 1
-                bad += 1
-                reason = str(error) or type(error).__name__
+                bad.count += 1
+                bad.reason = str(error) or type(error).__name__
                 if failures >= FAILURES:
-                    raise Lost(reason) from None
+                    raise Lost(bad.reason) from None
                 stop.wait(0.01)
-            store.flush()
-            if ticks.due(seen_ns):
-                store.tick()
-                if bad:
-                    store.event("bus_error", reason=reason, from_ns=told_ns, count=bad)
-                bad, told_ns = 0, seen_ns
+                return 0
+            failures = 0
+            return last_ns
+
+        listen(store, stop, take, tick=lambda now_ns: bad.tell(store, now_ns))
         # What had come before the end; a bus that fails now has no more.
         with contextlib.suppress(Exception):
             self._take(store, 0.0)

@@ -10,11 +10,10 @@ here. The frames of one read bear its time.
 from __future__ import annotations
 
 import os
-import select
 import time
 
 from analyzer.live.reader_can_library import CanLibraryPort
-from analyzer.live.reader_port import IDLE_NS, Lost, Stop, Ticks
+from analyzer.live.reader_port import BadCount, Lost, Stop, listen, readable
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import CanFlag
 
@@ -72,30 +71,19 @@ class SlcanPort(CanLibraryPort):
     def listen(self, store: Store, stop: Stop) -> None:
         """Store what comes. Raises Lost when the adapter is gone."""
         fd = int(self._number())
-        waiting = select.poll()
-        waiting.register(fd, select.POLLIN)
-        waiting.register(stop.fileno(), select.POLLIN)
-        ticks = Ticks()
-        quiet_since_ns = told_ns = time.monotonic_ns()
+        wait = readable(fd, stop)
+        bad = BadCount("lines of the adapter that are no frames")
         self._rest = b""
-        self._settings_until_ns = quiet_since_ns + _SETTINGS_NS
-        bad = 0
-        while not stop.asked:
-            left_ns = 1_000_000_000 if store.idle else quiet_since_ns + IDLE_NS - time.monotonic_ns()
-            ready = waiting.poll(max(0, -(-left_ns // 1_000_000)))
-            seen_ns = time.monotonic_ns()
-            if any(number == fd for number, _ in ready):
-                bad += self._take_lines(fd, store)
-                quiet_since_ns = time.monotonic_ns()
-            elif not store.idle and seen_ns - quiet_since_ns >= IDLE_NS:
-                store.quiet(seen_ns)
-            store.flush()
-            if ticks.due(seen_ns):
-                store.tick()
-                if bad:
-                    store.event("bus_error", reason="lines of the adapter that are no frames", from_ns=told_ns, count=bad)
-                bad, told_ns = 0, seen_ns
-        if waiting.poll(0):
+        self._settings_until_ns = time.monotonic_ns() + _SETTINGS_NS
+
+        def take(ready: bool) -> int:
+            if not ready:
+                return 0
+            bad.count += self._take_lines(fd, store)
+            return time.monotonic_ns()
+
+        listen(store, stop, take, wait=wait, tick=lambda now_ns: bad.tell(store, now_ns))
+        if wait(0):
             self._take_lines(fd, store)
         store.flush()
 

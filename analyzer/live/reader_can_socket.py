@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import ipaddress
 import os
-import select
 import socket
 import struct
 import time
@@ -23,7 +22,7 @@ import msgspec
 
 from analyzer.live.can_listen_only import kernel_notes
 from analyzer.live.endpoint import Endpoint
-from analyzer.live.reader_port import IDLE_NS, Lost, Opened, Stop, Ticks, Unopened
+from analyzer.live.reader_port import BadCount, Lost, Opened, Stop, Unopened, listen, readable
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import CanFlag
 
@@ -225,29 +224,18 @@ class CanSocketPort:
     def listen(self, store: Store, stop: Stop) -> None:
         """Store what comes. Raises Lost when the interface is gone or down."""
         assert self._socket is not None
-        waiting = select.poll()
-        waiting.register(self._socket, select.POLLIN)
-        waiting.register(stop.fileno(), select.POLLIN)
-        ticks = Ticks()
-        told_ns = quiet_since_ns = time.monotonic_ns()
-        bad = 0
-        while not stop.asked:
-            left_ns = 1_000_000_000 if store.idle else quiet_since_ns + IDLE_NS - time.monotonic_ns()
-            ready = waiting.poll(max(0, -(-left_ns // 1_000_000)))
-            seen_ns = time.monotonic_ns()
-            taken, wrong = self._take(store) if ready or not store.idle else (0, 0)
-            bad += wrong
-            if taken:
-                quiet_since_ns = store.last_ns
-            elif not store.idle and seen_ns - quiet_since_ns >= IDLE_NS:
-                store.quiet(seen_ns)
-            store.flush()
-            if ticks.due(seen_ns):
-                store.tick()
-                self._look_at_overflows(store)
-                if bad:
-                    store.event("bus_error", reason="datagrams that are no frames", from_ns=told_ns, count=bad)
-                bad, told_ns = 0, seen_ns
+        bad = BadCount("datagrams that are no frames")
+
+        def take(ready: bool) -> int:
+            taken, wrong = self._take(store)
+            bad.count += wrong
+            return store.last_ns if taken else 0
+
+        def tick(now_ns: int) -> None:
+            self._look_at_overflows(store)
+            bad.tell(store, now_ns)
+
+        listen(store, stop, take, wait=readable(self._socket.fileno(), stop), tick=tick)
         self._take(store)
         store.flush()
         self._look_at_overflows(store)

@@ -1,7 +1,7 @@
-"""What every kind of port has in common for its reader process: how it is opened, how it ends, and the wish to end.
+"""A port as its reader process uses it: opening, the loop that listens, the end, and the request to end.
 
-A port is opened, listened to until it is lost or the reader is to end, closed, and opened again. It has no way to send:
-see `tests/test_layers.py` for what holds that.
+A port is opened, listened to until it is lost or the reader is to end, closed, and opened again. It has no way to send;
+`tests/test_passive.py` holds that.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import signal
 import socket
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import FrameType
 from typing import Protocol
@@ -20,7 +21,7 @@ from analyzer.live.reader_store import Store
 
 #: Without traffic for this long an IDLE is stored. Longer than the framer's silence by far more than a byte takes.
 IDLE_NS = 50_000_000
-#: How often counters are looked at and held records tried again.
+#: Time between two looks at counters, and between two attempts to store held records.
 TICK_NS = 1_000_000_000
 #: Standard input of a reader: the supervisor holds the other end. Its end is the wish to end.
 LEASH = 0
@@ -124,15 +125,110 @@ class Port(Protocol):
         """Close it; it may be done twice."""
 
 
-class Ticks:
-    """Says when the next second has come."""
+class DescriptorPort:
+    """A port that is one descriptor: the reader's successor can adopt it."""
 
-    def __init__(self) -> None:
-        self._last_ns = time.monotonic_ns()
+    _fd = -1
 
-    def due(self, now_ns: int) -> bool:
-        """Say whether a second has passed since this was last true."""
-        if now_ns - self._last_ns < TICK_NS:
-            return False
-        self._last_ns = now_ns
-        return True
+    def descriptor(self) -> int | None:
+        """Return the descriptor."""
+        return self._fd if self._fd >= 0 else None
+
+    def close(self) -> None:
+        """Close the descriptor."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+
+class LibraryPort:
+    """A port that a library has opened: more than a descriptor, so no successor can adopt it."""
+
+    library: str
+
+    def adopt(self, fd: int) -> Opened:
+        """Refuse."""
+        raise Unopened(f"{self.library}'s ports cannot be handed over")
+
+    def descriptor(self) -> int | None:
+        """Return None."""
+        return None
+
+
+def find_adapter(number: str) -> str:
+    """Return the port of the USB adapter with a serial number.
+
+    Raises Unopened with the numbers that are there.
+    """
+    from serial.tools.list_ports import comports
+
+    ports = [p for p in comports() if p.serial_number]
+    for port in ports:
+        if port.serial_number == number:
+            return str(port.device)
+    there = ", ".join(f"{p.serial_number} at {p.device}" for p in ports) or "none with a serial number"
+    raise Unopened(f"no adapter with serial number {number} (there is {there})")
+
+
+# --- listening ----------------------------------------------------------------------------------------------------------
+
+
+def readable(fd: int, stop: Stop) -> Callable[[int], bool]:
+    """Return a wait for `fd`: it ends with something to read, the request to end, or after so many nanoseconds."""
+    waiting = select.poll()
+    waiting.register(fd, select.POLLIN)
+    waiting.register(stop.fileno(), select.POLLIN)
+
+    def wait(longest_ns: int) -> bool:
+        ready = waiting.poll(max(0, -(-longest_ns // 1_000_000)))
+        return any(number == fd for number, _ in ready)
+
+    return wait
+
+
+def listen(
+    store: Store,
+    stop: Stop,
+    take: Callable[[bool], int],
+    *,
+    wait: Callable[[int], bool] | None = None,
+    idle_ns: int = IDLE_NS,
+    tick: Callable[[int], None] | None = None,
+) -> None:
+    """Store what comes until the end is requested, IDLE after each pause, and call `tick` about once a second.
+
+    `take` stores what is there and returns the time of the last of it, 0 for nothing. It is told whether there is something to
+    read: always so without `wait`, where it waits itself.
+    """
+    ticked_ns = quiet_since_ns = time.monotonic_ns()
+    while not stop.asked:
+        left_ns = TICK_NS if store.idle else quiet_since_ns + idle_ns - time.monotonic_ns()
+        ready = wait is None or wait(left_ns)
+        # Before the look: nothing that comes later can bear an earlier time.
+        seen_ns = time.monotonic_ns()
+        last_ns = take(ready) if ready or not store.idle else 0
+        if last_ns:
+            quiet_since_ns = last_ns
+        elif not store.idle and seen_ns - quiet_since_ns >= idle_ns:
+            store.quiet(seen_ns)
+        store.flush()
+        if seen_ns - ticked_ns >= TICK_NS:
+            ticked_ns = seen_ns
+            store.tick()
+            if tick is not None:
+                tick(seen_ns)
+
+
+class BadCount:
+    """Counts what a CAN interface delivered that is no frame. `tell` stores the count as an event."""
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+        self.count = 0
+        self._since_ns = time.monotonic_ns()
+
+    def tell(self, store: Store, now_ns: int) -> None:
+        """Store the count since the last call, if it is not 0."""
+        if self.count:
+            store.event("bus_error", reason=self.reason, from_ns=self._since_ns, count=self.count)
+        self.count, self._since_ns = 0, now_ns

@@ -13,7 +13,7 @@ import time
 from typing import Any
 
 from analyzer.live.endpoint import Endpoint
-from analyzer.live.reader_port import IDLE_NS, Lost, Opened, Stop, Ticks, Unopened
+from analyzer.live.reader_port import IDLE_NS, LibraryPort, Lost, Opened, Stop, Unopened, find_adapter, listen
 from analyzer.live.reader_store import Store
 from analyzer.live.reader_stream import LAST_READS_NS, settle
 
@@ -24,10 +24,11 @@ _PRECISION = "read through pyserial, within some milliseconds; what the adapter 
 _UNCOUNTED = "this system does not tell how many bytes it had no room for: they would go unnoticed"
 
 
-class PlainPort:
+class PlainPort(LibraryPort):
     """A serial port of pyserial."""
 
     unit = "bytes"
+    library = "pyserial"
 
     def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint
@@ -41,7 +42,7 @@ class PlainPort:
 
         endpoint = self._endpoint
         port = serial.Serial()
-        port.port = _find(endpoint.adapter) if endpoint.adapter else endpoint.place
+        port.port = find_adapter(endpoint.adapter) if endpoint.adapter else endpoint.place
         port.baudrate = endpoint.bits_per_second
         port.parity, port.stopbits, port.timeout = endpoint.parity, endpoint.stop_bits, _WAIT_S
         port.dtr = port.rts = False
@@ -57,44 +58,30 @@ class PlainPort:
         self._read, self._close, self._waiting = port.read, port.close, lambda: port.in_waiting
         return Opened(_PRECISION, (_UNCOUNTED,))
 
-    def adopt(self, fd: int) -> Opened:
-        """Refuse: a port of pyserial is more than a descriptor."""
-        raise Unopened("pyserial's ports cannot be handed over")
-
-    def descriptor(self) -> int | None:
-        """Return None."""
-        return None
-
     def listen(self, store: Store, stop: Stop) -> None:
         """Store what comes. Raises Lost when reading fails."""
         byte_ns = self._endpoint.byte_ns
-        quiet_since_ns = time.monotonic_ns()
-        ticks = Ticks()
-        asked_ns: int | None = None
-        while True:
-            # Asked before the last read, so that what had come before the wish is taken.
-            seen_ns = time.monotonic_ns()
-            if stop.asked and asked_ns is None:
-                asked_ns = seen_ns
-            try:
-                data: bytes = self._read(min(max(1, self._waiting()), _READ_SIZE))
-                rest: bytes = self._read(min(self._waiting(), _READ_SIZE)) if data else b""
-            # A port that is unplugged raises whatever comes to the system's mind.
-            except Exception as error:
-                raise Lost(str(error) or type(error).__name__) from None
-            data += rest
-            if data:
-                quiet_since_ns = time.monotonic_ns()
-                for t_ns, part in settle([(quiet_since_ns, data)], byte_ns, store.last_ns, after_idle=store.idle):
-                    store.chunk(t_ns, part)
-                store.flush()
-            elif not store.idle and seen_ns - quiet_since_ns >= IDLE_NS + 2 * byte_ns:
-                store.quiet(seen_ns)
-            if ticks.due(seen_ns):
-                store.tick()
-            # A busy line never falls silent.
-            if asked_ns is not None and (not data or seen_ns - asked_ns > LAST_READS_NS):
-                return
+        listen(store, stop, lambda ready: self._take(store), idle_ns=IDLE_NS + 2 * byte_ns)
+        # What had come before the end; a busy line never falls silent.
+        until_ns = time.monotonic_ns() + LAST_READS_NS
+        while self._take(store) and time.monotonic_ns() < until_ns:
+            pass
+
+    def _take(self, store: Store) -> int:
+        """Store what is there, or comes within `_WAIT_S`; return when it was read, 0 for nothing."""
+        try:
+            data: bytes = self._read(min(max(1, self._waiting()), _READ_SIZE))
+            data += self._read(min(self._waiting(), _READ_SIZE)) if data else b""
+        # Each system raises its own errors where a port is unplugged.
+        except Exception as error:
+            raise Lost(str(error) or type(error).__name__) from None
+        if not data:
+            return 0
+        t_ns = time.monotonic_ns()
+        for at_ns, part in settle([(t_ns, data)], self._endpoint.byte_ns, store.last_ns, after_idle=store.idle):
+            store.chunk(at_ns, part)
+        store.flush()
+        return t_ns
 
     def close(self) -> None:
         """Close the port."""
@@ -103,9 +90,3 @@ class PlainPort:
             # An adapter that is gone cannot be asked to close.
             with contextlib.suppress(OSError):
                 close()
-
-
-def _find(number: str) -> str:
-    from analyzer.live.reader_serial import find_adapter
-
-    return find_adapter(number)

@@ -23,9 +23,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from analyzer.live.endpoint import Endpoint
-from analyzer.live.reader_port import Opened, Stop, Unopened
+from analyzer.live.reader_port import DescriptorPort, Opened, Stop, Unopened, find_adapter
 from analyzer.live.reader_store import Store
-from analyzer.live.reader_stream import listen
+from analyzer.live.reader_stream import listen_to_stream
 
 # The numbers of most machines (x86, ARM, RISC-V); MIPS, PowerPC and SPARC have others and take standard rates alone.
 TCGETS2 = 0x802C542A
@@ -43,14 +43,13 @@ _FIRST_COUNTED = 6
 RATE_TOLERANCE = 0.02
 
 
-class SerialPort:
+class SerialPort(DescriptorPort):
     """A serial port, or a pseudo-terminal."""
 
     unit = "bytes"
 
     def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint
-        self._fd = -1
         self._counters: Mapping[str, int] | None = None
         self._counted_ns = 0
 
@@ -117,26 +116,16 @@ class SerialPort:
             notes.append("the driver counts no overruns: bytes that it loses go unnoticed")
         return Opened(precision(device), tuple(notes))
 
-    def descriptor(self) -> int | None:
-        """Return the port's descriptor."""
-        return self._fd if self._fd >= 0 else None
-
-    def close(self) -> None:
-        """Close the port."""
-        if self._fd >= 0:
-            os.close(self._fd)
-            self._fd = -1
-
     # --- listening ------------------------------------------------------------------------------------------------
 
     def listen(self, store: Store, stop: Stop) -> None:
         """Store what comes. Raises Lost when the port hangs up: unplugged, or the other end of a pseudo-terminal closed."""
-        byte_ns = self._endpoint.byte_ns
 
         def count(now_ns: int) -> None:
             self._count(store, now_ns)
 
-        listen(self._fd, store, stop, byte_ns=byte_ns, ended="the port hung up (unplugged?)", tick=count)
+        byte_ns = self._endpoint.byte_ns
+        listen_to_stream(self._fd, store, stop, byte_ns=byte_ns, ended="the port hung up (unplugged?)", tick=count)
 
     def _begin_counting(self) -> bool:
         self._counted_ns = time.monotonic_ns()
@@ -198,21 +187,6 @@ def counters(fd: int) -> dict[str, int] | None:
     except OSError:
         return None
     return dict(zip(COUNTED, values[_FIRST_COUNTED:], strict=False))
-
-
-def find_adapter(number: str) -> str:
-    """Return the port of the USB adapter with a serial number.
-
-    Raises Unopened with the numbers that are there.
-    """
-    from serial.tools.list_ports import comports
-
-    ports = [p for p in comports() if p.serial_number]
-    for port in ports:
-        if port.serial_number == number:
-            return str(port.device)
-    there = ", ".join(f"{p.serial_number} at {p.device}" for p in ports) or "none with a serial number"
-    raise Unopened(f"no adapter with serial number {number} (there is {there})")
 
 
 def holders(fd: int) -> list[str]:

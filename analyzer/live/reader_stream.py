@@ -14,12 +14,11 @@ chunk's time, so the first chunk after a pause is cut behind its first byte wher
 from __future__ import annotations
 
 import os
-import select
 import time
 from collections.abc import Callable, Sequence
 
 from analyzer.framer import SLOWEST_BYTE_NS
-from analyzer.live.reader_port import IDLE_NS, Lost, Stop, Ticks
+from analyzer.live.reader_port import IDLE_NS, Lost, Stop, listen, readable
 from analyzer.live.reader_store import Store
 
 READ_SIZE = 1 << 16
@@ -71,35 +70,23 @@ def drain(fd: int) -> tuple[list[Piece], str | None]:
     return pieces, None
 
 
-def listen(fd: int, store: Store, stop: Stop, *, byte_ns: int, ended: str, tick: Callable[[int], None] | None = None) -> None:
-    """Store what comes from `fd` until the end is wished.
+def listen_to_stream(
+    fd: int, store: Store, stop: Stop, *, byte_ns: int, ended: str, tick: Callable[[int], None] | None = None
+) -> None:
+    """Store what comes from `fd` until the end is requested.
 
     `ended`: what the end of the stream means, in words. `tick` is called about once a second. Raises Lost.
     """
-    idle_after_ns = IDLE_NS + 2 * byte_ns
-    waiting = select.poll()
-    waiting.register(fd, select.POLLIN)
-    waiting.register(stop.fileno(), select.POLLIN)
-    ticks = Ticks()
-    quiet_since_ns = time.monotonic_ns()
-    while not stop.asked:
-        now_ns = time.monotonic_ns()
-        left_ns = 1_000_000_000 if store.idle else quiet_since_ns + idle_after_ns - now_ns
-        ready = waiting.poll(max(0, -(-left_ns // 1_000_000)))
-        # Before the look: nothing that comes later can bear an earlier time.
-        seen_ns = time.monotonic_ns()
-        pieces, gone = drain(fd) if ready or not store.idle else ([], None)
+
+    def take(ready: bool) -> int:
+        pieces, gone = drain(fd)
         if pieces:
             _store(store, pieces, byte_ns)
-            quiet_since_ns = pieces[-1][0]
-        elif not store.idle and seen_ns - quiet_since_ns >= idle_after_ns:
-            store.quiet(seen_ns)
         if gone is not None:
             raise Lost(gone or ended)
-        if ticks.due(seen_ns):
-            store.tick()
-            if tick is not None:
-                tick(seen_ns)
+        return pieces[-1][0] if pieces else 0
+
+    listen(store, stop, take, wait=readable(fd, stop), idle_ns=IDLE_NS + 2 * byte_ns, tick=tick)
     _last_reads(fd, store, byte_ns, tick)
 
 

@@ -13,9 +13,9 @@ import socket
 import time
 
 from analyzer.live.endpoint import Endpoint
-from analyzer.live.reader_port import Lost, Opened, Stop, Unopened
+from analyzer.live.reader_port import DescriptorPort, Lost, Opened, Stop, Unopened
 from analyzer.live.reader_store import Store
-from analyzer.live.reader_stream import listen
+from analyzer.live.reader_stream import listen_to_stream
 
 CONNECT_S = 5.0
 #: A server that is silently gone is noticed after about this many seconds: idle, between probes, probes.
@@ -23,14 +23,13 @@ KEEPALIVE = (("TCP_KEEPIDLE", 10), ("TCP_KEEPINTVL", 5), ("TCP_KEEPCNT", 3))
 _WAITING = (errno.EINPROGRESS, errno.EAGAIN)
 
 
-class TcpPort:
+class TcpPort(DescriptorPort):
     """A connection to a TCP server."""
 
     unit = "bytes"
 
     def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint
-        self._fd = -1
 
     def open(self, stop: Stop) -> Opened:
         """Connect."""
@@ -60,19 +59,9 @@ class TcpPort:
         self._fd = fd
         return Opened(_PRECISION)
 
-    def descriptor(self) -> int | None:
-        """Return the connection's descriptor."""
-        return self._fd if self._fd >= 0 else None
-
     def listen(self, store: Store, stop: Stop) -> None:
         """Store what comes. Raises Lost when the server closes the connection or is gone."""
-        listen(self._fd, store, stop, byte_ns=self._endpoint.byte_ns, ended="the server closed the connection")
-
-    def close(self) -> None:
-        """Close the connection."""
-        if self._fd >= 0:
-            os.close(self._fd)
-            self._fd = -1
+        listen_to_stream(self._fd, store, stop, byte_ns=self._endpoint.byte_ns, ended="the server closed the connection")
 
 
 _PRECISION = "read as the network delivers it; what the server and the network hold back comes on top"

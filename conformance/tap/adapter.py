@@ -15,8 +15,8 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 from analyzer.live.endpoint import Endpoint
-from analyzer.live.reader_port import Opened, Stop, Unopened
-from analyzer.live.reader_serial import find_adapter, holders, precision, refused, set_raw
+from analyzer.live.reader_port import Opened, Stop, Unopened, find_adapter
+from analyzer.live.reader_serial import holders, precision, refused, set_raw
 from analyzer.live.reader_tcp import TcpPort
 from conformance.tap.settings import LineSettings
 

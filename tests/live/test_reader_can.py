@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from analyzer.errors import UsageError
-from analyzer.live import can_listen_only, reader_can_socket
+from analyzer.live import can_listen_only, reader_can_socket, reader_port
 from analyzer.live.can_listen_only import LISTEN_ONLY, notes_of_link, options_for
 from analyzer.live.endpoint import parse
 from analyzer.live.reader import make_port
@@ -357,7 +357,6 @@ def test_an_adapter_that_fails_again_and_again_is_lost(store, stop, monkeypatch)
 
 def test_an_adapter_that_talks_nonsense_now_and_then_is_told_and_listened_to(tmp_path, store, stop, monkeypatch):
     port = opened_with(Broken(5), monkeypatch, stop)
-    monkeypatch.setattr(reader_can_socket, "IDLE_NS", 0)
     with listening(port, store, stop):
         assert wait_for(lambda: any(r.kind == Kind.EVENT for r in stored(tmp_path)))
     event = next(r.event for r in stored(tmp_path) if r.kind == Kind.EVENT)
@@ -541,3 +540,38 @@ def test_an_slcan_adapter_that_is_unplugged_is_lost(tmp_path):
         reader = ReaderProcess(tmp_path, f"can:slcan:{path},bitrate=500000,sleep_after_open=0")
     with reader:
         assert reader.wait_event("lost")["reason"]
+
+
+# --- slcan on a pseudo-terminal -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def slcan():
+    """The adapter's end of a line, and a port that listens at the other end as pyserial has opened it."""
+    serial = pytest.importorskip("serial")
+    master, slave = os.openpty()
+    with serial.Serial(os.ttyname(slave)) as opened:
+        port = SlcanPort(parse("can:slcan:/dev/none"))
+        port._number = opened.fileno
+        yield master, port
+    os.close(slave)
+    os.close(master)
+
+
+def test_frames_of_an_slcan_adapter_are_stored_and_other_lines_counted(tmp_path, slcan, store, stop, monkeypatch):
+    monkeypatch.setattr(reader_port, "TICK_NS", 0)
+    adapter, port = slcan
+    with listening(port, store, stop):
+        os.write(adapter, b"t1232AABB\rhello\rT000001231FF\r")
+        assert wait_for(lambda: any(r.kind == Kind.EVENT for r in stored(tmp_path)))
+    records = stored(tmp_path)
+    assert [r.can for r in records if r.kind == Kind.CAN] == [(0x123, 0, b"\xaa\xbb"), (0x123, CanFlag.EXTENDED, b"\xff")]
+    (event,) = [r.event for r in records if r.kind == Kind.EVENT]
+    assert (event["event"], event["count"]) == ("bus_error", 1)
+
+
+def test_an_slcan_adapter_that_is_quiet_at_the_end_is_not_lost(tmp_path, slcan, store, stop):
+    _, port = slcan
+    stop.ask("enough")
+    port.listen(store, stop)
+    assert not [r for r in stored(tmp_path) if r.kind == Kind.EVENT]

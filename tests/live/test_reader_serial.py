@@ -16,8 +16,8 @@ import pytest
 
 from analyzer.live import reader_serial
 from analyzer.live.endpoint import parse
-from analyzer.live.reader_port import Lost, Stop, Unopened
-from analyzer.live.reader_serial import TCGETS2, TERMIOS2, SerialPort, find_adapter, holders, set_raw
+from analyzer.live.reader_port import Lost, Stop, Unopened, find_adapter
+from analyzer.live.reader_serial import TCGETS2, TERMIOS2, SerialPort, holders, set_raw
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import Kind, SpoolReader, SpoolWriter
 from tests.conformance.drives.served import wait_for
@@ -364,7 +364,7 @@ def test_the_end_of_the_leash_is_a_wish(stop):
 
 
 def test_a_stream_that_ends_is_lost_after_all_of_it_is_stored(tmp_path, stop):
-    from analyzer.live.reader_stream import listen
+    from analyzer.live.reader_stream import listen_to_stream
 
     read, write = os.pipe()
     os.set_blocking(read, False)
@@ -372,7 +372,7 @@ def test_a_stream_that_ends_is_lost_after_all_of_it_is_stored(tmp_path, stop):
     os.close(write)
     store = Store(SpoolWriter(tmp_path, "1-a"), lambda *_: None)
     with pytest.raises(Lost, match="it ended"):
-        listen(read, store, stop, byte_ns=0, ended="it ended")
+        listen_to_stream(read, store, stop, byte_ns=0, ended="it ended")
     assert [r.data for r in SpoolReader(tmp_path, "1-a").read()] == [b"last words"]
     with suppress(OSError):
         os.close(read)
