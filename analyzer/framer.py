@@ -478,7 +478,7 @@ class Framer:
         return known[0]
 
     def _drop_junk(self) -> Iterator[Junk]:
-        """Give the junk away, the beginning of a frame that broke off at its end apart."""
+        """Give the junk away, the beginning of a truncated frame at its end apart."""
         start, stop = self._junk_from, self._at
         if stop <= start:
             return

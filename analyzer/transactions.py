@@ -305,7 +305,7 @@ class Transactions:
                 kind = "the broadcast" if request.address == frame.dialect.broadcast else f"group {request.address}"
                 return Paired(request, issues=(Issue("answered_broadcast", f"a reply to {kind}"),))
         if self._last_reply.get(message.address) == frame.data:
-            return Paired(issues=(Issue("duplicate_reply", "the same reply once more"),))
+            return Paired(issues=(Issue("duplicate_reply", "a repeated reply"),))
         self._last_reply[message.address] = frame.data
         if message.frame.checksum_ok:
             context.speaks.setdefault(message.address, frame.dialect.name)

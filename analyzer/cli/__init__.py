@@ -19,14 +19,14 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "decode": ("analyzer.cli.decode", "decode a capture into an annotated MCAP log, with a summary"),
     "show": ("analyzer.cli.show", "show the decoded frames of a capture or a log as a table"),
     "view": ("analyzer.cli.view", "view a capture or a log in the terminal: frames, counts, findings, a plot"),
-    "recover": ("analyzer.cli.recover", "make a log whole whose recording was killed"),
-    "cut": ("analyzer.cli.cut", "make a smaller log of a stretch of time, of some buses"),
-    "merge": ("analyzer.cli.merge", "make one log of several"),
+    "recover": ("analyzer.cli.recover", "repair the log of an interrupted recording"),
+    "cut": ("analyzer.cli.cut", "copy a time range or some buses into a smaller log"),
+    "merge": ("analyzer.cli.merge", "merge several logs into one"),
     "explain": ("analyzer.cli.explain", "explain a frame byte by byte"),
     "frame": ("analyzer.cli.frame", "print the bytes of a frame"),
     "ports": ("analyzer.cli.ports", "list serial ports and CAN interfaces, with the endpoints to record them"),
-    "export": ("analyzer.cli.export", "the raw bytes of a capture or log as candump, pcapng or hex text"),
-    "catalogue": ("analyzer.cli.catalogue", "reference pages of the dialects, and the errata of their manuals"),
+    "export": ("analyzer.cli.export", "export the raw bytes of a capture or log as candump, pcapng or hex text"),
+    "catalogue": ("analyzer.cli.catalogue", "show reference pages of the dialects and errata of their manuals"),
 }
 GROUP = "servotap.commands"
 
@@ -38,7 +38,7 @@ examples:
   servotap frame mks-rs485@1 run_speed speed=320 acceleration=2
   servotap catalogue --dialect mks-can run_speed
 
-'servotap COMMAND --help' says more of each.
+'servotap COMMAND --help' describes a command.
 """
 
 
@@ -55,7 +55,7 @@ def _overview(commands: dict[str, tuple[str, str]]) -> str:
     rows = "\n".join(f"  {name:<{width}}  {text}" for name, (_, text) in commands.items())
     return (
         "usage: servotap COMMAND ...\n\n"
-        "Listen to servo-drive buses (RS485, CAN), say what happened on them, and prove drives against their manuals.\n\n"
+        "Analyze servo-drive buses (RS485, CAN), log them, and test drives against their manuals.\n\n"
         f"commands:\n{rows}\n\n{_EPILOG}"
     )
 
@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _drop_output()
         return 0
     except KeyboardInterrupt:
-        print("servotap: stopped; nothing more was written", file=sys.stderr)
+        print("servotap: interrupted; nothing more was written", file=sys.stderr)
         return 130
     except OSError as error:
         _drop_output()

@@ -19,7 +19,7 @@ from analyzer.reference.pages import errata, overview, page
 EXAMPLES = """\
 --json prints one object. In it every number of a field (minimum, maximum, default, fixed, values, the keys of choices) is
 the integer as sent: times `scale` it is a value in `unit`. bit_offset counts bits from the first byte of the command's
-own data, the most significant first. What does not apply is left out.
+own data, the most significant first. Keys that do not apply are left out.
 
 examples:
   servotap catalogue
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("command", nargs="?", metavar="NAME|CODE", help="show this command's reference page")
     parser.add_argument("--dialect", metavar="D", help="only this dialect")
-    parser.add_argument("--model", metavar="M", help="as this model has it: 42D 57D 28D 35D 42E 57E MF MG MH MS")
+    parser.add_argument("--model", metavar="M", help="limits and units of a model: 42D 57D 28D 35D 42E 57E MF MG MH MS")
     parser.add_argument("--errata", action="store_true", help="the errata of the manuals, or of one command")
     parser.add_argument("--pages", action="store_true", help="the pages of all commands")
     parser.add_argument("--json", action="store_true", help="one JSON object; numbers are integers as sent")

@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         target = Path(arguments.output)
         if target.exists() and any(target.samefile(file) for file in log.files):
-            raise UsageError(f"{target} is the log itself; give another name with -o")
+            raise UsageError(f"{target} is the log itself; choose another name with -o")
         cut = _Cut(log, arguments)
         write_or_drop(target, arguments.force, cut.write)
         print(f"wrote {target}: {cut.said}")

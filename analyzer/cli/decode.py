@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", metavar="OUT.mcap", help="the log, or a folder for several")
     add_reading_arguments(parser)
     parser.add_argument("--strict", action="store_true", help="exit with 1 if there are findings of severity error")
-    parser.add_argument("--json", action="store_true", help="print the summary as JSON, one line a file")
+    parser.add_argument("--json", action="store_true", help="print the summary as JSON, one line per file")
     parser.add_argument("--force", action="store_true", help="replace a log that exists")
 
 
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _target(path: str, arguments: argparse.Namespace) -> Path:
     if arguments.output is None:
         if path == "-":
-            raise UsageError("standard input has no name to write beside: give the log's name with -o")
+            raise UsageError("standard input has no file name: name the log with -o")
         if Path(path).is_dir():
             # Beside the folder: in it the log would be taken for one more part.
             folder = Path(path).resolve()
@@ -86,9 +86,9 @@ def _target(path: str, arguments: argparse.Namespace) -> Path:
         elif len(arguments.files) > 1:
             raise UsageError(f"-o {arguments.output} is one file for {len(arguments.files)} captures; give a folder")
     if target.exists() and not target.is_file():
-        raise UsageError(f"{target} is no regular file, and a log cannot be written there")
+        raise UsageError(f"{target} is not a regular file: cannot write a log there")
     if path != "-" and target.exists() and Path(path).exists() and target.samefile(path):
-        raise UsageError(f"{target} is the capture itself; give another name with -o")
+        raise UsageError(f"{target} is the capture itself; choose another name with -o")
     if target.exists() and not arguments.force:
         raise UsageError(f"{target} exists; --force replaces it")
     return target
@@ -165,7 +165,7 @@ def _decode(path: str, target: Path, reading: Reading, arguments: argparse.Names
             except UnreadableError as error:
                 if not pipeline.sequence:
                     raise
-                stopped = f"the capture broke off: {error}"
+                stopped = f"the capture is incomplete: {error}"
             pipeline.close()
             summary = sinks.summary()
             sinks.finish(_metadata(reading, pipeline, summary, arguments, stopped))
@@ -173,7 +173,7 @@ def _decode(path: str, target: Path, reading: Reading, arguments: argparse.Names
         except OSError as error:
             sinks.abandon()
             output.drop()
-            raise UsageError(f"cannot write {target}: {error.strerror or error}; no log was left") from None
+            raise UsageError(f"cannot write {target}: {error.strerror or error}; the incomplete log was removed") from None
         except BaseException:
             sinks.abandon()
             output.drop()

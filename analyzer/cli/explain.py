@@ -43,13 +43,13 @@ _LINE_LIMIT = 1 << 16
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("frame", nargs="+", metavar="FRAME", help="the bytes; - reads a frame a line from standard input")
-    parser.add_argument("--dialect", metavar="D", help="read it in this dialect only")
-    parser.add_argument("--role", choices=("request", "reply"), help="who sent it, where its bytes do not say")
+    parser.add_argument("frame", nargs="+", metavar="FRAME", help="the bytes; - reads standard input, one frame per line")
+    parser.add_argument("--dialect", metavar="D", help="read it only in this dialect")
+    parser.add_argument("--role", choices=("request", "reply"), help="who sent it, if its bytes do not tell")
     parser.add_argument("--model", metavar="M", help="limits and units of a model: 42D 57D 28D 35D 42E 57E MF MG MH MS")
     parser.add_argument("--no-checksum", action="store_true", help="the bytes are given without their checksum")
     parser.add_argument("--request", metavar="FRAME", help="the request that this reply answers")
-    parser.add_argument("--json", action="store_true", help="one JSON object a line")
+    parser.add_argument("--json", action="store_true", help="one JSON object per line")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -48,10 +48,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--to", required=True, choices=tuple(FORMATS), metavar="FORMAT", help=titles)
     parser.add_argument("-o", "--output", metavar="OUT", help="the file, or a folder; - is standard output")
     parser.add_argument("--serial-as", choices=("user", "rtac"), default="user", help="link type of serial bytes in pcapng")
-    parser.add_argument("--chunks", action="store_true", help="bytes of a log as they came, not one piece for each frame")
+    parser.add_argument("--chunks", action="store_true", help="bytes of a log as they were received, not one piece per frame")
     parser.add_argument("--nanoseconds", action="store_true", help="nine digits in candump, which canplayer may misread")
     parser.add_argument("--baud", type=positive, metavar="N", help="line speed or bit rate, for a capture without times")
-    parser.add_argument("--format", metavar="F", help="capture format, where it is not to be found by content")
+    parser.add_argument("--format", metavar="F", help="capture format, if detection by content fails")
     parser.add_argument("--force", action="store_true", help="replace a file that exists")
     add_time_range_arguments(parser)
 
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
                 output.keep()
             except OSError as error:
                 output.drop()
-                raise UsageError(f"cannot write {target}: {error.strerror or error}; no file was left") from None
+                raise UsageError(f"cannot write {target}: {error.strerror or error}; the incomplete file was removed") from None
             except BaseException:
                 output.drop()
                 raise
@@ -94,11 +94,11 @@ def _target(arguments: argparse.Namespace) -> Path | None:
     ending = FORMATS[arguments.to].ending
     if arguments.output == "-":
         if FORMATS[arguments.to].binary and sys.stdout.isatty():
-            raise UsageError(f"{arguments.to} is nothing for a terminal: name a file with -o, or pipe it on")
+            raise UsageError(f"{arguments.to} is binary and not for a terminal: name a file with -o, or use a pipe")
         return None
     if arguments.output is None:
         if arguments.file == "-":
-            raise UsageError("standard input has no name to write beside: give the file's name with -o")
+            raise UsageError("standard input has no file name: name the output with -o")
         target = Path(str(Path(arguments.file)).removesuffix(".mcap") + ending)
     else:
         target = Path(arguments.output)
@@ -108,9 +108,9 @@ def _target(arguments: argparse.Namespace) -> Path | None:
             name = "standard_input" if arguments.file == "-" else Path(arguments.file).name
             target = target / (name.removesuffix(".mcap") + ending)
     if target.exists() and not target.is_file():
-        raise UsageError(f"{target} is no regular file, and nothing can be exported there")
+        raise UsageError(f"{target} is not a regular file: cannot export to it")
     if arguments.file != "-" and target.exists() and Path(arguments.file).exists() and target.samefile(arguments.file):
-        raise UsageError(f"{target} is the capture itself; give another name with -o")
+        raise UsageError(f"{target} is the capture itself; choose another name with -o")
     if target.exists() and not arguments.force:
         raise UsageError(f"{target} exists; --force replaces it")
     return target
@@ -182,9 +182,9 @@ def _report(source: Source, outcome: Outcome, broken: str, target: Path | None, 
 def _notes(source: Source, outcome: Outcome, broken: str, arguments: argparse.Namespace) -> Sequence[str]:
     notes = list(source.notes)
     if broken:
-        notes.append(f"the capture broke off: {broken}")
+        notes.append(f"the capture is incomplete: {broken}")
     if outcome.made_up:
-        notes.append(f"the capture has no times: {outcome.made_up} were made up from the line speed (--baud)")
+        notes.append(f"the capture has no times: {outcome.made_up} were estimated from the line speed (--baud)")
     if outcome.negative:
         notes.append(f"{outcome.negative} times before zero were written as zero")
     return notes

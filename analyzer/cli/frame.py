@@ -37,14 +37,14 @@ examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("target", metavar="DIALECT@ADDRESS", help="whom it is for: mks-rs485@1, mks-can@0x123, mks-rs485@all")
+    parser.add_argument("target", metavar="DIALECT@ADDRESS", help="the recipient: mks-rs485@1, mks-can@0x123, mks-rs485@all")
     parser.add_argument("command", metavar="COMMAND", help="its name, or a code that only one command has")
     parser.add_argument("values", nargs="*", metavar="FIELD=VALUE", help='values of its fields; slot="1 run_speed speed=50"')
     parser.add_argument("--reply", action="store_true", help="the drive's reply instead of the request")
-    parser.add_argument("--form", metavar="NAME", help="the form, where the fields do not tell it")
+    parser.add_argument("--form", metavar="NAME", help="the form, if the fields do not determine it")
     parser.add_argument("--model", metavar="M", help="limits and units of a model: 42D 57D 28D 35D 42E 57E MF MG MH MS")
     parser.add_argument("--wire", action="store_true", help="numbers are integers as sent")
-    parser.add_argument("--force", action="store_true", help="build also what the manual forbids, if its bits hold it")
+    parser.add_argument("--force", action="store_true", help="build values that the manual forbids, if the bits hold them")
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument("--candump", action="store_true", help="as 001#F60140023A (CAN)")
     shown.add_argument("--json", action="store_true", help="a JSON object with the frame and its risks")
@@ -92,7 +92,7 @@ def parse_target(text: str, model: str | None) -> tuple[Dialect, int]:
     dialect = registry.for_model([dialect], model)[0]
     if where.lower() == "all":
         if dialect.broadcast is None:
-            raise UsageError(f"{dialect.name} has no address for all drives")
+            raise UsageError(f"{dialect.name} has no broadcast address")
         return dialect, dialect.broadcast
     return dialect, _address(where)
 

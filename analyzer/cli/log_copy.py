@@ -52,7 +52,7 @@ class Log:
         self.read = 0
         for file, whole in zip(self.files, self._whole, strict=True):
             if not whole:
-                self.source.note(f"{file.name} is not whole: it is read as far as it goes (servotap recover makes it whole)")
+                self.source.note(f"{file.name} is incomplete: reading stops where it ends (servotap recover repairs it)")
 
     @property
     def notes(self) -> Sequence[str]:
@@ -131,11 +131,11 @@ class Log:
 
 def _opened(path: str) -> Source:
     if path == "-":
-        raise UsageError("standard input cannot be read twice: give a log by its name")
+        raise UsageError("standard input cannot be read twice: name a log file")
     source = open_source(path)
     if source.format != "mcap":
         source.close()
-        raise UsageError(f"{path} is {source.title}, expected an MCAP log (servotap decode makes one of it)")
+        raise UsageError(f"{path} is {source.title}, expected an MCAP log (servotap decode creates one)")
     return source
 
 
@@ -219,7 +219,7 @@ class Copy:
 def write_or_drop(target: Path, replace: bool, write: Callable[[IO[bytes]], None]) -> None:
     """Write a file that takes its name only when it is whole. Raises UsageError where it cannot be written."""
     if target.exists() and not target.is_file():
-        raise UsageError(f"{target} is no regular file, and a log cannot be written there")
+        raise UsageError(f"{target} is not a regular file: cannot write a log there")
     if target.exists() and not replace:
         raise UsageError(f"{target} exists; --force replaces it")
     output = Output(target, replace)
@@ -229,7 +229,7 @@ def write_or_drop(target: Path, replace: bool, write: Callable[[IO[bytes]], None
         output.keep()
     except OSError as error:
         output.drop()
-        raise UsageError(f"cannot write {target}: {error.strerror or error}; no log was left") from None
+        raise UsageError(f"cannot write {target}: {error.strerror or error}; the incomplete log was removed") from None
     except BaseException:
         output.drop()
         raise

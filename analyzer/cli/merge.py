@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         target = Path(arguments.output)
         if target.exists() and any(target.samefile(file) for log in logs for file in log.files):
-            raise UsageError(f"{target} is one of the logs; give another name with -o")
+            raise UsageError(f"{target} is one of the logs; choose another name with -o")
         merge = _Merge(logs)
         write_or_drop(target, arguments.force, merge.write)
         print(f"wrote {target}: {merge.said}")
@@ -181,7 +181,7 @@ class _Merge:
             inputs.append(each)
             highest += top
         if highest >= _SEQUENCE_LIMIT:
-            self.notes.append("sequence numbers went beyond 32 bits and began anew")
+            self.notes.append("sequence numbers exceeded 32 bits and started again at 0")
         return inputs
 
     @staticmethod

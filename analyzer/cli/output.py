@@ -41,7 +41,7 @@ class Output:
             # A link, unlike a rename, fails where somebody else made the file meanwhile.
             os.link(self.part, self.target)
         except FileExistsError:
-            raise UsageError(f"{self.target} was made by somebody else meanwhile; --force replaces it") from None
+            raise UsageError(f"{self.target} was created by another program meanwhile; --force replaces it") from None
         except OSError:
             self.part.replace(self.target)  # a file system without links
             return

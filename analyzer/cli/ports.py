@@ -41,9 +41,9 @@ _NO_CAN = """\
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("--json", action="store_true", help="print all that is known as one JSON object")
+    parser.add_argument("--json", action="store_true", help="print everything as one JSON object")
     parser.add_argument(
-        "--no-detect", action="store_true", help="do not ask python-can's interfaces for adapters, which takes a second"
+        "--no-detect", action="store_true", help="skip adapters of python-can's interfaces (asking takes a second)"
     )
 
 
@@ -105,19 +105,19 @@ def _serial(adapter: SerialAdapter) -> Iterator[str]:
     if adapter.by_id:
         yield f"      lasting     {adapter.by_id}"
     if adapter.latency_ms is not None:
-        late = " (bytes come in lumps and up to that late; 1 ms is best, see below)" if _is_slow(adapter) else ""
+        late = " (bytes arrive in bursts, up to that late; 1 ms is best, see below)" if _is_slow(adapter) else ""
         yield f"      latency     timer at {adapter.latency_ms} ms{late}"
     if adapter.holders:
-        yield f"      open by     {', '.join(adapter.holders)}: a second reader takes bytes away; see servotap tap"
+        yield f"      open by     {', '.join(adapter.holders)}: each byte reaches only one reader; see servotap tap"
     if not adapter.openable:
         yield f"      permission  {_permission(adapter)}"
 
 
 def _permission(adapter: SerialAdapter) -> str:
     if not adapter.group:
-        return "the port cannot be looked at"
+        return "the port cannot be inspected"
     if adapter.group == "root":
-        return f"none: it is root's alone; a udev rule can give it to a group, or: sudo chmod a+rw {adapter.path}"
+        return f"none: only root may open it; a udev rule can give it to a group, or: sudo chmod a+rw {adapter.path}"
     return f"none: it is for the group {adapter.group}: sudo usermod -a -G {adapter.group} $USER, then log in again"
 
 
@@ -129,10 +129,10 @@ def _latency_advice(serial: Sequence[SerialAdapter]) -> Iterator[str]:
     slow = [a for a in serial if _is_slow(a)]
     if not slow:
         return
-    yield "  to lower a latency timer, until it is unplugged:"
+    yield "  to lower a latency timer until the adapter is unplugged:"
     for adapter in slow:
         yield f"      echo 1 | sudo tee /sys/bus/usb-serial/devices/{os.path.basename(adapter.path)}/latency_timer"
-    yield "  and for good:"
+    yield "  permanently:"
     yield f"      echo '{_UDEV_RULE}' | sudo tee {_RULES}"
     yield "      sudo udevadm control --reload, then unplug and plug"
 

@@ -34,7 +34,7 @@ SAMPLE_BYTES = 256 * 1024
 SAMPLE_ITEMS = 20_000
 PIPE_SAMPLE_BYTES = 256
 BITS_PER_BYTE = 10
-_RECORDED = "as the recording has it"
+_RECORDED = "as recorded"
 #: Milliseconds after which a reply is late, where neither the user nor the recording says otherwise.
 LATE_MS = 1000.0
 
@@ -43,13 +43,13 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of every command that reads captures."""
     parser.add_argument("--dialect", default="auto", metavar="D", help="auto (default), or one of: see catalogue; D,D")
     parser.add_argument("--model", metavar="M", help="42D 57D 28D 35D 42E 57E MF MG MH MS: limits and units of a model")
-    parser.add_argument("--baud", type=positive, metavar="N", help="line speed, for times and the bus load")
-    parser.add_argument("--format", metavar="F", help="capture format, where it is not to be found by content")
+    parser.add_argument("--baud", type=positive, metavar="N", help="line speed, for timestamps and bus load")
+    parser.add_argument("--format", metavar="F", help="capture format, if detection by content fails")
     parser.add_argument(
         "--group", action="append", type=address, default=[], metavar="ADDRESS",
-        help="an address that several drives listen to and none answers; may be repeated",
+        help="a group address: several drives listen, none answers; may be repeated",
     )  # fmt: skip
-    parser.add_argument("--late", type=milliseconds, metavar="MS", help="replies later than this are late (default 1000)")
+    parser.add_argument("--late", type=milliseconds, metavar="MS", help="report replies later than this (default 1000)")
     add_time_range_arguments(parser)
 
 
@@ -204,7 +204,7 @@ class Reading:
         if self.has_times:
             return self.source.time_source
         unit = "bit rate" if self.dialects[0].bus == "can" else "baud rate"
-        return f"made up from the {unit}: the capture has no times"
+        return f"timestamps estimated from the {unit}: the capture has none"
 
 
 class _Said:

@@ -58,27 +58,27 @@ exit status: 0 all that came is in the log, 1 something was lost (the end says w
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("endpoints", nargs="*", metavar="[NAME=]ENDPOINT", help="what to listen to, see below")
+    parser.add_argument("endpoints", nargs="*", metavar="[NAME=]ENDPOINT", help="what to record, see below")
     add_recording_arguments(parser)
 
 
 def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of every command that records."""
     parser.add_argument("-o", "--output", metavar="OUT.mcap", help="the log, or a folder (default recording-DATE-TIME.mcap)")
-    parser.add_argument("--dialect", default="auto", metavar="D", help="auto (default), or those on the buses: D,D")
+    parser.add_argument("--dialect", default="auto", metavar="D", help="auto (default), or the dialects on the buses: D,D")
     parser.add_argument("--model", default="", metavar="M", help="42D 57D 28D 35D 42E 57E MF MG MH MS: limits and units")
     parser.add_argument(
         "--group", action="append", type=address, default=[], metavar="ADDRESS",
-        help="an address that several drives listen to and none answers; may be repeated",
+        help="a group address: several drives listen, none answers; may be repeated",
     )  # fmt: skip
-    parser.add_argument("--late", type=milliseconds, default=1000.0, metavar="MS", help="a reply is late after (default 1000)")
-    parser.add_argument("--duration", metavar="TIME", help="end after 10s, 5min, 2h")
+    parser.add_argument("--late", type=milliseconds, default=1000.0, metavar="MS", help="late replies: after MS (default 1000)")
+    parser.add_argument("--duration", metavar="TIME", help="stop after 10s, 5min, 2h")
     parser.add_argument("--rotate", metavar="SIZE|TIME", help="a new file every 100MB or 10min, or both: 100MB,10min")
     parser.add_argument("--keep", type=positive, default=0, metavar="N", help="with --rotate: keep the last N files")
-    parser.add_argument("--max-total", metavar="SIZE", help="drop the oldest files beyond 200GB in all")
-    parser.add_argument("--raw-only", action="store_true", help="store what comes, and leave decoding for later")
+    parser.add_argument("--max-total", metavar="SIZE", help="delete the oldest files beyond 200GB in total")
+    parser.add_argument("--raw-only", action="store_true", help="store raw traffic without decoding it")
     parser.add_argument("--force", action="store_true", help="replace a log that exists")
-    parser.add_argument("--json", action="store_true", help="a line of JSON a second, and the end as one")
+    parser.add_argument("--json", action="store_true", help="one line of JSON per second, and a summary")
     parser.add_argument("--view", action="store_true", help="watch in the terminal: frames, counts, findings, plot")
     parser.add_argument(
         "--foxglove", nargs="?", const=FOXGLOVE, default="", metavar="HOST:PORT", help=f"live to Foxglove (default {FOXGLOVE})"
@@ -97,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
         place = read_place(arguments.foxglove)
         require_foxglove()
         if not place.loopback:
-            notes.append(f"foxglove: whoever can reach {place} can watch")
+            notes.append(f"foxglove: anyone who can reach {place} can watch")
     dialects = _dialects(arguments.dialect, endpoints)
     endpoints = [_at_its_speed(e, dialects, notes, quiet=arguments.json) for e in endpoints]
     config = configure(arguments, endpoints, target, notes)
@@ -109,7 +109,7 @@ def display_of(arguments: argparse.Namespace, command: str) -> Display:
     from analyzer.cli.record_display import make_display
 
     if arguments.view and arguments.json:
-        raise UsageError("--view shows what --json prints: one of them")
+        raise UsageError("--view and --json exclude each other")
     if arguments.view:
         from analyzer.view import require_terminal
 
@@ -165,7 +165,7 @@ class _Ending:
             self._supervisor.stop(ENDING[number])
         elif not self._told:
             self._told = time.monotonic()
-            self._say("the log is being finished; Ctrl-C once more leaves that to servotap recover")
+            self._say("finishing the log; press Ctrl-C again to leave that to servotap recover")
         elif number == signal.SIGINT and time.monotonic() - self._told > _SAME_PRESS_S:
             self._supervisor.give_up()
 
@@ -191,7 +191,7 @@ def target_of(arguments: argparse.Namespace) -> Path:
     if target.is_dir():
         target = target / name
     if target.suffix != ".mcap" and (target.is_file() or not target.exists()):
-        raise UsageError(f"got {str(target)!r}, expected a name that ends in .mcap, by which logs are known")
+        raise UsageError(f"got {str(target)!r}, expected a name that ends in .mcap")
     _check_target(target, arguments.force, parts=bool(arguments.rotate or arguments.max_total))
     return target
 
@@ -206,7 +206,7 @@ def _check_target(log: Path, force: bool, *, parts: bool = False) -> None:
     from analyzer.sources.recording_parts import parts_named
 
     if log.exists() and not log.is_file():
-        raise UsageError(f"{log} is no regular file, and a log cannot be written there")
+        raise UsageError(f"{log} is not a regular file: cannot write a log there")
     if not log.parent.is_dir():
         raise UsageError(f"{log.parent} is no folder")
     if not os.access(log.parent, os.W_OK):
@@ -217,8 +217,7 @@ def _check_target(log: Path, force: bool, *, parts: bool = False) -> None:
             raise UsageError(f"a recording to {log} is running")
         if not force:
             raise UsageError(
-                f"{folder} exists: a recording to {log} was not finished; servotap recover {log} does that, --force throws it "
-                "away"
+                f"{folder} exists: a recording to {log} was interrupted; servotap recover {log} repairs it, --force deletes it"
             )
         shutil.rmtree(folder)
     for path in parts_named(log) if parts else [log]:
@@ -318,5 +317,5 @@ def _rotation(arguments: argparse.Namespace) -> tuple[int, int]:
             except UsageError:
                 raise UsageError(f"--rotate: got {part!r}, expected a size as 100MB or a time as 10min") from None
     if arguments.keep and not arguments.rotate:
-        raise UsageError("--keep says how many files of --rotate are kept: --rotate is missing")
+        raise UsageError("--keep needs --rotate")
     return size, time_ns

@@ -279,7 +279,7 @@ class ViewDisplay(LineDisplay):
         for bus, text in self._notes:
             super().note(bus, text)
         if why not in ("quit", "ended"):
-            self.note("", f"the view broke off ({why}); the recording goes on, Ctrl-C ends it")
+            self.note("", f"the view failed ({why}); the recording continues, Ctrl-C ends it")
         elif thread.is_alive():
             supervisor.stop("the view was closed")
         super().watch(supervisor, thread)

@@ -76,7 +76,7 @@ def as_text(summary: Summary) -> list[str]:
     elif any(summary.buses.values()):
         lines.append("no findings")
     if summary.decoder_restarts:
-        lines.append(f"the decoding process was started again {summary.decoder_restarts} times; nothing is lost by that")
+        lines.append(f"the decoding process was started again {summary.decoder_restarts} times; no data was lost")
     for name in summary.files:
         lines.append(f"wrote {clean(name)}, {size_text(Path(name).stat().st_size)}")
     if summary.unfinished:
@@ -111,7 +111,7 @@ def _gaps(port: PortStatus, utc_ns: int) -> list[str]:
             span = f"from {start} to the end"
         else:
             span = f"{start}, for {(gap.to_ns - gap.from_ns) / 1e9:.3f} s"
-        kept = " (nothing is missing: it waited in the kernel)" if gap.kept else ""
+        kept = " (nothing is missing: the kernel buffered it)" if gap.kept else ""
         lines.append(f"  {port.bus}: gap {span}: {gap.reason}{kept}")
     more = port.gap_count - min(len(port.gaps), _GAPS_NAMED)
     return lines + ([f"  {port.bus}: and {more} more gaps"] if more > 0 else [])

@@ -38,7 +38,7 @@ examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("file", metavar="FILE", help="the log, or its folder of spools")
-    parser.add_argument("-o", "--output", metavar="WHOLE", help="write the whole log here and leave FILE as it is")
+    parser.add_argument("-o", "--output", metavar="WHOLE", help="write the repaired log here and leave FILE unchanged")
     parser.add_argument("--force", action="store_true", help="replace WHOLE if it exists")
 
 
@@ -83,7 +83,7 @@ def _finish(folder: Path) -> list[Path]:
     """Go on with a recording to the end of its spools; return its logs."""
     log = log_of(folder, config.load(folder))
     checkpoint.load(folder)
-    taken = f"{log} is being recorded; stop the recording, then recover what is left to be recovered"
+    taken = f"{log} is being recorded; stop the recording first"
     with Lock(folder, RUNNING, taken=taken), Interrupt() as interrupt:
         before = _spooled(folder)
         recorder = Recorder(folder, final=True, asked=lambda: interrupt.asked, say=_say)
@@ -105,11 +105,11 @@ def _finish_copy(folder: Path, target: Path, replace: bool) -> None:
     told = config.load(folder)
     if told.rotate_bytes or told.rotate_ns or told.max_total:
         raise UsageError(
-            f"the recording is in parts, of which only the last is to be made whole: leave -o away, or copy "
+            f"the recording is in parts, and only the last needs repair: omit -o, or copy "
             f"{folder} and the parts and recover the copy"
         )
     log = log_of(folder, told)
-    taken = f"{log} is being recorded; stop the recording, then recover what is left to be recovered"
+    taken = f"{log} is being recorded; stop the recording first"
     with Lock(folder, RUNNING, taken=taken):
         work = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".recover", dir=target.parent))
         try:
@@ -123,7 +123,7 @@ def _finish_copy(folder: Path, target: Path, replace: bool) -> None:
                 shutil.copyfile(log, copied)
             _finish(spools)
             if target.exists() and not replace:
-                raise UsageError(f"{target} was made by somebody else meanwhile; --force replaces it")
+                raise UsageError(f"{target} was created by another program meanwhile; --force replaces it")
             copied.replace(target)
         finally:
             shutil.rmtree(work, ignore_errors=True)

@@ -45,10 +45,10 @@ _COLORS = {"request": "36", "reply": "32", "unknown": "33"}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("file", metavar="FILE", help="a capture, an MCAP log, or a folder of its parts; - reads standard input")
-    parser.add_argument("--follow", action="store_true", help="go on while the log is being recorded, until Ctrl-C or its end")
-    parser.add_argument("--filter", metavar="EXPRESSION", help="show only messages for which this holds")
+    parser.add_argument("--follow", action="store_true", help="follow a log that is being recorded, until Ctrl-C or its end")
+    parser.add_argument("--filter", metavar="EXPRESSION", help="show only messages that match this expression")
     parser.add_argument("--limit", type=int, metavar="N", help="stop after N lines")
-    parser.add_argument("--json", action="store_true", help="a JSON object a line")
+    parser.add_argument("--json", action="store_true", help="one JSON object per line")
     parser.add_argument("--bytes", action="store_true", help="show the bytes of each frame too")
     add_reading_arguments(parser)
 

@@ -32,8 +32,8 @@ T = TypeVar("T")
 def add_time_range_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of every command that can read a stretch."""
     moment = "2026-11-21T16:22:11Z, +10s (from the start) or -5min (from the end)"
-    parser.add_argument("--since", type=_moment, metavar="T", help=f"only what came from then on: {moment}")
-    parser.add_argument("--until", type=_moment, metavar="T", help="only what came until then, written likewise")
+    parser.add_argument("--since", type=_moment, metavar="T", help=f"only traffic from this time on: {moment}")
+    parser.add_argument("--until", type=_moment, metavar="T", help="only traffic up to this time, same notation")
 
 
 def _moment(text: str) -> TimeOption:
@@ -93,7 +93,7 @@ class TimeRange:
                 if t_ns < self.since_ns - WARM_NS and not said:
                     continue
             elif not isinstance(record, Comment):
-                raise UsageError(f"{self._source.name} has no times, so no stretch of it can be told by them")
+                raise UsageError(f"{self._source.name} has no timestamps: --since and --until cannot apply")
             yield record
 
     def sinks(self, sinks: Sequence[Sink]) -> Sequence[Sink]:
@@ -166,7 +166,7 @@ def _bounds(source: Source) -> tuple[int, int] | None:
     from analyzer.sources import open_source
 
     if source.size is None:
-        raise UsageError("a moment counted from the end needs a file: standard input has no end yet")
+        raise UsageError("a time before the end needs a file: the end of standard input is unknown")
     first: int | None = None
     last = 0
     with open_source(Path(source.path), format=source.format, baud=source.baud) as before:

@@ -33,15 +33,15 @@ examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("file", metavar="FILE", help="a capture, an MCAP log, or a folder of its parts")
-    parser.add_argument("--follow", action="store_true", help="go on while the log is being recorded")
-    parser.add_argument("--filter", default="", metavar="EXPRESSION", help="begin with only the frames for which this holds")
+    parser.add_argument("--follow", action="store_true", help="follow a log that is being recorded")
+    parser.add_argument("--filter", default="", metavar="EXPRESSION", help="start with the frames that match this expression")
     add_reading_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """View the capture; return 0."""
     if arguments.file == "-":
-        raise UsageError("standard input is the keyboard here: write it into a file first, or use servotap show -")
+        raise UsageError("the view reads the keyboard from standard input: save the capture to a file, or use servotap show -")
     require_terminal()
     reading = open_reading(arguments.file, arguments, Follow(_alive) if arguments.follow else None)
     with contextlib.closing(reading.source):

@@ -120,13 +120,13 @@ def decide(heard: Sequence[Heard]) -> Heard:
     """
     if not any(h.bytes for h in heard):
         raise UsageError(
-            "baud=auto: nothing was heard at any rate. It listens only: let the host talk to the drive meanwhile. Check A and "
-            "B, ground, and that the adapter listens to the right pair; servotap scan asks the drives itself"
+            "baud=auto: no traffic at any rate. Detection only listens: let the host talk to the drive meanwhile. Check A and "
+            "B, ground, and that the adapter is on the right pair; servotap scan sends requests itself"
         )
     best = heard[0]
     if not best.believed:
         raise UsageError(
-            "baud=auto: bytes come, and at no rate do they make frames of a known dialect. Check parity and stop bits "
+            "baud=auto: bytes arrive, but at no rate do they form frames of a known dialect. Check parity and stop bits "
             "(parity=even, stop=2), that A and B are not swapped, and the rate in the drive's menu"
         )
     rivals = [h for h in heard[1:] if h.believed and h.share > RIVAL * best.share]

@@ -120,7 +120,7 @@ class LinuxListener:
         except OSError as error:
             raise UsageError(f"{self._endpoint}: the port was lost while listening: {error.strerror}") from None
         if not data:
-            raise UsageError(f"{self._endpoint}: the port hung up while listening (unplugged?)")
+            raise UsageError(f"{self._endpoint}: the port disconnected while listening (unplugged?)")
         return data
 
     def close(self) -> None:

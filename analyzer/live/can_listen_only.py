@@ -31,12 +31,12 @@ class Listening(NamedTuple):
 
 #: Interfaces that can be told to listen only. `passive` stands for python-can's `BusState.PASSIVE`.
 LISTEN_ONLY: Mapping[str, Listening] = {
-    "slcan": Listening({"listen_only": True}, "it was told to listen only (L); an adapter that does not know that refuses it"),
+    "slcan": Listening({"listen_only": True}, "it was told to listen only (L); an adapter without that mode refuses"),
     "vector": Listening({"listen_only": True}, "it only listens if no other program holds the channel's init access"),
     "nixnet": Listening({"listen_only": True}),
     "cantact": Listening({"monitor": True}),
     # `False` is python-can's DRIVER_MODE_SILENT; not every Kvaser device knows it.
-    "kvaser": Listening({"driver_mode": False}, "a Kvaser device without silent mode takes part all the same"),
+    "kvaser": Listening({"driver_mode": False}, "a Kvaser device without silent mode takes part anyway"),
     "pcan": Listening({"state": "passive"}),
     "systec": Listening({"state": "passive"}),
     "seeedstudio": Listening({"operation_mode": "silent"}),
@@ -46,8 +46,7 @@ HARMLESS = frozenset({"virtual", "udp_multicast"})
 #: Interfaces whose bit rate is not this end's to set.
 NO_BITRATE = frozenset({"virtual", "udp_multicast", "socketcan", "socketcand"})
 _TAKES_PART = (
-    "python-can cannot tell {} to listen only: it acknowledges frames like any station, and disturbs a bus that runs at "
-    "another bit rate"
+    "python-can cannot tell {} to listen only: it acknowledges frames, and disturbs a bus that runs at another bit rate"
 )
 
 
@@ -63,7 +62,7 @@ def options_for(endpoint: Endpoint) -> tuple[dict[str, Any], list[str]]:
     if listening is not None:
         overruled = [f"{k}={options[k]}" for k, v in listening.options.items() if k in options and options[k] != v]
         if overruled:
-            notes.append(f"{', '.join(overruled)} does not count: a recording only listens")
+            notes.append(f"{', '.join(overruled)} is ignored: a recording only listens")
         options |= listening.options
         if listening.doubt:
             notes.append(listening.doubt)
@@ -71,7 +70,7 @@ def options_for(endpoint: Endpoint) -> tuple[dict[str, Any], list[str]]:
         notes.append(_TAKES_PART.format(interface))
     if interface not in NO_BITRATE:
         if endpoint.speed is None and listening is None:
-            raise UsageError(f"{endpoint}: {interface} takes part in the bus, so it has to be told the rate: bitrate=N")
+            raise UsageError(f"{endpoint}: {interface} takes part in the bus, so it needs the rate: bitrate=N")
         if endpoint.speed is None:
             notes.append(f"no bitrate given: {DEFAULT_BITRATE}")
         options["bitrate"] = endpoint.bits_per_second
@@ -87,7 +86,7 @@ def kernel_notes(channel: str, speed: int | None) -> list[str]:
 def notes_of_link(link: Mapping[str, Any] | None, channel: str, speed: int | None) -> list[str]:
     """Return what is worth telling of an interface as `ip -details -json link` shows it; None where it could not be asked."""
     if link is None:
-        return [f"whether {channel} only listens is not known here (ip -details link show {channel} tells)"]
+        return [f"whether {channel} only listens is unknown (check with ip -details link show {channel} tells)"]
     info = link.get("linkinfo", {})
     if info.get("info_kind") != "can":
         # A virtual interface (vcan, vxcan): no wire.
@@ -96,7 +95,7 @@ def notes_of_link(link: Mapping[str, Any] | None, channel: str, speed: int | Non
     notes = []
     if "LISTEN-ONLY" not in data.get("ctrlmode", ()):
         notes.append(
-            f"{channel} does not listen only, it acknowledges frames; to change it: ip link set {channel} down; "
+            f"{channel} is not in listen-only mode and acknowledges frames; to change that: ip link set {channel} down; "
             f"ip link set {channel} type can listen-only on; ip link set {channel} up"
         )
     actual = data.get("bittiming", {}).get("bitrate")

@@ -159,7 +159,7 @@ def load_state(data: bytes, table: Table) -> dict[str, Any]:
         state = _Unpickler(io.BytesIO(data), table).load()
     # A damaged pickle makes its reader stumble over anything.
     except Exception as error:
-        raise ValueError(f"the state of decoding cannot be read: {error}") from None
+        raise ValueError(f"the decoder's state cannot be read: {error}") from None
     if not isinstance(state, dict):
-        raise ValueError("the state of decoding cannot be read: it is no table")
+        raise ValueError("the decoder's state cannot be read: expected a table")
     return state

@@ -74,4 +74,4 @@ def load(folder: Path) -> RecordingConfig:
     try:
         return msgspec.json.decode((folder / NAME).read_bytes(), type=RecordingConfig)
     except (OSError, msgspec.MsgspecError) as error:
-        raise UnreadableError(f"{folder / NAME}: expected what a recording was told, got: {error}") from None
+        raise UnreadableError(f"{folder / NAME}: expected the configuration of a recording, got: {error}") from None

@@ -76,7 +76,7 @@ class LogParts:
                 number += 1
                 path = self._path(number)
         elif path.exists() and not mine:
-            raise UsageError(f"{path} exists, and a recording replaces nothing")
+            raise UsageError(f"{path} exists, and a recording replaces no file")
         was = self.number, self.path
         self.close()
         self.number, self.path = number, path
@@ -109,15 +109,15 @@ class LogParts:
             size = self.path.stat().st_size
             if size < start.position:
                 raise UnreadableError(
-                    f"{self.path} has {size} bytes, and {start.position} had been written: it was cut or replaced; move "
-                    f"{self._folder} away to keep what it holds, then servotap recover {self.path} makes the rest whole"
+                    f"{self.path} has {size} bytes, but {start.position} had been written: it was cut or replaced; move "
+                    f"{self._folder} away to keep its data, then run servotap recover {self.path}"
                 )
             self._drop_later()
             stream = open(self.path, "r+b", buffering=0)  # noqa: SIM115
             self._stream = WholeWrites(stream, start.position)
             self._index = FileIndex(self._index_path(self.number), start.index_length)
         except OSError as error:
-            raise UnreadableError(f"{self.path} cannot be gone on with: {error.strerror or error}") from None
+            raise UnreadableError(f"{self.path} cannot be resumed: {error.strerror or error}") from None
         self.file = McapFile.resume(self._stream, start.file, self._index, patient=True)
         self._begun_ns = start.begun_ns
         return self._wrap(self.file) if self._wrap is not None else self.file

@@ -96,7 +96,7 @@ def _remember(port: PortStatus, gap: Gap) -> None:
 def _lost(port: PortStatus, event: Mapping[str, Any]) -> str:
     port.state = "lost"
     _remember(port, Gap(int(event["t_ns"]), None, str(event["reason"])))
-    return f"lost: {event['reason']}; it is tried again"
+    return f"lost: {event['reason']}; retrying"
 
 
 def _back(port: PortStatus, event: Mapping[str, Any]) -> str:

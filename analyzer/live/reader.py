@@ -155,8 +155,8 @@ class Reader:
 
 
 _TAKEN_OVER = (
-    "the reader process died and another one has taken the port over; what came meanwhile waited in the kernel, its times "
-    "are those of the end of that wait"
+    "the reader process died and another one took over the port; the kernel buffered the traffic in between, whose times are "
+    "those of the end of that wait"
 )
 
 

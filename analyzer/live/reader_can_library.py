@@ -60,7 +60,7 @@ class CanLibraryPort(LibraryPort):
         except Exception as error:
             raise Unopened(f"cannot open {self._endpoint.place}: {error or type(error).__name__}") from None
         self._receive, self._shut, self._number = bus.recv, bus.shutdown, bus.fileno
-        return Opened("stamped as python-can hands a frame over; what adapter and driver hold back comes on top", tuple(notes))
+        return Opened("stamped as python-can hands a frame over; plus the delays of adapter and driver", tuple(notes))
 
     def listen(self, store: Store, stop: Stop) -> None:
         """Store what comes. Raises Lost when receiving fails again and again."""

@@ -72,7 +72,7 @@ class SlcanPort(CanLibraryPort):
         """Store what comes. Raises Lost when the adapter is gone."""
         fd = int(self._number())
         wait = readable(fd, stop)
-        bad = BadCount("lines of the adapter that are no frames")
+        bad = BadCount("lines of the adapter that are not frames")
         self._rest = b""
         self._settings_until_ns = time.monotonic_ns() + _SETTINGS_NS
 
@@ -97,7 +97,7 @@ class SlcanPort(CanLibraryPort):
             raise Lost(error.strerror or str(error)) from None
         t_ns = time.monotonic_ns()
         if not data:
-            raise Lost("the adapter hung up (unplugged?)")
+            raise Lost("the adapter disconnected (unplugged?)")
         # A bell is the answer to what the adapter did not understand, and ends a line as well.
         if b"\a" in data and t_ns < self._settings_until_ns:
             self._settings_until_ns = 0

@@ -49,7 +49,7 @@ _CLASSIC, _FD = 16, 72
 _EFF, _RTR, _ERR = 0x80000000, 0x40000000, 0x20000000
 #: Classes of error frames that are worth an event of their own, and what the controller says (data byte 1).
 _ERROR_CONTROLLER, _ERROR_BUS_OFF, _ERROR_RESTARTED = 0x004, 0x040, 0x100
-_CONTROLLER = ((0x01, "the controller's buffer ran over: frames were lost"), (0x10, "error passive (receiving)"))
+_CONTROLLER = ((0x01, "the controller's buffer overflowed: frames were lost"), (0x10, "error passive (receiving)"))
 _MSG_DONTROUTE = 4
 _CAN_RAW_ERR_FILTER = 2
 
@@ -91,7 +91,7 @@ def dissect_multicast(datagram: bytes) -> tuple[int, int, bytes]:
 def dissect_kernel(frame: bytes) -> tuple[int, int, bytes]:
     """Return identifier, flags and payload of a frame of the kernel. Raises ValueError."""
     if len(frame) not in (_CLASSIC, _FD):
-        raise ValueError(f"{len(frame)} bytes are no frame of SocketCAN")
+        raise ValueError(f"{len(frame)} bytes are not a SocketCAN frame")
     word, length, _ = _CAN_HEAD.unpack_from(frame)
     flags = 0
     if word & _EFF:
@@ -153,7 +153,7 @@ class CanSocketPort:
         self._socket = made
         stamped = _wish(made, _SO_TIMESTAMPNS, 1)
         if not _wish(made, _SO_RXQ_OVFL, 1):
-            notes.append("this kernel does not tell how many frames it had no room for")
+            notes.append("this kernel does not count the frames that it drops")
         if not _wish(made, _SO_RCVBUFFORCE, BUFFER):
             _wish(made, socket.SO_RCVBUF, BUFFER)
         size = made.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
@@ -185,9 +185,9 @@ class CanSocketPort:
         try:
             group = ipaddress.ip_address(self._channel)
         except ValueError:
-            raise OSError(22, f"{self._channel} is no address, expected one as 239.74.163.2") from None
+            raise OSError(22, f"{self._channel} is not an address, expected one such as 239.74.163.2") from None
         if not group.is_multicast:
-            raise OSError(22, f"{self._channel} is no multicast address, expected one as 239.74.163.2")
+            raise OSError(22, f"{self._channel} is not a multicast address, expected one such as 239.74.163.2")
         port = int(self._endpoint.options.get("port", MULTICAST_PORT))
         family = socket.AF_INET if group.version == 4 else socket.AF_INET6
         made = socket.socket(family, socket.SOCK_DGRAM)
@@ -224,7 +224,7 @@ class CanSocketPort:
     def listen(self, store: Store, stop: Stop) -> None:
         """Store what comes. Raises Lost when the interface is gone or down."""
         assert self._socket is not None
-        bad = BadCount("datagrams that are no frames")
+        bad = BadCount("datagrams that are not frames")
 
         def take(ready: bool) -> int:
             taken, wrong = self._take(store)

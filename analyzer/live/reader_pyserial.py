@@ -3,7 +3,7 @@
 Of the port that pyserial opens nothing is kept but the ways to read and to close. RTS and DTR are inactive from before it
 is opened, as far as the driver honours that. A read returns what is there, or waits for a byte; it is stamped when it
 returns, so the times are as good as the system wakes a waiting program: mostly within a few milliseconds (on Windows up to
-16), and what the adapter holds back comes on top. These systems tell no counts of lost bytes.
+16), and plus the delay of the adapter. These systems tell no counts of lost bytes.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from analyzer.live.reader_stream import LAST_READS_NS, settle
 #: The longest wait for a byte: how late the wish to end is noticed.
 _WAIT_S = 0.02
 _READ_SIZE = 1 << 16
-_PRECISION = "read through pyserial, within some milliseconds; what the adapter holds back comes on top"
-_UNCOUNTED = "this system does not tell how many bytes it had no room for: they would go unnoticed"
+_PRECISION = "read through pyserial, within some milliseconds; plus the delay of the adapter"
+_UNCOUNTED = "this system does not count lost bytes: they would go unnoticed"
 
 
 class PlainPort(LibraryPort):

@@ -72,7 +72,7 @@ class SerialPort(DescriptorPort):
     def adopt(self, fd: int) -> Opened:
         """Take over the descriptor of another reader: the port is set up, and what has come since waits in it."""
         if not os.isatty(fd):
-            raise Unopened("what was handed over is no serial port")
+            raise Unopened("the descriptor is not a serial port")
         self._fd = fd
         self._begin_counting()
         return Opened(precision(os.ttyname(fd)))
@@ -88,7 +88,7 @@ class SerialPort(DescriptorPort):
             actual = set_raw(fd, speed, self._endpoint.parity, self._endpoint.stop_bits)
         except OSError as error:
             if not os.isatty(fd):
-                raise Unopened(f"{path} is no serial port") from None
+                raise Unopened(f"{path} is not a serial port") from None
             raise Unopened(f"{path} does not take {speed} baud: {error.strerror}") from None
         device = os.ttyname(fd)
         emulated = device.startswith("/dev/pts/")
@@ -100,11 +100,11 @@ class SerialPort(DescriptorPort):
         except OSError:
             # A pseudo-terminal has no such lines, and nothing hangs on them.
             if not emulated:
-                notes.append("the port has no RTS and DTR that could be lowered")
+                notes.append("the port has no RTS and DTR lines to lower")
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            raise Unopened(f"{path} is locked by another program; two readers would each get a part of the bytes") from None
+            raise Unopened(f"{path} is locked by another program; two readers would share the bytes") from None
         if actual and abs(actual - speed) > RATE_TOLERANCE * speed:
             notes.append(f"the port runs at {actual} baud instead of {speed}")
         # The maker of a pseudo-terminal holds it open, too, and reads nothing from it.
@@ -125,7 +125,7 @@ class SerialPort(DescriptorPort):
             self._count(store, now_ns)
 
         byte_ns = self._endpoint.byte_ns
-        listen_to_stream(self._fd, store, stop, byte_ns=byte_ns, ended="the port hung up (unplugged?)", tick=count)
+        listen_to_stream(self._fd, store, stop, byte_ns=byte_ns, ended="the port disconnected (unplugged?)", tick=count)
 
     def _begin_counting(self) -> bool:
         self._counted_ns = time.monotonic_ns()
@@ -170,7 +170,7 @@ def set_raw(fd: int, speed: int, parity: str, stop_bits: int) -> int:
 def _set_raw_standard(fd: int, speed: int, control: int) -> int:
     code = getattr(termios, f"B{speed}", None)
     if code is None:
-        raise OSError(22, "this machine takes standard rates alone")
+        raise OSError(22, "this machine accepts only standard rates")
     try:
         attributes = termios.tcgetattr(fd)
         attributes[6][termios.VMIN], attributes[6][termios.VTIME] = 1, 0
@@ -208,9 +208,9 @@ def holders(fd: int) -> list[str]:
 def refused(path: str, error: OSError) -> str:
     """Return why a port could not be opened, and what may help."""
     if isinstance(error, FileNotFoundError):
-        return f"{path} is not there (servotap ports lists those that are)"
+        return f"{path} does not exist (servotap ports lists the ports)"
     if isinstance(error, PermissionError):
-        return f"no permission for {path}: it is for members of a group, on most systems: sudo usermod -a -G dialout $USER"
+        return f"no permission for {path}: join its group, on most systems: sudo usermod -a -G dialout $USER"
     return f"cannot open {path}: {error.strerror}"
 
 
@@ -222,5 +222,5 @@ def precision(path: str) -> str:
     try:
         timer = int(Path(f"/sys/bus/usb-serial/devices/{name}/latency_timer").read_text())
     except (OSError, ValueError):
-        return "read as the kernel delivers it, mostly within 0.1 ms; what the adapter holds back comes on top"
+        return "read as the kernel delivers it, mostly within 0.1 ms; plus the delay of the adapter"
     return f"read as the kernel delivers it, mostly within 0.1 ms; the adapter holds bytes back for up to {timer} ms"

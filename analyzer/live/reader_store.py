@@ -158,7 +158,7 @@ class Store:
             except OSError as error:
                 self._why = error.strerror or str(error)
                 self._tried_ns = self._clock()
-                self._tell(self.last_ns, "note", {"text": f"cannot store: {self._why}; held in memory and tried again"})
+                self._tell(self.last_ns, "note", {"text": f"cannot store: {self._why}; data is kept in memory, retrying"})
         self._hold(data, count, from_ns)
         self._retry()
 
@@ -173,7 +173,7 @@ class Store:
         # From here to when all that is held has been stored, or the order would be lost.
         if not self._dropping:
             self._dropped_from_ns = from_ns
-            self._tell(from_ns, "note", {"text": f"cannot store: {self._why}; memory is full, what comes now is lost"})
+            self._tell(from_ns, "note", {"text": f"cannot store: {self._why}; memory is full, new data is lost"})
         self._dropping += count
         self._dropped_to_ns = self.last_ns
         self.dropped += count

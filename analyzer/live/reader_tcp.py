@@ -64,7 +64,7 @@ class TcpPort(DescriptorPort):
         listen_to_stream(self._fd, store, stop, byte_ns=self._endpoint.byte_ns, ended="the server closed the connection")
 
 
-_PRECISION = "read as the network delivers it; what the server and the network hold back comes on top"
+_PRECISION = "read as the network delivers it; plus the delays of server and network"
 
 
 def _connect(connection: socket.socket, address: object, stop: Stop) -> str:

@@ -8,7 +8,7 @@ watches go into this descriptor. Standard input is the leash: when its other end
 is made whole, as after SIGTERM.
 
 Rules: it can be killed at any moment and started again. While the log cannot be written (a full disk) nothing is read, so
-the spools keep it; it is tried again until there is room. What nobody can mend is one line on standard error.
+the spools keep it, and writing is retried until there is room. Other errors are one line on standard error.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ class Recorder:
     def _finish(self) -> None:
         recording = self.recording
         if not recording.ended:
-            recording.happened("end", reason=self._ending or "the recording was killed; what it left was made whole later")
+            recording.happened("end", reason=self._ending or "the recording was killed; its log was repaired later")
             recording.ended = self._ending or "killed"
             recording.settle(recording.merger.horizon_ns)
         recording.finish(self._patiently)
@@ -180,13 +180,13 @@ class Recorder:
                 now_ns = time.monotonic_ns()
                 if begun_ns is None:
                     begun_ns = now_ns
-                    self._say(f"cannot write {self.parts.path}: {reason}; what comes is kept beside it and tried again")
+                    self._say(f"cannot write {self.parts.path}: {reason}; data is buffered next to it, retrying")
                     if self._feed is not None:
-                        text = f"cannot write the log: {reason}; what comes is kept beside it"
+                        text = f"cannot write the log: {reason}; data is buffered next to it"
                         self._feed.happened(Event(self.config.utc_ns(now_ns), "", "note", {"text": text}), 0)
                 if self._final and now_ns - begun_ns > LAST_TRIES_NS:
                     raise Stalled(
-                        f"{self.parts.path} cannot be written: {reason}. Make room; then "
+                        f"{self.parts.path} cannot be written: {reason}. Free some space; then "
                         f"servotap recover {self.parts.path} goes on where it stopped"
                     ) from None
             self._show(now_ns)

@@ -144,8 +144,7 @@ class Recording:
         notes += list(self.config.notes)
         if self.moved:
             notes.append(
-                f"{self.moved} records came up to {self.moved_ns / 1e6:.0f} ms too late to stand in their place; "
-                "their times were moved on"
+                f"{self.moved} records arrived up to {self.moved_ns / 1e6:.0f} ms late; their times were moved forward"
             )
         if notes:
             values["notes"] = "; ".join(notes)

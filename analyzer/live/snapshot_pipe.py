@@ -26,7 +26,7 @@ LINE_LIMIT = 8 << 20
 
 def _never_wait(fd: int) -> None:
     if not hasattr(os, "set_blocking"):
-        raise UsageError("watching needs Python 3.12 on this system: pipes cannot be read without waiting before")
+        raise UsageError("watching needs Python 3.12 on this system, for pipes that do not block")
     os.set_blocking(fd, False)
 
 

@@ -237,7 +237,7 @@ class Supervisor:
                 except OSError as error:
                     # Out of memory or of processes: perhaps not for long.
                     child.died(1)
-                    self._on_note("", f"cannot start a process: {error.strerror or error}; it is tried again")
+                    self._on_note("", f"cannot start a process: {error.strerror or error}; retrying")
 
     def _hear_event(self, name: str, event: Mapping[str, Any]) -> None:
         port = self.tallies[name]
@@ -246,7 +246,7 @@ class Supervisor:
             self._on_note(port.bus, text)
 
     def _hear_exit(self, name: str, status: int) -> None:
-        """Take the death of a process, the last that is heard of it: it is started again, unless it had been asked to end."""
+        """Take the death of a process, the last that is heard of it: it is restarted, unless it had been asked to end."""
         reader = name in self._readers
         if reader and self.phase == "ending":
             self._gone.add(name)
@@ -270,7 +270,7 @@ class Supervisor:
         else:
             self.decoder_restarts += 1
         self._note_event("restarted", what=what, stem=name if reader else "", reason=reason)
-        again = "it is started again" + ("" if reader else "; nothing is lost by that, the readers go on")
+        again = "it is restarted" + ("" if reader else "; no data was lost, the readers continue")
         self._on_note(bus, f"the {what} process ended ({reason}); {again}")
 
     def _note_event(self, event: str, **about: Any) -> None:
@@ -321,4 +321,4 @@ class Supervisor:
                 break
             self._turn(_TURN_S)
         if self.folder.exists() and not self.unfinished:
-            self.unfinished = f"the log is not finished; servotap recover {self.config.log} does that"
+            self.unfinished = f"the log is incomplete; servotap recover {self.config.log} finishes it"

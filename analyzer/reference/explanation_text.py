@@ -49,7 +49,7 @@ def explanation_lines(found: Explanation) -> list[str]:
     lines.append("")
     lines += columns([Row("offset", "hex", "bits", "meaning"), *rows(found)])
     if len(found.readings) > 1:
-        lines += ["", "who sent it is not told by its bytes; both readings:"]
+        lines += ["", "its bytes do not tell who sent it; both readings:"]
         lines += columns([(f"as a {m.role}:", _reading_text(m)) for m in found.readings], indent="  ")
     command = found.message.command
     if command is not None and found.message.role is not Role.REPLY and found.message.form is not None:
@@ -97,9 +97,9 @@ def finding_lines(found: Explanation) -> list[str]:
         lines.append(f"the right frame: {write_frame(found.right, found.can_id)}")
     nameless = found.head.code is None and found.head.exception is None and found.message.role is Role.REPLY
     if nameless and "unknown_command" in (i.rule for i in found.issues):
-        lines.append("such a reply does not say what was asked for; its request does: --request FRAME")
+        lines.append("only the request tells the meaning of such a reply: --request FRAME")
     if found.maybe_unchecked:
-        lines.append("if its last bytes are data and the checksum was left out: --no-checksum")
+        lines.append("if the bytes are given without their checksum: --no-checksum")
     if found.also:
         words = "fits equally well" if found.checks_ok else "could as well be"
         lines.append(f"{words}: {', '.join(found.also)} (choose with --dialect)")
@@ -143,7 +143,7 @@ def _data_rows(found: Explanation, message: Message, start: int) -> Iterator[Row
     elif message.form is not None:
         yield from field_rows(message.form, message.data, start)
     else:
-        yield from _raw_rows(message.data, start, "! data that fit no layout of this command" if message.command else "data")
+        yield from _raw_rows(message.data, start, "! data that match no layout of this command" if message.command else "data")
 
 
 def _raw_rows(data: bytes, start: int, meaning: str) -> Iterator[Row]:

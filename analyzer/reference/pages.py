@@ -150,7 +150,7 @@ def _forms(dialect: Dialect, command: Command, role: Role) -> Iterator[str]:
         yield from _form_lines(dialect, command, form, role)
     elsewhere = [f for f in forms if f.code is not None]
     if elsewhere:
-        yield from ("", styled(f"{role}, under the code of what was asked for", "bold"))
+        yield from ("", styled(f"{role}, under the code of the requested parameter", "bold"))
         yield from columns(_elsewhere(dialect, elsewhere), width=WIDTH, indent=_INDENT)
 
 

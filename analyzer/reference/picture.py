@@ -65,7 +65,7 @@ def _rows(layout: Layout) -> list[list[_Box]]:
             labels = (field.name, key(number))
             number += 1
         if field.bit_width == 0:
-            rows.append([_Box(0, width, (f"{field.name}, all that is left",))])
+            rows.append([_Box(0, width, (f"{field.name}, to the end",))])
             continue
         start, stop = offset, offset + field.bit_width
         while start < stop:

@@ -69,7 +69,7 @@ def is_whole(path: Path) -> bool:
     """Say whether a log ends as one that was finished does. Raises UnreadableError for what is no MCAP log."""
     with path.open("rb") as stream:
         if stream.read(len(scan.MAGIC)) != scan.MAGIC:
-            raise UnreadableError(f"{path} is no MCAP log, expected one that begins 89 4D 43 41 50 30 0D 0A")
+            raise UnreadableError(f"{path} is not an MCAP log, expected the beginning 89 4D 43 41 50 30 0D 0A")
     from mcap.reader import SeekingReader
 
     try:
@@ -199,11 +199,11 @@ class _Repair:
         following = self._search(at + 1)
         end = self._size if following is None else following
         saved = self._salvage(at, end)
-        text = f"{end - at} bytes are no whole record"
+        text = f"{end - at} bytes are an incomplete record"
         if saved:
-            text = f"a chunk breaks off: {saved} messages of it were read"
+            text = f"a truncated chunk: {saved} messages of it were read"
         if following is None:
-            text += "; nothing that can be read follows"
+            text += "; nothing readable follows"
         self._outcome.faults.append(Fault(at, end - at, text))
         return end
 

@@ -20,7 +20,7 @@ class TakenFile(McapFile):
     """A file that takes over records as they are."""
 
     def __init__(self, target: Writable, header: Header) -> None:
-        library = f"{header.library} (made whole by servotap {__version__})".strip()
+        library = f"{header.library} (repaired by servotap {__version__})".strip()
         super().__init__(target, profile=header.profile, library=library)
 
     def take_schema(self, body: bytes) -> None:

@@ -48,8 +48,8 @@ FORMATS: dict[str, Format] = {
     "saleae": Format("saleae", "Saleae CSV", "decoded bytes of Logic 1 and Logic 2", (".csv", ".txt"), "serial"),
     "sigrok": Format("sigrok", "sigrok UART", "annotations of sigrok-cli and PulseView", (".txt", ".csv"), "serial"),
     "hexdump": Format("hexdump", "hex dump", "raw bytes as hexdump -C and xxd print them", (".txt", ".hex"), "serial"),
-    "hex": Format("hextext", "hex text", "lines of hex bytes with or without times and marks", (".log", ".txt"), "serial"),
-    "raw": Format("raw", "raw bytes", "the bytes of a serial line, nothing else", (".bin", ".raw"), "serial"),
+    "hex": Format("hextext", "hex text", "lines of hex bytes, with or without times and marks", (".log", ".txt"), "serial"),
+    "raw": Format("raw", "raw bytes", "only the bytes of a serial line", (".bin", ".raw"), "serial"),
 }
 
 #: A format must be this sure to be chosen.
@@ -184,8 +184,8 @@ def _unknown(source: Source, scores: dict[str, float]) -> str:
     lines = head_lines(source.head)
     seems = "text" if is_text(source.head) else "binary data"
     shown = f", beginning {quote(lines[0].strip())!r}" if lines else ""
-    near = f"the nearest is {FORMATS[best].title} ({scores[best]:.0%})" if scores[best] > 0 else "none comes near"
+    near = f"the nearest is {FORMATS[best].title} ({scores[best]:.0%})" if scores[best] > 0 else "no format comes close"
     return (
-        f"{source.name} is no capture that is known ({seems}{shown}). Tried: {', '.join(scores)}; {near}. "
-        "--format NAME reads it as one of them all the same"
+        f"{source.name} is not a recognised capture format ({seems}{shown}). Tried: {', '.join(scores)}; {near}. "
+        "--format NAME reads it as that format anyway"
     )

@@ -83,7 +83,7 @@ def read(source: Source) -> Iterator[Chunk | Comment]:
     roles = [p.role for p in parts if p.shape in (Shape.TRAFFIC, Shape.HEADER)]
     deaf = roles.count(Role.REPLY) >= _LISTENER_LINES and Role.REQUEST not in roles
     if deaf:
-        source.note("every line is marked as received: a listener's log, the marks do not tell who sent")
+        source.note("every line is marked as received, as a listener's log is: the marks do not tell the sender")
     return _Reader(source, _Clock(parts), deaf).records()
 
 

@@ -97,7 +97,7 @@ def _cooked(line: Line, t_ns: int | None, data: bytes, outgoing: bool | None) ->
     at, size = _COOKED[line.link]
     protocol = int.from_bytes(data[at : at + 2], "big")
     if len(data) < size or protocol not in _COOKED_CAN:
-        line.source.note("records that are no CAN frames were left out")
+        line.source.note("records other than CAN frames were left out")
         return None
     if data[_COOKED_KIND[line.link]] == _COOKED_OUTGOING:
         outgoing = True

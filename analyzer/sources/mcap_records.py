@@ -24,7 +24,7 @@ from analyzer.sources.tail import Rewound, Tail
 LogRecord = Header | Schema | Channel | Metadata | LogMessage
 _READ = {scan.HEADER: Header.read, scan.SCHEMA: Schema.read, scan.CHANNEL: Channel.read, scan.METADATA: Metadata.read}
 #: What ends the reading of a part.
-UNFINISHED = "the log is not whole, it breaks off here; what came before is read (servotap recover makes it whole)"
+UNFINISHED = "the log is incomplete and ends here; everything before was read (servotap recover repairs it)"
 
 
 class Reader(Protocol):
@@ -81,7 +81,7 @@ def _part(source: Source, reader: Reader) -> Iterator[LogRecord]:
         raise
     # The library raises whatever a damaged record makes it stumble over.
     except Exception as error:
-        text = str(error) if isinstance(error, EOFError) else f"the log is not whole: {describe(error)}"
+        text = str(error) if isinstance(error, EOFError) else f"the log is incomplete: {describe(error)}"
         source.problem(text, offset=reader.offset)
 
 
@@ -243,4 +243,4 @@ def _marked(source: Source, tail: Tail, places: list[int]) -> Iterator[LogRecord
             source.problem(str(error), offset=tail.offset)
     # As above.
     except Exception as error:
-        source.problem(f"the log is not whole: {describe(error)}", offset=tail.offset)
+        source.problem(f"the log is incomplete: {describe(error)}", offset=tail.offset)

@@ -109,7 +109,7 @@ def walk(data: bytes) -> Iterator[tuple[int, int, int]]:
     unpack_from, size = HEAD.unpack_from, HEAD.size
     while at < end:
         if at + size > end:
-            raise ValueError(f"{end - at} bytes at the end of a chunk are no record")
+            raise ValueError(f"{end - at} bytes at the end of a chunk are not a record")
         opcode, length = unpack_from(data, at)
         at += size
         if length > end - at:

@@ -99,7 +99,7 @@ def in_folder(folder: Path) -> tuple[list[Part], list[str]]:
     notes = []
     if len(logs) > len(parts):
         others = ", ".join(p.path.name for p in logs if not p.recording)
-        notes.append(f"left out, for they are no parts of the recording: {others}")
+        notes.append(f"left out, as they are not parts of the recording: {others}")
     return ordered(parts), notes
 
 

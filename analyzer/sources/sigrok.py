@@ -47,7 +47,7 @@ def read(source: Source) -> Iterator[Chunk]:
     if numbered and source.baud:
         source.time_source = f"capture: sample numbers, at {source.baud} baud by the length of the bytes"
     elif numbered:
-        source.note("the sample numbers have no rate: --baud makes times of them")
+        source.note("the sample numbers have no rate: give --baud to turn them into times")
     return _records(source)
 
 

@@ -173,7 +173,7 @@ class Stream:
                 raise UnreadableError(
                     f"{self.name}: {self.position} bytes of {self.compression} data unpack to more than "
                     f"{self.unpacked >> 20} MiB, more than {BOMB_RATIO} times as much: taken for a decompression "
-                    "bomb; unpack it first if it is none"
+                    "bomb; if it is harmless, unpack it first"
                 )
             yield block
 
@@ -184,11 +184,11 @@ def _open(path: str) -> tuple[int, int | None]:
         try:
             return sys.stdin.fileno(), None
         except (OSError, ValueError, AttributeError):
-            raise UnreadableError("standard input cannot be read: it is closed or no file") from None
+            raise UnreadableError("standard input cannot be read: it is closed") from None
     try:
         fd = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOCTTY", 0))
     except ValueError as error:
-        raise UnreadableError(f"{path!r} is no path: {error}") from None
+        raise UnreadableError(f"{path!r} is not a path: {error}") from None
     except OSError as error:
         if Path(path).is_dir():
             raise UnreadableError(f"{path} is a directory, expected a capture file") from None
@@ -220,7 +220,7 @@ def _gzip(blocks: Iterator[bytes], damaged: Report) -> Iterator[bytes]:
                 if not data:
                     break
                 if not GZIP_MAGIC.startswith(data[:3]):
-                    damaged(f"what follows its end is no gzip data ({data[:4].hex(' ').upper()} ...), ignored")
+                    damaged(f"the bytes after its end are not gzip data ({data[:4].hex(' ').upper()} ...), ignored")
                     return
                 unpacker = zlib.decompressobj(31)
             before = unpacker.copy()
@@ -236,7 +236,7 @@ def _gzip(blocks: Iterator[bytes], damaged: Report) -> Iterator[bytes]:
             if unpacked:
                 yield unpacked
     if not unpacker.eof:
-        damaged("breaks off before its end")
+        damaged("ends too early")
 
 
 def _salvaged(unpacker: zlib._Decompress, data: bytes) -> Iterator[bytes]:
@@ -285,7 +285,7 @@ def _zstd(blocks: Iterator[bytes], damaged: Report) -> Iterator[bytes]:
         if size:
             yield b"".join(parts)
     if begun:
-        damaged("breaks off before its end")
+        damaged("ends too early")
 
 
 _OPENERS: tuple[tuple[str, bytes, Callable[[Iterator[bytes], Report], Iterator[bytes]]], ...] = (

@@ -62,7 +62,7 @@ class Tail:
                 # Twice: a process that was killed is started again soon.
                 dead = dead + 1 if self._follow.alive(self.path) is False else 0
                 if dead > 2:
-                    self.why = f"nobody writes {self.path.name} any more; servotap recover makes it whole"
+                    self.why = f"no process writes {self.path.name} any more; servotap recover repairs it"
                     raise EOFError(self.why)
             self._follow.wait(_LOOK_S)
         data = b""

@@ -78,4 +78,4 @@ def _records(source: Source, version: str, columns: list[str], start_ns: int) ->
         yield frame(message, t_ns, source.port(f"can{message.channel}" if named else None))
     left = tap.number - first + 1 - given - source.problem_count
     if given and left > 0:
-        source.note(f"{left} lines are no frames (comments, bus status), left out")
+        source.note(f"{left} lines are not frames (comments, bus status), left out")

@@ -154,7 +154,7 @@ class ViewApp(App[str]):
         wanted = self.frames.wanted
         if wanted is not None:
             lines = self.source.lines
-            how = "" if wanted.done else f" ({100 * wanted.looked // max(1, lines.stop)} % looked through)"
+            how = "" if wanted.done else f" ({100 * wanted.looked // max(1, lines.stop)} % searched)"
             words.append(f"{wanted.stop - wanted.first} frames pass{how}: {self._filter_text}")
         search = self._seeker.search
         if search is not None:
@@ -239,7 +239,7 @@ class ViewApp(App[str]):
             self._clear_filter()
             number = self.frames.lines.number_of(sequence)
         if number is None:
-            self.say(f"frame {sequence} is not among the lines any more; it is in the log")
+            self.say(f"frame {sequence} is no longer among the lines; it is in the log")
             return
         self.action_panel("frames")
         self.frames.put(number)
@@ -372,7 +372,7 @@ class ViewApp(App[str]):
     def action_again(self, step: int) -> None:
         """Go to the next line with the text that was searched for."""
         if not self._seeker.text:
-            self.say("nothing to search for yet: / asks for a text")
+            self.say("no search yet: press / to enter a text")
             return
         self._seek(lambda: self._seeker.for_text(self.frames.lines, self.frames.cursor, step))
 

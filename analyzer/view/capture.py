@@ -336,7 +336,7 @@ class CaptureSource:
 
     def mark(self, text: str) -> str:
         """Refuse: a capture is only read."""
-        raise UsageError("a file is only read here; marks are made while recording (servotap record --view)")
+        raise UsageError("a file is read-only; marks need a recording (servotap record --view)")
 
     def close(self) -> None:
         """Stop reading."""

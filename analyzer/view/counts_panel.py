@@ -1,4 +1,4 @@
-"""Counts of each command of each address: requests, replies, rate, latency."""
+"""Counts of every command of every address: requests, replies, rate, latency."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ class Details:
             text.append_text(part)
             text.append("\n")
         if line.request_sequence is not None and request is None:
-            text.append("the request it answers is no longer among the lines; what it says is read without it\n", "dim")
+            text.append("its request is no longer among the lines; decoded without it\n", "dim")
 
 
 def _given(line: FrameLine) -> Given:

@@ -19,19 +19,19 @@ class Key(NamedTuple):
 
 KEYS = (
     Key("1", "panel('frames')", "Frames", "frames as they come, decoded"),
-    Key("2", "panel('counts')", "Counts", "each command of each address: requests, replies, rate, latency"),
-    Key("3", "panel('findings')", "Findings", "what is wrong, or what one should know; Enter leads to the frame"),
-    Key("4", "panel('plot')", "Plot", "chosen fields over time; Enter plots one, or plots it no more"),
-    Key("enter", "details", "Bytes", "the frame under the cursor byte by byte, or no longer; [ and ] scroll it"),
-    Key("f", "filter", "Filter", 'show only frames for which it holds: address == 1 and "bad_checksum" in findings'),
-    Key("slash", "search", "Search", "a text in fields, names or hex; then n and N for the next and the one before"),
-    Key("e", "finding(1)", "Next!", "the next frame with a finding; E the one before"),
-    Key("space", "pause", "Pause", "hold the frames; counts go on, and nothing is lost in the log", True),
-    Key("m", "mark", "Mark", "write a note into the log, at this moment", True),
+    Key("2", "panel('counts')", "Counts", "every command of every address: requests, replies, rate, latency"),
+    Key("3", "panel('findings')", "Findings", "errors, warnings and notes; Enter jumps to the frame"),
+    Key("4", "panel('plot')", "Plot", "selected fields over time; Enter adds or removes a field"),
+    Key("enter", "details", "Bytes", "show or hide the frame under the cursor byte by byte; [ and ] scroll"),
+    Key("f", "filter", "Filter", 'show only matching frames: address == 1 and "bad_checksum" in findings'),
+    Key("slash", "search", "Search", "search fields, names and hex; n and N go to the next and the previous match"),
+    Key("e", "finding(1)", "Next!", "the next frame with a finding; E the previous one"),
+    Key("space", "pause", "Pause", "freeze the frames; counts and log continue", True),
+    Key("m", "mark", "Mark", "write a note into the log, at the current time", True),
     Key("x", "shows", "", "fields, bytes, or both"),
-    Key("t", "time", "", "time of day, seconds since the first frame, seconds since the line above"),
-    Key("o", "order", "", "another order of the counts: address, count, rate, latency"),
-    Key("plus,equals_sign", "zoom(1)", "", "plot a shorter time; - a longer one"),
+    Key("t", "time", "", "time of day, seconds since the first frame, or since the line above"),
+    Key("o", "order", "", "sort the counts by address, count, rate or latency"),
+    Key("plus,equals_sign", "zoom(1)", "", "plot a shorter time range; - a longer one"),
     Key("minus", "zoom(-1)", "", ""),
     Key("n", "again(1)", "", ""),
     Key("N", "again(-1)", "", ""),
@@ -40,7 +40,7 @@ KEYS = (
     Key("right_square_bracket", "scroll_details(1)", "", ""),
     Key("escape", "step_back", "", "no filter, no search, no details"),
     Key("question_mark,h,f1", "keys", "Help", "this page"),
-    Key("q", "leave", "Quit", "end the view; while recording it ends the recording, and asks before"),
+    Key("q", "leave", "Quit", "quit; while recording this ends the recording, after a question"),
     Key("ctrl+c", "stop", "", "end at once"),
 )
 _NAMES = {
@@ -50,7 +50,7 @@ _NAMES = {
 _MOVING = (
     ("arrows j k", "one row up or down"),
     ("PgUp PgDn", "a page"),
-    ("Home End g G", "the first, the last; at the last the newest are followed"),
+    ("Home End g G", "the first, the last; at the last the view follows new frames"),
 )
 
 
@@ -78,7 +78,7 @@ def help_text(live: bool) -> str:
             note = "" if live or not key.live_only else "  (only while recording)"
             rows.append((_NAMES.get(key.key, key.key), key.help + note))
     signs = (
-        "signs: > request  < reply  ? unknown who  ~ junk  * event;  E error  W warning  i info\n"
-        "times are UTC; 'not shown' counts frames that came faster than anyone reads: they are in the log"
+        "signs: > request  < reply  ? unknown sender  ~ junk  * event;  E error  W warning  i info\n"
+        "times are UTC; 'not shown' counts frames too fast for the display: they are in the log"
     )
     return "\n".join(f"{name:>13}  {text}" for name, text in rows) + "\n\n" + signs

@@ -149,7 +149,7 @@ class PlotPanel(Horizontal):
     def _charts(self, asked: _Asked | None) -> Text:
         width, height = self._chart.size
         if asked is None or not asked.names:
-            return Text("no series is chosen: move with the arrow keys, Enter plots one or plots it no more")
+            return Text("no series is selected: arrow keys move, Enter adds or removes a series")
         if width < 20 or height < 4:
             return Text("too small for a chart")
         each = max(3, (height - 1) // len(asked.names))

@@ -11,7 +11,7 @@ FILTER, SEARCH, MARK = "filter", "search", "mark"
 _HINTS = {
     FILTER: 'such as  address == 1 and command == "read_speed"  (empty: all)',
     SEARCH: "a text: part of a name, a value, hex bytes",
-    MARK: "a note that goes into the log",
+    MARK: "a note for the log",
 }
 
 

@@ -13,5 +13,5 @@ def run(source: ViewSource, *, filter_text: str = "") -> str:
         app = ViewApp(source, filter_text=filter_text)
         result = app.run()
     if app.return_code:
-        return "the view has broken off (a fault of this program: please report it)"
+        return "the view failed (a bug in servotap: please report it)"
     return result or "quit"

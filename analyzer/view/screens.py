@@ -44,7 +44,7 @@ class EndQuestion(ModalScreen[bool]):
 
     def compose(self) -> ComposeResult:
         """Put the question in."""
-        yield Static(Text("End the recording?  y ends it, n goes on"), markup=False)
+        yield Static(Text("End the recording?  y ends it, n continues"), markup=False)
 
     def action_answer(self, yes: bool) -> None:
         """Give the answer."""

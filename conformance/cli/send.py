@@ -51,12 +51,12 @@ _QUIET_NS = 60 * MS
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("target", nargs="?", metavar="DIALECT@ADDRESS", help="whom it is for: mks-rs485@1, mks-rs485@all")
+    parser.add_argument("target", nargs="?", metavar="DIALECT@ADDRESS", help="the recipient: mks-rs485@1, mks-rs485@all")
     parser.add_argument("command", nargs="?", metavar="COMMAND", help="its name, or a code that only one command has")
     parser.add_argument("values", nargs="*", metavar="FIELD=VALUE", help="values of its fields")
     add_on_argument(parser)
     parser.add_argument("--hex", metavar="BYTES", help="these bytes instead of a command (CAN: 001#F60140023A)")
-    parser.add_argument("--form", metavar="NAME", help="the form, where the fields do not tell it")
+    parser.add_argument("--form", metavar="NAME", help="the form, if the fields do not determine it")
     parser.add_argument("--model", metavar="M", help="limits and units of a model: 42D 57D 28D 35D 42E 57E MF MG MH MS")
     parser.add_argument("--wire", action="store_true", help="numbers are integers as sent")
     parser.add_argument("--force", action="store_true", help="send also what the manual forbids, if its bits hold it")

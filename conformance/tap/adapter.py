@@ -93,7 +93,7 @@ class SerialAdapter(Adapter):
 
     def _set_up(self, fd: int, path: str, settings: LineSettings) -> list[str]:
         if not os.isatty(fd):
-            raise Unopened(f"{path} is no serial port")
+            raise Unopened(f"{path} is not a serial port")
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:

@@ -157,7 +157,7 @@ class Passing:
                 gone = error.strerror or str(error)
                 break
             if not data:
-                gone = "the port hung up (unplugged?)" if self._adapter.has_line else "the server closed the connection"
+                gone = "the port disconnected (unplugged?)" if self._adapter.has_line else "the server closed the connection"
                 break
             stamp_ns = time.monotonic_ns()
             self._give_program(data)
@@ -195,7 +195,7 @@ class Passing:
         try:
             return os.write(self._terminal.master, data)
         except OSError:
-            # Full: it is tried again when there is room.
+            # Full: retrying when there is room.
             return 0
 
     # --- program to adapter ---------------------------------------------------------------------------------------

@@ -194,7 +194,7 @@ def test_a_frame_as_json(frame):
         ("mks-modbus@248 read_speed", "address: got 248, expected 1..247, or 0 for all"),
         ("lk-rs485@33 stop", "address: got 33, expected 1..32"),
         ("lk-rs485@0 stop", "address: got 0, expected 1..32"),
-        ("lk-rs485@all stop", "lk-rs485 has no address for all drives"),
+        ("lk-rs485@all stop", "lk-rs485 has no broadcast address"),
         ("mks-rs458@1 run_speed", "did you mean mks-rs485?"),
         ("mks-rs485@1 run_speed --candump", "--candump is for CAN, got mks-rs485"),
         ("mks-rs485@1 run_speed --model 42E", "no model '42E' in mks-rs485"),

@@ -108,7 +108,7 @@ def test_a_frame_of_the_kernel(word, data, expected):
 
 def test_what_an_error_frame_says_about_the_bus():
     assert trouble(0x040, b"\0" * 8) == "bus off"
-    assert trouble(0x004, b"\0\x01" + b"\0" * 6) == "the controller's buffer ran over: frames were lost"
+    assert trouble(0x004, b"\0\x01" + b"\0" * 6) == "the controller's buffer overflowed: frames were lost"
     assert trouble(0x144, b"\0\x10" + b"\0" * 6) == "bus off, the controller was restarted, error passive (receiving)"
     assert trouble(0x008, b"\0" * 8) == ""
 

@@ -109,7 +109,7 @@ def test_on_a_full_disk_all_is_held_and_stored_in_order_when_there_is_room(bench
         bench.store.chunk(20 + n, bytes((n,)))
         bench.store.flush()
     assert len(bench.records()) == 1
-    assert bench.told == [("note", {"text": "cannot store: No space left on device; held in memory and tried again"})]
+    assert bench.told == [("note", {"text": "cannot store: No space left on device; data is kept in memory, retrying"})]
     bench.disk.full = False
     bench.pass_ns(RETRY_NS)
     bench.store.flush()

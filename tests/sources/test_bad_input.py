@@ -51,7 +51,7 @@ def test_a_text_of_something_else(text: str, tmp_path: Path) -> None:
     with pytest.raises(UnreadableError) as raised:
         open_source(path)
     message = str(raised.value)
-    assert message.startswith("notes.txt is no capture that is known (text, beginning ")
+    assert message.startswith("notes.txt is not a recognised capture format (text, beginning ")
     assert "candump" in message
     assert "hex" in message
     assert "--format NAME" in message

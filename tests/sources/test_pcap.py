@@ -58,7 +58,7 @@ def test_linux_cooked(order: str, tmp_path: Path) -> None:
         CanFrame(T, "can", 0x123, b"\xaa", REQUEST, extended=True),
         CanFrame(T, "can", 0x123, b"\xaa", U, extended=True),
     ]
-    assert "records that are no CAN frames were left out" in source.notes
+    assert "records other than CAN frames were left out" in source.notes
     newer = struct.pack(">HHLHBBQ", 0x000C, 0, 3, 280, 4, 0, 0) + can
     assert read(tmp_path, pcap_file(276, [(T, newer)], order))[1] == records[:1]
 
