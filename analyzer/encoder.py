@@ -25,7 +25,7 @@ from analyzer.dialects import find_command
 from analyzer.errors import UsageError
 from analyzer.layout import Field
 from analyzer.records import CanFrame
-from analyzer.values import near, parse_value, quote, refusal
+from analyzer.values import counted, near, parse_value, quote, refusal
 
 __all__ = ["Built", "address_refusal", "assemble", "build", "choose_form", "parse_value", "refusals"]
 
@@ -250,7 +250,7 @@ def _package(
         body = _encode(built.form, built.values)
         raw = bytes((address, command.code if built.form.code is None else built.form.code)) + body
         if len(raw) > size:
-            raise UsageError(f"slot {number}: {command.name} has {len(raw)} bytes, expected at most {size}")
+            raise UsageError(f"slot {number}: {command.name} has {counted(len(raw), 'byte')}, expected at most {size}")
         forbidden += [f"slot {number}: {text}" for text in built.refusals]
         if address in seen:
             forbidden.append(f"slot {number}: address {address} again; of two slots for one only the first is executed")

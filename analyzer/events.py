@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from analyzer.findings import Issue
 from analyzer.records import Event, Severity
+from analyzer.values import counted
 
 #: Topic of the events in a log.
 TOPIC = "/recording"
@@ -96,12 +97,12 @@ def _counted(values: Values) -> str:
 
 
 def _amount(values: Values) -> str:
-    return next((f"{values[unit]} {unit}" for unit in ("bytes", "frames") if unit in values), "an unknown amount")
+    return next((counted(values[noun + "s"], noun) for noun in ("byte", "frame") if noun + "s" in values), "an unknown amount")
 
 
 def _dropped(values: Values) -> str:
     span = f", from {values['from']} to {values['to']}" if values.get("from") and values.get("to") else ""
-    return f"{_amount(values)} came in and could not be kept{span}" + (f" ({values['reason']})" if values.get("reason") else "")
+    return f"{_amount(values)} received but not stored{span}" + (f" ({values['reason']})" if values.get("reason") else "")
 
 
 def _kernel_dropped(values: Values) -> str:
@@ -109,16 +110,16 @@ def _kernel_dropped(values: Values) -> str:
 
 
 def _missing(values: Values) -> str:
-    return f"{_amount(values)} are missing in what was stored"
+    return f"{_amount(values)} missing in the stored data"
 
 
 def _bus_error(values: Values) -> str:
     count = values.get("count", 1)
-    return f"{values.get('reason', 'trouble')}" + (f", {count} times" if count not in (0, 1) else "")
+    return f"{values.get('reason', 'trouble')}" + (f", {counted(count, 'time')}" if count not in (0, 1) else "")
 
 
 def _step(values: Values) -> str:
-    return f"the wall clock went {values.get('step', 0.0):+.3f} s: {values.get('cause', '')}; times here do not follow"
+    return f"the wall clock went {values.get('step', 0.0):+.3f} s: {values.get('cause', '')}; timestamps do not follow"
 
 
 def _drift(values: Values) -> str:
@@ -127,16 +128,16 @@ def _drift(values: Values) -> str:
 
 def _stalled(values: Values) -> str:
     span = f" from {values.get('from', '?')} to {values.get('to', '?')}"
-    return f"the log could not be written{span} ({values.get('reason', '')}); what came meanwhile was kept beside it"
+    return f"the log could not be written{span} ({values.get('reason', '')}); traffic was stored next to it meanwhile"
 
 
 def _restarted(values: Values) -> str:
     who = f" of {values['stem']}" if values.get("stem") else ""
-    return f"the {values.get('what', 'process')} process{who} died and was started again ({values.get('reason', '')})"
+    return f"the {values.get('what', 'process')} process{who} died and was restarted ({values.get('reason', '')})"
 
 
 def _damaged(values: Values) -> str:
-    return f"{_amount(values)} of what was stored beside the log are damaged"
+    return f"{_amount(values)} damaged in the data stored next to the log"
 
 
 def _part(values: Values) -> str:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from analyzer.context import Context
 from analyzer.records import Finding, Junk, JunkReason, Message, Severity
+from analyzer.values import counted
 
 
 class Rule(NamedTuple):
@@ -127,7 +128,7 @@ def is_plain(message: Message, context: Context) -> bool:
 def of_junk(junk: Junk) -> Issue:
     """Return the issue of a piece of junk."""
     shown = junk.data[:16].hex(" ").upper() + (" ..." if len(junk.data) > 16 else "")
-    return Issue(JUNK_RULES[junk.reason], f"{len(junk.data)} bytes: {shown}")
+    return Issue(JUNK_RULES[junk.reason], f"{counted(len(junk.data), 'byte')}: {shown}")
 
 
 def finding(

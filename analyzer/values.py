@@ -32,6 +32,16 @@ def quote(text: str, longest: int = 60) -> str:
     return ascii(shown) + ("" if shown is text else f" ... ({len(text)} characters)")
 
 
+def clean(text: str) -> str:
+    """Return a text with its control characters made visible: nothing in a capture steers a terminal."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text)
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a count with its noun: 1 frame, 2 frames."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def near(word: str, known: Iterable[str]) -> str:
     """Return `; did you mean A or B?` with the names next to a word, or nothing."""
     found = difflib.get_close_matches(word[:_LONGEST].lower(), list(known), 3, 0.5)

@@ -14,7 +14,7 @@ import msgspec
 from mcap.records import Channel
 
 from analyzer.cli.log_copy import Copy, Log, Taken, write_or_drop
-from analyzer.cli.reading import clean, showing_progress
+from analyzer.cli.reading import showing_progress
 from analyzer.cli.signals import Interrupt
 from analyzer.cli.time_range import add_time_range_arguments
 from analyzer.errors import UsageError
@@ -22,6 +22,7 @@ from analyzer.events import SETUPS, TOPIC
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.recording_parts import METADATA
 from analyzer.sources.times import iso
+from analyzer.values import clean, counted
 
 EXAMPLES = """\
 examples:
@@ -149,7 +150,7 @@ class _Cut:
         if self._buses:
             values["buses"] = ",".join(sorted(self._buses))
         copy.describe("servotap", values)
-        self.said = f"{copy.messages} messages from {iso(first_ns)} to {iso(copy.last_ns)}"
+        self.said = f"{counted(copy.messages, 'message')} from {iso(first_ns)} to {iso(copy.last_ns)}"
 
 
 def _bus_of(message: LogMessage) -> str:

@@ -16,7 +16,7 @@ from typing import Any
 
 from analyzer import __version__
 from analyzer.cli.output import Output
-from analyzer.cli.reading import Reading, add_reading_arguments, clean, now_text, open_reading, progress
+from analyzer.cli.reading import Reading, add_reading_arguments, now_text, open_reading, progress
 from analyzer.cli.signals import Interrupt
 from analyzer.errors import ServotapError, UnreadableError, UsageError
 from analyzer.pipeline import Pipeline, Sink
@@ -24,6 +24,7 @@ from analyzer.records import Severity
 from analyzer.sinks.mcap_log import McapLog
 from analyzer.sinks.process import SinkProcess, available
 from analyzer.sinks.summary import Summary
+from analyzer.values import clean
 
 #: From this size on, in bytes, writing in a process of its own is worth starting one.
 LONG_CAPTURE = 1 << 20
@@ -117,8 +118,8 @@ class _Sinks:
         """Return the counts of everything so far."""
         if self._process is None:
             return self._summary
-        counted: Summary = self._process.call(1, "")
-        return counted
+        accounted: Summary = self._process.call(1, "")
+        return accounted
 
     def finish(self, metadata: Mapping[str, str]) -> None:
         """Make the log whole."""
@@ -221,10 +222,10 @@ def _metadata(
 
 
 def _account(total: int, summary: Summary) -> None:
-    """Raise if a byte was lost or counted twice: that would be a fault of this program."""
-    counted = summary.frame_bytes + sum(summary.junk_bytes.values())
-    if counted != total:
-        raise ServotapError(f"internal fault: {total} bytes came in, {counted} are accounted for; please report it")
+    """Raise if a byte was lost or accounted twice: that would be a fault of this program."""
+    accounted = summary.frame_bytes + sum(summary.junk_bytes.values())
+    if accounted != total:
+        raise ServotapError(f"internal fault: {total} bytes came in, {accounted} accounted for; please report it")
 
 
 def _report(

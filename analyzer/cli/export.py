@@ -15,7 +15,7 @@ from typing import IO
 
 from analyzer.cli.option_types import positive
 from analyzer.cli.output import Output
-from analyzer.cli.reading import clean, progress
+from analyzer.cli.reading import progress
 from analyzer.cli.signals import Interrupt
 from analyzer.cli.time_range import TimeRange, add_time_range_arguments
 from analyzer.errors import UnreadableError, UsageError
@@ -23,6 +23,7 @@ from analyzer.export import CAN, FORMATS, SERIAL, Choices, Count, Export, Outcom
 from analyzer.live.endpoint import DEFAULT_BAUD, DEFAULT_BITRATE
 from analyzer.records import CanFrame, Chunk, Comment
 from analyzer.sources import Source, open_source
+from analyzer.values import clean, counted
 
 EXAMPLES = """\
 examples:
@@ -160,7 +161,7 @@ def _until_broken(
 
 def _counted(name: str, count: Count) -> str:
     what = ("frame" if count.kind == CAN else "piece") + ("" if count.pieces == 1 else "s")
-    return f"{count.pieces} {what} of {name} ({_KINDS[count.kind]}, {count.bytes} bytes)"
+    return f"{count.pieces} {what} of {name} ({_KINDS[count.kind]}, {counted(count.bytes, 'byte')})"
 
 
 def _report(source: Source, outcome: Outcome, broken: str, target: Path | None, arguments: argparse.Namespace) -> None:
@@ -172,7 +173,7 @@ def _report(source: Source, outcome: Outcome, broken: str, target: Path | None, 
         held = " and ".join(_KINDS[kind] for kind in FORMATS[arguments.to].holds)
         rows.append(f"left out: {left}: {arguments.to} holds {held} alone")
     if outcome.lost_comments:
-        rows.append(f"left out: {outcome.lost_comments} comments: {arguments.to} has no place for them")
+        rows.append(f"left out: {counted(outcome.lost_comments, 'comment')}: {arguments.to} has no place for them")
     rows += [f"note: {text}" for text in _notes(source, outcome, broken, arguments)]
     stream = sys.stderr if target is None else sys.stdout
     for row in rows:
@@ -186,5 +187,5 @@ def _notes(source: Source, outcome: Outcome, broken: str, arguments: argparse.Na
     if outcome.made_up:
         notes.append(f"the capture has no times: {outcome.made_up} were estimated from the line speed (--baud)")
     if outcome.negative:
-        notes.append(f"{outcome.negative} times before zero were written as zero")
+        notes.append(f"{counted(outcome.negative, 'time')} before zero, written as zero")
     return notes

@@ -19,13 +19,14 @@ import msgspec
 from mcap.records import Channel
 
 from analyzer.cli.log_copy import Copy, Log, Taken, write_or_drop
-from analyzer.cli.reading import clean, showing_progress
+from analyzer.cli.reading import showing_progress
 from analyzer.cli.signals import Interrupt
 from analyzer.errors import UsageError
 from analyzer.pipeline import topic_name
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.recording_parts import METADATA
 from analyzer.sources.times import iso
+from analyzer.values import clean, counted
 
 EXAMPLES = """\
 examples:
@@ -140,7 +141,7 @@ class _Merge:
         self.notes += [f"{log.name}: {note}" for log in self._logs for note in log.notes]
         buses = sorted({b for each in inputs for b in each.names.values()})
         renamed = f"; renamed: {', '.join(buses)}" if buses else ""
-        self.said = f"{copy.messages} messages from {iso(copy.first_ns or 0)} to {iso(copy.last_ns)}{renamed}"
+        self.said = f"{counted(copy.messages, 'message')} from {iso(copy.first_ns or 0)} to {iso(copy.last_ns)}{renamed}"
 
     @staticmethod
     def _rows(number: int, each: _Input) -> Iterator[tuple[int, int, Taken]]:

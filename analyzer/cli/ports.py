@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from analyzer.cli.reading import clean
 from analyzer.live.adapters import LOW_LATENCY_MS, CanInterface, SerialAdapter, can_interfaces, detected, serial_adapters
+from analyzer.values import clean
 
 EXAMPLES = """\
 examples:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from analyzer.sources import Source
     from analyzer.sources.tail import Follow
 
-__all__ = ["Item", "Reading", "add_reading_arguments", "clean", "now_text", "open_reading", "progress", "require_file"]
+__all__ = ["Item", "Reading", "add_reading_arguments", "now_text", "open_reading", "progress", "require_file"]
 
 #: How much of a capture the choice of dialects looks at; of standard input less, so that a live pipe shows at once.
 SAMPLE_BYTES = 256 * 1024
@@ -299,11 +299,6 @@ def showing_progress(what: str, total: int, position: Callable[[], int]) -> Iter
     finally:
         done.set()
         watcher.join()
-
-
-def clean(text: str) -> str:
-    """Return a text with control characters made visible, so that nothing in a capture steers the terminal."""
-    return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text)
 
 
 def require_file(path: str) -> Path:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 import msgspec
 
 from analyzer.cli.option_types import duration_text, size_text
-from analyzer.cli.reading import clean
 from analyzer.cli.record_report import Summary, as_text
 from analyzer.live.snapshot import BusCounts, Snapshot
 from analyzer.live.supervisor import Supervisor
+from analyzer.values import clean, counted
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -121,7 +121,7 @@ class LineDisplay:
             if supervisor.config.raw_only:
                 parts.append(f"{bus} {_stored(supervisor, bus)}{trouble}")
             else:
-                parts.append(f"{bus} {count.frames} frames, {count.frame_rate:.0f}/s{junk}{findings}{trouble}")
+                parts.append(f"{bus} {counted(count.frames, 'frame')}, {count.frame_rate:.0f}/s{junk}{findings}{trouble}")
         snapshot = supervisor.snapshot
         if snapshot is not None:
             parts.append(size_text(snapshot.log_bytes))

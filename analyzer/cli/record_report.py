@@ -9,10 +9,10 @@ from typing import Any
 import msgspec
 
 from analyzer.cli.option_types import duration_text, size_text
-from analyzer.cli.reading import clean
 from analyzer.live.port_status import LOSING, PortStatus
 from analyzer.live.supervisor import Supervisor
 from analyzer.reference.columns import columns
+from analyzer.values import clean, counted
 
 #: Gaps of a port that the text names; the object has them all.
 _GAPS_NAMED = 10
@@ -76,7 +76,7 @@ def as_text(summary: Summary) -> list[str]:
     elif any(summary.buses.values()):
         lines.append("no findings")
     if summary.decoder_restarts:
-        lines.append(f"the decoding process was started again {summary.decoder_restarts} times; no data was lost")
+        lines.append(f"the decoding process was started again {counted(summary.decoder_restarts, 'time')}; no data was lost")
     for name in summary.files:
         lines.append(f"wrote {clean(name)}, {size_text(Path(name).stat().st_size)}")
     if summary.unfinished:
@@ -88,12 +88,12 @@ def _lost(port: PortStatus) -> str:
     parts = []
     gaps = [gap for gap in port.gaps if not gap.kept]
     if gaps:
-        parts.append(f"{port.gap_count - len(port.gaps) + len(gaps)} gaps")
+        parts.append(f"{counted(port.gap_count - len(port.gaps) + len(gaps), 'gap')}")
     parts += [f"{n} {name}" for name, n in port.counters.items() if name in LOSING]
     if port.dropped:
         parts.append(f"{port.dropped} {port.unit} dropped")
     if port.kernel_dropped:
-        parts.append(f"{port.kernel_dropped} frames in the kernel")
+        parts.append(f"{counted(port.kernel_dropped, 'frame')} in the kernel")
     return ", ".join(parts) or "nothing"
 
 

@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 
 from analyzer.cli.output import Output
-from analyzer.cli.reading import clean, showing_progress
+from analyzer.cli.reading import showing_progress
 from analyzer.cli.signals import Interrupt
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.live import checkpoint, config
@@ -26,6 +26,7 @@ from analyzer.live.spool import segments, spool_folder, stems
 from analyzer.sinks.mcap_repair import Outcome, is_whole, repair
 from analyzer.sources.recording_parts import base_of, parts_named
 from analyzer.sources.times import iso
+from analyzer.values import clean, counted
 
 EXAMPLES = """\
 examples:
@@ -96,7 +97,7 @@ def _finish(folder: Path) -> list[Path]:
             raise KeyboardInterrupt
     paths = parts_named(log) if recorder.parts.rotating else [log]
     last = paths[-1]
-    print(f"{clean(last.name)}: whole; went on where the recording had stopped, with {before} bytes of its spools")
+    print(f"{clean(last.name)}: whole; went on where the recording had stopped, with {counted(before, 'byte')} of its spools")
     return paths
 
 
@@ -183,10 +184,10 @@ def _repair(path: Path, target: Path | None, replace: bool) -> None:
 
 def _report(path: Path, into: Path, outcome: Outcome) -> None:
     span = f", from {iso(outcome.first_ns)} to {iso(outcome.last_ns)}" if outcome.messages else ""
-    print(f"{clean(into.name)}: whole; {outcome.messages} messages in {outcome.chunks} chunks{span}")
+    print(f"{clean(into.name)}: whole; {counted(outcome.messages, 'message')} in {counted(outcome.chunks, 'chunk')}{span}")
     lost = 0
     for fault in outcome.faults:
         lost += fault.size
         print(f"  {clean(str(fault))}")
     if lost:
-        print(f"  {lost} bytes of {clean(path.name)} in all are no whole records")
+        print(f"  {counted(lost, 'byte')} of {clean(path.name)} in total are in incomplete records")

@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 
 from analyzer.cli.filter import Filter
-from analyzer.cli.reading import add_reading_arguments, clean, open_reading, progress
+from analyzer.cli.reading import add_reading_arguments, open_reading, progress
 from analyzer.decoder import physical
 from analyzer.events import text_of
 from analyzer.live.lock import running
@@ -26,6 +26,7 @@ from analyzer.pipeline import Entry
 from analyzer.records import Comment, Event, Finding, Junk
 from analyzer.sources.recording_parts import base_of
 from analyzer.sources.tail import Follow
+from analyzer.values import clean
 
 EXAMPLES = """\
 examples:

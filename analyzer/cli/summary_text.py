@@ -9,9 +9,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from analyzer.cli.reading import Reading, clean
+from analyzer.cli.reading import Reading
 from analyzer.records import Severity
 from analyzer.sinks.summary import Summary
+from analyzer.values import clean, counted
 
 _STYLES = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}
 
@@ -38,7 +39,10 @@ def print_summary(reading: Reading, summary: Summary, target: Path, stopped: str
     junk = sum(summary.junk_bytes.values())
     reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(summary.junk_bytes.items()))
     total = summary.frame_bytes + junk
-    line(f"{total} bytes: {summary.frame_bytes} in {summary.frames} frames, {junk} junk" + (f" ({reasons})" if junk else ""))
+    line(
+        f"{counted(total, 'byte')}: {summary.frame_bytes} in {counted(summary.frames, 'frame')}, {junk} junk"
+        + (f" ({reasons})" if junk else "")
+    )
     if summary.findings:
         console.print(_findings(summary))
     else:

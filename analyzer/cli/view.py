@@ -12,12 +12,13 @@ import contextlib
 import sys
 from pathlib import Path
 
-from analyzer.cli.reading import add_reading_arguments, clean, open_reading
+from analyzer.cli.reading import add_reading_arguments, open_reading
 from analyzer.errors import UsageError
 from analyzer.live.lock import running
 from analyzer.live.spool import spool_folder
 from analyzer.sources.recording_parts import base_of
 from analyzer.sources.tail import Follow
+from analyzer.values import clean
 from analyzer.view import require_terminal, run_capture
 
 EXAMPLES = """\

@@ -22,7 +22,7 @@ from analyzer.detect import Evidence, choose, weigh
 from analyzer.errors import UsageError
 from analyzer.live.endpoint import Endpoint
 from analyzer.records import Chunk
-from analyzer.values import quote
+from analyzer.values import counted, quote
 
 #: Below this share, or with fewer frames, a rate is not believed.
 LEAST_SHARE = 0.5
@@ -206,7 +206,7 @@ def _said(heard: Heard) -> str:
         return f"{heard.rate} baud: nothing heard"
     best = heard.best
     what = f", {best.frames} good frames of {best.dialect.name}" if best is not None and best.frames else ", no good frame"
-    return f"{heard.rate} baud: {heard.bytes} bytes{what} ({_percent(heard.share)} of the bytes)"
+    return f"{heard.rate} baud: {counted(heard.bytes, 'byte')}{what} ({_percent(heard.share)} of the bytes)"
 
 
 def _found(

@@ -20,6 +20,7 @@ from analyzer.sinks.mcap_index import FileIndex, WholeWrites
 from analyzer.sinks.mcap_log import LIBRARY, PROFILE
 from analyzer.sources import recording_parts
 from analyzer.sources.times import iso
+from analyzer.values import counted
 
 #: Where only the sum of all parts is bounded, a part has this share of it, and at least so many bytes.
 _SHARE = 10
@@ -109,8 +110,8 @@ class LogParts:
             size = self.path.stat().st_size
             if size < start.position:
                 raise UnreadableError(
-                    f"{self.path} has {size} bytes, but {start.position} had been written: it was cut or replaced; move "
-                    f"{self._folder} away to keep its data, then run servotap recover {self.path}"
+                    f"{self.path} has {counted(size, 'byte')}, but {start.position} had been written: it was cut or replaced; "
+                    f"move {self._folder} away to keep its data, then run servotap recover {self.path}"
                 )
             self._drop_later()
             stream = open(self.path, "r+b", buffering=0)  # noqa: SIM115

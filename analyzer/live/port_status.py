@@ -11,6 +11,8 @@ from typing import Any
 
 import msgspec
 
+from analyzer.values import counted
+
 #: Gaps, and notes, that are remembered for each port; further ones are counted.
 REMEMBERED = 100
 #: Counters of the kernel that mean lost bytes; the others mean garbled ones.
@@ -133,7 +135,7 @@ def _dropped(port: PortStatus, event: Mapping[str, Any]) -> str:
 
 def _kernel_dropped(port: PortStatus, event: Mapping[str, Any]) -> str:
     port.kernel_dropped += int(event["frames"])
-    return f"{event['frames']} frames lost in the kernel (buffer full)"
+    return f"{counted(event['frames'], 'frame')} lost in the kernel (buffer full)"
 
 
 def _bus_error(port: PortStatus, event: Mapping[str, Any]) -> str:

@@ -25,6 +25,7 @@ from analyzer.live.endpoint import Endpoint
 from analyzer.live.reader_port import BadCount, Lost, Opened, Stop, Unopened, listen, readable
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import CanFlag
+from analyzer.values import counted
 
 MULTICAST_PORT = 43113
 #: Wished size of the kernel's buffer: a tenth of a second of a full bus needs about a megabyte.
@@ -91,7 +92,7 @@ def dissect_multicast(datagram: bytes) -> tuple[int, int, bytes]:
 def dissect_kernel(frame: bytes) -> tuple[int, int, bytes]:
     """Return identifier, flags and payload of a frame of the kernel. Raises ValueError."""
     if len(frame) not in (_CLASSIC, _FD):
-        raise ValueError(f"{len(frame)} bytes are not a SocketCAN frame")
+        raise ValueError(f"not a SocketCAN frame: {counted(len(frame), 'byte')}")
     word, length, _ = _CAN_HEAD.unpack_from(frame)
     flags = 0
     if word & _EFF:

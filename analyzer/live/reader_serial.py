@@ -208,7 +208,7 @@ def holders(fd: int) -> list[str]:
 def refused(path: str, error: OSError) -> str:
     """Return why a port could not be opened, and what may help."""
     if isinstance(error, FileNotFoundError):
-        return f"{path} does not exist (servotap ports lists the ports)"
+        return f"{path} is not there (servotap ports lists the ports)"
     if isinstance(error, PermissionError):
         return f"no permission for {path}: join its group, on most systems: sudo usermod -a -G dialout $USER"
     return f"cannot open {path}: {error.strerror}"

@@ -36,6 +36,7 @@ from analyzer.records import CanFrame, Chunk, Comment, Event
 from analyzer.sinks.object_table import Table
 from analyzer.sinks.recording_log import RecordingLog
 from analyzer.sources.times import iso
+from analyzer.values import counted
 
 #: A part is rotated in the midst of a frame when there was no better place for this long.
 SEAM_NS = 1_000_000_000
@@ -144,7 +145,8 @@ class Recording:
         notes += list(self.config.notes)
         if self.moved:
             notes.append(
-                f"{self.moved} records arrived up to {self.moved_ns / 1e6:.0f} ms late; their times were moved forward"
+                f"{counted(self.moved, 'record')} arrived up to {self.moved_ns / 1e6:.0f} ms late; "
+                "their times were moved forward"
             )
         if notes:
             values["notes"] = "; ".join(notes)

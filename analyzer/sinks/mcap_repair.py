@@ -29,6 +29,7 @@ from analyzer.sinks.mcap_file import Writable, record_bytes
 from analyzer.sinks.mcap_taken import TakenFile
 from analyzer.sources import mcap_scan as scan
 from analyzer.sources.recording_parts import METADATA
+from analyzer.values import counted
 
 #: Name of the metadata record that says what was done.
 RECOVERED = "servotap.recovered"
@@ -199,9 +200,9 @@ class _Repair:
         following = self._search(at + 1)
         end = self._size if following is None else following
         saved = self._salvage(at, end)
-        text = f"{end - at} bytes are an incomplete record"
+        text = f"an incomplete record of {counted(end - at, 'byte')}"
         if saved:
-            text = f"a truncated chunk: {saved} messages of it were read"
+            text = f"a truncated chunk: {counted(saved, 'message')} read"
         if following is None:
             text += "; nothing readable follows"
         self._outcome.faults.append(Fault(at, end - at, text))

@@ -19,6 +19,7 @@ from analyzer.errors import ServotapError, UnreadableError
 from analyzer.records import CanFrame
 from analyzer.sources.can_library import float_ns, frame
 from analyzer.sources.source import Source, describe
+from analyzer.values import counted
 
 if TYPE_CHECKING:
     from can import Message
@@ -155,7 +156,7 @@ def _containers(source: Source, offset: int) -> Iterator[bytes | str]:
         if not head:
             return
         if len(head) < _OBJECT.size:
-            source.problem(f"an object breaks off after {len(head)} bytes of its header", offset=offset)
+            source.problem(f"an object breaks off after {counted(len(head), 'byte')} of its header", offset=offset)
             return
         signature, _, _, size, kind = _OBJECT.unpack(head)
         if signature != _SIGNATURE or not _OBJECT.size <= size <= _OBJECT_LIMIT:

@@ -16,6 +16,7 @@ from itertools import pairwise
 from analyzer.records import Chunk
 from analyzer.sources.lines import Lines, head_lines
 from analyzer.sources.source import Source, quote
+from analyzer.values import counted
 
 _ROW = re.compile(r"\s*([0-9A-Fa-f]{4,16})(:?)(?:\s+|$)(.*)$")
 _GROUPS = re.compile(r"(?:[0-9A-Fa-f]{2})+(?: {1,2}(?:[0-9A-Fa-f]{2})+)*")
@@ -85,7 +86,7 @@ def _records(source: Source) -> Iterator[Chunk]:
                 for _ in range(missing // len(before)):
                     yield Chunk(None, port, before)
             else:
-                source.problem(f"{missing} bytes are missing before offset {offset:X}", line=lines.number)
+                source.problem(f"{counted(missing, 'byte')} missing before offset {offset:X}", line=lines.number)
         first = starred = False
         before, end = data or before, offset + len(data)
         if data:

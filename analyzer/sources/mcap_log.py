@@ -24,6 +24,7 @@ from analyzer.records import CanFrame, Chunk, Event, Silence
 from analyzer.sources.coverage import GAP_LIMIT, Coverage, Raw, Waiting
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.source import Record, Source, describe
+from analyzer.values import counted
 
 _MAGIC = b"\x89MCAP0\r\n"
 _PROFILE = "servotap"
@@ -125,9 +126,9 @@ class _Log:
             )
         for bus, coverage in self._covered.items():
             if coverage.missing:
-                source.note(f"{coverage.missing} bytes of {bus} are not in the log")
+                source.note(f"{counted(coverage.missing, 'byte')} of {bus} missing in the log")
             if coverage.late:
-                source.note(f"{coverage.late} messages of {bus} stand out of order in the log")
+                source.note(f"{counted(coverage.late, 'message')} of {bus} out of order in the log")
 
     def _declare(self, number: int, lane: _Lane) -> None:
         self._lanes[number] = lane

@@ -13,6 +13,8 @@ import zlib
 from collections.abc import Callable, Iterator
 from typing import IO, Any, NamedTuple, TypeVar, cast
 
+from analyzer.values import counted
+
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
 #: Opcodes.
@@ -97,7 +99,7 @@ def unpack(chunk: Packed, *, check: bool = True) -> bytes:
             opened = lz4.frame.open(io.BytesIO(data))
         data = opened.read(UNPACKED_LIMIT + 1)
         if len(data) > UNPACKED_LIMIT:
-            raise ValueError(f"{len(chunk.data)} bytes unpack to more than {UNPACKED_LIMIT >> 20} MiB")
+            raise ValueError(f"{counted(len(chunk.data), 'byte')} unpacked to more than {UNPACKED_LIMIT >> 20} MiB")
     if check and chunk.crc and zlib.crc32(data) != chunk.crc:
         raise ValueError(f"the check of a chunk does not fit: expected {chunk.crc:08x}, got {zlib.crc32(data):08x}")
     return data
@@ -109,7 +111,7 @@ def walk(data: bytes) -> Iterator[tuple[int, int, int]]:
     unpack_from, size = HEAD.unpack_from, HEAD.size
     while at < end:
         if at + size > end:
-            raise ValueError(f"{end - at} bytes at the end of a chunk are not a record")
+            raise ValueError(f"no record in the last {counted(end - at, 'byte')} of a chunk")
         opcode, length = unpack_from(data, at)
         at += size
         if length > end - at:

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from analyzer.errors import UnreadableError
 from analyzer.sources.links import EXPECTED, LINKS, Line, link_name
 from analyzer.sources.source import SECOND_NS, Record, Source
+from analyzer.values import counted
 
 #: Magic number -> byte order, nanoseconds of the fraction's unit.
 _MAGICS = {
@@ -74,4 +75,4 @@ def _records(source: Source, order: str, unit: int, link: int) -> Iterator[Recor
             break
         buffer, at, offset = buffer[at:] + more, 0, offset + at
     if at < len(buffer):
-        source.problem(f"the last record breaks off after {len(buffer) - at} bytes", offset=offset + at)
+        source.problem(f"the last record breaks off after {counted(len(buffer) - at, 'byte')}", offset=offset + at)

@@ -18,6 +18,7 @@ from analyzer.errors import UnreadableError
 from analyzer.records import Comment
 from analyzer.sources.links import EXPECTED, LINKS, Line, link_name
 from analyzer.sources.source import SECOND_NS, Record, Source
+from analyzer.values import counted
 
 _SECTION_MAGIC = b"\x0a\x0d\x0d\x0a"
 _ORDERS = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}
@@ -106,7 +107,7 @@ def _blocks(source: Source, section: _Section) -> Iterator[tuple[int, bytes]]:
         if head[:4] == _SECTION_MAGIC:
             section.order = _ORDERS.get(head[8:12], section.order)
         if len(head) < _LEAST_BLOCK:
-            source.problem(f"the last block breaks off after {len(head)} bytes", offset=offset)
+            source.problem(f"the last block breaks off after {counted(len(head), 'byte')}", offset=offset)
             return
         kind, length = struct.unpack_from(section.order + "LL", head)
         if not _LEAST_BLOCK <= length <= _BLOCK_LIMIT:
@@ -148,7 +149,7 @@ def _records(source: Source) -> Iterator[Record]:
         try:
             yield from handler(source, section, body)
         except struct.error:
-            source.problem(f"a block of type {kind} is too short: {len(body)} bytes")
+            source.problem(f"a block of type {kind} is too short: {counted(len(body), 'byte')}")
 
 
 def _begin_section(source: Source, section: _Section, body: bytes) -> Iterator[Record]:

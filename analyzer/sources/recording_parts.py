@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from analyzer.errors import UnreadableError
+from analyzer.values import counted
 
 #: Name of the metadata record.
 METADATA = "servotap.recording"
@@ -91,8 +92,8 @@ def in_folder(folder: Path) -> tuple[list[Part], list[str]]:
         if part.recording:
             recordings.setdefault(part.recording, []).append(part)
     if len(recordings) > 1:
-        each = "; ".join(f"{base_of(parts[0].path)} ({_counted(len(parts))})" for parts in recordings.values())
-        raise UnreadableError(f"{folder} holds {len(recordings)} recordings, name one of them: {each}")
+        each = "; ".join(f"{base_of(parts[0].path)} ({counted(len(parts), 'part')})" for parts in recordings.values())
+        raise UnreadableError(f"{folder} holds {counted(len(recordings), 'recording')}, name one of them: {each}")
     if not recordings:
         return logs, []
     (parts,) = recordings.values()
@@ -113,12 +114,8 @@ def gaps(parts: Sequence[Part]) -> list[str]:
     numbers = [part.number for part in parts if part.number]
     notes = []
     if numbers and numbers[0] > 1:
-        notes.append(f"the first {_counted(numbers[0] - 1)} of the recording are not there any more")
+        notes.append(f"the first {counted(numbers[0] - 1, 'part')} of the recording are not there any more")
     for before, after in pairwise(numbers):
         if after > before + 1:
-            notes.append(f"{_counted(after - before - 1)} between part {before} and part {after} are missing")
+            notes.append(f"{counted(after - before - 1, 'part')} between part {before} and part {after} are missing")
     return notes
-
-
-def _counted(count: int) -> str:
-    return "1 part" if count == 1 else f"{count} parts"

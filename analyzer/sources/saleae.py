@@ -24,6 +24,7 @@ from analyzer.sources.lines import Lines, head_lines
 from analyzer.sources.marks import Heard, role_of_name
 from analyzer.sources.source import SECOND_NS, Source, quote
 from analyzer.sources.times import clock_ns, day_ns, number_ns, zone_ns
+from analyzer.values import counted
 
 #: Columns by what they mean, in lower case; the first name that a header has counts.
 _COLUMNS: dict[str, tuple[str, ...]] = {
@@ -137,7 +138,7 @@ def _records(source: Source) -> Iterator[Chunk]:
         port = source.port(None if direction is not Role.UNKNOWN or _UNNAMED.fullmatch(name) else name)
         yield Chunk(t_ns + shift_ns, port, value, heard(direction))
     if errors:
-        source.note(f"{errors} bytes with a parity or framing error")
+        source.note(f"{counted(errors, 'byte')} with a parity or framing error")
 
 
 def _time(text: str) -> int:

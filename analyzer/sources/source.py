@@ -26,6 +26,7 @@ from analyzer.errors import ServotapError, UnreadableError
 from analyzer.records import CanFrame, Chunk, Comment, Event, Silence
 from analyzer.sources.stream import Stream
 from analyzer.sources.tail import Follow
+from analyzer.values import counted
 
 Record = Chunk | CanFrame | Comment | Silence | Event
 
@@ -261,16 +262,16 @@ class Source:
 
     def _time_notes(self) -> Iterator[str]:
         if self._backward:
-            steps = "once" if self._backward == 1 else f"{self._backward} times"
+            steps = "once" if self._backward == 1 else f"{counted(self._backward, 'time')}"
             yield f"times run backwards {steps}, by {self._backward_ns / SECOND_NS:g} s at most"
         if self._negative:
             yield "times before zero"
         if self._far:
-            yield f"{self._far} times lie after the year 2100: the clock of the capture is wrong"
+            yield f"{counted(self._far, 'time')} after the year 2100: the clock of the capture is wrong"
         if self._impossible:
-            yield f"{self._impossible} times are beyond any calendar: the one before each is used"
+            yield f"{counted(self._impossible, 'time')} beyond any calendar: the time before each is used"
         if self._untimed:
-            yield f"{self._untimed} frames or chunks have no time: the one before each is used"
+            yield f"{counted(self._untimed, 'record')} without a time: the time before each is used"
 
     def _problem_notes(self) -> Iterator[str]:
         if self.problem_count == 0:

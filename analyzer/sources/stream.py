@@ -23,6 +23,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from analyzer.errors import UnreadableError
+from analyzer.values import counted
 
 #: Bytes of one read.
 BLOCK = 64 * 1024
@@ -171,7 +172,7 @@ class Stream:
             self.unpacked += len(block)
             if self.unpacked > BOMB_BYTES and self.unpacked > BOMB_RATIO * self.position:
                 raise UnreadableError(
-                    f"{self.name}: {self.position} bytes of {self.compression} data unpack to more than "
+                    f"{self.name}: {counted(self.position, 'byte')} of {self.compression} data unpack to more than "
                     f"{self.unpacked >> 20} MiB, more than {BOMB_RATIO} times as much: taken for a decompression "
                     "bomb; if it is harmless, unpack it first"
                 )

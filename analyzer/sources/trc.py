@@ -23,6 +23,7 @@ from analyzer.sources.can_library import Tap, frame, messages
 from analyzer.sources.lines import Lines, head_lines, share
 from analyzer.sources.source import Source
 from analyzer.sources.times import DAY, number_ns
+from analyzer.values import counted
 
 _FIELD = re.compile(r"\s*;\$(FILEVERSION|STARTTIME|COLUMNS)\s*=\s*(\S+)")
 _FRAME = re.compile(r"\s*\d+\)?\s+\d+\.?\d*\s+(\w\w\s+)?(\d+\s+)?((Tx|Rx)\s+)?[0-9A-Fa-f]{4,8}\s")
@@ -78,4 +79,4 @@ def _records(source: Source, version: str, columns: list[str], start_ns: int) ->
         yield frame(message, t_ns, source.port(f"can{message.channel}" if named else None))
     left = tap.number - first + 1 - given - source.problem_count
     if given and left > 0:
-        source.note(f"{left} lines are not frames (comments, bus status), left out")
+        source.note(f"{counted(left, 'line')} left out: not frames (comments, bus status)")

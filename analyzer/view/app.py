@@ -14,6 +14,7 @@ from textual.widgets import ContentSwitcher, Footer, Static
 
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live.snapshot import FrameLine
+from analyzer.values import clean, counted
 from analyzer.view.condition import Condition
 from analyzer.view.counts_panel import CountsPanel
 from analyzer.view.details_panel import Details, DetailsPanel
@@ -21,7 +22,6 @@ from analyzer.view.findings_panel import FindingsPanel
 from analyzer.view.frames_panel import FramesPanel
 from analyzer.view.head import head_text
 from analyzer.view.keys import bindings, help_text
-from analyzer.view.lines import clean
 from analyzer.view.plot_panel import PlotPanel
 from analyzer.view.prompt import FILTER, MARK, SEARCH, Prompt
 from analyzer.view.rows import Rows
@@ -155,13 +155,13 @@ class ViewApp(App[str]):
         if wanted is not None:
             lines = self.source.lines
             how = "" if wanted.done else f" ({100 * wanted.looked // max(1, lines.stop)} % searched)"
-            words.append(f"{wanted.stop - wanted.first} frames pass{how}: {self._filter_text}")
+            words.append(f"{counted(wanted.stop - wanted.first, 'frame')} shown{how}: {self._filter_text}")
         search = self._seeker.search
         if search is not None:
             words.append(f"looking for {search.what}: {search.place}  (Esc stops)")
         missed = self.source.watch.missed
         if missed and self.source.live:
-            words.append(f"{missed} snapshots missed: the view is slower than the bus")
+            words.append(f"{counted(missed, 'snapshot')} missed: the view is slower than the bus")
         if self.source.broken:
             words.append(self.source.broken)
         if self.shown == "counts":

@@ -226,7 +226,7 @@ class CaptureSource:
         unit_ns = reading.options.byte_ns if reading.has_times else 0
         told = {bus: setup.byte_ns for bus, setup in reading.ports.items() if setup.byte_ns}
         self._feed = SnapshotSink(byte_ns={"": unit_ns, **told}, bit_ns={"": unit_ns and reading.options.synthetic_bit_ns})
-        self.note = "" if reading.has_times else f"times are {reading.time_source}"
+        self.note = "" if reading.has_times else reading.time_source
         self._snapshots: deque[Snapshot] = deque(maxlen=4)
         self._stop = threading.Event()
         self._ended = threading.Event()

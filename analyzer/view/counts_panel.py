@@ -7,7 +7,8 @@ from typing import Any
 
 from rich.text import Text
 
-from analyzer.view.lines import clean, cut
+from analyzer.values import clean
+from analyzer.view.lines import cut
 from analyzer.view.rows import Rows
 from analyzer.view.watch import CommandRow, Watch
 

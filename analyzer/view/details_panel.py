@@ -16,8 +16,9 @@ from analyzer.live.snapshot import EVENT, JUNK, FindingLine, FrameLine
 from analyzer.reference.explanation import Explainer
 from analyzer.reference.explanation_text import explanation_lines
 from analyzer.reference.hex_frame import Given
+from analyzer.values import clean, counted
 from analyzer.view.findings_panel import finding_text
-from analyzer.view.lines import SECOND, SEVERITIES, bytes_text, clean, fields_text, time_text
+from analyzer.view.lines import SECOND, SEVERITIES, bytes_text, fields_text, time_text
 
 _BYTES_A_ROW = 16
 _ROLES = {"request": Role.REQUEST, "reply": Role.REPLY}
@@ -63,7 +64,7 @@ class Details:
 
     @staticmethod
     def _bytes(text: Text, line: FrameLine) -> None:
-        text.append(f"{clean(line.command)}, {line.values.get('length', len(line.raw.split()))} bytes\n")
+        text.append(f"{clean(line.command)}, {counted(line.values.get('length', len(line.raw.split())), 'byte')}\n")
         data = line.raw.split()
         for at in range(0, len(data), _BYTES_A_ROW):
             text.append(f"{at:>5}  {' '.join(data[at : at + _BYTES_A_ROW])}\n")

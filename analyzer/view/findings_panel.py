@@ -8,7 +8,8 @@ from textual.containers import Vertical
 from textual.widgets import Static
 
 from analyzer.live.snapshot import FindingLine
-from analyzer.view.lines import SEVERITIES, clean, time_text
+from analyzer.values import clean
+from analyzer.view.lines import SEVERITIES, time_text
 from analyzer.view.rows import Rows
 from analyzer.view.watch import Watch
 

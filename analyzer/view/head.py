@@ -6,23 +6,15 @@ from pathlib import PurePath
 
 from rich.text import Text
 
+from analyzer.cli.option_types import size_text
 from analyzer.live.snapshot import BusCounts
+from analyzer.values import clean, counted
 from analyzer.view.counts_panel import rate_text
-from analyzer.view.lines import clean
 from analyzer.view.source import ViewSource
 
 #: Buses that have a line; the others are summed up.
 BUS_LINES = 4
 _BAR_WIDTH = 10
-
-
-def size_text(size: float) -> str:
-    """Return a number of bytes in its unit."""
-    for unit in ("B", "kB", "MB", "GB"):
-        if size < 1000:
-            return f"{size:.0f} {unit}" if unit == "B" else f"{size:.1f} {unit}"
-        size /= 1000
-    return f"{size:.1f} TB"
 
 
 def span_text(span_ns: int) -> str:
@@ -43,7 +35,7 @@ def head_text(source: ViewSource, width: int, *, paused: bool, waiting: int) -> 
     words = [clean(PurePath(watch.log).name) or "servotap", state]
     if watch.log_bytes:
         words.append(size_text(watch.log_bytes))
-    words += [span_text(watch.span_ns), f"{watch.frames} frames", f"{errors} E", f"{warnings} W"]
+    words += [span_text(watch.span_ns), f"{counted(watch.frames, 'frame')}", f"{errors} E", f"{warnings} W"]
     if source.not_shown:
         words.append(f"{source.not_shown} not shown")
     line = "  ".join(words)
@@ -61,7 +53,8 @@ def head_text(source: ViewSource, width: int, *, paused: bool, waiting: int) -> 
         text.append_text(_bus_line(bus, width, live=source.live))
     if len(buses) > BUS_LINES:
         rest = buses[BUS_LINES:]
-        more = f"{len(rest)} more: {sum(b.frames for b in rest)} frames, {sum(b.errors for b in rest)} errors"
+        frames, failed = sum(b.frames for b in rest), sum(b.errors for b in rest)
+        more = f"{len(rest)} more: {counted(frames, 'frame')}, {counted(failed, 'error')}"
         text.append("\n" + more[:width])
     return text
 
@@ -74,7 +67,7 @@ def _bus_line(bus: BusCounts, width: int, *, live: bool) -> Text:
         text.append("█" * filled + "░" * (_BAR_WIDTH - filled), "bold red" if bus.load > 0.9 else "green")
         text.append(f" {bus.load * 100:3.0f} % ")
     rate = "" if live else "average "
-    text.append(f"{rate}{rate_text(bus.frame_rate)} frames/s {size_text(bus.byte_rate)}/s  {bus.frames} frames")
+    text.append(f"{rate}{rate_text(bus.frame_rate)} frames/s {size_text(bus.byte_rate)}/s  {counted(bus.frames, 'frame')}")
     if bus.junk:
         text.append(f"  {bus.junk_bytes} B junk", "magenta")
     if bus.errors:

@@ -13,6 +13,7 @@ from typing import Any
 from rich.text import Text
 
 from analyzer.live.snapshot import EVENT, JUNK, FrameLine
+from analyzer.values import clean
 
 #: Role -> its sign and its colour.
 ROLES = {
@@ -36,11 +37,6 @@ _EPOCH_TO_NS = 7 * 10**18
 _TIME_WIDTH = 15
 _COMMAND_WIDTHS = (18, 22)
 _NARROW = 100
-
-
-def clean(text: str) -> str:
-    """Return a text with control characters made visible."""
-    return text if text.isprintable() else "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text)
 
 
 def time_text(t_ns: int, mode: str = CLOCK, *, first_ns: int = 0, before_ns: int | None = None) -> str:

@@ -13,8 +13,9 @@ from textual.binding import Binding
 from textual.containers import Horizontal
 from textual.widgets import Static
 
+from analyzer.values import clean
 from analyzer.view.braille import chart
-from analyzer.view.lines import clean, time_text
+from analyzer.view.lines import time_text
 from analyzer.view.rows import Rows
 from analyzer.view.source import Plot, ViewSource
 

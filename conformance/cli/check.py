@@ -11,9 +11,9 @@ import sys
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
-from analyzer.cli.reading import add_reading_arguments, clean, open_reading, progress
+from analyzer.cli.reading import add_reading_arguments, open_reading, progress
 from analyzer.errors import UnreadableError, UsageError
-from analyzer.values import near, quote
+from analyzer.values import clean, near, quote
 
 if TYPE_CHECKING:
     from analyzer.cli.reading import Reading

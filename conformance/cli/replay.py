@@ -16,8 +16,9 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from analyzer.catalogue import Dialect
-from analyzer.cli.reading import Reading, add_reading_arguments, clean, open_reading, progress
+from analyzer.cli.reading import Reading, add_reading_arguments, open_reading, progress
 from analyzer.errors import UsageError
+from analyzer.values import clean
 from conformance.cli.endpoint import add_on_argument, endpoint_of, gate_to, parse_addresses
 from conformance.gate.gate import Gate, Judge, add_gate_arguments, allowance_from, shown
 from conformance.safety.signals import as_interrupt

@@ -16,7 +16,6 @@ from typing import Any
 from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect
 from analyzer.cli.frame import parse_target, parse_values
-from analyzer.cli.reading import clean
 from analyzer.cli.show import fields_text, names_of
 from analyzer.decoder import physical
 from analyzer.dialects import find_command
@@ -26,6 +25,7 @@ from analyzer.live import endpoint as endpoints
 from analyzer.pipeline import Entry
 from analyzer.records import CanFrame, Message
 from analyzer.reference.hex_frame import read_frame
+from analyzer.values import clean
 from conformance.cli.endpoint import add_on_argument, endpoint_of, gate_to
 from conformance.gate.gate import Allowance, Item, Judge, Refused, add_gate_arguments, allowance_from, shown
 from conformance.talk.dialogue import MS, Dialogue, Until

@@ -197,7 +197,7 @@ def test_a_cut_is_complete_by_itself(tmp_path, capsys, kind):
     assert main(["cut", given, "--since", "+9.95s", "--until", "+11.95s", "-o", str(out)]) == 0
     said = capsys.readouterr()
     assert "from 2026-09-21T14:13:30" in said.out
-    assert ("is not whole" in said.err) == (kind == "unfinished")
+    assert ("is incomplete" in said.err) == (kind == "unfinished")
     assert bare(within(read(out), 0, 100)) == bare(within(whole, 9.95, 11.95))
     make_reader(io.BytesIO(out.read_bytes()), validate_crcs=True).get_summary()
     about = metadata(out)
@@ -374,4 +374,4 @@ def test_follow_ends_with_ctrl_c_and_when_nobody_writes(tmp_path):
     following = Following(path, "--since=-300ms")
     rows, errors = following.end()
     assert 0 < len(rows) < 20
-    assert "nobody writes out.mcap any more; servotap recover makes it whole" in errors
+    assert "no process writes out.mcap any more; servotap recover repairs it" in errors

@@ -210,7 +210,7 @@ def test_candump_leaves_serial_buses_out_and_says_so(tmp_path, capsys):
     assert main(["export", str(capture), "--to", "candump", "-o", str(tmp_path / "a.log")]) == 0
     out = capsys.readouterr().out
     assert "left out: 3 pieces of left (serial, 13 bytes), 1 piece of arm-2.x (serial, 2 bytes): candump holds CAN alone" in out
-    assert "left out: 1 comments" in out
+    assert "left out: 1 comment:" in out
     assert len((tmp_path / "a.log").read_text().splitlines()) == len(CAN)
 
 
@@ -312,7 +312,7 @@ def test_a_full_disk_leaves_no_file(tmp_path):
         cwd=ROOT, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 2
-    assert "no file was left" in done.stderr
+    assert "the incomplete file was removed" in done.stderr
     assert os.listdir(tmp_path) == ["long.log"]
 
 

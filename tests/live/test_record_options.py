@@ -110,7 +110,7 @@ def test_foxglove_takes_a_place_and_no_endpoint(tmp_path):
         (["serial:A", "--rotate", "0MB"], "expected a size"),
         (["serial:A", "--keep", "3"], "--rotate is missing"),
         (["serial:A", "--max-total", "lots"], "expected a size"),
-        (["serial:A", "-o", "/dev/null"], "no regular file"),
+        (["serial:A", "-o", "/dev/null"], "not a regular file"),
         (["serial:A", "-o", "log.bag"], "ends in .mcap"),
         (["serial:A", "-o", "no/such/folder/a.mcap"], "is no folder"),
         (["serial:A", "serial:A"], "stands there twice"),

@@ -61,7 +61,7 @@ def test_it_goes_on_when_there_is_room_again(tmp_path):
         # Whole as far as it goes: no half chunk stands at its end.
         with open_source(spools.log) as source:
             before = sum(len(item.data) for item in source if hasattr(item, "data"))
-            assert not [p for p in source.problems if "not whole" not in p.text]
+            assert not [p for p in source.problems if "incomplete" not in p.text]
         resource.prlimit(process.process.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
         status, rest = process.end()
     finally:

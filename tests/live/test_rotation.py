@@ -80,7 +80,7 @@ def test_parts_are_read_as_one_and_each_alone(tmp_path, capsys):
         with open_source(path) as source:
             size = sum(len(item.data) for item in source if hasattr(item, "data"))
             assert size
-            assert not [note for note in source.notes if "not in the log" in note]
+            assert not [note for note in source.notes if "missing in the log" in note]
     paths[1].unlink()
     assert main(["show", str(tmp_path), "--limit", "1"]) == 0
     assert "between part 1 and part 3 are missing" in capsys.readouterr().err

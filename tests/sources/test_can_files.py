@@ -149,7 +149,7 @@ def test_trc_of_pcan_view(tmp_path: Path) -> None:
         CanFrame(start + 2_300_000, "can", 0x1ABCDE, b"\xff", Role.REQUEST, extended=True),
         CanFrame(start + 4_500_000, "can", 1, b"\xfe"),
     ]
-    assert source.notes == ["1 lines are not frames (comments, bus status), left out"]
+    assert source.notes == ["1 line left out: not frames (comments, bus status)"]
 
 
 def test_trc_version_1_0(tmp_path: Path) -> None:

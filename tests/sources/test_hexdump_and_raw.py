@@ -61,7 +61,7 @@ def test_missing_rows_are_a_problem(tmp_path: Path) -> None:
     path.write_text("".join(rows[:2] + rows[3:]))
     source, records = read_all(path)
     assert sum(len(r.data) for r in records if isinstance(r, Chunk)) == len(DATA) - 16
-    assert str(source.problems[0]) == "line 3: 16 bytes are missing before offset 30"
+    assert str(source.problems[0]) == "line 3: 16 bytes missing before offset 30"
 
 
 def test_random_bytes_are_raw(tmp_path: Path) -> None:

@@ -207,7 +207,7 @@ def test_no_times(tmp_path: Path) -> None:
 def test_a_line_without_a_time_takes_the_one_before(tmp_path: Path) -> None:
     source, records = read(tmp_path, "FA 01\n1.5 FA 01\nFA 02\n")
     assert [r.t_ns for r in records] == [None, 1_500_000_000, 1_500_000_000]
-    assert any("1 frames or chunks have no time" in note for note in source.notes)
+    assert any("1 record without a time" in note for note in source.notes)
 
 
 #: As the manual prints it: two of the package's 52 bytes were lost in print.
@@ -295,7 +295,7 @@ def test_a_listeners_log_does_not_tell_who_sent(tmp_path: Path) -> None:
 def test_rows_of_decimal_numbers_are_no_traffic(tmp_path: Path) -> None:
     from analyzer.errors import UnreadableError
 
-    with pytest.raises(UnreadableError, match="no capture that is known"):
+    with pytest.raises(UnreadableError, match="not a recognised capture format"):
         read(tmp_path, "time,a,b\n" + "0.1,23,45\n0.2,24,44\n" * 20)
 
 

@@ -83,7 +83,7 @@ def test_messages_out_of_order_and_missing_bytes(tmp_path: Path) -> None:
     )
     source, records = read_all(path)
     assert [r.data.hex() for r in records if isinstance(r, Chunk)] == ["0102", "0708", "0304"]
-    assert source.notes == ["2 bytes of a are not in the log", "1 messages of a stand out of order in the log"]
+    assert source.notes == ["2 bytes of a missing in the log", "1 message of a out of order in the log"]
 
 
 def test_messages_that_are_no_json(tmp_path: Path) -> None:
@@ -107,7 +107,7 @@ def test_an_unfinished_log_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
     source, records = read_all(path)
     assert 0 < len(records) < len(whole)
     assert records == whole[: len(records)]
-    assert any("the log is not whole" in note for note in source.notes)
+    assert any("the log is incomplete" in note for note in source.notes)
 
 
 def test_a_damaged_chunk_costs_that_chunk(tmp_path: Path) -> None:

@@ -77,7 +77,7 @@ def test_logic_2_with_two_analyzers(tmp_path: Path) -> None:
         Chunk(2_000_000, "Axis_left", b"\x01", U),
         Chunk(3_000_000, "serial", b"\x02", U),
     ]
-    assert source.notes == ["1 bytes with a parity or framing error"]
+    assert source.notes == ["1 byte with a parity or framing error"]
 
 
 def test_logic_2_with_dates(tmp_path: Path) -> None:

@@ -127,7 +127,7 @@ def test_what_follows_gzip_data_is_a_problem(tmp_path: Path) -> None:
     path.write_bytes(gzip.compress(b"FA 01 F6\n") + b"tail")
     source, records = read_all(path)
     assert len(records) == 1
-    assert "no gzip data (74 61 69 6C ...)" in source.problems[0].text
+    assert "not gzip data (74 61 69 6C ...)" in source.problems[0].text
 
 
 def test_gzip_data_with_a_wrong_checksum(tmp_path: Path) -> None:
@@ -155,7 +155,7 @@ def test_compressed_nothing_and_broken_beginnings(packed: str, tmp_path: Path) -
     with pytest.raises(UnreadableError, match="is empty once unpacked"):
         open_source(path)
     path.write_bytes(compress(b"FA 01\n")[:5])
-    with pytest.raises(UnreadableError, match=f"{packed} data: breaks off"):
+    with pytest.raises(UnreadableError, match=f"{packed} data: ends too early"):
         open_source(path)
     path.write_bytes(compress(b"FA 01\n")[:4] + b"\xff" * 40)
     with pytest.raises(UnreadableError, match=f"{packed} data: "):

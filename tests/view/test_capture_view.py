@@ -121,7 +121,7 @@ def test_a_filter_shows_what_it_lets_through_and_says_what_it_does_not_know():
     async def steps(driver):
         await driver.press("f")
         await driver.type("speed > 100")
-        assert "4 frames pass: speed > 100" in driver.text
+        assert "4 frames shown: speed > 100" in driver.text
         assert [driver.app.frames.lines.line(n).command for n in range(4)] == [
             "run_speed", "read_speed", "move_relative_pulses", "move_relative_axis",
         ]  # fmt: skip
@@ -129,9 +129,9 @@ def test_a_filter_shows_what_it_lets_through_and_says_what_it_does_not_know():
         await driver.type("spede > 100")
         assert "no field 'spede' in any command; did you mean speed?" in driver.text
         await driver.press("escape")
-        assert "4 frames pass" in driver.text
+        assert "4 frames shown" in driver.text
         await driver.press("escape")
-        assert "frames pass" not in driver.text
+        assert "frames shown" not in driver.text
         assert driver.app.frames.wanted is None
 
     drive(capture_of(LOG), steps)
@@ -139,7 +139,7 @@ def test_a_filter_shows_what_it_lets_through_and_says_what_it_does_not_know():
 
 def test_a_filter_that_is_given_is_set():
     async def steps(driver):
-        assert '1 frames pass: "bad_checksum" in findings' in driver.text
+        assert '1 frame shown: "bad_checksum" in findings' in driver.text
 
     drive(capture_of(LOG), steps, filter_text='"bad_checksum" in findings')
 
@@ -168,7 +168,7 @@ def test_counts_lead_to_the_frames_of_a_command():
         assert "set_current" in rows[0]
         await driver.press("enter")
         assert driver.app.shown == "frames"
-        assert "4 frames pass" in driver.text
+        assert "4 frames shown" in driver.text
 
     drive(capture_of(LOG), steps)
 
@@ -251,7 +251,7 @@ def test_it_ends(key):
 
 def test_a_capture_without_times_says_so_and_makes_up_no_load():
     async def steps(driver):
-        assert "times are made up from the baud rate" in driver.text
+        assert "timestamps estimated from the baud rate" in driver.text
         assert " % " not in driver.rows[1]
 
     drive(capture_of(CAPTURES / "mks_rs485.bin"), steps)

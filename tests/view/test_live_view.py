@@ -172,10 +172,10 @@ def test_a_filter_goes_on_with_what_comes(live, bus):
         live.put(bus.poll(5, speed=1).snapshot())
         await driver.press("f")
         await driver.type("speed == 2")
-        assert "0 frames pass" in driver.text
+        assert "0 frames shown" in driver.text
         live.put(bus.poll(5, speed=2).snapshot())
         await driver.settle()
-        assert "5 frames pass" in driver.text
+        assert "5 frames shown" in driver.text
         assert "speed=1" not in driver.text
 
     drive(live.source, steps)
