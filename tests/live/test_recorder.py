@@ -92,7 +92,7 @@ def test_bytes_that_a_reader_counted_and_nobody_told_of(tmp_path):
     spools.end(100)
     spools.record()
     assert [v["message"] for t, _, v in read(spools.log) if t == "/findings" and v["name"] == "dropped"] == [
-        "9 bytes are missing in what was stored"
+        "9 bytes missing in the stored data"
     ]
 
 
