@@ -55,13 +55,13 @@ def _of(*names: str) -> Callable[[Values], str]:
 
 #: Values that need no word before them.
 _SELF_EVIDENT = frozenset(("text", "reason", "cause", "what", "endpoint", "dialects", "precision", "notes", "kind"))
-#: Counters of the kernel and what each counts.
+#: Counters of the kernel: what each counts, and where.
 _COUNTERS = {
-    "overrun": "overruns of the hardware's buffer",
-    "buf_overrun": "overruns of the kernel's buffer",
-    "frame": "framing errors",
-    "parity": "parity errors",
-    "brk": "breaks",
+    "overrun": ("overrun", " of the hardware's buffer"),
+    "buf_overrun": ("overrun", " of the kernel's buffer"),
+    "frame": ("framing error", ""),
+    "parity": ("parity error", ""),
+    "brk": ("break", ""),
 }
 
 
@@ -91,7 +91,7 @@ def _back(values: Values) -> str:
 
 
 def _counted(values: Values) -> str:
-    rose = [f"{values[name]} {what}" for name, what in _COUNTERS.items() if values.get(name)]
+    rose = [counted(values[name], noun) + where for name, (noun, where) in _COUNTERS.items() if values.get(name)]
     since = f", since {values['from']}" if values.get("from") else ""
     return f"{', '.join(rose) or 'the counters rose'}{since}"
 

@@ -86,7 +86,7 @@ def kernel_notes(channel: str, speed: int | None) -> list[str]:
 def notes_of_link(link: Mapping[str, Any] | None, channel: str, speed: int | None) -> list[str]:
     """Return what is worth telling of an interface as `ip -details -json link` shows it; None where it could not be asked."""
     if link is None:
-        return [f"whether {channel} only listens is unknown (check with ip -details link show {channel} tells)"]
+        return [f"whether {channel} only listens is unknown (check with ip -details link show {channel})"]
     info = link.get("linkinfo", {})
     if info.get("info_kind") != "can":
         # A virtual interface (vcan, vxcan): no wire.

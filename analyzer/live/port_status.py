@@ -114,23 +114,23 @@ def _back(port: PortStatus, event: Mapping[str, Any]) -> str:
 def _overrun(port: PortStatus, event: Mapping[str, Any]) -> str:
     risen = {k: int(v) for k, v in event.items() if isinstance(v, int) and k not in ("t_ns", "from_ns")}
     port.counters = dict(Counter(port.counters) + Counter(risen))
-    return ", ".join(f"{n} {_COUNTED.get(name, name)}" for name, n in risen.items())
+    return ", ".join(counted(n, noun) + where for name, n in risen.items() for noun, where in [_COUNTED.get(name, (name, ""))])
 
 
-#: The kernel's counters in words.
+#: Counters of the kernel: what each counts, and where or why.
 _COUNTED = {
-    "overrun": "bytes lost in the adapter (overrun)",
-    "buf_overrun": "bytes lost in the kernel (buffer full)",
-    "frame": "framing errors (wrong baud rate?)",
-    "parity": "parity errors",
-    "brk": "breaks",
+    "overrun": ("byte", " lost in the adapter (overrun)"),
+    "buf_overrun": ("byte", " lost in the kernel (buffer full)"),
+    "frame": ("framing error", " (wrong baud rate?)"),
+    "parity": ("parity error", ""),
+    "brk": ("break", ""),
 }
 
 
 def _dropped(port: PortStatus, event: Mapping[str, Any]) -> str:
     count = int(event.get("bytes", event.get("frames", 0)))
     port.dropped += count
-    return f"{count} {port.unit} could not be stored and are lost: {event['reason']}"
+    return f"{counted(count, port.unit[:-1])} lost, could not be stored: {event['reason']}"
 
 
 def _kernel_dropped(port: PortStatus, event: Mapping[str, Any]) -> str:

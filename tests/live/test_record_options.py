@@ -108,7 +108,7 @@ def test_foxglove_takes_a_place_and_no_endpoint(tmp_path):
         (["serial:A", "--model", "99Z"], "no model"),
         (["serial:A", "--rotate", "often"], "expected a size as 100MB or a time as 10min"),
         (["serial:A", "--rotate", "0MB"], "expected a size"),
-        (["serial:A", "--keep", "3"], "--rotate is missing"),
+        (["serial:A", "--keep", "3"], "--keep needs --rotate"),
         (["serial:A", "--max-total", "lots"], "expected a size"),
         (["serial:A", "-o", "/dev/null"], "not a regular file"),
         (["serial:A", "-o", "log.bag"], "ends in .mcap"),
@@ -133,7 +133,7 @@ def test_a_value_that_is_none_is_refused(option, value, capsys):
 
 
 def test_json_and_view_exclude_each_other():
-    with pytest.raises(UsageError, match="one of them"):
+    with pytest.raises(UsageError, match="exclude each other"):
         record.run(parsed("serial:A", "--json", "--view"))
 
 

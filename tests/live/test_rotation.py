@@ -134,7 +134,7 @@ def test_by_time(tmp_path):
 def test_what_somebody_else_wrote_is_not_replaced(tmp_path):
     spools = Spools(tmp_path, port("1-left", "left"))
     spools.log.write_bytes(b"mine")
-    with pytest.raises(UsageError, match="exists, and a recording replaces nothing"):
+    with pytest.raises(UsageError, match="exists, and a recording replaces no file"):
         Recorder(spools.folder)
     assert spools.log.read_bytes() == b"mine"
 
