@@ -4,7 +4,7 @@
 
 Rules kept here:
 - `build` refuses only what cannot be bytes: a value too large for its bits, a name the command does not have. What the
-  manual forbids is said by `refusals`, for whoever wants to know before.
+  manual forbids is told by `refusals`, before anything is built.
 - A form is chosen by the names and values given: the first that has all the names and none of whose fixed fields is
   given another value. Forms of a refusal come last, so that a reply built from nothing is a good one. A reply that only
   answers a request of certain values (a parameter read) is also chosen by those values.

@@ -23,8 +23,8 @@ from analyzer.transactions import Transactions
 class Options:
     """What a user can choose.
 
-    `byte_ns`: time of one byte on the line, 0 if unknown; `synthetic_byte_ns` and `synthetic_bit_ns` make up the times of
-    a capture that has none (serial bytes, CAN bits), and with `timed` False no latency is told from them.
+    `byte_ns`: time of one byte on the line, 0 if unknown; `synthetic_byte_ns` and `synthetic_bit_ns` estimate the times of a
+    capture that has none (serial bytes, CAN bits). With `timed` False they tell no latency.
     """
 
     byte_ns: int = 0
@@ -157,9 +157,9 @@ class Setups:
         self.dialects = dict(dialects)
 
     def __call__(self, event: Event) -> PortSetup | None:
-        """Return what a bus is set up for from an event on, None where the event names no dialect.
+        """Return the setup of a bus from an event on, None where the event names no dialect.
 
-        Raises UsageError for a dialect that there is none of here.
+        Raises UsageError for an unknown dialect.
         """
         names = event.values.get("dialects")
         if not names:

@@ -1,6 +1,6 @@
 """What flows through the pipeline: chunks, CAN frames and events in; frames and junk, messages, transactions, findings out.
 
-All times are integer nanoseconds; the times of a capture without any are made up from the line speed and marked as such
+All times are integer nanoseconds; the times of a capture without any are estimated from the line speed and marked as such
 in the log's metadata. Records are immutable and hold no resources.
 """
 
@@ -63,7 +63,7 @@ class CanFrame(msgspec.Struct, frozen=True, gc=False):
 
 
 class Comment(msgspec.Struct, frozen=True, gc=False):
-    """Text that stands in a capture beside the traffic: a comment, a marker. It is shown as text, never interpreted."""
+    """Text in a capture apart from its traffic: a comment, a marker. It is shown as text, never interpreted."""
 
     t_ns: int | None
     port: str
@@ -78,7 +78,7 @@ class Silence(msgspec.Struct, frozen=True, gc=False):
 
 
 class Event(msgspec.Struct, frozen=True, gc=False):
-    """What happened to a recording beside its traffic: a port was lost, bytes were dropped, a dialect was found.
+    """What happened to a recording apart from its traffic: a port was lost, bytes were dropped, a dialect was found.
 
     `port`: empty where it is about all of them. `name`: a row of `analyzer.events`, or a word that is not known there.
     `values`: numbers, texts and lists of texts; times of day as text, durations in seconds.
@@ -109,7 +109,7 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
 
 
 class Junk(msgspec.Struct, frozen=True, gc=False):
-    """Bytes that are no frame, and why."""
+    """Bytes that belong to no frame, and why."""
 
     port: str
     first_ns: int

@@ -1,6 +1,6 @@
-"""Make a smaller log of a stretch of a log, or of some of its buses: complete by itself, nothing decoded anew.
+"""Copy a time range of a log, or some of its buses, into a smaller log: complete by itself, without decoding again.
 
-What was said of the buses before the stretch (endpoints, dialects) stands at its beginning, so the cut can be decoded again.
+The setup of the buses (endpoints, dialects) stands at its beginning, so the smaller log can be decoded again.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class _Cut:
     # --- what was said before -------------------------------------------------------------------------------------
 
     def _before(self, wanted: Any) -> list[Taken]:
-        """Return what was said of the buses before the stretch: the last of each, and how the log was decoded."""
+        """Return the last setup of each bus before the range, and how the log was decoded."""
         kept: dict[tuple[str, str], Taken] = {}
         for taken in self._log.messages(*_EVERYTHING, lambda channel: channel.topic == TOPIC and wanted(channel)):
             if taken.message.log_ns >= self._since_ns:

@@ -139,10 +139,10 @@ def _write(source: Source, stream: IO[bytes], arguments: argparse.Namespace, int
 
 
 def _in_time_range(source: Source, arguments: argparse.Namespace) -> Iterator[Chunk | CanFrame | Comment]:
-    """Yield the traffic and the comments of the stretch that is wanted."""
+    """Yield the traffic and the comments of the time range."""
     time_range = TimeRange(source, arguments.since, arguments.until)
     for item in time_range.items(source):
-        # What else stands in a log of a recording (pauses, what happened to it) has no place in an export.
+        # Other items of a log (pauses, events of the recording) have no place in an export.
         if isinstance(item, Chunk | CanFrame | Comment) and (item.t_ns is None or item.t_ns >= time_range.since_ns):
             yield item
 

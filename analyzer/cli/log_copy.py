@@ -25,12 +25,12 @@ from analyzer.sources.mcap_scan import LogMessage
 CHUNK_SIZE = 1 << 20
 #: Messages after which it is told how far reading has come, for a person who waits.
 _TELL_EVERY = 4096
-#: Messages of a log that is not whole that are passed over in search of what it declares.
+#: Messages of an incomplete log that are skipped in search of its declarations.
 _FIRST_MESSAGES = 1000
 
 
 class Taken(NamedTuple):
-    """A message with what its log declares of it. `schema` None: it has none."""
+    """A message with the declarations of its log. `schema` None: it has none."""
 
     schema: Schema | None
     channel: Channel
@@ -67,7 +67,7 @@ class Log:
         return min(first for first, _ in found), max(last for _, last in found)
 
     def declared(self) -> list[tuple[Schema | None, Channel]]:
-        """Return what the log declares; of one that is not whole, what it declares before its first messages."""
+        """Return what the log declares; of an incomplete one, only what stands before its first messages."""
         found: dict[str, tuple[Schema | None, Channel]] = {}
         for file, whole in zip(self.files, self._whole, strict=True):
             for schema, channel in _summarised(file) if whole else _first_declared(file):
@@ -77,7 +77,7 @@ class Log:
     def messages(
         self, since_ns: int, until_ns: int, wanted: Callable[[Channel], bool] = lambda channel: True
     ) -> Iterator[Taken]:
-        """Yield the messages of a stretch, both ends included, in the order of the log."""
+        """Yield the messages of a time range, both ends included, in the order of the log."""
         for file, whole in zip(self.files, self._whole, strict=True):
             yield from (self._indexed if whole else self._scanned)(file, since_ns, until_ns, wanted)
             self.read += file.stat().st_size

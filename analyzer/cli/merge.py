@@ -112,7 +112,7 @@ class _Input:
 
 
 class _Merge:
-    """Several logs on their way into one. `said`: what came of it; `notes`: what a person should know."""
+    """Several logs that become one. `said`: the result in words; `notes`: for the user."""
 
     def __init__(self, logs: list[Log]) -> None:
         self._logs = logs

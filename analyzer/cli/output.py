@@ -1,4 +1,4 @@
-"""Files that commands write: under their names they are whole, or not there at all."""
+"""Files that commands write: complete under their names, or absent."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Output:
         self.stream: IO[bytes] = os.fdopen(handle, "wb", buffering=1 << 20)
 
     def keep(self) -> None:
-        """Give the file its name. Raises UsageError if somebody else made one of that name meanwhile."""
+        """Give the file its name. Raises UsageError if another program created that file meanwhile."""
         self.stream.close()
         umask = os.umask(0)
         os.umask(umask)
@@ -38,7 +38,7 @@ class Output:
             self.part.replace(self.target)
             return
         try:
-            # A link, unlike a rename, fails where somebody else made the file meanwhile.
+            # A link, unlike a rename, fails if the file was created meanwhile.
             os.link(self.part, self.target)
         except FileExistsError:
             raise UsageError(f"{self.target} was created by another program meanwhile; --force replaces it") from None

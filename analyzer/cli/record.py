@@ -1,7 +1,7 @@
 """Record serial ports and CAN buses into one MCAP log: decoded, paired, with findings, while it runs. It only listens.
 
 Any number of buses go into one file on one clock. The log is readable while it grows and after a crash; what is lost
-(a port unplugged, a full disk) is marked with its times, and the port is taken up again. Ctrl-C ends the recording.
+(a port unplugged, a full disk) is marked with its times, and the port is reconnected. Ctrl-C ends the recording.
 """
 
 from __future__ import annotations
@@ -247,7 +247,7 @@ def _at_its_speed(endpoint: Endpoint, dialects: Sequence[Dialect], notes: list[s
 def configure(
     arguments: argparse.Namespace, endpoints: Sequence[Endpoint], target: Path, notes: Sequence[str]
 ) -> RecordingConfig:
-    """Return what the recording of endpoints is told; it begins now. `notes`: what the log is to say of it."""
+    """Return the configuration of a recording of endpoints that begins now. `notes` go into the log."""
     from analyzer.live.clock import now
     from analyzer.live.config import RecordingConfig
 

@@ -1,4 +1,4 @@
-"""Make a log whole whose recording was killed: what its spools still hold goes in, and it gets its end.
+"""Repair the log of an interrupted recording: it gets what its spools still hold, and its end.
 
 Without -o it happens in place. Where the folder FILE.spool of the recording is still there, not even the last second is lost;
 without it the log is copied as far as it can be read, also behind damaged places, and takes the place of the old one.

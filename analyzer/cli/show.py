@@ -38,7 +38,7 @@ examples:
   candump -L can0 | servotap show -
 """
 
-#: Events that say nothing to somebody who watches the traffic.
+#: Events that do not matter to a reader of the traffic.
 _UNSHOWN = frozenset(("part", "resumed", "clock_drift"))
 _COLORS = {"request": "36", "reply": "32", "unknown": "33"}
 
@@ -229,6 +229,6 @@ def _show(arguments: argparse.Namespace) -> int:
 
 
 def _alive(path: Path) -> bool | None:
-    """Say whether a log is being recorded; None where there is nothing beside it that tells."""
+    """Say whether a log is being recorded; None where no file beside it tells."""
     folder = spool_folder(base_of(path))
     return running(folder) if folder.is_dir() else None

@@ -1,7 +1,7 @@
-"""The stretch of a capture that is wanted: `--since` and `--until`.
+"""The time range of a capture: `--since` and `--until`.
 
-Decoding begins some seconds before the stretch, unseen, so that half frames and open requests at its beginning are what
-they are in the whole; what was learnt of the drives long before (groups, drives told to be silent) is not known.
+Decoding begins some seconds before the range, without output. So half frames and open requests at its beginning are decoded
+as in the whole capture. What was learnt of the drives long before (groups, silenced drives) is not known.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from analyzer.sources import Source
     from analyzer.sources.source import Record
 
-#: How long before the stretch decoding begins: longer than a request waits for its reply.
+#: How long before the range decoding begins: longer than a request waits for its reply.
 WARM_NS = 5_500_000_000
 _BEFORE_ALL_NS = -(1 << 63)
 _AFTER_ALL_NS = 1 << 63
@@ -30,7 +30,7 @@ T = TypeVar("T")
 
 
 def add_time_range_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of every command that can read a stretch."""
+    """Add the options of every command that can read a time range."""
     moment = "2026-11-21T16:22:11Z, +10s (from the start) or -5min (from the end)"
     parser.add_argument("--since", type=_moment, metavar="T", help=f"only traffic from this time on: {moment}")
     parser.add_argument("--until", type=_moment, metavar="T", help="only traffic up to this time, same notation")
@@ -44,7 +44,7 @@ def _moment(text: str) -> TimeOption:
 
 
 class TimeRange:
-    """The stretch of one source. `since_ns`, `until_ns` are known as soon as the first item is, or before."""
+    """The time range of one source. `since_ns`, `until_ns` are known with the first item, or before."""
 
     def __init__(self, source: Source, since: TimeOption | None, until: TimeOption | None) -> None:
         self._source = source
@@ -78,7 +78,7 @@ class TimeRange:
             raise UsageError(f"--until {iso(self.until_ns)} lies before --since {iso(self.since_ns)}")
 
     def items(self, records: Iterable[Record]) -> Iterator[Record]:
-        """Yield what is to be decoded: the stretch, and some seconds before it."""
+        """Yield what is to be decoded: the range, and some seconds before it."""
         if not self.wanted:
             yield from records
             return
@@ -97,13 +97,13 @@ class TimeRange:
             yield record
 
     def sinks(self, sinks: Sequence[Sink]) -> Sequence[Sink]:
-        """Return sinks that see the stretch alone."""
+        """Return sinks that see only the range."""
         if self._since is None:
             return sinks
         return [_Within(sink, self, counts=not number) for number, sink in enumerate(sinks)]
 
     def about(self) -> dict[str, str]:
-        """Return what a log's metadata says of it."""
+        """Return its metadata for a log."""
         values = {}
         if self._since is not None:
             values["since"] = iso(self.since_ns)
@@ -113,7 +113,7 @@ class TimeRange:
 
 
 class _Within:
-    """A sink before a sink: it lets pass what is not before the stretch. `counts`: it counts the bytes that it does not."""
+    """A sink that passes on only the range. `counts`: it counts the bytes before the range."""
 
     def __init__(self, sink: Sink, stretch: TimeRange, *, counts: bool) -> None:
         self._sink = sink

@@ -60,6 +60,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _alive(path: Path) -> bool | None:
-    """Say whether a log is being recorded; None where there is nothing beside it that tells."""
+    """Say whether a log is being recorded; None where no file beside it tells."""
     folder = spool_folder(base_of(path))
     return running(folder) if folder.is_dir() else None

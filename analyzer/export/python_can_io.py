@@ -70,7 +70,7 @@ class McapWriter(BinaryIOMessageWriter):
         if port is None:
             port = self._ports[msg.channel] = _port(msg.channel)
         frame = CanFrame(
-            # A message that somebody made himself has no time.
+            # A message made by hand has no time.
             _nanoseconds(msg.timestamp) if msg.timestamp else time.time_ns(),
             port,
             msg.arbitration_id,
@@ -95,7 +95,7 @@ class McapWriter(BinaryIOMessageWriter):
                 try:
                     self._log.flush()
                 except OSError as error:
-                    # The one who logs has to hear of it, and this thread has nobody to tell.
+                    # The logging thread has to learn of it, and this thread has no caller.
                     self._failed = error
                     return
 

@@ -1,4 +1,4 @@
-"""Which serial ports and CAN interfaces a machine has, and what somebody who wants to listen should know of each.
+"""The serial ports and CAN interfaces of a machine, with all that matters for listening to them.
 
     /sys/class/tty/ttyUSB0 -> device -> ... -> USB device with idVendor, idProduct, serial
     /sys/class/net/can0      type 280 is CAN; `ip -json -details` tells its state
@@ -6,7 +6,7 @@
 Nothing is opened here, so nothing is disturbed: all of it stands in sysfs, in /proc and in what `ip` prints. On systems
 without sysfs pyserial's list of ports is given, which knows less. `root` is where these trees stand, for tests.
 
-What it does not know: holders that belong to other users (only root sees them), and adapters whose driver is not loaded.
+Not known here: processes of other users that hold a port (only root sees them), and adapters without a loaded driver.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class CanInterface:
     """A CAN interface.
 
     `name`: of the network interface, or INTERFACE:CHANNEL of python-can. `kind`: can, vcan, ... or python-can's interface.
-    `up`: None where nobody says. `state`: of the controller, as ERROR-ACTIVE. `bitrate`: bits per second. `listen_only`:
+    `up`: None if unknown. `state`: of the controller, as ERROR-ACTIVE. `bitrate`: bits per second. `listen_only`:
     None where it cannot be told. `counters`: of errors, by name.
     """
 

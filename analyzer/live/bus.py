@@ -112,7 +112,7 @@ class Bus:
             self.detection.resume(self.dialects, state.guessing)
 
     def about(self) -> dict[str, str]:
-        """Return what the metadata of a log says of it."""
+        """Return its metadata for a log."""
         prefix = f"bus.{self.name}."
         values = {
             "endpoint": "; ".join(p.endpoint for p in self.ports),

@@ -3,8 +3,8 @@
     after each flush of the log:  place in the log and its index, place in each spool, each bus, and the state of the decoding
 
 Going on, the log is cut at that place and the spools are read from theirs, so no byte is lost or stands twice. The state of
-decoding (half frames, open requests) are records of this program, read back as those and nothing else: a folder of spools
-may come from anywhere. Where another version of the program wrote it, the state is left out and half frames are decoded
+decoding (half frames, open requests) are records of this program, and only those are read back: a folder of spools may come
+from anywhere. Where another version of the program wrote it, the state is left out and half frames are decoded
 anew from their bytes, which stand beside it.
 """
 
@@ -136,7 +136,7 @@ _ALLOWED: Mapping[tuple[str, str], Any] = {
 
 
 class _Unpickler(TableUnpickler):
-    """Makes records of this program and nothing else."""
+    """Makes only records of this program."""
 
     def find_class(self, module: str, name: str) -> Any:
         """Return a class that is allowed. Raises UnpicklingError for any other."""

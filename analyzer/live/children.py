@@ -158,7 +158,7 @@ class Child(ABC):
                 self._kept = descriptors[0]
 
     def let_go(self) -> None:
-        """Give up what is kept: the port is gone, and can only come back when nobody holds it."""
+        """Give up what is kept: the port is gone, and can only come back when no process holds it."""
         with self._lock:
             kept, self._kept = self._kept, None
         if kept is not None:

@@ -1,6 +1,6 @@
-"""What a recording is told: written once beside its spools, read by the decoding process and by `servotap recover`.
+"""The configuration of a recording: a file beside its spools, read by the decoding process and by `servotap recover`.
 
-It is a file and not arguments, so that what a killed recording left can be finished by somebody who knows nothing of it.
+It is a file instead of arguments: so the log of a killed recording can be finished without knowing how it was started.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Counts of a recording, for its metadata: of the part that is written, and of all."""
+"""Counts of a recording for its metadata: of the current part, and in total."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ _NAMES = ("bytes", "frames", "frame_bytes", "junk_bytes", "marks")
 
 
 class RecordingCounts:
-    """A sink that counts. `junk_of`: told of bytes that are no frame, with their port."""
+    """A sink that counts. `junk_of` gets the port and the number of junk bytes."""
 
     def __init__(self, junk_of: Callable[[str, int], None]) -> None:
         self._junk_of = junk_of
-        #: Bytes that came, counted by its owner; all others are of what was decoded.
+        #: Bytes received, counted by the owner; all others count what was decoded.
         self.bytes = 0
         self.frames = self.frame_bytes = self.junk_bytes = self.marks = 0
         self.findings: Counter[str] = Counter()

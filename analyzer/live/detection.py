@@ -4,8 +4,8 @@ At first everything is held back until the sample leaves no doubt, for half a se
 by then, all dialects of the kind of bus are tried at once. Afterwards the newest traffic is looked at again while
 nothing frames, or when junk shows that another dialect has joined; ever more seldom where that helps nothing.
 
-What is decided here goes into the log as an event before the traffic it is about, so that whoever decodes the log again
-need not decide anew. No clock: times are those of the traffic.
+Each decision goes into the log as an event before its traffic, so that decoding the log again needs no new decision.
+No clock: times are those of the traffic.
 """
 
 from __future__ import annotations

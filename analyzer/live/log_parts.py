@@ -33,7 +33,7 @@ Wrap = Callable[[McapFile], LogFile]
 
 
 def log_of(folder: Path, config: RecordingConfig) -> Path:
-    """Return the log of a folder of spools: it stands beside the folder, wherever both were moved to."""
+    """Return the log of a folder of spools: it stands beside the folder, even if both were moved."""
     return folder.with_name(folder.name[: -len(_SPOOL)]) if folder.name.endswith(_SPOOL) else Path(config.log)
 
 
@@ -51,7 +51,7 @@ class LogParts:
         if config.max_total and not (config.rotate_bytes or config.rotate_ns):
             self.rotate_bytes = max(config.max_total // _SHARE, _LEAST_PART)
         self.rotating = bool(self.rotate_bytes or config.rotate_ns)
-        #: The same for all parts, and for whoever goes on after a kill.
+        #: The same for all parts, also after a kill.
         self.recording = f"{config.anchor_utc_ns:016x}-{config.anchor_monotonic_ns:016x}"
         self.number = 1
         self.path = self.log
@@ -67,7 +67,7 @@ class LogParts:
         """Begin a part. `before` is called when it is known which it will be, and nothing is there yet.
 
         `mine`: what stands under the name was begun by a process that was killed. Without `before` the next number is
-        taken where somebody else has a file of that name. Raises OSError with nothing left, UsageError where the first
+        taken where another file has that name. Raises OSError with nothing left, UsageError where the first
         one exists.
         """
         previous = self.path.name if before is None else ""
@@ -102,7 +102,7 @@ class LogParts:
         return self._wrap(file) if self._wrap is not None else file
 
     def resume(self, start: Checkpoint) -> LogFile:
-        """Go on with the part of a checkpoint, behind what was flushed of it. Raises UnreadableError if it is not there."""
+        """Resume the part of a checkpoint behind its last flush. Raises UnreadableError if it is missing."""
         self.number = start.part
         self.path = self.log.with_name(start.path)
         self.previous = start.previous
@@ -192,7 +192,7 @@ class LogParts:
         return dropped
 
     def about(self) -> dict[str, str]:
-        """Return what the metadata of a part says of it as such."""
+        """Return the metadata of the part itself."""
         config = self._config
         values = {
             "source": "recording",

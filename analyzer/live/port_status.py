@@ -1,4 +1,4 @@
-"""What happened to the ports of a recording, from the events that their readers told: for the display and for the end.
+"""The status of each port of a recording, from the events of its reader: for the display and the final summary.
 
 It counts what was lost or may have been, and remembers the first gaps with their times. Memory is bounded.
 """
@@ -59,7 +59,7 @@ class PortStatus(msgspec.Struct, omit_defaults=True):
 
 
 def take(port: PortStatus, event: Mapping[str, Any]) -> str:
-    """Take an event of a port into the status; return what it says, for somebody who watches, or nothing."""
+    """Update a port's status by an event; return its text for a viewer, or nothing."""
     handler = _HANDLERS.get(str(event.get("event")))
     return handler(port, event) if handler is not None else ""
 
@@ -102,7 +102,7 @@ def _lost(port: PortStatus, event: Mapping[str, Any]) -> str:
 
 
 def _back(port: PortStatus, event: Mapping[str, Any]) -> str:
-    # After the death of a reader nobody could say that the port was lost.
+    # A reader that died could not tell that the port was lost.
     if port.state != "lost":
         _remember(port, Gap(int(event["from_ns"]), None, "its reader process died"))
     port.state = "listening"

@@ -1,4 +1,4 @@
-"""A reader process: waits for one port, reads, stamps and stores, and does nothing else.
+"""A reader process: it waits for one port, reads, stamps and stores.
 
     python -m analyzer.live.reader FOLDER STEM [--adopt FD] [--plain]
 
@@ -71,7 +71,7 @@ def endpoint_of(port: PortConfig) -> Endpoint:
 
 
 class Reader:
-    """Keeps one port open and stores what it brings, until the end is wished.
+    """Keeps one port open and stores what it brings, until the end is requested.
 
     `hand_over` is given the descriptor of each port that was opened: who keeps it can give it to a successor.
     """
@@ -84,7 +84,7 @@ class Reader:
         self._reason = ""
 
     def run(self, adopted: int | None = None, forerunner_ns: int | None = None) -> str:
-        """Read until the end is wished; return why. `forerunner_ns`: time of the last record of a reader that died.
+        """Read until the end is requested; return why. `forerunner_ns`: time of the last record of a reader that died.
 
         Raises Unopened when the port cannot be opened at the start; a successor of another reader goes on trying.
         """
@@ -120,7 +120,7 @@ class Reader:
         return stop.asked
 
     def _open(self, first: bool) -> Opened | None:
-        """Open the port, in as many attempts as it takes; None when the end is wished meanwhile."""
+        """Open the port, in as many attempts as it takes; None when the end is requested meanwhile."""
         wait_s = 0.0 if first else FIRST_RETRY_S
         while not self._stop.wait(wait_s):
             try:
@@ -133,7 +133,7 @@ class Reader:
                 self._reason = str(reason)
                 self._store.flush()
             except Lost:
-                # The end was wished while it waited for an answer.
+                # The end was requested while it waited for an answer.
                 return None
             wait_s = min(wait_s * 2, LAST_RETRY_S)
         return None
@@ -164,7 +164,7 @@ def hand_over(descriptor: int) -> None:
     """Give the supervisor a second hold on a port, so that what arrives waits in the kernel should this process die."""
     if not hasattr(socket, "send_fds"):
         return
-    # Standard input is no socket where somebody started a reader by hand; then nobody wants it.
+    # Standard input is not a socket if the reader was started by hand; then no supervisor wants the port.
     with contextlib.suppress(OSError), socket.socket(fileno=os.dup(LEASH)) as leash:
         socket.send_fds(leash, [b"p"], [descriptor])
 

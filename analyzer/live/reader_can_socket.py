@@ -30,7 +30,7 @@ from analyzer.values import counted
 MULTICAST_PORT = 43113
 #: Wished size of the kernel's buffer: a tenth of a second of a full bus needs about a megabyte.
 BUFFER = 8 << 20
-#: An age beyond this is no age: the wall clock was set in between.
+#: An age beyond this is wrong: the system clock was set in between.
 OLDEST_NS = 1_000_000_000
 _AT_ONCE = 512
 _READ_SIZE = 4096
@@ -54,7 +54,7 @@ _CONTROLLER = ((0x01, "the controller's buffer overflowed: frames were lost"), (
 _MSG_DONTROUTE = 4
 _CAN_RAW_ERR_FILTER = 2
 
-#: Takes a datagram; returns identifier, flags, payload. Raises ValueError for what is no frame.
+#: Takes a datagram; returns identifier, flags, payload. Raises ValueError for other bytes.
 Dissect = Callable[[bytes], tuple[int, int, bytes]]
 
 
@@ -197,7 +197,7 @@ class CanSocketPort:
                 if hasattr(socket, option):
                     made.setsockopt(socket.SOL_SOCKET, getattr(socket, option), 1)
             made.bind(("", port))
-            # Groups that others on this machine have joined are no business of ours.
+            # Traffic of groups that other programs on this machine have joined is not ours.
             if group.version == 4:
                 _wish(made, _IP_MULTICAST_ALL, 0, socket.IPPROTO_IP)
                 request = group.packed + struct.pack("@I", socket.INADDR_ANY)

@@ -23,7 +23,7 @@ from analyzer.live.reader_store import Store
 IDLE_NS = 50_000_000
 #: Time between two looks at counters, and between two attempts to store held records.
 TICK_NS = 1_000_000_000
-#: Standard input of a reader: the supervisor holds the other end. Its end is the wish to end.
+#: Standard input of a reader: the supervisor holds the other end. Its end requests the end.
 LEASH = 0
 
 
@@ -44,7 +44,7 @@ class Opened:
 
 
 class Stop:
-    """The wish to end: SIGTERM, or the end of standard input, which is when the supervisor has died.
+    """The request to end: SIGTERM, or the end of standard input, when the supervisor has died.
 
     `asked`: why, empty until then. `fileno` is readable from then on.
     """
@@ -55,7 +55,7 @@ class Stop:
         self._waker.setblocking(False)
 
     def on_signals(self) -> None:
-        """Take SIGTERM as the wish, and nothing else: Ctrl-C and hang-ups are the supervisor's."""
+        """Take SIGTERM as the request to end, and no other signal: Ctrl-C and hang-ups are the supervisor's."""
         for name in ("SIGINT", "SIGHUP"):
             if hasattr(signal, name):
                 signal.signal(getattr(signal, name), signal.SIG_IGN)
@@ -67,11 +67,11 @@ class Stop:
         self.asked = self.asked or "asked to end"
 
     def on_leash(self, fd: int = LEASH) -> None:
-        """Take the end of a descriptor as the wish, too."""
+        """Take the end of a descriptor as the request, too."""
         threading.Thread(target=self._hold, args=(fd,), daemon=True).start()
 
     def _hold(self, fd: int) -> None:
-        # Nothing is ever said on it; a thread because not every system can wait for it beside a port.
+        # Nothing is sent on it. A thread, because not every system can wait for it together with a port.
         try:
             while os.read(fd, 64):
                 pass
@@ -82,9 +82,9 @@ class Stop:
         self.ask("the supervisor has gone")
 
     def ask(self, reason: str) -> None:
-        """Wish to end."""
+        """Request the end."""
         self.asked = self.asked or reason
-        # The end of the stream wakes whoever waits, now and ever after.
+        # The end of the stream ends every wait, now and later.
         self._woken.shutdown(socket.SHUT_RD)
 
     def fileno(self) -> int:
@@ -92,7 +92,7 @@ class Stop:
         return self._woken.fileno()
 
     def wait(self, seconds: float) -> bool:
-        """Wait that long or until the end is wished; say which."""
+        """Wait that long or until the end is requested; say which."""
         if not self.asked:
             select.select([self._woken], [], [], seconds)
         return bool(self.asked)
@@ -119,7 +119,7 @@ class Port(Protocol):
         """Return the descriptor that holds what arrives; None where it is not one."""
 
     def listen(self, store: Store, stop: Stop) -> None:
-        """Store what comes until the end is wished, then what has come by then. Raises Lost."""
+        """Store what comes until the end is requested, then what had come by then. Raises Lost."""
 
     def close(self) -> None:
         """Close it; it may be done twice."""

@@ -49,7 +49,7 @@ class PlainPort(LibraryPort):
         try:
             port.exclusive = True
         except ValueError:
-            # Windows lets nobody else in anyway.
+            # Windows opens a port exclusively anyway.
             port.exclusive = None
         try:
             port.open()

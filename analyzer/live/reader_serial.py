@@ -2,7 +2,7 @@
 
 Order of opening, and why:
 
-1. `open` read-only: the kernel itself refuses every write. It also raises RTS and DTR, which nobody can prevent.
+1. `open` read-only: the kernel itself refuses every write. It also raises RTS and DTR, which cannot be prevented.
 2. raw, at once: until then the terminal's default echo would send back what arrives.
 3. RTS and DTR inactive: RTS may key a transmitter. How long they were active is measured and told.
 4. `flock`: other programs that lock their ports are refused, as we are by them.

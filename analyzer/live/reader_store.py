@@ -30,7 +30,7 @@ LAST_TRIES_NS = 3_000_000_000
 
 
 class StatusLine:
-    """Tells events to whoever started this process, a line of JSON each; never waits. None to tell nobody."""
+    """Tells events to the parent process, a line of JSON each, and never waits. None: tells none."""
 
     def __init__(self, fd: int | None) -> None:
         self._file = None if fd is None else io.FileIO(fd, "wb", closefd=False)

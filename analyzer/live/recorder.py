@@ -140,7 +140,7 @@ class Recorder:
         return True
 
     def _is_over(self, now_ns: int) -> bool:
-        """Say whether nobody writes the spools any more."""
+        """Say whether no process writes the spools any more."""
         if self.recording.ended:
             return True
         self._ending = self._ending or self._asked()
@@ -196,7 +196,7 @@ class Recorder:
             self._say(f"{self.parts.path} is written again after {(now_ns - begun_ns) / 1e9:.1f} s")
             (note or self.recording.happened)("stalled", from_ns=begun_ns, to_ns=now_ns, reason=reason)
 
-    # --- for whoever watches --------------------------------------------------------------------------------------
+    # --- for viewers -----------------------------------------------------------------------------------------------
 
     def _show(self, now_ns: int, *, ended: bool = False) -> None:
         if self._feed is None or self._writer is None or self._open is None:

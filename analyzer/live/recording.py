@@ -46,7 +46,7 @@ _DURATIONS = {"gap_ns": "gap", "step_ns": "step", "offset_ns": "drift"}
 
 
 class Follow:
-    """What is known of one spool beside its records."""
+    """What is known of a spool apart from its records."""
 
     def __init__(self, bus: Bus | None, port: PortConfig | None) -> None:
         self.bus = bus
@@ -59,7 +59,7 @@ class Follow:
 
 
 class Recording:
-    """One recording, begun, or gone on with where its folder holds a checkpoint.
+    """One recording: begun, or resumed where its folder holds a checkpoint.
 
     `parts`: the files of its log. `watch`: further sinks.
     """
@@ -124,7 +124,7 @@ class Recording:
                 self.log.declare(bus.name, bus.kind)
 
     def _choices(self) -> dict[str, Any]:
-        """Return what decoding was told, for whoever decodes the log again."""
+        """Return the options of decoding, for decoding the log again."""
         config = self.config
         values: dict[str, Any] = {"recording": self.parts.recording, "late": config.late_ns / 1e9}
         if config.model:
@@ -484,7 +484,7 @@ class Recording:
         self.pipeline.feed(Event(self.clock_ns, bus, name, dict(values)))
 
     def happened(self, name: str, **noted: Any) -> None:
-        """Note what this process itself met, as a reader would; it goes into the log at the next `settle`."""
+        """Note an event of this process itself, as a reader would; it goes into the log at the next `settle`."""
         self._own.append(("", {"event": name, **noted}))
 
     def settle(self, horizon_ns: int) -> None:

@@ -1,4 +1,4 @@
-"""A snapshot: what somebody who watches a recording is told, about ten times a second, as one line of JSON.
+"""A snapshot: what a viewer of a recording gets about ten times a second, as one line of JSON.
 
     SnapshotSink (decoding process) -> Snapshot -> one line -> pipe -> terminal view, counts a line a second, anything else
 
@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-#: Roles of a line that is no request or reply.
+#: Roles of a line that is neither a request nor a reply.
 JUNK = "junk"
 EVENT = "event"
 

@@ -1,13 +1,13 @@
-"""The feed: a sink that lets somebody watch what is decoded, without slowing it.
+"""A sink that makes snapshots of decoding for a viewer, without slowing it down.
 
     plain(), entry(), junk(), ...         count, and keep the newest by reference (a third of a microsecond a frame)
     snapshot(t_ns)                        makes texts of a bounded part of it, about ten times a second
 
-What a snapshot shows of more frames than fit: those with findings, the newest of each command and role (so that a rare one
-is seen among thousands of polls), then the newest of all. What it leaves out it counts.
+Where there are more frames than fit, a snapshot shows those with findings first. Then come the newest of each command and
+role, so that a rare one is seen among thousands of polls, and the newest of all. The others are counted.
 
 Memory does not grow with the traffic: rings of fixed size, and at most `ROW_LIMIT` rows; what belongs to further ones is
-counted in one row a bus. Not known here: the wall clock, and who watches.
+counted in one row a bus. Not known here: the wall clock, and the viewers.
 """
 
 from __future__ import annotations

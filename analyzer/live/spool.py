@@ -21,7 +21,7 @@ Events of a port, with what they hold:
                                                 reader has taken over from one that died, and nothing is missing
     speed     speed, byte_ns, text              the line runs at another speed from here on (a tap follows its program)
     lost      reason                            the port is gone
-    back      gap_ns, from_ns, reason, notes    it is taken up again; what came meanwhile is missing
+    back      gap_ns, from_ns, reason, notes    reconnected; traffic in between is missing
     overrun   from_ns, and those of overrun, buf_overrun, frame, parity, brk that rose: the kernel's counters
     kernel_dropped  frames, from_ns             the kernel had no room for frames (CAN)
     bus_error reason, from_ns, count            trouble of a CAN bus: bus off, error states, an adapter that talks nonsense

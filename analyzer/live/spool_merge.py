@@ -1,4 +1,4 @@
-"""Several spools as one row of records in the order of time, as far as that is certain.
+"""Several spools as one sequence of records in order of time, as far as that order is certain.
 
 A record is given when every spool has gone beyond its time: with a later record, with an IDLE, or because the spool was
 read to its end at a moment that is `PATIENCE_NS` later. So a silent port holds the others up for that long and no longer;
@@ -25,7 +25,7 @@ NEVER_NS = 1 << 63
 
 
 class Spool:
-    """One spool that is followed. `position`: after the last record that was dealt with, for whoever deals with them."""
+    """One spool that is followed. `position`: behind the last record that was processed; its owner sets it."""
 
     def __init__(self, folder: Path, stem: str, start: tuple[int, int] | None) -> None:
         self.stem = stem
@@ -38,7 +38,7 @@ class Spool:
         self.damaged = 0
 
     def read(self, now_ns: int | None) -> None:
-        """Take what is there; `now_ns`: a moment before this call, None when nobody writes any more."""
+        """Take what is there; `now_ns`: a moment before this call, None when no process writes any more."""
         if len(self.waiting) >= WAITING_LIMIT:
             return
         before = len(self.waiting)
@@ -66,7 +66,7 @@ class Merger:
 
     @property
     def drained(self) -> bool:
-        """All that was there when nobody wrote any more has been given."""
+        """All records were given, and no process writes any more."""
         return self.horizon_ns >= NEVER_NS and not any(spool.waiting for spool in self.spools)
 
     @property

@@ -1,4 +1,4 @@
-"""Explanations: one frame that somebody holds in their hands, read by every dialect it can be of.
+"""Explanations: one frame, read by every dialect that it fits.
 
     text -> Given -> a reading for each dialect, with and without its check -> the best of them
 

@@ -3,7 +3,7 @@
     McapLog -> FoxgloveFile -> McapFile          whatever happens on the network, this comes first and is whole
                             -> FoxgloveServer -> clients that have subscribed
 
-A message is passed on only while somebody has subscribed to its topic. The SDK sends from threads of its own and keeps at
+A message is passed on only while a client subscribes to its topic. The SDK sends from threads of its own and keeps at
 most `BACKLOG` messages for a client that is slow; then the oldest are dropped, so a client can lose messages but never slow
 the recording. Nothing that a client sends is taken: the server offers no capability to.
 

@@ -31,7 +31,7 @@ SPEAKERS: dict[str, int] = {
     **dict.fromkeys(("master", "host", "pc", "client"), 1),
     **dict.fromkeys(("slave", "drive", "motor", "device", "servo", "server"), -1),
 }
-#: What was sent, whoever says so.
+#: Marks of traffic that was sent.
 MATTERS: dict[str, int] = {
     **dict.fromkeys(("request", "req", "query", "command", "cmd"), 1),
     **dict.fromkeys(("response", "resp", "reply", "answer", "ack"), -1),
@@ -67,7 +67,7 @@ def role_of_name(name: str) -> Role:
 
 
 class Heard:
-    """Holds back "received" until something was sent: a listener receives everything, whoever sent it."""
+    """Holds back "received" until something was sent: a listener receives everything."""
 
     def __init__(self, sent: bool = False) -> None:
         self.sent = sent

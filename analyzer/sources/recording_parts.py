@@ -1,4 +1,4 @@
-"""The parts of a log that is written in several files: what they are called, which there are, and what each says of itself.
+"""The parts of a recording in several files: their names, which of them exist, and the metadata of each.
 
     week.mcap                                    a recording in one file
     week-0001.mcap week-0002.mcap ...            one in parts, which goes by the name of week.mcap
@@ -58,7 +58,7 @@ def parts_named(log: Path) -> list[Path]:
 
 
 def look(path: Path) -> Part:
-    """Return what a log says of itself; a file that is no log, or not readable, is a part of nothing."""
+    """Return a log's metadata as a part; any other file is a part of no recording."""
     from mcap.records import Metadata
     from mcap.stream_reader import StreamReader
 
@@ -70,7 +70,7 @@ def look(path: Path) -> Part:
                     return Part(path, record.metadata.get("recording", ""), int(number) if number.isdigit() else 0)
                 if count >= _FIRST_FEW:
                     break
-    # The library raises whatever a file that is no log makes it stumble over.
+    # The library raises many kinds of errors for a file that is not a log.
     except Exception:
         return Part(path)
     return Part(path)

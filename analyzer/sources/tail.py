@@ -1,7 +1,7 @@
 """The end of a log that is still being written: reading waits for what is not there yet.
 
 Rules: a record is only read when it is there as a whole. A log that gets shorter (a process that goes on where another was
-killed writes the last second anew) is told by `Rewound`. Waiting ends when nobody writes any more.
+killed writes the last second anew) is told by `Rewound`. Waiting ends when no process writes any more.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _ASK_EVERY = 10
 
 @dataclass
 class Follow:
-    """How a log is followed. `alive`: says whether somebody writes it, None where that cannot be told; it is asked when
+    """How a log is followed. `alive`: says whether a process writes it, None where that cannot be told; it is asked when
     nothing comes. `wait`: waits that many seconds.
     """
 
@@ -49,7 +49,7 @@ class Tail:
         return os.fstat(self._fd).st_size
 
     def read(self, count: int) -> bytes:
-        """Return `count` bytes, when they are there. Raises Rewound; EOFError when nobody writes any more."""
+        """Return `count` bytes, when they are there. Raises Rewound; EOFError when no process writes any more."""
         looks = 0
         dead = 0
         while self.size < self.offset + count:

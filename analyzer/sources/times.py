@@ -35,7 +35,7 @@ UNITS = {"s": SECOND, "sec": SECOND, "ms": 1_000_000, "us": 1_000, "µs": 1_000,
 def number_ns(text: str, unit: int = SECOND) -> int:
     """Return a printed number of units (nanoseconds each) as nanoseconds; what is finer than 1 ns is cut off.
 
-    Raises ValueError for what is no number.
+    Raises ValueError for any other text.
     """
     whole, _, fraction = text.partition(".")
     if unit == SECOND and len(fraction) <= 9 and len(whole) <= _DIGITS and whole.isdecimal():
@@ -56,12 +56,12 @@ def number_ns(text: str, unit: int = SECOND) -> int:
 
 @lru_cache(maxsize=64)
 def day_ns(year: int, month: int, day: int) -> int:
-    """Return the start of a day since the epoch. Raises ValueError for a day that is none."""
+    """Return the start of a day since the epoch. Raises ValueError for a day that does not exist."""
     return (date(year, month, day).toordinal() - _EPOCH_DAY) * DAY
 
 
 def clock_ns(hour: str, minute: str, second: str, fraction: str | None) -> int:
-    """Return a time of day. Raises ValueError for one that is none."""
+    """Return a time of day. Raises ValueError for an impossible one."""
     h, m, s = int(hour), int(minute), int(second)
     if h > 24 or m > 59 or s > 60:
         raise ValueError(f"expected a time of day, got {hour}:{minute}:{second}")
@@ -107,7 +107,7 @@ class Deltas:
 
 
 def falls(values: list[int]) -> bool:
-    """Say whether a row of times goes back anywhere: then they are deltas, not times since a start."""
+    """Say whether times run backwards anywhere: then they are deltas, not times since a start."""
     return any(b < a for a, b in pairwise(values))
 
 

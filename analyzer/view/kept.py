@@ -1,4 +1,4 @@
-"""Lists that are looked at by number: the newest of what comes without end, and what of it is wanted.
+"""Lists by number: the newest lines of an endless sequence, and those that a filter selects.
 
 A number stays that of its item while older items are dropped, so a cursor stays where it was put.
 """
@@ -100,7 +100,7 @@ class KeptLines(Kept[FrameLine]):
 class Wanted(ABC):
     """Those lines for which a test holds, as far as they have been looked at; numbered among themselves.
 
-    `look` goes on looking and stops after a while, so that whoever waits for it stays awake.
+    `look` continues the search and stops after a while, so that the caller stays responsive.
     """
 
     def __init__(self, lines: Lines, test: Callable[[FrameLine], bool]) -> None:

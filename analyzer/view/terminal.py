@@ -50,7 +50,7 @@ def forgiving_terminal() -> Iterator[None]:
 
 
 def end_on_signals(end: Callable[[], None]) -> None:
-    """Call `end` in the running loop when somebody asks this process to end, or its terminal goes."""
+    """Call `end` in the running loop at a signal to end, or when the terminal closes."""
     for name in ("SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)
         # Elsewhere than in the main thread of a Unix a loop takes no signals.

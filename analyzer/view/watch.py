@@ -87,7 +87,7 @@ class Watch:
         return max(0, self.t_ns - self.first_ns) if self.first_ns else 0
 
     def take(self, snapshot: Snapshot) -> None:
-        """Take a snapshot; its frames are for somebody else."""
+        """Take a snapshot, without its frames."""
         self.snapshots += 1
         if snapshot.number > self._number + 1:
             self.missed += snapshot.number - self._number - 1

@@ -127,8 +127,8 @@ def test_why_a_port_cannot_be_opened(tmp_path, stop, monkeypatch):
 
     assert "is not there" in refused("/dev/none")
     (tmp_path / "file").write_bytes(b"")
-    assert "is no serial port" in refused(tmp_path / "file")
-    assert "is no serial port" in refused(tmp_path)
+    assert "is not a serial port" in refused(tmp_path / "file")
+    assert "is not a serial port" in refused(tmp_path)
     monkeypatch.setattr(os, "open", lambda path, flags: (_ for _ in ()).throw(PermissionError(errno.EACCES, "denied")))
     assert "dialout" in refused("/dev/ttyUSB0")
     monkeypatch.setattr(os, "open", lambda path, flags: (_ for _ in ()).throw(OSError(errno.EBUSY, "busy")))

@@ -432,7 +432,7 @@ def test_lines_that_an_adapter_does_not_have(wiring: Wiring, text: str, far: Far
 def test_adapters_that_cannot_be_opened(tmp_path: Path, far: Far) -> None:
     cases: list[tuple[str, str]] = [
         (f"serial:{tmp_path}/none", "is not there"),
-        (f"serial:{__file__}", "is no serial port"),
+        (f"serial:{__file__}", "is not a serial port"),
         ("serial:,serial=NOBODY", "no adapter with serial number NOBODY"),
         ("tcp:127.0.0.1:1", "cannot connect"),
     ]
