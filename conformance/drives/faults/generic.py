@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator
 from msgspec.structs import replace
 
 from analyzer.catalogue import Command, Verb
-from analyzer.layout import Field
+from analyzer.layout import Field, Kind
 from analyzer.link import sum8
 from analyzer.protocols import mks_rs485, mks_shared
 from analyzer.protocols.lk_rs485 import SpinDirection
@@ -314,6 +314,8 @@ LINK: Rows = {
 
 #: The measured numbers of the MKS drives.
 MEASURES = (
+    (Verb.READ_ENCODER_CARRY, "carry"),
+    (Verb.READ_ENCODER_CARRY, "encoder"),
     (Verb.READ_POSITION, "position"),
     (Verb.READ_SPEED, "speed"),
     (Verb.READ_PULSES, "pulses"),
@@ -330,10 +332,13 @@ WRONG_NUMBERS: tuple[tuple[str, str, str, Number], ...] = (
 
 
 def _wrong_numbers() -> Iterator[Fault]:
-    """Yield a fault of each kind for each measured number."""
+    """Yield a fault of each kind for each measured number; a number without a sign has none to be wrong."""
     for end, breaks, text, change in WRONG_NUMBERS:
         for verb, name in MEASURES:
-            told = f"{mks_rs485.DIALECT.by_verb[verb].code:02X}: {name.replace('_', ' ')} {text}"
+            command = mks_rs485.DIALECT.by_verb[verb]
+            if breaks == "sign" and command.reply_forms[0].layout.named[name].kind is Kind.UINT:
+                continue
+            told = f"{command.code:02X}: {name.replace('_', ' ')} {text}"
             yield from faults({breaks: (Row(f"{name.replace('_', '-')}-{end}", told, reply(name, change, verb)),)})
 
 
