@@ -12,13 +12,14 @@ Rules kept here:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from typing import NamedTuple
 
 from msgspec.structs import replace
 
 from analyzer.catalogue import Command, Verb
-from analyzer.layout import Field, Kind
+from analyzer.layout import Field
 from analyzer.link import sum8
-from analyzer.protocols import mks_rs485, mks_shared
+from analyzer.protocols import lk_rs485, mks_rs485, mks_shared
 from analyzer.protocols.lk_rs485 import SpinDirection
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Fault, Hooks, Outgoing
@@ -68,6 +69,7 @@ from conformance.drives.faults.places import (
     limit,
     rebuilt,
     reply,
+    signed,
     stored,
     together,
     whole,
@@ -312,40 +314,58 @@ LINK: Rows = {
 
 # --- numbers ---------------------------------------------------------------------------------------------------------
 
-#: The measured numbers of the MKS drives.
+
+class Measure(NamedTuple):
+    """A number that is read: how the names of its faults begin, how it is told, its fields, the commands that answer it."""
+
+    name: str
+    told: str
+    fields: tuple[str, ...]
+    of: Of = ()
+
+
+#: What an LK motor is driven with: MS drives have a power.
+TORQUE = ("torque_current", "power")
 MEASURES = (
-    (Verb.READ_ENCODER_CARRY, "carry"),
-    (Verb.READ_ENCODER_CARRY, "encoder"),
-    (Verb.READ_POSITION, "position"),
-    (Verb.READ_SPEED, "speed"),
-    (Verb.READ_PULSES, "pulses"),
-    (Verb.READ_ANGLE_ERROR, "angle_error"),
+    Measure("carry", "30: carry", ("carry",), Verb.READ_ENCODER_CARRY),
+    Measure("encoder", "30: encoder", ("encoder",), Verb.READ_ENCODER_CARRY),
+    Measure("position", "31: position", ("position",), Verb.READ_POSITION),
+    Measure("speed", "32: speed", ("speed",), Verb.READ_SPEED),
+    Measure("pulses", "33: pulses", ("pulses",), Verb.READ_PULSES),
+    Measure("angle-error", "39: angle error", ("angle_error",), Verb.READ_ANGLE_ERROR),
+    Measure("lk-position", "0x92: position", ("position",), Verb.READ_POSITION),
+    Measure("lk-angle", "0x94: angle", ("angle",)),
+    Measure("lk-voltage", "0x9A and 0x9B: voltage", ("voltage",)),
+    Measure("lk-torque", "0x9C: torque current", TORQUE),
+    Measure("lk-speed", "0x9C: speed", ("speed",)),
+    Measure("lk-encoder", "0x9C: encoder", ("encoder",), (Verb.READ_STATE_2, *LK_MOTIONS)),
 )
-#: What can be wrong with each: the end of the fault's name, what it breaks, how it is told, the change.
-WRONG_NUMBERS: tuple[tuple[str, str, str, Number], ...] = (
-    ("low-byte-first", "byte order", "is sent low byte first", swap_bytes),
-    ("sign-turned", "sign", "has the wrong sign", negated),
-    ("without-sign", "sign", "is sent without its sign", without_sign),
-    ("half-width", "width", "has half its bits", half_width),
-    ("doubled", "scale", "is twice what it should be", scaled(2)),
+#: What can be wrong with each: the end of the fault's name (of an MKS and an LK drive), what it breaks, text and change.
+#: MKS drives send the high byte first, LK drives the low byte.
+WRONG_NUMBERS: tuple[tuple[str, str, str, str, Number], ...] = (
+    ("low-byte-first", "bytes-swapped", "byte order", "is sent {wrong} byte first", swap_bytes),
+    ("sign-turned", "sign-turned", "sign", "has the wrong sign", negated),
+    ("without-sign", "sign-lost", "sign", "is sent without its sign", without_sign),
+    ("half-width", "half-width", "width", "has half its bits", half_width),
+    ("doubled", "doubled", "scale", "is twice what it should be", scaled(2)),
 )
+#: What would not show: a voltage is never below 0, and 16 bits hold an angle within a turn.
+UNSEEN = frozenset({"lk-voltage-sign-lost", "lk-angle-half-width"})
 
 
 def _wrong_numbers() -> Iterator[Fault]:
-    """Yield a fault of each kind for each measured number; a number without a sign has none to be wrong."""
-    for end, breaks, text, change in WRONG_NUMBERS:
-        for verb, name in MEASURES:
-            command = mks_rs485.DIALECT.by_verb[verb]
-            if breaks == "sign" and command.reply_forms[0].layout.named[name].kind is Kind.UINT:
-                continue
-            told = f"{command.code:02X}: {name.replace('_', ' ')} {text}"
-            yield from faults({breaks: (Row(f"{name.replace('_', '-')}-{end}", told, reply(name, change, verb)),)})
+    """Yield a fault of each kind for each measured number; one without a sign has none to be wrong."""
+    for end, lk_end, breaks, text, change in WRONG_NUMBERS:
+        for name, told, fields, of in MEASURES:
+            lk = name.startswith("lk-")
+            dialect = lk_rs485.DIALECT if lk else mks_rs485.DIALECT
+            full, wrong = (f"{name}-{lk_end}", "high") if lk else (f"{name}-{end}", "low")
+            if full not in UNSEEN and (breaks != "sign" or signed(dialect, fields[0], of)):
+                yield from faults({breaks: (Row(full, f"{told} {text.format(wrong=wrong)}", reply(fields, change, of)),)})
 
 
 #: A control parameter of an LK drive that has more than 16 bits.
 WIDE_PARAMETERS = ("speed_limit", "angle_limit", "current_ramp", "speed_ramp")
-#: What an LK motor is driven with: MS drives have a power.
-TORQUE = ("torque_current", "power")
 MULTI_TURN, INCREMENTS = Verb.MOVE_ABSOLUTE_AXIS, Verb.MOVE_RELATIVE_AXIS
 
 
@@ -357,21 +377,11 @@ def tenfold(value: int, field: Field) -> int:
 NUMBER: Rows = {
     "byte order": (
         Row("current-bytes-swapped", "83 stores the current low byte first", stored("current", swap_bytes), CAN),
-        Row("lk-speed-bytes-swapped", "replies have the speed high byte first", reply("speed", swap_bytes)),
-        Row("lk-angle-bytes-swapped", "0x94 answers the angle high byte first", reply("angle", swap_bytes)),
-        Row("lk-voltage-bytes-swapped", "the voltage of 0x9A and 0x9B has its high byte first", reply("voltage", swap_bytes)),
         Row("lk-asked-speed-swapped", "0xA2 takes the speed high byte first", asked("speed", swap_bytes)),
         Row("lk-asked-angle-swapped", "0xA5 and 0xA6 take the angle high byte first", asked("angle", swap_bytes)),
     ),
     "sign": (
         Row("negative-positions-cut", "positions below zero are taken for zero", asked("position", at_least(0))),
-        Row("lk-speed-sign-lost", "replies have the speed without its sign", reply("speed", without_sign)),
-        Row(
-            "lk-position-sign-lost",
-            "0x92 answers the angle without its sign",
-            reply("position", without_sign, Verb.READ_POSITION),
-        ),
-        Row("lk-torque-sign-lost", "replies have the torque current without its sign", reply(TORQUE, without_sign)),
         Row("lk-asked-speed-sign-lost", "0xA2 runs clockwise whatever the sign", asked("speed", without_sign)),
         Row(
             "lk-increment-sign-lost",
