@@ -46,8 +46,7 @@ from conformance.drives.faults.places import (
     together,
     unstored,
 )
-from conformance.drives.lk.commands import MOVES, Act
-from conformance.drives.lk.drive import LkDrive
+from conformance.drives.lk.drive import MOVES, Act, LkDrive
 from conformance.drives.lk.motor import Goal, Position
 
 STATE_1 = (Verb.READ_STATE_1, Verb.CLEAR_ERRORS)

@@ -16,8 +16,7 @@ from typing import cast
 from analyzer.protocols.lk_rs485 import DIALECT
 from conformance.drives.drive import Drive, Request
 from conformance.drives.faults.places import LK, Change, together
-from conformance.drives.lk.commands import ACTS, Act
-from conformance.drives.lk.drive import LkDrive
+from conformance.drives.lk.drive import ACTS, Act, LkDrive
 
 #: Commands that end at a position counted over all turns, at an angle within one, or at a distance.
 MULTI_TURN = ("move_multi_turn", "move_multi_turn_limited")

@@ -3,19 +3,23 @@
     request 3E A2 01 04 E5 A0 8C 00 00 2C  ->  values by name  ->  ACTS["run_speed"]  ->  the motor
     reply   3E A2 01 07 E8 ...             <-  reply's fields by name  <-  SENT, PHYSICAL  <-  the motor and the drive
 
-What a command does and where a reply's fields come from stand in the tables of `commands`. Layouts, ranges, models,
-codes and frames come from the catalogue.
+    ACTS      command name -> what it does; a command that is not listed only reads
+    ANSWERS   command name -> the values of its reply, where they are not measured
+    PHYSICAL  field name -> its measured value in the field's unit
+    SENT      field name -> its measured value as sent
+
+Layouts, ranges, models, codes and frames come from the catalogue.
 
 Rules kept here:
 - One request, one reply, `reply_delay_ns` (0.25 ms) after the last byte of the request. Nothing is sent unasked.
-- Silence: there is no broadcast; a parameter that appendix 1 does not list, for which there is nothing to answer.
-- A value outside its range or choices is answered, since LK has no reply that refuses, and changes nothing. Reserved
-  bytes are not looked at.
+- There is no broadcast. A parameter that appendix 1 does not list is not answered: there is nothing to answer.
+- A value outside its range or choices changes nothing. It is answered all the same: LK has no reply that refuses.
+  Reserved bytes are ignored.
 - Off, or with an error flag set: answered, but nothing moves, neither then nor later. An error takes the torque away.
-- 0x80 drops the motion under way and keeps the turns; 0x88 takes nothing up again. 0x81 brakes by the ramp and holds,
-  and the motor stays on.
-- `max_speed` of 0xA4, 0xA6 and 0xA8 stands in for the speed limit, as the remarks of sections 13, 15 and 17 leave Max
-  Speed out. 0 is a limit of 0 and nothing moves: no word makes an exception of it (that real drives do is a quirk).
+- 0x80 drops the motion under way and keeps the turns; 0x88 resumes nothing. 0x81 brakes by the ramp and holds, and the
+  motor stays on.
+- `max_speed` of 0xA4, 0xA6 and 0xA8 replaces the speed limit, as the remarks of sections 13, 15 and 17 leave Max Speed
+  out. 0 is a limit of 0 and nothing moves: the manual makes no exception of it (real drives do, which is a quirk).
 - 0xA7 and 0xA8 count from where the shaft is. A multi-turn position counts from the encoder's zero at power-up, until
   0x93 (the whole turns are dropped, the angle within the turn stays) or 0x95. Neither disturbs motion under way.
 - 0xA5 and 0xA6 turn in the direction given and no other; at the angle already, the shaft stays.
@@ -36,6 +40,7 @@ link, what a failed encoder does to the position, the multi-motor commands that 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Unpack
@@ -44,11 +49,19 @@ from analyzer.catalogue import Command, Dialect, MotionKind
 from analyzer.codec import Violation
 from analyzer.errors import UsageError
 from analyzer.layout import Field
-from analyzer.protocols.lk_rs485 import DIALECT, ERROR_BITS, HUNDREDTH, PARAMETER_FORMS
+from analyzer.protocols.lk_rs485 import (
+    DIALECT,
+    ERROR_BITS,
+    HUNDREDTH,
+    PARAMETER_FORMS,
+    BrakeControl,
+    BrakeState,
+    MotorState,
+    SpinDirection,
+)
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Options, Request, Responder, Values
-from conformance.drives.lk.commands import ACTS, ANSWERS, PHYSICAL, SENT, Act, Answer
-from conformance.drives.lk.motor import BUILDS, Build, Limits, LkMotor
+from conformance.drives.lk.motor import BUILDS, Build, Limits, LkMotor, Speed, Torque
 
 DEFAULT_MODEL = "MF"
 REPLY_DELAY_NS = 250_000
@@ -78,6 +91,166 @@ ENCODER_WIDTHS = (14, 15, 16, 18)
 #: Volts below which the drive is dead, and volts and degC at which a flag is raised.
 OFF_VOLTS, LOW_VOLTAGE, HIGH_VOLTAGE = 5.0, 10.0, 52.0
 MOTOR_HOT, DRIVE_HOT = 90.0, 110.0
+
+# --- what it does with each command --------------------------------------------------------------------------------------
+
+#: Supply current of a drive that does nothing (A), and of each LSB of torque at full speed.
+IDLE_CURRENT, CURRENT_SHARE = 0.04, 0.006
+
+
+Act = Callable[["LkDrive", Request], None]
+Answer = Callable[["LkDrive", Request], "Values | None"]
+Move = Callable[[LkMotor, Request], None]
+
+# --- motion -------------------------------------------------------------------------------------------------------
+
+
+def _torque(motor: LkMotor, request: Request) -> None:
+    (torque,) = request.values.values()
+    motor.go(Torque(torque))
+
+
+def _run(motor: LkMotor, request: Request) -> None:
+    motor.go(Speed(request.physical["speed"]))
+
+
+def _to(motor: LkMotor, request: Request) -> None:
+    motor.move_to(request.physical["position"], request.physical.get("max_speed"))
+
+
+def _to_in_turn(motor: LkMotor, request: Request) -> None:
+    clockwise = request.values["direction"] == SpinDirection.CW
+    motor.turn_to(request.physical["angle"], clockwise=clockwise, top=request.physical.get("max_speed"))
+
+
+def _by(motor: LkMotor, request: Request) -> None:
+    motor.move_by(request.physical["position"], request.physical.get("max_speed"))
+
+
+_KINDS: Mapping[MotionKind, Move] = {
+    MotionKind.TORQUE: _torque,
+    MotionKind.RUN: _run,
+    MotionKind.MOVE_TO: _to,
+    MotionKind.MOVE_IN_TURN: _to_in_turn,
+    MotionKind.MOVE_BY: _by,
+}
+#: Commands of motion: command name -> what it asks of the motor.
+MOVES: Mapping[str, Move] = {c.name: _KINDS[c.motion.kind] for c in DIALECT.motions(*_KINDS) if c.motion is not None}
+
+
+def obeying(move: Move) -> Act:
+    """Return the act of a motion command: the move, if the drive obeys."""
+
+    def act(drive: LkDrive, request: Request) -> None:
+        if drive.obeys:
+            move(drive.motor, request)
+
+    return act
+
+
+# --- all else -----------------------------------------------------------------------------------------------------
+
+
+def _stop(drive: LkDrive, request: Request) -> None:
+    if drive.obeys:
+        drive.motor.stop()
+
+
+def _brake(drive: LkDrive, request: Request) -> None:
+    control = request.values["brake_control"]
+    if control != BrakeControl.READ:
+        drive.motor.hold(braked=control == BrakeControl.POWER_OFF)
+
+
+def _write_parameter(drive: LkDrive, request: Request) -> None:
+    for name, value in request.values.items():
+        if name in drive.parameters:
+            drive.store(name, value)
+
+
+def _set_zero(drive: LkDrive, request: Request) -> None:
+    drive.store("encoder_zero", drive.motor.encoder_raw)
+
+
+ACTS: Mapping[str, Act] = {
+    "clear_errors": lambda drive, request: drive.clear_errors(),
+    "motor_off": lambda drive, request: drive.motor.turn_off(),
+    "motor_on": lambda drive, request: drive.motor.turn_on(),
+    "stop": _stop,
+    "brake": _brake,
+    **{name: obeying(move) for name, move in MOVES.items()},
+    "write_parameter": _write_parameter,
+    "set_zero": _set_zero,
+    "clear_turns": lambda drive, request: drive.motor.clear_turns(),
+    "set_position": lambda drive, request: drive.motor.set_position(request.physical["position"]),
+}
+
+# --- replies ------------------------------------------------------------------------------------------------------
+
+
+def _parameter(drive: LkDrive, request: Request) -> Values | None:
+    """Answer with what the drive holds, after writing too; with nothing for a number that is not listed."""
+    for form in request.command.reply_forms:
+        fields = form.layout.named
+        if fields["parameter"].fixed == request.values["parameter"]:
+            return {n: drive.reading(f) if f.fixed is None else f.fixed for n, f in fields.items()}
+    return None
+
+
+def _echo(drive: LkDrive, request: Request) -> Values:
+    return dict(request.values)
+
+
+ANSWERS: Mapping[str, Answer] = {"read_parameter": _parameter, "write_parameter": _parameter, "set_position": _echo}
+
+
+def _supply_current(drive: LkDrive) -> float:
+    motor = drive.motor
+    return IDLE_CURRENT + CURRENT_SHARE * abs(motor.torque * motor.motion.speed) / motor.build.top_speed
+
+
+PHYSICAL: Mapping[str, Callable[[LkDrive], float]] = {
+    "temperature": lambda drive: drive.temperature,
+    "voltage": lambda drive: drive.volts,
+    "current": _supply_current,
+    "speed": lambda drive: drive.motor.motion.speed,
+    "position": lambda drive: drive.motor.position,
+    "angle": lambda drive: drive.motor.within_turn,
+}
+
+
+def _phase(number: int) -> Callable[[LkDrive], int]:
+    """Return the reading of a phase current: the torque current, turned by the electrical angle."""
+
+    def reading(drive: LkDrive) -> int:
+        motor = drive.motor
+        electrical = math.radians(motor.motion.angle * motor.build.pole_pairs - 120.0 * number)
+        return round(motor.torque * math.cos(electrical))
+
+    return reading
+
+
+def _flag(name: str) -> Callable[[LkDrive], int]:
+    return lambda drive: int(name in drive.errors)
+
+
+SENT: Mapping[str, Callable[[LkDrive], int]] = {
+    "state": lambda drive: MotorState.ON if drive.motor.on else MotorState.OFF,
+    **{field.name: _flag(field.name) for field in ERROR_BITS},
+    "torque_current": lambda drive: round(drive.motor.torque),
+    "power": lambda drive: round(drive.motor.torque),
+    "phase_a_current": _phase(0),
+    "phase_b_current": _phase(1),
+    "phase_c_current": _phase(2),
+    "encoder": lambda drive: drive.motor.encoder,
+    "encoder_raw": lambda drive: drive.motor.encoder_raw,
+    "encoder_offset": lambda drive: drive.motor.encoder_zero,
+    "encoder_zero": lambda drive: drive.motor.encoder_raw,
+    "brake_state": lambda drive: BrakeState.POWER_OFF if drive.motor.braked else BrakeState.RELEASED,
+}
+
+
+# --- the drive ----------------------------------------------------------------------------------------------------------
 
 
 def _nothing() -> None:

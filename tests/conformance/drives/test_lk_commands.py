@@ -19,8 +19,7 @@ from analyzer.protocols.lk_rs485 import DIALECT, ERROR_BITS
 from analyzer.protocols.mks_rs485 import DIALECT as MKS
 from analyzer.records import Frame
 from conformance.drives.drive import Request
-from conformance.drives.lk.commands import ACTS, ANSWERS, MOVES, PHYSICAL, SENT
-from conformance.drives.lk.drive import FACTORY, PARAMETERS, LkDrive
+from conformance.drives.lk.drive import ACTS, ANSWERS, FACTORY, MOVES, PARAMETERS, PHYSICAL, SENT, LkDrive
 from tests.conformance.drives.lk_bench import STEP_NS, Bench
 
 MODELS = DIALECT.models
