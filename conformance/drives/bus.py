@@ -1,19 +1,19 @@
 """A bus of emulated drives and one host: what serial lines and CAN buses share. No I/O, no clock: time is an argument.
 
-    host.send -> wire -> every drive's ears -> Drive.receive -> Outgoing -> wire -> every other drive's ears, host.receive
+    host.send -> wire -> every drive's receiver -> Drive.receive -> Outgoing -> wire -> other drives' receivers, host.receive
 
-A bus knows when something will happen next: bytes arrive, a reply is ready, a drive moves by itself, a pause ends. With a
-virtual clock `receive` and `run_until` jump from one such moment to the next; a server on the real clock sleeps until
-then. The same calls in the same order give the same bytes at the same times.
+A bus knows when something will happen next: bytes arrive, a reply is ready, a drive acts by itself, a pause ends. With a
+virtual clock `receive` and `run_until` jump from one event to the next; a server on the real clock sleeps until the next
+event. The same calls in the same order give the same bytes at the same times.
 
 Rules:
 
-1. All that happens is handled in the order of its time, for each drive by itself.
-2. A drive hears everything but itself.
-3. What a drive sends goes at the speed that it had when it began to answer: a reply to a change of speed is the last one
-   at the old speed.
+1. Events are handled in the order of their times, for each drive separately.
+2. A drive receives everything but its own bytes.
+3. A drive sends at the speed that it had when it began to answer: the reply to a change of speed is the last one at the
+   old speed.
 
-Who watches gets what went over the wire as the analyzer's records (`watch`).
+Watchers get what went over the wire as the analyzer's records (`watch`).
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Bus(ABC):
         self._watchers.append(watcher)
 
     def power_cycle(self, index: int) -> None:
-        """Switch a drive off and on: what it has not sent yet is gone, with what it has heard of a frame."""
+        """Switch a drive off and on: replies that are not sent yet and half-received frames are lost."""
         station = self.stations[index]
         self._advance(station, self.now_ns)
         self._forget(station)
@@ -134,13 +134,13 @@ class Bus(ABC):
         return bool(waiting)
 
     def _refresh(self) -> None:
-        """Ask every drive anew: somebody may have done something to one from outside."""
+        """Ask every drive anew when it will act: it may have been changed from outside."""
         for station in self.stations:
             station.due_ns = station.drive.next_ns()
         self._stuck = 0
 
     def _step(self, t_ns: int) -> None:
-        """Do all that is due at `t_ns`, the next moment at which anything is."""
+        """Do all that is due at `t_ns`, the time of the next event."""
         self._stuck = self._stuck + 1 if t_ns == self.now_ns else 0
         if self._stuck > _STUCK:
             late = ", ".join(s.name for s in self.stations if s.due_ns is not None and s.due_ns <= t_ns)
@@ -182,7 +182,7 @@ class Bus(ABC):
             watcher(traffic)
 
     def _tell_speeds(self) -> None:
-        """Tell those who watch which drives listen at another speed than the host's."""
+        """Tell the watchers which drives listen at another speed than the host's."""
         if self._speed is None:
             return
         other = [(s.name, s.speed) for s in self.stations if s.speed != self._speed]
@@ -198,7 +198,7 @@ class Bus(ABC):
 
     @abstractmethod
     def _carry(self, t_ns: int) -> None:
-        """Bring what is complete by `t_ns` to those who hear it."""
+        """Deliver what is complete by `t_ns` to its listeners."""
 
     @abstractmethod
     def _begin(self, t_ns: int) -> None:
@@ -210,7 +210,7 @@ class Bus(ABC):
 
     @abstractmethod
     def _forget(self, station: Station) -> None:
-        """Drop what a drive has not sent yet and what it has heard of a frame."""
+        """Drop the replies that a drive has not sent yet, and half-received frames."""
 
     @abstractmethod
     def _changed(self, station: Station) -> None:

@@ -1,16 +1,16 @@
-"""A CAN bus: frames take their time, the lowest identifier goes first, everybody but the sender hears a frame.
+"""A CAN bus: frames take their time, the lowest identifier goes first, all but the sender receive a frame.
 
     host    [01: 31 32] |                        |
     drives              | [01: 31 00 .. 3B]      |  [02: F4 02 F8]
 
 Rules:
 
-1. Of the frames that are ready when the bus is free, the one with the lowest identifier goes; each sender's own frames
-   go in their order.
-2. A drive at another bit rate than the bus hears nothing and cannot send. Where the bus has no rate (`speed` None), every
-   drive's is right.
-3. Frames of two senders with one identifier that become ready together are a collision: it is told, and they go one
-   after the other, as they would after the error frame.
+1. When the bus is free, the ready frame with the lowest identifier is sent first. The frames of one sender keep their
+   order.
+2. A drive at another bit rate than the bus receives nothing and cannot send. Where the bus has no rate (`speed` None),
+   every drive's rate is right.
+3. Frames of two senders with one identifier that become ready together are a collision. A comment says so, and they are
+   sent one after the other, as after an error frame.
 4. Extended, remote, error and FD frames go over the bus and reach no drive.
 """
 
@@ -36,7 +36,7 @@ _ANY_RATE = 500_000
 
 
 class _Waiting(NamedTuple):
-    """A frame that somebody will send."""
+    """A frame that is waiting to be sent."""
 
     ready_ns: int
     order: int

@@ -155,7 +155,7 @@ class Responder:
         self._decoder = _decoder(dialect)
 
     def read(self, frame: Frame) -> Message:
-        """Return the message of a frame. A drive does not know who sent it: without a head it is the host's."""
+        """Return the message of a frame. Where its head does not say who sent it, it is a request."""
         asked = frame if frame.role is Role.REQUEST else msgspec.structs.replace(frame, role=Role.REQUEST)
         return self._decoder.decode(asked)[0]
 
@@ -265,7 +265,7 @@ class Drive(ABC):
         for change in changes:
             change.install(self.hooks)
         #: The names of the settings that hold the speed of the link and the group that the drive is in. A drive whose speed
-        #: no command sets is told it in bits per second.
+        #: no command sets is given it in bits per second.
         self.speed_setting = self._named(Effect.BAUD_RATE) or "baud_rate"
         self.group_setting = self._named(Effect.GROUP)
         self._outbox: list[Outgoing] = []

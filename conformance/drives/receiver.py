@@ -1,23 +1,23 @@
-"""The receiver: what a drive's UART and its firmware do with bytes until a frame is there.
+"""The receiver of a drive: it finds frames in the bytes on the line.
 
-It is eager where the analyzer's framer is careful: a drive acts when the last byte of a frame has arrived, it does not
-wait for what follows. Bytes and times in, frames out; no I/O, no clock.
+Unlike the analyzer's framer it does not wait for what follows: a drive acts when the last byte of a frame has arrived.
+Bytes and times in, frames out; no I/O, no clock.
 
 Rules:
 
-1. Every byte on the line is heard: frames of the host for other drives, replies of other drives, the FC package. Each is
-   stepped over as a whole, so that start bytes inside it are data.
-2. A frame is given on at the time of its last byte.
-3. A known frame whose check does not fit is given on with `checksum_ok` False, unless a frame begins inside it: then that
-   one counts. Where one may still be arriving, the pause decides.
+1. Every frame on the line is read: requests to other drives, replies of other drives, the FC package. Each is skipped as
+   a whole, so that start bytes inside it are data.
+2. A frame is passed on at the time of its last byte.
+3. A known frame whose check does not fit is passed on with `checksum_ok` False, unless a frame begins inside it: then
+   that one counts. Where one may still be arriving, the pause decides.
    A Modbus write of several registers whose byte count is not its registers' is a frame by that count.
-4. What begins no frame costs one byte. Where two lengths check, one byte apart, the longer one counts.
-5. A pause ends every wait: what is incomplete is dropped, and what is behind it looked at again. Under Modbus it is 3.5
-   characters (1.75 ms above 19200 baud), elsewhere `PAUSE_NS`, the silence that no adapter puts inside a frame.
-6. Bytes that are no known frame are given on at the pause if they are a frame of unknown code: they fill the stretch
-   between two pauses or frames, and head and check fit.
+4. A byte that begins no frame is skipped. Where two lengths check, one byte apart, the longer one counts.
+5. A pause ends every wait: an incomplete frame is dropped, and the bytes after its first are searched again. Under Modbus
+   it is 3.5 characters (1.75 ms above 19200 baud), elsewhere `PAUSE_NS`, the silence that no adapter puts inside a frame.
+6. A frame of unknown code is passed on at the pause: its head and check fit, and it fills the time between two pauses or
+   frames.
 
-Every frame is given on as a request unless its head says otherwise: a drive does not know who sent it.
+Every frame is passed on as a request unless its head says otherwise: a drive does not know who sent it.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def pause_of(dialect: Dialect, byte_ns: int) -> int:
 
 
 class Receiver:
-    """Finds the frames of one dialect in what a drive hears.
+    """Finds the frames of one dialect in the bytes that a drive receives.
 
     `byte_ns`: the time of a byte at the drive's own speed. `pause_ns`: another pause than the dialect's.
     """
@@ -61,11 +61,11 @@ class Receiver:
         self.byte_ns = byte_ns
         self.pause_ns = pause_of(dialect, byte_ns) if pause_ns is None else pause_ns
         self._slicer = dialect.link.slicer(dialect.commands, _expect_nothing)
-        self._buffer = b""  # what has come since the last frame or pause
+        self._buffer = b""  # received since the last frame or pause
         self._times: list[int] = []  # when each byte of the buffer was complete
         self._at = 0  # what is before it begins no frame
         self._cut = False  # bytes were dropped from the buffer's beginning
-        self._offset = 0  # bytes heard before the buffer
+        self._offset = 0  # bytes received before the buffer
         self._last_ns = 0
 
     def next_ns(self) -> int | None:
@@ -90,7 +90,7 @@ class Receiver:
         return frames
 
     def expire(self, t_ns: int) -> list[Frame]:
-        """Say that nothing came until `t_ns`; return the frames of which that makes an end."""
+        """Say that nothing was received until `t_ns`; return the frames that this pause ends."""
         deadline = self.next_ns()
         frames: list[Frame] = []
         if deadline is None or t_ns < deadline:
@@ -173,8 +173,8 @@ class Receiver:
         return Frame(self.port, start_ns, last_ns, self._offset, data, self.dialect, Role.REQUEST, good)
 
 
-class Ears:
-    """A receiver that also gives on the good frames of other dialects, as a drive that is not careful may take them."""
+class MultiReceiver:
+    """A receiver that also passes on the good frames of other dialects."""
 
     def __init__(self, dialect: Dialect, port: str = "bus", *, byte_ns: int, others: Sequence[Dialect]) -> None:
         self.dialect = dialect
@@ -192,7 +192,7 @@ class Ears:
         return _merged(self._own.feed(data, first_ns, step_ns), (o.feed(data, first_ns, step_ns) for o in self._others))
 
     def expire(self, t_ns: int) -> list[Frame]:
-        """Say that nothing came until `t_ns`; return the frames of which that makes an end."""
+        """Say that nothing was received until `t_ns`; return the frames that this pause ends."""
         return _merged(self._own.expire(t_ns), (other.expire(t_ns) for other in self._others))
 
     def reset(self) -> None:

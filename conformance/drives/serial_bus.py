@@ -1,16 +1,16 @@
-"""A half-duplex serial line: bytes take their time, every drive hears all of them, two senders at once collide.
+"""A half-duplex serial line: bytes take their time, every drive receives all of them, two senders at once collide.
 
     host   FA 01 30 2B |                 | FA 02 30 2C |
     drives             | FB 01 30 ... B3 |             | FB 02 30 ... 5E        ten bits a byte, at the sender's speed
 
 Rules:
 
-1. A drive waits with its reply until the line is free, in the order in which replies are ready. Two that become ready
-   within one bit of each other cannot hear each other, begin together and collide. The host waits for nobody.
-2. Where two send at once, or a listener is at another speed than the sender, what is heard is what a UART makes of the
-   levels (`conformance.drives.uart`). A sender does not hear while it sends; a host's adapter may echo.
-3. The host gets the bytes of a burst (what is sent without a free line between) when its last byte has gone; drives get
-   each frame at the time of its last byte.
+1. A drive sends its reply when the line is free, in the order in which replies are ready. Two replies that become ready
+   within one bit of each other begin together and collide. The host sends at once.
+2. Where two send at once, or a listener is at another speed than the sender, a UART reads the levels on the line
+   (`conformance.drives.uart`). A sender does not receive while it sends; a host's adapter may echo.
+3. The host gets the bytes of a burst when its last byte has gone. A burst is what is sent without a free line between.
+   Drives get each frame at the time of its last byte.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from analyzer.catalogue import Role
 from analyzer.records import Chunk, Comment, Frame
 from conformance.drives.bus import Bus, Station
 from conformance.drives.drive import Drive, Outgoing
-from conformance.drives.receiver import Ears, Receiver
+from conformance.drives.receiver import MultiReceiver, Receiver
 from conformance.drives.uart import BITS, SECOND_NS, Sent, byte_ns, hear
 from conformance.drives.wire_faults import Damage, WireFaults
 
@@ -79,7 +79,7 @@ class _Segment(NamedTuple):
 
 
 class _Burst:
-    """What is on the line without a free moment between, and how much of it each drive has been given."""
+    """What is sent without a free line between, and how much of it each drive has been given."""
 
     def __init__(self, start_ns: int, listeners: int) -> None:
         self.start_ns = start_ns
@@ -154,10 +154,10 @@ class SerialBus(Bus):
 
     # --- drives ---------------------------------------------------------------------------------------------------
 
-    def _receiver(self, station: Station) -> Receiver | Ears:
+    def _receiver(self, station: Station) -> Receiver | MultiReceiver:
         drive, taken_ns = station.drive, byte_ns(station.speed)
         if drive.hears:
-            return Ears(drive.dialect, self.name, byte_ns=taken_ns, others=drive.hears)
+            return MultiReceiver(drive.dialect, self.name, byte_ns=taken_ns, others=drive.hears)
         return Receiver(drive.dialect, self.name, byte_ns=taken_ns)
 
     def _changed(self, station: Station) -> None:
@@ -206,7 +206,7 @@ class SerialBus(Bus):
                     self._put(other.station, max(t_ns, other.ready_ns), other.speed, other.data)
 
     def _put(self, sender: int, start_ns: int, speed: int, data: bytes) -> None:
-        """Put bytes on the line, whoever else is sending."""
+        """Put bytes on the line, even if another sender is sending."""
         burst = self._burst
         damage = self.faults.on_line(data) if self.faults is not None else Damage(((0, data),))
         if not damage.pieces:
@@ -287,15 +287,15 @@ class SerialBus(Bus):
         return known
 
     def _hear(self, burst: _Burst, listener: int) -> list[_Segment]:
-        deaf = listener >= 0 or not self.echo
-        others = [s for s in burst.sendings if s.sender != listener or not deaf]
+        muted_by_itself = listener >= 0 or not self.echo
+        others = [s for s in burst.sendings if s.sender != listener or not muted_by_itself]
         if not others:
             return []
         speed = self._host_speed() if listener == HOST else self.stations[listener].speed
         if len(burst.sendings) == 1 and self._alike(others[0], listener, speed):
             return self._clean(others[0])
         senders = [Sent(p.start_ns, self._sent_at(s, listener, speed), p.data) for s in others for p in s.pieces]
-        muted = [(s.start_ns, s.end_ns) for s in burst.sendings if s.sender == listener and deaf]
+        muted = [(s.start_ns, s.end_ns) for s in burst.sendings if s.sender == listener and muted_by_itself]
         heard = hear(senders, speed, muted)
         if self.wire_time:
             return [_Segment(each.t_ns, 0, bytes((each.byte,))) for each in heard]
@@ -317,7 +317,7 @@ class SerialBus(Bus):
         return [_Segment(piece.start_ns + step_ns, step_ns, piece.data) for piece in sending.pieces]
 
     def _end(self, burst: _Burst) -> None:
-        """Give the host what it has heard, and show the burst to those who watch."""
+        """Give the host what it has received, and show the burst to the watchers."""
         segments = self._heard(burst, HOST)
         if segments:
             data = b"".join(segment.data for segment in segments)

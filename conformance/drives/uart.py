@@ -96,7 +96,7 @@ def _merged(lows: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 def _without(lows: list[tuple[float, float]], muted: Sequence[tuple[int, int]]) -> list[tuple[float, float]]:
-    """Return the stretches less those in which nobody listens."""
+    """Return the stretches without those in which the listener does not listen."""
     for deaf_from, deaf_until in muted:
         kept = []
         for start, end in lows:

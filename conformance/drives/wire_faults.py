@@ -2,7 +2,7 @@
 
     flip        a bit of a byte is turned over                          for each byte
     drop        a byte is lost                                          for each byte
-    insert      a byte that nobody sent appears                         for each byte
+    insert      a byte appears that was not sent                        for each byte
     pause       the line stands still for 2 to 40 ms before a byte      for each byte
     cut         the rest of what is being sent is lost                  for each sending
     collision   something else sends at the same time                   for each sending

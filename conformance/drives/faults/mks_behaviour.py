@@ -40,7 +40,7 @@ from conformance.drives.faults.places import (
     result,
     taken,
 )
-from conformance.drives.mks.core import MOTIONS, Behaviour, Kind, MksCore, Script, Task
+from conformance.drives.mks.core import MOTIONS, Activity, Behaviour, MksCore, Script, Task
 from conformance.drives.mks.motion import TARGETS
 from conformance.drives.mks.paths import Number, ramp_step_ns
 from conformance.drives.mks.responders import MksResponder
@@ -151,8 +151,8 @@ def ended(script: Callable[[MksCore, Request], Script], of: Collection[Verb] = M
     def wrap(behaviour: Behaviour) -> Behaviour:
         def act(drive: MksCore, request: Request) -> Values | None:
             answer = behaviour(drive, request)
-            if drive.task is not None and drive.task.order is request:
-                drive.begin(Kind.MOVE if request.command.verb in MOVES else Kind.STOP, script(drive, request), request)
+            if drive.task is not None and drive.task.request is request:
+                drive.begin(Activity.MOVE if request.command.verb in MOVES else Activity.STOP, script(drive, request), request)
             return answer
 
         return act
@@ -178,7 +178,7 @@ def as_command(verb: Verb) -> Callable[[Behaviour], Behaviour]:
         def act(drive: MksCore, request: Request) -> Values | None:
             aimed, at_ns = target(drive, request), drive.now_ns
             answer = behaviour(drive, request)
-            if drive.task is not None and drive.task.order is request and request.values["speed"]:
+            if drive.task is not None and drive.task.request is request and request.values["speed"]:
                 drive.motor.move(at_ns, aimed, *_pace(drive, request))
             return answer
 
@@ -204,12 +204,12 @@ def landing(*offsets: int) -> Change:
 
 def keep_going(drive: MksCore, request: Request) -> Values | None:
     """Answer a newer move while an older one is under way, and go on with the older one."""
-    return dict(STARTING) if drive.doing(Kind.MOVE) else None
+    return dict(STARTING) if drive.doing(Activity.MOVE) else None
 
 
 def stop_first(drive: MksCore, request: Request) -> None:
     """Stop the shaft at once before a newer move begins."""
-    if drive.doing(Kind.MOVE):
+    if drive.doing(Activity.MOVE):
         drive.motor.halt(drive.now_ns)
 
 
@@ -240,7 +240,7 @@ def coasting(behaviour: Behaviour) -> Behaviour:
         rpm = drive.motor.speed(drive.now_ns)
         answer = behaviour(drive, request)
         drive.motor.run(drive.now_ns, rpm, 0)
-        drive.begin(Kind.STOP, coast(drive, request), request)
+        drive.begin(Activity.STOP, coast(drive, request), request)
         return answer
 
     return act
@@ -284,7 +284,7 @@ def afterwards(begin_ns: int, settled: Number) -> Number:
 
 def complete_older(drive: MksCore, request: Request) -> None:
     """Complete the older move when a newer one takes its place."""
-    older = drive.task.order if drive.task is not None and drive.doing(Kind.MOVE) else None
+    older = drive.task.request if drive.task is not None and drive.doing(Activity.MOVE) else None
     if older is not None:
         drive.complete(older, {"status": COMPLETE})
 
@@ -327,7 +327,7 @@ def home_at_once(drive: MksCore, request: Request) -> Values:
         yield lambda: now_ns
         drive.finish(mks_shared.HomeStatus.SUCCESS)
 
-    drive.begin(Kind.HOME, found(), request)
+    drive.begin(Activity.HOME, found(), request)
     return {"status": int(mks_shared.HomeStatus.STARTING)}
 
 
@@ -352,8 +352,8 @@ def when_home(after: Callable[[MksCore], None]) -> Change:
         def act(drive: MksCore, request: Request) -> Values | None:
             answer = behaviour(drive, request)
             task = drive.task
-            if task is not None and task.order is request:
-                drive.begin(Kind.HOME, script(drive, task), request)
+            if task is not None and task.request is request:
+                drive.begin(Activity.HOME, script(drive, task), request)
             return answer
 
         return act

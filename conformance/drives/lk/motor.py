@@ -105,7 +105,7 @@ class Torque:
 
 @dataclass(frozen=True)
 class Free:
-    """Give no torque: the motor is off, or was told nothing yet."""
+    """Give no torque: the motor is off, or has no goal yet."""
 
     closed: bool = False
 
@@ -191,7 +191,7 @@ class LkMotor:
         self._path_ns = 0
         self.power_up()
 
-    # --- what it is told ------------------------------------------------------------------------------------------
+    # --- goals ---------------------------------------------------------------------------------------------------
 
     def go(self, goal: Goal) -> None:
         """Take a goal in place of the one before."""

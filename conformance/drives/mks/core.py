@@ -4,16 +4,16 @@
                     |
                script: waits, and a completion reply at its end
 
-A script is a generator: it yields what it waits for, as a function that says when that will be. The drive asks again
-whenever something has changed, so that a switch pressed by hand and one on the shaft's way are the same to a script.
+A script is a generator: it yields what it waits for, as a function that says when that will be. The drive calls it again
+when something has changed. So a switch pressed by hand and one that the shaft reaches are the same to a script.
 
 Rules kept here:
-- A motion's speed above its range runs at the highest speed of the work mode, and reserved bits of a motion are not
-  looked at. What needs certain work modes is refused in the others.
-- One script at a time: a newer motion takes the place of the older one, whose completion is not sent. What is refused
-  leaves the older one alone.
+- A motion with a speed above its range runs at the highest speed of the work mode. Reserved bits of a motion are
+  ignored. A command that needs certain work modes is refused in the others.
+- One script runs at a time: a newer motion replaces the older one, whose completion is not sent. A refused request
+  leaves the older motion alone.
 - `respond` 0 silences what the catalogue marks as silenced, `active` 0 all completion replies.
-- A completion is told in the dialect that began the motion, or not at all, at the time at which the motion ends.
+- A completion is sent when the motion ends, in the dialect that began the motion. In another dialect it is not sent.
 
 Not emulated: a drive that is too busy to answer.
 """
@@ -39,12 +39,12 @@ Wait = Callable[[], Number | None]
 Script = Generator[Wait, None, None]
 
 _RAMPED = [c for c in mks_rs485.DIALECT.commands if c.motion is not None and c.motion.acceleration]
-#: What the commands that ramp the speed of the motor do: up, or down to a stop.
+#: The commands that ramp the speed of the motor down to a stop, and all others that do.
 STOPS = frozenset(c.verb for c in _RAMPED if c.motion is not None and c.motion.kind is MotionKind.STOP)
 MOTIONS = frozenset(c.verb for c in _RAMPED) - STOPS
 
 
-class Kind(StrEnum):
+class Activity(StrEnum):
     """What a script does."""
 
     MOVE = "move"
@@ -61,11 +61,11 @@ def _never() -> None:
 
 @dataclass
 class Task:
-    """A script under way. `order`: what asked for it, and is told how it ends; None for what the drive does by itself."""
+    """A script under way. `request`: what asked for it, which its end completes; None where the drive began it by itself."""
 
-    kind: Kind
+    kind: Activity
     script: Script
-    order: Request | None = None
+    request: Request | None = None
     wait: Wait = _never
 
 
@@ -91,14 +91,14 @@ class MksCore(MksState):
             setup(self)
         self.power_on(self)
 
-    def doing(self, *kinds: Kind) -> bool:
+    def doing(self, *kinds: Activity) -> bool:
         """Say whether a script of one of these kinds is under way."""
         return self.task is not None and self.task.kind in kinds
 
     @property
     def ready(self) -> bool:
         """Whether a motion can begin."""
-        return self.enabled and self.sound and not self.doing(Kind.CALIBRATE)
+        return self.enabled and self.sound and not self.doing(Activity.CALIBRATE)
 
     # --- requests -------------------------------------------------------------------------------------------------
 
@@ -124,9 +124,9 @@ class MksCore(MksState):
 
     # --- scripts --------------------------------------------------------------------------------------------------
 
-    def begin(self, kind: Kind, script: Script, order: Request | None = None) -> None:
+    def begin(self, kind: Activity, script: Script, request: Request | None = None) -> None:
         """Begin a script in the place of the one under way."""
-        self.task = Task(kind, script, order)
+        self.task = Task(kind, script, request)
         self._go_on()
 
     def _go_on(self) -> None:
@@ -139,24 +139,25 @@ class MksCore(MksState):
                 self.task = None
 
     def drop(self) -> None:
-        """End the script under way without a word."""
-        if self.doing(Kind.RETURN):
+        """End the script under way without a completion reply."""
+        if self.doing(Activity.RETURN):
             self.memory.zero_status = int(mks_shared.ZeroStatus.FAILED)
         self.task = None
 
     def finish(self, status: int | None) -> None:
-        """End the script under way, and tell whoever asked for it; None: that it failed."""
+        """End the script under way with a completion reply: its status, None where it failed."""
         task, self.task = self.task, None
-        if task is not None and task.order is not None:
-            self.complete(task.order, self.refused(task.order) if status is None else {"status": status})
+        if task is not None and task.request is not None:
+            self.complete(task.request, self.refused(task.request) if status is None else {"status": status})
 
-    def complete(self, order: Request, values: Values) -> None:
+    def complete(self, request: Request, values: Values) -> None:
         """Send the completion reply of a request, where there is one and nothing silences it."""
         responder = self.responder
-        if order.responder is not responder or not responder.completes or not order.answered or self.silenced(order.command):
+        told = request.responder is responder and responder.completes and request.answered
+        if not told or self.silenced(request.command):
             return
         if self.settings.get("active", 1) or "active" in self.heedless:
-            self.answer(order, values, True, self.address, max(self.now_ns, order.reply_ns))
+            self.answer(request, values, True, self.address, max(self.now_ns, request.reply_ns))
 
     def foresee(self) -> tuple[int, Callable[[], None]] | None:
         """Return what the drive does next by itself, and when."""
@@ -167,7 +168,7 @@ class MksCore(MksState):
             found.append((self.task.wait(), self._go_on))
         if self.limits_hold:
             found += [(self._limit_time(side), self._limit_stop) for side in self.switches]
-        if self.guarded and not self.doing(Kind.CALIBRATE, Kind.START):
+        if self.guarded and not self.doing(Activity.CALIBRATE, Activity.START):
             found.append((self.motor.strays(self.stall_counts, self.now_ns), self.protect))
         times = [(max(ceil(t), self.now_ns), n) for n, (t, _) in enumerate(found) if t is not None]
         if not times:
@@ -182,7 +183,7 @@ class MksCore(MksState):
         """Whether the end limits can stop a motion: switched on, homed since, in a bus mode."""
         settings = self.settings
         switched_on = settings["end_limit"] and settings["limits_homed"] and "end_limit" not in self.heedless
-        return bool(switched_on) and self.by_bus and not self.doing(Kind.HOME, Kind.CALIBRATE, Kind.START)
+        return bool(switched_on) and self.by_bus and not self.doing(Activity.HOME, Activity.CALIBRATE, Activity.START)
 
     def at_limit(self, way: int) -> bool:
         """Say whether an end limit forbids to turn a way now."""
@@ -210,7 +211,7 @@ class MksCore(MksState):
 
     def fail(self) -> None:
         """Let the shaft go and end what is under way as failed."""
-        if self.doing(Kind.RETURN):
+        if self.doing(Activity.RETURN):
             self.drop()
         self.let_go()
         self.memory.run = None

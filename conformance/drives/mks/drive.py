@@ -11,7 +11,7 @@ Rules kept here:
 - Settings, motion and all else are of the drive, not of its dialect. `dialect` is the one that it speaks now.
 - The reply to a change of dialect is still in the old one.
 - What the CAN drives do otherwise than the RS485 drives stands in `CanResponder`.
-- What is done from outside happens at the time to which the drive was last told that time has passed.
+- What is done from outside happens at the time that the drive has reached.
 
 Not emulated: the display and the keys (a key lock is stored), motor and holding current (stored, without effect: no
 manual gives a torque), interpolation, heat (no command shows it), and that a restored drive is to be calibrated. On CAN

@@ -23,7 +23,7 @@ Rules kept here:
 - Calibration turns the shaft once to and fro and is answered 0 (it goes on) and then 1, or 2 where the shaft is held, the
   encoder fails or the supply is bad.
 - At power-on: the way back to the kept zero point (9A), by the direction set or the shorter way, then a kept run (FF).
-  3B tells how the former went: 2 where no point is kept or something came between.
+  3B reads how the way back went: 2 where no point is kept or something interrupted it.
 
 Decided, since nothing is printed: the direction of pulses is that of the direction bit, 0 raises their count. Homing,
 calibration and the way back change their speed at once; the way back turns at 30 rpm a step of its setting, its end is
@@ -37,7 +37,7 @@ from collections.abc import Callable, Mapping
 from analyzer.catalogue import Verb
 from analyzer.protocols import mks_shared as mks
 from conformance.drives.drive import Request, Values
-from conformance.drives.mks.core import STOPS, Behaviour, Kind, MksCore, Script
+from conformance.drives.mks.core import STOPS, Activity, Behaviour, MksCore, Script
 from conformance.drives.mks.paths import Number, divided
 from conformance.drives.mks.state import way_of
 
@@ -48,10 +48,10 @@ _RETURN_RPM = 30
 _MINUTE_NS = 60_000_000_000
 
 
-def _speed(drive: MksCore, order: Request) -> int:
+def _speed(drive: MksCore, request: Request) -> int:
     """Return the speed as sent, cut to what the work mode allows."""
-    declared = order.command.request_forms[0].layout.named["speed"]
-    speed: int = order.values["speed"]
+    declared = request.command.request_forms[0].layout.named["speed"]
+    speed: int = request.values["speed"]
     return min(speed, drive.highest_speed(declared.high))
 
 
@@ -67,10 +67,10 @@ def begin_run(drive: MksCore, direction: int, speed: int, acceleration: int) -> 
     drive.memory.run = (direction, speed, acceleration) if speed else None
 
 
-def _run(drive: MksCore, order: Request) -> Values:
-    values, speed = order.values, _speed(drive, order)
+def _run(drive: MksCore, request: Request) -> Values:
+    values, speed = request.values, _speed(drive, request)
     if not drive.ready or (speed and drive.at_limit(_way(values["direction"]) * drive.bus_sense)):
-        return drive.refused(order)
+        return drive.refused(request)
     begin_run(drive, values["direction"], speed, values["acceleration"])
     return dict(_SUCCESS)
 
@@ -78,23 +78,23 @@ def _run(drive: MksCore, order: Request) -> Values:
 # --- moves to a position --------------------------------------------------------------------------------------------
 
 
-def _by_pulses(drive: MksCore, order: Request) -> Number:
-    pulses = _way(order.values["direction"]) * int(order.values["pulses"])
+def _by_pulses(drive: MksCore, request: Request) -> Number:
+    pulses = _way(request.values["direction"]) * int(request.values["pulses"])
     return drive.motor.wanted(drive.now_ns) + pulses * drive.pulse_counts
 
 
-def _to_pulse(drive: MksCore, order: Request) -> Number:
-    return drive.memory.pulse_zero + int(order.values["position"]) * drive.pulse_counts
+def _to_pulse(drive: MksCore, request: Request) -> Number:
+    return drive.memory.pulse_zero + int(request.values["position"]) * drive.pulse_counts
 
 
-def _by_counts(drive: MksCore, order: Request) -> Number:
-    return drive.motor.wanted(drive.now_ns) + int(order.values["position"])
+def _by_counts(drive: MksCore, request: Request) -> Number:
+    return drive.motor.wanted(drive.now_ns) + int(request.values["position"])
 
 
-def _to_count(drive: MksCore, order: Request) -> Number:
+def _to_count(drive: MksCore, request: Request) -> Number:
     # What the encoder shows is the shaft; an open loop may have lost steps since.
     lost = drive.motor.lost
-    return drive.memory.zero + int(order.values["position"]) - lost
+    return drive.memory.zero + int(request.values["position"]) - lost
 
 
 #: Where each kind of move ends, in counts of where the shaft is meant to be.
@@ -106,19 +106,19 @@ TARGETS: Mapping[Verb, Callable[[MksCore, Request], Number]] = {
 }
 
 
-def _move(drive: MksCore, order: Request) -> Values:
+def _move(drive: MksCore, request: Request) -> Values:
     if not drive.ready:
-        return drive.refused(order)
-    rpm, step_ns = drive.real_speed(_speed(drive, order)), drive.ramp(order.values["acceleration"])
-    target = TARGETS[order.command.verb](drive, order)
+        return drive.refused(request)
+    rpm, step_ns = drive.real_speed(_speed(drive, request)), drive.ramp(request.values["acceleration"])
+    target = TARGETS[request.command.verb](drive, request)
     drive.drop()
     drive.memory.run = None
     if rpm:
         drive.motor.move(drive.now_ns, target, rpm, step_ns)
-        drive.begin(Kind.MOVE, _arriving(drive), order)
+        drive.begin(Activity.MOVE, _arriving(drive), request)
     else:
         drive.motor.run(drive.now_ns, 0, step_ns)
-        drive.begin(Kind.MOVE, _standing(drive), order)
+        drive.begin(Activity.MOVE, _standing(drive), request)
     return dict(_STARTING)
 
 
@@ -135,13 +135,13 @@ def _arriving(drive: MksCore) -> Script:
 # --- stops ----------------------------------------------------------------------------------------------------------
 
 
-def _stop(drive: MksCore, order: Request) -> Values:
-    if drive.doing(Kind.CALIBRATE):
-        return drive.refused(order)
+def _stop(drive: MksCore, request: Request) -> Values:
+    if drive.doing(Activity.CALIBRATE):
+        return drive.refused(request)
     drive.drop()
     drive.memory.run = None
-    drive.motor.run(drive.now_ns, 0, drive.ramp(order.values["acceleration"]))
-    drive.begin(Kind.STOP, _standing(drive), order)
+    drive.motor.run(drive.now_ns, 0, drive.ramp(request.values["acceleration"]))
+    drive.begin(Activity.STOP, _standing(drive), request)
     return dict(_STARTING)
 
 
@@ -150,7 +150,7 @@ def _standing(drive: MksCore) -> Script:
     drive.finish(mks.StopStatus.COMPLETE)
 
 
-def _emergency_stop(drive: MksCore, order: Request) -> Values:
+def _emergency_stop(drive: MksCore, request: Request) -> Values:
     drive.drop()
     drive.memory.run = None
     drive.motor.halt(drive.now_ns)
@@ -160,8 +160,8 @@ def _emergency_stop(drive: MksCore, order: Request) -> Values:
 # --- enabling, keeping a run ----------------------------------------------------------------------------------------
 
 
-def _enable(drive: MksCore, order: Request) -> Values:
-    drive.memory.enabled = bool(order.values["enabled"])
+def _enable(drive: MksCore, request: Request) -> Values:
+    drive.memory.enabled = bool(request.values["enabled"])
     if not drive.memory.enabled:
         drive.drop()
         drive.memory.run = None
@@ -169,14 +169,14 @@ def _enable(drive: MksCore, order: Request) -> Values:
     return dict(_SUCCESS)
 
 
-def _release_protection(drive: MksCore, order: Request) -> Values:
+def _release_protection(drive: MksCore, request: Request) -> Values:
     drive.memory.protected = False
     drive.grip()
     return dict(_SUCCESS)
 
 
-def _save(drive: MksCore, order: Request) -> Values:
-    run = drive.memory.run if order.values["save_state"] == mks.SaveState.SAVE else None
+def _save(drive: MksCore, request: Request) -> Values:
+    run = drive.memory.run if request.values["save_state"] == mks.SaveState.SAVE else None
     drive.store("saved_run", int(run is not None))
     for name, value in zip(("saved_direction", "saved_speed", "saved_acceleration"), run or (0, 0, 0), strict=True):
         drive.store(name, value)
@@ -192,7 +192,7 @@ def set_zero(drive: MksCore) -> None:
     drive.memory.zero = drive.memory.pulse_zero = drive.motor.position(drive.now_ns)
 
 
-def _set_zero(drive: MksCore, order: Request) -> Values:
+def _set_zero(drive: MksCore, request: Request) -> Values:
     position, wanted = drive.motor.position(drive.now_ns), drive.motor.wanted(drive.now_ns)
     drive.memory.zero, drive.memory.pulse_zero = position, wanted
     return {"status": int(mks.Success.SUCCESS)}
@@ -201,17 +201,17 @@ def _set_zero(drive: MksCore, order: Request) -> Values:
 # --- homing ---------------------------------------------------------------------------------------------------------
 
 
-def _home(drive: MksCore, order: Request) -> Values:
+def _home(drive: MksCore, request: Request) -> Values:
     settings = drive.home_settings()
     rpm = drive.real_speed(min(settings["home_speed"], drive.highest_speed(settings["home_speed"])))
     way, angle = way_of(settings["home_direction"]), settings["return_angle"]
     if not drive.ready or not rpm:
-        return drive.refused(order)
+        return drive.refused(request)
     drive.drop()
     drive.memory.run = None
     by_switch = settings["home_mode"] == mks.HomeMode.LIMIT_SWITCH
     script = _to_switch(drive, way, rpm, angle) if by_switch else _to_obstacle(drive, way, rpm, angle)
-    drive.begin(Kind.HOME, script, order)
+    drive.begin(Activity.HOME, script, request)
     return {"status": int(mks.HomeStatus.STARTING)}
 
 
@@ -256,12 +256,12 @@ def _homed(drive: MksCore) -> None:
 # --- calibration ----------------------------------------------------------------------------------------------------
 
 
-def _calibrate(drive: MksCore, order: Request) -> Values:
-    if drive.memory.protected or not drive.supplied or drive.doing(Kind.CALIBRATE):
-        return drive.refused(order)
+def _calibrate(drive: MksCore, request: Request) -> Values:
+    if drive.memory.protected or not drive.supplied or drive.doing(Activity.CALIBRATE):
+        return drive.refused(request)
     drive.drop()
     drive.memory.run = None
-    drive.begin(Kind.CALIBRATE, _calibrating(drive), order)
+    drive.begin(Activity.CALIBRATE, _calibrating(drive), request)
     return {"status": int(mks.CalibrationStatus.CALIBRATING)}
 
 
@@ -291,7 +291,7 @@ def power_on(drive: MksCore) -> None:
     drive.grip()
     if drive.settings.get("zero_mode", 0):
         if drive.settings["zero_kept"] and drive.ready:
-            drive.begin(Kind.RETURN, _returning(drive))
+            drive.begin(Activity.RETURN, _returning(drive))
             return
         drive.memory.zero_status = int(mks.ZeroStatus.FAILED)
     _run_again(drive)

@@ -1,4 +1,4 @@
-"""The motor and what it is mounted to: a shaft on its path, obstacles, hands, switches, supply and heat. No bytes.
+"""The motor of an MKS drive: a shaft on its path, with obstacles, hands, switches, supply and heat. No bytes.
 
     path (where the shaft is meant to be) + lost steps  ->  obstacles  ->  shaft  ->  encoder, switches
 
@@ -137,7 +137,7 @@ class Motor:
             self.settle(t)
             self.holding = True
 
-    # --- what the world does with it ------------------------------------------------------------------------------
+    # --- what acts on it from outside ------------------------------------------------------------------------------
 
     def block(self, t: Number, blocked: bool = True) -> None:
         """Hold the shaft from outside where it is, or let it go."""

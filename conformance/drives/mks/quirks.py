@@ -37,7 +37,7 @@ from conformance.drives.faults.places import (
     taken,
     together,
 )
-from conformance.drives.mks.core import MOTIONS, Kind, MksCore
+from conformance.drives.mks.core import MOTIONS, Activity, MksCore
 from conformance.drives.mks.paths import Phase, ramp_step_ns
 from conformance.drives.mks.settings import SETTINGS
 
@@ -182,8 +182,8 @@ def _calibrates_at_once(hooks: Hooks) -> None:
 
         def act(drive: MksCore, request: object) -> Values | None:
             answer = before(drive, request)  # type: ignore[arg-type]  # the wrapped behaviour takes the same request
-            if drive.doing(Kind.CALIBRATE) and drive.task is not None:
-                drive.task.order = None
+            if drive.doing(Activity.CALIBRATE) and drive.task is not None:
+                drive.task.request = None
                 return {"status": int(mks_shared.CalibrationStatus.SUCCESS)}
             return answer
 

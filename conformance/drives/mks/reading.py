@@ -21,7 +21,7 @@ from analyzer.catalogue import Verb
 from analyzer.protocols import mks_can
 from analyzer.protocols import mks_shared as mks
 from conformance.drives.drive import Request, Values
-from conformance.drives.mks.core import Behaviour, Kind, MksCore
+from conformance.drives.mks.core import Activity, Behaviour, MksCore
 from conformance.drives.mks.paths import Phase
 
 _STATUS: Mapping[Phase, mks.MotorStatus] = {
@@ -38,51 +38,51 @@ _FIRMWARE = (1, 0, 1)
 _SHORTEST_DIVISION = 100
 
 
-def _carry(drive: MksCore, order: Request) -> Values:
+def _carry(drive: MksCore, request: Request) -> Values:
     carry, encoder = divmod(drive.axis, mks.COUNTS_PER_TURN)
     return {"carry": carry, "encoder": encoder}
 
 
-def _position(drive: MksCore, order: Request) -> Values:
+def _position(drive: MksCore, request: Request) -> Values:
     return {"position": drive.axis}
 
 
-def _speed(drive: MksCore, order: Request) -> Values:
+def _speed(drive: MksCore, request: Request) -> Values:
     field = mks.ACTUAL_SPEED
     return {"speed": min(max(round(drive.motor.speed(drive.now_ns)), field.low), field.high)}
 
 
-def _pulses(drive: MksCore, order: Request) -> Values:
+def _pulses(drive: MksCore, request: Request) -> Values:
     return {"pulses": drive.pulses}
 
 
-def _angle_error(drive: MksCore, order: Request) -> Values:
+def _angle_error(drive: MksCore, request: Request) -> Values:
     return {"angle_error": round(drive.motor.error(drive.now_ns) / _ERROR_UNIT)}
 
 
-def _enabled(drive: MksCore, order: Request) -> Values:
+def _enabled(drive: MksCore, request: Request) -> Values:
     return {"enabled": int(drive.enabled)}
 
 
-def _zero_status(drive: MksCore, order: Request) -> Values:
+def _zero_status(drive: MksCore, request: Request) -> Values:
     return {"status": drive.memory.zero_status}
 
 
-def _protection(drive: MksCore, order: Request) -> Values:
+def _protection(drive: MksCore, request: Request) -> Values:
     return {"status": int(drive.memory.protected)}
 
 
-def _status(drive: MksCore, order: Request) -> Values:
-    if drive.doing(Kind.CALIBRATE):
+def _status(drive: MksCore, request: Request) -> Values:
+    if drive.doing(Activity.CALIBRATE):
         return {"status": int(mks.MotorStatus.CALIBRATING)}
     if not drive.by_bus:
         return {"status": int(mks.MotorStatus.STOPPED)}
-    if drive.doing(Kind.HOME):
+    if drive.doing(Activity.HOME):
         return {"status": int(mks.MotorStatus.HOMING)}
     return {"status": int(_STATUS[drive.motor.phase(drive.now_ns)])}
 
 
-def _io(drive: MksCore, order: Request) -> Values:
+def _io(drive: MksCore, request: Request) -> Values:
     left, right, large = drive.level("left"), drive.level("right"), drive.model.startswith("57")
     if drive.dialect.bus != "can":
         stalled = drive.memory.protected
@@ -112,8 +112,8 @@ def _in_position(drive: MksCore) -> int:
     return int(drive.motor.phase(drive.now_ns) is Phase.STANDING)
 
 
-def _write_io(drive: MksCore, order: Request) -> Values:
-    memory, values = drive.memory, order.values
+def _write_io(drive: MksCore, request: Request) -> Values:
+    memory, values = drive.memory, request.values
     if values["alm_mask"] != mks_can.PortMask.KEEP:
         memory.alm_mask, memory.alm = values["alm_mask"], values["alm"]
     if values["pend_mask"] != mks_can.PortMask.KEEP:
@@ -121,7 +121,7 @@ def _write_io(drive: MksCore, order: Request) -> Values:
     return {"status": int(mks.Success.SUCCESS)}
 
 
-def _version(drive: MksCore, order: Request) -> Values:
+def _version(drive: MksCore, request: Request) -> Values:
     major, minor, patch = _FIRMWARE
     return {
         "series": int(mks_can.Series.E),
@@ -133,13 +133,13 @@ def _version(drive: MksCore, order: Request) -> Values:
     }
 
 
-def _user_id(drive: MksCore, order: Request) -> Values:
+def _user_id(drive: MksCore, request: Request) -> Values:
     return {"user_id": drive.settings["user_id"]}
 
 
-def _parameter(drive: MksCore, order: Request) -> Values:
+def _parameter(drive: MksCore, request: Request) -> Values:
     """Return the stored values of a setting by its code, or that it cannot be read."""
-    for command in drive.dialect.by_code.get(order.values["parameter"], ()):
+    for command in drive.dialect.by_code.get(request.values["parameter"], ()):
         if command.readable:
             return {name: drive.settings[name] for name in command.request_forms[0].layout.named}
     return {"unreadable": 0xFFFF}

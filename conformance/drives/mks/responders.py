@@ -8,9 +8,9 @@
              001#008283                          ->  read_parameter(work_mode)  ->  001#820588  the setting's own layout
 
 Rules kept here:
-- Native frames: the head says who sent a frame. FA and FC are heard, nothing else is.
+- Native frames: the head says who sent a frame. A drive takes FA and FC, no other head.
 - CAN: a reply has the drive's own ID. A drive takes standard data frames only: no remote, extended or FD frame.
-- Behaviours answer in the words of the native drive: a `status` with the meanings of the native command's `Replies`. Modbus
+- Behaviours answer as the native drive does: by a `status` with the meanings of the native command's `Replies`. Modbus
   has no statuses: a write answers its echo, or the "refused" form where the native drive would answer that it failed.
 - Modbus answers exception 01 for a function that the drive does not have. It answers 03 for a quantity or byte count other
   than the register's own, and 02 for a register that does not begin a command of that function.

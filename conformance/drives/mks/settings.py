@@ -23,15 +23,15 @@ from analyzer.catalogue import Command, Verb
 from analyzer.protocols import mks_can, mks_modbus, mks_rs485
 from analyzer.protocols import mks_shared as mks
 from conformance.drives.drive import Request, Values
-from conformance.drives.mks.core import Behaviour, Kind, MksCore, Script
+from conformance.drives.mks.core import Activity, Behaviour, MksCore, Script
 from conformance.drives.mks.state import Memory, is_setting
 
 
-def _store(drive: MksCore, order: Request) -> Values:
+def _store(drive: MksCore, request: Request) -> Values:
     before, pulses = dict(drive.settings), drive.pulses
-    for name, value in order.values.items():
+    for name, value in request.values.items():
         drive.store(name, value)
-    after = AFTER.get(order.command.verb)
+    after = AFTER.get(request.command.verb)
     if after is not None and (drive.settings != before or after is _keep_zero):
         after(drive, pulses)
     return {"status": int(mks.Success.SUCCESS)}
@@ -103,7 +103,7 @@ def restart(drive: MksCore) -> None:
     drive.memory = Memory(enabled=False, zero=zero, pulse_zero=position)
     drive.tune()
     drive.starting = True
-    drive.begin(Kind.START, _starting(drive))
+    drive.begin(Activity.START, _starting(drive))
 
 
 def _starting(drive: MksCore) -> Script:
@@ -114,12 +114,12 @@ def _starting(drive: MksCore) -> Script:
     drive.power_on(drive)
 
 
-def _restart(drive: MksCore, order: Request) -> Values:
+def _restart(drive: MksCore, request: Request) -> Values:
     restart(drive)
     return {"status": int(mks.Success.SUCCESS)}
 
 
-def _restore(drive: MksCore, order: Request) -> Values:
+def _restore(drive: MksCore, request: Request) -> Values:
     kept = {name: drive.settings[name] for name in drive.clinging}
     drive.settings.clear()
     drive.settings.update({**drive.factory, **kept})

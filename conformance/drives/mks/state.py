@@ -1,4 +1,4 @@
-"""What an MKS drive is at a moment: its settings, its memory, its motor, its switches, and what follows from them.
+"""The state of an MKS drive: its settings, its memory, its motor, its switches, and what follows from them.
 
 Rules kept here:
 - A setting has the name of its field in the catalogue and the default printed there; where the manual prints none, the

@@ -67,9 +67,9 @@ def test_a_broadcast_that_is_executed_twice_is_refuted():
     def again(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
         assert isinstance(drive, MksCore)
         if wanted and message.address == 0:
-            order = drive.speaker.order(message, drive.now_ns, False)
-            if order is not None:
-                drive.obey(order)
+            request = drive.responder.request(message, False)
+            if request is not None:
+                drive.obey(request)
                 drive.motor.jump(drive.now_ns, 1_000)
         return wanted
 
