@@ -88,6 +88,11 @@ def every() -> list[Dialect]:
     return [get(name) for name in names()]
 
 
+def first_bytes() -> frozenset[int]:
+    """Return the bytes that begin a frame of some dialect, those aside whose frames can begin with any byte."""
+    return frozenset().union(*(dialect.link.first_bytes for dialect in every()))
+
+
 def for_model(dialects: Sequence[Dialect], model: str | None) -> list[Dialect]:
     """Return the dialects as one model speaks them; those that do not know the model stay as they are.
 

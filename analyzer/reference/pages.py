@@ -193,8 +193,8 @@ def _skeleton(dialect: Dialect, command: Command, form: Form, role: Role) -> str
     """Return the frame with every field at its default, to the first address, its own data between bars."""
     address = dialect.addresses[0]
     values: Mapping[str, Sequence[object]] = {SLOTS: []} if command.slots is not None and role is Role.REQUEST else {}
-    frame = assemble(dialect, command, address, values, role, form).frame
-    can_id = address if dialect.link.kind == "can" else None
+    built = assemble(dialect, command, address, values, role, form)
+    frame, can_id = built.frame, built.can_id
     head = dialect.link.parse(frame, can_id)
     if len(frame) > _SHOWN_BYTES:
         return f"{write_frame(frame[: head.start])} | {head.stop - head.start} bytes | {write_frame(frame[head.stop :])}"

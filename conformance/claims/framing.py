@@ -18,7 +18,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from analyzer import dialects as registry
 from analyzer.catalogue import Certainty, Dialect, Doubt, Risk, Subject
+from analyzer.encoder import Built
 from analyzer.link import CanLink, HeadLink, Link, LkLink, ModbusLink
 from analyzer.records import CanFrame
 from conformance.claim import Claim, Theme
@@ -96,7 +98,7 @@ def _unknown_codes(dialect: Dialect) -> list[int]:
     known = {c.code for c in dialect.commands}
     beside = {code for k in known for code in (k - 1, k + 1, k ^ 0x80, k ^ 0x40)}
     # A head in the place of a code would be the next frame's.
-    fit = sorted(c for c in beside - known - _UNWANTED - _HEADS if 0 < c <= 0xFF)
+    fit = sorted(c for c in beside - known - _UNWANTED - registry.first_bytes() if 0 < c <= 0xFF)
     step = -(-len(fit) // _MOST) or 1
     return fit[::step]
 
@@ -104,7 +106,7 @@ def _unknown_codes(dialect: Dialect) -> list[int]:
 def _with_unknown_codes(probe: Probe) -> Iterator[Variant]:
     dialect, read = probe.dialect, probe.build(plain_read(probe.dialect))
     for code in (*_unknown_codes(dialect), *dialect.unlisted_codes):
-        frame = _recoded(dialect, read.frame, code, probe.address)
+        frame = _recoded(dialect, read, code)
         item = read.item(frame)
         if garbling.harmless(item, probe.address, read.frame, beside=_UNKNOWN):
             yield _coded(code), item
@@ -114,12 +116,13 @@ def _coded(code: int) -> str:
     return f"the unknown code {code:02X}"
 
 
-def _recoded(dialect: Dialect, frame: bytes, code: int, address: int) -> bytes:
+def _recoded(dialect: Dialect, read: Built, code: int) -> bytes:
     """Return a frame without data with another code, its check fitting."""
-    parts = dialect.link.parts(frame, address if dialect.link.kind == "can" else None)
+    frame = read.frame
+    parts = dialect.link.parts(frame, read.can_id)
     place = next(p.start for p in parts if p.name == "code")
     body = frame[:place] + bytes((code,)) + frame[place + 1 : -1]
-    return dialect.link.completed(body, address if dialect.link.kind == "can" else None)
+    return dialect.link.completed(body, read.can_id)
 
 
 def _strange_frames(probe: Probe) -> Iterator[Variant]:
@@ -131,7 +134,6 @@ def _strange_frames(probe: Probe) -> Iterator[Variant]:
 
 #: Codes that other firmware was seen to have: one that it answers, and some that do what nobody wants.
 _UNWANTED = frozenset({0x07, 0x40, 0x42})
-_HEADS = frozenset({0xFA, 0xFB, 0xFC, 0x3E})
 _UNKNOWN = frozenset({Risk.UNKNOWN})
 
 _KINDS = (

@@ -20,6 +20,7 @@ from analyzer import dialects as registry
 from analyzer import encoder
 from analyzer.catalogue import Dialect, Risk, Role
 from analyzer.encoder import Built
+from analyzer.link import HeadLink
 from analyzer.records import CanFrame
 from conformance.gate.gate import Allowance, Judge
 
@@ -31,8 +32,6 @@ _BITS = 8
 _BYTE = 0xFF
 _CAN_LONGEST = 8
 _BUS = "bus"
-#: First bytes of frames: of a package, which is long, and of others, whose third byte tells what they are.
-_PACKAGE_HEAD, _HEADS = 0xFC, (0xFA, 0xFB, 0x3E)
 #: Bytes that begin no frame of any dialect.
 NOISE: tuple[bytes, ...] = (b"\0", b"\xff\xff\xff", b"\x55\xaa", bytes(12), b"\xff" * 12)
 
@@ -61,7 +60,10 @@ def harmless(item: Item, address: int, behind: bytes = b"", *, beside: frozenset
 
 def _open_ended(data: bytes) -> bool:
     """Say whether what follows could be taken for the rest of a frame that begins inside these bytes."""
-    return _PACKAGE_HEAD in data[1:] or any(head in data[max(1, len(data) - 2) :] for head in _HEADS)
+    links = [dialect.link for dialect in registry.every()]
+    packages = {link.package.head for link in links if isinstance(link, HeadLink) and link.package is not None}
+    # A package is long; of any other frame the third byte tells what it is.
+    return bool(packages & {*data[1:]} or registry.first_bytes() & {*data[1:][-2:]})
 
 
 class Garbler:
