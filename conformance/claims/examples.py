@@ -7,8 +7,7 @@
 Rules kept here:
 - A frame that does not hold is sent as its erratum corrects it, and the claim is as sure as the erratum.
 - A frame without a printed reply must be answered by a reply that does not refuse it.
-- What a reply measures is taken from what came; everything else, statuses and what repeats the request, must be what is
-  printed.
+- Measured values in a reply may differ from print; statuses, and fields that repeat the request, may not.
 - Of a command with only a reply in print, a plain request is sent.
 - Examples to all drives or to a group are executed and not answered; a package stands among them.
 """
@@ -220,7 +219,7 @@ def _overtaken(probe: Probe, example: Example, got: Sequence[MatchedReply]) -> b
 
 
 def _expected(probe: Probe, example: Example, reading: MatchedReply, printed: Vector) -> bytes:
-    """Return the printed reply as this drive must send it: its address, and what it measures as it came."""
+    """Return the printed reply with the address of this drive, and the measured values that it sent."""
     command, form = example.command, reading.template.form
     layout = form.layout
     if printed.values.keys() != layout.named.keys():

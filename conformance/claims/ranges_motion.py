@@ -22,7 +22,7 @@ from conformance.claims.declare import Case
 from conformance.claims.ranges import of_ranges
 from conformance.claims.requests import with_reserved
 from conformance.model import limits
-from conformance.motion import motion, moves, ramp
+from conformance.motion import motion, ramp
 from conformance.motion.motion import MS, SECOND_NS
 from conformance.talk.acceptance import can_refuse, expect_accepted, expect_refused
 from conformance.talk.exchange import Exchange
@@ -39,7 +39,7 @@ _SPEED_SHARE = 0.015
 #: Turns of a move that is to reach the highest speed and is stopped then.
 _FAR_TURNS = 160
 #: A speed both bytes of which are filled.
-_TELLING_RPM = 257
+_TWO_BYTE_RPM = 257
 
 
 def turns(command: Command) -> bool:
@@ -54,51 +54,39 @@ def _commands(dialect: Dialect) -> Iterator[Command]:
 
 
 def _runs(dialect: Dialect) -> Iterator[Command]:
-    return (c for c in _commands(dialect) if c.motion is not None and c.motion.kind in _RUNS)
+    return (command for command in _commands(dialect) if motion.of(command).kind in _RUNS)
 
 
 def _needs(dialect: Dialect, command: Command, *, stands: bool = False) -> dict[str, Any]:
     """Return what a claim must declare that begins a motion; `stands`: only at speed 0."""
-    runs = command.motion is not None and command.motion.kind is MotionKind.RUN
-    more = {Risk.UNBOUNDED} if runs and not stands else set()
+    more = {Risk.UNBOUNDED} if motion.of(command).kind is MotionKind.RUN and not stands else set()
     return {"risks": motion.risks(dialect, *more), "settings": motion.settings(dialect)}
 
 
 # --- moving -----------------------------------------------------------------------------------------------------------
 
 
-def _base(probe: Probe, command: Command) -> int:
-    """Return what a distance is added to: where an absolute move begins, 0 for others."""
-    start = moves.place(probe, command)
-    if moves.is_absolute(command):
-        # A gate that bounds turns has to know where the shaft is.
-        probe.gate.note_position(motion.position(probe).value, probe.address, start if moves.by_pulses(command) else None)
-    return start
-
-
 def _values(probe: Probe, command: Command, **changed: int) -> dict[str, int]:
     """Return a slow move of a tenth of a turn (a run, a stop) with some values changed."""
-    moving = command.motion
-    assert moving is not None  # only those are asked for
+    moving = motion.of(command)
     values: dict[str, int] = dict.fromkeys(command.request_forms[0].layout.named, 0) | {"acceleration": motion.GENTLE}
     if moving.kind is not MotionKind.STOP:
         values["speed"] = SLOW
     if moving.distance:
-        tenth = moves.units_per_turn(command) // 10
-        values[moving.distance] = tenth if moving.direction else _base(probe, command) + tenth
+        tenth = motion.units_per_turn(probe.dialect, command) // 10
+        values[moving.distance] = tenth if moving.direction else motion.place(probe, command) + tenth
     return values | changed
 
 
 def _far(probe: Probe, command: Command) -> dict[str, int]:
     """Return the distance of a move so far that it is stopped before it ends; nothing for a run."""
-    moving = command.motion
-    assert moving is not None  # only those are asked for
+    moving = motion.of(command)
     if not moving.distance:
         return {}
-    units = _FAR_TURNS * moves.units_per_turn(command)
+    units = _FAR_TURNS * motion.units_per_turn(probe.dialect, command)
     if moving.direction:
         return {moving.distance: units}
-    start, field = _base(probe, command), command.request_forms[0].layout.named[moving.distance]
+    start, field = motion.place(probe, command), command.request_forms[0].layout.named[moving.distance]
     return {moving.distance: start + units if start + units <= field.high else start - units}
 
 
@@ -113,7 +101,7 @@ def _end(probe: Probe, command: Command) -> None:
 
 def _ready(probe: Probe, mode: str = "") -> None:
     """Make the drive ready, at a subdivision at which the shaft turns at the speed as sent."""
-    motion.ready_to_move(probe, mode, subdivision=moves.SUBDIVISION)
+    motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
 
 
 # --- accepted and refused ---------------------------------------------------------------------------------------------
@@ -264,7 +252,7 @@ def _speeds(dialect: Dialect) -> Iterator[Case]:
 def _speed_width(probe: Probe, command: Command) -> None:
     """All bits of a speed count."""
     _ready(probe)
-    _expect_speed(probe, command, _TELLING_RPM, _TELLING_RPM, "expected the speed that was sent")
+    _expect_speed(probe, command, _TWO_BYTE_RPM, _TWO_BYTE_RPM, "expected the speed that was sent")
 
 
 def _modes(dialect: Dialect) -> Iterator[Case]:
@@ -297,10 +285,10 @@ def _highest_of_mode(probe: Probe, command: Command, mode: str, highest: int) ->
 def _distances(dialect: Dialect) -> Iterator[Case]:
     """Yield distances of 256^n and a little: without the high bytes, a little is left."""
     for command in _runs(dialect):
-        if command.motion is not None and command.motion.distance:
-            field = command.request_forms[0].layout.named[command.motion.distance]
+        if motion.of(command).distance:
+            field = motion.field_of(command, motion.of(command).distance)
             signs = (1, -1) if field.kind is Kind.INT else (1,)
-            little = moves.units_per_turn(command) // 64
+            little = motion.units_per_turn(dialect, command) // 64
             shifts = range(8, field.bit_width - (len(signs) - 1), 8)
             values = tuple(s * ((1 << shift) + little) for s in signs for shift in shifts)
             yield ranges.case(dialect, command, field, "width", values, **_needs(dialect, command))
@@ -309,11 +297,11 @@ def _distances(dialect: Dialect) -> Iterator[Case]:
 @of_ranges(each=_distances, refuted_by="a move by what its low bytes say")
 def _distance_width(probe: Probe, command: Command, field: Field, values: tuple[int, ...]) -> None:
     """All bytes of {field} count, and its sign."""
-    units = moves.units_per_turn(command)
+    units = motion.units_per_turn(probe.dialect, command)
     _ready(probe)
     ways: set[bool] = set()
     for distance in values:
-        start = _base(probe, command)
+        start = motion.place(probe, command)
         if not field.low <= start + distance <= field.high:
             raise Inconclusive(f"from {start} no move by {distance} fits the field")
         before = motion.position(probe)

@@ -50,15 +50,10 @@ def _motions(dialect: Dialect, *kinds: MotionKind) -> Iterator[Command]:
     return iter(dialect.motions(*kinds) if Verb.MOTOR_ON in dialect.by_verb else ())
 
 
-def _distance(command: Command) -> Field:
-    assert command.motion is not None  # only motions are asked for
-    return command.request_forms[0].layout.named[command.motion.distance]
-
-
 def _speed_limits(dialect: Dialect) -> Iterator[tuple[Command, Field]]:
     for command in _motions(dialect, *_MOVES, MotionKind.MOVE_IN_TURN):
-        if command.motion is not None and command.motion.speed:
-            yield command, command.request_forms[0].layout.named[command.motion.speed]
+        if motion.of(command).speed:
+            yield command, motion.field_of(command, motion.of(command).speed)
 
 
 def _needs(dialect: Dialect, command: Command) -> dict[str, Any]:
@@ -70,9 +65,9 @@ def _needs(dialect: Dialect, command: Command) -> dict[str, Any]:
 
 def _values(command: Command, **values: int) -> dict[str, int]:
     """Return values of a motion, with a moderate speed where it has a speed limit."""
-    moving = command.motion
-    limited = moving is not None and moving.kind is not MotionKind.RUN and bool(moving.speed)
-    return ({moving.speed: _MODERATE} if moving is not None and limited else {}) | values
+    moving = motion.of(command)
+    limit = moving.speed if moving.kind is not MotionKind.RUN else ""
+    return ({limit: _MODERATE} if limit else {}) | values
 
 
 def _begun(probe: Probe, command: Command, values: Mapping[str, int]) -> tuple[float, Exchange]:
@@ -137,7 +132,7 @@ def _signed(dialect: Dialect) -> Iterator[tuple[Command, Field]]:
     for command in _motions(dialect, MotionKind.RUN):
         yield command, command.request_forms[0].layout.named["speed"]
     for command in _motions(dialect, *_MOVES):
-        yield command, _distance(command)
+        yield command, motion.field_of(command, motion.of(command).distance)
 
 
 def _within(dialect: Dialect) -> Iterator[Case]:
@@ -180,7 +175,7 @@ def _ignored(probe: Probe, command: Command, field: Field, values: tuple[int, ..
 def _far(dialect: Dialect) -> Iterator[Case]:
     """Yield distances of 256^n: without a high byte nothing is left."""
     for command in _motions(dialect, *_MOVES):
-        field = _distance(command)
+        field = motion.field_of(command, motion.of(command).distance)
         shifts = range(16, field.bit_width - 1, 8)
         values = tuple(s * (1 << n) for n in shifts for s in (1, -1) if (1 << n) <= field.high)
         facts = {"risks": motion.risks(dialect, Risk.SETTING), "settings": ("position",)}
@@ -231,8 +226,7 @@ def _at_limit(where: str, value: int | None = None) -> Any:
 
 def _move(probe: Probe, command: Command, field: Field, limit: int) -> dict[str, int]:
     """Return a move of two turns by a speed limit; within a turn, of nearly one."""
-    moving = command.motion
-    assert moving is not None  # only motions are asked for
+    moving = motion.of(command)
     if moving.kind is MotionKind.MOVE_IN_TURN:
         now = probe.read(moving.counted_by)
         return {moving.direction: 0, moving.distance: (now - 2000) % _TURN, field.name: limit}

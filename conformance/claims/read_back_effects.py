@@ -22,7 +22,7 @@ from conformance.claims import ranges, setting_effects
 from conformance.claims.declare import Case, commands
 from conformance.claims.read_back import fields_of, of_read_back
 from conformance.claims.setting_effects import SettingEffect
-from conformance.motion import motion, moves
+from conformance.motion import motion
 from conformance.motion.motion import MS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
@@ -31,9 +31,9 @@ _SPEED_SHARE = 0.06
 
 
 def _effects(dialect: Dialect) -> Iterator[Case]:
-    for verb, effect in setting_effects.BY_VERB.items():
-        command = dialect.by_verb.get(verb)
-        if command is not None and effect.expected is not None and moves.is_mks(dialect):
+    for command in dialect.commands:
+        effect = setting_effects.by_action(dialect, command)
+        if effect is not None and effect.expected is not None:
             facts = effect.needed(dialect, ranges.needs(dialect, command, effect.values))
             yield Case(dialect, command, {"effect": effect}, facts | {"parameters": {}})
 
@@ -87,7 +87,7 @@ def _homing_with(probe: Probe, command: Command, **values: int) -> tuple[setting
 @of_read_back(each=_home("home_speed"), refuted_by="another speed")
 def _home_speed(probe: Probe, command: Command) -> None:
     """Homing turns at the speed that was set."""
-    motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     for rpm in (90, 300):
         seen, exchange = _homing_with(probe, command, home_speed=rpm)
         probe.expect(
@@ -108,7 +108,7 @@ def _home_speed(probe: Probe, command: Command) -> None:
     at_best=Certainty.LIKELY,
 )
 def _opposite_homing(probe: Probe, command: Command, name: str) -> None:
-    motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     (one, _), (other, exchange) = (_homing_with(probe, command, **{name: value}) for value in (0, 1))
     probe.expect(
         str(other),

@@ -1,4 +1,4 @@
-"""Restart and power: what is stored stays, what is held only while the drive runs goes.
+"""Restart and power: a drive keeps what it stores, and loses what it holds only while it runs.
 
     NAME/restart, NAME/power              a setting that is not the default is there after a restart, or after its power was cut
     save_speed/restart, clean             a kept run begins again, a forgotten one does not
@@ -25,7 +25,7 @@ from conformance.claims.read_back import expect_values, fields_of, of_read_back,
 from conformance.claims.setting_effects import STEEP, SettingEffect
 from conformance.model import lk_parameters
 from conformance.model.lk_parameters import number_of, read_parameter
-from conformance.motion import motion, moves
+from conformance.motion import motion
 from conformance.motion.motion import MS
 from conformance.talk import settings
 from conformance.talk.acceptance import answers, need_reliable_replies
@@ -169,7 +169,7 @@ def _saved_runs(dialect: Dialect) -> Iterator[Case]:
 
 
 def _turning(probe: Probe, rpm: int) -> float:
-    motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     motion.run_at(probe, rpm)
     probe.wait(400 * MS)
     return motion.speed(probe).value
@@ -236,7 +236,7 @@ def _zero_modes(dialect: Dialect) -> Iterator[Case]:
 def _returns_to_zero(probe: Probe, command: Command) -> None:
     """With a zero kept, the shaft goes back to it after a restart."""
     turn = probe.dialect.counts_per_turn
-    motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     probe.do(command, {"zero_mode": 2, "set_zero": 1, "zero_speed": 2, "zero_direction": 0})
     setting_effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 60, "acceleration": STEEP, "position": turn // 4})
     before = probe.read(Verb.READ_ENCODER_CARRY, "encoder")

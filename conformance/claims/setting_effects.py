@@ -23,7 +23,7 @@ from analyzer.catalogue import Command, Dialect, Form, Risk, Verb
 from analyzer.layout import Field
 from conformance.claim import Inconclusive
 from conformance.model import limits
-from conformance.motion import motion, moves
+from conformance.motion import motion
 from conformance.motion.motion import MS
 from conformance.talk import settings
 from conformance.talk.acceptance import Acceptance, acceptance, answers, need_reliable_replies, without_repeats
@@ -112,14 +112,14 @@ def differing(form: Form) -> tuple[dict[str, int], dict[str, int]]:
         if declared.fixed is not None:
             one[name] = two[name] = declared.fixed
             continue
-        others = [v for v in _telling(declared) if v != declared.default]
+        others = [v for v in _distinct(declared) if v != declared.default]
         one[name] = others[0]
         two[name] = others[1] if len(others) > 1 else int(declared.default if declared.default is not None else others[0])
     return one, two
 
 
-def _telling(declared: Field) -> list[int]:
-    """Return allowed values that tell a mistake: no two bytes alike, none 0, the middle of a list."""
+def _distinct(declared: Field) -> list[int]:
+    """Return allowed values that show a mistake: no two bytes alike, none 0; of choices the last first."""
     choices = limits.listed(declared)
     if choices is not None:
         return list(reversed(choices))
@@ -135,12 +135,15 @@ def of(dialect: Dialect, command: Command) -> SettingEffect | None:
         return _LINK
     if command.readable:
         return _read_back(command)
-    return BY_VERB.get(command.verb) if command.verb in _needs_met(dialect) else None
+    return by_action(dialect, command)
 
 
-def _needs_met(dialect: Dialect) -> set[Verb]:
-    """Return the verbs of `BY_VERB` all of whose verbs a dialect has."""
-    return {v for v, e in BY_VERB.items() if all(sent in dialect.by_verb for sent, _ in e.sends)}
+def by_action(dialect: Dialect, command: Command) -> SettingEffect | None:
+    """Return how a setting shows by what the drive does, None where it does not or the dialect lacks what it takes."""
+    effect = BY_VERB.get(command.verb)
+    if effect is None or not motion.can_move(dialect) or any(verb not in dialect.by_verb for verb, _ in effect.sends):
+        return None
+    return effect
 
 
 # --- read back --------------------------------------------------------------------------------------------------------
@@ -182,7 +185,7 @@ def _can_be_enabled(probe: Probe) -> str:
     return "pulses" if acceptance(probe, exchange) is Acceptance.REFUSED else "bus"
 
 
-def _who_controls(dialect: Dialect, values: Mapping[str, int]) -> str:
+def _controller(dialect: Dialect, values: Mapping[str, int]) -> str:
     names = dialect.by_verb[Verb.SET_WORK_MODE].request_forms[0].layout.named["work_mode"].choice_names
     return "bus" if names[values["work_mode"]] in motion.bus_modes(dialect) else "pulses"
 
@@ -194,7 +197,7 @@ def _enabled(probe: Probe) -> int:
 def counts(probe: Probe) -> int:
     """Return where a standing shaft is by the encoder, in counts.
 
-    Raises Inconclusive where the two reads of it differ: other claims are about what they answer.
+    Raises Inconclusive where its two reads differ, which claims about reads judge.
     """
     position = probe.read(Verb.READ_POSITION, "position")
     parts = probe.reply(probe.ask(Verb.READ_ENCODER_CARRY)).values
@@ -207,7 +210,7 @@ def counts(probe: Probe) -> int:
 def steady_speed(probe: Probe) -> float:
     """Return the rpm at which the shaft turns, signed, as it is read and as two positions have it.
 
-    Raises Inconclusive where the two differ: other claims are about what is read.
+    Raises Inconclusive where the two differ, which claims about reads judge.
     """
     before = motion.position(probe)
     probe.wait(100 * MS)
@@ -237,8 +240,8 @@ def _distance(probe: Probe) -> int:
     return shift(probe, Verb.MOVE_RELATIVE_PULSES, values)
 
 
-def _far(dialect: Dialect, values: Mapping[str, int]) -> int:
-    return moves.pulse_counts(dialect, PULSES, values["subdivision"])
+def _expected_counts(dialect: Dialect, values: Mapping[str, int]) -> int:
+    return motion.counts_of(dialect, dialect.by_verb[Verb.MOVE_RELATIVE_PULSES], PULSES, values["subdivision"])
 
 
 def near(one: int, other: int) -> bool:
@@ -246,7 +249,7 @@ def near(one: int, other: int) -> bool:
     return abs(abs(one) - abs(other)) <= min(_COUNTS, max(3, abs(one) // 8))
 
 
-def _replies(probe: Probe) -> str:
+def _statuses(probe: Probe) -> str:
     """Return the statuses that a small move is answered with, until the shaft stands and half a second longer."""
     values = {"direction": 0, "speed": 60, "acceleration": STEEP, "pulses": PULSES}
     exchange = probe.ask(Verb.MOVE_RELATIVE_PULSES, values, until=Until.TIMEOUT, timeout_ns=1500 * MS)
@@ -256,14 +259,14 @@ def _replies(probe: Probe) -> str:
     return " then ".join(map(str, without_repeats(exchange.status()))) or "silence"
 
 
-def _told(dialect: Dialect, values: Mapping[str, int]) -> str:
+def _expected_statuses(dialect: Dialect, values: Mapping[str, int]) -> str:
     if not values["respond"]:
         return "silence"
     return "1 then 2" if values["active"] else "1"
 
 
-def _plain_subdivision(probe: Probe) -> None:
-    motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
+def _ready(probe: Probe) -> None:
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
 
 
 @dataclass(frozen=True)
@@ -319,7 +322,7 @@ def _group(probe: Probe) -> str:
     return f"hears {' and '.join(heard) or 'neither'} of the groups {GROUP:#x} and {OTHER_GROUP:#x}"
 
 
-def _member(dialect: Dialect, values: Mapping[str, int]) -> str:
+def _expected_group(dialect: Dialect, values: Mapping[str, int]) -> str:
     return f"hears {values['group_address']:#x} of the groups {GROUP:#x} and {OTHER_GROUP:#x}"
 
 
@@ -329,32 +332,54 @@ _ON, _OFF = (Verb.ENABLE, {"enabled": 1}), (Verb.ENABLE, {"enabled": 0})
 #: What a setting shows by, where it cannot be read.
 BY_VERB: Mapping[Verb, SettingEffect] = {
     Verb.SET_WORK_MODE: SettingEffect(
-        see=_can_be_enabled, values=({"work_mode": 5}, {"work_mode": 0}), expected=_who_controls, sends=(_ON,),
+        see=_can_be_enabled, values=({"work_mode": 5}, {"work_mode": 0}), expected=_controller, sends=(_ON,)
     ),
     Verb.SET_SUBDIVISION: SettingEffect(
-        see=_distance, ready=motion.ready_to_move, same=near, expected=_far, sends=(_MOVE,), moves=True,
+        see=_distance,
+        ready=motion.ready_to_move,
+        same=near,
+        expected=_expected_counts,
+        sends=(_MOVE,),
+        moves=True,
         values=tuple({"subdivision": n} for n in (32, 8, 1, 64, 128, 200)),
         words=lambda seen: f"{PULSES} pulses turn the shaft by {abs(seen)} counts",
     ),
     Verb.SET_RESPOND: SettingEffect(
-        see=_replies, ready=_plain_subdivision, expected=_told, sends=(_MOVE,), moves=True,
+        see=_statuses,
+        ready=_ready,
+        expected=_expected_statuses,
+        sends=(_MOVE,),
+        moves=True,
         values=tuple({"respond": r, "active": a} for r, a in ((1, 0), (0, 1), (0, 0), (1, 1))),
         words=lambda seen: f"a move is answered by {seen}",
     ),
     Verb.SET_HOME: SettingEffect(
-        see=homing, ready=_plain_subdivision, same=_same_homing, moves=True, sends=((Verb.HOME, {}), (Verb.EMERGENCY_STOP, {})),
+        see=homing,
+        ready=_ready,
+        same=_same_homing,
+        moves=True,
+        sends=((Verb.HOME, {}), (Verb.EMERGENCY_STOP, {})),
         values=(
             {"home_trigger": 0, "home_direction": 1, "home_speed": 90, "end_limit": 0},
             {"home_trigger": 1, "home_direction": 0, "home_speed": 180, "end_limit": 0},
         ),
     ),
     Verb.SET_GROUP_ADDRESS: SettingEffect(
-        see=_group, ready=motion.ready_to_move, expected=_member, moves=True, alone=True, sends=(_ON, _OFF),
+        see=_group,
+        ready=motion.ready_to_move,
+        expected=_expected_group,
+        moves=True,
+        alone=True,
+        sends=(_ON, _OFF),
         values=({"group_address": GROUP}, {"group_address": OTHER_GROUP}),
     ),
     Verb.ENABLE: SettingEffect(
-        see=_enabled, ready=motion.ready_to_move, moves=True, values=({"enabled": 0}, {"enabled": 1}),
-        expected=lambda dialect, values: values["enabled"], sends=(_ON, _OFF),
+        see=_enabled,
+        ready=motion.ready_to_move,
+        moves=True,
+        values=({"enabled": 0}, {"enabled": 1}),
+        expected=lambda dialect, values: values["enabled"],
+        sends=(_ON, _OFF),
         words=lambda seen: f"enabled reads {seen}",
     ),
-}  # fmt: skip
+}

@@ -16,7 +16,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, R
 from conformance.claim import Aspect, Theme
 from conformance.claims.declare import Case, claim
 from conformance.claims.known_quirks import known
-from conformance.motion import motion, moves
+from conformance.motion import motion
 from conformance.talk.acceptance import need_plain_replies
 from conformance.talk.probe import Probe
 
@@ -43,6 +43,8 @@ VARIANTS = {
         ("lk-off-clears-turns",),
     ),
 }
+#: Families of drives that have a model (`conformance.model.machine`).
+_MODELLED = ("mks", "lk")
 _ENABLING = (Verb.ENABLE, Verb.MOTOR_ON, Verb.MOTOR_OFF)
 _NOT_DRAWN = frozenset({Risk.LINK, Risk.POWER_ON, Risk.WEAR, Risk.MOTION})
 
@@ -59,9 +61,7 @@ def _draws(variant: str, command: Command) -> bool:
 
 
 def _variants(dialect: Dialect) -> Iterator[Case]:
-    if not moves.is_mks(dialect) and "move_increment_limited" not in dialect.by_name:
-        return
-    for name, variant in VARIANTS.items():
+    for name, variant in VARIANTS.items() if dialect.family in _MODELLED else ():
         about = [c for c in dialect.commands if _draws(name, c)]
         settings = [n for c in about if Risk.SETTING in c.all_risks for f in c.request_forms for n in f.layout.named]
         facts = {

@@ -1,7 +1,7 @@
 """The limits of fields and layouts as lists of integers: at them, beside them, and the bits that are to be 0.
 
     edges(field)             the limits, or every choice           beyond(field)        the nearest forbidden values
-    allowed(field)           stretches of allowed values           forbidden(field)     stretches of forbidden ones
+    allowed(field)           spans of allowed values               forbidden(field)     spans of forbidden ones
     reserved_masks(layout)   the reserved bits, as data            with_bits(layout, values, mask)
 
 Strategies (`conformance.model.strategies`) and claims are both made from these; nothing here draws anything.
@@ -41,7 +41,7 @@ def edges(field: Field, leeway: Leeway = NO_BOUNDS) -> tuple[int, ...]:
 def allowed(
     field: Field, leeway: Leeway = NO_BOUNDS, without: Sequence[Span] = (), command: Command | None = None
 ) -> list[Span]:
-    """Return the stretches of values that the manual, the bounds of `leeway` and `without` leave.
+    """Return the spans of values that the manual, the bounds of `leeway` and `without` leave.
 
     `command`: the one that has the field, where it matters what that does.
     """
@@ -58,7 +58,7 @@ def allowed(
 
 
 def forbidden(field: Field) -> list[Span]:
-    """Return the stretches of values that the manual forbids and the bits can hold."""
+    """Return the spans of values that the manual forbids and the bits can hold."""
     if field.kind is Kind.BYTES or field.kind is Kind.RESERVED or field.fixed is not None:
         return []
     result, at = [], field.wire_minimum
@@ -73,7 +73,7 @@ def forbidden(field: Field) -> list[Span]:
 
 def beyond(field: Field) -> tuple[int, ...]:
     """Return the forbidden values next to the limits and in the gaps between choices, and the last the bits can hold."""
-    ends = {end for stretch in forbidden(field) for end in stretch}
+    ends = {end for each in forbidden(field) for end in each}
     near = {v + step for low, high in allowed(field) for v in (low, high) for step in (-1, 1)}
     outermost = {field.wire_minimum, field.wire_maximum}
     return tuple(sorted(ends & (near | outermost)))

@@ -26,7 +26,7 @@ from analyzer.catalogue import Form, Verb
 from conformance.claim import Inconclusive
 from conformance.model import lk_parameters
 from conformance.model.lk_parameters import number_of, read_parameter
-from conformance.model.session import MOVING, SETTING, TORQUE, UNBOUNDED, Session, Values, step, up_to
+from conformance.model.session import MOVING, SETTING, TORQUE, UNBOUNDED, Session, step, up_to
 from conformance.motion import motion
 from conformance.motion.motion import MS
 from conformance.talk.acceptance import need_reliable_replies
@@ -50,80 +50,6 @@ def _moderate(form: Form, which: int) -> dict[str, int]:
     return {n: _KEPT_STRONG[n][which] if n in _KEPT_STRONG else v for n, v in values.items()}
 
 
-# --- what is drawn ----------------------------------------------------------------------------------------------------
-
-
-def _fastest(session: LkSession) -> int:
-    return min(FASTEST, int(session.leeway.bounds.speed or FASTEST))
-
-
-def _speed_limits(session: LkSession) -> SearchStrategy[int]:
-    return st.integers(min(SLOWEST, _fastest(session)) * RPM, min(FASTEST_MOVE, _fastest(session)) * RPM)
-
-
-def _distances(session: LkSession) -> SearchStrategy[int]:
-    return up_to(int(min(LONGEST, session.leeway.bounds.turns or LONGEST) * TURN))
-
-
-def _runs(session: LkSession) -> Values:
-    top, least = min(FASTEST_RUN, _fastest(session)) * RPM, SLOWEST * RPM // 2
-    return st.fixed_dictionaries({"speed": st.one_of(st.integers(least, top), st.integers(-top, -least))})
-
-
-def _increments(session: LkSession) -> Values:
-    return st.fixed_dictionaries({"position": _distances(session)})
-
-
-def _limited_increments(session: LkSession) -> Values:
-    return st.fixed_dictionaries({"position": _distances(session), "max_speed": _speed_limits(session)})
-
-
-def _limited_distances(session: LkSession) -> Values:
-    return st.fixed_dictionaries({"distance": _distances(session), "max_speed": _speed_limits(session)})
-
-
-def _angles(session: LkSession) -> Values:
-    now = (session.turned + (session.at or 0)) % TURN
-    angles = st.integers(TURN // 16, TURN - TURN // 16).map(lambda away: (now + away) % TURN)
-    return st.fixed_dictionaries({"direction": st.integers(0, 1), "angle": angles, "max_speed": _speed_limits(session)})
-
-
-def _positions(session: LkSession) -> Values:
-    return st.fixed_dictionaries({"position": st.integers(-10 * TURN, 10 * TURN)})
-
-
-def _parameters(session: LkSession) -> Values:
-    allowed = session.probe.rig.allowed
-    command = session.dialect.by_verb[Verb.WRITE_PARAMETER]
-    which = [
-        n
-        for n, form in enumerate(session.forms)
-        if command.risks({"parameter": number_of(form)}) <= allowed
-        and (session.probe.drive is not None or form.name.endswith(("_limit", "_ramp")))
-    ]
-    return st.fixed_dictionaries({"which": st.sampled_from(which), "values": st.integers(0, 1)})
-
-
-def _is_on(session: LkSession) -> bool:
-    return session.on
-
-
-def _stands(session: LkSession) -> bool:
-    return not session.running and session.at is not None
-
-
-def _stands_on(session: LkSession) -> bool:
-    return _stands(session) and session.on
-
-
-def _stands_unbounded(session: LkSession) -> bool:
-    return _stands(session) and session.leeway.bounds.speed is None
-
-
-def _has_parameters(session: LkSession) -> bool:
-    return bool(session.held)
-
-
 # --- the model --------------------------------------------------------------------------------------------------------
 
 
@@ -143,6 +69,53 @@ class LkSession(Session):
     }
     on: bool
     held: dict[int, dict[str, int]]
+
+    # --- what is drawn --------------------------------------------------------------------------------------------
+
+    @property
+    def stands(self) -> bool:
+        """Whether the shaft stands at a known position."""
+        return not self.running and self.at is not None
+
+    @property
+    def fastest(self) -> int:
+        """The highest speed that is drawn, rpm."""
+        return min(FASTEST, int(self.leeway.bounds.speed or FASTEST))
+
+    @property
+    def runs(self) -> SearchStrategy[int]:
+        """Speeds of runs, either way."""
+        top, least = min(FASTEST_RUN, self.fastest) * RPM, SLOWEST * RPM // 2
+        return st.one_of(st.integers(least, top), st.integers(-top, -least))
+
+    @property
+    def speed_limits(self) -> SearchStrategy[int]:
+        """Speed limits of moves."""
+        return st.integers(min(SLOWEST, self.fastest) * RPM, min(FASTEST_MOVE, self.fastest) * RPM)
+
+    @property
+    def distances(self) -> SearchStrategy[int]:
+        """Distances of moves, either way."""
+        return up_to(int(min(LONGEST, self.leeway.bounds.turns or LONGEST) * TURN))
+
+    @property
+    def angles(self) -> SearchStrategy[int]:
+        """Angles within the turn, none near that of the shaft."""
+        now = (self.turned + (self.at or 0)) % TURN
+        return st.integers(TURN // 16, TURN - TURN // 16).map(lambda away: (now + away) % TURN)
+
+    @property
+    def writable(self) -> SearchStrategy[int]:
+        """Parameters that may be written, by their place in the list."""
+        rig, drive = self.probe.rig, self.probe.drive
+        command = self.dialect.by_verb[Verb.WRITE_PARAMETER]
+        which = [
+            n
+            for n, form in enumerate(self.forms)
+            if command.risks({"parameter": number_of(form)}) <= rig.allowed
+            and (drive is not None or form.name.endswith(("_limit", "_ramp")))
+        ]
+        return st.sampled_from(which)
 
     # --- begin and end --------------------------------------------------------------------------------------------
 
@@ -211,7 +184,7 @@ class LkSession(Session):
             assert exchange.command is not None  # it was asked for
             self.expect("a reply", "silence", f"{exchange.command.name} is not answered", exchange=exchange)
 
-    @step(_parameters, possible=_has_parameters, risks=SETTING)
+    @step(lambda s: {"which": s.writable, "values": st.integers(0, 1)}, possible=lambda s: bool(s.held), risks=SETTING)
     def parameter_step(self, which: int, values: int) -> None:
         """Write a parameter, and read it and its neighbour; `look` reads all."""
         form = self.forms[which % len(self.forms)]
@@ -239,7 +212,7 @@ class LkSession(Session):
         self.on = False
         self._rest()
 
-    @step(possible=_is_on, risks=MOVING)
+    @step(possible=lambda s: s.on, risks=MOVING)
     def stop(self) -> None:
         """Stop and hold the shaft."""
         self._answered(self.probe.ask(Verb.STOP))
@@ -253,7 +226,7 @@ class LkSession(Session):
 
     # --- motion ---------------------------------------------------------------------------------------------------
 
-    @step(_runs, risks=UNBOUNDED)
+    @step(lambda s: {"speed": s.runs}, risks=UNBOUNDED)
     def run_speed(self, speed: int) -> None:
         """Run at a speed, and wait until that no longer changes."""
         self._answered(self.probe.ask(Verb.RUN_SPEED, {"speed": speed}))
@@ -276,24 +249,28 @@ class LkSession(Session):
         if self.on and start is not None:
             self.at = start + distance
 
-    @step(_increments, possible=_stands_unbounded, risks=MOVING)
+    @step(lambda s: {"position": s.distances}, possible=lambda s: s.stands and s.leeway.bounds.speed is None, risks=MOVING)
     def move_increment(self, position: int) -> None:
         """Move by a distance."""
         self._move("move_increment", {"position": position}, position)
 
-    @step(_limited_increments, possible=_stands, risks=MOVING)
+    @step(lambda s: {"position": s.distances, "max_speed": s.speed_limits}, possible=lambda s: s.stands, risks=MOVING)
     def move_increment_limited(self, position: int, max_speed: int) -> None:
         """Move by a distance, no faster than a limit."""
         self._move("move_increment_limited", {"position": position, "max_speed": max_speed}, position)
 
-    @step(_limited_distances, possible=_stands, risks=MOVING)
+    @step(lambda s: {"distance": s.distances, "max_speed": s.speed_limits}, possible=lambda s: s.stands, risks=MOVING)
     def move_multi_turn_limited(self, distance: int, max_speed: int) -> None:
         """Move to a position, no faster than a limit."""
         target = (self.at or 0) + distance
         self.probe.gate.note_position(motion.position(self.probe).value, self.probe.address)
         self._move("move_multi_turn_limited", {"position": target, "max_speed": max_speed}, distance)
 
-    @step(_angles, possible=_stands, risks=MOVING)
+    @step(
+        lambda s: {"direction": st.integers(0, 1), "angle": s.angles, "max_speed": s.speed_limits},
+        possible=lambda s: s.stands,
+        risks=MOVING,
+    )
     def move_single_turn_limited(self, direction: int, angle: int, max_speed: int) -> None:
         """Move to an angle within the turn, no faster than a limit."""
         now = (self.turned + (self.at or 0)) % TURN
@@ -302,13 +279,13 @@ class LkSession(Session):
 
     # --- positions, brake, looking --------------------------------------------------------------------------------
 
-    @step(_positions, possible=_stands, risks=SETTING)
+    @step(lambda s: {"position": st.integers(-10 * TURN, 10 * TURN)}, possible=lambda s: s.stands, risks=SETTING)
     def set_position(self, position: int) -> None:
         """Give the place of the shaft a position."""
         self._answered(self.probe.ask("set_position", {"position": position}))
         self._renamed(position)
 
-    @step(possible=_stands, risks=SETTING)
+    @step(possible=lambda s: s.stands, risks=SETTING)
     def clear_turns(self) -> None:
         """Clear the counted turns; less than a turn is left."""
         self._answered(self.probe.ask(Verb.CLEAR_TURNS))
@@ -316,7 +293,7 @@ class LkSession(Session):
         self.expect("less than a turn", now, "the position after 0x93", holds=abs(now) <= TURN + PLAY)
         self._renamed(now)
 
-    @step(possible=_stands_on, risks=TORQUE)
+    @step(possible=lambda s: s.stands and s.on, risks=TORQUE)
     def brake(self) -> None:
         """Hold the standing shaft by the brake, and release it."""
         command = self.dialect.by_verb[Verb.BRAKE]

@@ -31,7 +31,6 @@ from conformance.claim import Inconclusive, NotRun, Refuted
 from conformance.model.lk import LkSession
 from conformance.model.mks import MksSession
 from conformance.model.session import Session, Step, StepKind
-from conformance.motion import moves
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
@@ -43,13 +42,13 @@ REAL_EXAMPLES, REAL_STEPS = 2, 10
 SHORTER = 60
 
 
+#: The kind of session of each family of drives.
+_SESSIONS: Mapping[str, type[Session]] = {"mks": MksSession, "lk": LkSession}
+
+
 def session_of(dialect: Dialect) -> type[Session]:
     """Return the kind of session that a dialect's drives have. Raises KeyError where there is none."""
-    if moves.is_mks(dialect):
-        return MksSession
-    if "move_increment_limited" in dialect.by_name:
-        return LkSession
-    raise KeyError(f"{dialect.name} has no model")
+    return _SESSIONS[dialect.family]
 
 
 def variants(dialect: Dialect) -> Mapping[str, tuple[str, ...]]:
@@ -107,7 +106,7 @@ def _rule(kind: StepKind, recorder: Recorder) -> Any:
                 recorder.failure, recorder.failed = error, list(self.session.steps)
             raise
 
-    drawn = runner().flatmap(lambda self: kind.draw(self.session))
+    drawn = runner().flatmap(lambda self: kind.values(self.session))
     return precondition(lambda self: kind.possible(self.session))(rule(values=drawn)(act))
 
 

@@ -27,12 +27,12 @@ from typing import Any, ClassVar
 from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
-from analyzer.catalogue import Command, Risk, Verb
+from analyzer.catalogue import Command, MotionKind, Risk, Verb
 from analyzer.layout import Effect
 from conformance.model import limits, strategies
 from conformance.model.session import MOVING, SETTING, TORQUE, UNBOUNDED, Session, Values, step, up_to
 from conformance.motion import motion as moving
-from conformance.motion import moves, ramp
+from conformance.motion import ramp
 from conformance.motion.motion import MS
 from conformance.talk import samples, settings
 from conformance.talk.acceptance import Acceptance, acceptance, can_refuse, need_reliable_replies, without_repeats
@@ -129,58 +129,15 @@ def _strays(session: MksSession) -> Values:
     return st.one_of(drawn).map(lambda pair: {"command": pair[0], **pair[1].values})
 
 
-def _user_ids(session: MksSession) -> Values:
-    return st.fixed_dictionaries({"user_id": st.integers(0, 0xFFFFFFFF)})
-
-
-def _paces(session: MksSession) -> dict[str, SearchStrategy[int]]:
-    """Return strategies of speed and acceleration within the bounds."""
-    bounds = session.leeway.bounds
-    fastest = min(FASTEST, int(bounds.speed or FASTEST))
-    steepest = min(STEEPEST, int(bounds.acceleration or STEEPEST))
-    slowest, gentlest = min(SLOWEST, fastest), min(GENTLEST, steepest)
-    return {"speed": st.integers(slowest, fastest), "acceleration": st.integers(gentlest, steepest)}
-
-
-def _runs(session: MksSession) -> Values:
-    return st.fixed_dictionaries({"direction": st.integers(0, 1), **_paces(session)})
-
-
-def _moves(unit: str) -> Callable[[MksSession], Values]:
-    def draw(session: MksSession) -> Values:
+def _move_by(unit: str) -> Callable[[MksSession], Mapping[str, SearchStrategy[int]]]:
+    def draw(session: MksSession) -> Mapping[str, SearchStrategy[int]]:
         longest = min(LONGEST, session.leeway.bounds.turns or LONGEST)
         # At the subdivision of the suite; the same pulses go less far at finer ones.
-        per_turn = session.dialect.counts_per_turn if unit == "counts" else moves.STEPS_PER_TURN * moves.SUBDIVISION
-        return st.fixed_dictionaries({unit: up_to(int(longest * per_turn)), **_paces(session)})
+        command = session.dialect.by_verb[Verb.MOVE_RELATIVE_AXIS if unit == "counts" else Verb.MOVE_RELATIVE_PULSES]
+        per_turn = moving.units_per_turn(session.dialect, command)
+        return {unit: up_to(int(longest * per_turn)), **session.paces}
 
     return draw
-
-
-def _enables(session: MksSession) -> Values:
-    lets_go = Risk.TORQUE in session.probe.rig.allowed
-    # To a motor that may be enabled already, letting go is what changes something.
-    return st.fixed_dictionaries({"enabled": st.sampled_from(([0, 1] if session.enabled else [1, 0]) if lets_go else [1])})
-
-
-def _stops(session: MksSession) -> Values:
-    motions = st.integers(0, len(moves.STOP_OF) - 1)
-    return st.fixed_dictionaries({"motion": motions, "acceleration": _paces(session)["acceleration"]})
-
-
-def _stands(session: MksSession) -> bool:
-    return not session.running
-
-
-def _by_bus(session: MksSession) -> bool:
-    return session.by_bus
-
-
-def _can_stop(session: MksSession) -> bool:
-    return not session.by_bus or session.enabled is True
-
-
-def _has_user_id(session: MksSession) -> bool:
-    return Verb.WRITE_USER_ID in session.dialect.by_verb
 
 
 # --- the model --------------------------------------------------------------------------------------------------------
@@ -208,6 +165,34 @@ class MksSession(Session):
     enabled: bool | None
     held: dict[str, int]
 
+    # --- what is drawn --------------------------------------------------------------------------------------------
+
+    @property
+    def stands(self) -> bool:
+        """Whether the shaft stands."""
+        return not self.running
+
+    @property
+    def paces(self) -> dict[str, SearchStrategy[int]]:
+        """Speed and acceleration within the bounds."""
+        bounds = self.leeway.bounds
+        fastest = min(FASTEST, int(bounds.speed or FASTEST))
+        steepest = min(STEEPEST, int(bounds.acceleration or STEEPEST))
+        slowest, gentlest = min(SLOWEST, fastest), min(GENTLEST, steepest)
+        return {"speed": st.integers(slowest, fastest), "acceleration": st.integers(gentlest, steepest)}
+
+    @property
+    def stops(self) -> tuple[Command, ...]:
+        """The stops by a ramp."""
+        return tuple(c for c in self.dialect.motions(MotionKind.STOP) if moving.of(c).acceleration)
+
+    @property
+    def enables(self) -> SearchStrategy[int]:
+        """To enable or to let go. To a motor that may be enabled already, letting go is what changes something."""
+        if Risk.TORQUE not in self.probe.rig.allowed:
+            return st.just(1)
+        return st.sampled_from([0, 1] if self.enabled else [1, 0])
+
     # --- begin and end --------------------------------------------------------------------------------------------
 
     def begin(self) -> None:
@@ -218,8 +203,8 @@ class MksSession(Session):
         self.mode = moving.bus_modes(self.dialect)[-1]
         moving.set_mode(probe, self.mode)
         probe.do(Verb.ENABLE, {"enabled": 1})
-        self.held = {"subdivision": moves.SUBDIVISION, "motor_direction": 0}
-        probe.do(Verb.SET_SUBDIVISION, {"subdivision": moves.SUBDIVISION})
+        self.held = {"subdivision": moving.SUBDIVISION, "motor_direction": 0}
+        probe.do(Verb.SET_SUBDIVISION, {"subdivision": moving.SUBDIVISION})
         probe.do(Verb.SET_DIRECTION, {"motor_direction": 0})
         if Verb.SET_RESPOND in verbs:
             probe.do(Verb.SET_RESPOND, {"respond": 1, "active": 1})
@@ -281,7 +266,7 @@ class MksSession(Session):
     # --- settings -------------------------------------------------------------------------------------------------
 
     @step(_settings, risks=SETTING, name="setting")
-    @step(_telling, possible=_stands, risks=SETTING, name="telling")
+    @step(_telling, possible=lambda s: s.stands, risks=SETTING, name="telling")
     @step(_strays, risks=SETTING, name="stray")
     def set_values(self, command: int, **values: int) -> None:
         """Set values, allowed or not; the drive does it or refuses, and what can be read reads as it should."""
@@ -314,7 +299,11 @@ class MksSession(Session):
         elif command.verb is Verb.SET_DIRECTION:
             self.ways = {}
 
-    @step(_user_ids, possible=_has_user_id, risks=SETTING)
+    @step(
+        lambda s: {"user_id": st.integers(0, 0xFFFFFFFF)},
+        possible=lambda s: Verb.WRITE_USER_ID in s.dialect.by_verb,
+        risks=SETTING,
+    )
     def user_id(self, user_id: int) -> None:
         """Write the user's number, and read it."""
         self.probe.do(Verb.WRITE_USER_ID, {"user_id": user_id})
@@ -332,7 +321,7 @@ class MksSession(Session):
 
     # --- enabling and stopping ------------------------------------------------------------------------------------
 
-    @step(_enables, risks=MOVING)
+    @step(lambda s: {"enabled": s.enables}, risks=MOVING)
     def enable(self, enabled: int) -> None:
         """Enable the motor, or let the shaft go."""
         exchange = self.probe.ask(Verb.ENABLE, {"enabled": enabled})
@@ -343,16 +332,20 @@ class MksSession(Session):
                 self._rest()
                 self.at = None
 
-    @step(possible=_by_bus, risks=MOVING)
+    @step(possible=lambda s: s.by_bus, risks=MOVING)
     def emergency_stop(self) -> None:
         """Stop at once."""
         self._expect_answer(self.probe.ask(Verb.EMERGENCY_STOP), Acceptance.DONE, "emergency_stop")
         self._rest()
 
-    @step(_stops, possible=_can_stop, risks=MOVING)
+    @step(
+        lambda s: {"motion": st.integers(0, len(s.stops) - 1), "acceleration": s.paces["acceleration"]},
+        possible=lambda s: not s.by_bus or s.enabled is True,
+        risks=MOVING,
+    )
     def stop(self, motion: int, acceleration: int) -> None:
         """Stop by the stop of one of the motions."""
-        verb = list(moves.STOP_OF.values())[motion]
+        verb = self.stops[motion].verb
         self._expect_told(self._begin(verb, {"acceleration": acceleration}), self.ready, verb.value)
         self._rest()
 
@@ -369,7 +362,7 @@ class MksSession(Session):
     def _begin(self, verb: Verb, values: Mapping[str, Any], counts: int = 0) -> Exchange:
         """Ask for a motion and listen until it has said all that it will; `counts`: how far it goes."""
         respond, active = self.held.get("respond", 1), self.held.get("active", 1)
-        tells = moves.tells(self.dialect) and verb is not Verb.RUN_SPEED
+        tells = moving.of(self.dialect.by_verb[verb]).tells_end
         lasts_ns = 0.0
         if counts:
             turns = counts / self.dialect.counts_per_turn
@@ -391,7 +384,7 @@ class MksSession(Session):
         expected: list[int] = []
         if not respond:
             seen = exchange.status()
-        elif command.replies.interim and moves.tells(self.dialect):
+        elif moving.of(command).tells_end:
             expected = ([1, 2] if active else [1]) if ready else [0]
             seen = without_repeats(exchange.status())
             # Real drives were seen to answer late while they move, even behind the end of it.
@@ -406,7 +399,7 @@ class MksSession(Session):
             need_reliable_replies(self.probe, quiet_ns=0)
         self.expect(_statuses(expected), _statuses(seen), f"{what} is answered {_statuses(seen)}", exchange=exchange)
 
-    @step(_runs, risks=UNBOUNDED)
+    @step(lambda s: {"direction": st.integers(0, 1), **s.paces}, risks=UNBOUNDED)
     def run_speed(self, direction: int, speed: int, acceleration: int) -> None:
         """Run at a speed; the first run shows which way a direction means."""
         ready = self.ready
@@ -425,7 +418,10 @@ class MksSession(Session):
 
     def _shaft_rpm(self, speed: int) -> float:
         highest = self.dialect.mode_speeds.get(self.mode, 3000)
-        return moves.shaft_rpm(self.dialect, min(speed, highest), self.held["subdivision"])
+        rule, subdivision = self.dialect.subdivision, self.held["subdivision"]
+        assert rule is not None  # every MKS drive has one
+        sent = min(speed, highest)
+        return sent if subdivision in rule.plain else sent * rule.counted_at / (subdivision or rule.largest)
 
     def _way(self, name: str, direction: int, seen: int) -> int:
         """Return which way a direction means; learnt from the first motion, the other direction is the opposite."""
@@ -433,13 +429,13 @@ class MksSession(Session):
             self.ways[name, direction], self.ways[name, 1 - direction] = seen, -seen
         return self.ways[name, direction]
 
-    @step(_moves("pulses"), possible=_stands, risks=MOVING)
+    @step(_move_by("pulses"), possible=lambda s: s.stands, risks=MOVING)
     def move_relative_pulses(self, pulses: int, speed: int, acceleration: int) -> None:
         """Move by pulses."""
         values = {"direction": int(pulses < 0), "pulses": abs(pulses), "speed": speed, "acceleration": acceleration}
         self._move_pulses(Verb.MOVE_RELATIVE_PULSES, values, pulses)
 
-    @step(_moves("pulses"), possible=_stands, risks=MOVING)
+    @step(_move_by("pulses"), possible=lambda s: s.stands, risks=MOVING)
     def move_absolute_pulses(self, pulses: int, speed: int, acceleration: int) -> None:
         """Move to a place counted in pulses."""
         start = self.probe.read(Verb.READ_PULSES)
@@ -447,13 +443,13 @@ class MksSession(Session):
         values = {"position": start + pulses, "speed": speed, "acceleration": acceleration}
         self._move_pulses(Verb.MOVE_ABSOLUTE_PULSES, values, pulses)
 
-    @step(_moves("counts"), possible=_stands, risks=MOVING)
+    @step(_move_by("counts"), possible=lambda s: s.stands, risks=MOVING)
     def move_relative_axis(self, counts: int, speed: int, acceleration: int) -> None:
         """Move by counts of the encoder."""
         values = {"position": counts, "speed": speed, "acceleration": acceleration}
         self._move(Verb.MOVE_RELATIVE_AXIS, values, counts)
 
-    @step(_moves("counts"), possible=_stands, risks=MOVING)
+    @step(_move_by("counts"), possible=lambda s: s.stands, risks=MOVING)
     def move_absolute_axis(self, counts: int, speed: int, acceleration: int) -> None:
         """Move to a place counted by the encoder."""
         start = self._start()
@@ -470,7 +466,7 @@ class MksSession(Session):
         return self.probe.read(Verb.READ_POSITION) if self.at is None else self.at
 
     def _move_pulses(self, verb: Verb, values: Mapping[str, int], pulses: int) -> None:
-        counts = moves.pulse_counts(self.dialect, abs(pulses), self.held["subdivision"])
+        counts = moving.counts_of(self.dialect, self.dialect.by_verb[verb], abs(pulses), self.held["subdivision"])
         self._move(verb, values, counts, int(pulses < 0))
 
     def _move(self, verb: Verb, values: Mapping[str, int], counts: int, direction: int | None = None) -> None:
@@ -491,7 +487,7 @@ class MksSession(Session):
 
     # --- looking --------------------------------------------------------------------------------------------------
 
-    @step(possible=_stands, risks=SETTING)
+    @step(possible=lambda s: s.stands, risks=SETTING)
     def set_zero(self) -> None:
         """Make this place zero."""
         self._expect_answer(self.probe.ask(Verb.SET_ZERO), Acceptance.DONE, "set_zero")

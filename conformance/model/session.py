@@ -70,35 +70,34 @@ def parse_steps(text: str) -> list[Step]:
 # --- kinds of steps ---------------------------------------------------------------------------------------------------
 
 Values = SearchStrategy[dict[str, int]]
+#: By the session: a strategy of each value, or of all together.
+Draw = Callable[[Any], Values | Mapping[str, SearchStrategy[int]]]
 _Act = TypeVar("_Act", bound=Callable[..., None])
 
 
 @dataclass(frozen=True)
 class StepKind:
-    """A kind of step: what does it, the strategy of its values, and whether it can be judged now, both by the session.
+    """A kind of step: what does it, how its values are drawn, and whether it can be judged now, by the session.
 
     `risks`: of what it sends, beside reads.
     """
 
     name: str
     act: Callable[..., None]
-    draw: Callable[[Any], Values]
+    draw: Draw
     possible: Callable[[Any], bool]
     risks: frozenset[Risk]
 
-
-def _no_values(session: Session) -> Values:
-    return st.just({})
-
-
-def _always(session: Session) -> bool:
-    return True
+    def values(self, session: Session) -> Values:
+        """Return the strategy of the values."""
+        drawn = self.draw(session)
+        return drawn if isinstance(drawn, SearchStrategy) else st.fixed_dictionaries(dict(drawn))
 
 
 def step(
-    draw: Callable[[Any], Values] = _no_values,
+    draw: Draw = lambda session: st.just({}),
     *,
-    possible: Callable[[Any], bool] = _always,
+    possible: Callable[[Any], bool] = lambda session: True,
     risks: frozenset[Risk] = frozenset(),
     name: str = "",
 ) -> Callable[[_Act], _Act]:

@@ -140,14 +140,14 @@ def request(
     closed = [rule for rule in command.risk if not rule.risks <= {*risks, Risk.READ}]
     if open_ended or any(not rule.field for rule in closed) or never_within(command, form, leeway.bounds):
         return None
-    taken = _taken(command, form)
+    reserved = _values_of_other_forms(command, form)
     drawn: dict[str, SearchStrategy[Any]] = {}
     for name, field in form.layout.named.items():
         without = [(rule.low, rule.high) for rule in closed if rule.field == name]
         runs = command.motion is not None and command.motion.kind is MotionKind.RUN and name == command.motion.speed
         if runs and leeway.bounds.turns is not None:
-            without.append((0, 0))  # a run that does not turn: to the gate a run whose end nobody can tell
-        left = allowed(field, leeway, [*without, *((v, v) for v in taken.get(name, ()))], command)
+            without.append((0, 0))  # a run that does not turn: to the gate, one whose end is not known
+        left = allowed(field, leeway, [*without, *((v, v) for v in reserved.get(name, ()))], command)
         if not left:
             return None
         drawn[name] = _from(left, field)
@@ -179,21 +179,21 @@ def packages(
     return st.builds(packed, places, st.lists(slot, min_size=count, max_size=count))
 
 
-def _taken(command: Command, form: Form) -> dict[str, set[int]]:
+def _values_of_other_forms(command: Command, form: Form) -> dict[str, set[int]]:
     """Return the values by which earlier forms of a command are known: with these the data would be one of them."""
-    taken: dict[str, set[int]] = {}
+    found: dict[str, set[int]] = {}
     for other in command.request_forms:
         if other is form:
             break
         for name, field in other.layout.named.items():
             mine = form.layout.named.get(name)
             if field.fixed is not None and mine is not None and mine.fixed is None:
-                taken.setdefault(name, set()).add(field.fixed)
-    return taken
+                found.setdefault(name, set()).add(field.fixed)
+    return found
 
 
 def _from(spans: Sequence[Span], field: Field) -> SearchStrategy[Any]:
-    """Draw from stretches of values, their ends more often than what is between."""
+    """Draw from spans of values, their ends more often than values between."""
     if field.kind is Kind.BYTES:
         return st.binary(max_size=_LONGEST)
     if not spans:
@@ -214,9 +214,13 @@ def drawn(strategy: SearchStrategy[_Drawn], count: int, start: int = 0) -> list[
 
     @seed(start)
     @settings(
-        max_examples=2 * count, phases=(Phase.generate,), database=None, deadline=None, derandomize=False,
+        max_examples=2 * count,
+        phases=(Phase.generate,),
+        database=None,
+        deadline=None,
+        derandomize=False,
         suppress_health_check=list(HealthCheck),
-    )  # fmt: skip
+    )
     @given(strategy)
     def keep(value: _Drawn) -> None:
         if len(found) < count:

@@ -365,6 +365,12 @@ def units_per_turn(dialect: Dialect, command: Command, subdivision: int = SUBDIV
     return dialect.counts_per_turn if field.unit == "counts" else field.wire(360)
 
 
+def counts_of(dialect: Dialect, command: Command, units: int, subdivision: int) -> int:
+    """Return the encoder counts of a move's units at a subdivision as sent, which is 0 for the largest."""
+    largest = dialect.subdivision.largest if dialect.subdivision is not None else 0
+    return round(units * dialect.counts_per_turn / units_per_turn(dialect, command, subdivision or largest))
+
+
 def speed_as_sent(dialect: Dialect, field: Field, rpm: float, subdivision: int = SUBDIVISION) -> int:
     """Return the speed to send so that the shaft turns at `rpm`."""
     law = dialect.subdivision

@@ -81,20 +81,6 @@ def units_per_turn(command: Command, subdivision: int = SUBDIVISION) -> int:
     return STEPS_PER_TURN * subdivision if by_pulses(command) else COUNTS_PER_TURN
 
 
-def pulse_counts(dialect: Dialect, pulses: int, subdivision: int) -> int:
-    """Return the encoder counts of pulses at a subdivision as sent, without a sign."""
-    rule = dialect.subdivision
-    assert rule is not None  # asked of drives that count pulses
-    return round(pulses * dialect.counts_per_turn / (rule.full_steps * (subdivision or rule.largest)))
-
-
-def shaft_rpm(dialect: Dialect, speed: float, subdivision: int) -> float:
-    """Return how fast the shaft turns for a speed at a subdivision, both as sent."""
-    rule = dialect.subdivision
-    assert rule is not None  # asked of drives that count pulses
-    return speed if subdivision in rule.plain else speed * rule.counted_at / (subdivision or rule.largest)
-
-
 def widest(command: Command) -> int:
     """Return the largest speed that the bits of a run or move can hold."""
     return command.request_forms[0].layout.named["speed"].wire_maximum

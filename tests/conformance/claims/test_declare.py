@@ -96,3 +96,25 @@ def test_expect_passes_what_holds():
 def test_expect_needs_a_condition():
     with pytest.raises(ValueError, match="condition"):
         _probe().expect(1, refutes="x")
+
+
+FIRST: list[str] = []
+
+
+def _first(probe: Probe) -> None:
+    FIRST.append(probe.claim.id)
+
+
+def test_what_comes_first_is_called_before_each_check():
+    calls: list[str] = []
+
+    def _check(probe: Probe) -> None:
+        """It holds."""
+        calls.append(f"{len(FIRST)} before")
+
+    _check.__module__ = "declared.first"
+    claim(Theme.STATE, refuted_by="x", first=_first)(_check)
+    FIRST.clear()
+    (made,) = declared_in("declared.first", MKS)
+    made.check(_probe())
+    assert calls == ["1 before"]
