@@ -12,5 +12,5 @@ HELP: dict[str, str] = {
     "check": "recordings against the manual, by their traffic alone",
     "test": "drives, real or emulated, against their manual",
     "rerun": "the claim of a stored failure again: fixed, failing or flaky",
-    "restore": "put back what a broken-off run changed, from its journal",
+    "restore": "put back the settings that an interrupted run changed, from its journal",
 }

@@ -28,7 +28,7 @@ from conformance.tools.replay import DEVIATIONS, Match, Rehearsal, Replay, Resul
 from conformance.tools.replay_plan import Plan, Step, make_plan
 
 EXAMPLES = """\
-exit status: 0 answered as then, 1 otherwise (or something may still move), 2 wrong use or not allowed.
+exit status: 0 answered as in the recording, 1 otherwise (or something may still move), 2 wrong use or not allowed.
 
 examples:
   servotap replay week.mcap --on serial:/dev/ttyUSB0,baud=38400 --dry-run
@@ -69,7 +69,7 @@ def _loops(text: str) -> int:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Replay; return 0 if the drives answered as they did then."""
+    """Replay; return 0 if the drives answered as in the recording."""
     endpoint = None if arguments.dry_run else endpoint_of(arguments)
     addresses = None if arguments.address is None else frozenset(parse_addresses(arguments.address))
     allowance = allowance_from(arguments, addresses=addresses)
@@ -79,12 +79,12 @@ def run(arguments: argparse.Namespace) -> int:
             plan = make_plan(reading, reading.pipeline, bus=arguments.bus, addresses=addresses)
         _check(plan, arguments)
         if endpoint is None:
-            rehearsal = _rehearse(Judge(allowance, _every(reading)).rehearsal(), plan, arguments)
+            rehearsal = _rehearse(Judge(allowance, _known_dialects(reading)).rehearsal(), plan, arguments)
             _show_plan(plan, rehearsal, reading, arguments)
             return 2 if rehearsal.refused and not arguments.skip_refused else 0
         if endpoint.bus_kind != plan.steps[0].dialect.bus:
             raise UsageError(f"{reading.source.name} is of a {plan.steps[0].dialect.bus} bus, {endpoint.text} is another kind")
-        with gate_to(endpoint, allowance, _every(reading)) as gate:
+        with gate_to(endpoint, allowance, _known_dialects(reading)) as gate:
             _read_drive_states(gate, plan)
             rehearsal = _rehearse(gate.rehearsal(), plan, arguments)
             if rehearsal.refused and not arguments.skip_refused:
@@ -111,7 +111,7 @@ def _check(plan: Plan, arguments: argparse.Namespace) -> None:
         raise UsageError(f"{arguments.file} has no request to send{f' ({left})' if left else ''}")
 
 
-def _every(reading: Reading) -> list[Dialect]:
+def _known_dialects(reading: Reading) -> list[Dialect]:
     """Return all dialects; those of the recording as its model speaks them."""
     from analyzer import dialects as registry
 
@@ -120,7 +120,7 @@ def _every(reading: Reading) -> list[Dialect]:
 
 
 def _read_drive_states(gate: Gate, plan: Plan) -> None:
-    """Ask each drive that is to move what the gate has to know for its bounds."""
+    """Read from each drive that is to move what the gate has to know for its bounds."""
     drives = {(s.dialect.name, s.address): s.dialect for s in plan.steps if s.message.command and s.message.command.moves}
     if not drives or not gate.allowance.bounds.given:
         return

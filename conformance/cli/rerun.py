@@ -1,4 +1,4 @@
-"""Run the claim of a stored failure again, and say whether it is fixed, failing, or flaky.
+"""Run the claim of a stored failure again, and report whether it is fixed, failing, or flaky.
 
 The file is one that `servotap test --failures FOLDER` wrote. Exit status: 0 fixed, 1 failing or flaky, 10 a fault of the rig.
 """

@@ -1,7 +1,7 @@
 """Send one frame to a drive, through the gate, and show the reply decoded.
 
-Reads are sent as they are; anything else needs --allow with every risk it has. Bytes are judged as they leave: whatever
-could be read in them has to be allowed. Values are written as for 'servotap frame'.
+Reads are sent as they are; anything else needs --allow with every risk it has. Bytes are judged as they leave: all that
+can be read in them has to be allowed. Values are written as for 'servotap frame'.
 """
 
 from __future__ import annotations
@@ -76,30 +76,30 @@ def _milliseconds(text: str) -> float:
 
 def run(arguments: argparse.Namespace) -> int:
     """Send; return 0 if it was answered well, 1 if not."""
-    given = _hex(arguments) if arguments.hex is not None else _command(arguments)
-    allowance = allowance_from(arguments, addresses=given.addresses)
+    request = _hex(arguments) if arguments.hex is not None else _command(arguments)
+    allowance = allowance_from(arguments, addresses=request.addresses)
     if arguments.dry_run:
-        return _dry_run(given, allowance, arguments)
+        return _dry_run(request, allowance, arguments)
     endpoint = endpoint_of(arguments)
-    if endpoint.bus_kind != ("can" if isinstance(given.item, CanFrame) else "serial"):
-        raise UsageError(f"{shown(given.item)} is a frame of another kind of bus than {endpoint.text}")
-    # What cannot be allowed is said before a port is opened; what depends on where the drive is, after it was asked.
-    _first_look(given, allowance, _every(arguments))
-    with gate_to(endpoint, allowance, _every(arguments)) as gate:
-        dialogue = Dialogue(gate, given.dialects)
-        if given.dialect is not None and given.address is not None and given.acts:
-            read_drive_state(dialogue, given.dialect, given.address)
-        exchange = _ask(dialogue, given, arguments)
+    if endpoint.bus_kind != ("can" if isinstance(request.item, CanFrame) else "serial"):
+        raise UsageError(f"{shown(request.item)} is a frame of another kind of bus than {endpoint.text}")
+    # Risks that are not allowed are refused before a port is opened. Bounds may depend on where the drive is: they come later.
+    _check_risks(request, allowance, _known_dialects(arguments))
+    with gate_to(endpoint, allowance, _known_dialects(arguments)) as gate:
+        dialogue = Dialogue(gate, request.dialects)
+        if request.dialect is not None and request.address is not None and request.acts:
+            read_drive_state(dialogue, request.dialect, request.address)
+        exchange = _ask(dialogue, request, arguments)
         echoes = getattr(gate.line, "echo", None)
     if arguments.json:
-        print(json.dumps(_object(given, exchange)))
+        print(json.dumps(_object(request, exchange)))
     else:
-        _show(given, exchange, bool(echoes and echoes.dropped))
-    return 0 if _well(given, exchange, arguments.wait) else 1
+        _show(request, exchange, bool(echoes and echoes.dropped))
+    return 0 if _succeeded(request, exchange, arguments.wait) else 1
 
 
-class _Given:
-    """What is to be sent. `addresses` None: whichever they are; `dialect` and `command` None: bytes as they are."""
+class _Request:
+    """What is to be sent. `addresses` None: any; `dialect` and `command` None: bytes as they are."""
 
     def __init__(
         self,
@@ -121,7 +121,7 @@ class _Given:
         self.answered = command is None or (bool(command.reply_forms) and not many and command.slots is None)
 
 
-def _command(arguments: argparse.Namespace) -> _Given:
+def _command(arguments: argparse.Namespace) -> _Request:
     if arguments.target is None or arguments.command is None:
         raise UsageError('what? expected DIALECT@ADDRESS COMMAND FIELD=VALUE..., or --hex "FA 01 31 2C"')
     dialect, address = parse_target(arguments.target, arguments.model)
@@ -131,10 +131,10 @@ def _command(arguments: argparse.Namespace) -> _Given:
     if built.refusals and not arguments.force:
         raise UsageError("; ".join(built.refusals))
     others = [d for d in registry.every() if d.bus == dialect.bus and d.name != dialect.name]
-    return _Given(built.item(), [dialect, *others], frozenset({address}), command, address)
+    return _Request(built.item(), [dialect, *others], frozenset({address}), command, address)
 
 
-def _hex(arguments: argparse.Namespace) -> _Given:
+def _hex(arguments: argparse.Namespace) -> _Request:
     if arguments.target is not None:
         raise UsageError(f"--hex: expected the bytes alone, got {arguments.target} beside them")
     frame = read_frame(arguments.hex)
@@ -147,30 +147,30 @@ def _hex(arguments: argparse.Namespace) -> _Given:
     item: Item = data if can_id is None else CanFrame(None, "host", can_id, data)
     kind = "serial" if can_id is None else "can"
     dialects = registry.for_model([d for d in registry.every() if d.bus == kind], arguments.model)
-    return _Given(item, dialects, None)
+    return _Request(item, dialects, None)
 
 
-def _every(arguments: argparse.Namespace) -> list[Dialect]:
+def _known_dialects(arguments: argparse.Namespace) -> list[Dialect]:
     """Return all dialects, those that know the model as it speaks them: some units are known only so."""
     return registry.for_model(registry.every(), arguments.model)
 
 
-def _first_look(given: _Given, allowance: Allowance, dialects: Sequence[Dialect]) -> None:
-    """Raise Refused for what no drive's answer could make allowed."""
-    found = Judge(replace(allowance, turns=None, speed=None), dialects).objections(given.item)
+def _check_risks(request: _Request, allowance: Allowance, dialects: Sequence[Dialect]) -> None:
+    """Raise Refused for what is not allowed whatever the drive answers."""
+    found = Judge(replace(allowance, turns=None, speed=None), dialects).objections(request.item)
     if found:
-        raise Refused(given.item, found)
+        raise Refused(request.item, found)
 
 
-def _dry_run(given: _Given, allowance: Allowance, arguments: argparse.Namespace) -> int:
-    judge = Judge(replace(allowance, budget=allowance.budget.rehearsal()), _every(arguments))
-    readings, objections = judge.interpret(given.item), judge.objections(given.item)
+def _dry_run(request: _Request, allowance: Allowance, arguments: argparse.Namespace) -> int:
+    judge = Judge(replace(allowance, budget=allowance.budget.rehearsal()), _known_dialects(arguments))
+    readings, objections = judge.interpret(request.item), judge.objections(request.item)
     if arguments.json:
         listed = [{"reading": str(r), "risk": sorted(r.risks)} for r in readings]
         refused = [{"reading": str(o.interpretation), "reasons": list(o.reasons), "hint": o.hint} for o in objections]
-        print(json.dumps({"sent": shown(given.item), "readings": listed, "refused": refused}))
+        print(json.dumps({"sent": shown(request.item), "readings": listed, "refused": refused}))
     else:
-        print(shown(given.item))
+        print(shown(request.item))
         for reading in readings:
             print(f"  {reading}: {', '.join(sorted(reading.risks))}")
         for objection in objections:
@@ -180,23 +180,23 @@ def _dry_run(given: _Given, allowance: Allowance, arguments: argparse.Namespace)
     return 2 if objections else 0
 
 
-def _ask(dialogue: Dialogue, given: _Given, arguments: argparse.Namespace) -> Exchange:
+def _ask(dialogue: Dialogue, request: _Request, arguments: argparse.Namespace) -> Exchange:
     timeout_ns = int(arguments.timeout * MS)
-    if not given.answered:
-        return dialogue.ask(given.item, _QUIET_NS, quiet_ns=_QUIET_NS)
+    if not request.answered:
+        return dialogue.ask(request.item, _QUIET_NS, quiet_ns=_QUIET_NS)
     until, done_ns = (Until.DONE, _DONE_NS) if arguments.wait else (Until.REPLY, 0)
     try:
-        return dialogue.ask(given.item, timeout_ns, until=until, done_ns=done_ns, quiet_ns=_QUIET_NS)
+        return dialogue.ask(request.item, timeout_ns, until=until, done_ns=done_ns, quiet_ns=_QUIET_NS)
     except KeyboardInterrupt:
-        if given.acts:
+        if request.acts:
             print("servotap send: no longer waiting; the drive goes on with its command", file=sys.stderr)
         raise
 
 
-def _well(given: _Given, exchange: Exchange, wait: bool) -> bool:
-    if not given.answered:
+def _succeeded(request: _Request, exchange: Exchange, wait: bool) -> bool:
+    if not request.answered:
         return not exchange.received
-    if given.command is None and not exchange.replies:
+    if request.command is None and not exchange.replies:
         return bool(exchange.others)
     if exchange.completion is Completion.RUNNING:
         return not wait
@@ -206,24 +206,24 @@ def _well(given: _Given, exchange: Exchange, wait: bool) -> bool:
 # --- what is shown ------------------------------------------------------------------------------------------------
 
 
-def _show(given: _Given, exchange: Exchange, echoed: bool) -> None:
+def _show(request: _Request, exchange: Exchange, echoed: bool) -> None:
     requests = [e.message for e in exchange.requests]
-    requests_text = [_text(m) for m in requests] or ["bytes that are no frame"]
-    print(f"> {shown(given.item)}   {'; '.join(requests_text)}")
+    texts = [_text(m) for m in requests] or ["bytes that are no frame"]
+    print(f"> {shown(request.item)}   {'; '.join(texts)}")
     parts = [(a.first_ns, _line(a)) for a in exchange.answers]
     parts += [(j.first_ns, f"! {j.data.hex(' ').upper()}   {j.reason.value}: no frame") for j in exchange.junk]
     for _, line in sorted(parts, key=lambda part: part[0]):
         print(line)
     if not parts:
         waited = (exchange.until_ns - exchange.sent_ns) / 1e6
-        if given.answered:
+        if request.answered:
             print(f"  nothing came within {waited:.0f} ms (servotap scan finds what is there)")
         else:
             print("  nothing answers it, and nothing came")
     if echoed:
         print("  (the adapter hands back what it sends; that is left out)")
     if exchange.completion is Completion.RUNNING:
-        print("  it has begun; its end was not waited for (--wait)" if not given.command else _running(given.command))
+        print("  it has begun; its end was not waited for (--wait)" if not request.command else _running(request.command))
 
 
 def _running(command: Command) -> str:
@@ -243,13 +243,13 @@ def _text(message: Message) -> str:
     return f"{name} {fields_text(physical(message))}".rstrip()
 
 
-def _object(given: _Given, exchange: Exchange) -> dict[str, Any]:
+def _object(request: _Request, exchange: Exchange) -> dict[str, Any]:
     def named(entry: Entry) -> dict[str, Any]:
         return names_of(entry, physical(entry.message))
 
     replies = [{**named(a.entry), "latency": a.latency_ns / 1e9, "meaning": a.meaning} for a in exchange.replies]
     return {
-        "sent": shown(given.item),
+        "sent": shown(request.item),
         "outcome": exchange.completion.value,
         "requests": [named(e) for e in exchange.requests],
         "replies": replies,
