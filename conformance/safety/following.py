@@ -15,22 +15,17 @@ from analyzer.layout import Effect
 from conformance.gate.gate import Gate
 from conformance.safety.journal import values_text
 from conformance.talk.probe import Probe, plain_probe
+from conformance.talk.settings import LINK_EFFECTS
 
-_LINK = (Effect.ADDRESS, Effect.DIALECT, Effect.BAUD_RATE)
 _READS = (Verb.READ_STATUS, Verb.READ_SPEED, Verb.READ_STATE_1, Verb.READ_STATE_2, Verb.READ_POSITION, Verb.READ_ENCODER)
 #: A drive may take its time to change its link, and a restarting one to be there again.
 _TRIES = 4
 _PAUSE_NS = 300_000_000
 
 
-def changes_link(command: Command) -> bool:
-    """Say whether a setting changes how the drive is reached."""
-    return any(command.sets(effect) for effect in _LINK)
-
-
 def default_values(command: Command) -> list[dict[str, int]]:
     """Return the values that a setting of the link may have after a restore of the defaults; empty for other settings."""
-    name = next((name for effect in _LINK if (name := command.sets(effect))), "")
+    name = next((name for effect in LINK_EFFECTS if (name := command.sets(effect))), "")
     if not name:
         return []
     field = all_fields(command.request_forms)[name]

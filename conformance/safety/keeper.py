@@ -28,9 +28,9 @@ from conformance.gate.permissions import Allowance
 from conformance.motion import motion
 from conformance.safety import following, settings
 from conformance.safety import journal as journals
-from conformance.safety.following import changes_link
 from conformance.safety.journal import Entry, Journal, values_text
 from conformance.talk.probe import Probe, plain_probe
+from conformance.talk.settings import changes_link
 
 #: What may be sent to put settings back: no motion, nothing that wipes, no unknown code.
 PUTTING_BACK = Allowance(

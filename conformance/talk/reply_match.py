@@ -9,7 +9,7 @@ are laid over each reply that could have come, at each place and in each length,
 
 Rules kept here:
 - Bytes that are no reply to the request (less than half of its parts fit, or neither its code nor its last check)
-  is not taken for one.
+  are not taken for one.
 - A reply that lacks exactly its last check is one whose check is missing, not one that is too short.
 - Further replies (a second one, a completion) are found in what follows the first.
 

@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     from conformance.talk.probe import Probe
 
 #: Effects on where and how a drive answers.
-LINK_EFFECTS = frozenset({Effect.ADDRESS, Effect.BAUD_RATE, Effect.DIALECT})
+LINK_EFFECTS = (Effect.ADDRESS, Effect.DIALECT, Effect.BAUD_RATE)
 
 
 def changes_link(command: Command) -> bool:
     """Say whether a setting changes where or how the drive answers."""
-    return any(field.effect in LINK_EFFECTS for field in command.request_forms[0].layout.named.values())
+    return any(command.sets(effect) for effect in LINK_EFFECTS)
 
 
 def stored(probe: Probe, command: Command, quiet_ns: int | None = None) -> tuple[dict[str, int] | None, Exchange]:
