@@ -167,7 +167,7 @@ class Verdict:
 
     `reason`: why it is inconclusive or did not run, what was observed, or what refuted it. `expected`, `got`: of a
     refutation. `exchange`: the one that shows it. `traffic`: what went over the line, as it was. `first_ns`, `last_ns`: on the
-    line's clock. `notes`: what else was seen, quirks by name. `measured`: figures by name (latencies, ramp times);
+    line's clock. `quirks`: those that were seen, by name. `measured`: figures by name (latencies, ramp times);
     `series`: curves by name; `latencies`: command and ns, of its exchanges. `steps`: that led to a refutation.
     """
 

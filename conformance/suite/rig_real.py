@@ -211,7 +211,7 @@ class RealRig(ClaimRig):
                 if done or self._not_stopped or not isinstance(self._line, GuardedLine):
                     self._line.close()
                 else:
-                    # Whatever it was that went wrong here: the guard does it alone.
+                    # Something went wrong here, so the guard does it alone.
                     self._line.abandon()
                 self._end_journal(done=done and not failure)
         if failure and not self._not_stopped:

@@ -4,8 +4,8 @@
     received   FF 00 55   FB | 01 | 32 | 6 bytes | sum
                before     one part differs, the rest fits: so this is the reply, and its code is wrong
 
-A listener calls bytes with a wrong head or length junk; a claim wants to know which part is wrong. So the bytes that came
-are laid over each reply that could have come, at each place and in each length, and the closest fit is taken.
+A listener calls bytes with a wrong head or length junk; a claim wants to know which part is wrong. So the received bytes are
+compared with each possible reply, at each place and in each length, and the closest fit is taken.
 
 Rules kept here:
 - Bytes that are no reply to the request (less than half of its parts fit, or neither its code nor its last check)
@@ -30,7 +30,7 @@ from conformance.talk.exchange import Exchange
 ADDRESS, CODE = "address", "code"
 #: Parts of a head that count bytes.
 COUNTS = frozenset({"length", "byte count"})
-#: What the parts of heads are called in claims: a Modbus function is what elsewhere is a code.
+#: Names of the parts of heads in claims: a Modbus function is a code.
 NAMES: Mapping[str, str] = {"function": CODE}
 #: The most replies that are looked for behind one request.
 _MOST = 4
@@ -177,7 +177,7 @@ def _units(exchange: Exchange, dialect: Dialect) -> list[_Unit]:
 
 
 def replies(exchange: Exchange, dialect: Dialect) -> Replies:
-    """Lay what came back over what could come to the request of an exchange.
+    """Compare the received bytes with the possible replies to the request of an exchange.
 
     The exchange must have been asked of a command (`Probe.ask`).
     """

@@ -9,7 +9,7 @@ Rules kept here:
   subdivisions and less than a turn, whatever the subdivision, by a gentle ramp.
 - A setting is given its default; an address is the one that the drive has; a baud rate the default. What has a harmless
   value (read a brake, forget a kept run, enable) has that.
-- What is harmful whatever its values (calibrate, restore) is so here too: the risks say it, the gate judges.
+- A command that is harmful with any values (calibrate, restore) is so here too: its risks say so, the gate judges.
 
 A move to a place (not by a distance) goes to zero: it is small where zero was set before, and at most a turn where the
 place is one within the turn.

@@ -27,9 +27,9 @@ from conformance.gate.permissions import Allowance
 from conformance.talk.dialogue import MS, Dialogue
 from conformance.talk.exchange import Answer, Exchange
 
-#: What is asked first, the best first: each is answered by any drive that has it, whatever it is doing.
+#: Reads by which drives are looked for, the best first: a drive answers each at any time, if it has it.
 _SEARCH_READS = (Verb.READ_STATUS, Verb.READ_STATE_1, Verb.READ_VERSION, Verb.READ_SPEED, Verb.READ_POSITION)
-#: What a drive that answered is asked besides.
+#: Further reads to a drive that answered.
 _MORE = (Verb.READ_VERSION, Verb.READ_STATE_1, Verb.READ_ENABLED, Verb.READ_SPEED)
 #: How long an answer may take beside its time on the wire: a drive's own, and an adapter's latency timer.
 PATIENCE_NS = 40 * MS

@@ -2,8 +2,8 @@
 
     capture or log -> the analyzer's pipeline -> steps
 
-A step is a request as its bytes were, good or bad: the analyzer tells it from replies. What it cannot tell (a frame of an
-unknown role, junk, a CAN frame of 29 bits) is left out and counted; so is the echo of an adapter.
+A step is a request with its bytes as recorded, good or bad: the analyzer tells it from replies. Items of an unknown role
+(junk, a CAN frame of 29 bits) are left out and counted; so is the echo of an adapter.
 """
 
 from __future__ import annotations
