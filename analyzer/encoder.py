@@ -10,7 +10,7 @@ Rules kept here:
   answers a request of certain values (a parameter read) is also chosen by those values.
 - A package takes `slots`: a list of objects with `address`, `command` and that command's fields, as decoding yields them.
 
-On CAN the result is the data bytes; the identifier is the address.
+On CAN the result is the data bytes; the link makes the identifier from the address (`Built.can_id`).
 """
 
 from __future__ import annotations

@@ -231,8 +231,6 @@ class Link(ABC):
     deciding_bytes = 0
     #: The fewest data bytes of a CAN frame.
     shortest = 0
-    #: Characters of silence that end a frame; 0 where only its bytes tell its end.
-    silence_characters = 0.0
 
     @abstractmethod
     def slicer(self, commands: Sequence[CommandShape], expects: Callable[[int, int], int]) -> Slicer:
@@ -240,6 +238,10 @@ class Link(ABC):
 
         `expects(address, function)`: data bytes of the reply that an open request awaits, 0 for none.
         """
+
+    def silence_ns(self, byte_ns: int) -> int:
+        """Return the silence that ends a frame, for bytes of `byte_ns` on the line; 0 where only its bytes tell its end."""
+        return 0
 
     @property
     def first_bytes(self) -> frozenset[int]:

@@ -42,6 +42,9 @@ FUNCTIONS = READS | WRITE_ONE | WRITE_MANY
 #: The highest address, and the last exception code, that Modbus has.
 _MODBUS_HIGHEST = 247
 _MODBUS_LAST_EXCEPTION = 11
+#: Characters of silence between frames, and the silence above a baud rate.
+_SILENT_CHARACTERS = 3.5
+_FAST_BAUD, _FAST_SILENCE_NS = 19200, 1_750_000
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,10 @@ class ModbusLink(Link):
     """Modbus-RTU. `odd_counts`: registers whose write has another byte count than twice its quantity."""
 
     odd_counts: Mapping[int, int] = field(default_factory=dict)
-    silence_characters = 3.5
+
+    def silence_ns(self, byte_ns: int) -> int:
+        fast = byte_ns < 10_000_000_000 // _FAST_BAUD
+        return _FAST_SILENCE_NS if fast else int(_SILENT_CHARACTERS * byte_ns)
 
     def finder(self, commands: Sequence[CommandShape]) -> Finder:
         return _ModbusFinder(self, commands)

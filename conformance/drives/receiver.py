@@ -31,22 +31,10 @@ from analyzer.records import Frame
 
 #: The pause that ends a frame of a dialect without a silence of its own.
 PAUSE_NS = SILENCE_NS
-#: Modbus: characters of silence between frames, and the silence above 19200 baud.
-MODBUS_CHARACTERS = 3.5
-MODBUS_FAST_BAUD = 19200
-MODBUS_FAST_NS = 1_750_000
 #: A Modbus write of several registers: bytes before its data, the most registers, how far off a byte count may be.
 _MANY_HEAD, _MOST_WRITTEN, _BESIDE = 7, 123, 8
 #: Bytes that begin no frame and are kept until the pause.
 _KEPT = 512
-
-
-def pause_of(dialect: Dialect, byte_ns: int) -> int:
-    """Return the pause that ends a frame, for bytes of `byte_ns` on the line."""
-    if not isinstance(dialect.link, ModbusLink):
-        return PAUSE_NS
-    fast = byte_ns < 10_000_000_000 // MODBUS_FAST_BAUD
-    return MODBUS_FAST_NS if fast else int(MODBUS_CHARACTERS * byte_ns)
 
 
 class Receiver:
@@ -59,7 +47,7 @@ class Receiver:
         self.dialect = dialect
         self.port = port
         self.byte_ns = byte_ns
-        self.pause_ns = pause_of(dialect, byte_ns) if pause_ns is None else pause_ns
+        self.pause_ns = (dialect.link.silence_ns(byte_ns) or PAUSE_NS) if pause_ns is None else pause_ns
         self._slicer = dialect.link.slicer(dialect.commands, _expect_nothing)
         self._buffer = b""  # received since the last frame or pause
         self._times: list[int] = []  # when each byte of the buffer was complete

@@ -9,7 +9,7 @@ import pytest
 from analyzer import dialects
 from analyzer.catalogue import Role, Vector
 from analyzer.encoder import build
-from conformance.drives.receiver import PAUSE_NS, Receiver, pause_of
+from conformance.drives.receiver import PAUSE_NS, Receiver
 
 BYTE_NS = 260_416
 SERIAL = ("mks-rs485", "mks-modbus", "lk-rs485")
@@ -131,8 +131,8 @@ def test_the_pause_frees_a_frame_that_noise_seemed_to_hold() -> None:
 
 def test_modbus_waits_for_three_and_a_half_characters() -> None:
     dialect = dialects.get("mks-modbus")
-    assert pause_of(dialect, 10_000_000_000 // 9600) == int(3.5 * 1_041_666)
-    assert pause_of(dialect, 10_000_000_000 // 115200) == 1_750_000
+    assert dialect.link.silence_ns(10_000_000_000 // 9600) == int(3.5 * 1_041_666)
+    assert dialect.link.silence_ns(10_000_000_000 // 115200) == 1_750_000
     ears, read = receiver("mks-modbus"), READS["mks-modbus"]
     assert feed(ears, read[:4]) == []
     assert feed(ears, read[4:], 4 * BYTE_NS + 1_800_000) == []
