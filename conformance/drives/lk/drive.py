@@ -387,9 +387,10 @@ class LkDrive(Drive):
 
     def foresee(self) -> tuple[int, Callable[[], None]] | None:
         """Return when the ramps under way end or the motor stalls, and what the drive does then."""
-        times = ((self.motor.settles_ns, _nothing), (self.motor.stalls_ns, self._stall))
-        due = [(t_ns, act) for t_ns, act in times if t_ns is not None and t_ns > self.now_ns]
-        return min(due, key=lambda each: each[0], default=None)
+        settles_ns, stalls_ns = self.motor.settles_ns, self.motor.stalls_ns
+        if stalls_ns is not None and stalls_ns > self.now_ns and (settles_ns is None or stalls_ns <= settles_ns):
+            return stalls_ns, self._stall
+        return None if settles_ns is None else (settles_ns, _nothing)
 
     def _stall(self) -> None:
         self._raise({"stalled"})
