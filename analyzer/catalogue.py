@@ -16,6 +16,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
+from importlib import import_module
 
 from analyzer.layout import Effect, Field, Layout
 from analyzer.link import Link
@@ -361,6 +362,29 @@ class Erratum:
 
 
 @dataclass(frozen=True, slots=True)
+class Statement:
+    """One thing that a manual says a drive does, in our words.
+
+    `id`: its section and a few words, as in `5.1.3/speed-is-signed`. `claims`: patterns of ids of claims, without the dialect,
+    that a drive which does otherwise refutes (`motion/read_speed/*`). `unclaimed`: why no claim can, where none does.
+    """
+
+    id: str
+    says: str
+    claims: tuple[str, ...] = ()
+    unclaimed: str = ""
+
+    def __post_init__(self) -> None:
+        if bool(self.claims) == bool(self.unclaimed):
+            raise ValueError(f"statement {self.id}: expected claims, or the reason why there is none")
+
+    @property
+    def section(self) -> str:
+        """The section of the manual that says it."""
+        return self.id.partition("/")[0]
+
+
+@dataclass(frozen=True, slots=True)
 class Slots:
     """The data of a package: `count` slots of `size` bytes, each an address, a code and that command's own data.
 
@@ -484,7 +508,7 @@ class Dialect:
     encoder, 0 where it is not known. `mode_speeds`: the highest speed (rpm) of each work mode, by its name; a mode that is
     not listed has that of the command's field. `rates`: bits per second of each value of the field with
     `Effect.BAUD_RATE`. `unlisted_codes`: codes that drives were seen to answer without the manual
-    listing them.
+    listing them. `said_in`: the module with the manual's statements (`STATEMENTS`), loaded when they are asked for.
     """
 
     name: str
@@ -512,6 +536,7 @@ class Dialect:
     mode_speeds: Mapping[str, int] = field(default_factory=dict)
     rates: Mapping[int, int] = field(default_factory=dict)
     unlisted_codes: tuple[int, ...] = ()
+    said_in: str = ""
 
     def __post_init__(self) -> None:
         names = [c.name for c in self.commands]
@@ -541,6 +566,14 @@ class Dialect:
         for command in self.commands:
             result[command.code] = (*result.get(command.code, ()), command)
         return result
+
+    @cached_property
+    def statements(self) -> tuple[Statement, ...]:
+        """What the manual says a drive does, in its order."""
+        found: tuple[Statement, ...] = import_module(self.said_in).STATEMENTS if self.said_in else ()
+        if len({s.id for s in found}) != len(found):
+            raise ValueError(f"{self.said_in}: two statements of one id")
+        return found
 
     def motions(self, *kinds: MotionKind) -> tuple[Command, ...]:
         """Return the commands whose motion is of one of these kinds, in the manual's order."""

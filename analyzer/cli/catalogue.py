@@ -1,4 +1,4 @@
-"""Print the catalogue: an overview of the dialects, the reference page of a command, or the errata of the manuals.
+"""Print the catalogue: an overview of the dialects, the reference page of a command, errata or statements of the manuals.
 
 A command is named by its name (run_speed), its code (0xF6, F6) or its register (0x0030, 04:0030); without --dialect it is
 looked up in every dialect.
@@ -10,11 +10,13 @@ import argparse
 import json
 from collections.abc import Iterator, Sequence
 
+import msgspec
+
 from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect
 from analyzer.dialects import find_commands
 from analyzer.reference.objects import concerns, reference
-from analyzer.reference.pages import errata, overview, page
+from analyzer.reference.pages import errata, overview, page, statements
 
 EXAMPLES = """\
 --json prints one object. In it every number of a field (minimum, maximum, default, fixed, values, the keys of choices) is
@@ -27,6 +29,7 @@ examples:
   servotap catalogue --dialect mks-modbus 04:0030
   servotap catalogue --dialect lk-rs485 --model MF run_torque
   servotap catalogue --errata --dialect mks-can
+  servotap catalogue --statements --dialect lk-rs485
   servotap catalogue --json > catalogue.json
 """
 
@@ -37,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dialect", metavar="D", help="only this dialect")
     parser.add_argument("--model", metavar="M", help="limits and units of a model: 42D 57D 28D 35D 42E 57E MF MG MH MS")
     parser.add_argument("--errata", action="store_true", help="the errata of the manuals, or of one command")
+    parser.add_argument("--statements", action="store_true", help="what the manuals say a drive does, and the claims about it")
     parser.add_argument("--pages", action="store_true", help="the pages of all commands")
     parser.add_argument("--json", action="store_true", help="one JSON object; numbers are integers as sent")
 
@@ -50,6 +54,10 @@ def run(arguments: argparse.Namespace) -> int:
         for dialect, command in find_commands(dialects, arguments.command):
             chosen.setdefault(dialect.name, []).append(command)
         dialects = [d for d in dialects if d.name in chosen]
+    if arguments.statements and arguments.json:
+        rows = [{"dialect": d.name, "section": s.section} | msgspec.to_builtins(s) for d in dialects for s in d.statements]
+        print(json.dumps(rows, indent=1))
+        return 0
     if arguments.json:
         print(json.dumps(reference(dialects, chosen, errata_only=arguments.errata), indent=1))
         return 0
@@ -73,7 +81,9 @@ def _texts(
 ) -> Iterator[Iterator[str]]:
     for dialect in dialects:
         commands = dialect.commands if chosen is None else chosen[dialect.name]
-        if arguments.errata:
+        if arguments.statements:
+            yield statements(dialect)
+        elif arguments.errata:
             about = [e for e in dialect.errata if chosen is None or any(concerns(e, c) for c in commands)]
             yield errata(dialect, about)
         elif chosen is None and not arguments.pages:

@@ -307,3 +307,15 @@ def errata(dialect: Dialect, chosen: Iterable[Erratum]) -> Iterator[str]:
     for erratum in listed:
         yield ""
         yield from erratum_lines(erratum, whose=True)
+
+
+def statements(dialect: Dialect) -> Iterator[str]:
+    """Yield the lines of what a dialect's manual says a drive does."""
+    listed = dialect.statements
+    claimed = sum(bool(s.claims) for s in listed)
+    yield styled(f"{dialect.name}: {dialect.manual}: {len(listed)} statements, {claimed} with claims", "bold")
+    for statement in listed:
+        yield ""
+        yield f"{statement.id}"
+        yield f"  {statement.says}"
+        yield f"  {'claims  ' + ', '.join(statement.claims) if statement.claims else 'none    ' + statement.unclaimed}"
