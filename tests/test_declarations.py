@@ -13,7 +13,7 @@ from analyzer.catalogue import Command, Dialect, Doubt, MotionKind, Risk, Subjec
 from analyzer.layout import Effect, Field
 from analyzer.protocols import mks_can, mks_shared
 from conformance.drives.mks import paths
-from conformance.motion import moves, ramp
+from conformance.motion import ramp
 from conformance.safety import stopping
 
 ALL = tuple(dialects.every())
@@ -49,7 +49,8 @@ def test_stops_come_gentlest_first(dialect: Dialect) -> None:
         ends = [c.verb for c in dialect.stops_of(command)]
         assert len(ends) == len(command.motion.stops if command.motion else ())
         if ends and dialect.family == "mks":
-            assert ends == [*(s for s in (moves.STOP_OF.get(command.verb),) if s), Verb.EMERGENCY_STOP]
+            assert ends[-1] is Verb.EMERGENCY_STOP
+            assert [verb.value for verb in ends[:-1]] in ([], [command.name.replace("run", "stop").replace("move", "stop")])
         elif ends:
             assert ends == [Verb.STOP]
 
@@ -87,21 +88,9 @@ def test_a_motion_whose_end_is_told_has_an_interim_reply(dialect: Dialect) -> No
             assert command.motion.tells_end == bool(command.replies.interim), command.name
 
 
-@EVERY
-def test_the_claims_knew_these_moves(dialect: Dialect) -> None:
-    assert moves.is_mks(dialect) == (dialect.ramp is not None)
-    if dialect.ramp is None:
-        return
-    moving = dialect.motions(*MOVES)
-    assert moves.moves(dialect) == moving
-    assert {c.motion.tells_end for c in moving if c.motion} == {moves.tells(dialect)}
-    for command in moving:
-        motion = command.motion
-        assert motion is not None
-        assert moves.is_absolute(command) == (motion.kind is MotionKind.MOVE_TO)
-        assert moves.by_pulses(command) == (named(command)[motion.distance].unit == "pulses")
-        if motion.counted_by:
-            assert dialect.by_name[motion.counted_by].verb is moves._COUNTED[command.verb]
+@EVERY_MKS
+def test_runs_moves_and_stops_of_the_mks_drives(dialect: Dialect) -> None:
+    assert len({c.motion.tells_end for c in dialect.motions(*MOVES) if c.motion}) == 1
     assert tuple(c.name for c in dialect.motions(MotionKind.RUN, *MOVES)) == mks_shared.RUNS
     assert tuple(c.name for c in dialect.motions(MotionKind.STOP) if c.motion and c.motion.acceleration) == mks_shared.STOPS
 
@@ -205,10 +194,10 @@ def test_the_ramp(dialect: Dialect) -> None:
 def test_the_subdivision(dialect: Dialect) -> None:
     rule = dialect.subdivision
     assert rule is not None
-    assert rule.full_steps == moves.STEPS_PER_TURN
+    assert rule.full_steps == 200
     setting = dialect.effect(Effect.SUBDIVISION)
     assert setting is not None
-    assert setting[1].default == moves.SUBDIVISION
+    assert setting[1].default == rule.counted_at
 
 
 @EVERY

@@ -17,7 +17,7 @@ from conformance.claims import world
 from conformance.claims.declare import commands, declared_in
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, that_tell_their_end
-from conformance.motion import motion, moves
+from conformance.motion import motion
 from conformance.motion.motion import MS, SECOND_NS
 from conformance.talk.probe import Probe, Until
 
@@ -38,7 +38,7 @@ def _status_now(probe: Probe) -> int:
 
 def _wait(probe: Probe) -> None:
     """Wait until the status is no longer that of a calibration."""
-    moves.watch(probe, lambda: _status_now(probe) != _CALIBRATING, every_ns=500 * MS, limit_ns=_LIMIT_NS)
+    motion.wait_until(probe, lambda: _status_now(probe) != _CALIBRATING, every_ns=500 * MS, limit_ns=_LIMIT_NS)
 
 
 @of_motion(each=_calibrations, refuted_by="another status", by_name=True)
@@ -56,7 +56,7 @@ def _status(probe: Probe, command: Command) -> None:
 
 
 def _statuses(probe: Probe, since: int, command: Command) -> list[int]:
-    return [a.values["status"] for a in moves.told(probe.traffic[since:], command)]
+    return motion.statuses(probe.traffic[since:], command)
 
 
 def _calibrate(probe: Probe, command: Command) -> tuple[list[int], bool]:

@@ -18,7 +18,6 @@ from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import expect_speed, of_motion, that_tell_their_end
 from conformance.claims.ramps import LATE, time_of, too_late
 from conformance.motion import motion, ramp
-from conformance.motion import moves as journey
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.probe import Probe, Until
 
@@ -62,8 +61,8 @@ def _forms(dialect: Dialect) -> Iterator[Case]:
 )
 def _takes(probe: Probe, command: Command, turns: float, rpm: int, acceleration: int) -> None:
     """{command} by {turns:g} turns at {rpm} rpm and acceleration {acceleration} goes {how}: {law_ms:.0f} ms."""
-    journey.prepare(probe, command)
-    exchange = journey.ask(probe, command, turns, speed=rpm, acceleration=acceleration, until=Until.DONE)
+    motion.prepare(probe, command)
+    exchange = motion.ask(probe, command, turns * 360, rpm=rpm, acceleration=acceleration, until=Until.DONE)
     probe.reply(exchange)
     done = [a for a in exchange.answers if a.values.get(command.replies.status) == 2]
     if not done:
@@ -89,11 +88,11 @@ def _takes(probe: Probe, command: Command, turns: float, rpm: int, acceleration:
 )
 def _told_in_time(probe: Probe, command: Command) -> None:
     """The end of {command} is told within half a second of the shaft's coming to rest."""
-    journey.prepare(probe, command)
+    motion.prepare(probe, command)
     since = len(probe.traffic)
-    exchange = journey.begin(probe, command, 0.25, acceleration=QUICK, quiet_ns=0)
+    exchange = motion.begin(probe, command, 90, rpm=120, acceleration=QUICK, quiet_ns=0)
     seen = motion.sampled(probe, 3 * SECOND_NS, 60 * MS)
-    ends = [a for a in journey.told(probe.traffic[since:], command) if a.values[command.replies.status] == 2]
+    ends = [a for a in motion.replies(probe.traffic[since:], command) if a.values[command.replies.status] == 2]
     if not ends:
         raise Inconclusive(f"{command.name} did not say that it was complete")
     place = seen[-1].value
@@ -120,8 +119,8 @@ def _stops(dialect: Dialect) -> Iterator[Case]:
 def _stop_told_in_time(probe: Probe, command: Command, move: Command) -> None:
     """The end of {command} is told when its ramp is over, give or take half a second."""
     acceleration, rpm = 56, 120
-    journey.prepare(probe, move)
-    journey.begin(probe, move, 5.0, speed=rpm, acceleration=QUICK)
+    motion.prepare(probe, move)
+    motion.begin(probe, move, 5 * 360, rpm=rpm, acceleration=QUICK)
     probe.wait(500 * MS)
     turning = motion.speed(probe)
     expect_speed(turning, rpm, probe.traffic[-1], f"{move.name} does not turn at its speed before the stop")

@@ -22,7 +22,6 @@ from conformance.claims.declare import Case, Cases, commands, declared_in
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import expect_stays, of_motion, risks_by, that_tell_their_end
 from conformance.motion import motion
-from conformance.motion import moves as journey
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
@@ -67,7 +66,7 @@ def _of_limits(refuted_by: str, *, each: Cases, **facts: Any) -> Callable[[Calla
 
 def _homed(probe: Probe, end_limit: int = 1) -> None:
     """Find the left end stop and go back half a turn from it; the right one stands beyond."""
-    motion.ready_to_move(probe, subdivision=journey.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     homing.set_home(probe, end_limit=end_limit, home_speed=60)
     world.left_switch(probe, _LEFT)
     world.right_switch(probe, _LEFT + _RIGHT_TURNS * probe.dialect.counts_per_turn)
@@ -75,7 +74,7 @@ def _homed(probe: Probe, end_limit: int = 1) -> None:
     probe.wait(500 * MS)
     # Homing may have let the shaft go.
     probe.do(Verb.ENABLE, {"enabled": 1})
-    move = journey.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), amount=_HALF)
+    move = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), _degrees(probe, _HALF))
     if abs(move.degrees - _degrees(probe, _HALF)) > motion.SAME:
         raise Inconclusive(f"a move by {_HALF} counts between the end stops went {move.degrees:+.2f} degrees")
 
@@ -86,15 +85,11 @@ def _degrees(probe: Probe, counts: int) -> float:
 
 def _values(probe: Probe, command: Command, way: int) -> dict[str, int]:
     """Return the values of a long motion to the left (-1) or the right (1), whatever its bits turn."""
-    assert command.motion is not None
-    if command.motion.direction:
-        values = {"direction": int(_sense(probe, command) != way), "speed": 120, "acceleration": QUICK}
-        pulses = journey.units_per_turn(command) * _LONG_TURNS
-        return values | ({command.motion.distance: pulses} if command.motion.distance else {})
-    amount = _LONG_TURNS * journey.units_per_turn(command) * way
-    if journey.by_pulses(command) and _sense(probe, command) < 0:
-        amount = -amount
-    return journey.values_of(command, amount, 120, QUICK, journey.place(probe, command))
+    # The sense of counts is known; that of a direction bit and of pulses is not.
+    sense = _sense(probe, command) if motion.of(command).direction or motion.takes_pulses(command) else 1
+    start, turned = motion.place(probe, command), way * sense
+    how = {"rpm": 120 * turned if motion.of(command).kind is MotionKind.RUN else 120, "acceleration": QUICK}
+    return motion.values_of(probe.dialect, command, _LONG_TURNS * 360 * turned, start=start, **how)
 
 
 def _sense(probe: Probe, command: Command) -> int:
@@ -105,7 +100,7 @@ def _sense(probe: Probe, command: Command) -> int:
         probe.wait(200 * MS)
         after = motion.stand_still(probe)
     else:
-        after = journey.travel(probe, command, 0.02, acceleration=QUICK).end
+        after = motion.follow(probe, command, 7.2, acceleration=QUICK).end
     return 1 if after.value > before.value else -1
 
 
@@ -164,7 +159,7 @@ def _told(probe: Probe, run: Command) -> None:
     since = len(probe.traffic)
     exchange = probe.ask(run, values, until=Until.DONE, timeout_ns=10 * SECOND_NS)
     probe.wait(2 * SECOND_NS)
-    statuses = [a.values["status"] for a in journey.told(probe.traffic[since:], run)]
+    statuses = motion.statuses(probe.traffic[since:], run)
     text = f"{run.name} that an end limit stops is not answered 1 and 3"
     probe.expect(statuses, equal=[1, 3], refutes=text, exchange=exchange)
 
@@ -179,7 +174,9 @@ def _lets_back(probe: Probe) -> None:
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
     _send_left(probe, move)
     before = motion.position(probe)
-    exchange = _ask_again(probe, move, journey.values_of(move, 4000, 120, QUICK))
+    exchange = _ask_again(
+        probe, move, motion.values_of(probe.dialect, move, _degrees(probe, 4000), rpm=120, acceleration=QUICK)
+    )
     probe.wait(2 * SECOND_NS)
     went, asked = motion.wait_standing(probe).value - before.value, _degrees(probe, 4000)
     probe.expect(
@@ -196,7 +193,7 @@ def _off_passes(probe: Probe) -> None:
     """With the end limit off, the end stop does not stop the shaft."""
     _homed(probe, end_limit=0)
     amount = -_HALF - 4000
-    move = journey.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), amount=amount)
+    move = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), _degrees(probe, amount))
     text = "an end stop stops the shaft although the end limit is off"
     near = _degrees(probe, amount)
     probe.expect(move.degrees, near=near, within=motion.SAME, unit="degrees", refutes=text, exchange=move.exchange)
@@ -221,8 +218,8 @@ def _right(probe: Probe, command: Command, remap: int) -> None:
     _homed(probe)
     wanted = bool(remap) or world.drive_of(probe).model.startswith("57")
     move, turn = probe.command(Verb.MOVE_RELATIVE_AXIS), probe.dialect.counts_per_turn
-    exchange = probe.ask(move, journey.values_of(move, _LONG_TURNS * turn, 120, QUICK))
-    if journey.refused(probe, exchange):
+    exchange = motion.ask(probe, move, _LONG_TURNS * 360, rpm=120, acceleration=QUICK)
+    if motion.refused(probe, exchange):
         raise NotRun("the move was refused")
     probe.wait(5 * SECOND_NS)
     seen, right = probe.read(Verb.READ_POSITION, "position"), _RIGHT_TURNS * turn

@@ -18,7 +18,7 @@ from conformance.claim import Claim, Inconclusive
 from conformance.claims import world
 from conformance.claims.declare import Case, Cases, commands, declared_in
 from conformance.claims.motion_claim import of_motion, risks_by, that_tell_their_end
-from conformance.motion import motion, moves
+from conformance.motion import motion
 from conformance.motion.motion import MS, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
@@ -73,13 +73,13 @@ def set_home(probe: Probe, **values: int) -> None:
 def find_home(probe: Probe, limit_ns: int = _LIMIT_NS) -> Exchange:
     """Ask for homing and follow it to its end. Raises Inconclusive where it is refused."""
     home = probe.command(Verb.HOME)
-    telling = moves.tells(probe.dialect)
+    telling = motion.tells_end(probe.dialect)
     exchange = probe.ask(home, until=Until.DONE if telling else Until.REPLY, timeout_ns=limit_ns if telling else None)
     probe.reply(exchange)
     if probe.refused(exchange):
         raise Inconclusive("homing was refused")
     if not telling:
-        moves.watch(probe, lambda: _status_now(probe) != _HOMING, every_ns=200 * MS, limit_ns=limit_ns)
+        motion.wait_until(probe, lambda: _status_now(probe) != _HOMING, every_ns=200 * MS, limit_ns=limit_ns)
     return exchange
 
 
@@ -89,9 +89,9 @@ def _status_now(probe: Probe) -> int:
 
 def _prepared(probe: Probe, **values: int) -> float:
     """Make a drive ready for homing; return where the shaft stands (counts of its own)."""
-    motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     # Away from where it was made, so that its zero is not by chance where homing ends.
-    moves.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 0.6)
+    motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 216)
     set_home(probe, **values)
     return world.shaft(probe)
 
@@ -265,7 +265,7 @@ def _disabled(probe: Probe, command: Command) -> None:
 
 
 def _statuses(probe: Probe, since: int, command: Command) -> list[int]:
-    return [a.values["status"] for a in moves.told(probe.traffic[since:], command)]
+    return motion.statuses(probe.traffic[since:], command)
 
 
 @_of_homing("a shaft that goes on, or success", at_best=Certainty.LIKELY)
@@ -277,7 +277,7 @@ def _stopped(probe: Probe, command: Command) -> None:
     probe.wait(SECOND_NS)
     _halt(probe)
     _expect_still(probe, exchange, 3 * SECOND_NS, "an emergency stop does not end homing")
-    if moves.tells(probe.dialect):
+    if motion.tells_end(probe.dialect):
         statuses = _statuses(probe, since, command)
         text = "homing that was stopped is told as done"
         probe.expect(statuses, holds=2 not in statuses, expected="no status 2", refutes=text, exchange=exchange)

@@ -15,7 +15,7 @@ from typing import Any
 from analyzer.catalogue import Command, Dialect, Risk, Verb
 from conformance.claim import Aspect, Claim, Refuted, Theme
 from conformance.claims.declare import Case, Cases, claim, declare
-from conformance.motion import motion, moves
+from conformance.motion import motion
 from conformance.motion.motion import SAME, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
@@ -118,7 +118,7 @@ def has_sign(command: Command) -> bool:
 
 def that_tell_their_end(each: Cases) -> Cases:
     """Return those of some cases whose dialect tells the end of a motion by a reply of its own."""
-    return lambda dialect: each(dialect) if moves.tells(dialect) else ()
+    return lambda dialect: each(dialect) if motion.tells_end(dialect) else ()
 
 
 def _run(check: Check, name: str, probe: Probe) -> None:

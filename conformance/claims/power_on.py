@@ -19,7 +19,7 @@ from conformance.claim import Claim, Inconclusive
 from conformance.claims import world
 from conformance.claims.declare import Case, Cases, commands, declared_in
 from conformance.claims.motion_claim import of_motion, risks_by
-from conformance.motion import motion, moves
+from conformance.motion import motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.probe import Probe
 
@@ -52,11 +52,11 @@ def _keep_zero(probe: Probe, mode: int, direction: int, turns: float, speed: int
     """Keep where the shaft is as zero, go away from it and cut the power; return where the zero is (counts of its own)."""
     motion.ready_to_move(probe)
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
-    moves.travel(probe, move, 0.1)
+    motion.follow(probe, move, 36)
     zero = world.shaft(probe)
     values = {"zero_mode": mode, "set_zero": keep, "zero_speed": speed, "zero_direction": direction}
     probe.do(Verb.SET_ZERO_MODE, values)
-    moves.travel(probe, move, turns)
+    motion.follow(probe, move, turns * 360)
     world.power_cycle(probe)
     return zero
 
@@ -117,7 +117,7 @@ def _faster(probe: Probe) -> None:
     for speed in (0, 2, 4):
         zero = _keep_zero(probe, _NEAR, _CW, 0.4, speed)
         begun_ns = probe.gate.now_ns()
-        moves.watch(probe, partial(_is_at, probe, zero), every_ns=5 * MS, limit_ns=_START_NS + _BACK_NS)
+        motion.wait_until(probe, partial(_is_at, probe, zero), every_ns=5 * MS, limit_ns=_START_NS + _BACK_NS)
         took.append((probe.gate.now_ns() - begun_ns) / 1e6)
     probe.expect(
         ", ".join(f"{t:.0f} ms" for t in took),
@@ -140,7 +140,7 @@ def _zero_statuses(dialect: Dialect) -> Iterator[Case]:
 def _tells(probe: Probe, command: Command) -> None:
     """3B reads 0 on the way back to zero and 1 when it is over."""
     _keep_zero(probe, _NEAR, _CW, 0.49, 0)
-    moves.watch(probe, lambda: not probe.ask(command, quiet_ns=0).silent, every_ns=50 * MS, limit_ns=5 * SECOND_NS)
+    motion.wait_until(probe, lambda: not probe.ask(command, quiet_ns=0).silent, every_ns=50 * MS, limit_ns=5 * SECOND_NS)
     # The first answer since the start: at the slowest the way back takes a second.
     during = probe.reply(probe.traffic[-1]).values["status"]
     probe.wait(_BACK_NS)
@@ -165,7 +165,7 @@ def _save(probe: Probe, state: str) -> None:
 
 def _run_and_save(probe: Probe, direction: int) -> float:
     """Run and save the run; return the speed that the shaft had."""
-    motion.ready_to_move(probe, subdivision=moves.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     motion.run_at(probe, -90 if direction else 90, QUICK)
     probe.wait(500 * MS)
     speed = motion.speed(probe).value

@@ -19,7 +19,6 @@ from conformance.claims.declare import Cases, commands, declared_in, motions
 from conformance.claims.motion_claim import of_motion, risks_by, that_tell_their_end
 from conformance.claims.refusals import expect_refused
 from conformance.motion import motion
-from conformance.motion import moves as journey
 from conformance.motion.motion import QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
@@ -43,14 +42,14 @@ def _of_protection(
 
 
 def _prepare(probe: Probe, protection: int) -> None:
-    journey.prepare(probe, probe.command(Verb.MOVE_RELATIVE_AXIS))
+    motion.prepare(probe, probe.command(Verb.MOVE_RELATIVE_AXIS))
     probe.do(Verb.SET_PROTECTION, {"protection": protection})
 
 
 def _held_move(probe: Probe, turns: float = _TURNS) -> Exchange:
     """Hold the shaft and ask for a move; let the time for it pass."""
     world.hold(probe)
-    exchange = journey.begin(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), turns, acceleration=QUICK)
+    exchange = motion.begin(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), turns * 360, rpm=120, acceleration=QUICK)
     probe.wait(4 * SECOND_NS)
     return exchange
 
@@ -98,7 +97,7 @@ def _off_holds_on(probe: Probe) -> None:
 def _at_first(probe: Probe) -> None:
     """A motor that was never held is not protected: 3E reads 0."""
     _prepare(probe, 1)
-    journey.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 0.25)
+    motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 90)
     _expect(probe, probe.traffic[-1], 0, "3E reads protected although the shaft was never held")
 
 
@@ -136,7 +135,7 @@ def _held(probe: Probe, command: Command) -> None:
     exchange = _held_move(probe)
     if not _is_protected(probe):
         raise Inconclusive("the drive does not protect itself from a held shaft")
-    statuses = [a.values["status"] for a in journey.told(probe.traffic, command)]
+    statuses = motion.statuses(probe.traffic, command)
     text = "a move that a held shaft ended is told as complete"
     probe.expect(statuses, holds=2 not in statuses, expected="no status 2", refutes=text, exchange=exchange)
     probe.measured["status"] = float(statuses[-1])

@@ -22,7 +22,6 @@ from conformance.claims.declare import Case, Cases, declared_in
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion
 from conformance.motion import motion, ramp
-from conformance.motion import moves as journey
 from conformance.motion.motion import MS, QUICK, SECOND_NS, Sample
 from conformance.motion.ramp import Fit, Judgement
 from conformance.talk.exchange import Exchange
@@ -108,14 +107,14 @@ def _steady(probe: Probe, rpm: float, *, last: bool = False) -> _Steady:
 def _change(probe: Probe, last: float, acceleration: int) -> Exchange:
     if last:  # its sign is the direction
         command = probe.command(Verb.RUN_SPEED)
-        return probe.ask(command, motion.run_values(command, last, acceleration), quiet_ns=0)
+        return probe.ask(command, motion.values_of(probe.dialect, command, rpm=last, acceleration=acceleration), quiet_ns=0)
     return probe.ask(Verb.STOP_SPEED, {"acceleration": acceleration}, quiet_ns=0)
 
 
 def _ramp(probe: Probe, first: int, last: int, acceleration: int) -> tuple[float, float, Exchange] | None:
     """Measure the time of a ramp and its uncertainty (ns); None where a known quirk leaves nothing to measure."""
     mode = motion.bus_modes(probe.dialect)[-1] if max(first, abs(last)) > 400 else ""
-    motion.ready_to_move(probe, mode, subdivision=journey.SUBDIVISION)
+    motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
     if first:
         motion.run_at(probe, first, QUICK)
         probe.wait(int(ramp.ramp_ns(0, first, QUICK)) + 200 * MS)
@@ -226,14 +225,11 @@ def _runs_and_moves(dialect: Dialect) -> Iterator[Case]:
 def _ramp_is_even(probe: Probe, command: Command) -> None:
     """On the ramp of {command} the speed rises evenly: it is where the law says on the way."""
     rpm, acceleration = 120, 56
-    journey.prepare(probe, command)
+    motion.prepare(probe, command)
     # What another command was given is not what counts here.
-    journey.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 0.05, acceleration=QUICK)
-    if command.motion is not None and command.motion.kind is MotionKind.RUN:
-        exchange = probe.ask(command, motion.run_values(command, rpm, acceleration), quiet_ns=0)
-    else:
-        exchange = journey.ask(probe, command, 4.0, speed=rpm, acceleration=acceleration, quiet_ns=0)
-    if journey.refused(probe, exchange):
+    motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 18, acceleration=QUICK)
+    exchange = motion.ask(probe, command, 4 * 360, rpm=rpm, acceleration=acceleration, quiet_ns=0)
+    if motion.refused(probe, exchange):
         raise Inconclusive(f"{command.name} was refused")
     begun_ns, begun_spread = time_of(exchange)
     step_ns = ramp.step_ns(acceleration)

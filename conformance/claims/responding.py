@@ -18,7 +18,6 @@ from conformance.claim import Claim, Inconclusive
 from conformance.claims.declare import Case, Cases, commands, declared_in
 from conformance.claims.motion_claim import of_motion, risks_of
 from conformance.motion import motion
-from conformance.motion import moves as journey
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
@@ -69,23 +68,20 @@ def _move(probe: Probe, command: Command, until: Until) -> tuple[Exchange, list[
     """Ask for a motion and let it happen; return the exchange, the statuses of all replies, and how far the shaft went."""
     since, before = len(probe.traffic), motion.position(probe)
     if _is_run(command):
-        exchange = probe.ask(command, motion.run_values(command, _RPM, QUICK), until=until, timeout_ns=SECOND_NS)
+        exchange = motion.ask(probe, command, rpm=_RPM, acceleration=QUICK, until=until, timeout_ns=SECOND_NS)
     else:
-        exchange = journey.ask(probe, command, _TURNS, until=until)
+        exchange = motion.ask(probe, command, _TURNS * 360, rpm=120, until=until)
     probe.wait(2 * SECOND_NS)
     return exchange, _statuses(probe, since, command), motion.position(probe).value - before.value
 
 
 def _statuses(probe: Probe, since: int, command: Command) -> list[int]:
-    return [a.values[command.replies.status] for a in journey.told(probe.traffic[since:], command)]
+    return motion.statuses(probe.traffic[since:], command)
 
 
 def _set_going(probe: Probe, command: Command) -> None:
-    journey.prepare(probe, command)
-    if _is_run(command):
-        motion.run_at(probe, _RPM, QUICK)
-    else:
-        journey.begin(probe, command, 8.0, speed=_RPM, acceleration=QUICK)
+    motion.prepare(probe, command)
+    motion.begin(probe, command, 8 * 360, rpm=_RPM, acceleration=QUICK)
     probe.wait(300 * MS)
 
 
@@ -103,7 +99,7 @@ def _stop(probe: Probe, stop: Command) -> tuple[Exchange, list[int]]:
 @_of_respond("an answer, or no motion", each=_runs_and_moves, name="{command}/0-silences-{run}", risks=risks_of("run"))
 def _silent_motion(probe: Probe, run: Command) -> None:
     """With respond 0 {run} is carried out and not answered, neither at its begin nor at its end."""
-    journey.prepare(probe, run)
+    motion.prepare(probe, run)
     _set(probe, 0, 1)
     exchange, statuses, degrees = _move(probe, run, Until.TIMEOUT)
     _set(probe, 1, 1)
@@ -150,7 +146,7 @@ def _others_answered(probe: Probe) -> None:
 @_of_respond("no first reply, or a completion", each=_moves, name="{command}/inactive-{run}")
 def _inactive_move(probe: Probe, run: Command) -> None:
     """With active 0 {run} is answered when it begins and not when it is done."""
-    journey.prepare(probe, run)
+    motion.prepare(probe, run)
     _set(probe, 1, 0)
     exchange, statuses, _ = _move(probe, run, Until.REPLY)
     motion.wait_standing(probe)

@@ -13,7 +13,7 @@ from analyzer.catalogue import Command, Dialect, MotionKind, Verb
 from conformance.claim import Claim
 from conformance.claims.declare import Case, commands, declared_in
 from conformance.claims.motion_claim import expect_stays, of_motion
-from conformance.motion import motion, moves
+from conformance.motion import motion
 from conformance.motion.motion import QUICK, SECOND_NS
 from conformance.talk.probe import Probe
 
@@ -33,7 +33,7 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
 
 def _away(probe: Probe) -> None:
     motion.ready_to_move(probe)
-    moves.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 1.3, speed=180, acceleration=QUICK)
+    motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 468, rpm=180, acceleration=QUICK)
 
 
 def _quantities(dialect: Dialect) -> Iterator[Case]:
@@ -67,7 +67,7 @@ def _stands(probe: Probe, command: Command) -> None:
     probe.wait(SECOND_NS)
     exchange = probe.traffic[-1]
     expect_stays(before, motion.position(probe), exchange, "92 turns the shaft")
-    move = moves.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 0.25)
+    move = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 90)
     text = "a move after 92 goes another way than was asked"
     probe.expect(abs(move.degrees), near=90, within=motion.SAME, unit="degrees", refutes=text, exchange=move.exchange)
 
@@ -80,11 +80,11 @@ def _places(dialect: Dialect) -> Iterator[Case]:
 @of_motion(each=_places, name="{command}/and-{move}", refuted_by="another place")
 def _is_target(probe: Probe, command: Command, move: Command) -> None:
     """After 92 {move} to 0 comes back to where 92 was given."""
-    moves.prepare(probe, move)
+    motion.prepare(probe, move)
     _away(probe)
     probe.do(command)
-    there = moves.travel(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 0.4)
-    exchange = probe.do(move, moves.values_of(move, 0, 120, QUICK))
+    there = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 144)
+    exchange = motion.begin(probe, move, rpm=120, acceleration=QUICK, start=0)
     probe.wait(SECOND_NS)
     went = motion.wait_standing(probe).value - there.end.value
     text = f"{move.name} to 0 does not come back to where 92 was given"

@@ -22,7 +22,7 @@ from conformance.claims import control_parameters, durations, ramps
 from conformance.claims.declare import Case, Cases, claim, commands, declared_in, once
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, risks_by
-from conformance.motion import motion, moves
+from conformance.motion import motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.acceptance import plain_read
 from conformance.talk.exchange import Answer, Exchange
@@ -233,14 +233,9 @@ def _motions_and_stops(dialect: Dialect) -> Iterator[Case]:
 def _answered_soon(probe: Probe, command: Command) -> None:
     """{command} is answered within a second, however long what it asks for takes."""
     assert command.motion is not None
-    moves.prepare(probe, command)
-    if command.motion.kind is MotionKind.RUN:
-        values = motion.run_values(command, 60, 56)
-    elif command.motion.kind is MotionKind.STOP:
-        values = {"acceleration": 56}
-    else:
-        values = moves.values_of(command, moves.units_per_turn(command) // 2, 30, 56, moves.place(probe, command))
-    exchange = probe.ask(command, values, timeout_ns=_LATEST_NS, quiet_ns=0)
+    motion.prepare(probe, command)
+    rpm = 60 if command.motion.kind is MotionKind.RUN else 30
+    exchange = motion.ask(probe, command, 180, rpm=rpm, acceleration=56, timeout_ns=_LATEST_NS, quiet_ns=0)
     motion.stop(probe, QUICK)
     motion.wait_standing(probe)
     answer = exchange.reply
@@ -320,7 +315,7 @@ def _restarts_soon(probe: Probe) -> None:
 def _in_a_row(probe: Probe, command: Command) -> None:
     """A setting that follows another at once is done as well."""
     for _ in range(3):
-        probe.do(command, {"subdivision": moves.SUBDIVISION})
+        probe.do(command, {"subdivision": motion.SUBDIVISION})
     probe.wait(probe.rig.write_gap_ns)
     exchanges = []
     for subdivision in (32, 16, 32, 16):

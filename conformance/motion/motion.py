@@ -23,7 +23,7 @@ a pulse mode.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +31,7 @@ from analyzer.catalogue import Command, Dialect, Motion, MotionKind, Risk, Verb
 from analyzer.layout import Effect, Field
 from conformance.claim import Inconclusive
 from conformance.motion import ramp
-from conformance.talk.exchange import Exchange
+from conformance.talk.exchange import Answer, Exchange
 from conformance.talk.probe import Until
 
 if TYPE_CHECKING:
@@ -269,22 +269,6 @@ def sampled(probe: Probe, duration_ns: int, every_ns: int, what: str = "position
 # --- moving and coming to rest ----------------------------------------------------------------------------------------
 
 
-def run_values(command: Command, rpm: float, acceleration: int = GENTLE) -> dict[str, int]:
-    """Return the values of a run at a speed (rpm, its sign the direction: positive is the choice 0 or the plain sign).
-
-    A command without a direction takes the speed with its sign, in its own unit; one without an acceleration takes none.
-    """
-    fields = command.request_forms[0].layout.named
-    declared = fields["speed"]
-    factor = 6.0 if declared.unit == "deg/s" else 1.0
-    values = {"speed": declared.wire(rpm * factor)}
-    if "direction" in fields:
-        values = {"speed": declared.wire(abs(rpm) * factor), "direction": int(rpm < 0)}
-    if "acceleration" in fields:
-        values["acceleration"] = acceleration
-    return values
-
-
 def run_at(probe: Probe, rpm: float, acceleration: int = GENTLE) -> Exchange:
     """Begin a run at a speed. Raises Inconclusive where the drive refuses or does not answer."""
     command = probe.command(Verb.RUN_SPEED)
@@ -381,6 +365,20 @@ def speed_as_sent(dialect: Dialect, field: Field, rpm: float, subdivision: int =
     return field.wire(rpm)
 
 
+def shaft_rpm(dialect: Dialect, speed: float, subdivision: int) -> float:
+    """Return how fast the shaft turns for a speed at a subdivision, both as sent."""
+    law = dialect.subdivision
+    assert law is not None  # asked of drives that count pulses
+    return speed if subdivision in law.plain else speed * law.counted_at / (subdivision or law.largest)
+
+
+def pulse_counts(dialect: Dialect, pulses: int, subdivision: int) -> int:
+    """Return the encoder counts of pulses at a subdivision as sent, without a sign."""
+    law = dialect.subdivision
+    assert law is not None  # asked of drives that count pulses
+    return round(pulses * dialect.counts_per_turn / (law.full_steps * (subdivision or law.largest)))
+
+
 def finest(probe: Probe) -> int:
     """Return how the largest subdivision is sent: as itself where the field holds it, else as 0."""
     found = probe.dialect.effect(Effect.SUBDIVISION)
@@ -470,6 +468,9 @@ def ask(
     in place of those.
     """
     begun = place(probe, command) if start is None else start
+    if until is Until.DONE and timeout_ns is None:
+        law_ns = ramp.move_ns(degrees / 360, how.get("rpm", CALM), how.get("acceleration", GENTLE))
+        timeout_ns = int(law_ns * _PATIENCE) + _GRACE_NS
     values = values_of(probe.dialect, command, degrees, start=begun, **how) | dict(more or {})
     return probe.ask(command, values, until=until, timeout_ns=timeout_ns, quiet_ns=quiet_ns)
 
@@ -533,22 +534,38 @@ def follow(
     tells = of(command).tells_end
     turn = units_per_turn(probe.dialect, command, subdivision)
     asked = round(degrees * turn / 360) * 360 / turn
-    law_ns = int(ramp.move_ns(asked / 360, rpm, acceleration)) if probe.dialect.ramp is not None else _SET_OFF_NS
-    if tells:
-        how |= {"until": Until.DONE, "timeout_ns": int(law_ns * _PATIENCE) + _GRACE_NS}
-    exchange = ask(probe, command, degrees, rpm=rpm, acceleration=acceleration, subdivision=subdivision, **how)
+    how |= {"rpm": rpm, "acceleration": acceleration, "subdivision": subdivision}
+    exchange = ask(probe, command, degrees, until=Until.DONE if tells else Until.REPLY, **how)
     if refused(probe, exchange) and not (tells and len(exchange.answers) > 1):
         raise Inconclusive(f"{command.name} was refused")
     if not tells:
-        probe.wait(law_ns)
+        law = probe.dialect.ramp
+        probe.wait(_SET_OFF_NS if law is None else int(ramp.move_ns(asked / 360, rpm, acceleration)))
     return Move(command, exchange, asked, start, wait_standing(probe))
 
 
-def statuses(exchanges: Iterable[Exchange], command: Command) -> list[int]:
-    """Return the statuses that were answered to a command in several exchanges, in the order in which they came."""
+def replies(exchanges: Iterable[Exchange], command: Command) -> list[Answer]:
+    """Return the answers with a status to a command in several exchanges, in the order in which they came."""
     code, status = command.code, command.replies.status
-    found = [a for e in exchanges for a in e.answers if a.command is not None and a.command.code == code and status in a.values]
-    return [a.values[status] for a in sorted(found, key=lambda answer: answer.last_ns)]
+    found = (a for e in exchanges for a in e.answers if a.command is not None and a.command.code == code and status in a.values)
+    return sorted(found, key=lambda answer: answer.last_ns)
+
+
+def statuses(exchanges: Iterable[Exchange], command: Command) -> list[int]:
+    """Return the statuses of those answers."""
+    return [answer.values[command.replies.status] for answer in replies(exchanges, command)]
+
+
+def tells_end(dialect: Dialect) -> bool:
+    """Say whether the end of a move is told by a reply of its own."""
+    return any(of(command).tells_end for command in dialect.motions(*MOVES))
+
+
+def wait_until(probe: Probe, is_so: Callable[[], bool], *, every_ns: int = 20 * MS, limit_ns: int = 20 * SECOND_NS) -> None:
+    """Wait until something is so, asking again and again, or until the time is over."""
+    until_ns = probe.gate.now_ns() + limit_ns
+    while not is_so() and probe.gate.now_ns() < until_ns:
+        probe.wait(every_ns)
 
 
 def turning(probe: Probe) -> float:

@@ -1,4 +1,4 @@
-"""Making a drive ready, watching it and bringing it to rest, in every dialect; journeys of the MKS drives."""
+"""Making a drive ready, asking it for motion, watching it and bringing it to rest, in every dialect."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from analyzer.catalogue import Risk, Verb
 from conformance.claim import Claim, Inconclusive, Theme
 from conformance.drives import make
 from conformance.motion import motion
-from conformance.motion import moves as journey
 from conformance.suite.rig_emulated import EmulatedRig
 from conformance.talk.probe import Probe
 
@@ -74,26 +73,45 @@ def test_the_risks_of_moving_are_those_of_what_is_sent():
     assert motion.settings(make.parse("mks-modbus@1").dialect, "respond") == ("work_mode", "subdivision", "respond")
 
 
-@pytest.mark.parametrize("drive", MKS)
-@pytest.mark.parametrize("number", range(4))
-def test_a_journey_goes_as_far_as_it_says(drive, number):
+def _moves() -> list[tuple[str, str]]:
+    return [(drive, c.name) for drive in DRIVES for c in make.parse(drive).dialect.motions(*motion.MOVES)]
+
+
+@pytest.mark.parametrize(("drive", "name"), _moves())
+def test_a_move_goes_as_far_as_it_was_asked_to(drive, name):
     probe = probe_of(drive)
-    command = journey.moves(probe.dialect)[number]
-    there, back = journey.pair(probe, command, 1000, -300)
-    unit = 360 / journey.units_per_turn(command)
-    assert abs(there.degrees) == pytest.approx(1000 * unit, abs=motion.SAME)
-    assert abs(back.degrees) == pytest.approx(300 * unit, abs=motion.SAME)
-    assert there.statuses == ([1, 2] if journey.tells(probe.dialect) else [])
+    command = probe.command(name)
+    motion.prepare(probe, command)
+    there, back = motion.follow(probe, command, 111.1), motion.follow(probe, command, -33.3)
+    near = motion.near(probe.dialect)
+    assert there.asked == pytest.approx(111.1, abs=0.06)
+    assert abs(there.degrees) == pytest.approx(there.asked, abs=near)
+    assert back.degrees == pytest.approx(back.asked * there.degrees / there.asked, abs=near)
+    assert there.statuses == ([1, 2] if motion.tells_end(probe.dialect) else [])
 
 
-def test_a_journey_from_a_place_that_no_move_reaches_is_inconclusive():
+def test_what_is_sent_is_in_the_units_of_each_command():
+    mks, lk = make.parse("mks-rs485@1").dialect, make.parse("lk-rs485@1").dialect
+    how = {"rpm": 60, "acceleration": 7}
+
+    def values(dialect, name, degrees, **more):
+        return motion.values_of(dialect, dialect.by_name[name], degrees, **how | more)
+
+    assert values(mks, "run_speed", 0, rpm=-60) == {"direction": 1, "speed": 60, "acceleration": 7}
+    pulses = {"speed": 60, "acceleration": 7, "direction": 1, "pulses": 800}
+    assert values(mks, "move_relative_pulses", -90) == pulses
+    assert values(mks, "move_relative_pulses", -90, subdivision=256) == pulses | {"speed": 960, "pulses": 12_800}
+    assert values(mks, "move_relative_axis", -90) == {"speed": 60, "acceleration": 7, "position": -4096}
+    assert values(mks, "move_absolute_axis", 90, start=1000) == {"speed": 60, "acceleration": 7, "position": 5096}
+    assert values(lk, "run_speed", 0, rpm=-60) == {"speed": -36_000}
+    assert values(lk, "move_increment_limited", -90) == {"position": -9_000, "max_speed": 36_000}
+    assert values(lk, "move_single_turn", -90, start=1_000) == {"direction": 1, "angle": 28_000}
+    assert values(lk, "run_torque", 90) == {"torque_current": motion.FORCE}
+
+
+def test_a_move_from_a_place_that_no_move_reaches_is_inconclusive():
     probe = probe_of("mks-rs485@1")
-    journey.prepare(probe)
+    motion.ready_to_move(probe)
     probe.drive.memory.zero = -(2**31)  # the encoder reads beyond what a move can be told
     with pytest.raises(Inconclusive, match="from where"):
-        journey.travel(probe, probe.command(Verb.MOVE_ABSOLUTE_AXIS), 0.1)
-
-
-def test_lk_has_no_journeys():
-    assert not journey.is_mks(make.parse("lk-rs485@1").dialect)
-    assert motion.can_move(make.parse("lk-rs485@1").dialect)
+        motion.follow(probe, probe.command(Verb.MOVE_ABSOLUTE_AXIS), 36)
