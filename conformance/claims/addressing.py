@@ -2,7 +2,7 @@
 
 Rules kept here:
 - Everything here but a read of the drive itself goes to other addresses: the claims want the bus to themselves.
-- That something is executed, or is not, is seen by a witness (`motion.effects`), and the witness is sent to the drive
+- That something is executed, or is not, is seen by an observable effect (`motion.effects`), which is sent to the drive
   itself in the end where nothing was to happen, so that a drive that does nothing at all proves nothing.
 - Addresses of several drives stand in `addressing_many`, packages for several drives in `addressing_package`.
 """
@@ -22,13 +22,13 @@ from conformance.claims.declare import Case, claim, commands, declared_in, descr
 from conformance.claims.hearing import ask_first, came, judge_next, plain_read
 from conformance.claims.known_quirks import may_meet
 from conformance.motion import effects
-from conformance.motion.effects import Witness
+from conformance.motion.effects import Observable
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
 
 NEW_ADDRESS_ANSWERS = "new-address-answers"
 _BYTE = 0xFF
-#: Orders of the witness that are sent to other addresses: each takes the time of a move.
+#: Changes that are sent to other addresses: each takes the time of a move.
 _FEW = 5
 
 
@@ -125,13 +125,13 @@ def _behind_others(probe: Probe) -> None:
 
 
 def _observable(dialect: Dialect) -> Iterator[Case]:
-    shown = effects.chosen(dialect)
+    shown = effects.observable(dialect)
     if shown is not None:
         yield Case(dialect, given={"shown": shown}, facts={"risks": shown.risks, "settings": shown.settings})
 
 
 @_addressing("an effect of it", each=_observable, name="other/not_executed")
-def _not_executed(probe: Probe, shown: Witness) -> None:
+def _not_executed(probe: Probe, shown: Observable) -> None:
     """A request to another address is not executed."""
     dialect, own = probe.dialect, probe.address
     shown.prepare(probe)
@@ -139,14 +139,14 @@ def _not_executed(probe: Probe, shown: Witness) -> None:
     far = _chosen(dialect, own, (*_one_bit(dialect, own), *_edges(dialect, own)))
     if dialect.broadcast is None:
         near.append(0)
-    order = shown.order(probe)
+    change = shown.change(probe)
     for address in [*near, *far[-3:], *far[:3]][: _FEW + 2]:
-        sent = send_to(probe, address, order, shown.settle_ns)
+        sent = send_to(probe, address, change, shown.settle_ns)
         probe.expect(
-            f"{order.after} is read",
-            holds=not shown.done(probe, order),
-            expected=f"{order.before} still to be read after {hex_of(sent.sent or b'')}",
-            refutes=f"{order.command.name} to {address} is executed, and the drive is {own}",
+            f"{change.after} is read",
+            holds=not shown.done(probe, change),
+            expected=f"{change.before} still to be read after {hex_of(sent.sent or b'')}",
+            refutes=f"{change.command.name} to {address} is executed, and the drive is {own}",
             exchange=sent,
             key="another address is executed",
         )

@@ -15,7 +15,7 @@ from conformance.claim import Claim, Theme
 from conformance.claims.declare import Case, Cases, claim, declared_in, described_in
 from conformance.claims.hearing import ask_first, came, is_answered, judge_next, plain_read
 from conformance.motion import effects
-from conformance.motion.effects import Order, Witness
+from conformance.motion.effects import Change, Observable
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
 
@@ -28,9 +28,9 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
     return declared_in(__name__, dialect)
 
 
-def send_to(probe: Probe, address: int, order: Order, listen_ns: int = 0) -> Exchange:
-    """Send an order of a witness to an address and return what came back while it could have been executed."""
-    built = probe.build(order.command, order.values, address=address)
+def send_to(probe: Probe, address: int, change: Change, listen_ns: int = 0) -> Exchange:
+    """Send a change to an address and return what came back while it could have been executed."""
+    built = probe.build(change.command, change.values, address=address)
     return probe.send(built.item(), timeout_ns=max(listen_ns, probe.rig.silence_ns))
 
 
@@ -186,57 +186,60 @@ def _own_address(probe: Probe, many: _Many) -> None:
 # --- commands ---------------------------------------------------------------------------------------------------------
 
 
-def _orders(dialect: Dialect) -> Iterator[Case]:
-    """Yield each address of several drives with each witness of a motion and of a setting."""
+def _changes(dialect: Dialect) -> Iterator[Case]:
+    """Yield each address of several drives with the effect of a motion and of a setting."""
     for many in _addresses(dialect):
-        for name, shown in ((many.name, effects.chosen(dialect)), (f"{many.name}/setting", effects.setting(dialect))):
+        for name, shown in (
+            (many.name, effects.observable(dialect)),
+            (f"{many.name}/setting", effects.observable_setting(dialect)),
+        ):
             if shown is not None:
                 yield Case(dialect, given={"many": many, "what": many.what, "kind": name, "shown": shown})
 
 
-@_addressing("no effect of it", _orders, name="{kind}/executed")
-def _executed(probe: Probe, many: _Many, shown: Witness) -> None:
+@_addressing("no effect of it", _changes, name="{kind}/executed")
+def _executed(probe: Probe, many: _Many, shown: Observable) -> None:
     """A command by {what} is executed."""
     shown.prepare(probe)
     to = many.join(probe)
-    order = shown.order(probe)
-    sent = send_to(probe, to, order, shown.settle_ns)
-    done = shown.done(probe, order)
+    change = shown.change(probe)
+    sent = send_to(probe, to, change, shown.settle_ns)
+    done = shown.done(probe, change)
     if not done:
         shown.control(probe)
     probe.expect(
-        f"{order.before} is read",
+        f"{change.before} is read",
         holds=done,
-        expected=f"{order.after} to be read after {hex_of(sent.sent or b'')}",
-        refutes=f"{order.command.name} by {many.what} is not executed",
+        expected=f"{change.after} to be read after {hex_of(sent.sent or b'')}",
+        refutes=f"{change.command.name} by {many.what} is not executed",
         exchange=sent,
         key=f"{many.what} is not executed",
     )
 
 
-@_addressing("any answer", _orders, name="{kind}/silent")
-def _silent(probe: Probe, many: _Many, shown: Witness) -> None:
+@_addressing("any answer", _changes, name="{kind}/silent")
+def _silent(probe: Probe, many: _Many, shown: Observable) -> None:
     """A command by {what} is not answered, neither when it begins nor when it is done."""
     shown.prepare(probe)
     to = many.join(probe)
-    _expect_silence(probe, send_to(probe, to, shown.order(probe), shown.settle_ns), many.what)
+    _expect_silence(probe, send_to(probe, to, shown.change(probe), shown.settle_ns), many.what)
 
 
-def _group_orders(dialect: Dialect) -> Iterator[Case]:
-    return (case for case in _orders(dialect) if case["kind"] == _GROUPS.name)
+def _group_changes(dialect: Dialect) -> Iterator[Case]:
+    return (case for case in _changes(dialect) if case["kind"] == _GROUPS.name)
 
 
-@_addressing("an answer, or an effect of it", _group_orders, name="{many}/other")
-def _other_group(probe: Probe, many: _Many, shown: Witness) -> None:
+@_addressing("an answer, or an effect of it", _group_changes, name="{many}/other")
+def _other_group(probe: Probe, many: _Many, shown: Observable) -> None:
     """A command to another group address than the drive's is neither executed nor answered."""
     shown.prepare(probe)
     group = many.join(probe)
-    order = shown.order(probe)
+    change = shown.change(probe)
     for address in (group + 1, group - 1):
-        sent = send_to(probe, address, order, shown.settle_ns)
+        sent = send_to(probe, address, change, shown.settle_ns)
         probe.expect(
             came(sent) if not sent.silent else "it is executed",
-            holds=sent.silent and not shown.done(probe, order),
+            holds=sent.silent and not shown.done(probe, change),
             expected=f"no answer and no effect of {hex_of(sent.sent or b'')}",
             refutes=f"the group {address} is heard, and the drive is in {group}",
             exchange=sent,

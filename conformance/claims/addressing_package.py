@@ -97,7 +97,7 @@ def _send(probe: Probe, frame: bytes) -> tuple[int, Exchange]:
 def _expect_move(probe: Probe, frame: bytes, steps: int, what: str) -> None:
     """Expect a move by so many steps after a package, of a drive that moves when it is told by itself."""
     moved, sent = _send(probe, frame)
-    shown = effects.chosen(probe.dialect)
+    shown = effects.observable(probe.dialect)
     if shown is None:
         raise Inconclusive("there is nothing that shows whether the drive executes")
     if (moved == steps) == (steps == 0):

@@ -15,7 +15,7 @@ from conformance.claim import Claim, Inconclusive, Theme
 from conformance.claims.declare import Case, claim, declared_in, described_in
 from conformance.claims.hearing import came
 from conformance.motion import effects
-from conformance.motion.effects import Order, Witness
+from conformance.motion.effects import Observable
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
 
@@ -150,7 +150,7 @@ _DAMAGES = (
 
 
 def _damages(dialect: Dialect) -> Iterable[Case]:
-    observable = effects.chosen(dialect)
+    observable = effects.observable(dialect)
     for damage in _DAMAGES if observable is not None else ():
         if not damage.head or isinstance(dialect.link, HeadLink):
             yield Case(dialect, given={"damage": damage, "what": damage.what, "observable": observable})
@@ -167,20 +167,20 @@ def _damages(dialect: Dialect) -> Iterable[Case]:
     emulated=True,
     parameters={},
 )
-def _not_executed(probe: Probe, damage: _Damage, observable: Witness) -> None:
+def _not_executed(probe: Probe, damage: _Damage, observable: Observable) -> None:
     """A request {what} is not executed."""
     observable.prepare(probe)
-    order = observable.order(probe)
-    built = probe.build(order.command, order.values)
+    change = observable.change(probe)
+    built = probe.build(change.command, change.values)
     for what, frame in damage.make(probe.dialect, built.frame, probe.address):
         sent = probe.send(built.item(frame), timeout_ns=_LISTEN_NS)
         observable.settle(probe)
         got = observable.read(probe)
         probe.expect(
             f"{got} is read",
-            holds=observable.is_done(got, _undone(order)),
-            expected=f"nothing: {order.before} still to be read after {hex_of(sent.sent or b'')}",
-            refutes=f"{order.command.name} is executed with {what}",
+            holds=observable.is_done(got, change.undone),
+            expected=f"nothing: {change.before} still to be read after {hex_of(sent.sent or b'')}",
+            refutes=f"{change.command.name} is executed with {what}",
             exchange=sent,
             key=f"{damage.name}: executed",
         )
@@ -189,11 +189,6 @@ def _not_executed(probe: Probe, damage: _Damage, observable: Witness) -> None:
 
 #: How long is listened to a damaged request before its effect is looked for.
 _LISTEN_NS = 300_000_000
-
-
-def _undone(order: Order) -> Order:
-    """Return the order that leads to where nothing was done."""
-    return Order(order.command, order.values, order.after, order.before)
 
 
 #: What damaged requests could be read as, beside what they were built from.

@@ -7,7 +7,8 @@
           |  _/      |_
           |_/          |___ time
 
-Written from the manual and from nothing else: an emulated drive has its own law, and the two are compared by the claims.
+Its two numbers are the catalogue's. What follows from them is worked out here and once more by the emulated drives: the claims
+compare the two.
 
 Rules kept here:
 - Speeds are rpm of the shaft, distances turns, times ns. The law is taken as a straight line; the manual's staircase of
