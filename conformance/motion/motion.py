@@ -365,20 +365,6 @@ def speed_as_sent(dialect: Dialect, field: Field, rpm: float, subdivision: int =
     return field.wire(rpm)
 
 
-def shaft_rpm(dialect: Dialect, speed: float, subdivision: int) -> float:
-    """Return how fast the shaft turns for a speed at a subdivision, both as sent."""
-    law = dialect.subdivision
-    assert law is not None  # asked of drives that count pulses
-    return speed if subdivision in law.plain else speed * law.counted_at / (subdivision or law.largest)
-
-
-def pulse_counts(dialect: Dialect, pulses: int, subdivision: int) -> int:
-    """Return the encoder counts of pulses at a subdivision as sent, without a sign."""
-    law = dialect.subdivision
-    assert law is not None  # asked of drives that count pulses
-    return round(pulses * dialect.counts_per_turn / (law.full_steps * (subdivision or law.largest)))
-
-
 def finest(probe: Probe) -> int:
     """Return how the largest subdivision is sent: as itself where the field holds it, else as 0."""
     found = probe.dialect.effect(Effect.SUBDIVISION)
