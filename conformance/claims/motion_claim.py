@@ -1,64 +1,24 @@
 """Declaring claims about motion: what those that move a motor have in common.
 
-    motion_claim(dialect, command, "distance", "It moves ...", "another distance", check)
+    @of_motion(each=motions(MotionKind.RUN), refuted_by="a shaft that stops by itself")
+    def lasts(probe: Probe, command: Command) -> None:
+        '''A run goes on until it is told otherwise.'''
 
-A check gets the probe and the command as the drive's model has it. The risks and settings of making a drive ready are
-named for it.
+The risks and settings of making a drive ready are named for it. A check of two families in two statements is declared twice:
+each declaration names its cases, its statement and what would refute it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from functools import partial
 from typing import Any
 
-from analyzer.catalogue import Command, Dialect, Risk, Verb
-from conformance.claim import Aspect, Claim, Refuted, Theme
-from conformance.claims.declare import Case, Cases, claim, declare
+from analyzer.catalogue import Command, Risk, Verb
+from conformance.claim import Aspect, Refuted, Theme
+from conformance.claims.declare import Case, Cases, claim
 from conformance.motion import motion
 from conformance.motion.motion import SAME, Sample
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
-
-Check = Callable[[Probe, Command], None]
-
-
-def motion_claim(
-    dialect: Dialect,
-    command: Command,
-    what: str,
-    statement: str,
-    refuted_by: str,
-    check: Check,
-    *,
-    theme: Theme = Theme.MOTION,
-    risks: Iterable[Risk] = (),
-    own: Iterable[Risk] | None = None,
-    settings: Iterable[str] = (),
-    still: bool = False,
-    **more: Any,
-) -> Claim:
-    """Return a claim about a command that moves, or about one that a moving drive is asked.
-
-    `risks`, `settings`: beside those of making a drive ready and of the command. `own`: those of the command with the
-    values that are sent, where that are not all (values that no manual explains are sent by no claim of this theme).
-    `still`: the drive is not made ready to move.
-    """
-    risks = {*risks, *(command.all_risks - {Risk.UNKNOWN} if own is None else own)}
-    more.setdefault("fields", tuple(dict.fromkeys(n for f in command.request_forms for n in f.layout.named)))
-    return declare(
-        dialect,
-        theme,
-        f"{command.name}/{what}",
-        statement,
-        refuted_by,
-        partial(_run, check, command.name),
-        command=command,
-        aspect=Aspect.MOTION,
-        risks=risks if still else motion.risks(dialect, *risks),
-        settings=tuple(settings) if still else motion.settings(dialect, *settings),
-        **more,
-    )
 
 
 def of_motion(
@@ -72,7 +32,12 @@ def of_motion(
     still: bool = False,
     **facts: Any,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Declare a check of a command that moves, or of one that a moving drive is asked; see `motion_claim` and `claim`."""
+    """Declare a check of a command that moves, or of one that a moving drive is asked; see `claim`.
+
+    `risks`, `settings`: beside those of making a drive ready and of the command. `own`: those of the command with the
+    values that are sent, where that are not all (values that no manual explains are sent by no claim of this theme).
+    `still`: the drive is not made ready to move.
+    """
 
     def named(case: Case) -> tuple[str, ...]:
         return tuple(dict.fromkeys(n for f in command_of(case).request_forms for n in f.layout.named))
@@ -121,24 +86,15 @@ def that_tell_their_end(each: Cases) -> Cases:
     return lambda dialect: each(dialect) if motion.tells_end(dialect) else ()
 
 
-def _run(check: Check, name: str, probe: Probe) -> None:
-    check(probe, probe.command(name))
-
-
-def refute(exchange: Exchange | None, text: str, *, expected: str, got: str, key: str = "") -> Refuted:
-    """Return a refutation. `key`: what makes two failures one, `text` where none is given."""
-    return Refuted(text, expected=expected, got=got, exchange=exchange, key=key)
-
-
 def expect_stays(before: Sample, after: Sample, exchange: Exchange | None, text: str, within: float = SAME) -> None:
     """Refute unless the shaft is where it was, `within` so many degrees."""
     moved = after.value - before.value
     if abs(moved) > within:
-        raise refute(exchange, text, expected="no motion", got=f"the shaft moved by {moved:+.2f} degrees")
+        raise Refuted(text, expected="no motion", got=f"the shaft moved by {moved:+.2f} degrees", exchange=exchange)
 
 
 def expect_speed(seen: Sample | float, rpm: float, exchange: Exchange | None, text: str, share: float = 0.01) -> None:
     """Refute unless a speed is near `rpm`, whichever way the shaft turns."""
     value = abs(seen if isinstance(seen, float) else seen.value)
     if abs(value - abs(rpm)) > 1 + abs(rpm) * share:
-        raise refute(exchange, text, expected=f"{abs(rpm):g} rpm", got=f"{value:g} rpm")
+        raise Refuted(text, expected=f"{abs(rpm):g} rpm", got=f"{value:g} rpm", exchange=exchange)

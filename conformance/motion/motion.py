@@ -252,6 +252,18 @@ def speed_between(first: Sample, second: Sample) -> tuple[float, float]:
     return rpm, uncertain
 
 
+def turning(probe: Probe) -> float:
+    """Return the speed of a turning shaft in rpm: as the drive reads it, or from positions where no read is about it alone."""
+    return speed(probe).value if Verb.READ_SPEED in probe.dialect.by_verb else mean_speed(probe, 300 * MS)[0]
+
+
+def mean_speed(probe: Probe, over_ns: int = SECOND_NS) -> tuple[float, float]:
+    """Return the speed of a turning shaft from two positions (rpm, signed), and its uncertainty."""
+    first = position(probe)
+    probe.wait(over_ns)
+    return speed_between(first, position(probe))
+
+
 def sampled(probe: Probe, duration_ns: int, every_ns: int, what: str = "position") -> list[Sample]:
     """Measure again and again for a time; `what`: position or speed."""
     measure = {"position": position, "speed": speed}[what]
@@ -264,52 +276,6 @@ def sampled(probe: Probe, duration_ns: int, every_ns: int, what: str = "position
         if now_ns >= until_ns:
             return found
         probe.wait(min(every_ns - (now_ns - begun_ns), until_ns - now_ns))
-
-
-# --- moving and coming to rest ----------------------------------------------------------------------------------------
-
-
-def run_at(probe: Probe, rpm: float, acceleration: int = GENTLE) -> Exchange:
-    """Begin a run at a speed. Raises Inconclusive where the drive refuses or does not answer."""
-    command = probe.command(Verb.RUN_SPEED)
-    return probe.do(command, values_of(probe.dialect, command, rpm=rpm, acceleration=acceleration))
-
-
-def stop(probe: Probe, acceleration: int = GENTLE) -> Exchange:
-    """Ask for a stop by a ramp (0: at once) that keeps the torque, and return what came at first. Judges nothing."""
-    for verb in (Verb.STOP_SPEED, Verb.STOP):
-        if verb in probe.dialect.by_verb:
-            command = probe.command(verb)
-            named = command.request_forms[0].layout.named
-            return probe.ask(command, {"acceleration": acceleration} if "acceleration" in named else None)
-    raise Inconclusive(f"{probe.dialect.name} has no stop")
-
-
-def wait_standing(probe: Probe, *, limit_ns: int = _REST_NS) -> Sample:
-    """Wait until the speed reads 0 and the position stays; return where that is.
-
-    Raises Inconclusive where that does not come within `limit_ns`.
-    """
-    until_ns = probe.gate.now_ns() + limit_ns
-    before, rpm = position(probe), 0.0
-    while True:
-        # A fast shaft takes as long as its ramp; there is nothing to see before.
-        probe.wait(max(_LOOK_NS, min(int(rpm * ramp.step_ns(GENTLE)), limit_ns)))
-        now, rpm = position(probe), abs(speed(probe).value)
-        if abs(now.value - before.value) <= SAME and rpm < 1:
-            return now
-        if probe.gate.now_ns() >= until_ns:
-            raise Inconclusive(f"the shaft does not come to rest within {limit_ns / 1e9:.0f} s")
-        before = now
-
-
-def stand_still(probe: Probe, *, limit_ns: int = _REST_NS) -> Sample:
-    """Stop by a ramp, keeping the torque, and wait until the shaft stands; return where that is.
-
-    Raises Inconclusive where it does not come to rest.
-    """
-    stop(probe)
-    return wait_standing(probe, limit_ns=limit_ns)
 
 
 # --- asking for motion ------------------------------------------------------------------------------------------------
@@ -475,6 +441,52 @@ def begin(probe: Probe, command: Command, degrees: float = 0.0, **how: Any) -> E
     return exchange
 
 
+# --- running and coming to rest ----------------------------------------------------------------------------------------
+
+
+def run_at(probe: Probe, rpm: float, acceleration: int = GENTLE) -> Exchange:
+    """Begin a run at a speed. Raises Inconclusive where the drive refuses or does not answer."""
+    command = probe.command(Verb.RUN_SPEED)
+    return probe.do(command, values_of(probe.dialect, command, rpm=rpm, acceleration=acceleration))
+
+
+def stop(probe: Probe, acceleration: int = GENTLE) -> Exchange:
+    """Ask for a stop by a ramp (0: at once) that keeps the torque, and return what came at first. Judges nothing."""
+    for verb in (Verb.STOP_SPEED, Verb.STOP):
+        if verb in probe.dialect.by_verb:
+            command = probe.command(verb)
+            named = command.request_forms[0].layout.named
+            return probe.ask(command, {"acceleration": acceleration} if "acceleration" in named else None)
+    raise Inconclusive(f"{probe.dialect.name} has no stop")
+
+
+def wait_standing(probe: Probe, *, limit_ns: int = _REST_NS) -> Sample:
+    """Wait until the speed reads 0 and the position stays; return where that is.
+
+    Raises Inconclusive where that does not come within `limit_ns`.
+    """
+    until_ns = probe.gate.now_ns() + limit_ns
+    before, rpm = position(probe), 0.0
+    while True:
+        # A fast shaft takes as long as its ramp; there is nothing to see before.
+        probe.wait(max(_LOOK_NS, min(int(rpm * ramp.step_ns(GENTLE)), limit_ns)))
+        now, rpm = position(probe), abs(speed(probe).value)
+        if abs(now.value - before.value) <= SAME and rpm < 1:
+            return now
+        if probe.gate.now_ns() >= until_ns:
+            raise Inconclusive(f"the shaft does not come to rest within {limit_ns / 1e9:.0f} s")
+        before = now
+
+
+def stand_still(probe: Probe, *, limit_ns: int = _REST_NS) -> Sample:
+    """Stop by a ramp, keeping the torque, and wait until the shaft stands; return where that is.
+
+    Raises Inconclusive where it does not come to rest.
+    """
+    stop(probe)
+    return wait_standing(probe, limit_ns=limit_ns)
+
+
 # --- a move and its end -----------------------------------------------------------------------------------------------
 
 
@@ -552,15 +564,3 @@ def wait_until(probe: Probe, is_so: Callable[[], bool], *, every_ns: int = 20 * 
     until_ns = probe.gate.now_ns() + limit_ns
     while not is_so() and probe.gate.now_ns() < until_ns:
         probe.wait(every_ns)
-
-
-def turning(probe: Probe) -> float:
-    """Return the speed of a turning shaft in rpm: as the drive reads it, or from positions where no read is about it alone."""
-    return speed(probe).value if Verb.READ_SPEED in probe.dialect.by_verb else mean_speed(probe, 300 * MS)[0]
-
-
-def mean_speed(probe: Probe, over_ns: int = SECOND_NS) -> tuple[float, float]:
-    """Return the speed of a turning shaft from two positions (rpm, signed), and its uncertainty."""
-    first = position(probe)
-    probe.wait(over_ns)
-    return speed_between(first, position(probe))

@@ -1,0 +1,68 @@
+"""Observable effects: each dialect's is seen where it is executed, and not seen where it is not."""
+
+from __future__ import annotations
+
+import pytest
+
+from conformance.claim import Claim, Inconclusive, Refuted, Theme
+from conformance.drives import make
+from conformance.motion import effects
+from conformance.suite.rig_emulated import EmulatedRig
+from conformance.talk.probe import Probe
+
+DRIVES = {
+    "mks-rs485@1": "move_relative_axis",
+    "mks-modbus@1": "move_relative_axis",
+    "mks-can@1": "write_user_id",
+    "lk-rs485@1": "set_position",
+}
+
+
+def probe_of(drive: str) -> Probe:
+    rig = EmulatedRig(make.parse(drive))
+    name = rig.dialect.name
+    return rig.probe(Claim(f"{name}/motion/test", Theme.MOTION, name, "It moves.", "1", "no motion", lambda probe: None))
+
+
+@pytest.mark.parametrize(("drive", "command"), DRIVES.items())
+def test_a_change_is_seen_once_it_is_executed(drive, command):
+    probe = probe_of(drive)
+    effect = effects.observable(probe.dialect)
+    effect.prepare(probe)
+    change = effect.change(probe)
+    assert change.command.name == effect.command.name == command
+    assert not effect.done(probe, change)
+    probe.do(change.command, change.values)
+    assert effect.done(probe, change)
+    assert not effect.is_done(effect.read(probe), change.undone)
+
+
+def test_another_effect_refutes():
+    probe = probe_of("mks-can@1")
+    effect = effects.observable(probe.dialect)
+    change = effect.change(probe)
+    probe.do(change.command, {"user_id": 7})
+    with pytest.raises(Refuted, match="another effect"):
+        effect.done(probe, change)
+
+
+def test_a_drive_that_executes_nothing_proves_nothing():
+    probe = probe_of("mks-rs485@1,fault=disabled-moves")
+    effect = effects.observable(probe.dialect)
+    with pytest.raises(Inconclusive):
+        effect.control(probe)
+
+
+def test_a_setting_is_observed_beside_a_move_alone():
+    found = {drive: effects.observable_setting(probe_of(drive).dialect) for drive in DRIVES}
+    assert {drive: effect.command.name for drive, effect in found.items() if effect} == {
+        "mks-rs485@1": "set_zero",
+        "mks-modbus@1": "set_zero",
+    }
+    probe = probe_of("mks-rs485@1")
+    zero = found["mks-rs485@1"]
+    zero.prepare(probe)
+    change = zero.change(probe)
+    assert abs(change.before) >= effects.STEP
+    probe.do(change.command, change.values)
+    assert zero.done(probe, change)
