@@ -313,7 +313,7 @@ class Subject(StrEnum):
 class Vector:
     """A frame as the manual prints it (or, where it prints none, as computed from its rules).
 
-    `printed`: hex text of the bytes that are printed; CAN: ID first, then the data. `checksum` False: the manual leaves
+    `printed`: hex text of the bytes that are printed; CAN: identifier, then data. `checksum` False: the manual leaves
     the checksum out ("CRC" or nothing in its place). `values`: each field by name, integers as sent, of the whole data.
     `command`: only where the frame stands in another command's section. `erratum`: the id of the erratum that says why
     the printed frame does not hold; `corrected` is then the frame that we take as true.
@@ -333,6 +333,14 @@ class Vector:
     def data(self) -> bytes:
         """The printed bytes."""
         return bytes.fromhex(self.printed)
+
+    def taken_on(self, bus: str) -> tuple[int | None, bytes]:
+        """Return the frame that is taken as true: its identifier on CAN, else None, and its bytes."""
+        text = self.corrected or self.printed
+        if bus != "can":
+            return None, bytes.fromhex(text)
+        identifier, _, data = text.partition(" ")
+        return int(identifier, 16), bytes.fromhex(data)
 
 
 @dataclass(frozen=True, slots=True)

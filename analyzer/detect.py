@@ -1,8 +1,11 @@
 """Which dialects a capture is in: each is tried on a sample, and the evidence is kept to be shown.
 
 A dialect's score is the share of the sample's bytes that end in its frames with a fitting check, a catalogued command and
-values as the manual lists them. The best one is chosen; another serial dialect joins it when together they explain
+values as the manual lists them. The best one is chosen; another dialect joins it when together they explain
 clearly more than the best alone (a drive switched to Modbus, drives of several makers on one line).
+
+On CAN every frame is one, so of a dialect without checks only the code and the length speak. Some of any traffic fits those by
+chance: such a dialect is believed where it explains half of the frames at least that no check speaks for.
 """
 
 from __future__ import annotations
@@ -19,6 +22,8 @@ _JOIN_SHARE = 0.01
 _JOIN_FRAMES = 3
 #: Below this share no dialect is believed.
 _LEAST = 0.02
+#: Share of the frames without a fitting check that a dialect without checks must explain.
+_LEAST_UNCHECKED = 0.5
 
 
 @dataclass
@@ -106,12 +111,13 @@ def choose(candidates: Sequence[Dialect], items: Sequence[Chunk | CanFrame | Com
     evidence = [weigh(dialect, sample) for dialect in fitting]
     # A stable sort: of dialects that explain the same, the one listed first wins.
     evidence.sort(key=lambda e: -e.good_bytes)
-    if not evidence or evidence[0].share < _LEAST:
+    believed = _believed(evidence, sample)
+    if not believed or believed[0].share < _LEAST:
         shown = "; ".join(str(e) for e in evidence)
         return Choice(tuple(fitting), tuple(evidence), f"no dialect explains the bytes, all are tried ({shown})")
-    chosen = [evidence[0].dialect]
-    for other in evidence[1:]:
-        if other.frames < _JOIN_FRAMES or kind == "can":
+    chosen = [believed[0].dialect]
+    for other in believed[1:]:
+        if other.frames < _JOIN_FRAMES:
             continue
         together = _try([*chosen, other.dialect], sample)
         before = _try(chosen, sample)
@@ -120,3 +126,12 @@ def choose(candidates: Sequence[Dialect], items: Sequence[Chunk | CanFrame | Com
             chosen.append(other.dialect)
     reason = "; ".join(str(e) for e in evidence)
     return Choice(tuple(chosen), tuple(evidence), reason)
+
+
+def _believed(evidence: Sequence[Evidence], sample: Sequence[Chunk | CanFrame]) -> list[Evidence]:
+    """Return the evidence without that for dialects which have no check and explain too few frames."""
+    checked = [e.dialect for e in evidence if e.dialect.link.checked]
+    if len(checked) == len(evidence):
+        return list(evidence)
+    rest = len(sample) - (sum(_try(checked, sample).frames.values()) if checked else 0)
+    return [e for e in evidence if e.dialect.link.checked or e.frames >= _LEAST_UNCHECKED * rest > 0]

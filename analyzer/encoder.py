@@ -108,7 +108,7 @@ def assemble(
         shown = codec(form.layout).wire(data)
         forbidden += refusals(command, form, data)
         risks = command.risks(shown) if role is Role.REQUEST else frozenset()
-    head_limit = max(dialect.addresses[1], 0xFF)
+    head_limit = max(dialect.addresses[1], 0xFF if dialect.bus == "serial" else 0)
     if not 0 <= address <= head_limit:
         raise UsageError(f"address {address} does not fit the frame, expected 0..{head_limit}")
     frame = dialect.link.build(command, form, address, data, role)

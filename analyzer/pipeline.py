@@ -230,9 +230,9 @@ class Pipeline:
             port.clock_ns += (CAN_OVERHEAD_BITS + 8 * len(can.data)) * self.options.synthetic_bit_ns
             t_ns = port.clock_ns
         offset = port.bytes_in - len(can.data)
-        dialect = port.can[0] if port.can else self.dialects[0]
         if not port.can:
-            raise UsageError(f"{port.name} is a CAN bus, and {dialect.name} is a dialect of serial lines")
+            raise UsageError(f"{port.name} is a CAN bus, and {self.dialects[0].name} is a dialect of serial lines")
+        dialect = port.can_dialect(can)
         shortest = dialect.link.shortest
         usual = not (can.error or can.fd or can.extended or can.remote) and can.id <= CAN_ID_LIMIT and len(can.data) >= shortest
         foreign = None if usual else _foreign(can, shortest)
@@ -241,8 +241,6 @@ class Pipeline:
             message = Message(frame, Role.UNKNOWN, can.id, None, None, can.data)
             self._write(port, message, [foreign])
             return
-        if len(port.can) > 1:
-            dialect = next((d for d in port.can if d.link.fits(can.data, can.id)), dialect)
         good = dialect.link.fits(can.data, can.id)
         self._frame(port, Frame(port.name, t_ns, t_ns, offset, can.data, dialect, can.direction, good, can))
 

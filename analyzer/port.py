@@ -11,11 +11,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from analyzer import dialects as registry
-from analyzer.catalogue import Dialect, Role
+from analyzer.catalogue import Command, Dialect, Role
 from analyzer.context import Context
 from analyzer.decoder import Decoder
 from analyzer.framer import SILENCE_NS, Framer
-from analyzer.records import Event, Frame, Junk, Message
+from analyzer.link.interface import data_lengths
+from analyzer.records import CanFrame, Event, Frame, Junk, Message
 from analyzer.transactions import Transactions
 
 
@@ -67,6 +68,8 @@ class Port:
         self.decoders: dict[str, Decoder] = {}
         self.framer: Framer | None = None
         self.can: list[Dialect] = []
+        self._by_evidence: list[Dialect] = []
+        self._lengths: dict[str, dict[int, set[int]]] = {}
         self.clock_ns = 0
         #: Place of the first byte here, and of the next one.
         self.start = self.bytes_in = setup.offset
@@ -86,6 +89,9 @@ class Port:
                 self.decoders[dialect.name] = Decoder(dialect)
         serial = [d for d in setup.dialects if d.bus == "serial"]
         self.can = [d for d in setup.dialects if d.bus == "can"]
+        # What no check speaks for comes last.
+        self._by_evidence = sorted(self.can, key=lambda d: not d.link.checked)
+        self._lengths = {d.name: frame_lengths(d.commands) for d in self.can if not d.link.checked}
         byte_ns = self._options.byte_ns if setup.byte_ns is None else setup.byte_ns
         self.framer = (
             Framer(self.name, serial, self.context, byte_ns=byte_ns, silence_ns=self._options.silence_ns, offset=self.bytes_in)
@@ -110,6 +116,18 @@ class Port:
         self.transactions = Transactions(
             self.context, late_ns=self._options.late_ns, half_duplex=self.framer is not None, timed=self._options.timed
         )
+
+    def can_dialect(self, can: CanFrame) -> Dialect:
+        """Return the dialect of a CAN frame: one whose check fits, else one without checks that has its code and length."""
+        if len(self.can) == 1:
+            return self.can[0]
+        return next((d for d in self._by_evidence if self._evident(d, can)), self.can[0])
+
+    def _evident(self, dialect: Dialect, can: CanFrame) -> bool:
+        if dialect.link.checked:
+            return dialect.link.fits(can.data, can.id)
+        head = dialect.link.parse(can.data, can.id)
+        return head.stop - head.start in self._lengths[dialect.name].get(head.code or 0, ())
 
     def topic(self, message: Message) -> str:
         """Return the topic of a message."""
@@ -143,6 +161,12 @@ class Port:
             setattr(self.transactions, name, state["transactions"][name])
         if self.framer is not None and state["framer"] is not None:
             self.framer.restore(state["framer"])
+
+
+def frame_lengths(commands: Sequence[Command]) -> dict[int, set[int]]:
+    """Return the data lengths of each code, of requests and replies."""
+    asked, told = data_lengths(commands, Role.REQUEST), data_lengths(commands, Role.REPLY)
+    return {code: asked.get(code, set()) | told.get(code, set()) for code in asked | told}
 
 
 def usual_setup(dialects: Sequence[Dialect]) -> PortSetup:

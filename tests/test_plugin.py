@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from tests.plugin_site import make_site, servotap
 
 MODULE = '''
 """An invented drive: AA/55 heads, address, code, data, XOR check."""
@@ -58,20 +54,7 @@ DIALECT = Dialect(
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("site")
-    (folder / "toy_drive.py").write_text(MODULE)
-    info = folder / "toy_drive-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: toy-drive\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[servotap.dialects]\ntoy-rs485 = toy_drive:DIALECT\n")
-    return folder
-
-
-def servotap(site, *words):
-    env = {**os.environ, "PYTHONPATH": f"{site}{os.pathsep}{ROOT}"}
-    done = subprocess.run([sys.executable, "-m", "analyzer", *words], env=env, cwd=site, capture_output=True, text=True)
-    assert "Traceback" not in done.stderr, done.stderr
-    return done
+    return make_site(tmp_path_factory.mktemp("site"), "toy_drive", MODULE, "toy-rs485")
 
 
 def xored(text):

@@ -120,7 +120,8 @@ def explained(found: Explanation) -> dict[str, Any]:
     if found.head.function is not None:
         shown["function"] = code_text(found.head.function)
     shown |= _command(message)
-    shown["checksum"] = _checksum(found)
+    if found.checks:
+        shown["checksum"] = _checksum(found)
     shown["findings"] = [
         {"rule": i.rule, "severity": (i.severity or RULES[i.rule].severity).value, "text": i.text} for i in found.issues
     ]

@@ -231,6 +231,8 @@ class Link(ABC):
     deciding_bytes = 0
     #: The fewest data bytes of a CAN frame.
     shortest = 0
+    #: Whether a frame has a check. Bytes without one are no evidence of a drive that speaks so.
+    checked = True
 
     @abstractmethod
     def slicer(self, commands: Sequence[CommandShape], expects: Callable[[int, int], int]) -> Slicer:

@@ -117,9 +117,10 @@ class Explainer:
     ) -> Iterator[Explanation]:
         """Yield the readings of a dialect; `absent`: as a frame without its check; `stated`: the user says that."""
         for sent, can_id in _split(dialect.link, given):
-            candidates = _restored(dialect.link, sent, can_id) if absent else ((sent, ()),)
+            lacks = absent and dialect.link.checked
+            candidates = _restored(dialect.link, sent, can_id) if lacks else ((sent, ()),)
             for data, lacking in candidates:
-                if len(data) < 2 + (can_id is None):
+                if len(data) < _shortest(dialect.link, can_id):
                     continue
                 frame = _Bytes(dialect, data, sent, can_id, lacking)
                 found = self._explanation(frame, role, stated, contexts.get(dialect.name))
@@ -138,7 +139,8 @@ class Explainer:
         good = all(c.ok for c in checks)
         message = self._decode(dialect, data, can_id, role, good, context)
         right, odd = _right(dialect, message, head, can_id)
-        fits = good and not absent and self._whole(dialect, data)
+        # Where there is no check, code and length have to speak for a frame.
+        fits = good and not absent and self._whole(dialect, data) and (link.checked or message.form is not None)
         issues = [*of_message(message, Context()), *odd]
         if absent and not stated:
             issues = [Issue("bad_checksum", f"{c.name}: expected {_hex(c.expected)}, got none") for c in absent] + issues
@@ -229,7 +231,7 @@ class Explainer:
         return self._reason_of_bytes(dialect, given.data, None, stated)
 
     def _reason_of_bytes(self, dialect: Dialect, data: bytes, can_id: int | None, stated: bool) -> str:
-        if len(data) < 2 + (can_id is None):
+        if len(data) < _shortest(dialect.link, can_id):
             return f"got {len(data)} bytes, which is too short"
         bad = [c for c in dialect.link.checks(data, can_id) if not c.ok]
         if stated or not bad:
@@ -244,8 +246,13 @@ def _split(link: Link, given: Given) -> Iterator[tuple[bytes, int | None]]:
             yield given.data, None
     elif given.can_id is not None:
         yield given.data, given.can_id
-    elif 2 <= len(given.data) <= CAN_DATA_LIMIT + 1:
+    elif min(2, 1 + link.shortest) <= len(given.data) <= CAN_DATA_LIMIT + 1:
         yield given.data[1:], given.data[0] & CAN_ID_LIMIT
+
+
+def _shortest(link: Link, can_id: int | None) -> int:
+    """Return the fewest bytes of a frame, on CAN of its data."""
+    return 3 if can_id is None else link.shortest
 
 
 def _restored(link: Link, body: bytes, can_id: int | None) -> Iterator[tuple[bytes, tuple[Check, ...]]]:

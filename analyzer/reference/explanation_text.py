@@ -114,7 +114,9 @@ def rows(found: Explanation) -> Iterator[Row]:
     data, message = found.message.frame.data, found.message
     start = found.data_start
     if found.can_id is not None:
-        yield Row("ID", f"{found.can_id:03X}", "", f"address {found.can_id}")
+        coded = not any(part.name == "code" for part in found.dialect.link.parts(data, found.can_id))
+        code = f", code 0x{found.head.code:02X}" if coded and found.head.code is not None else ""
+        yield Row("ID", f"{found.can_id:03X}", "", f"address {found.message.address}{code}")
     middle: list[tuple[int, Row]] = []
     for part in found.dialect.link.parts(data, found.can_id):
         if part.start < start:

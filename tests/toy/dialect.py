@@ -26,6 +26,7 @@ class NodeLink(CanLink):
     """Data frames whose identifier holds the node and the code; the data has neither, nor a checksum."""
 
     shortest = 0
+    checked = False
 
     def identifier(self, command: CommandShape, address: int) -> int:
         return address << _CODE_BITS | command.code
