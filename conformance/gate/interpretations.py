@@ -24,7 +24,8 @@ code must check within the good frame it stands in), and none hides a frame that
 - Its code belongs to a good frame that began later than itself: a head that was left over, and a good frame behind it.
 - It is a slot of a package that does not check, or has an uncatalogued code, and its code belongs to a good frame.
 
-On CAN each frame is judged by itself: one interpretation in each dialect, whatever its sum.
+On CAN each frame is judged by itself: one interpretation in each dialect, whatever its sum. Only where it is a good frame of
+a length that the catalogue has, the dialects in which it is none are left out: drives of several makers share a bus.
 
 Not known here: what is allowed (`conformance.gate.permissions`).
 """
@@ -130,6 +131,10 @@ class _Dialect:
         """Say whether it is clear what a candidate does: it is catalogued, or its function does nothing but read."""
         fallback = self.fallback(candidate)
         return candidate.known or (fallback is not None and fallback.all_risks <= _READ)
+
+    def good(self, candidate: Candidate) -> bool:
+        """Say whether a candidate is a good frame whose data are as long as the catalogue has them."""
+        return candidate.fits and candidate.known and all(m.form is not None for m in self.meanings(candidate))
 
     def meanings(self, candidate: Candidate) -> list[_Meaning]:
         """Return what a candidate may mean; a meaning that another one outdoes is left out."""
@@ -346,10 +351,11 @@ class CanInterpreter:
 
     def _interpret(self, frame: CanFrame, strange: str) -> Iterator[Interpretation]:
         beside = UNKNOWN if strange else frozenset[Risk]()
-        for each in self._dialects:
-            for candidate in each.finder.at(frame.data, 0, frame.id).found:
-                note = strange or ("" if frame.data or candidate.complete else "a frame without data")
-                yield from each.interpretations(candidate._replace(note=note), frame.data, 0, beside)
+        candidates = [(each, c) for each in self._dialects for c in each.finder.at(frame.data, 0, frame.id).found]
+        good = [] if strange else [(each, c) for each, c in candidates if each.good(c)]
+        for each, candidate in good or candidates:
+            note = strange or ("" if frame.data or candidate.complete else "a frame without data")
+            yield from each.interpretations(candidate._replace(note=note), frame.data, 0, beside)
 
 
 def _strangeness(frame: CanFrame) -> str:

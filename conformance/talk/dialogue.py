@@ -57,15 +57,17 @@ class _Sorter:
         self.junk_pieces: list[Junk] = []
         self.findings: list[Finding] = []
         self.own: list[tuple[range, Exchange]] = []
+        #: What a CAN frame is sent in, while it is decoded: it may have no data, and so no place in the stream of bytes.
+        self.sending: Exchange | None = None
         #: Sequences of requests that were sent here, the oldest first.
         self.asked: dict[int, None] = {}
 
     def sends(self, offset: int, size: int, exchange: Exchange) -> None:
         """Take it that the bytes from `offset` on are what an exchange sends."""
-        self.own = [*self.own[1 - _OWN_SPANS :], (range(offset, offset + max(1, size)), exchange)]
+        self.own = [*self.own[1 - _OWN_SPANS :], (range(offset, offset + size), exchange)]
 
     def _owner(self, offset: int) -> Exchange | None:
-        return next((exchange for span, exchange in self.own if offset in span), None)
+        return self.sending or next((exchange for span, exchange in self.own if offset in span), None)
 
     def entry(self, entry: Entry) -> None:
         """Keep a frame."""
@@ -85,7 +87,7 @@ class _Sorter:
 
     def finding(self, found: Finding) -> None:
         """Keep a finding about what came."""
-        if self._owner(found.offset) is None:
+        if self._owner(found.offset) is None and found.sequence not in self.asked:
             self.findings.append(found)
 
     def comment(self, comment: Comment) -> None:
@@ -150,7 +152,9 @@ class Dialogue:
         if shown:
             port = self._pipeline.ports.get(self._name)
             self._sorter.sends(port.bytes_in if port is not None else 0, len(record.data), exchange)
+            self._sorter.sending = exchange if isinstance(record, CanFrame) else None
             self._pipeline.feed(record)
+            self._sorter.sending = None
         return self.begin(exchange)
 
     def begin(self, exchange: Exchange) -> Exchange:

@@ -43,16 +43,22 @@ def check_harmless(built: Built) -> None:
 
 
 @cache
-def _judge(address: int, risks: frozenset[Risk] = frozenset()) -> Judge:
-    return Judge(Allowance(risks, addresses=frozenset({address})), registry.every())
+def _judge(address: int, risks: frozenset[Risk], names: frozenset[str]) -> Judge:
+    spoken = [d for d in registry.every() if not names or d.name in names]
+    return Judge(Allowance(risks, addresses=frozenset({address})), spoken)
 
 
-def harmless(item: Item, address: int, behind: bytes = b"", *, beside: frozenset[Risk] = frozenset()) -> bool:
+def harmless(
+    item: Item, address: int, behind: bytes = b"", *, beside: frozenset[Risk] = frozenset(), dialect: Dialect | None = None
+) -> bool:
     """Say whether what is to leave reads as nothing but reads of the drive at `address`, in any dialect.
 
     `behind`: what will be sent next; a head at the end of one could take it for its own. `beside`: risks that may be there.
+    `dialect`: that of the drive. On CAN an identifier is a drive's own, so that what drives of other dialects make of a frame
+    is left to the gate, which knows whether there are any.
     """
-    judge = _judge(address, beside)
+    on_can = dialect is not None and dialect.bus == "can"
+    judge = _judge(address, beside, frozenset({dialect.name, *dialect.siblings}) if dialect and on_can else frozenset())
     if judge.objections(item) or (isinstance(item, bytes) and _open_ended(item)):
         return False
     return not behind or isinstance(item, CanFrame) or not judge.objections(item + behind)
@@ -85,7 +91,7 @@ class Garbler:
                 yield what, item
 
     def _harmless(self, item: Item) -> bool:
-        return harmless(item, self.address, self.frame if isinstance(item, bytes) else b"")
+        return harmless(item, self.address, self.frame if isinstance(item, bytes) else b"", dialect=self.dialect)
 
     # --- checks ---------------------------------------------------------------------------------------------------
 

@@ -56,7 +56,7 @@ class Template:
 
     form: Form
     frame: bytes
-    address: int
+    can_id: int | None
     parts: tuple[tuple[str, int, int], ...]
     checks: tuple[str, ...]
     check_size: int
@@ -89,7 +89,7 @@ class MatchedReply:
         """Whether it is exactly its last check that is not there."""
         template = self.template
         short = len(self.data) == len(template.frame) - template.check_size
-        return short and not (self.checks and self.checks[-1].ok)
+        return bool(template.checks) and short and not (self.checks and self.checks[-1].ok)
 
     @property
     def fitting(self) -> int:
@@ -105,7 +105,9 @@ class MatchedReply:
     @property
     def plausible(self) -> bool:
         """Whether its code or its last check fits: without either, bytes are no reply to anything."""
-        return self.checked or any(p.ok for p in self.parts if p.name == CODE)
+        # Where no part of the frame is the code, the identifier tells it.
+        told = CODE if any(p.name == CODE for p in self.parts) else ADDRESS
+        return self.checked or any(p.ok for p in self.parts if p.name == told)
 
     @property
     def own(self) -> bytes:
@@ -147,11 +149,11 @@ def templates(dialect: Dialect, command: Command, address: int, values: Mapping[
             continue
         data = codec(form.layout).encode({})
         frame = link.build(command, form, address, data, Role.REPLY)
-        can_id = address if link.kind == "can" else None
+        can_id = link.identifier(command, address)
         checks = link.checks(frame, can_id)
         parts = tuple((NAMES.get(p.name, p.name), p.start, p.stop) for p in link.parts(frame, can_id))
-        size = len(checks[-1].expected)
-        result.append(Template(form, frame, address, parts, tuple(c.name for c in checks), size))
+        size = len(checks[-1].expected) if checks else 0
+        result.append(Template(form, frame, can_id, parts, tuple(c.name for c in checks), size))
     return result
 
 
@@ -271,7 +273,7 @@ def _candidates(dialect: Dialect, template: Template, data: bytes, can_id: int |
 
 def _reading(dialect: Dialect, template: Template, data: bytes, can_id: int | None, offset: int) -> MatchedReply:
     parts = [Part(name, data[start:stop], template.frame[start:stop]) for name, start, stop in template.parts]
-    if can_id is not None:
-        parts.insert(0, Part(ADDRESS, can_id.to_bytes(2, "big"), template.address.to_bytes(2, "big")))
+    if can_id is not None and template.can_id is not None:
+        parts.insert(0, Part(ADDRESS, can_id.to_bytes(2, "big"), template.can_id.to_bytes(2, "big")))
     checks = dialect.link.checks(data, can_id) if data else ()
     return MatchedReply(template, dialect, data, can_id, tuple(parts), tuple(checks), offset)

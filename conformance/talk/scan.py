@@ -22,7 +22,7 @@ from analyzer.catalogue import Command, Dialect, Risk, Role, Verb
 from analyzer.decoder import physical
 from analyzer.encoder import assemble
 from analyzer.errors import UsageError
-from conformance.gate.gate import Gate
+from conformance.gate.gate import Gate, Refused
 from conformance.gate.permissions import Allowance
 from conformance.talk.dialogue import MS, Dialogue
 from conformance.talk.exchange import Answer, Exchange
@@ -91,11 +91,15 @@ class Stray:
 
 @dataclass
 class Report:
-    """What a scan found. `rates`: those that it tried; `stopped`: why it did not look everywhere, or nothing."""
+    """What a scan found. `rates`: those that it tried; `stopped`: why it did not look everywhere, or nothing.
+
+    `refused`: drives that were not asked, for the question is more than a read in another dialect of the bus.
+    """
 
     found: list[Found] = field(default_factory=list)
     strays: list[Stray] = field(default_factory=list)
     asked: int = 0
+    refused: list[str] = field(default_factory=list)
     rates: list[int] = field(default_factory=list)
     dialects: tuple[str, ...] = ()
     echoes: bool = False
@@ -111,6 +115,9 @@ class Report:
         kinds = Counter(stray.kind for stray in self.strays)
         if self.echoes:
             result.append("the adapter hands back what it sends (its receiver stays on): that was left out")
+        if self.refused:
+            unasked = ", ".join(dict.fromkeys(self.refused))
+            result.append(f"not asked, for the question would do something to a drive of another dialect: {unasked}")
         crowded = Counter((f.dialect.bus, f.address, f.speed) for f in self.found)
         for (_, address, _), count in crowded.items():
             names = sorted({f.dialect.name for f in self.found if f.address == address})
@@ -235,7 +242,11 @@ def _scan_rate(
         for address in plan[dialect.name]:
             report_progress(f"{dialect.name} at {rate}, address {address}")
             report.asked += 1
-            found, exchange = finder.find(dialect, address)
+            try:
+                found, exchange = finder.find(dialect, address)
+            except Refused:
+                report.refused.append(f"{dialect.name}@{address}")
+                continue
             if found is not None:
                 known = {(f.dialect.name, f.address, f.speed) for f in report.found}
                 if (found.dialect.name, found.address, found.speed) not in known:
