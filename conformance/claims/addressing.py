@@ -95,7 +95,9 @@ def _classes(dialect: Dialect) -> Iterator[Case]:
 
 def _chosen(dialect: Dialect, own: int, addresses: Iterable[int]) -> list[int]:
     """Return those addresses that can be sent to and are neither the drive's nor all drives'."""
-    last = max(dialect.addresses[1], _BYTE if dialect.broadcast is None else 0)
+    # A head has a byte for the address, an identifier no more bits than addresses need.
+    wide = dialect.broadcast is None and dialect.bus == "serial"
+    last = max(dialect.addresses[1], _BYTE if wide else 0)
     fit = [a for a in dict.fromkeys(addresses) if 0 <= a <= last and a != own]
     return [a for a in fit if a != dialect.broadcast]
 

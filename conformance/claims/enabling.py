@@ -75,7 +75,7 @@ def _does_not_resume(probe: Probe) -> None:
 
 def expect_obeys(probe: Probe, refutes: str) -> None:
     """Refute unless a move turns the shaft."""
-    move = motion.follow(probe, probe.command("move_increment"), 45)
+    move = motion.follow(probe, motion.any_move(probe.dialect), 45)
     probe.expect(abs(move.degrees), near=45, within=1, unit="degrees", refutes=refutes, exchange=move.exchange)
 
 
@@ -114,7 +114,7 @@ def _at_power_up(probe: Probe) -> None:
 def _keeps_turns(probe: Probe, command: Command) -> None:
     motion.ready_to_move(probe)
     for _ in range(2):
-        motion.follow(probe, probe.command("move_increment"), 420)
+        motion.follow(probe, motion.any_move(probe.dialect), 420)
     before = motion.position(probe)
     exchange = probe.do(command)
     motion.switch(probe, True)

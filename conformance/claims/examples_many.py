@@ -32,10 +32,8 @@ def is_to_many(dialect: Dialect, command: Command, vector: Vector) -> bool:
 
 
 def _address(dialect: Dialect, vector: Vector) -> int:
-    data = bytes.fromhex(vector.corrected or vector.printed)
-    if dialect.link.kind == "can":
-        return data[0]
-    return dialect.link.parse(data).address
+    can_id, data = vector.taken_on(dialect.bus)
+    return dialect.link.parse(data, can_id).address
 
 
 def _group(dialect: Dialect, command: Command, vector: Vector) -> bool:

@@ -14,16 +14,15 @@ Rules kept here:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 from analyzer import dialects as registry
-from analyzer.catalogue import Certainty, Dialect, Doubt, Risk, Subject
-from analyzer.encoder import Built
+from analyzer.catalogue import Certainty, Dialect, Doubt, Risk, Role, Subject
 from analyzer.link import CanLink, HeadLink, Link, LkLink, ModbusLink
 from analyzer.records import CanFrame
-from conformance.claim import Claim, Theme
+from conformance.claim import Claim, NotRun, Theme
 from conformance.claims import framing_effects, framing_open
 from conformance.claims.declare import Case, claim, declared_in, described_in
 from conformance.claims.hearing import PAUSE_NS, ask_first, came, garblers, judge_next, plain_read
@@ -57,7 +56,9 @@ def claims(dialect: Dialect) -> Iterator[Claim]:
 
 @dataclass(frozen=True)
 class _Kind:
-    """One kind of damage. `ignored`, `following`: how sure the two claims are. `links`: None for every link."""
+    """One kind of damage. `ignored`, `following`: how sure the two claims are. `links`: None for every link. `of_checks`: for
+    links that check their frames.
+    """
 
     name: str
     what: str
@@ -65,6 +66,7 @@ class _Kind:
     ignored: Certainty = Certainty.CERTAIN
     following: Certainty = Certainty.LIKELY
     links: tuple[type[Link], ...] | None = None
+    of_checks: bool = False
     risks: frozenset[Risk] = frozenset()
     rests_on: tuple[Doubt, ...] = ()
     quirks: tuple[str, ...] = ()
@@ -72,6 +74,14 @@ class _Kind:
 
 def _each(make: Callable[[Garbler], Iterable[Variant]]) -> Makes:
     return lambda probe: [v for g in garblers(probe) for v in _some(list(make(g)))]
+
+
+def _variants(probe: Probe, kind: _Kind) -> Iterator[Variant]:
+    """Yield the variants of a kind. Raises NotRun where there is none that is harmless."""
+    variants = list(kind.variants(probe))
+    if not variants:
+        raise NotRun(f"no frame of this kind reads as nothing but a read: {kind.what}")
+    yield from variants
 
 
 def _some(variants: list[Variant]) -> list[Variant]:
@@ -104,11 +114,18 @@ def _unknown_codes(dialect: Dialect) -> list[int]:
 
 
 def _with_unknown_codes(probe: Probe) -> Iterator[Variant]:
-    dialect, read = probe.dialect, probe.build(plain_read(probe.dialect))
+    dialect, link = probe.dialect, probe.dialect.link
+    command = plain_read(dialect)
+    read = probe.build(command)
     for code in (*_unknown_codes(dialect), *dialect.unlisted_codes):
-        frame = _recoded(dialect, read, code)
-        item = read.item(frame)
-        if garbling.harmless(item, probe.address, read.frame, beside=_UNKNOWN):
+        other = replace(command, code=code)
+        can_id = link.identifier(other, probe.address)
+        frame = link.build(other, read.form, probe.address, b"", Role.REQUEST)
+        item = replace(read, can_id=can_id).item(frame)
+        # An identifier has few bits for a code: more of them would name another node.
+        named = link.parse(frame, can_id)
+        fits = (named.code, named.address) == (code, probe.address)
+        if fits and garbling.harmless(item, probe.address, read.frame, beside=_UNKNOWN, dialect=dialect):
             yield _coded(code), item
 
 
@@ -116,20 +133,12 @@ def _coded(code: int) -> str:
     return f"the unknown code {code:02X}"
 
 
-def _recoded(dialect: Dialect, read: Built, code: int) -> bytes:
-    """Return a frame without data with another code, its check fitting."""
-    frame = read.frame
-    parts = dialect.link.parts(frame, read.can_id)
-    place = next(p.start for p in parts if p.name == "code")
-    body = frame[:place] + bytes((code,)) + frame[place + 1 : -1]
-    return dialect.link.completed(body, read.can_id)
-
-
 def _strange_frames(probe: Probe) -> Iterator[Variant]:
     read = probe.build(plain_read(probe.dialect))
+    assert read.can_id is not None  # only links of CAN have these
     for what, extended, remote in (("an identifier of 29 bits", True, False), ("a remote frame", False, True)):
         data = b"" if remote else read.frame
-        yield what, CanFrame(None, "bus", probe.address, data, extended=extended, remote=remote)
+        yield what, CanFrame(None, "bus", read.can_id, data, extended=extended, remote=remote)
 
 
 #: Codes that other firmware was seen to have: one that it answers, and some that do what nobody wants.
@@ -137,10 +146,11 @@ _UNWANTED = frozenset({0x07, 0x40, 0x42})
 _UNKNOWN = frozenset({Risk.UNKNOWN})
 
 _KINDS = (
-    _Kind("checksum_bit", "a request with one bit of its checksum flipped", _each(Garbler.check_bits), rests_on=(Doubt.CHECK,)),
-    _Kind("checksum_value", "a request whose checksum is reckoned otherwise", _each(Garbler.wrong_checks),
+    _Kind("checksum_bit", "a request with one bit of its checksum flipped", _each(Garbler.check_bits), of_checks=True,
+          rests_on=(Doubt.CHECK,)),
+    _Kind("checksum_value", "a request whose checksum is reckoned otherwise", _each(Garbler.wrong_checks), of_checks=True,
           rests_on=(Doubt.CHECK, Doubt.CHECK_OF_ADDRESS)),
-    _Kind("flipped_bit", "a request with one bit flipped before its checksum", _each(Garbler.body_bits)),
+    _Kind("flipped_bit", "a request with one bit flipped before its checksum", _each(Garbler.body_bits), of_checks=True),
     _Kind("truncated", "a request that breaks off", _each(Garbler.truncated)),
     _Kind("overlong", "a request with data that its command does not have", _each(Garbler.overlong),
           ignored=Certainty.LIKELY, rests_on=(Doubt.LAYOUT,)),
@@ -168,7 +178,8 @@ def _tolerated(dialect: Dialect, kind: _Kind, what: str) -> bool:
 
 def _kinds(dialect: Dialect) -> Iterator[Case]:
     for kind in _KINDS:
-        if kind.links is None or isinstance(dialect.link, kind.links):
+        fits = kind.links is None or isinstance(dialect.link, kind.links)
+        if fits and (dialect.link.checked or not kind.of_checks):
             what = f"{kind.what[0].upper()}{kind.what[1:]}"
             facts = {"risks": kind.risks, "parameters": {}}
             yield Case(dialect, given={"kind": kind, "damaged": what, "lower": kind.what}, facts=facts)
@@ -188,7 +199,7 @@ def _of_kinds(refuted_by: str, **facts: Any) -> Callable[[Callable[..., None]], 
 def _ignored(probe: Probe, kind: _Kind) -> None:
     """{damaged} is not answered."""
     ask_first(probe)
-    for what, item in kind.variants(probe):
+    for what, item in _variants(probe, kind):
         exchange = probe.send(item)
         if not exchange.silent and probe.claim.quirks and _tolerated(probe.dialect, kind, what):
             probe.meets(probe.claim.quirks[0])
@@ -207,5 +218,5 @@ def _ignored(probe: Probe, kind: _Kind) -> None:
 def _next(probe: Probe, kind: _Kind) -> None:
     """The next good request behind {lower} is answered."""
     ask_first(probe)
-    for what, item in kind.variants(probe):
+    for what, item in _variants(probe, kind):
         judge_next(probe, f"a damaged one ({what})", partial(probe.send, item, timeout_ns=PAUSE_NS))

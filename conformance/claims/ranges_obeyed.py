@@ -27,6 +27,7 @@ from conformance.claims.requests import with_reserved
 from conformance.model import limits
 from conformance.motion import motion
 from conformance.motion.motion import MS
+from conformance.talk.acceptance import can_refuse
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
@@ -46,8 +47,8 @@ _MOVES = (MotionKind.MOVE_BY, MotionKind.MOVE_TO)
 
 
 def _motions(dialect: Dialect, *kinds: MotionKind) -> Iterator[Command]:
-    """Yield the motions of these kinds of a dialect that switches its motor on and off: it has no refusals."""
-    return iter(dialect.motions(*kinds) if Verb.MOTOR_ON in dialect.by_verb else ())
+    """Yield the motions of these kinds whose replies cannot say that they were refused."""
+    return (command for command in dialect.motions(*kinds) if not can_refuse(command))
 
 
 def _speed_limits(dialect: Dialect) -> Iterator[tuple[Command, Field]]:

@@ -48,7 +48,7 @@ def _turns_at(probe: Probe, rpm: float) -> None:
     # At a low speed the shaft needs a while to go far enough to measure.
     speed, spread = motion.mean_speed(probe, 2 * SECOND_NS if abs(rpm) < 10 else SECOND_NS)
     motion.stand_still(probe)
-    wanted, text = abs(rpm), "the shaft does not turn at the speed that was asked for"
+    wanted, text = motion.rpm_as_asked(exchange), "the shaft does not turn at the speed that was asked for"
     probe.expect(abs(speed), near=wanted, within=wanted * _SHARE + spread, unit="rpm", refutes=text, exchange=exchange)
     if spread > wanted / 10:
         if "slow-replies-in-motion" not in probe.claim.quirks:

@@ -23,8 +23,8 @@ _HIGHEST = 3000
 
 
 def _limited_runs(dialect: Dialect) -> Iterator[Case]:
-    """Yield the runs and moves whose speed is in rpm, of which the manual says the highest."""
-    for command in dialect.motions(MotionKind.RUN, *MOVES):
+    """Yield the runs and moves whose speed is in rpm and whose ramp is known: such drives turn at most at the highest speed."""
+    for command in dialect.motions(MotionKind.RUN, *MOVES) if dialect.ramp is not None else ():
         speed = motion.of(command).speed
         if speed and motion.field_of(command, speed).unit == "rpm":
             widest = motion.field_of(command, speed).wire_maximum

@@ -237,7 +237,7 @@ def _ends_a_move(probe: Probe, command: Command) -> None:
     """The stop ends a move before its target."""
     motion.ready_to_move(probe)
     before = motion.position(probe)
-    motion.begin(probe, probe.command("move_increment_limited"), 360, rpm=15)
+    motion.begin(probe, motion.any_move(probe.dialect, at_speed=True), 360, rpm=15)
     probe.wait(SECOND_NS)
     exchange = probe.do(command)
     probe.wait(5 * SECOND_NS)

@@ -159,9 +159,11 @@ def _enabled_now(probe: Probe) -> bool:
 
 def switch(probe: Probe, on: bool) -> Exchange:
     """Switch the motor on or off. Raises Inconclusive where the drive refuses."""
-    if Verb.ENABLE in probe.dialect.by_verb:
-        return probe.do(Verb.ENABLE, {"enabled": int(on)})
-    return probe.do(Verb.MOTOR_ON if on else Verb.MOTOR_OFF)
+    verbs = probe.dialect.by_verb
+    if not on and Verb.MOTOR_OFF in verbs:
+        return probe.do(Verb.MOTOR_OFF)
+    command = verbs.get(Verb.ENABLE) or verbs[Verb.MOTOR_ON]
+    return probe.do(command, dict.fromkeys(command.request_forms[0].layout.named, int(on)))
 
 
 def is_on(probe: Probe) -> bool | None:
@@ -329,6 +331,19 @@ def speed_as_sent(dialect: Dialect, field: Field, rpm: float, subdivision: int =
     if law is not None and subdivision not in law.plain:
         return max(1, round(rpm * subdivision / law.counted_at))
     return field.wire(rpm)
+
+
+def rpm_as_asked(exchange: Exchange) -> float:
+    """Return the speed that a motion was asked for, in rpm, after rounding to the unit of its field; without a sign."""
+    assert exchange.command is not None  # asked
+    field = field_of(exchange.command, of(exchange.command).speed)
+    return abs(field.physical(exchange.values[field.name])) / (6 if field.unit == "deg/s" else 1)
+
+
+def any_move(dialect: Dialect, *, at_speed: bool = False) -> Command:
+    """Return a move, by a distance where there is one. `at_speed`: one that is told its speed."""
+    moves = (*dialect.motions(MotionKind.MOVE_BY), *dialect.motions(MotionKind.MOVE_TO))
+    return next(command for command in moves if of(command).speed or not at_speed)
 
 
 def finest(probe: Probe) -> int:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Risk, Role
+from analyzer.errors import UsageError
 from analyzer.records import CanFrame
 from conformance.bus.emulated import EmulatedLine
 from conformance.bus.line import Line
@@ -61,7 +62,11 @@ class _StandIn(RealRig):
 
 
 def dry_run(plan: Plan) -> int:
-    """Print what would be sent, claim by claim; return 0."""
+    """Print what would be sent, claim by claim; return 0. Raises UsageError where no emulated drive can stand in."""
+    for target in plan.targets:
+        name = target.dialect.name
+        if not target.emulated and name not in make.KINDS:
+            raise UsageError(f"a dry run needs an emulated drive in place of the real one, and no emulated drive speaks {name}")
     for target in plan.targets:
         print(f"{target.text} on {target.on}: what would be sent (to a drive as the manual has it)")
         rig = suite.open_rig(plan, target) if target.emulated else _StandIn(plan, target)
