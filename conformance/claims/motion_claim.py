@@ -14,11 +14,15 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from analyzer.catalogue import Command, Risk, Verb
-from conformance.claim import Aspect, Refuted, Theme
+from conformance.claim import Aspect, Inconclusive, Refuted, Theme
 from conformance.claims.declare import Case, Cases, claim
 from conformance.motion import motion
 from conformance.motion.motion import SAME, Sample
 from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
+
+#: How far a shaft that is settling was seen to be from where it comes to rest, in degrees, and a little more.
+_SETTLING = 32 * 360 / 16384
 
 
 def of_motion(
@@ -98,3 +102,22 @@ def expect_speed(seen: Sample | float, rpm: float, exchange: Exchange | None, te
     value = abs(seen if isinstance(seen, float) else seen.value)
     if abs(value - abs(rpm)) > 1 + abs(rpm) * share:
         raise Refuted(text, expected=f"{abs(rpm):g} rpm", got=f"{value:g} rpm", exchange=exchange)
+
+
+def expect_taken(probe: Probe, exchange: Exchange, refutes: str) -> None:
+    """Refute where a motion was refused."""
+    taken = not motion.refused(probe, exchange)
+    probe.expect("a refusal", holds=taken, expected="no refusal", refutes=refutes, exchange=exchange)
+
+
+def expect_at_rest(probe: Probe, command: Command, exchange: Exchange, refutes: str) -> None:
+    """Refute unless the shaft is at rest where it is when a command has just been told as complete."""
+    probe.reply(exchange)
+    if exchange.status(command.replies.status)[-1:] not in ([2], [3]):
+        raise Inconclusive(f"{command.name} did not say that it was complete")
+    at_once = motion.position(probe)
+    off = abs(motion.wait_standing(probe).value - at_once.value)
+    if SAME < off <= _SETTLING and "settling" in probe.claim.quirks:
+        probe.meets("settling")
+    else:
+        probe.expect(off, at_most=SAME, unit="degrees from where it comes to rest", refutes=refutes, exchange=exchange)

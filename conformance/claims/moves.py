@@ -19,7 +19,16 @@ from analyzer.catalogue import Certainty, Command, Dialect, MotionKind
 from conformance.claim import Inconclusive
 from conformance.claims.declare import Case, motions, with_values
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion_claim import command_of, expect_speed, expect_stays, has_sign, of_motion, that_tell_their_end
+from conformance.claims.motion_claim import (
+    command_of,
+    expect_at_rest,
+    expect_speed,
+    expect_stays,
+    expect_taken,
+    has_sign,
+    of_motion,
+    that_tell_their_end,
+)
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, QUICK, SAME, SECOND_NS, Move, takes_pulses
 from conformance.talk.exchange import Exchange
@@ -33,8 +42,6 @@ _FAR, _FINE = 70_000, 256
 _EDGE = 2_147_480_000
 #: How far a shaft may go beyond its target on the way, in degrees.
 _OVERSHOOT = 2.0
-#: How far a shaft that is settling was seen to be from its target, in degrees, and a little more.
-_SETTLING = 32 * 360 / 16384
 #: Moves whose replies are looked at for their sums.
 _MANY = 300
 
@@ -217,8 +224,7 @@ def _same_place(probe: Probe, command: Command) -> None:
     motion.prepare(probe, command)
     there = motion.follow(probe, command, _THERE)
     exchange = motion.ask(probe, command, until=Until.DONE if motion.of(command).tells_end else Until.REPLY)
-    text = f"{command.name} to the same place is refused"
-    probe.expect("a refusal", holds=not motion.refused(probe, exchange), expected="no refusal", refutes=text, exchange=exchange)
+    expect_taken(probe, exchange, f"{command.name} to the same place is refused")
     probe.wait(SECOND_NS)
     within = motion.near(probe.dialect)
     expect_stays(there.end, motion.wait_standing(probe), exchange, f"{command.name} to the same place turns the shaft", within)
@@ -352,16 +358,7 @@ def _told_when_there(probe: Probe, command: Command) -> None:
     """When {command} says that it is complete, the shaft is at its target."""
     motion.prepare(probe, command)
     exchange = motion.ask(probe, command, _THERE, rpm=120, until=Until.DONE, quiet_ns=0)
-    probe.reply(exchange)
-    if exchange.status(command.replies.status)[-1:] != [2]:
-        raise Inconclusive(f"{command.name} did not say that it was complete")
-    at_once = motion.position(probe)
-    off = abs(motion.wait_standing(probe).value - at_once.value)
-    if SAME < off <= _SETTLING and "settling" in probe.claim.quirks:
-        probe.meets("settling")
-    else:
-        text = f"{command.name} is told as complete before the shaft is there"
-        probe.expect(off, at_most=SAME, unit="degrees from where it comes to rest", refutes=text, exchange=exchange)
+    expect_at_rest(probe, command, exchange, f"{command.name} is told as complete before the shaft is there")
 
 
 @of_motion(

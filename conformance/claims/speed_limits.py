@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind
 from conformance.claims.declare import Case
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion_claim import expect_speed, expect_stays, of_motion
+from conformance.claims.motion_claim import expect_speed, expect_stays, expect_taken, of_motion
 from conformance.claims.moves import keeps_position, with_max_speed, without_max_speed
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, SECOND_NS, SUBDIVISION
@@ -34,9 +34,7 @@ def _limited_runs(dialect: Dialect) -> Iterator[Case]:
 def _expect_highest(probe: Probe, command: Command, speed: int) -> None:
     motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
     exchange = motion.ask(probe, command, 20 * 360, acceleration=255, quiet_ns=0, more={motion.of(command).speed: speed})
-    text = f"{command.name} at speed {speed} is refused"
-    taken = not motion.refused(probe, exchange)
-    probe.expect("a refusal", holds=taken, expected="no refusal", refutes=text, exchange=exchange)
+    expect_taken(probe, exchange, f"{command.name} at speed {speed} is refused")
     # At 50 us for one rpm the shaft has 3000 rpm after 150 ms, and a move of 20 turns keeps it for 250 ms.
     probe.wait(exchange.sent_ns + 230 * MS - probe.gate.now_ns())
     seen = motion.speed(probe)
@@ -74,9 +72,7 @@ def _highest_of_mode(probe: Probe, command: Command, mode: str, rpm: int) -> Non
     motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
     for speed in (rpm, _HIGHEST):
         exchange = motion.ask(probe, command, rpm=speed, acceleration=255)
-        text = f"speed {speed} is refused in mode {mode}"
-        taken = not motion.refused(probe, exchange)
-        probe.expect("a refusal", holds=taken, expected="no refusal", refutes=text, exchange=exchange)
+        expect_taken(probe, exchange, f"speed {speed} is refused in mode {mode}")
         probe.wait(300 * MS)
         seen = motion.speed(probe)
         motion.stand_still(probe)

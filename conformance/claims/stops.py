@@ -18,7 +18,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive
 from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion_claim import expect_stays, of_motion, risks_by, risks_of, that_tell_their_end
+from conformance.claims.motion_claim import expect_at_rest, expect_stays, of_motion, risks_by, risks_of, that_tell_their_end
 from conformance.motion import motion
 from conformance.motion.motion import CALM, MOVES, MS, QUICK, SAME, SECOND_NS, Sample
 from conformance.talk.exchange import Exchange
@@ -26,8 +26,6 @@ from conformance.talk.probe import Probe, Until
 
 #: 10 ms for each rpm: from 120 rpm the shaft needs 1.2 s.
 _SLOW_RAMP, _RPM, _RAMP_NS = 56, 120, 1200 * MS
-#: How far a shaft that is settling was seen to be from where it comes to rest, in degrees, and a little more.
-_SETTLING = 32 * 360 / 16384
 _emergency = commands(Verb.EMERGENCY_STOP)
 _lk_stop = commands(Verb.STOP)
 
@@ -166,16 +164,7 @@ def _told_when_standing(probe: Probe, command: Command, run: Command) -> None:
     """When {command} says that it is complete, the shaft stands."""
     set_going(probe, run, _RPM)
     exchange = _ask_stop(probe, command, _SLOW_RAMP, Until.DONE)
-    probe.reply(exchange)
-    if exchange.status(command.replies.status)[-1:] not in ([2], [3]):
-        raise Inconclusive(f"{command.name} did not say that it was complete")
-    at_once = motion.position(probe)
-    off = abs(motion.wait_standing(probe).value - at_once.value)
-    if SAME < off <= _SETTLING and "settling" in probe.claim.quirks:
-        probe.meets("settling")
-    else:
-        text = f"{command.name} is told as complete before the shaft stands"
-        probe.expect(off, at_most=SAME, unit="degrees more", expected="a shaft that stands", refutes=text, exchange=exchange)
+    expect_at_rest(probe, command, exchange, f"{command.name} is told as complete before the shaft stands")
 
 
 # --- the stop of whatever moves ---------------------------------------------------------------------------------------
