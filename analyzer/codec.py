@@ -20,7 +20,7 @@ from typing import Any
 
 import msgspec
 
-from analyzer.layout import Field, Kind, Layout, Order
+from analyzer.layout import Field, FieldKind, Layout, Order
 
 #: The largest integer that a double, and so JSON, holds exactly.
 EXACT = 2**53
@@ -41,17 +41,17 @@ def _expression(offset: int, field: Field) -> str:
     aligned = offset % 8 == 0 and shift == 0
     if field.bit_width == 0:
         return f"d[{first}:]"
-    if aligned and field.kind is not Kind.INT and field.bit_width == 8:
+    if aligned and field.kind is not FieldKind.INT and field.bit_width == 8:
         return f"d[{first}]"
-    if aligned and field.kind is not Kind.INT and field.bit_width == 16:
+    if aligned and field.kind is not FieldKind.INT and field.bit_width == 16:
         high, low = (first, first + 1) if field.order is Order.BIG else (first + 1, first)
         return f"d[{high}] << 8 | d[{low}]"
     if aligned:
-        signed = ", signed=True" if field.kind is Kind.INT else ""
+        signed = ", signed=True" if field.kind is FieldKind.INT else ""
         return f"int.from_bytes(d[{first}:{last}], '{field.order}'{signed})"
     whole = f"d[{first}]" if last - first == 1 else f"int.from_bytes(d[{first}:{last}], 'big')"
     text = f"{whole} >> {shift} & {(1 << field.bit_width) - 1}"
-    if field.kind is Kind.INT:
+    if field.kind is FieldKind.INT:
         half = 1 << (field.bit_width - 1)
         text = f"(({text}) ^ {half}) - {half}"
     return text
@@ -81,7 +81,7 @@ class Codec:
     def __init__(self, layout: Layout) -> None:
         self.layout = layout
         self.fixed = [(o, f) for o, f in layout if f.fixed is not None]
-        self._items = [(o, f) for o, f in layout if f.kind is not Kind.RESERVED]
+        self._items = [(o, f) for o, f in layout if f.kind is not FieldKind.RESERVED]
 
     # Each function is compiled when it is first asked for: most runs use a few commands of many.
 
@@ -178,7 +178,7 @@ class Codec:
         tests, names = [], {}
         for index, (offset, field) in enumerate(self.layout):
             text = _expression(offset, field)
-            if field.kind is Kind.RESERVED:
+            if field.kind is FieldKind.RESERVED:
                 tests.append(f"not {text}" if field.bit_width == 8 else f"({text}) == 0")
             elif field.fixed is not None or field.bit_width == 0:
                 continue
@@ -216,7 +216,7 @@ class Codec:
         total, tail = 0, b""
         for field in self.layout.fields:
             value: int | bytes = 0
-            if field.kind is not Kind.RESERVED:
+            if field.kind is not FieldKind.RESERVED:
                 preset = field.fixed if field.fixed is not None else field.default
                 value = values.get(field.name, preset if preset is not None else 0)
             if isinstance(value, bytes):
@@ -228,14 +228,14 @@ class Codec:
                     f"expected {field.wire_minimum}..{field.wire_maximum}"
                 )
             if field.order is Order.LITTLE:
-                raw = value.to_bytes(field.bit_width // 8, "little", signed=field.kind is Kind.INT)
+                raw = value.to_bytes(field.bit_width // 8, "little", signed=field.kind is FieldKind.INT)
                 value = int.from_bytes(raw, "big")
             total = total << field.bit_width | (value & ((1 << field.bit_width) - 1))
         return total.to_bytes(self.layout.byte_length, "big") + tail
 
 
 def _judge(field: Field, value: int) -> tuple[str, str]:
-    if field.kind is Kind.RESERVED:
+    if field.kind is FieldKind.RESERVED:
         return "reserved_bits", f"{field.name}: expected 0, got {value}"
     if field.choices is not None and value not in field.choice_names:
         listed = ", ".join(f"{v} {n}" for v, n in sorted(field.choice_names.items())[:8])

@@ -23,7 +23,7 @@ class State(StrEnum):
     DONE = "done"
 
 
-class Outcome(StrEnum):
+class RequestOutcome(StrEnum):
     """How a request ended."""
 
     OPEN = "open"
@@ -44,7 +44,7 @@ class Request:
 
     # Of the many requests of a capture most end as they began: what seldom changes stands here and not in each.
     state = State.WAITING
-    outcome = Outcome.OPEN
+    outcome = RequestOutcome.OPEN
     lane: Lane | None = None
     reply: Message | None = None
     gave_up = ""

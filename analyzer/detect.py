@@ -54,7 +54,7 @@ class Choice:
     reason: str
 
 
-class _Tally:
+class _FrameCount:
     """A sink that counts good frames by dialect."""
 
     def __init__(self) -> None:
@@ -82,21 +82,21 @@ class _Tally:
         pass
 
 
-def _try(dialects: Sequence[Dialect], sample: Sequence[Chunk | CanFrame]) -> _Tally:
-    tally = _Tally()
-    Pipeline(dialects, [tally], Options()).run(sample)
-    return tally
+def _try(dialects: Sequence[Dialect], sample: Sequence[Chunk | CanFrame]) -> _FrameCount:
+    count = _FrameCount()
+    Pipeline(dialects, [count], Options()).run(sample)
+    return count
 
 
 def weigh(dialect: Dialect, sample: Sequence[Chunk | CanFrame]) -> Evidence:
     """Return what one dialect explains of a sample."""
-    tally = _try([dialect], sample)
+    count = _try([dialect], sample)
     return Evidence(
         dialect,
-        tally.frames.get(dialect.name, 0),
-        tally.good_bytes.get(dialect.name, 0),
+        count.frames.get(dialect.name, 0),
+        count.good_bytes.get(dialect.name, 0),
         sum(len(item.data) for item in sample),
-        tally.findings,
+        count.findings,
     )
 
 

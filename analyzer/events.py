@@ -30,7 +30,7 @@ SECOND = 1_000_000_000
 Values = Mapping[str, Any]
 
 
-class Kind(NamedTuple):
+class EventKind(NamedTuple):
     """One kind of event: its text, the rule of its finding (empty: none), and whether waits end at it."""
 
     text: Callable[[Values], str]
@@ -144,32 +144,32 @@ def _part(values: Values) -> str:
     return f"part {values.get('part', '?')}" + (f", after {values['previous']}" if values.get("previous") else "")
 
 
-KINDS: dict[str, Kind] = {
-    RESUMED: Kind(_resumed),
-    SPEED: Kind(_speed),
-    "begin": Kind(_of("host", "system", "version")),
-    "part": Kind(_part),
-    PORT: Kind(_port),
-    DIALECT: Kind(_dialect),
-    "open": Kind(_of("precision", "notes")),
-    "note": Kind(_of("text")),
-    "lost": Kind(_of("reason"), "port_lost", cuts=True),
-    "back": Kind(_back, "port_back", cuts=True),
-    "overrun": Kind(_counted, "overrun"),
-    "kernel_dropped": Kind(_kernel_dropped, "dropped", cuts=True),
-    "dropped": Kind(_dropped, "dropped", cuts=True),
-    "missing": Kind(_missing, "dropped", cuts=True),
-    "bus_error": Kind(_bus_error, "bus_error"),
-    "clock_step": Kind(_step, "clock_step"),
-    "clock_drift": Kind(_drift),
-    "restarted": Kind(_restarted, "restarted"),
-    "stalled": Kind(_stalled, "log_stalled"),
-    "damaged": Kind(_damaged, "spool_damaged", cuts=True),
-    "fault": Kind(_of("text"), "decoder_fault", cuts=True),
-    "closed": Kind(_of("reason")),
-    "end": Kind(_of("reason")),
+KINDS: dict[str, EventKind] = {
+    RESUMED: EventKind(_resumed),
+    SPEED: EventKind(_speed),
+    "begin": EventKind(_of("host", "system", "version")),
+    "part": EventKind(_part),
+    PORT: EventKind(_port),
+    DIALECT: EventKind(_dialect),
+    "open": EventKind(_of("precision", "notes")),
+    "note": EventKind(_of("text")),
+    "lost": EventKind(_of("reason"), "port_lost", cuts=True),
+    "back": EventKind(_back, "port_back", cuts=True),
+    "overrun": EventKind(_counted, "overrun"),
+    "kernel_dropped": EventKind(_kernel_dropped, "dropped", cuts=True),
+    "dropped": EventKind(_dropped, "dropped", cuts=True),
+    "missing": EventKind(_missing, "dropped", cuts=True),
+    "bus_error": EventKind(_bus_error, "bus_error"),
+    "clock_step": EventKind(_step, "clock_step"),
+    "clock_drift": EventKind(_drift),
+    "restarted": EventKind(_restarted, "restarted"),
+    "stalled": EventKind(_stalled, "log_stalled"),
+    "damaged": EventKind(_damaged, "spool_damaged", cuts=True),
+    "fault": EventKind(_of("text"), "decoder_fault", cuts=True),
+    "closed": EventKind(_of("reason")),
+    "end": EventKind(_of("reason")),
 }
-_UNKNOWN = Kind(_of("text", "reason"))
+_UNKNOWN = EventKind(_of("text", "reason"))
 
 
 def text_of(event: Event) -> str:

@@ -30,7 +30,7 @@ class Order(StrEnum):
     LITTLE = "little"
 
 
-class Kind(StrEnum):
+class FieldKind(StrEnum):
     """How the bits of a field are read."""
 
     UINT = "uint"
@@ -97,7 +97,7 @@ class Field:
 
     name: str
     bit_width: int
-    kind: Kind = Kind.UINT
+    kind: FieldKind = FieldKind.UINT
     order: Order = Order.BIG
     minimum: int | None = None
     maximum: int | None = None
@@ -122,12 +122,12 @@ class Field:
     @property
     def wire_minimum(self) -> int:
         """The smallest integer the bits can hold."""
-        return -(1 << (self.bit_width - 1)) if self.kind is Kind.INT else 0
+        return -(1 << (self.bit_width - 1)) if self.kind is FieldKind.INT else 0
 
     @property
     def wire_maximum(self) -> int:
         """The largest integer the bits can hold."""
-        return (1 << (self.bit_width - 1)) - 1 if self.kind is Kind.INT else (1 << self.bit_width) - 1
+        return (1 << (self.bit_width - 1)) - 1 if self.kind is FieldKind.INT else (1 << self.bit_width) - 1
 
     @property
     def low(self) -> int:
@@ -143,7 +143,7 @@ class Field:
         """Say whether an integer as sent is within the range, the choices and the fixed value."""
         if self.fixed is not None:
             return value == self.fixed
-        if self.kind is Kind.RESERVED:
+        if self.kind is FieldKind.RESERVED:
             return value == 0
         if self.values is not None and value not in self.values:
             return False
@@ -193,7 +193,7 @@ class Layout:
 
     def __init__(self, *fields: Field) -> None:
         object.__setattr__(self, "fields", fields)
-        names = [f.name for f in fields if f.kind is not Kind.RESERVED]
+        names = [f.name for f in fields if f.kind is not FieldKind.RESERVED]
         if len(names) != len(set(names)):
             raise ValueError(f"two fields of one name in {names}")
         offset = 0
@@ -228,7 +228,7 @@ class Layout:
     @cached_property
     def named(self) -> dict[str, Field]:
         """Fields by name, reserved bits left out."""
-        return {f.name: f for f in self.fields if f.kind is not Kind.RESERVED}
+        return {f.name: f for f in self.fields if f.kind is not FieldKind.RESERVED}
 
     def __iter__(self) -> Iterator[tuple[int, Field]]:
         """Yield (bit offset, field)."""
@@ -250,7 +250,7 @@ def uint(name: str, width: int, **options: Any) -> Field:
 
 def sint(name: str, width: int, **options: Any) -> Field:
     """Declare a two's complement field of `width` bits."""
-    return Field(name=name, bit_width=width, kind=Kind.INT, **options)
+    return Field(name=name, bit_width=width, kind=FieldKind.INT, **options)
 
 
 bits = uint
@@ -293,9 +293,9 @@ def fixed(name: str, width: int, value: int, **options: Any) -> Field:
 
 def reserved(width: int, name: str = "reserved", **options: Any) -> Field:
     """Declare bits that are to be 0."""
-    return Field(name=name, bit_width=width, kind=Kind.RESERVED, **options)
+    return Field(name=name, bit_width=width, kind=FieldKind.RESERVED, **options)
 
 
 def rest(name: str, **options: Any) -> Field:
     """Declare all bytes that are left."""
-    return Field(name=name, bit_width=0, kind=Kind.BYTES, **options)
+    return Field(name=name, bit_width=0, kind=FieldKind.BYTES, **options)

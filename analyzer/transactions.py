@@ -23,7 +23,7 @@ from typing import NamedTuple
 import msgspec
 
 from analyzer.catalogue import Command, Role
-from analyzer.context import Context, Outcome, Request, State, answers
+from analyzer.context import Context, Request, RequestOutcome, State, answers
 from analyzer.findings import Issue
 from analyzer.layout import Effect
 from analyzer.records import Frame, Lane, Message, Severity
@@ -99,7 +99,7 @@ class Transactions:
                     is_last = request.frame is self._last
                     severity = Severity.INFO if is_last else None
                     why = "the capture ends here" if is_last else "no reply until the end of the capture"
-                    late += self._give_up(request, Outcome.UNANSWERED, why, severity)
+                    late += self._give_up(request, RequestOutcome.UNANSWERED, why, severity)
         return late
 
     # --- the plain case -------------------------------------------------------------------------------------------
@@ -155,7 +155,7 @@ class Transactions:
             if meaning != "final":
                 return None
         request.state = State.DONE
-        request.outcome = Outcome.ANSWERED
+        request.outcome = RequestOutcome.ANSWERED
         del context.open[address]
         if command.borrows:
             context.borrowed -= 1
@@ -178,16 +178,16 @@ class Transactions:
             if frame.role is Role.REPLY or gap <= ECHO_NS:
                 context.echoes += 1
                 return Paired(issues=(Issue("host_echo", f"the request once more after {gap / 1e6:.3f} ms"),))
-            earlier += self._give_up(same, Outcome.RETRIED, f"the host repeated it after {gap / 1e6:.1f} ms")
+            earlier += self._give_up(same, RequestOutcome.RETRIED, f"the host repeated it after {gap / 1e6:.1f} ms")
         request = Request.of(message, sequence, topic)
         running = context.open.get(message.address)
         if running and command is not None and command.moves:
             for older in list(running):
                 if older.state is State.RUNNING:
-                    self._end(older, Outcome.SUPERSEDED)
+                    self._end(older, RequestOutcome.SUPERSEDED)
                     context.superseded.append(older)
         if not self._expects(message):
-            request.outcome = Outcome.SILENT
+            request.outcome = RequestOutcome.SILENT
             if self._is_to_many(message):
                 context.broadcasts.append(request)
                 self._learn(message)
@@ -197,7 +197,9 @@ class Transactions:
             if command is not None and command.borrows:
                 context.borrowed += 1
             if len(waiting) > MOST_OPEN:
-                earlier += self._give_up(waiting[0], Outcome.UNANSWERED, f"{MOST_OPEN} requests followed without a reply")
+                earlier += self._give_up(
+                    waiting[0], RequestOutcome.UNANSWERED, f"{MOST_OPEN} requests followed without a reply"
+                )
         context.last_request = request
         return Paired(earlier=tuple(earlier))
 
@@ -211,7 +213,7 @@ class Transactions:
         request = self.context.last_request
         if request is None or request.frame.data != message.frame.data or request.state is not State.WAITING:
             return None
-        silent = request.outcome is Outcome.SILENT
+        silent = request.outcome is RequestOutcome.SILENT
         return None if silent and message.frame.first_ns - request.t_ns > ECHO_NS else request
 
     def _is_to_many(self, message: Message) -> bool:
@@ -277,7 +279,7 @@ class Transactions:
         self._last_reply[message.address] = message.frame.data
         request.reply = message
         if request.state is State.DONE:
-            self._end(request, Outcome.FAILED if meaning == "failed" else Outcome.ANSWERED)
+            self._end(request, RequestOutcome.FAILED if meaning == "failed" else RequestOutcome.ANSWERED)
 
     def _unasked(self, message: Message) -> Paired:
         """Judge a reply that no open request asked for: late, to a broadcast, a duplicate, or out of the blue."""
@@ -325,7 +327,7 @@ class Transactions:
                 continue
             for request in list(requests):
                 if request.state is State.WAITING and request.sequence < asked.sequence:
-                    late += self._give_up(request, Outcome.UNANSWERED, "a later request was answered first")
+                    late += self._give_up(request, RequestOutcome.UNANSWERED, "a later request was answered first")
         return late
 
     def _expired(self, now: int) -> tuple[Late, ...]:
@@ -335,10 +337,10 @@ class Transactions:
         for requests in list(self.context.open.values()):
             for request in list(requests):
                 if request.state is State.WAITING and now - request.t_ns > limit:
-                    late += self._give_up(request, Outcome.UNANSWERED, f"no reply within {limit / 1e9:g} s")
+                    late += self._give_up(request, RequestOutcome.UNANSWERED, f"no reply within {limit / 1e9:g} s")
         return tuple(late)
 
-    def _give_up(self, request: Request, outcome: Outcome, why: str, severity: Severity | None = None) -> list[Late]:
+    def _give_up(self, request: Request, outcome: RequestOutcome, why: str, severity: Severity | None = None) -> list[Late]:
         self._end(request, outcome)
         self.context.unanswered.append(request)
         command = request.command
@@ -352,7 +354,7 @@ class Transactions:
         name = command.name if command is not None else "an unknown command"
         return [Late(request, Issue("unanswered", f"{name}: {why}", severity))]
 
-    def _end(self, request: Request, outcome: Outcome) -> None:
+    def _end(self, request: Request, outcome: RequestOutcome) -> None:
         request.outcome = outcome
         requests = self.context.open.get(request.address)
         if requests and request in requests:

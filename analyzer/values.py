@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from fractions import Fraction
 
 from analyzer.errors import UsageError
-from analyzer.layout import Field, Kind
+from analyzer.layout import Field, FieldKind
 
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)")
 _HEX = re.compile(r"[+-]?0[xX][0-9a-fA-F]+")
@@ -32,7 +32,7 @@ def quote(text: str, longest: int = 60) -> str:
     return ascii(shown) + ("" if shown is text else f" ... ({len(text)} characters)")
 
 
-def clean(text: str) -> str:
+def printable(text: str) -> str:
     """Return a text with its control characters made visible: nothing in a capture steers a terminal."""
     return text if text.isprintable() else "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text)
 
@@ -72,7 +72,7 @@ def value_text(field: Field, value: int | bytes) -> str:
 
 def range_text(field: Field, most: int | None = None) -> str:
     """Return what a field may hold: its choices, its values or its range; of choices and values at most `most`."""
-    if field.kind is Kind.BYTES:
+    if field.kind is FieldKind.BYTES:
         return "bytes"
     if field.fixed is not None:
         return f"always {value_text(field, field.fixed)}"
@@ -104,7 +104,7 @@ def parse_value(field: Field, text: str, *, as_sent: bool = False) -> int | byte
     Raises UsageError for what is neither a number nor a name of this field.
     """
     stripped = text.strip()
-    if field.kind is Kind.BYTES:
+    if field.kind is FieldKind.BYTES:
         return _parse_bytes(field, stripped)
     if len(stripped) > _LONGEST:
         raise _unknown(field, text)

@@ -30,7 +30,7 @@ sys.path.insert(0, str(ROOT))
 
 from analyzer import dialects  # noqa: E402
 from analyzer.cli import main as servotap  # noqa: E402
-from analyzer.layout import Kind  # noqa: E402
+from analyzer.layout import FieldKind  # noqa: E402
 
 
 def database():
@@ -47,7 +47,7 @@ def database():
             continue
         seen.add(command.code)
         for offset, field in form.layout:
-            if field.kind is Kind.RESERVED:
+            if field.kind is FieldKind.RESERVED:
                 continue
             bit = offset + 8
             signals.append(
@@ -56,7 +56,7 @@ def database():
                     bit // 8 * 8 + 7 - bit % 8,
                     field.bit_width,
                     byte_order="big_endian",
-                    is_signed=field.kind is Kind.INT,
+                    is_signed=field.kind is FieldKind.INT,
                     conversion=LinearConversion(float(field.scale), 0, False),
                     multiplexer_ids=[command.code],
                     multiplexer_signal="code",
@@ -110,7 +110,7 @@ def slicer_tables() -> tuple[dict[int, set[int]], dict[int, dict[int, tuple[str,
                     if code is None:
                         text, names = f">{form.layout.byte_length}s", ["data"]
                         break
-                    text += code.lower() if field.kind is Kind.INT else code
+                    text += code.lower() if field.kind is FieldKind.INT else code
                     names.append(field.name)
                 tables[head][command.code] = (command.name, text, names)
     lengths = {h: {c: struct.calcsize(t[1]) + 4 for c, t in codes.items()} for h, codes in tables.items()}

@@ -22,7 +22,7 @@ sys.path.insert(0, str(ROOT))
 
 from analyzer.live.config import CONTROL, PortConfig, RecordingConfig  # noqa: E402
 from analyzer.live.recorder import Recorder  # noqa: E402
-from analyzer.live.spool import Kind, SpoolWriter, pack, pack_event, spool_folder  # noqa: E402
+from analyzer.live.spool import RecordKind, SpoolWriter, pack, pack_event, spool_folder  # noqa: E402
 
 FRAMES_A_SECOND = 66_000
 BYTE_NS = 2_500
@@ -52,11 +52,11 @@ def spool(folder: Path, log: Path, frames: int, size: int, motion: bool) -> int:
     for at in range(0, len(data), size):
         piece = data[at : at + size]
         t_ns += len(piece) * BYTE_NS
-        batch.append(pack(Kind.DATA, t_ns, at, piece))
+        batch.append(pack(RecordKind.DATA, t_ns, at, piece))
         if len(batch) >= 256:
             reader.write(b"".join(batch))
             batch.clear()
-    reader.write(b"".join(batch) or pack(Kind.IDLE, t_ns, len(data), b""))
+    reader.write(b"".join(batch) or pack(RecordKind.IDLE, t_ns, len(data), b""))
     control.write(pack_event(t_ns, 0, "end", reason="the benchmark is over"))
     reader.close()
     control.close()

@@ -42,7 +42,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from analyzer import dialects
 from analyzer.catalogue import Command, Dialect, Form, Role
 from analyzer.codec import codec
-from analyzer.layout import Field, Kind, Layout
+from analyzer.layout import Field, FieldKind, Layout
 from analyzer.link import READS, WRITE_ONE
 from analyzer.pipeline import Entry, Options, Pipeline
 from analyzer.records import Chunk, Comment, Finding, Junk
@@ -64,7 +64,7 @@ STRANGE_RULES = ("wrong_length", "short_package", "unknown_command")
 TO_ALL, UNANSWERED, COMPLETED = 0.02, 0.03, 0.5
 
 
-class Sent(NamedTuple):
+class SentFrame(NamedTuple):
     """A frame as it was sent."""
 
     data: bytes
@@ -75,7 +75,7 @@ class Sent(NamedTuple):
 class Placed(NamedTuple):
     """A sent frame and where it lies on the damaged line. `clean`: no damage touched or abuts it."""
 
-    sent: Sent
+    sent: SentFrame
     at: int
     stop: int
     clean: bool
@@ -118,7 +118,7 @@ def value_of(field: Field, random: Random) -> int:
     """Return a valid value: often a small or an extreme one, else any."""
     if field.fixed is not None:
         return field.fixed
-    if field.kind is Kind.RESERVED:
+    if field.kind is FieldKind.RESERVED:
         return 0
     listed = sorted(v for v in (field.values or field.choice_names) if field.allows(v))
     if listed:
@@ -136,7 +136,7 @@ def values_of(layout: Layout, random: Random, known: dict[str, int] | None = Non
     """Return valid values for a layout; fields of the same name as in `known` take that value where they may."""
     result = {}
     for field in layout.fields:
-        if field.kind in (Kind.RESERVED, Kind.BYTES):
+        if field.kind in (FieldKind.RESERVED, FieldKind.BYTES):
             continue
         kept = (known or {}).get(field.name)
         result[field.name] = kept if kept is not None and field.allows(kept) else value_of(field, random)
@@ -165,7 +165,7 @@ def answer(forms: Sequence[Form], asked: dict[str, int], random: Random) -> tupl
     return chosen, values_of(chosen.layout, random, asked)
 
 
-def exchange(dialect: Dialect, address: int, random: Random) -> list[Sent]:
+def exchange(dialect: Dialect, address: int, random: Random) -> list[SentFrame]:
     """Return the frames of one exchange of a random command with a drive."""
     command = random.choice(dialect.commands)
     form = random.choice(command.request_forms)
@@ -176,27 +176,27 @@ def exchange(dialect: Dialect, address: int, random: Random) -> list[Sent]:
     to_all = dialect.broadcast is not None and not reads and command.broadcastable and random.random() < TO_ALL
     if to_all:
         address = dialect.broadcast or 0
-    frames = [Sent(link.build(command, form, address, data, Role.REQUEST), Role.REQUEST, dialect)]
+    frames = [SentFrame(link.build(command, form, address, data, Role.REQUEST), Role.REQUEST, dialect)]
     if to_all or not command.reply_forms or random.random() < UNANSWERED:
         return frames
     if dialect.exception is not None and random.random() < 0.01:
         code = random.choice(sorted(dialect.exception.layout.fields[0].choice_names))
         body = bytes((address, (command.function or 0) | 0x80, code))
-        return [*frames, Sent(link.completed(body), Role.REPLY, dialect)]
+        return [*frames, SentFrame(link.completed(body), Role.REPLY, dialect)]
     reply, values = answer(command.reply_forms, asked, random)
     body = codec(reply.layout).encode(values)
     if command.function in WRITE_ONE and reply.name != "refused":
         body = data
-    frames.append(Sent(link.build(command, reply, address, body, Role.REPLY), Role.REPLY, dialect))
+    frames.append(SentFrame(link.build(command, reply, address, body, Role.REPLY), Role.REPLY, dialect))
     replies = command.replies
     if values.get(replies.status) in replies.interim and replies.final and random.random() < COMPLETED:
         values[replies.status] = random.choice(sorted(replies.final))
         body = codec(reply.layout).encode(values)
-        frames.append(Sent(link.build(command, reply, address, body, Role.REPLY), Role.REPLY, dialect))
+        frames.append(SentFrame(link.build(command, reply, address, body, Role.REPLY), Role.REPLY, dialect))
     return frames
 
 
-def traffic(names: Sequence[str], count: int, random: Random) -> list[Sent]:
+def traffic(names: Sequence[str], count: int, random: Random) -> list[SentFrame]:
     """Return about `count` frames of several drives, each of one dialect."""
     drives: list[tuple[Dialect, int]] = []
     for name in names:
@@ -204,7 +204,7 @@ def traffic(names: Sequence[str], count: int, random: Random) -> list[Sent]:
         first, last = dialect.addresses
         near = random.sample(range(first, first + 8), 4)
         drives += [(dialect, address) for address in (*near, random.randint(first, last))]
-    frames: list[Sent] = []
+    frames: list[SentFrame] = []
     while len(frames) < count:
         dialect, address = random.choice(drives)
         frames += exchange(dialect, address, random)
@@ -214,7 +214,7 @@ def traffic(names: Sequence[str], count: int, random: Random) -> list[Sent]:
 # --- damage -----------------------------------------------------------------------------------------------------------
 
 
-def damage(frames: Sequence[Sent], share: float, random: Random) -> tuple[bytes, list[Placed]]:
+def damage(frames: Sequence[SentFrame], share: float, random: Random) -> tuple[bytes, list[Placed]]:
     """Return the line after damage, and where each frame lies on it."""
     line = bytearray()
     #: For each byte sent: did anything happen to it; and was a byte inserted before it.

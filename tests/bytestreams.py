@@ -1,6 +1,6 @@
 """Strategies for bytes of a serial line, made from the catalogue: values, frames, exchanges, noise, cuts.
 
-A `Sent` is one frame as it was sent; `traffic` draws whole exchanges (a request with valid values, then its reply or
+A `SentFrame` is one frame as it was sent; `traffic` draws whole exchanges (a request with valid values, then its reply or
 replies) of several drives and dialects; `cuttings` cuts bytes into reads.
 """
 
@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from analyzer import dialects
 from analyzer.catalogue import Command, Dialect, Form, Role, Vector
 from analyzer.codec import codec
-from analyzer.layout import Field, Kind, Layout
+from analyzer.layout import Field, FieldKind, Layout
 from analyzer.link import READS, WRITE_ONE
 
 SERIAL = ("mks-rs485", "mks-modbus", "lk-rs485")
@@ -24,7 +24,7 @@ HOSTILE = bytes.fromhex("FA FB FC 3E 00 01 02 03 04 06 10 30 80 83 90 9A A2 F6 F
 HARMLESS = bytes.fromhex("55 AA F8 F9 FD FE FF")
 
 
-class Sent(NamedTuple):
+class SentFrame(NamedTuple):
     """A frame as it was sent, and the name of its dialect."""
 
     data: bytes
@@ -36,10 +36,10 @@ class Placed(NamedTuple):
     """A sent frame and its offset on the line."""
 
     at: int
-    sent: Sent
+    sent: SentFrame
 
 
-def placed(frames: Sequence[Sent]) -> list[Placed]:
+def placed(frames: Sequence[SentFrame]) -> list[Placed]:
     """Return where each frame lies when all are sent one after the other."""
     result, at = [], 0
     for frame in frames:
@@ -48,7 +48,7 @@ def placed(frames: Sequence[Sent]) -> list[Placed]:
     return result
 
 
-def joined(frames: Sequence[Sent]) -> bytes:
+def joined(frames: Sequence[SentFrame]) -> bytes:
     """Return the bytes of frames sent one after the other."""
     return b"".join(frame.data for frame in frames)
 
@@ -69,7 +69,7 @@ def layout_values(draw: st.DrawFn, layout: Layout, known: dict[str, int] | None 
     """Draw valid values for a layout; fields that have the name of a `known` one take its value where they may."""
     result = {}
     for field in layout.fields:
-        if field.kind not in (Kind.RESERVED, Kind.BYTES):
+        if field.kind not in (FieldKind.RESERVED, FieldKind.BYTES):
             kept = (known or {}).get(field.name)
             result[field.name] = kept if kept is not None and field.allows(kept) else draw(values(field))
     return result
@@ -98,7 +98,7 @@ def answering(forms: Sequence[Form], asked: dict[str, int]) -> list[Form]:
 
 
 @st.composite
-def exchanges(draw: st.DrawFn, dialect: Dialect, address: int, packages: bool = True) -> list[Sent]:
+def exchanges(draw: st.DrawFn, dialect: Dialect, address: int, packages: bool = True) -> list[SentFrame]:
     """Draw the frames of one exchange with a drive: a request, then none, one or two replies."""
     command = draw(st.sampled_from([c for c in dialect.commands if packages or c.slots is None]))
     form = draw(st.sampled_from(command.request_forms))
@@ -106,7 +106,7 @@ def exchanges(draw: st.DrawFn, dialect: Dialect, address: int, packages: bool = 
     data = draw(package_slots(dialect, command)) if command.slots else codec(form.layout).encode(asked)
     if command.function not in READS and draw(st.integers(0, 19)) == 0:
         address = dialect.broadcast or 0
-    frames = [Sent(dialect.link.build(command, form, address, data, Role.REQUEST), Role.REQUEST, dialect.name)]
+    frames = [SentFrame(dialect.link.build(command, form, address, data, Role.REQUEST), Role.REQUEST, dialect.name)]
     if address == dialect.broadcast or not command.reply_forms or draw(st.integers(0, 19)) == 0:
         return frames
     reply = draw(st.sampled_from(answering(command.reply_forms, asked) or list(command.reply_forms)))
@@ -114,20 +114,20 @@ def exchanges(draw: st.DrawFn, dialect: Dialect, address: int, packages: bool = 
     body = codec(reply.layout).encode(told)
     if command.function in WRITE_ONE and reply.name != "refused":
         body = data
-    frames.append(Sent(dialect.link.build(command, reply, address, body, Role.REPLY), Role.REPLY, dialect.name))
+    frames.append(SentFrame(dialect.link.build(command, reply, address, body, Role.REPLY), Role.REPLY, dialect.name))
     if told.get(command.replies.status) in command.replies.interim and command.replies.final:
         told[command.replies.status] = draw(st.sampled_from(sorted(command.replies.final)))
         body = codec(reply.layout).encode(told)
-        frames.append(Sent(dialect.link.build(command, reply, address, body, Role.REPLY), Role.REPLY, dialect.name))
+        frames.append(SentFrame(dialect.link.build(command, reply, address, body, Role.REPLY), Role.REPLY, dialect.name))
     return frames
 
 
 @st.composite
 def traffic(
     draw: st.DrawFn, names: Sequence[str] = SERIAL, minimum: int = 1, maximum: int = 12, packages: bool = True
-) -> list[Sent]:
+) -> list[SentFrame]:
     """Draw exchanges with several drives, each of one of the named dialects."""
-    frames: list[Sent] = []
+    frames: list[SentFrame] = []
     for _ in range(draw(st.integers(minimum, maximum))):
         dialect = dialects.get(draw(st.sampled_from(names)))
         low, high = dialect.addresses

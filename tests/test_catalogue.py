@@ -9,7 +9,7 @@ import pytest
 from analyzer import dialects
 from analyzer.catalogue import Certainty, Erratum, Risk, Role
 from analyzer.codec import codec
-from analyzer.layout import Kind
+from analyzer.layout import FieldKind
 from analyzer.reference.objects import concerns
 from analyzer.sinks.schemas import forms_of
 
@@ -73,7 +73,7 @@ def test_a_command_is_complete(item):
     for role in (Role.REQUEST, Role.REPLY):
         declared = {}
         for form in command.request_forms if role is Role.REQUEST else command.reply_forms:
-            assert len({f.name for f in form.layout.fields if f.kind is not Kind.RESERVED}) == len(form.layout.named)
+            assert len({f.name for f in form.layout.fields if f.kind is not FieldKind.RESERVED}) == len(form.layout.named)
             for name, field in form.layout.named.items():
                 # One channel of the log has one schema: a name means the same in each form.
                 first = declared.setdefault(name, field)

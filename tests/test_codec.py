@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from analyzer import dialects
 from analyzer.codec import codec
-from analyzer.layout import Field, Kind, Layout, Order, bits, fixed, reserved, rest, sint, u8, u16, uint
+from analyzer.layout import Field, FieldKind, Layout, Order, bits, fixed, reserved, rest, sint, u8, u16, uint
 
 LAYOUTS = [
     (f"{d.name}-{c.name}-{f.name}", f.layout)
@@ -28,9 +28,9 @@ def reference(layout: Layout, data: bytes) -> dict[str, int]:
         chosen = data[offset // 8 : (offset + field.bit_width) // 8] if field.order is Order.LITTLE else b""
         text = "".join(f"{b:08b}" for b in data)[offset : offset + field.bit_width]
         value = int.from_bytes(chosen, "little") if chosen else int(text or "0", 2)
-        if field.kind is Kind.INT and value >> (field.bit_width - 1):
+        if field.kind is FieldKind.INT and value >> (field.bit_width - 1):
             value -= 1 << field.bit_width
-        if field.kind is not Kind.RESERVED:
+        if field.kind is not FieldKind.RESERVED:
             result[field.name] = value
     return result
 
@@ -58,7 +58,7 @@ def fields():
     widths = st.lists(st.tuples(st.integers(1, 40), st.booleans()), min_size=1, max_size=6)
 
     def build(parts):
-        made = [Field(name=f"f{i}", bit_width=w, kind=Kind.INT if s else Kind.UINT) for i, (w, s) in enumerate(parts)]
+        made = [Field(name=f"f{i}", bit_width=w, kind=FieldKind.INT if s else FieldKind.UINT) for i, (w, s) in enumerate(parts)]
         missing = -sum(w for w, _ in parts) % 8
         return Layout(*made, *([reserved(missing)] if missing else []))
 

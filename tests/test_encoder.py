@@ -12,7 +12,7 @@ from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.encoder import assemble, build, choose_form
 from analyzer.errors import UsageError
-from analyzer.layout import Kind, fixed, i16, rest, u8
+from analyzer.layout import FieldKind, fixed, i16, rest, u8
 from analyzer.reference.explanation import Explainer
 from analyzer.reference.hex_frame import Given, read_frame, write_frame
 from analyzer.values import decimal, parse_value, range_text, refusal, value_text
@@ -58,7 +58,7 @@ def test_what_is_built_is_explained_alike(data):
 @given(st.data())
 def test_a_value_shown_is_the_value_read(data):
     _, _, _, form = data.draw(st.sampled_from([f for f in FORMS if f[3].layout.named]))
-    field = data.draw(st.sampled_from([f for f in form.layout.named.values() if f.kind is not Kind.BYTES]))
+    field = data.draw(st.sampled_from([f for f in form.layout.named.values() if f.kind is not FieldKind.BYTES]))
     value = data.draw(st.integers(field.wire_minimum, field.wire_maximum))
     assert parse_value(field, str(value), as_sent=True) == value
     assert parse_value(field, hex(value), as_sent=True) == value

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analyzer.layout import Field, Kind, Layout, ModelLimits, Order, fixed, i16, reserved, rest, sint, u8, u16, uint
+from analyzer.layout import Field, FieldKind, Layout, ModelLimits, Order, fixed, i16, reserved, rest, sint, u8, u16, uint
 
 
 class Direction(IntEnum):
@@ -88,4 +88,4 @@ def test_what_cannot_be_declared(declare, why):
 
 def test_reserved_bits_may_share_a_name():
     layout = Layout(uint("a", 4), reserved(4), uint("b", 4), reserved(4))
-    assert [f.kind for _, f in layout].count(Kind.RESERVED) == 2
+    assert [f.kind for _, f in layout].count(FieldKind.RESERVED) == 2

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from analyzer import dialects
 from analyzer.errors import UsageError
-from analyzer.layout import Kind, i16, rest, u8, u16
-from analyzer.values import clean, counted, decimal, near, parse_value, quote, range_text, refusal, value_text, with_unit
+from analyzer.layout import FieldKind, i16, rest, u8, u16
+from analyzer.values import counted, decimal, near, parse_value, printable, quote, range_text, refusal, value_text, with_unit
 
 FIELDS = {
     f"{d.name}-{c.name}-{f.name}": f
@@ -20,7 +20,7 @@ FIELDS = {
     for c in d.commands
     for form in (*c.request_forms, *c.reply_forms)
     for f in form.layout.named.values()
-    if f.kind is not Kind.BYTES and f.bit_width <= 32
+    if f.kind is not FieldKind.BYTES and f.bit_width <= 32
 }
 
 
@@ -86,7 +86,7 @@ def test_ranges_are_told_as_they_are_declared():
 
 @given(st.text(max_size=200))
 def test_nothing_that_is_shown_steers_a_terminal(text):
-    assert clean(text).isprintable()
+    assert printable(text).isprintable()
     assert quote(text).isprintable()
     assert quote(text).isascii()
 

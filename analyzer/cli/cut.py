@@ -22,7 +22,7 @@ from analyzer.events import SETUPS, TOPIC
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.recording_parts import METADATA
 from analyzer.sources.times import iso
-from analyzer.values import clean, counted
+from analyzer.values import counted, printable
 
 EXAMPLES = """\
 examples:
@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
         write_or_drop(target, arguments.force, cut.write)
         print(f"wrote {target}: {cut.said}")
         for note in log.notes:
-            print(f"note: {clean(note)}", file=sys.stderr)
+            print(f"note: {printable(note)}", file=sys.stderr)
     finally:
         log.close()
     return 0

@@ -16,7 +16,7 @@ from typing import Any
 
 from analyzer import __version__
 from analyzer.cli.output import Output
-from analyzer.cli.reading import Reading, add_reading_arguments, now_text, open_reading, progress
+from analyzer.cli.reading import OpenCapture, add_reading_arguments, now_text, open_reading, progress
 from analyzer.cli.signals import Interrupt
 from analyzer.errors import ServotapError, UnreadableError, UsageError
 from analyzer.pipeline import Pipeline, Sink
@@ -24,7 +24,7 @@ from analyzer.records import Severity
 from analyzer.sinks.mcap_log import McapLog
 from analyzer.sinks.process import SinkProcess, available
 from analyzer.sinks.summary import Summary
-from analyzer.values import clean
+from analyzer.values import printable
 
 #: From this size on, in bytes, writing in a process of its own is worth starting one.
 LONG_CAPTURE = 1 << 20
@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
         except UnreadableError as error:
             if len(targets) == 1:
                 raise
-            print(f"servotap decode: {clean(str(error))}", file=sys.stderr)
+            print(f"servotap decode: {printable(str(error))}", file=sys.stderr)
             status = 2
             continue
         if arguments.strict and summary.severities[Severity.ERROR]:
@@ -98,7 +98,7 @@ def _target(path: str, arguments: argparse.Namespace) -> Path:
 class _Sinks:
     """The log and the summary: in a process of their own for a long capture, else here."""
 
-    def __init__(self, reading: Reading, output: Output) -> None:
+    def __init__(self, reading: OpenCapture, output: Output) -> None:
         options = reading.options
 
         def make() -> tuple[McapLog, Summary]:
@@ -149,7 +149,7 @@ def decode(path: str, target: Path, arguments: argparse.Namespace) -> Summary:
         gc.unfreeze()
 
 
-def _decode(path: str, target: Path, reading: Reading, arguments: argparse.Namespace) -> Summary:
+def _decode(path: str, target: Path, reading: OpenCapture, arguments: argparse.Namespace) -> Summary:
     # From before the log exists to when it is whole, Ctrl-C ends the reading and nothing else.
     with contextlib.closing(reading.source), Interrupt() as interrupt:
         output = Output(target, arguments.force)
@@ -186,7 +186,7 @@ def _decode(path: str, target: Path, reading: Reading, arguments: argparse.Names
 
 
 def _metadata(
-    reading: Reading, pipeline: Pipeline, summary: Summary, arguments: argparse.Namespace, stopped: str
+    reading: OpenCapture, pipeline: Pipeline, summary: Summary, arguments: argparse.Namespace, stopped: str
 ) -> dict[str, str]:
     source = reading.source
     total = sum(port.bytes_in - port.start for port in pipeline.ports.values()) - reading.time_range.unseen_bytes
@@ -229,7 +229,7 @@ def _account(total: int, summary: Summary) -> None:
 
 
 def _report(
-    reading: Reading, pipeline: Pipeline, summary: Summary, target: Path, arguments: argparse.Namespace, stopped: str
+    reading: OpenCapture, pipeline: Pipeline, summary: Summary, target: Path, arguments: argparse.Namespace, stopped: str
 ) -> None:
     if arguments.json:
         import msgspec

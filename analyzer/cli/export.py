@@ -19,11 +19,11 @@ from analyzer.cli.reading import progress
 from analyzer.cli.signals import Interrupt
 from analyzer.cli.time_range import TimeRange, add_time_range_arguments
 from analyzer.errors import UnreadableError, UsageError
-from analyzer.export import CAN, FORMATS, SERIAL, Choices, Count, Export, Outcome, writer
+from analyzer.export import CAN, FORMATS, SERIAL, Choices, Count, Export, ExportResult, writer
 from analyzer.live.endpoint import DEFAULT_BAUD, DEFAULT_BITRATE
 from analyzer.records import CanFrame, Chunk, Comment
 from analyzer.sources import Source, open_source
-from analyzer.values import clean, counted
+from analyzer.values import counted, printable
 
 EXAMPLES = """\
 examples:
@@ -117,7 +117,7 @@ def _target(arguments: argparse.Namespace) -> Path | None:
     return target
 
 
-def _write(source: Source, stream: IO[bytes], arguments: argparse.Namespace, interrupt: Interrupt) -> tuple[Outcome, str]:
+def _write(source: Source, stream: IO[bytes], arguments: argparse.Namespace, interrupt: Interrupt) -> tuple[ExportResult, str]:
     """Export all items; return what was written and why the capture broke off, if it did."""
     held = FORMATS[arguments.to].holds
     digits = 9 if arguments.nanoseconds else 6
@@ -148,7 +148,7 @@ def _in_time_range(source: Source, arguments: argparse.Namespace) -> Iterator[Ch
 
 
 def _until_broken(
-    items: Iterator[Chunk | CanFrame | Comment], outcome: Outcome, broken: list[str]
+    items: Iterator[Chunk | CanFrame | Comment], outcome: ExportResult, broken: list[str]
 ) -> Iterator[Chunk | CanFrame | Comment]:
     """Yield items of a source that may break off in the midst; what came before is worth having."""
     try:
@@ -164,7 +164,7 @@ def _counted(name: str, count: Count) -> str:
     return f"{count.pieces} {what} of {name} ({_KINDS[count.kind]}, {counted(count.bytes, 'byte')})"
 
 
-def _report(source: Source, outcome: Outcome, broken: str, target: Path | None, arguments: argparse.Namespace) -> None:
+def _report(source: Source, outcome: ExportResult, broken: str, target: Path | None, arguments: argparse.Namespace) -> None:
     """Say what was exported and what was not; beside data on standard output, on standard error."""
     rows = [f"{source.name} ({source.title}) -> {target or 'standard output'}"]
     rows += [f"  {_counted(name, count)}" for name, count in outcome.written]
@@ -177,10 +177,10 @@ def _report(source: Source, outcome: Outcome, broken: str, target: Path | None, 
     rows += [f"note: {text}" for text in _notes(source, outcome, broken, arguments)]
     stream = sys.stderr if target is None else sys.stdout
     for row in rows:
-        print(clean(row), file=stream)
+        print(printable(row), file=stream)
 
 
-def _notes(source: Source, outcome: Outcome, broken: str, arguments: argparse.Namespace) -> Sequence[str]:
+def _notes(source: Source, outcome: ExportResult, broken: str, arguments: argparse.Namespace) -> Sequence[str]:
     notes = list(source.notes)
     if broken:
         notes.append(f"the capture is incomplete: {broken}")

@@ -26,7 +26,7 @@ from analyzer.pipeline import topic_name
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.recording_parts import METADATA
 from analyzer.sources.times import iso
-from analyzer.values import clean, counted
+from analyzer.values import counted, printable
 
 EXAMPLES = """\
 examples:
@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
         write_or_drop(target, arguments.force, merge.write)
         print(f"wrote {target}: {merge.said}")
         for note in merge.notes:
-            print(f"note: {clean(note)}", file=sys.stderr)
+            print(f"note: {printable(note)}", file=sys.stderr)
     finally:
         for log in logs:
             log.close()

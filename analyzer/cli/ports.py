@@ -13,7 +13,7 @@ from dataclasses import asdict
 from typing import Any
 
 from analyzer.live.adapters import LOW_LATENCY_MS, CanInterface, SerialAdapter, can_interfaces, detected, serial_adapters
-from analyzer.values import clean
+from analyzer.values import printable
 
 EXAMPLES = """\
 examples:
@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(msgspec.json.encode(as_object(serial, can)).decode())
         return 0
     for line in report(serial, can, why):
-        print(clean(line))
+        print(printable(line))
     return 0
 
 

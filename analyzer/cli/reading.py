@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from analyzer.sources import Source
     from analyzer.sources.tail import Follow
 
-__all__ = ["Item", "Reading", "add_reading_arguments", "now_text", "open_reading", "progress", "require_file"]
+__all__ = ["Item", "OpenCapture", "add_reading_arguments", "now_text", "open_reading", "progress", "require_file"]
 
 #: How much of a capture the choice of dialects looks at; of standard input less, so that a live pipe shows at once.
 SAMPLE_BYTES = 256 * 1024
@@ -53,7 +53,7 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
     add_time_range_arguments(parser)
 
 
-class Reading:
+class OpenCapture:
     """A capture that is open, with its dialects chosen. Iterate it once for its items.
 
     `dialects`: those that were chosen, for all buses together. What a recording says of its buses counts, unless the user
@@ -241,7 +241,7 @@ def _of_kind(known: dict[str, Dialect], kind: str) -> tuple[Dialect, ...]:
     return tuple(d for d in known.values() if d.bus == kind)
 
 
-def open_reading(path: str, arguments: argparse.Namespace, follow: Follow | None = None) -> Reading:
+def open_reading(path: str, arguments: argparse.Namespace, follow: Follow | None = None) -> OpenCapture:
     """Open a capture and choose its dialects. `follow`: the capture is a log that is still being written.
 
     Raises UnreadableError for what cannot be read, UsageError for options that do not fit it.
@@ -253,7 +253,7 @@ def open_reading(path: str, arguments: argparse.Namespace, follow: Follow | None
         if follow is not None and source.kind != "log":
             raise UsageError(f"--follow: {source.name} is {source.title}, and only a log (MCAP) can be followed")
         source.follow = follow
-        return Reading(source, arguments)
+        return OpenCapture(source, arguments)
     except BaseException:
         source.close()
         raise

@@ -14,7 +14,7 @@ from analyzer.cli.option_types import duration_text, size_text
 from analyzer.cli.record_report import Summary, as_text
 from analyzer.live.snapshot import BusCounts, Snapshot
 from analyzer.live.supervisor import Supervisor
-from analyzer.values import clean, counted
+from analyzer.values import counted, printable
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -84,7 +84,7 @@ class LineDisplay:
 
     def note(self, bus: str, text: str) -> None:
         """Print a note."""
-        print(clean(f"{bus}: {text}" if bus else text), file=sys.stderr, flush=True)
+        print(printable(f"{bus}: {text}" if bus else text), file=sys.stderr, flush=True)
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """Do nothing: the supervisor keeps the newest."""
@@ -99,7 +99,7 @@ class LineDisplay:
     def begin(self, supervisor: Supervisor) -> None:
         """Print what is recorded."""
         buses = ", ".join(dict.fromkeys(p.bus for p in supervisor.tallies.values()))
-        print(f"recording {clean(buses)} to {clean(supervisor.config.log)}; Ctrl-C ends it", flush=True)
+        print(f"recording {printable(buses)} to {printable(supervisor.config.log)}; Ctrl-C ends it", flush=True)
 
     def watch(self, supervisor: Supervisor, thread: threading.Thread) -> None:
         """Print a line a second."""
@@ -129,7 +129,7 @@ class LineDisplay:
                 parts.append(f"decoding {duration_text(snapshot.behind_ns)} behind")
         if supervisor.phase in ("ending", "finishing"):
             parts.append("finishing the log")
-        print(clean("  ".join(parts)), flush=True)
+        print(printable("  ".join(parts)), flush=True)
 
     def end(self, summary: Summary) -> None:
         """Print how it ended."""
@@ -189,7 +189,7 @@ class TableDisplay(LineDisplay):
         """Print a note above the table."""
         from rich.text import Text
 
-        self._console.print(Text(clean(f"{bus}: {text}" if bus else text), style="yellow"))
+        self._console.print(Text(printable(f"{bus}: {text}" if bus else text), style="yellow"))
 
     def watch(self, supervisor: Supervisor, thread: threading.Thread) -> None:
         """Draw the table."""
@@ -212,7 +212,7 @@ class TableDisplay(LineDisplay):
             table.add_column(name, justify="right")
         for bus, state, count in counts(supervisor):
             table.add_row(
-                Text(clean(bus)),
+                Text(printable(bus)),
                 Text(state, style="" if state == "listening" else "red"),
                 _stored(supervisor, bus),
                 str(count.frames),

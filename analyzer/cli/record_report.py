@@ -12,7 +12,7 @@ from analyzer.cli.option_types import duration_text, size_text
 from analyzer.live.port_status import LOSING, PortStatus
 from analyzer.live.supervisor import Supervisor
 from analyzer.reference.columns import columns
-from analyzer.values import clean, counted
+from analyzer.values import counted, printable
 
 #: Gaps of a port that the text names; the object has them all.
 _GAPS_NAMED = 10
@@ -68,7 +68,7 @@ def as_text(summary: Summary) -> list[str]:
                 _lost(port), _garbled(port),
             )
         )  # fmt: skip
-    lines += [clean(line) for line in columns(rows)]
+    lines += [printable(line) for line in columns(rows)]
     for port in summary.ports:
         lines += _gaps(port, summary.utc_ns)
     if summary.rules:
@@ -78,7 +78,7 @@ def as_text(summary: Summary) -> list[str]:
     if summary.decoder_restarts:
         lines.append(f"the decoding process was started again {counted(summary.decoder_restarts, 'time')}; no data was lost")
     for name in summary.files:
-        lines.append(f"wrote {clean(name)}, {size_text(Path(name).stat().st_size)}")
+        lines.append(f"wrote {printable(name)}, {size_text(Path(name).stat().st_size)}")
     if summary.unfinished:
         lines.append(summary.unfinished)
     return lines

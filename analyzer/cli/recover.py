@@ -23,10 +23,10 @@ from analyzer.live.lock import RUNNING, Lock
 from analyzer.live.log_parts import log_of
 from analyzer.live.recorder import Recorder
 from analyzer.live.spool import segments, spool_folder, stems
-from analyzer.sinks.mcap_repair import Outcome, is_whole, repair
+from analyzer.sinks.mcap_repair import RepairResult, is_whole, repair
 from analyzer.sources.recording_parts import base_of, parts_named
 from analyzer.sources.times import iso
-from analyzer.values import clean, counted
+from analyzer.values import counted, printable
 
 EXAMPLES = """\
 examples:
@@ -97,7 +97,9 @@ def _finish(folder: Path) -> list[Path]:
             raise KeyboardInterrupt
     paths = parts_named(log) if recorder.parts.rotating else [log]
     last = paths[-1]
-    print(f"{clean(last.name)}: whole; went on where the recording had stopped, with {counted(before, 'byte')} of its spools")
+    print(
+        f"{printable(last.name)}: whole; went on where the recording had stopped, with {counted(before, 'byte')} of its spools"
+    )
     return paths
 
 
@@ -146,7 +148,7 @@ def _spooled(folder: Path) -> int:
 
 
 def _say(text: str) -> None:
-    print(f"servotap recover: {clean(text)}", file=sys.stderr)
+    print(f"servotap recover: {printable(text)}", file=sys.stderr)
 
 
 # --- without them ---------------------------------------------------------------------------------------------------
@@ -155,7 +157,7 @@ def _say(text: str) -> None:
 def _repair(path: Path, target: Path | None, replace: bool) -> None:
     """Copy what can be read of a log into a whole one."""
     if is_whole(path) and target is None:
-        print(f"{clean(path.name)} is whole: nothing was changed")
+        print(f"{printable(path.name)} is whole: nothing was changed")
         return
     into = target or path
     with Interrupt() as interrupt:
@@ -182,12 +184,12 @@ def _repair(path: Path, target: Path | None, replace: bool) -> None:
     _report(path, into, outcome)
 
 
-def _report(path: Path, into: Path, outcome: Outcome) -> None:
+def _report(path: Path, into: Path, outcome: RepairResult) -> None:
     span = f", from {iso(outcome.first_ns)} to {iso(outcome.last_ns)}" if outcome.messages else ""
-    print(f"{clean(into.name)}: whole; {counted(outcome.messages, 'message')} in {counted(outcome.chunks, 'chunk')}{span}")
+    print(f"{printable(into.name)}: whole; {counted(outcome.messages, 'message')} in {counted(outcome.chunks, 'chunk')}{span}")
     lost = 0
     for fault in outcome.faults:
         lost += fault.size
-        print(f"  {clean(str(fault))}")
+        print(f"  {printable(str(fault))}")
     if lost:
-        print(f"  {counted(lost, 'byte')} of {clean(path.name)} in total are in incomplete records")
+        print(f"  {counted(lost, 'byte')} of {printable(path.name)} in total are in incomplete records")

@@ -26,7 +26,7 @@ from analyzer.pipeline import Entry
 from analyzer.records import Comment, Event, Finding, Junk
 from analyzer.sources.recording_parts import base_of
 from analyzer.sources.tail import Follow
-from analyzer.values import clean
+from analyzer.values import printable
 
 EXAMPLES = """\
 examples:
@@ -93,7 +93,7 @@ class Table:
         command = message.command.name if message.command is not None else "unknown"
         who = "all" if message.command is not None and message.command.slots is not None else str(message.address)
         time_text = self._time(message.frame.last_ns)
-        text = f"{time_text}  {clean(message.frame.port):<8} {who:>4} {role:<7} {command:<24} {shown}"
+        text = f"{time_text}  {printable(message.frame.port):<8} {who:>4} {role:<7} {command:<24} {shown}"
         self._line(f"\x1b[{_COLORS[role]}m{text}\x1b[0m" if self._color else text)
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
@@ -106,7 +106,7 @@ class Table:
             self._line(msgspec.json.encode({**shown, "raw": junk.data.hex(" ").upper()}).decode())
             return
         data = junk.data[:24].hex(" ").upper() + (" ..." if len(junk.data) > 24 else "")
-        text = f"{self._time(junk.last_ns)}  {clean(junk.port):<8} {'':>4} {'junk':<7} {junk.reason.value:<24} [{data}]"
+        text = f"{self._time(junk.last_ns)}  {printable(junk.port):<8} {'':>4} {'junk':<7} {junk.reason.value:<24} [{data}]"
         self._line(f"\x1b[35m{text}\x1b[0m" if self._color else text)
 
     def finding(self, found: Finding) -> None:
@@ -115,21 +115,21 @@ class Table:
             return
         about = "" if found.sequence in self._shown else f" (frame {found.sequence}, {found.topic})"
         section = f", section {found.section}" if found.section else ""
-        text = f"{'':>15}  ! {found.severity.value} {found.rule}: {clean(found.text)}{section}{about}"
+        text = f"{'':>15}  ! {found.severity.value} {found.rule}: {printable(found.text)}{section}{about}"
         print(f"\x1b[31m{text}\x1b[0m" if self._color else text)
 
     def happened(self, event: Event, sequence: int) -> None:
         """Print what happened to the recording."""
         if self._wanted is not None or self._json or event.name in _UNSHOWN:
             return
-        who = f"{clean(event.port)}: " if event.port else ""
-        text = f"{self._time(event.t_ns)}  # {who}{event.name}: {clean(text_of(event))}"
+        who = f"{printable(event.port)}: " if event.port else ""
+        text = f"{self._time(event.t_ns)}  # {who}{event.name}: {printable(text_of(event))}"
         print(f"\x1b[2m{text}\x1b[0m" if self._color else text, flush=self._flush)
 
     def comment(self, comment: Comment) -> None:
         """Print a comment of the capture."""
         if self._wanted is None and not self._json:
-            print(f"{'':>15}  # {clean(comment.text).lstrip('# ')}")
+            print(f"{'':>15}  # {printable(comment.text).lstrip('# ')}")
 
     def _line(self, text: str) -> None:
         if self._left is not None:
@@ -224,7 +224,7 @@ def _show(arguments: argparse.Namespace) -> int:
             else:
                 pipeline.run(reading)
         for note in reading.source.notes:
-            print(f"note: {clean(note)}", file=sys.stderr)
+            print(f"note: {printable(note)}", file=sys.stderr)
     return 0
 
 

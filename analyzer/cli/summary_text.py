@@ -9,10 +9,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from analyzer.cli.reading import Reading
+from analyzer.cli.reading import OpenCapture
 from analyzer.records import Severity
 from analyzer.sinks.summary import Summary
-from analyzer.values import clean, counted
+from analyzer.values import counted, printable
 
 _STYLES = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}
 
@@ -23,13 +23,13 @@ def milliseconds(value_ns: float) -> str:
     return f"{value:.3f}" if value < 10 else f"{value:.1f}" if value < 1000 else f"{value:.0f}"
 
 
-def print_summary(reading: Reading, summary: Summary, target: Path, stopped: str) -> None:
+def print_summary(reading: OpenCapture, summary: Summary, target: Path, stopped: str) -> None:
     """Print the summary of a decoded capture."""
     # Into a file or a pipe there is no width to keep to.
     console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 140)
 
     def line(text: str, style: str = "") -> None:
-        console.print(Text(clean(text), style=style))
+        console.print(Text(printable(text), style=style))
 
     source = reading.source
     line(f"{source.name}: {source.format}, {', '.join(d.title for d in reading.dialects)}")
@@ -65,7 +65,7 @@ def _commands(summary: Summary) -> Table:
         lat = row.latencies
         times = [milliseconds(lat.quantile(0.5)), milliseconds(lat.quantile(0.99)), milliseconds(lat.greatest)]
         table.add_row(
-            Text(clean(bus)),
+            Text(printable(bus)),
             address,
             name,
             str(row.requests + row.unknown),
@@ -83,6 +83,6 @@ def _findings(summary: Summary) -> Table:
     table.add_column("the first few", overflow="fold")
     for rule, count in summary.findings.most_common():
         severity = summary.worst[rule]
-        first = "\n".join(f"{f.topic} #{f.sequence} byte {f.offset}: {clean(f.text)}" for f in summary.first[rule])
+        first = "\n".join(f"{f.topic} #{f.sequence} byte {f.offset}: {printable(f.text)}" for f in summary.first[rule])
         table.add_row(rule, Text(severity.value, style=_STYLES[severity]), str(count), Text(first))
     return table

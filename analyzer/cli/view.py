@@ -18,7 +18,7 @@ from analyzer.live.lock import running
 from analyzer.live.spool import spool_folder
 from analyzer.sources.recording_parts import base_of
 from analyzer.sources.tail import Follow
-from analyzer.values import clean
+from analyzer.values import printable
 from analyzer.view import require_terminal, run_capture
 
 EXAMPLES = """\
@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
             Filter(arguments.filter, field_names(reading.possible))
         why = run_capture(reading, filter_text=arguments.filter)
         for note in reading.source.notes:
-            print(f"note: {clean(note)}", file=sys.stderr)
+            print(f"note: {printable(note)}", file=sys.stderr)
     if why != "quit":
         raise UsageError(why)
     return 0

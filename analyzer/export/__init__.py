@@ -103,7 +103,7 @@ class Count:
 
 
 @dataclass
-class Outcome:
+class ExportResult:
     """What was exported and what was not, by bus. `comments` and `lost_comments`: written, left out."""
 
     buses: dict[str, Count] = field(default_factory=dict)
@@ -131,7 +131,7 @@ class Export:
         self._holds = holds
         self._bit_ns = SECOND_NS // speed
         self._clocks: dict[str, int] = {}
-        self.outcome = Outcome()
+        self.outcome = ExportResult()
 
     def run(self, items: Iterable[Chunk | CanFrame | Comment]) -> None:
         """Write all items. Raises OSError when a write fails."""
@@ -158,7 +158,7 @@ class Export:
                 item = msgspec.structs.replace(item, t_ns=0)
             target.traffic(item)
 
-    def finish(self) -> Outcome:
+    def finish(self) -> ExportResult:
         """Write what is held back and return the counts."""
         lost = self._target.finish()
         self.outcome.comments -= lost

@@ -40,7 +40,7 @@ _FIRST_LOOK = 48
 
 
 @dataclass(frozen=True)
-class Heard:
+class ListenResult:
     """What listening at one rate gave. `best`: of the dialect that explains most; None where nothing was heard."""
 
     rate: int
@@ -75,7 +75,7 @@ class Found:
     endpoint: Endpoint
     dialects: tuple[Dialect, ...]
     reason: str
-    evidence: tuple[Heard, ...]
+    evidence: tuple[ListenResult, ...]
 
 
 class Listener(Protocol):
@@ -99,21 +99,21 @@ def rates(candidates: Sequence[Dialect]) -> list[int]:
     return sorted(listed, key=rank)
 
 
-def judge(rate: int, chunks: Sequence[Chunk], candidates: Sequence[Dialect]) -> Heard:
+def judge(rate: int, chunks: Sequence[Chunk], candidates: Sequence[Dialect]) -> ListenResult:
     """Return what the dialects that list a rate make of what was heard at it."""
     size = sum(len(chunk.data) for chunk in chunks)
     weighed = [weigh(d, chunks) for d in candidates if rate in d.baud_rates] if size else []
-    return Heard(rate, size, max(weighed, key=lambda e: e.good_bytes, default=None))
+    return ListenResult(rate, size, max(weighed, key=lambda e: e.good_bytes, default=None))
 
 
-def score(chunks_by_rate: Mapping[int, Sequence[Chunk]], candidates: Sequence[Dialect]) -> list[Heard]:
+def score(chunks_by_rate: Mapping[int, Sequence[Chunk]], candidates: Sequence[Dialect]) -> list[ListenResult]:
     """Return what was heard at each rate, the best explained first."""
     heard = [judge(rate, chunks, candidates) for rate, chunks in chunks_by_rate.items()]
     # A stable sort: of rates that explain the same, the more usual one stands first.
     return sorted(heard, key=lambda h: (-h.believed, -h.share))
 
 
-def decide(heard: Sequence[Heard]) -> Heard:
+def decide(heard: Sequence[ListenResult]) -> ListenResult:
     """Return the rate of the line. `heard`: as `score` orders it.
 
     Raises UsageError that says what was heard, where no rate is clear.
@@ -139,7 +139,7 @@ def decide(heard: Sequence[Heard]) -> Heard:
     return best
 
 
-def table(heard: Sequence[Heard]) -> list[str]:
+def table(heard: Sequence[ListenResult]) -> list[str]:
     """Return the evidence as lines of text, in the order of the rates."""
     lines = [f"{'baud':>8} {'bytes':>7} {'good frames':>12} {'share':>7}  dialect"]
     for each in sorted(heard, key=lambda h: h.rate):
@@ -201,7 +201,7 @@ class _Enough:
         return size >= ENOUGH_BYTES or judge(self._rate, [*self._before, *chunks], self._candidates).sure
 
 
-def _said(heard: Heard) -> str:
+def _said(heard: ListenResult) -> str:
     if not heard.bytes:
         return f"{heard.rate} baud: nothing heard"
     best = heard.best

@@ -15,11 +15,11 @@ from analyzer.detect import Choice
 from analyzer.live.checkpoint import BusState
 from analyzer.live.config import PortConfig, RecordingConfig
 from analyzer.live.detection import Detection
-from analyzer.live.spool import CanFlag, Kind, Record
+from analyzer.live.spool import CanFlag, Record, RecordKind
 from analyzer.live.spool_merge import Spool
 from analyzer.records import CanFrame, Chunk
 from analyzer.sinks.mcap_log import Speed
-from analyzer.sources.marks import Heard
+from analyzer.sources.marks import ReceivedMarks
 
 #: Notes of a bus that are kept.
 NOTES_LIMIT = 20
@@ -45,7 +45,7 @@ class Bus:
         self.last_ns = 0
         #: Something came since the last pause.
         self.sounded = False
-        self.heard = Heard()
+        self.heard = ReceivedMarks()
         self.dialects = tuple(known[name] for name in first.dialects if name in known and known[name].bus == first.kind)
         self.reason = "as given" if self.dialects else ""
         self.detection = None if self.dialects else Detection(first.kind, list(known.values()))
@@ -105,7 +105,7 @@ class Bus:
     def restore(self, state: BusState, known: Mapping[str, Dialect]) -> None:
         """Go on where another process stood."""
         self.offset, self.last_ns, self.sounded = state.offset, state.last_ns, state.sounded
-        self.heard = Heard(state.sent)
+        self.heard = ReceivedMarks(state.sent)
         self.dialects = tuple(known[name] for name in state.dialects if name in known)
         self.reason, self.notes, self.lost = state.reason, list(state.notes), dict(state.lost)
         if self.detection is not None and self.dialects:
@@ -166,9 +166,9 @@ class HeldRecords:
         detection = self._bus.detection
         if bus is not self._bus or detection is None:
             return
-        if record.kind == Kind.DATA:
+        if record.kind == RecordKind.DATA:
             detection.add(Chunk(record.t_ns, bus.name, record.data))
-        elif record.kind == Kind.CAN:
+        elif record.kind == RecordKind.CAN:
             can_id, flags, data = record.can
             detection.add(CanFrame(record.t_ns, bus.name, can_id, data, extended=bool(flags & CanFlag.EXTENDED)))
 

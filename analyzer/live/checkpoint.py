@@ -22,7 +22,7 @@ import msgspec
 
 from analyzer.catalogue import Role
 from analyzer.codec import Violation
-from analyzer.context import Context, Outcome, Request, State
+from analyzer.context import Context, Request, RequestOutcome, State
 from analyzer.errors import UnreadableError
 from analyzer.framer import _Mark
 from analyzer.records import CanFrame, Frame, Lane, Message
@@ -131,7 +131,7 @@ class _Pickler(TablePickler):
 #: All that may stand in a state.
 _ALLOWED: Mapping[tuple[str, str], Any] = {
     (each.__module__, each.__qualname__): each
-    for each in (CanFrame, Context, Frame, Message, Outcome, Request, Role, State, Violation, _Mark, _lane, deque)
+    for each in (CanFrame, Context, Frame, Message, RequestOutcome, Request, Role, State, Violation, _Mark, _lane, deque)
 }
 
 

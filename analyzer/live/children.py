@@ -44,7 +44,7 @@ _UNIX = os.name == "posix"
 #: So that nothing in the folder where the user happens to be is taken for a module.
 _PYTHON = [sys.executable, "-P"]
 
-Heard = queue.SimpleQueue[tuple[str, Any, Any]]
+MessageQueue = queue.SimpleQueue[tuple[str, Any, Any]]
 
 
 class Child(ABC):
@@ -54,7 +54,7 @@ class Child(ABC):
     object), ("snapshot", name, Snapshot), ("said", name, text), ("exit", name, status), which is the last of all.
     """
 
-    def __init__(self, name: str, command: Sequence[str], heard: Heard, nice: int, handed: Sequence[int] = ()) -> None:
+    def __init__(self, name: str, command: Sequence[str], heard: MessageQueue, nice: int, handed: Sequence[int] = ()) -> None:
         self.name = name
         self._command = list(command)
         self._heard = heard
@@ -229,7 +229,7 @@ class Child(ABC):
 class ReaderChild(Child):
     """The reader process of one port."""
 
-    def __init__(self, folder: Path, stem: str, heard: Heard, *, plain: bool = False) -> None:
+    def __init__(self, folder: Path, stem: str, heard: MessageQueue, *, plain: bool = False) -> None:
         command = [*_PYTHON, "-m", "analyzer.live.reader", str(folder), stem]
         super().__init__(stem, command + ["--plain"] * plain, heard, READER_NICE)
 
@@ -246,7 +246,7 @@ class ReaderChild(Child):
 class DecoderChild(Child):
     """The decoding process: it follows the spools and writes the log."""
 
-    def __init__(self, folder: Path, heard: Heard) -> None:
+    def __init__(self, folder: Path, heard: MessageQueue) -> None:
         command = [*_PYTHON, "-m", "analyzer.live.recorder", str(folder), "--feed", "1"]
         nice = 0 if _UNIX and os.geteuid() == 0 else DECODER_NICE
         super().__init__("decoding", command, heard, nice)

@@ -30,7 +30,7 @@ from analyzer.live.endpoint import Endpoint, parse
 from analyzer.live.lock import RUNNING, Lock
 from analyzer.live.reader_port import LEASH, Lost, Opened, Port, Stop, Unopened
 from analyzer.live.reader_store import StatusLine, Store
-from analyzer.live.spool import Kind, SpoolWriter, last_record
+from analyzer.live.spool import RecordKind, SpoolWriter, last_record
 
 FIRST_RETRY_S = 0.1
 LAST_RETRY_S = 2.0
@@ -195,7 +195,7 @@ def main(words: Sequence[str] | None = None) -> int:
             unit=port.unit,
             count=0 if before is None else before.before + before.units,
             last_ns=0 if before is None else before.t_ns,
-            idle=before is not None and before.kind != Kind.DATA,
+            idle=before is not None and before.kind != RecordKind.DATA,
         )
         # What is loaded stays, and need not be looked at again and again.
         gc.collect()

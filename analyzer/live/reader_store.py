@@ -19,7 +19,7 @@ from typing import Any
 
 import msgspec
 
-from analyzer.live.spool import Kind, SpoolWriter, pack, pack_can, pack_event
+from analyzer.live.spool import RecordKind, SpoolWriter, pack, pack_can, pack_event
 
 #: Bytes of records kept in memory while they cannot be stored.
 HELD_LIMIT = 32 << 20
@@ -89,7 +89,7 @@ class Store:
     def chunk(self, t_ns: int, data: bytes) -> None:
         """Take bytes of a serial line whose last one arrived at `t_ns`."""
         t_ns = self._stamp(t_ns)
-        self._batch.append(pack(Kind.DATA, t_ns, self.count, data))
+        self._batch.append(pack(RecordKind.DATA, t_ns, self.count, data))
         self.count += len(data)
         self._batch_count += len(data)
         self.records += 1
@@ -108,7 +108,7 @@ class Store:
         """Note that nothing came up to `t_ns`; told once, until something comes again."""
         if not self.idle:
             self.idle = True
-            self._batch.append(pack(Kind.IDLE, self._stamp(t_ns), self.count, b""))
+            self._batch.append(pack(RecordKind.IDLE, self._stamp(t_ns), self.count, b""))
             self.flush()
 
     def tick(self) -> None:

@@ -28,7 +28,7 @@ from analyzer.live.checkpoint import Checkpoint, SpoolState
 from analyzer.live.config import CONTROL, PortConfig, RecordingConfig
 from analyzer.live.counts import RecordingCounts
 from analyzer.live.log_parts import LogParts
-from analyzer.live.spool import CanFlag, Kind, Record
+from analyzer.live.spool import CanFlag, Record, RecordKind
 from analyzer.live.spool_merge import NEVER_NS, Merger, Spool
 from analyzer.pipeline import Options, Pipeline, PortSetup, Sink
 from analyzer.port import Setups
@@ -321,7 +321,7 @@ class Recording:
             return
         kind = record.kind
         follow = self.follows[spool.stem]
-        if kind == Kind.DATA or kind == Kind.CAN:
+        if kind == RecordKind.DATA or kind == RecordKind.CAN:
             bus = follow.bus
             assert bus is not None  # the spool of the recording itself has no traffic
             if bus.detection is not None and not bus.detection.dialects and not self.config.raw_only:
@@ -330,15 +330,15 @@ class Recording:
                 return
         if follow.expected is not None and record.before > follow.expected:
             self._missing(follow, record)
-        if kind == Kind.DATA:
+        if kind == RecordKind.DATA:
             self._data(follow, record)
-        elif kind == Kind.CAN:
+        elif kind == RecordKind.CAN:
             self._can(follow, record)
-        elif kind == Kind.IDLE:
+        elif kind == RecordKind.IDLE:
             self._idle(follow, self._now(record.t_ns))
         else:
             self._event(follow, record)
-        follow.expected = record.before + (len(record.data) if kind == Kind.DATA else kind == Kind.CAN)
+        follow.expected = record.before + (len(record.data) if kind == RecordKind.DATA else kind == RecordKind.CAN)
         if spool.reader.damaged > spool.damaged:
             damaged = spool.reader.damaged - spool.damaged
             self._own.append((follow.bus.name if follow.bus else "", {"event": "damaged", "bytes": damaged}))
@@ -426,7 +426,7 @@ class Recording:
     def _missing(self, follow: Follow, record: Record) -> None:
         """Tell what its reader counted and did not store, unless this is the record that says so."""
         bus = follow.bus
-        if bus is None or (record.kind == Kind.EVENT and record.event.get("event") == "dropped"):
+        if bus is None or (record.kind == RecordKind.EVENT and record.event.get("event") == "dropped"):
             return
         unit = "frames" if bus.kind == "can" else "bytes"
         missing = record.before - (follow.expected or 0)

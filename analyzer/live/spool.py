@@ -61,7 +61,7 @@ DATA_LIMIT = 1 << 20
 _CAN_HEAD = struct.Struct("<IB")
 
 
-class Kind(IntEnum):
+class RecordKind(IntEnum):
     """What a record is."""
 
     DATA = 1
@@ -99,7 +99,7 @@ class Record(NamedTuple):
     @property
     def units(self) -> int:
         """How far this record moves `before` on: its bytes, or one frame."""
-        return len(self.data) if self.kind == Kind.DATA else int(self.kind == Kind.CAN)
+        return len(self.data) if self.kind == RecordKind.DATA else int(self.kind == RecordKind.CAN)
 
     @property
     def can(self) -> tuple[int, int, bytes]:
@@ -115,12 +115,14 @@ def pack(kind: int, t_ns: int, before: int, data: bytes) -> bytes:
 
 def pack_can(t_ns: int, before: int, can_id: int, flags: int, payload: bytes) -> bytes:
     """Return a CAN record as bytes."""
-    return HEAD.pack(MAGIC, Kind.CAN, _CAN_HEAD.size + len(payload), t_ns, before) + _CAN_HEAD.pack(can_id, flags) + payload
+    return (
+        HEAD.pack(MAGIC, RecordKind.CAN, _CAN_HEAD.size + len(payload), t_ns, before) + _CAN_HEAD.pack(can_id, flags) + payload
+    )
 
 
 def pack_event(t_ns: int, before: int, event: str, **about: Any) -> bytes:
     """Return an EVENT record as bytes."""
-    return pack(Kind.EVENT, t_ns, before, msgspec.json.encode({"event": event, **about}))
+    return pack(RecordKind.EVENT, t_ns, before, msgspec.json.encode({"event": event, **about}))
 
 
 class SpoolWriter:

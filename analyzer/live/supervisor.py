@@ -22,7 +22,7 @@ from typing import Any
 from analyzer import __version__
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live import clock
-from analyzer.live.children import SAYS, Child, DecoderChild, Heard, ReaderChild
+from analyzer.live.children import SAYS, Child, DecoderChild, MessageQueue, ReaderChild
 from analyzer.live.config import CONTROL, RecordingConfig
 from analyzer.live.lock import RUNNING, Lock
 from analyzer.live.port_status import PortStatus, take
@@ -43,7 +43,7 @@ _SECOND_NS = 1_000_000_000
 
 
 #: Makes the readers of a recording from the folder of its spools and where they are heard: by one of the stems of each.
-ReaderMaker = Callable[[Path, Heard], Mapping[str, Child]]
+ReaderMaker = Callable[[Path, MessageQueue], Mapping[str, Child]]
 
 
 def nobody(*_: object) -> None:
@@ -86,7 +86,7 @@ class Supervisor:
         self._duration_ns = duration_ns
         self._on_note = on_note
         self._on_snapshot = on_snapshot
-        self._heard: Heard = queue.SimpleQueue()
+        self._heard: MessageQueue = queue.SimpleQueue()
         self._readers: dict[str, Child] = (
             {p.stem: ReaderChild(self.folder, p.stem, self._heard, plain=plain) for p in config.ports}
             if readers is None

@@ -20,7 +20,7 @@ from analyzer.codec import codec
 from analyzer.decoder import slots_of
 from analyzer.dialects import code_text
 from analyzer.findings import RULES
-from analyzer.layout import Field, Kind
+from analyzer.layout import Field, FieldKind
 from analyzer.records import Message, Severity
 from analyzer.reference.columns import columns, styled
 from analyzer.reference.explanation import Explanation
@@ -198,7 +198,7 @@ def _block_rows(block: list[tuple[int, Field]], data: bytes, base: int) -> Itera
     raw = data[first:stop]
     if len(block) == 1:
         field = block[0][1]
-        if field.kind is Kind.BYTES:
+        if field.kind is FieldKind.BYTES:
             yield from _raw_rows(raw, base + first, field.name)
             return
         yield Row(_span(base + first, base + stop), _hex(raw), "", _meaning(field, _value(field, raw, 0, len(raw) * 8)))
@@ -215,7 +215,7 @@ def _value(field: Field, raw: bytes, at: int, total: int) -> int:
     order = "little" if field.order.value == "little" else "big"
     whole = int.from_bytes(raw, "little" if order == "little" else "big")
     value = whole >> (total - at - field.bit_width) & ((1 << field.bit_width) - 1) if order == "big" else whole
-    if field.kind is Kind.INT and value >> (field.bit_width - 1) & 1:
+    if field.kind is FieldKind.INT and value >> (field.bit_width - 1) & 1:
         value -= 1 << field.bit_width
     return value
 
@@ -228,7 +228,7 @@ def _bits(raw: bytes, at: int, width: int) -> str:
 
 def _meaning(field: Field, value: int) -> str:
     mark = "" if field.allows(value) else "! "
-    if field.kind is Kind.RESERVED:
+    if field.kind is FieldKind.RESERVED:
         return f"{mark}{field.name} {value}" + ("" if value == 0 else " (expected 0)")
     text = f"{mark}{field.name} {value_text(field, value)}"
     if field.scale != 1:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from analyzer.layout import Field, Kind, Layout, ModelLimits, Order
+from analyzer.layout import Field, FieldKind, Layout, ModelLimits, Order
 from analyzer.reference.columns import WIDTH, columns
 from analyzer.reference.picture import key
 from analyzer.values import range_text, value_text, with_unit
@@ -26,7 +26,7 @@ def field_table(layout: Layout, *, indent: str) -> Iterator[str]:
     details: list[tuple[str, str]] = []
     number = 0
     for offset, field in layout:
-        if field.kind is Kind.RESERVED:
+        if field.kind is FieldKind.RESERVED:
             continue
         rows.append(_field_row(key(number), offset, field))
         details += _details(field)
@@ -41,7 +41,7 @@ def field_table(layout: Layout, *, indent: str) -> Iterator[str]:
 def _field_row(letter: str, offset: int, field: Field) -> tuple[str, ...]:
     default = "" if field.default is None else value_text(_bare(field), field.default)
     scale = "" if field.scale == 1 else str(field.scale)
-    kind = "bytes" if field.kind is Kind.BYTES else f"{field.kind.value}{field.bit_width}"
+    kind = "bytes" if field.kind is FieldKind.BYTES else f"{field.kind.value}{field.bit_width}"
     kind += " le" if field.order is Order.LITTLE else ""
     return letter, field.name, _place(offset, field), kind, field.unit, scale, _limits(field), default, field.printed
 
@@ -67,7 +67,7 @@ def _bare(field: Field) -> Field:
 
 
 def _limits(field: Field) -> str:
-    if field.kind is Kind.BYTES:
+    if field.kind is FieldKind.BYTES:
         return ""
     if field.fixed is not None:
         return f"always {value_text(_bare(field), field.fixed)}"

@@ -11,7 +11,7 @@ from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Erratum, Form, RiskRule, Vector, all_fields
 from analyzer.dialects import code_text
-from analyzer.layout import Field, Kind, Layout, ModelLimits
+from analyzer.layout import Field, FieldKind, Layout, ModelLimits
 
 
 def reference(
@@ -113,7 +113,7 @@ def _form(form: Form) -> dict[str, Any]:
 
 def fields_of(layout: Layout) -> list[dict[str, Any]]:
     """Return the fields of a layout as objects, reserved bits left out."""
-    return [field_object(offset, field) for offset, field in layout if field.kind is not Kind.RESERVED]
+    return [field_object(offset, field) for offset, field in layout if field.kind is not FieldKind.RESERVED]
 
 
 def _union(forms: tuple[Form, ...]) -> list[dict[str, Any]]:
@@ -133,7 +133,7 @@ def field_object(offset: int, field: Field) -> dict[str, Any]:
     if field.printed:
         shown["printed"] = field.printed
     shown |= {"bit_offset": offset, "bit_width": field.bit_width, "type": field.kind.value}
-    if field.kind is not Kind.BYTES:
+    if field.kind is not FieldKind.BYTES:
         shown["order"] = field.order.value
         free = field.choices is None and field.values is None and field.fixed is None
         if free or field.minimum is not None:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from analyzer.layout import Kind, Layout
+from analyzer.layout import FieldKind, Layout
 
 BYTES_A_ROW = 4
 _KEYS = "123456789abcdefghijklmnopqrstuvwxyz"
@@ -59,7 +59,7 @@ def _rows(layout: Layout) -> list[list[_Box]]:
     number = 0
     for offset, field in layout:
         labels: tuple[str, ...]
-        if field.kind is Kind.RESERVED:
+        if field.kind is FieldKind.RESERVED:
             labels = ("reserved", "rsv", "-")
         else:
             labels = (field.name, key(number))

@@ -56,7 +56,7 @@ class Fault:
 
 
 @dataclass
-class Outcome:
+class RepairResult:
     """What was done: what the new log holds, and what of the old one could not be read."""
 
     chunks: int = 0
@@ -81,7 +81,7 @@ def is_whole(path: Path) -> bool:
         return False
 
 
-def repair(path: Path, target: Writable, position: Callable[[int], None] = lambda at: None) -> Outcome:
+def repair(path: Path, target: Writable, position: Callable[[int], None] = lambda at: None) -> RepairResult:
     """Copy what can be read of a log into a new one; `position` is told how far it has come, in bytes.
 
     Raises UnreadableError for what is no MCAP log, OSError where the target cannot be written.
@@ -99,7 +99,7 @@ class _Repair:
         self._size = path.stat().st_size
         self._target = target
         self._tell = position
-        self._outcome = Outcome()
+        self._outcome = RepairResult()
         self._file: TakenFile
         self._schemas: set[int] = set()
         self._channels: set[int] = set()
@@ -110,7 +110,7 @@ class _Repair:
         self._loose: list[bytes] = []
         self._ended = False
 
-    def run(self) -> Outcome:
+    def run(self) -> RepairResult:
         header = Header("", "")
         at = len(scan.MAGIC)
         first = self._record(at)

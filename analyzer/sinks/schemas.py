@@ -13,7 +13,7 @@ import msgspec
 
 from analyzer.catalogue import Command, Dialect, Form, Role
 from analyzer.codec import shown
-from analyzer.layout import STATE_UNITS, Field, Kind
+from analyzer.layout import STATE_UNITS, Field, FieldKind
 
 _RESERVED: dict[str, dict[str, Any]] = {
     "_raw": {"type": "string", "description": "bytes of the frame, hex"},
@@ -34,7 +34,7 @@ _CAN: dict[str, dict[str, Any]] = {
 
 def field_properties(field: Field, section: str) -> dict[str, dict[str, Any]]:
     """Return the schema properties of a field: itself, its name twin, its text twin."""
-    if field.kind is Kind.BYTES:
+    if field.kind is FieldKind.BYTES:
         return {field.name: {"type": "string", "description": "bytes, hex"}}
     words = [field.note] if field.note else []
     if field.unit:

@@ -66,7 +66,7 @@ def role_of_name(name: str) -> Role:
     return role_of(cleaned.split())
 
 
-class Heard:
+class ReceivedMarks:
     """Holds back "received" until something was sent: a listener receives everything."""
 
     def __init__(self, sent: bool = False) -> None:

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from analyzer.catalogue import Role
 from analyzer.records import Chunk
 from analyzer.sources.lines import Lines, head_lines
-from analyzer.sources.marks import Heard, role_of_name
+from analyzer.sources.marks import ReceivedMarks, role_of_name
 from analyzer.sources.source import SECOND_NS, Source, quote
 from analyzer.sources.times import clock_ns, day_ns, number_ns, zone_ns
 from analyzer.values import counted
@@ -106,7 +106,7 @@ def _records(source: Source) -> Iterator[Chunk]:
     sample = [_row(line) for line in head_lines(source.head)[1:]]
     # A table of characters has digits that are characters too; only the other values show it.
     table.characters = any(_number(table.cell(row, "data")) is None for row in sample)
-    heard = Heard()
+    heard = ReceivedMarks()
     directions: dict[str, Role] = {}
     byte_ns = _BITS_PER_BYTE * SECOND_NS // source.baud if source.baud else 0
     errors = shift_ns = 0

@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from analyzer.catalogue import Role
 from analyzer.records import Chunk
 from analyzer.sources.lines import Lines, head_lines
-from analyzer.sources.marks import Heard, role_of_name
+from analyzer.sources.marks import ReceivedMarks, role_of_name
 from analyzer.sources.source import SECOND_NS, Source, quote
 
 _LINE = re.compile(
@@ -53,7 +53,7 @@ def read(source: Source) -> Iterator[Chunk]:
 
 def _records(source: Source) -> Iterator[Chunk]:
     lines = Lines(source)
-    heard = Heard()
+    heard = ReceivedMarks()
     # Nanoseconds of a sample as a fraction, from the first byte: its samples last 8 bits.
     bits_ns, samples = 0, 0
     for line in lines:

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 from analyzer.errors import UsageError
 
 if TYPE_CHECKING:
-    from analyzer.cli.reading import Reading
+    from analyzer.cli.reading import OpenCapture
 
 
 def require_terminal(command: str = "servotap view") -> None:
@@ -63,7 +63,7 @@ def run_live(snapshots: int, *, mark: Callable[[str], str], log: str = "", model
         source.close()
 
 
-def run_capture(reading: Reading, *, filter_text: str = "") -> str:
+def run_capture(reading: OpenCapture, *, filter_text: str = "") -> str:
     """Show a capture that is open until the user quits; return `quit`, or why it broke off."""
     from analyzer.view.capture import CaptureSource
     from analyzer.view.run import run

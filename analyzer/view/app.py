@@ -14,7 +14,7 @@ from textual.widgets import ContentSwitcher, Footer, Static
 
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live.snapshot import FrameLine
-from analyzer.values import clean, counted
+from analyzer.values import counted, printable
 from analyzer.view.condition import Condition
 from analyzer.view.counts_panel import CountsPanel
 from analyzer.view.details_panel import Details, DetailsPanel
@@ -166,7 +166,7 @@ class ViewApp(App[str]):
             words.append(self.source.broken)
         if self.shown == "counts":
             words.append(f"by {self.counts.order}")
-        self._status.update(clean("   ".join(words)))
+        self._status.update(printable("   ".join(words)))
 
     def say(self, text: str) -> None:
         """Show a word in the status line until the next one."""

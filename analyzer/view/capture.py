@@ -27,7 +27,7 @@ from analyzer.view.store import BLOCK, FrameStore, Record
 from analyzer.view.watch import FINDINGS, Watch
 
 if TYPE_CHECKING:
-    from analyzer.cli.reading import Reading
+    from analyzer.cli.reading import OpenCapture
 
 #: Seconds between two snapshots of the counts.
 _PERIOD = 0.1
@@ -211,7 +211,7 @@ class CaptureSource:
 
     live = False
 
-    def __init__(self, reading: Reading) -> None:
+    def __init__(self, reading: OpenCapture) -> None:
         self._reading = reading
         follow = reading.source.follow
         self.growing = follow is not None

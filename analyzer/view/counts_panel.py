@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.text import Text
 
-from analyzer.values import clean
+from analyzer.values import printable
 from analyzer.view.lines import cut
 from analyzer.view.rows import Rows
 from analyzer.view.watch import CommandRow, Watch
@@ -63,8 +63,8 @@ class CountsPanel(Rows):
         """Return a command as a row."""
         row = self._rows[number]
         text = Text(no_wrap=True)
-        text.append(f"{clean(row.bus)[: self._bus_width]:<{self._bus_width}} {row.who:>4} ")
-        text.append(f"{cut(clean(row.command), 20):<20}", "cyan")
+        text.append(f"{printable(row.bus)[: self._bus_width]:<{self._bus_width}} {row.who:>4} ")
+        text.append(f"{cut(printable(row.command), 20):<20}", "cyan")
         text.append(f"{row.count('request'):>9}{row.count('reply'):>8}{rate_text(row.rate):>8}")
         last, mean, most = ("", "", "") if row.latencies is None else (rate_text(ns / 1e6) for ns in row.latencies)
         text.append(f"{last:>8}{mean:>7}{most:>7}")

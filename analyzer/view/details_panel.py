@@ -16,7 +16,7 @@ from analyzer.live.snapshot import EVENT, JUNK, FindingLine, FrameLine
 from analyzer.reference.explanation import Explainer
 from analyzer.reference.explanation_text import explanation_lines
 from analyzer.reference.hex_frame import Given
-from analyzer.values import clean, counted
+from analyzer.values import counted, printable
 from analyzer.view.findings_panel import finding_text
 from analyzer.view.lines import SECOND, SEVERITIES, bytes_text, fields_text, time_text
 
@@ -41,7 +41,7 @@ class Details:
         if missing:
             text.append(f"! {', '.join(missing)}\n", SEVERITIES.get(line.severity, ("", ""))[1])
         if line.role == EVENT:
-            text.append(f"{clean(line.command)}: {clean(line.text)}\n")
+            text.append(f"{printable(line.command)}: {printable(line.text)}\n")
         elif line.role == JUNK or line.dialect not in self._dialects:
             self._bytes(text, line)
         else:
@@ -51,11 +51,11 @@ class Details:
 
     @staticmethod
     def _place(line: FrameLine) -> str:
-        words = [time_text(line.t_ns), clean(line.bus)]
+        words = [time_text(line.t_ns), printable(line.bus)]
         if line.sequence:
             words += [f"sequence {line.sequence}", f"offset {line.offset}"]
         if line.topic:
-            words.append(clean(line.topic))
+            words.append(printable(line.topic))
         if line.latency_ns is not None:
             words.append(f"latency {line.latency_ns / SECOND * 1e3:.3f} ms")
         if line.request_sequence is not None:
@@ -64,7 +64,7 @@ class Details:
 
     @staticmethod
     def _bytes(text: Text, line: FrameLine) -> None:
-        text.append(f"{clean(line.command)}, {counted(line.values.get('length', len(line.raw.split())), 'byte')}\n")
+        text.append(f"{printable(line.command)}, {counted(line.values.get('length', len(line.raw.split())), 'byte')}\n")
         data = line.raw.split()
         for at in range(0, len(data), _BYTES_A_ROW):
             text.append(f"{at:>5}  {' '.join(data[at : at + _BYTES_A_ROW])}\n")
@@ -78,8 +78,8 @@ class Details:
                 _given(line), role=_ROLES.get(line.role, Role.UNKNOWN), request=None if request is None else _given(request)
             )
         except ServotapError as error:
-            text.append(f"{bytes_text(line)}\n{clean(fields_text(line.values))}\n")
-            text.append(clean(str(error).split("\n")[-1].strip()), "dim")
+            text.append(f"{bytes_text(line)}\n{printable(fields_text(line.values))}\n")
+            text.append(printable(str(error).split("\n")[-1].strip()), "dim")
             return
         found = replace(found, issues=tuple(issue for issue in found.issues if issue.rule not in told))
         for row in explanation_lines(found):
@@ -87,7 +87,7 @@ class Details:
                 continue
             # Colours are put in where standard output is a terminal; only those are taken over.
             part = Text.from_ansi(row)
-            part.plain = clean(part.plain)
+            part.plain = printable(part.plain)
             text.append_text(part)
             text.append("\n")
         if line.request_sequence is not None and request is None:

@@ -8,7 +8,7 @@ from textual.containers import Vertical
 from textual.widgets import Static
 
 from analyzer.live.snapshot import FindingLine
-from analyzer.values import clean
+from analyzer.values import printable
 from analyzer.view.lines import SEVERITIES, time_text
 from analyzer.view.rows import Rows
 from analyzer.view.watch import Watch
@@ -45,9 +45,9 @@ class FindingRows(Rows):
         address = "" if found.address < 0 else str(found.address)
         text = Text(no_wrap=True)
         text.append(f"{letter} ", colour)
-        text.append(f"{time_text(found.t_ns):>15} {clean(found.bus)[:8]:<8} {address:>4} ")
-        text.append(f"{clean(found.rule)}: ", colour)
-        text.append(clean(found.text))
+        text.append(f"{time_text(found.t_ns):>15} {printable(found.bus)[:8]:<8} {address:>4} ")
+        text.append(f"{printable(found.rule)}: ", colour)
+        text.append(printable(found.text))
         return text
 
 
@@ -55,11 +55,11 @@ def finding_text(found: FindingLine) -> Text:
     """Return a finding in full."""
     letter, colour = SEVERITIES.get(found.severity, (" ", ""))
     text = Text()
-    text.append(f"{letter} {clean(found.rule)}: {clean(found.text)}", colour)
+    text.append(f"{letter} {printable(found.rule)}: {printable(found.text)}", colour)
     if found.section:
-        text.append(f" (section {clean(found.section)})")
+        text.append(f" (section {printable(found.section)})")
     if found.sequence:
-        text.append(f"  frame {found.sequence}, {clean(found.topic)}, offset {found.offset}", "dim")
+        text.append(f"  frame {found.sequence}, {printable(found.topic)}, offset {found.offset}", "dim")
     return text
 
 
@@ -98,7 +98,7 @@ class FindingsPanel(Vertical):
         rules = sorted(self._watch.rules.items(), key=lambda item: -item[1])
         if not rules:
             return Text("no findings")
-        text = "  ".join(f"{clean(rule)} {count}" for rule, count in rules)
+        text = "  ".join(f"{printable(rule)} {count}" for rule, count in rules)
         listed = self._watch.findings.stop - self._watch.findings.first
         total = sum(self._watch.rules.values())
         if listed < total:

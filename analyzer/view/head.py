@@ -8,7 +8,7 @@ from rich.text import Text
 
 from analyzer.cli.option_types import size_text
 from analyzer.live.snapshot import BusCounts
-from analyzer.values import clean, counted
+from analyzer.values import counted, printable
 from analyzer.view.counts_panel import rate_text
 from analyzer.view.source import ViewSource
 
@@ -32,7 +32,7 @@ def head_text(source: ViewSource, width: int, *, paused: bool, waiting: int) -> 
     watch = source.watch
     errors, warnings, _ = watch.severities
     state = f"PAUSED, {waiting} wait" if paused else source.state
-    words = [clean(PurePath(watch.log).name) or "servotap", state]
+    words = [printable(PurePath(watch.log).name) or "servotap", state]
     if watch.log_bytes:
         words.append(size_text(watch.log_bytes))
     words += [span_text(watch.span_ns), f"{counted(watch.frames, 'frame')}", f"{errors} E", f"{warnings} W"]
@@ -61,7 +61,7 @@ def head_text(source: ViewSource, width: int, *, paused: bool, waiting: int) -> 
 
 def _bus_line(bus: BusCounts, width: int, *, live: bool) -> Text:
     text = Text(no_wrap=True)
-    text.append(f"{clean(bus.bus)[:10]:<10} ")
+    text.append(f"{printable(bus.bus)[:10]:<10} ")
     if bus.load is not None:
         filled = min(_BAR_WIDTH, round(bus.load * _BAR_WIDTH))
         text.append("█" * filled + "░" * (_BAR_WIDTH - filled), "bold red" if bus.load > 0.9 else "green")

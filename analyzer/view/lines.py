@@ -1,6 +1,6 @@
 """Lines of text for frames: cells that stand in columns, and the names that a filter can use.
 
-Everything that comes from a capture goes through `clean` and is never read as markup, so nothing in it steers the terminal.
+Everything that comes from a capture goes through `printable` and is never read as markup, so nothing in it steers the terminal.
 What a colour says, a letter says too: E W i for the severity, > < ? ~ * for who speaks.
 """
 
@@ -13,7 +13,7 @@ from typing import Any
 from rich.text import Text
 
 from analyzer.live.snapshot import EVENT, JUNK, FrameLine
-from analyzer.values import clean
+from analyzer.values import printable
 
 #: Role -> its sign and its colour.
 ROLES = {
@@ -73,8 +73,8 @@ def bytes_text(line: FrameLine) -> str:
 def said_text(line: FrameLine) -> str:
     """Return what a frame says: its fields, and a reply's latency."""
     if line.role == EVENT:
-        return clean(line.text)
-    said = clean(fields_text(line.values)) if line.values else ""
+        return printable(line.text)
+    said = printable(fields_text(line.values)) if line.values else ""
     if line.latency_ns is not None:
         said += f"  ({line.latency_ns / 1e6:.3f} ms)"
     return said
@@ -137,16 +137,16 @@ class Columns:
         when = time_text(line.t_ns, self.time, first_ns=self.first_ns, before_ns=before_ns)
         if line.t_ns == 0 and line.role == EVENT:
             when = ""
-        bus = clean(line.bus)[: self.bus_width]
+        bus = printable(line.bus)[: self.bus_width]
         row = Text(no_wrap=True)
         row.append(letter + " ", alarm)
-        row.append(f"{when:>{_TIME_WIDTH}} {bus:<{self.bus_width}} {clean(line.who):>4} ", "")
+        row.append(f"{when:>{_TIME_WIDTH}} {bus:<{self.bus_width}} {printable(line.who):>4} ", "")
         room = _command_width(width)
-        row.append(f"{sign} {cut(clean(line.command), room):<{room}} ", colour)
+        row.append(f"{sign} {cut(printable(line.command), room):<{room}} ", colour)
         if fields:
             start = row.cell_len
             if line.rules:
-                row.append("!" + clean(",".join(line.rules)) + " ", alarm)
+                row.append("!" + printable(",".join(line.rules)) + " ", alarm)
             row.append(said_text(line) or ("" if size else bytes_text(line)), colour)
             if size:
                 row.truncate(start + fields, pad=True)

@@ -13,7 +13,7 @@ from textual.binding import Binding
 from textual.containers import Horizontal
 from textual.widgets import Static
 
-from analyzer.values import clean
+from analyzer.values import printable
 from analyzer.view.braille import chart
 from analyzer.view.lines import time_text
 from analyzer.view.rows import Rows
@@ -78,7 +78,7 @@ class SeriesRows(Rows):
 
     def row(self, number: int, width: int) -> Text:
         """Return a series as a row; of a long name the end is seen."""
-        name = clean(self._names[number])
+        name = printable(self._names[number])
         at = self.plotted.index(self._names[number]) + 1 if self._names[number] in self.plotted else 0
         room = width - 4
         shown = name if len(name) <= room else "…" + name[len(name) - room + 1 :]
@@ -166,12 +166,12 @@ class PlotPanel(Horizontal):
         width, height = size
         text = Text(no_wrap=True)
         if not points:
-            text.append(f"[{number + 1}] {clean(name)}: no points in this time".ljust(width)[:width] + "\n", colour)
+            text.append(f"[{number + 1}] {printable(name)}: no points in this time".ljust(width)[:width] + "\n", colour)
             text.append("\n" * (height - 1))
             return text
         least = min(v for _, v in points)
         greatest = max(v for _, v in points)
-        title = f"[{number + 1}] {clean(name)}  last {_number(points[-1][1])}"
+        title = f"[{number + 1}] {printable(name)}  last {_number(points[-1][1])}"
         text.append(title[:width] + "\n", f"bold {colour}")
         drawn = chart(points, span, (least, greatest), (width - _SCALE_WIDTH - 1, height - 1))
         for at, row in enumerate(drawn):

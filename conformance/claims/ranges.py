@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Doubt, Form, Risk, Verb
-from analyzer.layout import Field, Kind
+from analyzer.layout import Field, FieldKind
 from conformance.claim import Aspect, NotRun, Theme
 from conformance.claims.declare import Case, claim
 from conformance.claims.requests import needs_motion
@@ -142,7 +142,7 @@ def fields(command: Command) -> Iterator[Field]:
     seen: set[str] = set()
     for form in command.request_forms:
         for name, field in form.layout.named.items():
-            if name not in seen and field.fixed is None and field.kind is not Kind.BYTES:
+            if name not in seen and field.fixed is None and field.kind is not FieldKind.BYTES:
                 seen.add(name)
                 yield field
 

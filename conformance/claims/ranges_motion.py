@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
-from analyzer.layout import Field, Kind
+from analyzer.layout import Field, FieldKind
 from conformance.claim import Aspect, Inconclusive
 from conformance.claims import ranges, setting_effects
 from conformance.claims.declare import Case
@@ -287,7 +287,7 @@ def _distances(dialect: Dialect) -> Iterator[Case]:
     for command in _runs(dialect):
         if motion.of(command).distance:
             field = motion.field_of(command, motion.of(command).distance)
-            signs = (1, -1) if field.kind is Kind.INT else (1,)
+            signs = (1, -1) if field.kind is FieldKind.INT else (1,)
             little = motion.units_per_turn(dialect, command) // 64
             shifts = range(8, field.bit_width - (len(signs) - 1), 8)
             values = tuple(s * ((1 << shift) + little) for s in signs for shift in shifts)

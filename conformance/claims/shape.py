@@ -19,7 +19,7 @@ from weakref import WeakKeyDictionary
 
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, Subject, Verb
 from analyzer.codec import codec
-from analyzer.layout import Field, Kind
+from analyzer.layout import Field, FieldKind
 from conformance.claim import Aspect, Claim, Inconclusive, Theme
 from conformance.claims import shape_parameters
 from conformance.claims.declare import Case, Cases, claim, declared_in, described_in
@@ -332,7 +332,7 @@ def _expect_values(answer: _Answer, wanted: Callable[[str, str], bool]) -> None:
 
 def _limited(field: Field) -> bool:
     """Say whether a reply's field can hold what the manual does not allow."""
-    if field.kind is Kind.RESERVED or field.fixed is not None or not field.bit_width:
+    if field.kind is FieldKind.RESERVED or field.fixed is not None or not field.bit_width:
         return False
     narrow = field.low > field.wire_minimum or field.high < field.wire_maximum
     values = field.values if field.choices is None else frozenset(field.choice_names)
@@ -342,7 +342,7 @@ def _limited(field: Field) -> bool:
 @_of_replies(
     "a reserved bit that is 1",
     NO_CHECKSUM,
-    each=_with_fields(lambda command, field: field.kind is Kind.RESERVED),
+    each=_with_fields(lambda command, field: field.kind is FieldKind.RESERVED),
     rests_on=(Doubt.RESERVED,),
 )
 def _reserved(answer: _Answer) -> None:

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 from analyzer.cli.reading import add_reading_arguments, open_reading, progress
 from analyzer.errors import UnreadableError, UsageError
-from analyzer.values import clean, near, quote
+from analyzer.values import near, printable, quote
 
 if TYPE_CHECKING:
-    from analyzer.cli.reading import Reading
+    from analyzer.cli.reading import OpenCapture
     from conformance.claim import Verdict
     from conformance.claims.traffic_rules import Count, Example, Judge
 
@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
         except UnreadableError as error:
             if len(arguments.files) == 1:
                 raise
-            print(f"servotap check: {clean(str(error))}", file=sys.stderr)
+            print(f"servotap check: {printable(str(error))}", file=sys.stderr)
             status = 2
             continue
         if refuted:
@@ -88,7 +88,7 @@ def _check(path: str, arguments: argparse.Namespace, about: tuple[str, ...]) -> 
     try:
         judge = Judge(reading.possible, reading.options.groups, first_few=max(arguments.examples, 1))
         pipeline = reading.pipeline((judge,))
-        with progress(reading.source, f"checking {clean(path)}"):
+        with progress(reading.source, f"checking {printable(path)}"):
             pipeline.run(reading)
     finally:
         reading.source.close()
@@ -102,8 +102,10 @@ def _check(path: str, arguments: argparse.Namespace, about: tuple[str, ...]) -> 
 # --- for people -------------------------------------------------------------------------------------------------------
 
 
-def _show(path: str, reading: Reading, judge: Judge, found: list[tuple[Verdict, Count]], arguments: argparse.Namespace) -> None:
-    print(f"{clean(path)}: {reading.source.title}, {', '.join(judge.dialects)}; {_seen(judge)}")
+def _show(
+    path: str, reading: OpenCapture, judge: Judge, found: list[tuple[Verdict, Count]], arguments: argparse.Namespace
+) -> None:
+    print(f"{printable(path)}: {reading.source.title}, {', '.join(judge.dialects)}; {_seen(judge)}")
     if not reading.has_times:
         print(f"  times: {reading.time_source}")
     order = sorted(found, key=lambda pair: _ORDER.index(pair[0].outcome.value))
@@ -148,7 +150,7 @@ def _example(example: Example, judge: Judge) -> str:
     who = f"address {found.address}, " if found.address is not None else ""
     data = example.data[:_SHOWN_BYTES].hex(" ").upper() + (" ..." if len(example.data) > _SHOWN_BYTES else "")
     at_s = (found.last_ns - judge.first_ns) / 1e9
-    return clean(f"{at_s:12.6f} s  {found.port}: {who}{found.text}" + (f"  {data}" if data else ""))
+    return printable(f"{at_s:12.6f} s  {found.port}: {who}{found.text}" + (f"  {data}" if data else ""))
 
 
 def _addresses(count: Count) -> str:
@@ -160,7 +162,7 @@ def _addresses(count: Count) -> str:
 
 
 def _show_json(
-    path: str, reading: Reading, judge: Judge, found: list[tuple[Verdict, Count]], arguments: argparse.Namespace
+    path: str, reading: OpenCapture, judge: Judge, found: list[tuple[Verdict, Count]], arguments: argparse.Namespace
 ) -> None:
     import msgspec
 

@@ -16,9 +16,9 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from analyzer.catalogue import Dialect
-from analyzer.cli.reading import Reading, add_reading_arguments, open_reading, progress
+from analyzer.cli.reading import OpenCapture, add_reading_arguments, open_reading, progress
 from analyzer.errors import UsageError
-from analyzer.values import clean
+from analyzer.values import printable
 from conformance.cli.endpoint import add_on_argument, endpoint_of, gate_to, parse_addresses
 from conformance.gate.gate import Gate, Judge, add_gate_arguments, allowance_from, shown
 from conformance.safety.signals import as_interrupt
@@ -103,15 +103,15 @@ def _check(plan: Plan, arguments: argparse.Namespace) -> None:
     """Raise UsageError where there is nothing to send, or several buses to choose from."""
     if len(plan.buses) > 1 and not arguments.bus:
         names = ", ".join(f"{name} ({count} requests)" for name, count in plan.buses.most_common())
-        raise UsageError(f"{arguments.file} has several buses: {clean(names)}; choose one with --bus NAME")
+        raise UsageError(f"{arguments.file} has several buses: {printable(names)}; choose one with --bus NAME")
     if arguments.bus and arguments.bus not in plan.buses:
-        raise UsageError(f"{arguments.file} has no bus {arguments.bus!r}; it has {clean(', '.join(plan.buses)) or 'none'}")
+        raise UsageError(f"{arguments.file} has no bus {arguments.bus!r}; it has {printable(', '.join(plan.buses)) or 'none'}")
     if not plan.steps:
         left = ", ".join(f"{count} {reason}" for reason, count in plan.left_out.items())
         raise UsageError(f"{arguments.file} has no request to send{f' ({left})' if left else ''}")
 
 
-def _known_dialects(reading: Reading) -> list[Dialect]:
+def _known_dialects(reading: OpenCapture) -> list[Dialect]:
     """Return all dialects; those of the recording as its model speaks them."""
     from analyzer import dialects as registry
 
@@ -151,7 +151,7 @@ def _refuse(rehearsal: Rehearsal, total: int) -> None:
     )
 
 
-def _replay(gate: Gate, plan: Plan, rehearsal: Rehearsal, reading: Reading, arguments: argparse.Namespace) -> Result:
+def _replay(gate: Gate, plan: Plan, rehearsal: Rehearsal, reading: OpenCapture, arguments: argparse.Namespace) -> Result:
     kind = gate.line.endpoint.bus_kind
     replay = Replay(gate, [d for d in reading.possible if d.bus == kind], speed=arguments.speed)
     with as_interrupt(), _bar(len(rehearsal.allowed) * arguments.loop, arguments.json) as advance:
@@ -189,7 +189,7 @@ def _bar(total: int, quiet: bool) -> Iterator[Callable[[SentStep], None] | None]
 # --- what is shown ------------------------------------------------------------------------------------------------
 
 
-def _show_plan(plan: Plan, rehearsal: Rehearsal, reading: Reading, arguments: argparse.Namespace) -> None:
+def _show_plan(plan: Plan, rehearsal: Rehearsal, reading: OpenCapture, arguments: argparse.Namespace) -> None:
     refused = {name: (count, objection) for name, count, objection in rehearsal.by_command()}
     counts = _counts(plan.steps)
     print(f"{len(plan.steps)} requests over {plan.duration_ns / arguments.speed / 1e9:.1f} s, times: {reading.time_source}")
@@ -224,9 +224,9 @@ def _show(result: Result, plan: Plan, rehearsal: Rehearsal) -> None:
     if result.junk or result.others:
         print(f"besides: {result.others} frames that answer nothing, {result.junk} pieces of junk")
     if result.stopped:
-        print(f"stopped: {clean(result.stopped)}")
+        print(f"stopped: {printable(result.stopped)}")
     for drive in result.left_moving:
-        print(f"NOT KNOWN TO STAND: {clean(drive)}")
+        print(f"NOT KNOWN TO STAND: {printable(drive)}")
 
 
 def _lateness(result: Result) -> dict[str, int]:

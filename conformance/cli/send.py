@@ -25,7 +25,7 @@ from analyzer.live import endpoint as endpoints
 from analyzer.pipeline import Entry
 from analyzer.records import CanFrame, Message
 from analyzer.reference.hex_frame import read_frame
-from analyzer.values import clean
+from analyzer.values import printable
 from conformance.cli.endpoint import add_on_argument, endpoint_of, gate_to
 from conformance.gate.gate import Allowance, Item, Judge, Refused, add_gate_arguments, allowance_from, shown
 from conformance.talk.dialogue import MS, Dialogue, Until
@@ -234,7 +234,7 @@ def _line(answer: Answer) -> str:
     frame = answer.message.frame
     item: Item = frame.can if frame.can is not None else frame.data
     text = f"< {shown(item)}   {_text(answer.message)}   after {answer.latency_ns / 1e6:.2f} ms"
-    notes = [f"{f.rule}: {clean(f.text)}" for f in answer.entry.findings]
+    notes = [f"{f.rule}: {printable(f.text)}" for f in answer.entry.findings]
     return "\n    ".join([text, *notes])
 
 

@@ -21,7 +21,7 @@ from analyzer.errors import UsageError
 from analyzer.live.endpoint import Endpoint, parse
 
 if TYPE_CHECKING:
-    from analyzer.live.children import Child, Heard
+    from analyzer.live.children import Child, MessageQueue
     from conformance.serve.pty import PtyPort
 
 EXAMPLES = """\
@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
         ends = (port.descriptors()[0], port.slave)
         print(f"servotap tap: {port.name} is the program's port (it leads to {port.path})", file=sys.stderr, flush=True)
 
-        def readers(folder: Path, heard: Heard) -> Mapping[str, Child]:
+        def readers(folder: Path, heard: MessageQueue) -> Mapping[str, Child]:
             from conformance.tap.child import TapChild
 
             return {stems[1]: TapChild(folder, stems, heard, ends, _options(arguments))}

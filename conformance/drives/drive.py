@@ -33,7 +33,7 @@ import msgspec
 from analyzer.catalogue import Command, Dialect, Form, Replies, Risk, Role
 from analyzer.codec import Violation, codec
 from analyzer.decoder import Decoder, Slot, slots_of
-from analyzer.layout import Effect, Field, Kind
+from analyzer.layout import Effect, Field, FieldKind
 from analyzer.records import Frame, Message
 
 Values = dict[str, Any]
@@ -228,7 +228,7 @@ def encoded(form: Form, values: Mapping[str, Any]) -> bytes:
 
 
 def _wrapped(field: Field, value: int | bytes) -> int | bytes:
-    if isinstance(value, bytes) or field.kind is Kind.BYTES:
+    if isinstance(value, bytes) or field.kind is FieldKind.BYTES:
         return value
     return (value - field.wire_minimum) % (1 << field.bit_width) + field.wire_minimum
 

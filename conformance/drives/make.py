@@ -27,18 +27,18 @@ from analyzer.values import near, parse_value, quote, refusal
 from conformance.drives.drive import Drive, Fault, Quirk
 
 
-class Kind(NamedTuple):
+class DriveClass(NamedTuple):
     """Where the drive of a dialect is: its module and its class."""
 
     module: str
     drive: str
 
 
-KINDS: Mapping[str, Kind] = {
-    "mks-rs485": Kind("conformance.drives.mks.drive", "MksDrive"),
-    "mks-modbus": Kind("conformance.drives.mks.drive", "MksDrive"),
-    "mks-can": Kind("conformance.drives.mks.drive", "MksDrive"),
-    "lk-rs485": Kind("conformance.drives.lk.drive", "LkDrive"),
+KINDS: Mapping[str, DriveClass] = {
+    "mks-rs485": DriveClass("conformance.drives.mks.drive", "MksDrive"),
+    "mks-modbus": DriveClass("conformance.drives.mks.drive", "MksDrive"),
+    "mks-can": DriveClass("conformance.drives.mks.drive", "MksDrive"),
+    "lk-rs485": DriveClass("conformance.drives.lk.drive", "LkDrive"),
 }
 #: The modules of faults and of quirks. Names are unique over all of them.
 FAULTS = ("conformance.drives.faults.generic", "conformance.drives.faults.mks", "conformance.drives.faults.lk")

@@ -24,7 +24,7 @@ from analyzer.records import Chunk, Comment, Frame
 from conformance.drives.bus import Bus, Station
 from conformance.drives.drive import Drive, Outgoing
 from conformance.drives.receiver import MultiReceiver, Receiver
-from conformance.drives.uart import BITS, SECOND_NS, Sent, byte_ns, hear
+from conformance.drives.uart import BITS, SECOND_NS, SentBytes, byte_ns, hear
 from conformance.drives.wire_faults import Damage, WireFaults
 
 #: Senders that are no drive.
@@ -52,12 +52,12 @@ class _Sending:
     def __init__(self, sender: int, start_ns: int, speed: int, damage: Damage) -> None:
         self.sender = sender
         self.speed = speed
-        self.pieces: list[Sent] = []
+        self.pieces: list[SentBytes] = []
         self.waits_ns: list[int] = []
         at_ns = start_ns
         waited = 0
         for wait_ns, data in damage.pieces:
-            piece = Sent(at_ns + wait_ns, speed, data)
+            piece = SentBytes(at_ns + wait_ns, speed, data)
             waited += wait_ns
             self.pieces.append(piece)
             self.waits_ns.append(waited)
@@ -294,7 +294,7 @@ class SerialBus(Bus):
         speed = self._host_speed() if listener == HOST else self.stations[listener].speed
         if len(burst.sendings) == 1 and self._alike(others[0], listener, speed):
             return self._clean(others[0])
-        senders = [Sent(p.start_ns, self._sent_at(s, listener, speed), p.data) for s in others for p in s.pieces]
+        senders = [SentBytes(p.start_ns, self._sent_at(s, listener, speed), p.data) for s in others for p in s.pieces]
         muted = [(s.start_ns, s.end_ns) for s in burst.sendings if s.sender == listener and muted_by_itself]
         heard = hear(senders, speed, muted)
         if self.wire_time:

@@ -25,7 +25,7 @@ def byte_ns(baud: int) -> int:
     return BITS * SECOND_NS // baud
 
 
-class Sent(NamedTuple):
+class SentBytes(NamedTuple):
     """Bytes that one sender puts on the line without a pause, the first start bit at `start_ns`."""
 
     start_ns: int
@@ -38,19 +38,19 @@ class Sent(NamedTuple):
         return self.start_ns + len(self.data) * BITS * SECOND_NS // self.baud
 
 
-class Heard(NamedTuple):
+class ReceivedByte(NamedTuple):
     """A byte that a listener read; `t_ns`: the end of its stop bit."""
 
     t_ns: int
     byte: int
 
 
-def hear(sent: Iterable[Sent], baud: int, muted: Sequence[tuple[int, int]] = ()) -> list[Heard]:
+def hear(sent: Iterable[SentBytes], baud: int, muted: Sequence[tuple[int, int]] = ()) -> list[ReceivedByte]:
     """Return what a listener at `baud` reads of all that was sent. `muted`: stretches in which it does not listen."""
     lows = _without(_merged(low for each in sent for low in _lows(each)), muted)
     bit = SECOND_NS / baud
     starts = [start for start, _ in lows]
-    heard: list[Heard] = []
+    heard: list[ReceivedByte] = []
     ready = float("-inf")
     index = 0
     while index < len(lows):
@@ -60,13 +60,13 @@ def hear(sent: Iterable[Sent], baud: int, muted: Sequence[tuple[int, int]] = ())
             index += 1
             continue
         byte = sum((not _low(lows, starts, edge + (i + 1.5) * bit)) << i for i in range(8))
-        heard.append(Heard(round(edge + BITS * bit), byte))
+        heard.append(ReceivedByte(round(edge + BITS * bit), byte))
         ready = edge + 9.5 * bit
         index = bisect_right(starts, ready - 1)
     return heard
 
 
-def _lows(sent: Sent) -> Iterable[tuple[float, float]]:
+def _lows(sent: SentBytes) -> Iterable[tuple[float, float]]:
     """Yield the stretches in which a sender holds the line low."""
     bit = SECOND_NS / sent.baud
     for number, byte in enumerate(sent.data):

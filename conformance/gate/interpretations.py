@@ -39,7 +39,7 @@ from typing import NamedTuple
 from analyzer.catalogue import Command, Dialect, Form, Risk
 from analyzer.codec import codec
 from analyzer.dialects import code_text
-from analyzer.layout import Kind
+from analyzer.layout import FieldKind
 from analyzer.link import Candidate
 from analyzer.records import CanFrame
 from analyzer.values import value_text
@@ -319,7 +319,7 @@ def _partly(form: Form, data: bytes) -> dict[str, int] | None:
     whole = codec(layout).wire(data[: layout.byte_length].ljust(layout.byte_length, b"\0"))
     values: dict[str, int] = {}
     for offset, field in layout:
-        if field.kind in (Kind.RESERVED, Kind.BYTES) or offset + field.bit_width > have:
+        if field.kind in (FieldKind.RESERVED, FieldKind.BYTES) or offset + field.bit_width > have:
             continue
         value = whole[field.name]
         if field.fixed is not None and value != field.fixed:

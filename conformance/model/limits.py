@@ -14,7 +14,7 @@ from typing import Any
 
 from analyzer.catalogue import Command
 from analyzer.codec import codec
-from analyzer.layout import Field, Kind, Layout
+from analyzer.layout import Field, FieldKind, Layout
 from conformance.gate.bounds import NO_BOUNDS, Leeway, Span, span
 
 
@@ -22,7 +22,7 @@ def listed(field: Field) -> tuple[int, ...] | None:
     """Return all allowed values of a field that has a list of them, None for one that has a range."""
     if field.fixed is not None:
         return (field.fixed,)
-    if field.kind is Kind.RESERVED:
+    if field.kind is FieldKind.RESERVED:
         return (0,)
     if field.values is None and field.choices is None:
         return None
@@ -59,7 +59,7 @@ def allowed(
 
 def forbidden(field: Field) -> list[Span]:
     """Return the spans of values that the manual forbids and the bits can hold."""
-    if field.kind is Kind.BYTES or field.kind is Kind.RESERVED or field.fixed is not None:
+    if field.kind is FieldKind.BYTES or field.kind is FieldKind.RESERVED or field.fixed is not None:
         return []
     result, at = [], field.wire_minimum
     for low, high in allowed(field):
@@ -86,7 +86,7 @@ def reserved_masks(layout: Layout) -> tuple[int, ...]:
         sorted(
             1 << (total - 1 - bit)
             for offset, field in layout
-            if field.kind is Kind.RESERVED
+            if field.kind is FieldKind.RESERVED
             for bit in range(offset, offset + field.bit_width)
         )
     )

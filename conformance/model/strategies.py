@@ -30,7 +30,7 @@ from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
 from analyzer.catalogue import Command, Dialect, Form, MotionKind, Risk
-from analyzer.layout import Field, Kind, Layout
+from analyzer.layout import Field, FieldKind, Layout
 from conformance.gate.bounds import NO_BOUNDS, Bounds, Leeway, Span, never_within
 from conformance.model.limits import allowed, beyond, edges, forbidden, reserved_masks, with_bits
 
@@ -136,7 +136,7 @@ def request(
     command: Command, form: Form, risks: Collection[Risk], leeway: Leeway = NO_BOUNDS
 ) -> SearchStrategy[Request] | None:
     """Return the strategy of one form of a request, None where no values of it are allowed."""
-    open_ended = any(f.kind is Kind.BYTES for f in form.layout.named.values())
+    open_ended = any(f.kind is FieldKind.BYTES for f in form.layout.named.values())
     closed = [rule for rule in command.risk if not rule.risks <= {*risks, Risk.READ}]
     if open_ended or any(not rule.field for rule in closed) or never_within(command, form, leeway.bounds):
         return None
@@ -194,7 +194,7 @@ def _values_of_other_forms(command: Command, form: Form) -> dict[str, set[int]]:
 
 def _from(spans: Sequence[Span], field: Field) -> SearchStrategy[Any]:
     """Draw from spans of values, their ends more often than values between."""
-    if field.kind is Kind.BYTES:
+    if field.kind is FieldKind.BYTES:
         return st.binary(max_size=_LONGEST)
     if not spans:
         return st.nothing()

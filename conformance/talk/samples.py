@@ -21,7 +21,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Form
-from analyzer.layout import Field, Kind
+from analyzer.layout import Field, FieldKind
 
 #: Integers as sent by field name, for fields whose default says nothing or would do something.
 PLAIN: Mapping[str, int] = {
@@ -92,7 +92,7 @@ def plain_value(field: Field) -> int:
     """Return a plain value of a field that the manual allows, as sent."""
     if field.fixed is not None:
         return field.fixed
-    if field.kind is Kind.BYTES:
+    if field.kind is FieldKind.BYTES:
         raise ValueError(f"{field.name}: there is no plain value of any number of bytes")
     named = PLAIN.get(field.name, PLAIN_BY_UNIT.get((field.name, field.unit)))
     candidates = (named, field.default, 0, field.low, *sorted(field.values or field.choice_names))

@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from analyzer.live.children import READER_NICE, Child, Heard
+from analyzer.live.children import READER_NICE, Child, MessageQueue
 
 
 class TapChild(Child):
@@ -19,7 +19,7 @@ class TapChild(Child):
     """
 
     def __init__(
-        self, folder: Path, stems: tuple[str, str], heard: Heard, ends: tuple[int, int], options: Sequence[str] = ()
+        self, folder: Path, stems: tuple[str, str], heard: MessageQueue, ends: tuple[int, int], options: Sequence[str] = ()
     ) -> None:
         # Nothing in the folder where the user happens to be is to be taken for a module.
         command = [sys.executable, "-P", "-m", "conformance.tap.process", str(folder), *stems]

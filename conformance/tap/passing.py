@@ -18,7 +18,7 @@ from analyzer.live.reader_port import IDLE_NS, TICK_NS, Lost, Opened, Stop, Unop
 from analyzer.live.reader_serial import counters
 from conformance.tap.adapter import Adapter
 from conformance.tap.settings import LineSettings, of_terminal, unsent
-from conformance.tap.storing import REPLY, REQUEST, Sent, Storing
+from conformance.tap.storing import REPLY, REQUEST, SendQueue, Storing
 from conformance.tap.terminal import Terminal
 
 READ_SIZE = 1 << 16
@@ -53,7 +53,7 @@ class Passing:
         self.settings = named
         self._refused: LineSettings | None = None
         self._deferred_ns = 0
-        self._sent = Sent()
+        self._sent = SendQueue()
         self._to_adapter = bytearray()
         self._to_program = bytearray()
         self._quiet_since = dict.fromkeys((REQUEST, REPLY), time.monotonic_ns())

@@ -28,7 +28,7 @@ from analyzer.live.reader import endpoint_of, hand_over
 from analyzer.live.reader_port import Stop, Unopened
 from analyzer.live.reader_serial import holders
 from analyzer.live.reader_store import StatusLine, Store
-from analyzer.live.spool import Kind, Record, SpoolWriter, last_record
+from analyzer.live.spool import Record, RecordKind, SpoolWriter, last_record
 from conformance.tap.adapter import Adapter, Wiring, adapter_of
 from conformance.tap.passing import Passing
 from conformance.tap.settings import of_endpoint
@@ -128,7 +128,7 @@ def _store(folder: Path, stem: str, before: Record | None, tell: Any) -> Store:
         lambda t_ns, event, about: tell(stem, t_ns, event, about),
         count=0 if before is None else before.before + before.units,
         last_ns=0 if before is None else before.t_ns,
-        idle=before is not None and before.kind != Kind.DATA,
+        idle=before is not None and before.kind != RecordKind.DATA,
     )
 
 

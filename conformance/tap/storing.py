@@ -110,7 +110,7 @@ class Storing:
             store.flush()
 
 
-class Sent:
+class SendQueue:
     """What the program wrote and the line is still sending: held back until its end is certain.
 
     No clock: times are arguments.

@@ -11,7 +11,7 @@ from analyzer import dialects
 from analyzer.cli import main
 from analyzer.codec import codec
 from analyzer.dialects import code_text, find_commands
-from analyzer.layout import Kind
+from analyzer.layout import FieldKind
 from analyzer.reference.picture import picture
 
 ALL = dialects.every()
@@ -338,5 +338,5 @@ def test_every_layout_has_its_codec():
     for dialect, command in ((d, c) for d in ALL for c in d.commands):
         assert find_commands([dialect], command.name) == [(dialect, command)]
         for form in (*command.request_forms, *command.reply_forms):
-            named = [f for f in form.layout.fields if f.kind is not Kind.RESERVED]
+            named = [f for f in form.layout.fields if f.kind is not FieldKind.RESERVED]
             assert len(codec(form.layout).wire(bytes(form.layout.byte_length))) == len(named)

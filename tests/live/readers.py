@@ -15,7 +15,7 @@ from pathlib import Path
 
 from analyzer.live.config import PortConfig, RecordingConfig
 from analyzer.live.endpoint import parse
-from analyzer.live.spool import Kind, SpoolReader
+from analyzer.live.spool import RecordKind, SpoolReader
 
 ROOT = Path(__file__).parents[2]
 STEM = "1-a"
@@ -67,13 +67,13 @@ class ReaderProcess:
         return list(SpoolReader(self.folder, STEM).read(1 << 30))
 
     def data(self):
-        return b"".join(r.data for r in self.records() if r.kind == Kind.DATA)
+        return b"".join(r.data for r in self.records() if r.kind == RecordKind.DATA)
 
     def frames(self):
-        return [r.can for r in self.records() if r.kind == Kind.CAN]
+        return [r.can for r in self.records() if r.kind == RecordKind.CAN]
 
     def events(self, name):
-        return [r.event for r in self.records() if r.kind == Kind.EVENT and r.event["event"] == name]
+        return [r.event for r in self.records() if r.kind == RecordKind.EVENT and r.event["event"] == name]
 
     def end(self, number=signal.SIGTERM):
         """End it by a signal, or by letting go of it with `None`; the exit status."""

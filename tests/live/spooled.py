@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 
 from analyzer.live.config import CONTROL, PortConfig, RecordingConfig
 from analyzer.live.recorder import Recorder
-from analyzer.live.spool import Kind, SpoolWriter, pack, pack_can, pack_event, spool_folder
+from analyzer.live.spool import RecordKind, SpoolWriter, pack, pack_can, pack_event, spool_folder
 from tests.collect import sum8
 
 MS = 1_000_000
@@ -50,7 +50,7 @@ class Spools:
     def data(self, stem, ms, data):
         data = bytes.fromhex(data) if isinstance(data, str) else data
         before = self._counts.get(stem, 0)
-        self.write(stem, pack(Kind.DATA, START + int(ms * MS), before, data))
+        self.write(stem, pack(RecordKind.DATA, START + int(ms * MS), before, data))
         self._counts[stem] = before + len(data)
         self.sent[self._bus[stem]] = self.sent.get(self._bus[stem], b"") + data
 
@@ -62,7 +62,7 @@ class Spools:
         self.sent[self._bus[stem]] = self.sent.get(self._bus[stem], b"") + bytes.fromhex(data)
 
     def idle(self, stem, ms):
-        self.write(stem, pack(Kind.IDLE, START + int(ms * MS), self._counts.get(stem, 0), b""))
+        self.write(stem, pack(RecordKind.IDLE, START + int(ms * MS), self._counts.get(stem, 0), b""))
 
     def event(self, stem, ms, event, lost=0, **about):
         self._counts[stem] = self._counts.get(stem, 0) + lost

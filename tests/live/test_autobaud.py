@@ -20,7 +20,7 @@ from analyzer.live.autobaud import decide, judge, rates, score, search, table
 from analyzer.live.autobaud_ports import find_all, listener_for
 from analyzer.live.endpoint import parse
 from analyzer.records import Chunk
-from conformance.drives.uart import BITS, SECOND_NS, Sent, hear
+from conformance.drives.uart import BITS, SECOND_NS, SentBytes, hear
 from conformance.serve.line_speed import line_speed
 from tests.live.recorded import Recorded
 
@@ -41,17 +41,17 @@ def exchange(name: str, n: int) -> tuple[bytes, bytes]:
     return build(dialect, read, 1), build(dialect, read, 1, values, Role.REPLY)
 
 
-def line(name: str, baud: int, count: int = 30) -> list[Sent]:
+def line(name: str, baud: int, count: int = 30) -> list[SentBytes]:
     """What a host and a drive put on a line, in turn."""
     sent, at = [], 0
     for n in range(count):
         for data in exchange(name, n):
-            sent.append(Sent(at, baud, data))
+            sent.append(SentBytes(at, baud, data))
             at += len(data) * BITS * SECOND_NS // baud + 4 * MS
     return sent
 
 
-def heard(sent: Sequence[Sent], rate: int) -> list[Chunk]:
+def heard(sent: Sequence[SentBytes], rate: int) -> list[Chunk]:
     """What an adapter set to a rate makes of it, in the lumps that it comes in."""
     chunks: list[Chunk] = []
     for t_ns, byte in hear(sent, rate):
@@ -66,7 +66,7 @@ def heard(sent: Sequence[Sent], rate: int) -> list[Chunk]:
 class Wire:
     """An ear on a line. `lines`: what is on it, one for each time that it is listened to, the last one from then on."""
 
-    def __init__(self, *lines: Sequence[Sent]) -> None:
+    def __init__(self, *lines: Sequence[SentBytes]) -> None:
         self._lines = list(lines)
         self.rates: list[int] = []
 
@@ -125,7 +125,7 @@ def test_the_search_ends_when_a_rate_leaves_no_doubt() -> None:
 def test_two_dialects_on_one_line_are_both_named() -> None:
     sent = []
     for n, (a, b) in enumerate(zip(line("mks-rs485", 115200, 20), line("lk-rs485", 115200, 20), strict=True)):
-        sent += [Sent(n * 20 * MS, 115200, a.data), Sent(n * 20 * MS + 10 * MS, 115200, b.data)]
+        sent += [SentBytes(n * 20 * MS, 115200, a.data), SentBytes(n * 20 * MS + 10 * MS, 115200, b.data)]
     found = search(ENDPOINT, Wire(sent), SERIAL)
     assert found.endpoint.speed == 115200
     assert {d.name for d in found.dialects} == {"mks-rs485", "lk-rs485"}
@@ -139,7 +139,7 @@ def test_a_quiet_line_is_said_to_be_quiet() -> None:
 def test_bytes_that_never_frame_are_told_apart_from_silence() -> None:
     noise = random.Random(1).randbytes(3000)
     with pytest.raises(UsageError, match=r"at no rate do they form frames.*parity"):
-        search(ENDPOINT, Wire([Sent(0, 38400, noise)]), SERIAL)
+        search(ENDPOINT, Wire([SentBytes(0, 38400, noise)]), SERIAL)
 
 
 def test_a_line_that_changes_its_rate_is_not_clear() -> None:

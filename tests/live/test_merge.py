@@ -7,14 +7,14 @@ import random
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analyzer.live.spool import Kind, SpoolWriter, pack
+from analyzer.live.spool import RecordKind, SpoolWriter, pack
 from analyzer.live.spool_merge import NEVER_NS, PATIENCE_NS, Merger
 
 MS = 1_000_000
 T0 = 10_000 * MS
 
 
-def put(writer, ms, kind=Kind.DATA, data=b"x"):
+def put(writer, ms, kind=RecordKind.DATA, data=b"x"):
     writer.write(pack(kind, T0 + ms * MS, 0, data))
 
 
@@ -31,7 +31,7 @@ def test_a_record_waits_until_the_others_have_gone_beyond(tmp_path):
     assert taken(merger, 30) == []
     put(b, 15)
     assert taken(merger, 31) == [("1-a", 10), ("2-b", 15)]
-    put(b, 25, Kind.IDLE)
+    put(b, 25, RecordKind.IDLE)
     assert taken(merger, 32) == [("1-a", 20)]
     assert taken(merger, 33) == []
     # A silent port is waited for 200 ms and no longer.

@@ -29,7 +29,7 @@ from analyzer.live.reader_can_slcan import SlcanPort, dissect_line
 from analyzer.live.reader_can_socket import CanSocketPort, dissect_kernel, dissect_multicast, trouble
 from analyzer.live.reader_port import Lost, Stop, Unopened
 from analyzer.live.reader_store import Store
-from analyzer.live.spool import CanFlag, Kind, SpoolReader, SpoolWriter
+from analyzer.live.spool import CanFlag, RecordKind, SpoolReader, SpoolWriter
 from tests.conformance.drives.served import wait_for
 from tests.live.readers import ReaderProcess, fill
 from tests.live.recorded import pty_pair
@@ -135,7 +135,7 @@ def test_frames_of_the_kernel_are_stored_with_trouble_as_events(tmp_path, store,
     stop.ask("over")
     pair.port.listen(store, stop)
     pair.port.close()
-    kinds = [r.event["reason"] if r.kind == Kind.EVENT else r.can for r in stored(tmp_path)]
+    kinds = [r.event["reason"] if r.kind == RecordKind.EVENT else r.can for r in stored(tmp_path)]
     assert kinds == [(0x123, 0, b"\1\2"), (0x40, CanFlag.ERROR, b"\0" * 8), "bus off", (0x123, 0, b"\3")]
     pair.ours.close()
 
@@ -216,10 +216,10 @@ def test_what_is_on_the_bus_is_stored(tmp_path, plain):
             for number in range(first, first + 60):
                 bus.send(message(number))
             assert wait_for(lambda so_far=first + 60: len(reader.frames()) == so_far, 20)
-        assert wait_for(lambda: reader.records()[-1].kind == Kind.IDLE)
+        assert wait_for(lambda: reader.records()[-1].kind == RecordKind.IDLE)
         assert reader.end() == 0
         assert reader.frames() == [(m.arbitration_id, 0, bytes(m.data)) for m in map(message, range(300))]
-        assert [r.before for r in reader.records() if r.kind == Kind.CAN] == list(range(300))
+        assert [r.before for r in reader.records() if r.kind == RecordKind.CAN] == list(range(300))
         times = [r.t_ns for r in reader.records()]
         assert times == sorted(times)
         assert reader.events("closed")[0]["frames"] == 300
@@ -258,7 +258,7 @@ def test_frames_that_the_kernel_had_no_room_for_are_counted(tmp_path):
         for _ in range(sent):
             bus._multicast._socket.sendto(packed, (GROUP, 43204))
         reader.process.send_signal(signal.SIGCONT)
-        assert wait_for(lambda: reader.records()[-1].kind == Kind.IDLE, 15)
+        assert wait_for(lambda: reader.records()[-1].kind == RecordKind.IDLE, 15)
         # No frame comes after them that could tell.
         dropped = reader.wait_event("kernel_dropped")["frames"]
         assert len(reader.frames()) + dropped == sent
@@ -288,7 +288,7 @@ def test_a_killed_reader_has_handed_its_socket_over(tmp_path):
             assert wait_for(lambda: len(reader.frames()) == 500)
             assert reader.end() == 0
             assert [data for _, _, data in reader.frames()] == [n.to_bytes(4, "big") for n in range(500)]
-            assert [r.before for r in reader.records() if r.kind == Kind.CAN] == list(range(500))
+            assert [r.before for r in reader.records() if r.kind == RecordKind.CAN] == list(range(500))
         socket.socket(fileno=kept).close()
 
 
@@ -314,10 +314,10 @@ def test_any_interface_of_python_can_is_listened_to(tmp_path, store, stop):
         for number in range(20):
             bus.send(message(number))
         bus.send(can.Message(arbitration_id=5, is_remote_frame=True, is_extended_id=False))
-        assert wait_for(lambda: len([r for r in stored(tmp_path) if r.kind == Kind.CAN]) == 21)
-        assert wait_for(lambda: stored(tmp_path)[-1].kind == Kind.IDLE)
+        assert wait_for(lambda: len([r for r in stored(tmp_path) if r.kind == RecordKind.CAN]) == 21)
+        assert wait_for(lambda: stored(tmp_path)[-1].kind == RecordKind.IDLE)
     port.close()
-    frames = [r.can for r in stored(tmp_path) if r.kind == Kind.CAN]
+    frames = [r.can for r in stored(tmp_path) if r.kind == RecordKind.CAN]
     assert [data for _, _, data in frames[:20]] == [n.to_bytes(4, "big") for n in range(20)]
     assert frames[20] == (5, CanFlag.REMOTE, b"")
 
@@ -358,8 +358,8 @@ def test_an_adapter_that_fails_again_and_again_is_lost(store, stop, monkeypatch)
 def test_an_adapter_that_talks_nonsense_now_and_then_is_told_and_listened_to(tmp_path, store, stop, monkeypatch):
     port = opened_with(Broken(5), monkeypatch, stop)
     with listening(port, store, stop):
-        assert wait_for(lambda: any(r.kind == Kind.EVENT for r in stored(tmp_path)))
-    event = next(r.event for r in stored(tmp_path) if r.kind == Kind.EVENT)
+        assert wait_for(lambda: any(r.kind == RecordKind.EVENT for r in stored(tmp_path)))
+    event = next(r.event for r in stored(tmp_path) if r.kind == RecordKind.EVENT)
     assert (event["event"], event["reason"], event["count"]) == ("bus_error", "nonsense on the line", 5)
 
 
@@ -563,10 +563,10 @@ def test_frames_of_an_slcan_adapter_are_stored_and_other_lines_counted(tmp_path,
     adapter, port = slcan
     with listening(port, store, stop):
         os.write(adapter, b"t1232AABB\rhello\rT000001231FF\r")
-        assert wait_for(lambda: any(r.kind == Kind.EVENT for r in stored(tmp_path)))
+        assert wait_for(lambda: any(r.kind == RecordKind.EVENT for r in stored(tmp_path)))
     records = stored(tmp_path)
-    assert [r.can for r in records if r.kind == Kind.CAN] == [(0x123, 0, b"\xaa\xbb"), (0x123, CanFlag.EXTENDED, b"\xff")]
-    (event,) = [r.event for r in records if r.kind == Kind.EVENT]
+    assert [r.can for r in records if r.kind == RecordKind.CAN] == [(0x123, 0, b"\xaa\xbb"), (0x123, CanFlag.EXTENDED, b"\xff")]
+    (event,) = [r.event for r in records if r.kind == RecordKind.EVENT]
     assert (event["event"], event["count"]) == ("bus_error", 1)
 
 
@@ -574,4 +574,4 @@ def test_an_slcan_adapter_that_is_quiet_at_the_end_is_not_lost(tmp_path, slcan, 
     _, port = slcan
     stop.ask("enough")
     port.listen(store, stop)
-    assert not [r for r in stored(tmp_path) if r.kind == Kind.EVENT]
+    assert not [r for r in stored(tmp_path) if r.kind == RecordKind.EVENT]

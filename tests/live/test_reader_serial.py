@@ -19,7 +19,7 @@ from analyzer.live.endpoint import parse
 from analyzer.live.reader_port import Lost, Stop, Unopened, find_adapter
 from analyzer.live.reader_serial import TCGETS2, TERMIOS2, SerialPort, holders, set_raw
 from analyzer.live.reader_store import Store
-from analyzer.live.spool import Kind, SpoolReader, SpoolWriter
+from analyzer.live.spool import RecordKind, SpoolReader, SpoolWriter
 from tests.conformance.drives.served import wait_for
 from tests.live.readers import ReaderProcess, fill
 from tests.live.recorded import pty_pair
@@ -218,15 +218,15 @@ def test_what_comes_is_stored_with_possible_times_and_pauses(tmp_path, plain):
     with pty_pair() as (master, path), ReaderProcess(tmp_path, f"serial:{path},baud=115200", *plain) as reader:
         assert reader.opened["precision"]
         os.write(master, b"first")
-        assert wait_for(lambda: [r.kind for r in reader.records()][-1:] == [Kind.IDLE])
+        assert wait_for(lambda: [r.kind for r in reader.records()][-1:] == [RecordKind.IDLE])
         os.write(master, b"second")
         assert wait_for(lambda: reader.data() == b"firstsecond")
         assert reader.end() == 0
         records = reader.records()
-        assert [r.kind for r in records if r.kind != Kind.EVENT][:2] == [Kind.DATA, Kind.IDLE]
+        assert [r.kind for r in records if r.kind != RecordKind.EVENT][:2] == [RecordKind.DATA, RecordKind.IDLE]
         times = [r.t_ns for r in records]
         assert times == sorted(times)
-        chunks = sum(r.kind == Kind.DATA for r in records)
+        chunks = sum(r.kind == RecordKind.DATA for r in records)
         assert reader.events("closed") == [{"event": "closed", "reason": "asked to end", "records": chunks, "bytes": 11}]
 
 
@@ -251,7 +251,7 @@ def test_a_lot_arrives_whole_and_in_order(tmp_path):
     data = os.urandom(1 << 20)
     with pty_pair() as (master, path), ReaderProcess(tmp_path, f"serial:{path},baud=4000000") as reader:
         fill(master, data)
-        assert wait_for(lambda: reader.records()[-1].kind == Kind.IDLE, 10)
+        assert wait_for(lambda: reader.records()[-1].kind == RecordKind.IDLE, 10)
         assert reader.end() == 0
         assert reader.data() == data
         expected = 0
@@ -294,7 +294,7 @@ def test_a_port_that_is_unplugged_and_back_leaves_a_gap_with_its_times(tmp_path,
             assert reader.end() == 0
     assert back["from_ns"] == lost["t_ns"]
     assert back["gap_ns"] == back["t_ns"] - lost["t_ns"] > 0
-    kinds = [r.event["event"] if r.kind == Kind.EVENT else r.kind for r in reader.records()]
+    kinds = [r.event["event"] if r.kind == RecordKind.EVENT else r.kind for r in reader.records()]
     assert kinds.index("lost") < kinds.index("back") < kinds.index("closed")
     assert len(reader.events("note")) == 1, "the same reason is told once"
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from analyzer.live.reader_store import RETRY_NS, StatusLine, Store
-from analyzer.live.spool import CanFlag, Kind, SpoolReader, SpoolWriter
+from analyzer.live.spool import CanFlag, RecordKind, SpoolReader, SpoolWriter
 
 STEM = "1-a"
 
@@ -59,7 +59,7 @@ def test_chunks_are_counted_from_what_came_before(bench):
     bench.store.chunk(20, b"de")
     bench.store.flush()
     assert [(r.kind, r.t_ns, r.before, r.data) for r in bench.records()] == [
-        (Kind.DATA, 10, 0, b"abc"), (Kind.DATA, 20, 3, b"de"),
+        (RecordKind.DATA, 10, 0, b"abc"), (RecordKind.DATA, 20, 3, b"de"),
     ]  # fmt: skip
 
 
@@ -90,14 +90,14 @@ def test_a_pause_is_told_once(bench):
     bench.store.flush()
     bench.store.quiet(60)
     assert [(r.kind, r.t_ns) for r in bench.records()] == [
-        (Kind.DATA, 10), (Kind.IDLE, 20), (Kind.DATA, 50), (Kind.IDLE, 60),
+        (RecordKind.DATA, 10), (RecordKind.IDLE, 20), (RecordKind.DATA, 50), (RecordKind.IDLE, 60),
     ]  # fmt: skip
 
 
 def test_an_event_is_stored_in_its_place_and_told(bench):
     bench.store.chunk(10, b"a")
     bench.store.event("lost", 30, reason="gone")
-    assert [r.kind for r in bench.records()] == [Kind.DATA, Kind.EVENT]
+    assert [r.kind for r in bench.records()] == [RecordKind.DATA, RecordKind.EVENT]
     assert bench.told == [("lost", {"reason": "gone"})]
 
 
@@ -130,8 +130,8 @@ def test_beyond_the_memory_it_is_dropped_counted_and_told_in_its_place(tmp_path)
     bench.store.chunk(50, b"after")
     bench.store.flush()
     # What came while the dropping lasted belongs to it: the order would be lost.
-    kinds = [(r.kind, r.event["event"] if r.kind == Kind.EVENT else len(r.data)) for r in bench.records()]
-    assert kinds == [(Kind.DATA, 20), (Kind.DATA, 20), (Kind.EVENT, "overrun"), (Kind.EVENT, "dropped")]
+    kinds = [(r.kind, r.event["event"] if r.kind == RecordKind.EVENT else len(r.data)) for r in bench.records()]
+    assert kinds == [(RecordKind.DATA, 20), (RecordKind.DATA, 20), (RecordKind.EVENT, "overrun"), (RecordKind.EVENT, "dropped")]
     event = bench.records()[-1]
     assert event.event == {
         "event": "dropped", "bytes": 8 * 20 + 5, "from_ns": 12, "to_ns": 50, "reason": "No space left on device",
@@ -164,8 +164,8 @@ def test_whatever_the_disk_does_every_byte_is_stored_or_counted(tmp_path_factory
     bench.disk.full = False
     bench.store.close("over", wait=lambda seconds: bench.pass_ns(RETRY_NS))
     records = bench.records()
-    stored = sum(len(r.data) for r in records if r.kind == Kind.DATA)
-    dropped = sum(r.event["bytes"] for r in records if r.kind == Kind.EVENT and r.event["event"] == "dropped")
+    stored = sum(len(r.data) for r in records if r.kind == RecordKind.DATA)
+    dropped = sum(r.event["bytes"] for r in records if r.kind == RecordKind.EVENT and r.event["event"] == "dropped")
     assert stored + dropped == sent
     times = [r.t_ns for r in records]
     assert times == sorted(times)
@@ -174,10 +174,10 @@ def test_whatever_the_disk_does_every_byte_is_stored_or_counted(tmp_path_factory
     for record in records:
         missing += record.before - expected
         expected = record.before + record.units
-        if record.kind == Kind.DATA:
+        if record.kind == RecordKind.DATA:
             assert record.data == b"%04d" % (record.before // 4 % 10_000)
     assert missing == dropped
-    closed = [r.event for r in records if r.kind == Kind.EVENT and r.event["event"] == "closed"]
+    closed = [r.event for r in records if r.kind == RecordKind.EVENT and r.event["event"] == "closed"]
     assert [c["bytes"] for c in closed] == [sent]
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from analyzer.live import spool
 from analyzer.live.spool import (
     HEAD,
-    Kind,
+    RecordKind,
     SpoolReader,
     SpoolWriter,
     last_record,
@@ -28,7 +28,7 @@ from analyzer.live.spool import (
 
 STEM = "1-left"
 TIMES = st.integers(0, (1 << 64) - 1)
-RECORDS = st.lists(st.tuples(st.sampled_from(list(Kind)), TIMES, TIMES, st.binary(max_size=60)), max_size=30)
+RECORDS = st.lists(st.tuples(st.sampled_from(list(RecordKind)), TIMES, TIMES, st.binary(max_size=60)), max_size=30)
 
 
 def plain(records):
@@ -111,15 +111,15 @@ def _ends(records):
 
 @pytest.mark.parametrize("cut", [1, HEAD.size - 1, HEAD.size, HEAD.size + 2])
 def test_half_a_record_of_a_killed_writer_is_skipped_and_counted(tmp_path, cut):
-    write_all(tmp_path, [(Kind.DATA, 1, 0, b"whole")])
+    write_all(tmp_path, [(RecordKind.DATA, 1, 0, b"whole")])
     path = segments(tmp_path, STEM)[0][1]
     with path.open("ab") as file:
-        file.write(pack(Kind.DATA, 2, 5, b"lost")[:cut])
+        file.write(pack(RecordKind.DATA, 2, 5, b"lost")[:cut])
     reader = SpoolReader(tmp_path, STEM)
     assert [r.data for r in reader.read()] == [b"whole"]
     assert [r.data for r in reader.read()] == []
     # A successor begins a segment of its own.
-    write_all(tmp_path, [(Kind.DATA, 3, 9, b"after")])
+    write_all(tmp_path, [(RecordKind.DATA, 3, 9, b"after")])
     assert [r.data for r in reader.read()] == [b"after"]
     assert reader.damaged == cut
 
@@ -129,7 +129,7 @@ def test_a_reader_follows_while_it_is_written(tmp_path):
     assert list(reader.read()) == []
     writer = SpoolWriter(tmp_path, STEM, segment_size=40)
     for number in range(5):
-        writer.write(pack(Kind.DATA, number, 0, b"x" * 30))
+        writer.write(pack(RecordKind.DATA, number, 0, b"x" * 30))
         assert [r.t_ns for r in reader.read()] == [number]
         assert list(reader.read()) == []
     assert len(segments(tmp_path, STEM)) == 5
@@ -158,12 +158,12 @@ class Full:
 @pytest.mark.parametrize("room", range(27))
 def test_on_a_full_disk_a_record_is_stored_whole_or_not_at_all(tmp_path, room):
     writer = SpoolWriter(tmp_path, STEM)
-    writer.write(pack(Kind.DATA, 1, 0, b"a"))
+    writer.write(pack(RecordKind.DATA, 1, 0, b"a"))
     writer._file = Full(writer._file, room)
     with pytest.raises(OSError, match="No space"):
-        writer.write(pack(Kind.DATA, 2, 1, b"second"))
+        writer.write(pack(RecordKind.DATA, 2, 1, b"second"))
     writer._file = writer._file.file
-    writer.write(pack(Kind.DATA, 3, 1, b"third"))
+    writer.write(pack(RecordKind.DATA, 3, 1, b"third"))
     reader = SpoolReader(tmp_path, STEM)
     assert [r.data for r in reader.read()] == [b"a", b"third"]
     assert reader.damaged == 0
@@ -175,7 +175,7 @@ def test_a_file_size_limit_is_an_error_and_leaves_whole_records(tmp_path):
         "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
         f"w = SpoolWriter(Path(sys.argv[1]), {STEM!r})\n"
         "try:\n"
-        "    for n in range(100): w.write(pack(Kind.DATA, n, 0, b'x' * 50))\n"
+        "    for n in range(100): w.write(pack(RecordKind.DATA, n, 0, b'x' * 50))\n"
         "except OSError as error: print(type(error).__name__, error.errno)\n"
     )
     done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True)
@@ -192,7 +192,7 @@ def test_a_writer_killed_at_any_moment_leaves_whole_records(tmp_path):
         f"w = SpoolWriter(Path(sys.argv[1]), {STEM!r}, segment_size=4000)\n"
         "n = 0\n"
         "while True:\n"
-        "    w.write(pack(Kind.DATA, n, n, n.to_bytes(4, 'big') * 30)); n += 1\n"
+        "    w.write(pack(RecordKind.DATA, n, n, n.to_bytes(4, 'big') * 30)); n += 1\n"
         "    if n == 100: print(flush=True)\n"
     )
     process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE)
@@ -208,20 +208,20 @@ def test_a_writer_killed_at_any_moment_leaves_whole_records(tmp_path):
 
 def test_the_last_record_is_found_behind_an_empty_segment(tmp_path):
     assert last_record(tmp_path, STEM) is None
-    write_all(tmp_path, [(Kind.DATA, 1, 0, b"abc"), (Kind.EVENT, 2, 3, b"{}")])
+    write_all(tmp_path, [(RecordKind.DATA, 1, 0, b"abc"), (RecordKind.EVENT, 2, 3, b"{}")])
     (tmp_path / f"{STEM}.000001.raw").write_bytes(b"")
     found = last_record(tmp_path, STEM)
-    assert (found.kind, found.t_ns, found.before) == (Kind.EVENT, 2, 3)
+    assert (found.kind, found.t_ns, found.before) == (RecordKind.EVENT, 2, 3)
 
 
 def test_what_a_record_counts():
     def record(kind, data):
         return spool.Record(kind, 0, 10, data)
 
-    assert record(Kind.DATA, b"abc").units == 3
-    assert record(Kind.CAN, b"\0" * 13).units == 1
-    assert record(Kind.EVENT, b"{}").units == 0
-    assert record(Kind.IDLE, b"").units == 0
+    assert record(RecordKind.DATA, b"abc").units == 3
+    assert record(RecordKind.CAN, b"\0" * 13).units == 1
+    assert record(RecordKind.EVENT, b"{}").units == 0
+    assert record(RecordKind.IDLE, b"").units == 0
 
 
 def test_a_can_record_and_an_event_come_back(tmp_path):
@@ -236,7 +236,7 @@ def test_a_can_record_and_an_event_come_back(tmp_path):
 
 def test_spools_of_a_folder_by_their_numbers(tmp_path):
     for stem in ("10-a", "2-b", "0-control", "2-b.1"):
-        SpoolWriter(tmp_path, stem).write(pack(Kind.IDLE, 0, 0, b""))
+        SpoolWriter(tmp_path, stem).write(pack(RecordKind.IDLE, 0, 0, b""))
     assert stems(tmp_path) == ["0-control", "2-b", "2-b.1", "10-a"]
     assert len(segments(tmp_path, "2-b")) == 1
     assert spool_folder(tmp_path / "x.mcap") == tmp_path / "x.mcap.spool"

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from fractions import Fraction
 
-from analyzer.layout import Field, Kind
+from analyzer.layout import Field, FieldKind
 
 #: (value, field) -> value
 Number = Callable[[int, Field], int]
@@ -17,7 +17,7 @@ Number = Callable[[int, Field], int]
 def swap_bytes(value: int, field: Field) -> int:
     """Return a number with its bytes in the other order."""
     raw = (value % (1 << field.bit_width)).to_bytes(field.bit_width // 8, "little")
-    return int.from_bytes(raw, "big", signed=field.kind is Kind.INT)
+    return int.from_bytes(raw, "big", signed=field.kind is FieldKind.INT)
 
 
 def negated(value: int, field: Field) -> int:

@@ -25,7 +25,7 @@ from typing import NamedTuple
 from msgspec.structs import replace
 
 from analyzer.catalogue import Command, Dialect, Form, Verb
-from analyzer.layout import Field, Kind
+from analyzer.layout import Field, FieldKind
 from analyzer.protocols import lk_rs485, mks_can, mks_modbus, mks_rs485
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Fault, Hooks, Outgoing, Values
@@ -124,7 +124,7 @@ def signed(dialect: Dialect, name: str, of: Of) -> bool:
     verbs = _meant(of)
     forms = (form for command in dialect.commands if not verbs or command.verb in verbs for form in command.reply_forms)
     field = _field(forms, name)
-    return field is not None and field.kind is Kind.INT
+    return field is not None and field.kind is FieldKind.INT
 
 
 @cache

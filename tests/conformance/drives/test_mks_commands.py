@@ -8,7 +8,7 @@ from analyzer import dialects
 from analyzer.catalogue import Role, Verb
 from analyzer.codec import codec
 from analyzer.encoder import build
-from analyzer.layout import Kind
+from analyzer.layout import FieldKind
 from conformance.drives.mks.drive import BEHAVIOURS
 from tests.conformance.drives.test_mks_rig import MINUTE, MODELS, MS, NAMES, SECOND, Rig
 
@@ -31,7 +31,7 @@ def nominal(command):
     """Return values of a request that the manual allows."""
     values = {}
     for name, field in command.request_forms[0].layout.named.items():
-        if field.kind is Kind.BYTES or field.fixed is not None:
+        if field.kind is FieldKind.BYTES or field.fixed is not None:
             continue
         allowed = WANTED.get(name, field.default)
         if allowed is None or not field.allows(allowed):

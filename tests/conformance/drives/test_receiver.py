@@ -24,16 +24,16 @@ def receiver(dialect: str) -> Receiver:
     return Receiver(dialects.get(dialect), byte_ns=BYTE_NS)
 
 
-def feed(ears: Receiver, data: bytes, start_ns: int = 0) -> list[tuple[bytes, int, bool]]:
+def feed(listener: Receiver, data: bytes, start_ns: int = 0) -> list[tuple[bytes, int, bool]]:
     """Feed bytes that begin at `start_ns`; return the data, the time and the check of each frame."""
-    frames = ears.feed(data, start_ns + BYTE_NS, BYTE_NS)
+    frames = listener.feed(data, start_ns + BYTE_NS, BYTE_NS)
     return [(frame.data, frame.last_ns, frame.checksum_ok) for frame in frames]
 
 
-def feed_bytewise(ears: Receiver, data: bytes) -> list[tuple[bytes, int, bool]]:
+def feed_bytewise(listener: Receiver, data: bytes) -> list[tuple[bytes, int, bool]]:
     found = []
     for i in range(len(data)):
-        found += feed(ears, data[i : i + 1], i * BYTE_NS)
+        found += feed(listener, data[i : i + 1], i * BYTE_NS)
     return found
 
 
@@ -75,10 +75,10 @@ def test_chunks_do_not_matter(dialect: str) -> None:
     damaged = bytes(b ^ 0x10 if chance.random() < 0.02 else b for b in stream)
     whole = feed(receiver(dialect), damaged)
     for _ in range(5):
-        ears, found, at = receiver(dialect), [], 0
+        listener, found, at = receiver(dialect), [], 0
         while at < len(damaged):
             size = chance.randint(1, 20)
-            found += feed(ears, damaged[at : at + size], at * BYTE_NS)
+            found += feed(listener, damaged[at : at + size], at * BYTE_NS)
             at += size
         assert found == whole
     assert len(whole) > 20
@@ -100,8 +100,8 @@ def test_a_bad_check_is_given_on_as_such() -> None:
     bad = bytes.fromhex("3E A2 01 04 E5 10 27 00 00 38")
     assert feed(receiver("lk-rs485"), bad) == [(bad, 10 * BYTE_NS, False)]
     bad = READS["mks-modbus"][:-1] + b"\0"
-    ears = receiver("mks-modbus")
-    found = feed(ears, bad) + [(f.data, f.last_ns, f.checksum_ok) for f in ears.expire(10**9)]
+    listener = receiver("mks-modbus")
+    found = feed(listener, bad) + [(f.data, f.last_ns, f.checksum_ok) for f in listener.expire(10**9)]
     assert [(data, good) for data, _, good in found] == [(bad, False)]
 
 
@@ -111,31 +111,31 @@ def test_a_good_frame_behind_a_broken_one_counts() -> None:
 
 
 def test_the_pause_drops_what_is_incomplete() -> None:
-    ears, read = receiver("mks-rs485"), READS["mks-rs485"]
-    assert feed(ears, read[:2]) == []
-    assert feed(ears, read[2:], PAUSE_NS + 3 * BYTE_NS) == []
+    listener, read = receiver("mks-rs485"), READS["mks-rs485"]
+    assert feed(listener, read[:2]) == []
+    assert feed(listener, read[2:], PAUSE_NS + 3 * BYTE_NS) == []
     late = receiver("mks-rs485")
     assert feed(late, read[:2]) == []
     assert feed(late, read[2:], PAUSE_NS) == [(read, PAUSE_NS + 2 * BYTE_NS, True)]
 
 
 def test_the_pause_frees_a_frame_that_noise_seemed_to_hold() -> None:
-    ears, read = receiver("mks-rs485"), READS["mks-rs485"]
-    assert feed(ears, b"\xfc" + read) == []
-    due = ears.next_ns()
+    listener, read = receiver("mks-rs485"), READS["mks-rs485"]
+    assert feed(listener, b"\xfc" + read) == []
+    due = listener.next_ns()
     assert due == 6 * BYTE_NS + PAUSE_NS
-    assert ears.expire(due - 1) == []
-    assert [f.data for f in ears.expire(due)] == [read]
-    assert ears.next_ns() is None
+    assert listener.expire(due - 1) == []
+    assert [f.data for f in listener.expire(due)] == [read]
+    assert listener.next_ns() is None
 
 
 def test_modbus_waits_for_three_and_a_half_characters() -> None:
     dialect = dialects.get("mks-modbus")
     assert dialect.link.silence_ns(10_000_000_000 // 9600) == int(3.5 * 1_041_666)
     assert dialect.link.silence_ns(10_000_000_000 // 115200) == 1_750_000
-    ears, read = receiver("mks-modbus"), READS["mks-modbus"]
-    assert feed(ears, read[:4]) == []
-    assert feed(ears, read[4:], 4 * BYTE_NS + 1_800_000) == []
+    listener, read = receiver("mks-modbus"), READS["mks-modbus"]
+    assert feed(listener, read[:4]) == []
+    assert feed(listener, read[4:], 4 * BYTE_NS + 1_800_000) == []
     close = receiver("mks-modbus")
     assert feed(close, read[:4]) == []
     assert [f[0] for f in feed(close, read[4:], 4 * BYTE_NS + 1_700_000)] == [read]
@@ -145,24 +145,24 @@ def test_modbus_waits_for_three_and_a_half_characters() -> None:
     ("dialect", "body"), [("mks-rs485", "FA 01 77"), ("mks-modbus", "01 07"), ("mks-modbus", "01 2B 0E 01 00")]
 )
 def test_a_frame_of_unknown_code_is_there_at_the_pause(dialect: str, body: str) -> None:
-    ears = receiver(dialect)
+    listener = receiver(dialect)
     data = dialects.get(dialect).link.completed(bytes.fromhex(body))
-    assert feed(ears, data) == []
-    assert [f.data for f in ears.expire(10**9)] == [data]
+    assert feed(listener, data) == []
+    assert [f.data for f in listener.expire(10**9)] == [data]
 
 
 def test_noise_without_end_is_not_kept() -> None:
-    ears = receiver("mks-rs485")
+    listener = receiver("mks-rs485")
     for i in range(100):
-        feed(ears, bytes(100), i * 100 * BYTE_NS)
-    assert len(ears._buffer) < 1000
+        feed(listener, bytes(100), i * 100 * BYTE_NS)
+    assert len(listener._buffer) < 1000
     read = READS["mks-rs485"]
-    assert [f[0] for f in feed(ears, read, 10_000 * BYTE_NS)] == [read]
+    assert [f[0] for f in feed(listener, read, 10_000 * BYTE_NS)] == [read]
 
 
 def test_offsets_count_all_that_was_heard() -> None:
-    ears, read = receiver("mks-rs485"), READS["mks-rs485"]
-    frames = ears.feed(b"\0\0" + read + b"\0" + read, BYTE_NS, BYTE_NS)
+    listener, read = receiver("mks-rs485"), READS["mks-rs485"]
+    frames = listener.feed(b"\0\0" + read + b"\0" + read, BYTE_NS, BYTE_NS)
     assert [f.offset for f in frames] == [2, 7]
     assert frames[0].first_ns == 2 * BYTE_NS
     assert frames[0].role is Role.REQUEST

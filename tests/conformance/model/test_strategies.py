@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from analyzer import dialects, encoder
 from analyzer.catalogue import Dialect, Risk
 from analyzer.codec import codec
-from analyzer.layout import Kind
+from analyzer.layout import FieldKind
 from analyzer.records import CanFrame
 from conformance.gate.bounds import Bounds, Leeway
 from conformance.gate.gate import Judge
@@ -36,7 +36,7 @@ def fields(dialect):
     for command in dialect.commands:
         for form in command.request_forms:
             for field in form.layout.named.values():
-                if field.kind is not Kind.BYTES:
+                if field.kind is not FieldKind.BYTES:
                     yield command, form, field
 
 

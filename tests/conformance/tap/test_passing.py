@@ -21,7 +21,7 @@ import serial
 from analyzer.live.endpoint import Endpoint, parse
 from analyzer.live.reader_port import Stop, Unopened
 from analyzer.live.reader_store import Store
-from analyzer.live.spool import Kind, Record, SpoolReader, SpoolWriter
+from analyzer.live.spool import Record, RecordKind, SpoolReader, SpoolWriter
 from conformance.serve.line_speed import line_speed
 from conformance.serve.pty import PtyPort
 from conformance.tap import passing as module
@@ -116,7 +116,7 @@ class Tapped:
             reader.close()
 
     def stored(self, direction: str) -> bytes:
-        return b"".join(r.data for r in self.records(direction) if r.kind == Kind.DATA)
+        return b"".join(r.data for r in self.records(direction) if r.kind == RecordKind.DATA)
 
     def notes(self) -> list[str]:
         return [about["text"] for event, about in self.told if event == "note"]
@@ -159,7 +159,7 @@ def test_every_byte_passes_unchanged_both_ways(tapped: Tapped, far: Far) -> None
     tapped.close()
     assert tapped.stored(REQUEST) == every
     assert tapped.stored(REPLY) == every[::-1]
-    assert not [r for r in tapped.records(REQUEST) if r.kind == Kind.EVENT and r.event["event"] != "closed"]
+    assert not [r for r in tapped.records(REQUEST) if r.kind == RecordKind.EVENT and r.event["event"] != "closed"]
 
 
 def test_much_passes_both_ways_at_once(tapped: Tapped, far: Far) -> None:
@@ -201,7 +201,7 @@ def test_times_of_requests_are_those_of_their_end_on_the_line(tapped: Tapped, fa
         # 96 bytes at 38400 baud are on the line for 25 ms, although a pseudo-terminal has them at once.
         assert wait_for(lambda: bool(tapped.stored(REQUEST)))
     tapped.close()
-    (record,) = [r for r in tapped.records(REQUEST) if r.kind == Kind.DATA]
+    (record,) = [r for r in tapped.records(REQUEST) if r.kind == RecordKind.DATA]
     assert before + 25_000_000 <= record.t_ns <= after + 25_100_000
 
 
@@ -214,8 +214,8 @@ def test_a_reply_never_stands_before_its_request(tapped: Tapped, far: Far) -> No
             far.write(bytes([n]) * 4)
             assert len(read_from(fd, 4)) == 4
     tapped.close()
-    requests = [r for r in tapped.records(REQUEST) if r.kind == Kind.DATA]
-    replies = [r for r in tapped.records(REPLY) if r.kind == Kind.DATA]
+    requests = [r for r in tapped.records(REQUEST) if r.kind == RecordKind.DATA]
+    replies = [r for r in tapped.records(REPLY) if r.kind == RecordKind.DATA]
     assert len(requests) == len(replies) == 20
     assert all(a.data[0] == b.data[0] and a.t_ns <= b.t_ns for a, b in zip(requests, replies, strict=True))
     assert all(b.t_ns <= a.t_ns for b, a in zip(replies, requests[1:], strict=False))
@@ -393,7 +393,7 @@ def test_a_disk_that_stands_still_delays_no_byte(tmp_path: Path, far: Far, monke
     dropped = sum(about["bytes"] for event, about in tap.told if event == "dropped")
     assert dropped > 0
     assert len(tap.stored(REQUEST)) + len(tap.stored(REPLY)) + dropped == 3000
-    last = [r for r in tap.records(REPLY) if r.kind == Kind.DATA][-1]
+    last = [r for r in tap.records(REPLY) if r.kind == RecordKind.DATA][-1]
     assert last.before + last.units <= 1500
 
 
