@@ -462,4 +462,5 @@ DIALECT = Dialect(
     counts_per_turn=mks.COUNTS_PER_TURN,
     mode_speeds=mks.MODE_MAXIMUM_SPEEDS,
     rates=mks.BAUD_RATES,
+    said_in="analyzer.protocols.mks_rs485_statements",
 )

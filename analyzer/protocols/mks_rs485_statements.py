@@ -1,0 +1,845 @@
+"""What the RS485 manual V1.0.5 of the MKS SERVO42D/57D says a drive does: Parts 1 to 3, which both links share, and 4 to 7.
+
+In the manual's order, in our words, as `mks_rs485_errata` reads it where it contradicts itself. `SHARED` and `RAMPS` belong to
+Part 8 too. What a remark repeats for each command of a kind is said there once for each.
+
+Not here: what the manual says about wiring, keys, host software and its figures, where a drive does nothing by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from analyzer.catalogue import Statement
+
+DISPLAY = "not visible on the bus: the display"
+KEYS = "not visible on the bus: the keys beside the display"
+CURRENT_UNSEEN = "not visible on the bus: no command reads a current"
+
+_RUNS = ("run_speed", "move_relative_pulses", "move_absolute_pulses", "move_relative_axis", "move_absolute_axis")
+_STOPS = ("stop_speed", "stop_relative_pulses", "stop_absolute_pulses", "stop_relative_axis", "stop_absolute_axis")
+
+
+def said(name: str, says: str, *claims: str) -> Statement:
+    """Declare what a drive does, and the claims that refute one that does otherwise."""
+    return Statement(name, says, claims)
+
+
+def unseen(name: str, says: str, why: str) -> Statement:
+    """Declare what a drive does and no claim can see, and why."""
+    return Statement(name, says, unclaimed=why)
+
+
+def each(names: tuple[str, ...], pattern: str) -> tuple[str, ...]:
+    """Return a pattern of claims for each command."""
+    return tuple(pattern.format(name) for name in names)
+
+
+#: Parts 1 to 3: modes, ports, end limits, options. What an option does, the command of the same name does.
+SHARED = (
+    # Part 1
+    said("1.3/angle", "The displayed angle is reckoned from the encoder value that can be read.", "motion/read_position/turn"),
+    said("1.3/angle-error", "The displayed error is that of the shaft's angle.", "motion/read_angle_error/*"),
+    said("1.3/pulses", "The displayed clk is the count of pulses received.", "motion/read_pulses/counts-moves"),
+    said("1.4/open-400", "In the open modes the shaft turns at 400 rpm at most.", "motion/run_speed/highest-sr_open"),
+    said("1.4/close-1500", "In the close modes the shaft turns at 1500 rpm at most.", "motion/run_speed/highest-sr_close"),
+    said("1.4/vfoc-3000", "In the vFOC modes the shaft turns at 3000 rpm at most.", "motion/run_speed/highest-sr_vfoc"),
+    said(
+        "1.4/pulse-or-bus",
+        "CR modes take pulses, SR modes the bus.",
+        "motion/run_speed/pulse-mode",
+        "read-back/set_work_mode/effect",
+    ),
+    unseen("1.4/fixed-current", "In open and close modes the working current is Ma, always.", CURRENT_UNSEEN),
+    unseen("1.4/adapted-current", "In vFOC the current adapts itself, up to Ma.", CURRENT_UNSEEN),
+    said("1.4/default-mode", "The default work mode is CR_vFOC.", "read-back/restore/settings"),
+    unseen(
+        "1.4/open-needs-no-encoder", "In the open modes the drive works without an encoder.", "needs a drive without its magnet"
+    ),
+    # Part 2
+    said(
+        "2.5/in-1", "IN_1 is the home switch or left limit.", "motion/home/finds-switch-*", "motion/set_home/end-limit-stops-*"
+    ),
+    said("2.5/in-2", "On the 57D IN_2 is the right limit; the 42D has none.", "motion/set_limit_remap/right-off"),
+    unseen(
+        "2.5/out-1",
+        "OUT_1 of the 57D is 0 while the rotor protection holds, else 1.",
+        "OUT_1 can be seen, but only of a locked rotor",
+    ),
+    unseen("2.5/out-2", "OUT_2 is reserved.", "the manual gives it no meaning"),
+    said("2.5/remapped", "With the limits remapped IN_1 is En and IN_2 is Dir.", "read-back/set_limit_remap/effect"),
+    said("2.6/off-at-first", "The end limits hold only when they are switched on.", "motion/set_home/end-limit-off"),
+    unseen(
+        "2.6/home-first",
+        "After a change of the limits the drive must go home first.",
+        "no claim yet: a limit that was changed since homing",
+    ),
+    said(
+        "2.6/left",
+        "A shaft at its left end stop turns no farther to the left.",
+        "motion/set_home/end-limit-stops-*",
+        "motion/set_home/end-limit-holds-*",
+    ),
+    said(
+        "2.6/right",
+        "A shaft at its right end stop turns no farther to the right (57D).",
+        "motion/set_limit_remap/right-off",
+        "motion/set_limit_remap/right-on",
+    ),
+    said("2.6/way-back", "Away from a closed end stop the shaft still turns.", "motion/set_home/end-limit-lets-back"),
+    said("2.6/remap", "In serial modes the limits can be moved to the ports En and Dir.", "motion/set_limit_remap/right-on"),
+    # Part 3
+    said(
+        "3.2/modes", "Six work modes: open, close and vFOC, each by pulses or by the bus.", "ranges/set_work_mode/work_mode/*"
+    ),
+    said("3.3/current", "The working current is set up to 3000 mA, on a 57D up to 5200 mA.", "ranges/set_current/current/*"),
+    unseen("3.3/default", "Default currents: 42D 1600, 57D 3200, 28D 600, 35D 800 mA.", CURRENT_UNSEEN),
+    said("3.3/any", "Currents between the steps of the menu are set by the bus.", "ranges/set_current/current/inside"),
+    said("3.4/percent", "The holding current is 10 to 90 percent of the working one.", "ranges/set_holding_current/*"),
+    unseen("3.4/default", "By default half the working current holds.", CURRENT_UNSEEN),
+    unseen("3.4/not-vfoc", "The holding current counts in open and close modes only.", CURRENT_UNSEEN),
+    said(
+        "3.5/range",
+        "Every subdivision from 1 to 256 can be set.",
+        "ranges/set_subdivision/*",
+        "motion/set_subdivision/pulses-at-*",
+    ),
+    said("3.5/default", "The default subdivision is 16.", "read-back/restore/settings"),
+    said("3.6/en-level", "The motor holds at the set level of En, or always with Hold.", "read-back/set_enable_level/effect"),
+    said("3.6/default", "By default En is active at its low level.", "read-back/restore/settings"),
+    unseen("3.7/way", "Dir sets which way pulses turn the motor.", "needs pulses at the step port"),
+    said("3.7/not-the-bus", "Dir does not turn motion by the bus.", "motion/set_direction/and-the-bus"),
+    unseen("3.8/dark", "With AutoSDD the display goes dark after 15 seconds.", DISPLAY),
+    said("3.9/lets-go", "With the protection on, a locked rotor is let go.", "motion/set_protection/lets-go"),
+    said("3.9/off", "With the protection off a locked rotor is not let go.", "motion/set_protection/off-holds-on"),
+    said("3.9/default", "By default the protection is off.", "read-back/restore/settings", "motion/read_protection/at-first"),
+    said("3.9/released", "The protection is ended by a key or by the bus.", "motion/release_protection/releases"),
+    unseen("3.10/smooth", "Interpolation to 256 lessens vibration and noise at low speed.", "needs a microphone on the motor"),
+    said("3.11/rates", "Seven baud rates from 9600 to 256000 can be set.", "ranges/set_baud_rate/baud_rate/*"),
+    said("3.11/default", "The default baud rate is 38400.", "read-back/restore/link"),
+    said("3.12/default", "The default address is 1.", "read-back/restore/link"),
+    said("3.12/above-16", "Addresses above 16 are set by the bus.", "ranges/set_address/new_address/highest"),
+    said("3.14/modbus", "Mb_RTU chooses Modbus-RTU instead of the native frames.", "ranges/set_modbus/modbus/listed"),
+    said("3.14/default", "By default Modbus-RTU is off.", "read-back/restore/link"),
+    said("3.15/off", "With O_Mode off nothing turns when power comes on.", "motion/set_zero_mode/off"),
+    said("3.15/direction", "In DirMode the shaft goes back to zero by the set direction.", "motion/set_zero_mode/direction-*"),
+    said("3.15/near", "In NearMode the shaft goes back to zero by the smaller angle.", "motion/set_zero_mode/near-*"),
+    said(
+        "3.16/zero",
+        "Set 0 makes the present place the one to go back to.",
+        "motion/set_zero_mode/near-*",
+        "motion/set_zero_mode/clean",
+    ),
+    said("3.17/speed", "O_Speed 0 is the slowest way back and 4 the fastest.", "motion/set_zero_mode/faster"),
+    said("3.18/way", "O_Dir is the direction of the way back.", "motion/set_zero_mode/direction-*"),
+    said(
+        "3.19/level",
+        "Hm_Trig is the level at which the end stop counts as closed.",
+        "motion/home/trigger",
+        "read-back/set_home/home_trigger",
+    ),
+    said(
+        "3.20/way",
+        "Hm_Dir is the direction in which home is looked for.",
+        "motion/home/finds-switch-*",
+        "read-back/set_home/home_direction",
+    ),
+    said("3.21/speed", "Hm_Speed is the speed of homing in rpm.", "motion/home/speed-*", "read-back/set_home/home_speed"),
+    said("3.22/limited", "With Hm_Mode Limited, the default, homing ends at the switch.", "motion/home/finds-switch-*"),
+    said("3.24/default", "By default the end limit is off.", "read-back/restore/settings"),
+    said("3.24/lets-go", "With EndLimit on, homing lets the shaft go at the left switch.", "motion/home/end-limit"),
+    said("3.24/holds", "With EndLimit off the shaft is held after homing.", "motion/home/holds"),
+    said("3.25/runs-on", "Homing turns the shaft until it meets the switch.", "motion/home/finds-switch-*"),
+    said(
+        "3.25/closed", "From a closed switch the shaft first turns the other way until it opens.", "motion/home/from-closed-*"
+    ),
+    said("3.26/defaults", "Restore loads the default parameters.", "read-back/restore/settings", "read-back/restore/link"),
+    unseen(
+        "3.26/uncalibrated",
+        "After a restore the motor needs a calibration.",
+        "no command tells whether the motor is calibrated",
+    ),
+    unseen("3.26/key", "A key held at power-on restores the defaults.", KEYS),
+    unseen("3.27/version", "About shows the version.", DISPLAY),
+)
+
+#: Section 6.1: speed and acceleration, which 8.3 refers to.
+RAMPS = (
+    said("6.1/range", "A speed is 0 to 3000; a greater one turns faster.", "motion/*/highest", "motion/run_speed/speed-*"),
+    said("6.1/zero-stops", "Speed 0 stops the shaft.", *each(_RUNS, "motion/{}/speed-0")),
+    said(
+        "6.1/mode-limit",
+        "A speed above the mode's maximum turns the shaft at that maximum.",
+        "motion/run_speed/highest-sr_*",
+        "motion/*/beyond-highest",
+    ),
+    said(
+        "6.1/16-32-64",
+        "At 16, 32 and 64 subdivisions the speed is that which is sent.",
+        *(f"motion/set_subdivision/speed-at-{n}" for n in (16, 32, 64)),
+        "motion/set_subdivision/*-at-64",
+    ),
+    said(
+        "6.1/other-subdivisions",
+        "At others it is speed times 16 over the subdivision.",
+        *(f"motion/set_subdivision/speed-at-{n}" for n in (2, 8, 100, 128, 256)),
+    ),
+    said("6.1/8", "At 8 subdivisions speed 1200 is 2400 rpm.", "motion/set_subdivision/speed-at-8"),
+    said("6.1/128", "At 128 subdivisions speed 1200 is 150 rpm.", "motion/set_subdivision/speed-at-128"),
+    said(
+        "6.1/acceleration",
+        "An acceleration is 0 to 255; a greater one is a steeper ramp.",
+        "timing/run_speed/ramp-*",
+        "ranges/run_speed/acceleration/*",
+    ),
+    said(
+        "6.1/at-once",
+        "With acceleration 0 the shaft takes its speed at once.",
+        "timing/run_speed/ramp-0",
+        "timing/stop_speed/ramp-0",
+    ),
+    said(
+        "6.1/up",
+        "On the way up each rpm takes (256 - acc) times 50 microseconds.",
+        "timing/run_speed/ramp-*",
+        *each(_RUNS, "timing/{}/ramp-is-even"),
+    ),
+    said("6.1/up-to-speed", "The way up ends at the speed that was asked for.", "motion/run_speed/speed-*"),
+    said("6.1/example-236", "At acceleration 236 each rpm takes 1 ms.", "timing/run_speed/ramp-236"),
+    said(
+        "6.1/down",
+        "On the way down each rpm takes as long as on the way up.",
+        "timing/stop_speed/ramp-*",
+        "timing/run_speed/ramp-240-to-60",
+    ),
+    said("6.1/down-to-speed", "The way down ends at the lower speed that was asked for.", "timing/run_speed/ramp-240-to-60"),
+)
+
+
+def setting(section: str, name: str, what: str, *effects: Statement) -> Iterator[Statement]:
+    """Yield what each setting's section says: its values, its two answers; then what it does."""
+    yield said(f"{section}/values", what, f"ranges/{name}/*")
+    yield said(
+        f"{section}/done", "Status 1: it was set.", f"shape/{name}/status", f"shape/{name}/answered", f"shape/{name}/once"
+    )
+    yield said(f"{section}/refused", "Status 0: it was not set, and nothing changed.", f"ranges/{name}/*")
+    yield from effects
+
+
+def read(section: str, name: str, what: str, *claims: str) -> Statement:
+    """Declare what a read tells and the length and order of its bytes."""
+    return said(f"{section}/told", what, f"shape/{name}/answered", f"shape/{name}/length", f"shape/{name}/code", *claims)
+
+
+_LONG_READS = (
+    read(
+        "5.1.1",
+        "read_encoder_carry",
+        "30 reads the carry in four bytes and the value in two.",
+        "motion/read_encoder_carry/is-position",
+    ),
+    said("5.1.1/range", "The value is 0 to 3FFFh.", "shape/read_encoder_carry/values"),
+    said("5.1.1/carries-up", "Above 3FFFh the carry is one more.", "motion/read_encoder_carry/*"),
+    said("5.1.1/carries-down", "Below 0 the carry is one less.", "motion/read_encoder_carry/*"),
+    said("5.1.1/turn", "A turn changes the carry by one and leaves the value.", "motion/read_encoder_carry/is-position"),
+    unseen(
+        "5.1.1/disabled",
+        "The encoder is read whether the motor is enabled or not.",
+        "no claim yet: the shaft is turned while disabled",
+    ),
+    read("5.1.2", "read_position", "31 reads the encoder as one signed count of six bytes.", "motion/read_position/wide"),
+    said("5.1.2/turn", "A turn changes it by 4000h.", "motion/read_position/turn"),
+    said("5.1.2/way", "Counter-clockwise raises it (in print both ways).", "motion/run_speed/raises"),
+    said(
+        "5.1.2/below-zero",
+        "It goes on below zero.",
+        "motion/read_encoder_carry/is-position",
+        "motion/move_absolute_axis/reads-as-asked",
+    ),
+    read("5.1.3", "read_speed", "32 reads the speed in rpm, in two signed bytes.", "motion/read_speed/is-change"),
+    said("5.1.3/code", "Its reply carries code 32.", "shape/read_speed/code"),
+    said("5.1.3/sign", "The speed is positive counter-clockwise and negative clockwise.", "motion/read_speed/is-change"),
+    read("5.1.4", "read_pulses", "33 reads how many pulses came, in four signed bytes.", "motion/read_pulses/counts-moves"),
+    read("5.1.5", "read_io", "34 reads the ports, one bit each.", "read-back/set_limit_remap/effect", "motion/read_io/*"),
+    said("5.1.5/reserved", "Bits 7 to 4 are reserved.", "shape/read_io/reserved"),
+    unseen("5.1.5/in-1", "Bit 0 is the level of IN_1.", "no claim yet: the level of the switch"),
+    said("5.1.5/remapped", "With the limits remapped, IN_1 is En and IN_2 is Dir.", "read-back/set_limit_remap/effect"),
+    read("5.1.6", "read_angle_error", "39 reads the angle error in four signed bytes.", "motion/read_angle_error/*"),
+    said("5.1.6/sign", "The error is the wanted angle minus the real one.", "motion/read_angle_error/held-*"),
+    said("5.1.6/unit", "51200 units are 360 degrees.", "motion/read_angle_error/held-*"),
+    read("5.1.7", "read_enabled", "3A reads 1 when the motor is enabled and 0 when not.", "motion/enable/is-read"),
+    read("5.1.8", "read_zero_status", "3B reads how the way back to zero goes.", "motion/read_zero_status/*"),
+    said("5.1.8/going", "0: on its way to zero.", "motion/read_zero_status/tells"),
+    said("5.1.8/success", "1: back at zero.", "motion/read_zero_status/tells"),
+    unseen("5.1.8/fail", "2: the way back failed.", "the manual does not say when it fails"),
+    said("5.1.9/releases", "3D ends the protection of a locked rotor.", "motion/release_protection/releases"),
+    said("5.1.9/status", "It is answered by 1, or by 0 when that fails.", "shape/release_protection/status"),
+    read(
+        "5.1.10",
+        "read_protection",
+        "3E reads 1 while protected, else 0.",
+        "motion/set_protection/lets-go",
+        "motion/read_protection/at-first",
+    ),
+)
+
+_SETTINGS = (
+    said("5.2.1/calibrates", "80 with data 00 calibrates the encoder.", "motion/calibrate/status", "ranges/calibrate/reserved"),
+    said("5.2.1/begins", "Status 0: the calibration goes on.", "motion/calibrate/replies"),
+    said("5.2.1/done", "Status 1: the calibration is done.", "motion/calibrate/replies"),
+    said("5.2.1/fails", "Status 2: the calibration failed, as under a load.", "motion/calibrate/held"),
+    *setting(
+        "5.2.2",
+        "set_work_mode",
+        "82 sets the work mode, 0 to 5.",
+        said("5.2.2/serial", "In modes 3 to 5 the bus moves the motor.", "read-back/set_work_mode/effect"),
+        said("5.2.2/pulses", "In modes 0 to 2 pulses do.", "motion/*/pulse-mode"),
+        said("5.2.2/maximum", "A mode has its own highest speed.", "motion/run_speed/highest-sr_*"),
+        unseen("5.2.2/current", "A mode sets whether the current is fixed or adapts.", CURRENT_UNSEEN),
+    ),
+    *setting(
+        "5.2.3",
+        "set_current",
+        "83 sets the working current in mA, in two bytes.",
+        said(
+            "5.2.3/maximum",
+            "At most 3000 mA, on a 57D 5200 mA.",
+            "ranges/set_current/current/highest",
+            "ranges/set_current/current/above",
+        ),
+        unseen("5.2.3/flows", "This current flows.", CURRENT_UNSEEN),
+        unseen("5.2.3/shown", "The display shows the new current.", DISPLAY),
+    ),
+    *setting(
+        "5.2.4",
+        "set_holding_current",
+        "9B sets the holding current, 0 to 8.",
+        unseen("5.2.4/percent", "0 is 10 percent, each step 10 more.", CURRENT_UNSEEN),
+        unseen("5.2.4/not-vfoc", "It counts in open and close modes only.", CURRENT_UNSEEN),
+    ),
+    *setting(
+        "5.2.5",
+        "set_subdivision",
+        "84 sets the subdivision in one byte, 0 being 256.",
+        said("5.2.5/pulses", "A turn has 200 times the subdivision in pulses.", "motion/set_subdivision/pulses-at-*"),
+        said("5.2.5/256", "Value 0 means 256 subdivisions.", "motion/set_subdivision/pulses-at-256"),
+        unseen("5.2.5/shown", "The display shows the new subdivision.", DISPLAY),
+    ),
+    *setting(
+        "5.2.6",
+        "set_enable_level",
+        "85 sets the level of En: low, high, always.",
+        said("5.2.6/effect", "At that level the motor holds; with 2 it holds always.", "read-back/set_enable_level/effect"),
+    ),
+    *setting(
+        "5.2.7",
+        "set_direction",
+        "86 sets the direction: 0 CW, 1 CCW.",
+        said(
+            "5.2.7/not-the-bus",
+            "The direction of the bus's motion is that of its commands.",
+            "motion/set_direction/and-the-bus",
+        ),
+    ),
+    *setting(
+        "5.2.8",
+        "set_screen_off",
+        "87 switches the display's going dark off (0) or on (1).",
+        unseen("5.2.8/dark", "The display goes dark after 15 seconds.", DISPLAY),
+    ),
+    *setting(
+        "5.2.9",
+        "set_protection",
+        "88 switches the rotor's protection off (0) or on (1).",
+        said("5.2.9/on", "With 1 a locked rotor is let go.", "motion/set_protection/lets-go"),
+        said("5.2.9/off", "With 0 a locked rotor is not let go.", "motion/set_protection/off-holds-on"),
+        said("5.2.9/released", "A command ends the protection.", "motion/release_protection/releases"),
+        unseen("5.2.9/key", "A key ends the protection.", KEYS),
+    ),
+    *setting(
+        "5.2.10",
+        "set_interpolation",
+        "89 switches interpolation off (0) or on (1).",
+        unseen("5.2.10/smooth", "Steps are interpolated to 256.", "finer than the encoder tells"),
+    ),
+    *setting(
+        "5.2.11",
+        "set_baud_rate",
+        "8A sets the baud rate, 1 to 7.",
+        said(
+            "5.2.11/rates",
+            "1 to 7 are 9600, 19200, 25000, 38400, 57600, 115200, 256000.",
+            "ranges/set_baud_rate/baud_rate/?*00",
+        ),
+    ),
+    *setting(
+        "5.2.12",
+        "set_address",
+        "8B sets the address, up to FFh.",
+        said("5.2.12/heard", "The drive is heard at its new address.", "addressing/set_address/moves"),
+        said(
+            "5.2.12/broadcast",
+            "0 is the address of all drives.",
+            "addressing/broadcast/*",
+            "ranges/set_address/new_address/below",
+        ),
+        unseen("5.2.12/shown", "The display shows the new address.", DISPLAY),
+    ),
+    *setting(
+        "5.2.13",
+        "set_respond",
+        "8C sets respond and active, 0 or 1 each.",
+        said("5.2.13/default", "Both are 1 by default.", "read-back/restore/settings"),
+        said("5.2.13/silent", "With respond 0 motion is executed and not answered.", "motion/set_respond/0-silences-*"),
+        said("5.2.13/read", "With respond 0 the status F1 is still answered.", "motion/set_respond/0-leaves-reads"),
+        said("5.2.13/passive", "With active 0 the beginning is answered and the end is not.", "motion/set_respond/inactive-*"),
+        said(
+            "5.2.13/end",
+            "With both 1 the end is answered by 2, or 3 at an end limit.",
+            "motion/*/replies",
+            "motion/set_home/end-limit-told-*",
+            "motion/set_respond/1-answers-again",
+        ),
+        said(
+            "5.2.13/start",
+            "Motion is answered at once by 1, or by 0 when it fails.",
+            "timing/*/answered-soon",
+            "motion/*/disabled",
+        ),
+    ),
+    *setting(
+        "5.2.14",
+        "set_modbus",
+        "8E switches Modbus-RTU off (0) or on (1).",
+        said("5.2.14/speaks", "With 1 the drive speaks Modbus-RTU instead.", "ranges/set_modbus/modbus/listed"),
+    ),
+    *setting(
+        "5.2.15",
+        "set_key_lock",
+        "8F unlocks (0) or locks (1) the keys.",
+        unseen("5.2.15/locked", "Locked keys do nothing.", KEYS),
+    ),
+    *setting(
+        "5.2.16",
+        "set_group_address",
+        "8D sets the group address, 1 to FFh.",
+        said(
+            "5.2.16/own",
+            "A drive of a group executes what its own address is sent.",
+            "addressing/group/own",
+            "examples/move_relative_pulses/*",
+        ),
+        said(
+            "5.2.16/all",
+            "What address 0 is sent, every drive executes.",
+            "addressing/broadcast/executed",
+            "examples/*/to_all_1",
+        ),
+        said(
+            "5.2.16/group",
+            "What the group address is sent, the group's drives execute.",
+            "addressing/group/executed",
+            "examples/*/to_group_*",
+        ),
+        said("5.2.16/others", "What another group is sent, a drive does not execute.", "addressing/group/other"),
+        said(
+            "5.2.16/silent",
+            "What a group is sent is not answered.",
+            "addressing/group/silent",
+            "addressing/group/read",
+            "addressing/group/setting/silent",
+        ),
+    ),
+    # 5.3 Home
+    *setting(
+        "5.3.1",
+        "set_home",
+        "90 sets trigger level, direction, speed and end limit.",
+        said("5.3.1/level", "The trigger level is 0 low or 1 high.", "motion/home/trigger", "read-back/set_home/home_trigger"),
+        said(
+            "5.3.1/way",
+            "Homing turns clockwise with 0, the other way with 1.",
+            "motion/home/finds-switch-*",
+            "read-back/set_home/home_direction",
+        ),
+        said(
+            "5.3.1/speed",
+            "Homing turns at the set speed, 0 to 3000 rpm.",
+            "motion/home/speed-*",
+            "read-back/set_home/home_speed",
+        ),
+        said(
+            "5.3.1/limit",
+            "The end limit is off with 0 and on with 1.",
+            "motion/set_home/end-limit-off",
+            "motion/set_home/end-limit-stops-*",
+        ),
+        unseen(
+            "5.3.1/home-first", "A changed end limit holds after homing.", "no claim yet: a limit that was changed since homing"
+        ),
+        said("5.3.1/lets-go", "With the end limit on, homing lets the shaft go at the switch.", "motion/home/end-limit"),
+        said("5.3.1/holds", "With it off, the shaft is held after homing.", "motion/home/holds"),
+    ),
+    said("5.3.2/homes", "91 looks for home.", "motion/home/finds-switch-*", "motion/home/zero"),
+    said("5.3.2/closed", "From a closed switch the shaft turns away first, then comes back.", "motion/home/from-closed-*"),
+    said("5.3.2/fails", "Status 0: homing failed.", "motion/home/disabled", "motion/home/stopped"),
+    said("5.3.2/starts", "Status 1: homing starts.", "motion/home/replies"),
+    said("5.3.2/done", "Status 2: home is found.", "motion/home/replies"),
+    said("5.3.3/zero", "92 makes the present place zero.", "motion/set_zero/*"),
+    said("5.3.3/stands", "92 does not move the motor.", "motion/set_zero/stands"),
+    said("5.3.3/status", "It is answered by 1, or by 0 when that fails.", "shape/set_zero/status"),
+    *setting(
+        "5.3.4",
+        "set_no_limit_home",
+        "94 sets the way back, the method and the current of homing.",
+        said("5.3.4/obstacle", "Method 1 homes against an obstacle, without a switch.", "motion/home/without-switch-*"),
+        said("5.3.4/method-0", "Method 0 homes by the switch.", "motion/home/finds-switch-*"),
+        said(
+            "5.3.4/back", "From the obstacle the shaft goes back by the angle: 4000h is a turn.", "motion/home/without-switch-*"
+        ),
+        said("5.3.4/zero", "Where it ends is zero.", "motion/home/without-switch-*"),
+        said("5.3.4/default", "By default the way back is 2000h.", "read-back/restore/settings"),
+        unseen("5.3.4/current", "The shaft pushes with this current and no more.", CURRENT_UNSEEN),
+        unseen("5.3.4/defaults", "Default currents: 42D 800, 57D 400, others 200 mA.", CURRENT_UNSEEN),
+    ),
+    *setting(
+        "5.3.5",
+        "set_limit_remap",
+        "9E switches the remapped ports off (0) or on (1).",
+        said("5.3.5/serial", "It works in serial modes alone.", "motion/set_limit_remap/pulse-mode"),
+        said("5.3.5/right", "A 42D then has a right limit, at Dir.", "motion/set_limit_remap/right-on"),
+        unseen("5.3.5/left", "The left limit is then at En.", "no command tells at which port a switch is read"),
+        said("5.3.5/off", "Without it a small drive has no right limit.", "motion/set_limit_remap/right-off"),
+    ),
+    # 5.4 to 5.6
+    *setting(
+        "5.4.1",
+        "set_zero_mode",
+        "9A sets mode, zero, speed and direction of the way back.",
+        said("5.4.1/off", "Mode 0: nothing turns at power-on.", "motion/set_zero_mode/off"),
+        said("5.4.1/direction", "Mode 1: the shaft goes back by the direction.", "motion/set_zero_mode/direction-*"),
+        said("5.4.1/near", "Mode 2: the shaft goes back by the smaller angle.", "motion/set_zero_mode/near-*"),
+        said("5.4.1/one-turn", "The way back is 359 degrees at most.", "motion/set_zero_mode/*"),
+        said(
+            "5.4.1/set", "Zero 1: the present place is kept.", "motion/set_zero_mode/near-*", "read-back/set_zero_mode/restart"
+        ),
+        said("5.4.1/clean", "Zero 0: the kept place is forgotten.", "motion/set_zero_mode/clean"),
+        said("5.4.1/speed", "Speed 0 is the slowest, 4 the fastest.", "motion/set_zero_mode/faster"),
+    ),
+    said(
+        "5.5/defaults", "3F puts every parameter back to its default.", "read-back/restore/settings", "read-back/restore/link"
+    ),
+    said("5.5/status", "It is answered by 1, or by 0 when that fails.", "shape/restore/status"),
+    unseen("5.5/reboots", "Then the drive starts again.", "no claim yet: what a restart ends"),
+    unseen("5.5/uncalibrated", "Then the motor needs a calibration.", "no command tells whether the motor is calibrated"),
+    unseen("5.5/key", "A key held at power-on restores the defaults.", KEYS),
+    said("5.6/restarts", "41 starts the drive again.", "motion/restart/ends-motion", "timing/restart/*"),
+    said("5.6/status", "It is answered by 1, or by 0 when that fails.", "shape/restart/status"),
+    # 5.7 Packages
+    said(
+        "5.7/five",
+        "A package holds up to five commands; each drive takes its own by the address.",
+        "addressing/package/own_slot",
+    ),
+    said("5.7/slots", "Each of the five slots is executed.", *(f"addressing/package/slot_{n}" for n in range(1, 6))),
+    unseen(
+        "5.7/settings", "A slot holds any ordinary command, without head and checksum.", "no claim yet: a setting in a slot"
+    ),
+    said("5.7/length", "A package has 52 bytes.", "addressing/package/length", "addressing/package/broken_off"),
+    said(
+        "5.7/zeros",
+        "A short command is filled up with zeros to ten bytes.",
+        "addressing/package/own_slot",
+        "addressing/package/slot_*",
+    ),
+    said("5.7/checksum", "A package ends in its checksum.", "addressing/package/checksum"),
+    said("5.7/first", "Of two commands for one drive only the first is executed.", "addressing/package/first_of_two"),
+    said("5.7/silent", "A package is not answered.", "addressing/package/silent"),
+    said("5.7/others", "Slots of other drives are not executed.", "addressing/package/others"),
+    said("5.7/example", "The printed package moves five motors in five ways.", "examples/long_package/1"),
+)
+
+_FRAMES = (
+    said("4/heads", "Requests begin with FA, replies with FB.", "framing/head/*", "shape/*/head"),
+    said("4/address", "A drive executes and answers what its own address is sent.", "addressing/other/*", "shape/*/address"),
+    said(
+        "4/addresses", "Addresses are 0 to 255; the default is 1.", "ranges/set_address/new_address/*", "read-back/restore/link"
+    ),
+    said(
+        "4/broadcast",
+        "Address 0 reaches every drive.",
+        "addressing/broadcast/executed",
+        "addressing/broadcast/setting/executed",
+    ),
+    said(
+        "4/broadcast-silent",
+        "What address 0 is sent is not answered.",
+        "addressing/broadcast/read",
+        "addressing/broadcast/silent",
+    ),
+    said(
+        "4/code",
+        "The code says which command is executed, and the reply repeats it.",
+        "shape/*/code",
+        "framing/unknown_code/ignored",
+    ),
+    said(
+        "4/check", "The check is the low byte of the sum of all bytes before.", "framing/checksum_*/ignored", "shape/*/checksum"
+    ),
+    said(
+        "4/check-motion",
+        "Motion with a wrong check is not executed.",
+        "framing/checksum_bit/not_executed",
+        "framing/flipped_bit/not_executed",
+    ),
+    said(
+        "4/other-motion",
+        "Motion for another address is not executed.",
+        "addressing/other/not_executed",
+        "addressing/group/other",
+    ),
+    said(
+        "4/answered", "Every request is answered, once.", "shape/*/answered", "shape/*/once", "resilience/*", "traffic/answered"
+    ),
+    said("4/unasked", "A drive that is asked nothing says nothing.", "shape/unasked", "traffic/asked_for"),
+)
+
+
+def _stop(section: str, name: str, code: str) -> Iterator[Statement]:
+    yield said(f"{section}/ramp", f"{code} with speed 0 and an acceleration slows the shaft down.", f"motion/{name}/by-ramp")
+    yield said(f"{section}/at-once", f"{code} with speed 0 and acceleration 0 stops at once.", f"motion/{name}/at-once")
+    yield said(f"{section}/stays", "The shaft then stands.", f"motion/{name}/stays-stopped")
+    yield said(f"{section}/starts", "Status 1: it begins to stop.", f"motion/{name}/replies")
+    yield said(f"{section}/done", "Status 2: the shaft stands.", f"motion/{name}/replies", f"motion/{name}/told-when-standing")
+    yield said(f"{section}/fails", "Status 0: the stop failed.", f"motion/{name}/pulse-mode", f"shape/{name}/status")
+    yield said(f"{section}/silent", "Its answers can be switched off by 8C.", f"motion/set_respond/0-silences-{name}")
+
+
+def _move(section: str, name: str, code: str, *more: Statement) -> Iterator[Statement]:
+    yield said(
+        f"{section}/speed", f"{code} turns the shaft at the speed, 0 to 3000.", f"motion/{name}/speed", f"ranges/{name}/speed/*"
+    )
+    yield said(
+        f"{section}/acceleration",
+        "It takes the ramp of its acceleration, up and down.",
+        f"timing/{name}/takes-*",
+        f"timing/{name}/ramp-is-even",
+        f"motion/{name}/within",
+    )
+    yield from more
+    yield said(f"{section}/fails", "Status 0: it was not executed.", f"motion/{name}/disabled", f"motion/{name}/protected")
+    yield said(f"{section}/starts", "Status 1: it begins.", f"motion/{name}/replies")
+    yield said(f"{section}/complete", "Status 2: it is complete.", f"motion/{name}/replies", f"motion/{name}/told-when-there")
+    yield said(f"{section}/limit", "Status 3: an end limit stopped it.", f"motion/set_home/end-limit-told-{name}")
+    yield said(f"{section}/silent", "Its answers can be switched off by 8C.", f"motion/set_respond/0-silences-{name}")
+
+
+_MOTION = (
+    said("6/serial", "Motion commands need a serial work mode.", "motion/*/pulse-mode"),
+    *RAMPS,
+    said("6.2.1/answered", "F1 reads what the motor does.", "shape/read_status/answered", "motion/read_status/follows"),
+    said("6.2.1/stopped", "1: it stands.", "motion/read_status/at-rest", "motion/read_status/after-a-move"),
+    said("6.2.1/up", "2: it speeds up.", "motion/read_status/speeding-up", "motion/read_status/in-a-move"),
+    said("6.2.1/down", "3: it slows down.", "motion/read_status/slowing-down"),
+    said("6.2.1/full", "4: it turns at full speed.", "motion/read_status/full-speed"),
+    said("6.2.1/homing", "5: it is homing.", "motion/home/status"),
+    said("6.2.1/calibrating", "6 (printed 5): it is calibrating.", "motion/calibrate/status"),
+    said("6.2.1/fail", "0: the query failed.", "shape/read_status/status"),
+    said("6.2.2/off", "F3 with 0 lets the motor go.", "motion/enable/off-ends-motion", "motion/enable/is-read"),
+    said("6.2.2/on", "F3 with 1 makes it hold.", "motion/enable/is-read", "read-back/enable/effect"),
+    said("6.2.2/status", "It is answered by 1, or by 0 when that fails.", "shape/enable/status", "ranges/enable/enabled/*"),
+    said(
+        "6.2.2/disabled-motion",
+        "A disabled motor is not turned by any motion command.",
+        *each(_RUNS, "motion/{}/disabled"),
+        "motion/home/disabled",
+    ),
+    said("6.3/stops", "F7 stops the motor at once.", "motion/emergency_stop/ends-*", "motion/home/stopped"),
+    said("6.3/status", "It is answered by 1, or by 0 when that fails.", "motion/emergency_stop/replies"),
+    said("6.4/broadcast", "By address 0 all motors execute the same.", "addressing/broadcast/executed"),
+    said("6.4/group", "By group addresses the motors of each group execute the same.", "addressing/group/executed"),
+    said("6.4/package", "By a package each motor executes its own.", "addressing/package/own_slot"),
+    # 6.5 Speed
+    said(
+        "6.5.1/runs",
+        "F6 turns the shaft at a fixed speed and acceleration.",
+        "motion/run_speed/speed-*",
+        "motion/run_speed/lasts",
+    ),
+    said(
+        "6.5.1/way",
+        "The highest bit of byte 4 is the direction: 0 CCW, 1 CW.",
+        "motion/run_speed/opposite",
+        "motion/run_speed/raises",
+    ),
+    said("6.5.1/speed", "The speed has 12 bits, in bytes 4 and 5.", "ranges/run_speed/speed/*"),
+    said("6.5.1/acceleration", "The acceleration is 0 to 255.", "ranges/run_speed/acceleration/*", "timing/run_speed/ramp-*"),
+    said("6.5.1/reserved", "Bits 6 to 4 of byte 4 are reserved.", "ranges/run_speed/reserved"),
+    said("6.5.1/forward", "01 40 02 turns it forward at 320 rpm.", "examples/run_speed/1"),
+    said("6.5.1/reverse", "81 40 02 turns it backward at 320 rpm.", "examples/run_speed/2"),
+    said(
+        "6.5.1/status", "It is answered by 1, or by 0 when that fails.", "motion/run_speed/replies", "motion/run_speed/disabled"
+    ),
+    said("6.5.1/silent", "Its answers can be switched off by 8C.", "motion/set_respond/0-silences-run_speed"),
+    *_stop("6.5.2", "stop_speed", "F6"),
+    said(
+        "6.5.3/save", "FF with C8 keeps the present run.", "motion/save_speed/runs-direction-*", "read-back/save_speed/restart"
+    ),
+    said("6.5.3/clean", "FF with CA forgets the kept run.", "motion/save_speed/clean", "read-back/save_speed/clean"),
+    said(
+        "6.5.3/status", "It is answered by 1 or 2, or by 0 when that fails.", "shape/save_speed/status", "examples/save_speed/1"
+    ),
+    said(
+        "6.5.3/power-on",
+        "With a kept run the motor turns when power comes on, either way.",
+        "motion/save_speed/runs-direction-*",
+    ),
+    # 6.6 to 6.9 Positions
+    *_move(
+        "6.6.1",
+        "move_relative_pulses",
+        "FD",
+        said(
+            "6.6.1/way",
+            "The highest bit of byte 4 is the direction.",
+            "motion/move_relative_pulses/opposite",
+            "motion/run_speed/same-sense",
+        ),
+        said("6.6.1/reserved", "Bits 6 to 4 of byte 4 are reserved.", "ranges/move_relative_pulses/reserved"),
+        said(
+            "6.6.1/pulses",
+            "It goes on by the pulses, 32 bits of them.",
+            "motion/move_relative_pulses/distance",
+            "motion/move_relative_pulses/far",
+        ),
+        said(
+            "6.6.1/20-turns",
+            "FA00h pulses are 20 turns at 16 subdivisions.",
+            "examples/move_relative_pulses/*",
+            "motion/move_relative_pulses/distance",
+        ),
+        said("6.6.1/subdivision", "A turn has 3200 pulses at 16 subdivisions.", "motion/set_subdivision/pulses-at-16"),
+    ),
+    *_stop("6.6.2", "stop_relative_pulses", "FD"),
+    *_move(
+        "6.7.1",
+        "move_absolute_pulses",
+        "FE",
+        said(
+            "6.7.1/place",
+            "It goes to a place in pulses, 32 signed bits.",
+            "motion/move_absolute_pulses/distance",
+            "motion/move_absolute_pulses/far",
+        ),
+        said("6.7.1/read", "Then the pulses read what was sent.", "motion/move_absolute_pulses/reads-as-asked"),
+        said(
+            "6.7.1/anywhere",
+            "It goes there from any place.",
+            "motion/move_absolute_pulses/again",
+            "motion/move_absolute_pulses/same-place",
+        ),
+        said(
+            "6.7.1/below-zero",
+            "FFFFC000h is -4000h.",
+            "motion/move_absolute_pulses/reads-as-asked",
+            "examples/move_absolute_pulses/2",
+        ),
+    ),
+    *_stop("6.7.2", "stop_absolute_pulses", "FE"),
+    *_move(
+        "6.8.1",
+        "move_relative_axis",
+        "F4",
+        said(
+            "6.8.1/distance",
+            "It goes on by a distance in encoder counts, 32 signed bits.",
+            "motion/move_relative_axis/distance",
+            "motion/move_relative_axis/far",
+        ),
+        said("6.8.1/axis", "The axis is the value that 31 reads.", "motion/move_relative_axis/sign"),
+        said(
+            "6.8.1/forward",
+            "From 8000h by 4000h it ends at C000h.",
+            "examples/move_relative_axis/1",
+            "motion/move_relative_axis/sign",
+        ),
+        said(
+            "6.8.1/back",
+            "From 8000h by -4000h it ends at 4000h.",
+            "examples/move_relative_axis/2",
+            "motion/move_relative_axis/opposite",
+        ),
+    ),
+    *_stop("6.8.2", "stop_relative_axis", "F4"),
+    *_move(
+        "6.9.1",
+        "move_absolute_axis",
+        "F5",
+        said(
+            "6.9.1/place",
+            "It goes to a place in encoder counts, 32 signed bits.",
+            "motion/move_absolute_axis/distance",
+            "motion/move_absolute_axis/far",
+        ),
+        said(
+            "6.9.1/axis",
+            "The axis is the value that 31 reads.",
+            "motion/move_absolute_axis/sign",
+            "motion/move_absolute_axis/reads-as-asked",
+        ),
+        said(
+            "6.9.1/updates",
+            "A newer target and speed are taken up under way.",
+            "motion/move_absolute_axis/update-*",
+            "motion/move_absolute_axis/newer-*",
+        ),
+        said(
+            "6.9.1/anywhere",
+            "It goes there from any place.",
+            "motion/move_absolute_axis/again",
+            "motion/move_absolute_axis/same-place",
+        ),
+        said(
+            "6.9.1/below-zero",
+            "FFFFC000h is -4000h.",
+            "motion/move_absolute_axis/reads-as-asked",
+            "examples/move_absolute_axis/2",
+        ),
+    ),
+    *_stop("6.9.2", "stop_absolute_axis", "F5"),
+    # Part 7
+    said("7.3/read", "FA 01 30 2B reads carry -1 and value 2269h in six bytes.", "examples/read_encoder_carry/*"),
+    said("7.4/run", "FA 01 F6 01 40 02 is answered by status 1.", "examples/run_speed/*"),
+    said("7.4/save", "FA 01 FF C8 is answered by status 1.", "examples/save_speed/1"),
+    said("7.4/stop", "FA 01 F6 00 00 02 stops the motor.", "examples/stop_speed/*"),
+    said("7.4/power-on", "Then the motor turns as was kept when power comes on.", "motion/save_speed/runs-direction-*"),
+    said(
+        "7.5/200-turns",
+        "9C400h pulses are 200 turns, told by 1 and then by 2.",
+        "examples/move_relative_pulses/*",
+        "motion/move_relative_pulses/replies",
+    ),
+    said(
+        "7.5/1000-turns",
+        "30D400h pulses the other way are 1000 turns.",
+        "examples/move_relative_pulses/*",
+        "motion/move_relative_pulses/opposite",
+    ),
+    said(
+        "7.5/stop",
+        "A stop under way is told by 1 and then by 2.",
+        "motion/stop_relative_pulses/replies",
+        "examples/stop_relative_pulses/*",
+    ),
+)
+
+_NO_SWITCH = (
+    said("3.13/silent", "UartRSP silences the answers of speed and position commands.", "motion/set_respond/0-silences-*"),
+    said("3.13/status", "F1 still tells what the motor does.", "motion/set_respond/0-leaves-reads"),
+    said("3.22/no-limit", "With noLimit the shaft turns until an obstacle stops it.", "motion/home/without-switch-*"),
+    said("3.22/back", "Then it goes back by the set angle, and that point is zero.", "motion/home/without-switch-*"),
+    unseen("3.23/current", "Hm_Ma is the current of homing without a switch.", CURRENT_UNSEEN),
+    said("3.25/zero", "Where homing ends is zero.", "motion/home/zero"),
+)
+
+STATEMENTS = (*SHARED, *_NO_SWITCH, *_FRAMES, *_LONG_READS, *_SETTINGS, *_MOTION)
