@@ -18,6 +18,7 @@ from typing import Any
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Subject, Verb
 from analyzer.link import CanLink
 from analyzer.records import CanFrame
+from analyzer.reference.hex_frame import CAN_ID_LIMIT
 from conformance.claim import Claim, Inconclusive, Theme
 from conformance.claims import resilience_busy
 from conformance.claims.declare import Case, claim, commands, declared_in, described_in
@@ -182,8 +183,8 @@ def _foreign_frames(probe: Probe) -> Exchange:
     chance = random.Random(_SEED)
     read = probe.build(plain_read(probe.dialect))
     for _ in range(_FLOOD):
-        can_id = chance.randrange(1, probe.dialect.addresses[1] + 1)
-        if can_id != read.can_id:
+        can_id = chance.randrange(1, CAN_ID_LIMIT + 1)
+        if probe.dialect.link.parse(read.frame, can_id).address != probe.address:
             last = probe.send(CanFrame(None, "bus", can_id, read.frame[:-1] + bytes((chance.randrange(256),))), timeout_ns=0)
     probe.wait(LISTEN_NS)
     return last

@@ -37,8 +37,8 @@ def gate_to(endpoint: Endpoint, allowance: Allowance, dialects: Iterable[Dialect
         yield Gate(line, allowance, dialects=dialects)
 
 
-def parse_addresses(text: str) -> list[int]:
-    """Return the addresses of `1-32` or `1,2,0x10-0x1F`, each once, in order.
+def parse_addresses(text: str, lowest: int = 1) -> list[int]:
+    """Return the addresses of `1-32` or `1,2,0x10-0x1F`, each once, in order; none is below `lowest`.
 
     Raises UsageError for what is none.
     """
@@ -50,9 +50,9 @@ def parse_addresses(text: str) -> list[int]:
             high = int(last, 0) if dash else low
         except ValueError:
             low = high = -1
-        if not 0 < low <= high <= _HIGHEST_ADDRESS:
+        if not lowest <= low <= high <= _HIGHEST_ADDRESS:
             raise UsageError(
-                f"--addresses: got {quote(part)}, expected addresses from 1 to {_HIGHEST_ADDRESS}, as 1-32 or 1,2,7"
+                f"--addresses: got {quote(part)}, expected addresses from {lowest} to {_HIGHEST_ADDRESS}, as 1-32 or 1,2,7"
             )
         found |= dict.fromkeys(range(low, high + 1))
     return list(found)

@@ -51,8 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Scan; return 0 if a drive was found."""
     endpoint = endpoints.parse(arguments.endpoint)
-    addresses = parse_addresses(arguments.addresses)
     dialects = _dialects(arguments.dialects, endpoint)
+    addresses = parse_addresses(arguments.addresses, min(dialect.addresses[0] for dialect in dialects))
     rates = _rates(arguments.rates, endpoint, dialects)
     if not 0 < arguments.timeout <= 60_000:
         raise UsageError(f"--timeout: got {arguments.timeout:g}, expected milliseconds above 0, at most 60000")

@@ -128,6 +128,13 @@ def test_a_node_that_is_not_there_is_not_taken_for_another(on_port):
     assert "toy-can@5 does: it has another address" in err
 
 
+def test_every_node_is_found_by_a_scan(toy, capsys):
+    with served(ToyDrive(node=0)) as place:
+        assert main(["scan", place, "--dialects", "toy-can", "--addresses", "0-2", "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)["found"]
+    assert (found["dialect"], found["address"]) == ("toy-can", 0)
+
+
 def test_a_dry_run_says_that_no_emulated_drive_stands_in(on_port):
     status, _, err = on_port(ToyDrive(), "--dry-run", *FEW)
     assert status == 2
