@@ -102,9 +102,9 @@ class Codec:
         return self._json(self._items)
 
     @cached_property
-    def sound(self) -> Callable[[bytes], bool]:
+    def valid(self) -> Callable[[bytes], bool]:
         """Says whether all values are as the manual lists them."""
-        return self._soundness()
+        return self._validity()
 
     @cached_property
     def _fixed_match(self) -> Callable[[bytes], bool]:
@@ -174,7 +174,7 @@ class Codec:
                 result[name + "_name"] = choice
         return result
 
-    def _soundness(self) -> Callable[[bytes], bool]:
+    def _validity(self) -> Callable[[bytes], bool]:
         tests, names = [], {}
         for index, (offset, field) in enumerate(self.layout):
             text = _expression(offset, field)
@@ -187,11 +187,11 @@ class Codec:
                 tests.append(f"({text}) in set_{index}")
             elif field.low > field.wire_minimum or field.high < field.wire_maximum:
                 tests.append(f"{field.low} <= ({text}) <= {field.high}")
-        return _compile("sound", f"    return {' and '.join(tests) or True}", dict(names))
+        return _compile("valid", f"    return {' and '.join(tests) or True}", dict(names))
 
     def broken(self, data: bytes) -> tuple[Violation, ...]:
         """Return what the values break; empty where all are as the manual says."""
-        return () if self.sound(data) else self._broken(data)
+        return () if self.valid(data) else self._broken(data)
 
     def _broken(self, data: bytes) -> tuple[Violation, ...]:
         result = []

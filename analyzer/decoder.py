@@ -126,9 +126,9 @@ class Decoder:
         if request is None or reply[1].needs_request:
             # A form that needs an open request was only found because that request is open.
             return Role.REPLY
-        request_sound, reply_sound = request[2].sound(data), reply[2].sound(data)
-        if request_sound != reply_sound:
-            return Role.REQUEST if request_sound else Role.REPLY
+        request_valid, reply_valid = request[2].valid(data), reply[2].valid(data)
+        if request_valid != reply_valid:
+            return Role.REQUEST if request_valid else Role.REPLY
         return self._role_by_requests(head, context, data)
 
     def _any_reply(self, key: tuple[int | None, int], head: Head, data: bytes, context: Context | None) -> _Entry | None:
@@ -348,8 +348,8 @@ def _chosen(lanes: tuple[Lane, Lane], data: bytes, context: Context) -> Lane | N
     own = data[request.start : request.stop]
     waiting = context.open.get(request.address)
     if not waiting:
-        return request if request.sound is None or request.sound(own) else None
-    if len(waiting) == 1 and waiting[0].command is reply.command and (reply.sound is None or reply.sound(own)):
+        return request if request.valid is None or request.valid(own) else None
+    if len(waiting) == 1 and waiting[0].command is reply.command and (reply.valid is None or reply.valid(own)):
         return reply
     return None
 

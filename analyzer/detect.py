@@ -65,9 +65,9 @@ class _FrameCount:
     def entry(self, entry: Entry) -> None:
         message = entry.message
         frame = message.frame
-        sound = frame.checksum_ok and message.form is not None and not message.violations
+        good = frame.checksum_ok and message.form is not None and not message.violations
         fallback = message.command is not None and message.command in frame.dialect.fallbacks.values()
-        if sound and not fallback and (frame.can is None or message.role is not Role.UNKNOWN):
+        if good and not fallback and (frame.can is None or message.role is not Role.UNKNOWN):
             name = frame.dialect.name
             self.frames[name] = self.frames.get(name, 0) + 1
             self.good_bytes[name] = self.good_bytes.get(name, 0) + len(frame.data)

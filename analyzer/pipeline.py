@@ -253,7 +253,7 @@ class Pipeline:
             lane = decoder.lane(frame, context)
             if (
                 lane is not None
-                and (lane.sound is None or lane.sound(frame.data[lane.start : lane.stop]))
+                and (lane.valid is None or lane.valid(frame.data[lane.start : lane.stop]))
                 and self._plain(port, lane, frame)
             ):
                 return

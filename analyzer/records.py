@@ -148,8 +148,20 @@ class Lane:
     """
 
     __slots__ = (
-        "address", "codec", "command", "dialect", "form", "is_request", "json", "meanings", "plain", "role", "sound",
-        "start", "stop", "topic",
+        "address",
+        "codec",
+        "command",
+        "dialect",
+        "form",
+        "is_request",
+        "json",
+        "meanings",
+        "plain",
+        "role",
+        "start",
+        "stop",
+        "topic",
+        "valid",
     )  # fmt: skip
 
     def __init__(self, dialect: Dialect, role: Role, address: int, command: Command, form: Form, start: int, stop: int) -> None:
@@ -161,7 +173,7 @@ class Lane:
         self.form = form
         self.codec = codec(form.layout)
         #: Says whether data are as the manual lists them; None where there are none to be wrong.
-        self.sound = self.codec.sound if form.layout.fields else None
+        self.valid = self.codec.valid if form.layout.fields else None
         self.json = self.codec.json
         self.start = start
         self.stop = stop

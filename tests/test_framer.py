@@ -240,17 +240,17 @@ def damage(draw, frames):
     before, after = frames_at(frames[:index]), frames_at(frames[index + 1 :])
     shift = len(joined(frames[:index])) + len(wreck)
     after = [(shift + at, data, name) for at, data, name in after]
-    sound = before[: len(before) - (first == 0)] + after[last == len(hurt) :]
-    return joined(frames[:index]) + wreck + joined(frames[index + 1 :]), sound
+    undamaged = before[: len(before) - (first == 0)] + after[last == len(hurt) :]
+    return joined(frames[:index]) + wreck + joined(frames[index + 1 :]), undamaged
 
 
 @given(data=st.data(), names=wires())
 @settings(max_examples=200, deadline=None)
 def test_frames_that_no_damage_touches_or_abuts_are_found(data, names):
     """After a cut, an insertion or a flip the very next frame is found, where it does not abut the damage."""
-    line, sound = damage(data.draw, data.draw(traffic(names, 2, 6)))
+    line, undamaged = damage(data.draw, data.draw(traffic(names, 2, 6)))
     found = Line(*names).feed(line).close().good
-    assert [frame for frame in sound if frame not in found] == []
+    assert [frame for frame in undamaged if frame not in found] == []
 
 
 @given(data=st.data(), names=wires())

@@ -1,6 +1,6 @@
 """The table of a layout's fields on a reference page: where each stands, its type, unit, limits and names.
 
-The first column is the number that stands for a field in the bit picture. Values are in the field's unit. Choices, what
+The first column is the number that stands for a field in the bit diagram. Values are in the field's unit. Choices, what
 differs between models, and notes stand below the table.
 """
 
@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from analyzer.layout import Field, FieldKind, Layout, ModelLimits, Order
+from analyzer.reference.bit_diagram import key
 from analyzer.reference.columns import WIDTH, columns
-from analyzer.reference.picture import key
 from analyzer.values import range_text, value_text, with_unit
 
 #: A natural range wider than this many bits says nothing that the type does not.

@@ -10,11 +10,11 @@ from analyzer.decoder import slots_of
 from analyzer.dialects import code_text
 from analyzer.encoder import SLOTS, assemble
 from analyzer.layout import Effect, Field, Layout
+from analyzer.reference.bit_diagram import bit_diagram
 from analyzer.reference.columns import WIDTH, columns, paragraph, styled
 from analyzer.reference.field_table import field_table
 from analyzer.reference.hex_frame import write_frame
 from analyzer.reference.objects import concerns, risk_values
-from analyzer.reference.picture import picture
 from analyzer.values import value_text
 
 _INDENT = "  "
@@ -177,7 +177,7 @@ def _form_lines(dialect: Dialect, command: Command, form: Form, role: Role) -> I
     if not layout.fields:
         return
     yield ""
-    yield from (_INDENT + line for line in picture(layout))
+    yield from (_INDENT + line for line in bit_diagram(layout))
     yield ""
     yield from field_table(layout, indent=_INDENT)
 

@@ -18,8 +18,8 @@ from analyzer.link import HeadLink, LkLink
 from conformance.claim import Claim, Inconclusive, Theme
 from conformance.claims import addressing_many, addressing_package
 from conformance.claims.addressing_many import read_of, send_to
+from conformance.claims.control_reads import ask_first, judge_next, plain_read, received_text
 from conformance.claims.declare import Case, claim, commands, declared_in, described_in
-from conformance.claims.hearing import ask_first, came, judge_next, plain_read
 from conformance.claims.known_quirks import may_meet
 from conformance.motion import effects
 from conformance.motion.effects import Observable
@@ -109,7 +109,7 @@ def _not_answered(probe: Probe, addresses: Addresses) -> None:
     for address in _chosen(probe.dialect, probe.address, addresses(probe.dialect, probe.address)):
         sent = read_of(probe, address)
         probe.expect(
-            came(sent),
+            received_text(sent),
             holds=sent.silent,
             expected=f"silence after {hex_of(sent.sent or b'')}",
             refutes=f"a request to {address} is answered, and the drive is {probe.address}",
@@ -175,7 +175,7 @@ def _moves(probe: Probe, command: Command) -> None:
     new = old + 1 if old < probe.dialect.addresses[1] else old - 1
     exchange = probe.ask(command, {"new_address": new})
     if exchange.silent or probe.refused(exchange):
-        raise Inconclusive(f"{command.name} was answered {came(exchange)}")
+        raise Inconclusive(f"{command.name} was answered {received_text(exchange)}")
     if probe.claim.quirks and any(a.message.address == new for a in exchange.answers):
         probe.meets(NEW_ADDRESS_ANSWERS)
     try:
@@ -194,7 +194,7 @@ def _judge_place(probe: Probe, here: int, gone: int, told: Exchange) -> None:
         heard = [any(a.message.address == address and a.message.frame.checksum_ok for a in t.answers) for t in tries]
         what = "is not heard there" if wanted else "is still heard at the old one"
         probe.expect(
-            came(exchange),
+            received_text(exchange),
             holds=any(heard) == wanted,
             expected=f"{'a reply' if wanted else 'silence'} at {address}, behind {hex_of(told.sent or b'')}",
             refutes=f"a drive that was given the address {here} {what}",
@@ -226,7 +226,7 @@ def _expect_silence(probe: Probe, frame: bytes) -> None:
     ask_first(probe)
     sent = probe.send(frame)
     expected, text = f"silence after {hex_of(frame)}", "another drive's reply is answered"
-    probe.expect(came(sent), holds=sent.silent, expected=expected, refutes=text, exchange=sent)
+    probe.expect(received_text(sent), holds=sent.silent, expected=expected, refutes=text, exchange=sent)
 
 
 @_addressing("any answer", each=_with_heads, name="foreign_reply/ignored")

@@ -12,8 +12,8 @@ from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Doubt, Risk, Subject, Verb
 from conformance.claim import Claim, Theme
+from conformance.claims.control_reads import ask_first, is_answered, judge_next, plain_read, received_text
 from conformance.claims.declare import Case, Cases, claim, declared_in, described_in
-from conformance.claims.hearing import ask_first, came, is_answered, judge_next, plain_read
 from conformance.motion import effects
 from conformance.motion.effects import Change, Observable
 from conformance.talk.exchange import Exchange, hex_of
@@ -129,7 +129,7 @@ def _addressing(refuted_by: str, each: Cases, **facts: Any) -> Callable[[Callabl
 
 def _expect_silence(probe: Probe, sent: Exchange, what: str) -> None:
     probe.expect(
-        came(sent),
+        received_text(sent),
         holds=sent.silent,
         expected=f"silence after {hex_of(sent.sent or b'')}",
         refutes=f"{what} is answered",
@@ -175,7 +175,7 @@ def _own_address(probe: Probe, many: _Many) -> None:
     many.join(probe)
     tries = [probe.ask(plain_read(probe.dialect)) for _ in range(2)]
     probe.expect(
-        came(tries[-1]),
+        received_text(tries[-1]),
         holds=any(is_answered(each) for each in tries),
         expected=f"a reply to {hex_of(tries[-1].sent or b'')}",
         refutes="a drive in a group no longer answers its own address",
@@ -238,7 +238,7 @@ def _other_group(probe: Probe, many: _Many, shown: Observable) -> None:
     for address in (group + 1, group - 1):
         sent = send_to(probe, address, change, shown.settle_ns)
         probe.expect(
-            came(sent) if not sent.silent else "it is executed",
+            received_text(sent) if not sent.silent else "it is executed",
             holds=sent.silent and not shown.done(probe, change),
             expected=f"no answer and no effect of {hex_of(sent.sent or b'')}",
             refutes=f"the group {address} is heard, and the drive is in {group}",

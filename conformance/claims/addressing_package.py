@@ -13,8 +13,8 @@ from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from conformance.claim import Claim, Inconclusive, Theme
+from conformance.claims.control_reads import ask_first, judge_next, plain_read, received_text
 from conformance.claims.declare import Case, Cases, claim, declared_in
-from conformance.claims.hearing import ask_first, came, judge_next, plain_read
 from conformance.motion import effects, motion
 from conformance.motion.effects import STEP, STEP_NS
 from conformance.talk.exchange import Exchange, hex_of
@@ -206,7 +206,7 @@ def _silent(probe: Probe, command: Command) -> None:
         frame = _frame(probe, command, [slot])
         sent = probe.send(frame, timeout_ns=STEP_NS * _OTHER)
         expected = f"silence after {hex_of(frame)}"
-        probe.expect(came(sent), holds=sent.silent, expected=expected, refutes="a package is answered", exchange=sent)
+        probe.expect(received_text(sent), holds=sent.silent, expected=expected, refutes="a package is answered", exchange=sent)
 
 
 @_of_packages("silence, or another answer", name="next")

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 from analyzer.catalogue import Command, Dialect, Verb
 from conformance.claim import Claim, Inconclusive
-from conformance.claims import world
+from conformance.claims import bench
 from conformance.claims.declare import commands, declared_in
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, that_tell_their_end
@@ -93,5 +93,5 @@ def _replies(probe: Probe, command: Command) -> None:
 @of_motion(each=that_tell_their_end(_calibrations), refuted_by="others", by_name=True, emulated=True, quirks=may_meet(_AT_ONCE))
 def _held(probe: Probe, command: Command) -> None:
     """A calibration whose shaft is held is answered by 0 and then by 2."""
-    world.hold(probe)
+    bench.hold(probe)
     _expect_replies(probe, command, [0, 2])

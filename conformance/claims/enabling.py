@@ -8,11 +8,11 @@ Rules kept here:
 from __future__ import annotations
 
 from analyzer.catalogue import Certainty, Command, Verb
+from conformance.claims.bench import lk_drive
 from conformance.claims.declare import commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.claims.stops import expect_standing, set_going
-from conformance.claims.world import lk_drive
 from conformance.motion import motion
 from conformance.motion.motion import MS, SECOND_NS
 from conformance.talk.probe import Probe

@@ -12,11 +12,11 @@ from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Verb
 from conformance.claim import Inconclusive
+from conformance.claims.bench import lk_drive
 from conformance.claims.declare import Case, Cases
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import expect_stays, of_motion, risks_by
 from conformance.claims.motion_reads import PLACES, angle, around, turn_by
-from conformance.claims.world import lk_drive
 from conformance.motion import motion
 from conformance.motion.motion import MS, SECOND_NS
 from conformance.talk.exchange import Exchange

@@ -17,7 +17,7 @@ from typing import Any
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Verb
 from conformance.claim import Claim, Inconclusive, NotRun
-from conformance.claims import homing, world
+from conformance.claims import bench, homing
 from conformance.claims.declare import Case, Cases, commands, declared_in
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import expect_stays, of_motion, risks_by, that_tell_their_end
@@ -68,8 +68,8 @@ def _homed(probe: Probe, end_limit: int = 1) -> None:
     """Find the left end stop and go back half a turn from it; the right one stands beyond."""
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     homing.set_home(probe, end_limit=end_limit, home_speed=60)
-    world.left_switch(probe, _LEFT)
-    world.right_switch(probe, _LEFT + _RIGHT_TURNS * probe.dialect.counts_per_turn)
+    bench.left_switch(probe, _LEFT)
+    bench.right_switch(probe, _LEFT + _RIGHT_TURNS * probe.dialect.counts_per_turn)
     homing.find_home(probe)
     probe.wait(500 * MS)
     # Homing may have let the shaft go.
@@ -216,7 +216,7 @@ def _right(probe: Probe, command: Command, remap: int) -> None:
     motion.ready_to_move(probe)
     probe.do(command, {"limit_remap": remap})
     _homed(probe)
-    wanted = bool(remap) or world.drive_of(probe).model.startswith("57")
+    wanted = bool(remap) or bench.drive_of(probe).model.startswith("57")
     move, turn = probe.command(Verb.MOVE_RELATIVE_AXIS), probe.dialect.counts_per_turn
     exchange = motion.ask(probe, move, _LONG_TURNS * 360, rpm=120, acceleration=QUICK)
     if motion.refused(probe, exchange):

@@ -23,9 +23,9 @@ from analyzer import encoder
 from analyzer.catalogue import Command, Dialect, Doubt, MotionKind, Risk, Role, Vector, Verb
 from analyzer.codec import codec
 from conformance.claim import Aspect, Inconclusive, Theme
+from conformance.claims.control_reads import received_text
 from conformance.claims.declare import Case, claim
 from conformance.claims.examples_many import is_to_many
-from conformance.claims.hearing import came
 from conformance.claims.known_quirks import known
 from conformance.claims.requests import demands, needs_motion, put_to_rest, values_for
 from conformance.motion import motion
@@ -186,13 +186,20 @@ def _judge(probe: Probe, example: Example, exchange: Exchange) -> None:
     got = replies(exchange, probe.dialect).readings
     name = example.command.name
     if not got:
-        _expect(probe, exchange, False, f"the example of {name} is not answered", "a reply", came(exchange))
+        _expect(probe, exchange, False, f"the example of {name} is not answered", "a reply", received_text(exchange))
     if not example.replies:
         refused = probe.refused(exchange)
-        _expect(probe, exchange, not refused, f"the example of {name} is refused", "a reply that it is done", came(exchange))
+        _expect(
+            probe,
+            exchange,
+            not refused,
+            f"the example of {name} is refused",
+            "a reply that it is done",
+            received_text(exchange),
+        )
     for number, printed in enumerate(example.replies):
         what = f"reply {number + 1} to the example of {name}"
-        _expect(probe, exchange, number < len(got), f"{what} does not come", printed.printed, came(exchange))
+        _expect(probe, exchange, number < len(got), f"{what} does not come", printed.printed, received_text(exchange))
         expected = _expected(probe, example, got[number], printed)
         if got[number].lacks_check and NO_CHECKSUM in probe.claim.quirks:
             probe.meets(NO_CHECKSUM)

@@ -24,8 +24,8 @@ from analyzer.link import CanLink, HeadLink, Link, LkLink, ModbusLink
 from analyzer.records import CanFrame
 from conformance.claim import Claim, NotRun, Theme
 from conformance.claims import framing_effects, framing_open
+from conformance.claims.control_reads import PAUSE_NS, ask_first, garblers, judge_next, plain_read, received_text
 from conformance.claims.declare import Case, claim, declared_in, described_in
-from conformance.claims.hearing import PAUSE_NS, ask_first, came, garblers, judge_next, plain_read
 from conformance.claims.known_quirks import known
 from conformance.talk import garbling
 from conformance.talk.exchange import hex_of
@@ -205,7 +205,7 @@ def _ignored(probe: Probe, kind: _Kind) -> None:
             probe.meets(probe.claim.quirks[0])
             continue
         probe.expect(
-            came(exchange),
+            received_text(exchange),
             holds=exchange.silent,
             expected=f"silence after {hex_of(item)}",
             refutes=f"{what}: answered",

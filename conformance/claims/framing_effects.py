@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from analyzer.catalogue import Command, Dialect, Risk, Subject, Verb
 from analyzer.link import HeadLink
 from conformance.claim import Claim, Inconclusive, Theme
+from conformance.claims.control_reads import received_text
 from conformance.claims.declare import Case, claim, declared_in, described_in
-from conformance.claims.hearing import came
 from conformance.motion import effects
 from conformance.motion.effects import Observable
 from conformance.talk.exchange import Exchange, hex_of
@@ -89,7 +89,7 @@ def _start_bytes(probe: Probe, command: Command, setting: _AnyBytes) -> None:
         exchanges = [probe.ask(command, {field: value}) for _ in range(2)]
         exchange = exchanges[-1]
         probe.expect(
-            came(exchange),
+            received_text(exchange),
             holds=any(_good_answers(probe, command, e) == usual for e in exchanges),
             expected=f"a reply that it is done, to {hex_of(exchange.sent or b'')}",
             refutes=f"{command.name} with {value:X}h in its data is not answered as any other",

@@ -17,18 +17,18 @@ from typing import Any
 from analyzer.catalogue import Certainty, Command, Dialect, Subject
 from analyzer.link import CanLink, ModbusLink
 from conformance.claim import Claim, Inconclusive, Observed, Theme
-from conformance.claims.declare import Case, claim, declared_in, described_in, once
-from conformance.claims.hearing import (
+from conformance.claims.control_reads import (
     LISTEN_NS,
     PAUSE_NS,
     answered_by,
-    ask_cleanly,
+    ask_alone,
     ask_first,
-    came,
     garblers,
     judge_next,
     plain_read,
+    received_text,
 )
+from conformance.claims.declare import Case, claim, declared_in, described_in, once
 from conformance.talk import garbling
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
@@ -96,13 +96,13 @@ def _glued(dialect: Dialect) -> Iterator[Case]:
 def _glued_answered(probe: Probe, variants: Variants) -> None:
     """A good request with {what} is answered."""
     read = plain_read(probe.dialect)
-    ask_cleanly(probe)
+    ask_alone(probe)
     sent = [(what, probe.send(data, timeout_ns=LISTEN_NS)) for what, data in variants(probe)]
     missed = [(what, exchange) for what, exchange in sent if not answered_by(probe, exchange, read)]
     if missed:
         exchange = missed[0][1]
         probe.expect(
-            came(exchange),
+            received_text(exchange),
             holds=False,
             expected=f"a reply to the good one in {hex_of(exchange.sent or b'')}",
             refutes=f"a good request is not answered with {', '.join(what for what, _ in missed)}",
@@ -143,10 +143,10 @@ def _send_two(probe: Probe) -> Exchange:
 def _two_answered(probe: Probe) -> None:
     """Two good requests at once are both answered, in their order."""
     first, second = _pair(probe.dialect)
-    ask_cleanly(probe)
+    ask_alone(probe)
     tries = [_send_two(probe) for _ in range(2)]
     probe.expect(
-        came(tries[-1]),
+        received_text(tries[-1]),
         holds=any(answered_by(probe, each, first, second) for each in tries),
         expected=f"a reply to {first.name} and one to {second.name}",
         refutes="of two requests at once, not both are answered in their order",
@@ -182,7 +182,7 @@ def _places(probe: Probe) -> range:
 def _pieces_answered(probe: Probe) -> None:
     """A request in two pieces with a pause between is answered."""
     read = plain_read(probe.dialect)
-    ask_cleanly(probe)
+    ask_alone(probe)
     passed: list[int] = []
     for gap_ns in _GAPS_NS:
         answered = [answered_by(probe, _cut(probe, at, gap_ns), read) for at in _places(probe)]
@@ -216,7 +216,7 @@ def _long_silence(probe: Probe) -> None:
     for at in _places(probe):
         sent = _cut(probe, at, _MODBUS_LONG_NS)
         probe.expect(
-            came(sent),
+            received_text(sent),
             holds=sent.silent,
             expected=f"silence: more than 3.5 characters behind byte {at} end a frame",
             refutes="a frame with a silence inside is answered",
@@ -228,13 +228,13 @@ def _long_silence(probe: Probe) -> None:
 @_framing("silence", Certainty.LIKELY, each=_on_modbus, name="silence/short", emulated=True)
 def _short_silence(probe: Probe) -> None:
     """A frame with a pause of one character inside is answered."""
-    ask_cleanly(probe)
+    ask_alone(probe)
     gap_ns = int(_CHARACTERS * probe.rig.byte_ns)
     for at in _places(probe):
         # The first piece takes its time on the line; the pause begins behind it.
         tries = [_cut(probe, at, gap_ns) for _ in range(2)]
         probe.expect(
-            came(tries[-1]),
+            received_text(tries[-1]),
             holds=any(answered_by(probe, each, plain_read(probe.dialect)) for each in tries),
             expected=f"a reply: up to 1.5 characters behind byte {at} belong to the frame",
             refutes="a frame with a pause of one character inside is not answered",

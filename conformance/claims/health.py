@@ -11,9 +11,9 @@ from functools import partial
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.protocols.lk_rs485 import ERROR_BITS
 from conformance.claim import Inconclusive
+from conformance.claims.bench import lk_drive
 from conformance.claims.declare import Case, commands
 from conformance.claims.motion_claim import of_motion, risks_by
-from conformance.claims.world import lk_drive
 from conformance.motion import motion
 from conformance.motion.motion import FORCE, MS
 from conformance.talk.probe import Probe

@@ -15,7 +15,7 @@ from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Trait, Verb
 from conformance.claim import Claim, Inconclusive
-from conformance.claims import world
+from conformance.claims import bench
 from conformance.claims.declare import Case, Cases, commands, declared_in
 from conformance.claims.motion_claim import of_motion, risks_by, that_tell_their_end
 from conformance.motion import motion
@@ -93,19 +93,19 @@ def _prepared(probe: Probe, **values: int) -> float:
     # Away from where it was made, so that its zero is not by chance where homing ends.
     motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 216)
     set_home(probe, **values)
-    return world.shaft(probe)
+    return bench.shaft(probe)
 
 
 def _expect_shaft(probe: Probe, exchange: Exchange, refutes: str, *, near: float, within: float = _JITTER, **how: Any) -> None:
     """Expect the shaft at a place (counts of its own); where it is elsewhere, stop it."""
-    at = world.shaft(probe)
+    at = bench.shaft(probe)
     if abs(at - near) > within:
         _halt(probe)
     probe.expect(at, near=near, within=within, unit="counts", refutes=refutes, exchange=exchange, **how)
 
 
 def _expect_still(probe: Probe, exchange: Exchange, wait_ns: int, refutes: str) -> None:
-    at = world.shaft(probe)
+    at = bench.shaft(probe)
     probe.wait(wait_ns)
     _expect_shaft(probe, exchange, refutes, near=at, expected="a shaft that stands")
 
@@ -127,7 +127,7 @@ def _finds_switch(probe: Probe, way: str) -> None:
     """Homing with direction {way} turns the shaft {way} until the end stop closes, and it stands there."""
     direction = _DIRECTIONS[way]
     start = _prepared(probe, home_direction=direction)
-    world.left_switch(probe, _WAYS[direction] * _SWITCH)
+    bench.left_switch(probe, _WAYS[direction] * _SWITCH)
     exchange = find_home(probe)
     probe.wait(500 * MS)
     _expect_shaft(probe, exchange, "homing does not end at the end stop", near=start + _WAYS[direction] * _SWITCH)
@@ -143,11 +143,11 @@ def _from_closed(probe: Probe, command: Command, way: str) -> None:
     """From a closed end stop the shaft first turns the other way, then comes back to it."""
     direction = _DIRECTIONS[way]
     start = _prepared(probe, home_direction=direction, return_angle=0x2000)
-    world.switch_here(probe, _WAYS[direction], 1000)
+    bench.switch_here(probe, _WAYS[direction], 1000)
     exchange = probe.ask(command, quiet_ns=0)
     probe.reply(exchange)
     probe.wait(50 * MS)
-    first = (world.shaft(probe) - start) * _WAYS[direction]
+    first = (bench.shaft(probe) - start) * _WAYS[direction]
     probe.wait(5 * SECOND_NS)
     if first >= 0:
         _halt(probe)
@@ -162,7 +162,7 @@ def _from_closed(probe: Probe, command: Command, way: str) -> None:
 def _zero(probe: Probe) -> None:
     """Where homing ends is zero, of the encoder and of the pulses."""
     _prepared(probe)
-    world.left_switch(probe, -_SWITCH)
+    bench.left_switch(probe, -_SWITCH)
     exchange = find_home(probe)
     probe.wait(500 * MS)
     for verb, name in ((Verb.READ_POSITION, "position"), (Verb.READ_PULSES, "pulses")):
@@ -186,7 +186,7 @@ def _is_held_then_zero(probe: Probe, way: str, angle: int) -> None:
     """Without an end stop the shaft turns {way} until it is held, goes back by {angle:#x} counts, and that point is zero."""
     direction = _DIRECTIONS[way]
     start = _prepared(probe, home_direction=direction, home_mode=1, return_angle=angle)
-    world.wall(probe, _WAYS[direction] * _SWITCH)
+    bench.wall(probe, _WAYS[direction] * _SWITCH)
     exchange = find_home(probe)
     probe.wait(500 * MS)
     end = start + _WAYS[direction] * (_SWITCH - angle)
@@ -221,7 +221,7 @@ def _status(probe: Probe, command: Command) -> None:
     """While homing F1 reads 5, and afterwards 1."""
     _prepared(probe)
     # Four seconds at 60 rpm.
-    world.left_switch(probe, -4 * probe.dialect.counts_per_turn)
+    bench.left_switch(probe, -4 * probe.dialect.counts_per_turn)
     exchange = probe.do(command)
     probe.wait(300 * MS)
     during = _status_now(probe)
@@ -236,16 +236,16 @@ def _status(probe: Probe, command: Command) -> None:
 def _trigger(probe: Probe, command: Command) -> None:
     """With home_trigger 1 the end stop counts as reached when its pin is high: when it opens."""
     _prepared(probe, home_trigger=1)
-    world.press(probe)
-    start = world.shaft(probe)
+    bench.press(probe)
+    start = bench.shaft(probe)
     exchange = probe.do(command)
     probe.wait(SECOND_NS)
-    turn, went = probe.dialect.counts_per_turn, world.shaft(probe) - start
+    turn, went = probe.dialect.counts_per_turn, bench.shaft(probe) - start
     if went > -turn / 4:
         _halt(probe)
     text = "with home_trigger 1 a low pin stops homing, or turns it round"
     probe.expect(went, at_most=-turn / 4, unit="counts in a second", refutes=text, exchange=exchange)
-    world.press(probe, False)
+    bench.press(probe, False)
     probe.wait(300 * MS)
     _expect_still(probe, exchange, SECOND_NS, "with home_trigger 1 a high pin does not end homing")
 
@@ -287,7 +287,7 @@ def _stopped(probe: Probe, command: Command) -> None:
 def _replies(probe: Probe, command: Command) -> None:
     """Homing is answered by 1 when it begins and by 2 when home is found."""
     _prepared(probe)
-    world.left_switch(probe, -2 * probe.dialect.counts_per_turn)
+    bench.left_switch(probe, -2 * probe.dialect.counts_per_turn)
     since = len(probe.traffic)
     exchange = find_home(probe)
     probe.wait(2 * SECOND_NS)
@@ -314,7 +314,7 @@ def _with_end_limit(dialect: Dialect) -> Iterator[Case]:
 def _held_after(probe: Probe, end_limit: int, held: bool) -> None:
     """With the end limit off the shaft is held at the end stop."""
     _prepared(probe, end_limit=end_limit)
-    world.left_switch(probe, -_SWITCH)
+    bench.left_switch(probe, -_SWITCH)
     exchange = find_home(probe)
     probe.wait(500 * MS)
     names = ("let go", "held")

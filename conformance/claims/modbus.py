@@ -24,8 +24,8 @@ from analyzer.link import READS, WRITE_MANY, WRITE_ONE
 from analyzer.protocols.modbus import ModbusException
 from conformance.claim import Claim, Theme
 from conformance.claims import modbus_writes
+from conformance.claims.control_reads import ask_alone, plain_read, received_text
 from conformance.claims.declare import Case, claim, declared_in, described_in
-from conformance.claims.hearing import ask_cleanly, came, plain_read
 from conformance.claims.modbus_frames import ask, exception, expect_answer, on_modbus, request
 from conformance.talk.exchange import hex_of
 from conformance.talk.garbling import harmless
@@ -178,7 +178,7 @@ def _kinds(dialect: Dialect) -> Iterator[Case]:
     parameters={},
 )
 def _refused(probe: Probe, kind: _Kind) -> None:
-    ask_cleanly(probe)
+    ask_alone(probe)
     following = probe.build(plain_read(probe.dialect)).frame
     for what, function, frame in kind.make(probe):
         # Bytes that begin a frame of another dialect are left to drives that are alone.
@@ -192,7 +192,7 @@ def _refused(probe: Probe, kind: _Kind) -> None:
 def _expect_silence(probe: Probe, frame: bytes, refutes: str) -> None:
     sent = probe.send(frame)
     expected = f"silence after {hex_of(frame)}"
-    probe.expect(came(sent), holds=sent.silent, expected=expected, refutes=refutes, exchange=sent)
+    probe.expect(received_text(sent), holds=sent.silent, expected=expected, refutes=refutes, exchange=sent)
 
 
 @claim(
@@ -206,7 +206,7 @@ def _expect_silence(probe: Probe, frame: bytes, refutes: str) -> None:
 )
 def _reserved_addresses(probe: Probe) -> None:
     """A request to an address above 247, which Modbus keeps back, is not answered."""
-    ask_cleanly(probe)
+    ask_alone(probe)
     read = plain_read(probe.dialect)
     for address in _RESERVED:
         frame = request(probe, read.function or 0, read.code, read.quantity, address=address)
@@ -238,7 +238,7 @@ def _other_addresses(dialect: Dialect) -> Iterable[Case]:
 )
 def _no_exception(probe: Probe, how: str, addresses: Callable[[int], tuple[int, ...]]) -> None:
     """What calls for an exception is not answered when it is sent {how}."""
-    ask_cleanly(probe)
+    ask_alone(probe)
     read = plain_read(probe.dialect)
     for address in addresses(probe.address):
         for function, register, quantity in (

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 from analyzer.catalogue import Dialect
 from analyzer.link import ModbusLink
+from conformance.claims.control_reads import received_text
 from conformance.claims.declare import Case, once
-from conformance.claims.hearing import came
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe, Until
 
@@ -35,7 +35,7 @@ def expect_answer(probe: Probe, sent: Exchange, expected: bytes, what: str) -> N
         # Once more: a line that loses or garbles a reply now and then is another matter.
         again = ask(probe, sent.data)
         probe.expect(
-            came(again),
+            received_text(again),
             holds=again.received == expected,
             expected=f"{hex_of(expected)} to {hex_of(sent.sent or b'')}",
             refutes=f"{what} is answered otherwise",

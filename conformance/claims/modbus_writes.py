@@ -9,8 +9,8 @@ from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from analyzer.link import WRITE_MANY, WRITE_ONE, ModbusLink
 from analyzer.protocols.modbus import ModbusException
 from conformance.claim import Claim, Inconclusive, Theme
+from conformance.claims.control_reads import ask_alone, received_text
 from conformance.claims.declare import Case, Cases, claim, declared_in
-from conformance.claims.hearing import ask_cleanly, came
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.modbus_frames import ask, exception, expect_answer, on_modbus, request
 from conformance.motion import motion
@@ -80,7 +80,7 @@ def _plain(probe: Probe, command: Command) -> bytes:
 @_of_writes("other bytes, or silence", each=_ones, name="write_one/echo")
 def _echoed(probe: Probe, settings: tuple[Command, ...]) -> None:
     """A write by function 06h is answered by its own bytes."""
-    ask_cleanly(probe)
+    ask_alone(probe)
     for command in settings:
         frame = _plain(probe, command)
         expect_answer(probe, ask(probe, frame), frame, f"a write of {command.code:04X}h by 06h")
@@ -90,7 +90,7 @@ def _echoed(probe: Probe, settings: tuple[Command, ...]) -> None:
 @_of_writes("other bytes, or silence", each=_several, name="write_many/echo")
 def _echoed_shortly(probe: Probe, settings: tuple[Command, ...]) -> None:
     """A write by function 10h is answered by its register and quantity."""
-    ask_cleanly(probe)
+    ask_alone(probe)
     for command in settings:
         frame = _plain(probe, command)
         expected = probe.dialect.link.completed(frame[:6])
@@ -130,7 +130,7 @@ def _refusals(dialect: Dialect) -> Iterator[Case]:
 # No erratum of this manual says so: the vendor's later one does.
 @_of_writes("the echo of a write that was done, an exception, or silence", each=_refusals, at_best=Certainty.LIKELY)
 def _refused(probe: Probe, settings: tuple[Command, ...], end: bytes) -> None:
-    ask_cleanly(probe)
+    ask_alone(probe)
     for command in settings:
         values = _outside(command)
         if values is not None:
@@ -154,7 +154,7 @@ def _refused(probe: Probe, settings: tuple[Command, ...], end: bytes) -> None:
 )
 def _unknown_registers(probe: Probe) -> None:
     """A write of a register that no command has is refused by exception 02."""
-    ask_cleanly(probe)
+    ask_alone(probe)
     known = {c.code for c in probe.dialect.commands}
     for register in sorted({0x0000, 0x00A0, 0x0182, 0x7FFF} - known):
         for function, frame in (
@@ -176,7 +176,7 @@ def _unknown_registers(probe: Probe) -> None:
 @_of_writes("an echo", each=_both, name="function/other_write", at_best=Certainty.OPEN, risks={Risk.SETTING, Risk.UNKNOWN})
 def _other_function(probe: Probe, settings: tuple[Command, ...]) -> None:
     """A register is written by its own function, 06h or 10h, and not by the other."""
-    ask_cleanly(probe)
+    ask_alone(probe)
     for command in [c for c in settings if c.function in WRITE_ONE][:2]:
         frame = request(probe, 0x10, command.code, 1, data=b"\x02" + _plain(probe, command)[4:-2])
         refusal = exception(probe, 0x10, _ADDRESS)
@@ -213,7 +213,7 @@ def _odd(dialect: Dialect) -> Iterator[Case]:
     risks=_any_risk,
 )
 def _odd_byte_count(probe: Probe, settings: tuple[Command, ...]) -> None:
-    ask_cleanly(probe)
+    ask_alone(probe)
     for register, count in _odd_counts(probe.dialect).items():
         for command in (c for c in settings if c.code == register):
             data, even = _plain(probe, command)[7:-2], 2 * command.quantity
@@ -235,7 +235,7 @@ def _odd_byte_count(probe: Probe, settings: tuple[Command, ...]) -> None:
 )
 def _other_byte_counts(probe: Probe, settings: tuple[Command, ...]) -> None:
     """A write by 10h with another quantity or byte count than its register's is refused by exception 03."""
-    ask_cleanly(probe)
+    ask_alone(probe)
     for command in settings:
         data, own = _plain(probe, command)[7:-2], command.quantity
         for quantity, wrong in ((own, data[:-1]), (own, data + b"\0"), (own + 1, data + b"\0\0"), (own - 1, data[:-2])):
@@ -267,7 +267,7 @@ def _moves(dialect: Dialect) -> Iterator[Case]:
 )
 def _answered_once(probe: Probe, command: Command) -> None:
     """A move is answered once, when it begins; that it is done has to be asked for."""
-    ask_cleanly(probe)
+    ask_alone(probe)
     motion.ready_to_move(probe)
     before = probe.read(Verb.READ_POSITION, "position")
     frame = probe.build(command, _STEP).frame
@@ -276,7 +276,7 @@ def _answered_once(probe: Probe, command: Command) -> None:
         raise Inconclusive("the shaft did not move")
     echo = probe.dialect.link.completed(frame[:6])
     probe.expect(
-        came(sent),
+        received_text(sent),
         holds=sent.received == echo,
         expected=f"{hex_of(echo)} and nothing more to {hex_of(frame)}",
         refutes="a move is not answered once, by its echo",

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator
 
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
 from conformance.claim import Aspect, Inconclusive, Theme
-from conformance.claims import world
+from conformance.claims import bench
 from conformance.claims.declare import Case, claim, commands, motions, with_values
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, risks_by
@@ -284,7 +284,7 @@ def _error_held(probe: Probe, command: Command, degrees: int) -> None:
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
     motion.prepare(probe, move)
     probe.do(Verb.SET_PROTECTION, {"protection": 0})
-    world.hold(probe)
+    bench.hold(probe)
     motion.begin(probe, move, degrees, acceleration=QUICK)
     probe.wait(3 * SECOND_NS)
     text = "the angle error of a shaft that is held is not what is missing"

@@ -16,7 +16,7 @@ from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from conformance.claim import Claim, Inconclusive
-from conformance.claims import world
+from conformance.claims import bench
 from conformance.claims.declare import Case, Cases, commands, declared_in
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
@@ -53,11 +53,11 @@ def _keep_zero(probe: Probe, mode: int, direction: int, turns: float, speed: int
     motion.ready_to_move(probe)
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
     motion.follow(probe, move, 36)
-    zero = world.shaft(probe)
+    zero = bench.shaft(probe)
     values = {"zero_mode": mode, "set_zero": keep, "zero_speed": speed, "zero_direction": direction}
     probe.do(Verb.SET_ZERO_MODE, values)
     motion.follow(probe, move, turns * 360)
-    world.power_cycle(probe)
+    bench.power_cycle(probe)
     return zero
 
 
@@ -84,7 +84,7 @@ def _goes_back(probe: Probe, mode: int, direction: int, turns: float) -> None:
     whole_turns = round(turns) if mode == _NEAR else int(direction == _CCW)
     text = "the shaft does not go back to its zero as it was set"
     near = zero + whole_turns * probe.dialect.counts_per_turn
-    probe.expect(world.shaft(probe), near=near, within=_JITTER, unit="counts", refutes=text)
+    probe.expect(bench.shaft(probe), near=near, within=_JITTER, unit="counts", refutes=text)
 
 
 def _no_zeros(dialect: Dialect) -> Iterator[Case]:
@@ -104,10 +104,10 @@ def _no_zeros(dialect: Dialect) -> Iterator[Case]:
 def _clean(probe: Probe, mode: int, keep: int) -> None:
     """Without a zero that was kept (set_zero 0) nothing turns when power comes on."""
     _keep_zero(probe, mode, _CW, 0.3, keep=keep)
-    before = world.shaft(probe)
+    before = bench.shaft(probe)
     probe.wait(_START_NS + _BACK_NS)
     text = "the shaft goes back although there is no zero to go to"
-    probe.expect(world.shaft(probe) - before, near=0, within=_JITTER, unit="counts", refutes=text)
+    probe.expect(bench.shaft(probe) - before, near=0, within=_JITTER, unit="counts", refutes=text)
 
 
 @_of_zero("one that takes as long, or longer", each=_zero_modes)
@@ -128,7 +128,7 @@ def _faster(probe: Probe) -> None:
 
 
 def _is_at(probe: Probe, place: float) -> bool:
-    return abs(world.shaft(probe) - place) <= _JITTER
+    return abs(bench.shaft(probe) - place) <= _JITTER
 
 
 def _zero_statuses(dialect: Dialect) -> Iterator[Case]:
@@ -176,7 +176,7 @@ def _run_and_save(probe: Probe, direction: int) -> float:
 
 
 def _speed_after_power(probe: Probe) -> float:
-    world.power_cycle(probe)
+    bench.power_cycle(probe)
     probe.wait(_START_NS)
     return motion.speed(probe).value
 
@@ -234,7 +234,7 @@ def _locked(probe: Probe, command: Command, value: int) -> None:
     """With axis_lock {value} the motor is {word} when power comes on in a bus mode."""
     motion.ready_to_move(probe)
     probe.do(command, {"axis_lock": value})
-    world.power_cycle(probe)
+    bench.power_cycle(probe)
     probe.wait(_START_NS)
     text = f"with axis_lock {value} the motor is in the other state at power-on"
     probe.expect(probe.read(Verb.READ_ENABLED, "enabled"), equal=value, refutes=text)

@@ -14,7 +14,7 @@ from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Claim, Inconclusive
-from conformance.claims import world
+from conformance.claims import bench
 from conformance.claims.declare import Cases, commands, declared_in, motions
 from conformance.claims.motion_claim import of_motion, risks_by, that_tell_their_end
 from conformance.claims.refusals import expect_refused
@@ -48,7 +48,7 @@ def _prepare(probe: Probe, protection: int) -> None:
 
 def _held_move(probe: Probe, turns: float = _TURNS) -> Exchange:
     """Hold the shaft and ask for a move; let the time for it pass."""
-    world.hold(probe)
+    bench.hold(probe)
     exchange = motion.begin(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), turns * 360, rpm=120, acceleration=QUICK)
     probe.wait(4 * SECOND_NS)
     return exchange
@@ -62,7 +62,7 @@ def _protect(probe: Probe) -> None:
     """Bring the drive into protection and let the shaft go. Raises Inconclusive where it is not protected."""
     _prepare(probe, 1)
     _held_move(probe)
-    world.hold(probe, False)
+    bench.hold(probe, False)
     if not _is_protected(probe):
         raise Inconclusive("the drive does not protect itself from a held shaft")
 
@@ -78,7 +78,7 @@ def _lets_go(probe: Probe) -> None:
     _expect(probe, probe.traffic[-1], 0, "3E reads protected before the shaft was held")
     exchange = _held_move(probe)
     _expect(probe, exchange, 1, "3E does not read protected after the shaft was held")
-    world.hold(probe, False)
+    bench.hold(probe, False)
     before = motion.position(probe)
     probe.wait(SECOND_NS)
     moved = motion.position(probe).value - before.value
@@ -154,7 +154,7 @@ def _angle(probe: Probe, command: Command) -> None:
         exchange = _held_move(probe, turns)
         text = f"with a tolerance of {sent * 1.8:g} degrees the shaft lags behind by {turns * 360:.0f}"
         _expect(probe, exchange, wanted, text)
-        world.hold(probe, False)
+        bench.hold(probe, False)
         probe.do(Verb.RELEASE_PROTECTION)
         probe.do(Verb.ENABLE, {"enabled": 1})
         motion.stand_still(probe)

@@ -21,8 +21,8 @@ from analyzer.records import CanFrame
 from analyzer.reference.hex_frame import CAN_ID_LIMIT
 from conformance.claim import Claim, Inconclusive, Theme
 from conformance.claims import resilience_busy
+from conformance.claims.control_reads import LISTEN_NS, PAUSE_NS, ask_first, is_answered, judge_next, plain_read, received_text
 from conformance.claims.declare import Case, claim, commands, declared_in, described_in
-from conformance.claims.hearing import LISTEN_NS, PAUSE_NS, ask_first, came, is_answered, judge_next, plain_read
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.known_reads import plain_reads
 from conformance.talk.exchange import Exchange
@@ -82,7 +82,7 @@ def _reads_check(probe: Probe) -> None:
         raise Inconclusive(f"no reply to {read.name} can be read, which another claim judges")
     for exchange in bad[:1]:
         probe.expect(
-            came(exchange),
+            received_text(exchange),
             holds=False,
             expected="replies whose checks fit",
             refutes=f"{len(bad)} of the replies to {_MANY} reads in a row are garbled",
@@ -104,7 +104,7 @@ def _reads_mixed(probe: Probe) -> None:
         if not exchange.silent and not is_answered(exchange):
             again = probe.ask(command, quiet_ns=0)
             probe.expect(
-                came(again),
+                received_text(again),
                 holds=is_answered(again),
                 expected=f"a reply to {command.name}",
                 refutes=f"{command.name} among other reads is answered by something else",
@@ -260,7 +260,7 @@ def _after(probe: Probe, what: str, happen: Sends) -> None:
     read = plain_read(probe.dialect)
     tries = [probe.ask(read) for _ in range(_TRIES)]
     probe.expect(
-        came(tries[-1]),
+        received_text(tries[-1]),
         holds=any(is_answered(each) for each in tries),
         expected=f"a reply to {read.name}",
         refutes=f"the drive does not answer after {what}",

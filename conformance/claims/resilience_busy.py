@@ -14,8 +14,8 @@ from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
 from conformance.claim import Claim, Inconclusive, Theme
+from conformance.claims.control_reads import PAUSE_NS, garblers, is_answered, received_text
 from conformance.claims.declare import Case, Cases, claim, declared_in
-from conformance.claims.hearing import PAUSE_NS, came, garblers, is_answered
 from conformance.claims.known_quirks import known, may_meet
 from conformance.claims.known_reads import plain_reads
 from conformance.motion import motion
@@ -134,7 +134,7 @@ def _expect_answer(probe: Probe, command: Command, when: str) -> None:
     if not is_answered(probe.ask(command, quiet_ns=0)):
         again = probe.ask(command, quiet_ns=0)
         probe.expect(
-            came(again),
+            received_text(again),
             holds=is_answered(again),
             expected=f"a reply to {command.name}",
             refutes=f"{command.name} is not answered {when}",
@@ -175,7 +175,7 @@ def _settings(probe: Probe, chosen: list[Command]) -> None:
                 continue
             now = motion.speed(probe).value
             probe.expect(
-                f"{came(exchange)}, and {now:.0f} rpm",
+                f"{received_text(exchange)}, and {now:.0f} rpm",
                 holds=not exchange.silent and abs(now - before) <= _NEAR,
                 expected=f"an answer, and {before:.0f} rpm",
                 refutes=f"{command.name} is not answered, or stops the shaft",
@@ -232,7 +232,7 @@ def _moves_check(probe: Probe, command: Command) -> None:
         raise Inconclusive(f"no reply to {command.name} can be read, which another claim judges")
     for exchange in bad[:1]:
         probe.expect(
-            came(exchange),
+            received_text(exchange),
             holds=False,
             expected="replies whose checks fit",
             refutes=f"{len(bad)} of the replies to {_MOVES} moves are garbled",

@@ -20,8 +20,8 @@ from analyzer.catalogue import Dialect, Role
 from analyzer.pipeline import Options, Pipeline
 from analyzer.records import CanFrame, Chunk
 from conformance.claim import Claim, Inconclusive, NotRun, Outcome, Refuted, Theme, Verdict
+from conformance.claims.control_reads import section
 from conformance.claims.declare import declare
-from conformance.claims.hearing import section
 from conformance.claims.known_quirks import known
 from conformance.claims.known_reads import plain_reads
 from conformance.claims.traffic_rules import ROWS, Count, Judge, Party, Row, Seen

@@ -12,7 +12,7 @@ from analyzer.cli import main
 from analyzer.codec import codec
 from analyzer.dialects import code_text, find_commands
 from analyzer.layout import FieldKind
-from analyzer.reference.picture import picture
+from analyzer.reference.bit_diagram import bit_diagram
 
 ALL = dialects.every()
 LAYOUTS = [
@@ -104,7 +104,7 @@ def test_every_page_is_complete_and_narrow(catalogue):
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_pictures_are_straight_and_name_every_field(layout):
-    lines = picture(layout)
+    lines = bit_diagram(layout)
     assert bool(lines) == bool(layout.fields)
     assert all(len(line) <= 80 for line in lines)
     boxes = [line for line in lines if "|" in line]

@@ -98,7 +98,7 @@ class MksCore(MksState):
     @property
     def ready(self) -> bool:
         """Whether a motion can begin."""
-        return self.enabled and self.sound and not self.doing(Activity.CALIBRATE)
+        return self.enabled and self.healthy and not self.doing(Activity.CALIBRATE)
 
     # --- requests -------------------------------------------------------------------------------------------------
 

@@ -137,7 +137,7 @@ def _register_94(drive: Drive, frame: Frame, message: Message, wanted: bool) -> 
     if not own or not body[1:].startswith(_HOME_94_HEAD) or len(body) != 7 + _HOME_94.byte_length:
         return wanted
     data = body[7:]
-    good = codec(_HOME_94).sound(data)
+    good = codec(_HOME_94).valid(data)
     if good:
         for name, value in codec(_HOME_94).wire(data).items():
             core.store(name, value)

@@ -98,7 +98,7 @@ def _io(drive: MksCore, request: Request) -> Values:
 def _alarm(drive: MksCore) -> int:
     """Return the level of the ALM port: as written, else 0 while something is wrong."""
     memory = drive.memory
-    return memory.alm if memory.alm_mask == mks_can.PortMask.WRITE else int(drive.sound)
+    return memory.alm if memory.alm_mask == mks_can.PortMask.WRITE else int(drive.healthy)
 
 
 def _in_position(drive: MksCore) -> int:

@@ -206,7 +206,7 @@ class MksState(Drive):
         return low <= self.motor.volts <= high
 
     @property
-    def sound(self) -> bool:
+    def healthy(self) -> bool:
         """Whether nothing is wrong with supply, encoder and rotor."""
         blind = self.motor.encoder_fails and self.motor.closed_loop
         return self.supplied and not blind and not self.memory.protected
@@ -290,7 +290,7 @@ class MksState(Drive):
 
     def grip(self) -> None:
         """Hold the shaft, or let it go, as the state says."""
-        if self.enabled and self.sound:
+        if self.enabled and self.healthy:
             self.motor.hold(self.now_ns)
         elif self.motor.holding:
             self.let_go()

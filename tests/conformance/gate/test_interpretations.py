@@ -335,14 +335,14 @@ def test_it_never_grows_beyond_the_longest_frame():
 @given(st.binary(min_size=2, max_size=40), st.data())
 def test_cutting_hides_no_sound_frame(data: bytes, drawn: st.DataObject):
     whole = SerialInterpreter([MKS, LK])
-    sound = {(r.dialect.name, r.code, r.data) for r in whole.interpret(Pending(), data)[0] if r.fits and r.command}
+    fitting = {(r.dialect.name, r.code, r.data) for r in whole.interpret(Pending(), data)[0] if r.fits and r.command}
     cuts = sorted(drawn.draw(st.sets(st.integers(1, len(data) - 1), max_size=4)))
     cut = SerialInterpreter([MKS, LK])
     stream, seen = Pending(), set()
     for start, stop in itertools.pairwise([0, *cuts, len(data)]):
         readings, stream = cut.interpret(stream, data[start:stop])
         seen |= {(r.dialect.name, r.code, r.data) for r in readings if r.fits}
-    assert sound <= seen
+    assert fitting <= seen
 
 
 def sound_frames(data: bytes) -> list[tuple[Dialect, bytes]]:

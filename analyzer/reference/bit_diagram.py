@@ -1,4 +1,4 @@
-"""Bit pictures: a layout drawn as rows of bytes with a box for each field, as in the RFCs.
+"""Bit diagrams: a layout drawn as rows of bytes with a box for each field, as in the RFCs.
 
           0               1               2
           7 6 5 4 3 2 1 0 7 6 5 4 3 2 1 0 7 6 5 4 3 2 1 0
@@ -6,9 +6,9 @@
        0 |1| rsv |         speed         | acceleration  |
          +-+-----+-----------------------+---------------+
 
-Bytes stand in the order of the wire, four a row, the number of the row's first byte at the left. A box that is too narrow
-for its name holds the field's number in the table below it. A number of more than a byte may be little-endian: the table
-says so, the picture shows where its bytes stand.
+Bytes stand in wire order, four in a row; the number of the row's first byte stands at the left. A box that is too narrow
+for its name holds the field's number in the table below. The table says which numbers are little-endian; the diagram
+shows only the places of their bytes.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ def key(index: int) -> str:
     return _KEYS[index] if index < len(_KEYS) else "*"
 
 
-def picture(layout: Layout) -> list[str]:
-    """Return the picture of a layout as lines of at most 80 columns; none for a layout without fields."""
+def bit_diagram(layout: Layout) -> list[str]:
+    """Return the diagram of a layout as lines of at most 80 columns; none for a layout without fields."""
     rows = _rows(layout)
     if not rows:
         return []

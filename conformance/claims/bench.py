@@ -1,14 +1,14 @@
-"""What a claim does to an emulated drive from outside: end stops, obstacles, power. For claims of emulated drives.
+"""The test bench around an emulated drive: end stops, obstacles, a hand on the shaft, power.
 
-    left_switch(probe, -3000)       an end stop 3000 counts below where the shaft stands, closed there and beyond
-    wall(probe, 3000)               something that the shaft cannot pass, 3000 counts above
+    left_switch(probe, -3000)       an end stop 3000 counts below the shaft, closed there and beyond
+    wall(probe, 3000)               an obstacle 3000 counts above the shaft
     power_cycle(probe)              off, and on again
-    shaft(probe)                    where the shaft really is, in counts of its own
+    shaft(probe)                    the true position of the shaft, in counts
 
 Rules kept here:
-- The world has its own senses: counts rise counter-clockwise, whatever a drive has stored. So a drive that turns the wrong
-  way does not find its switch.
-- Places are given from where the shaft stands.
+- On the bench, counts always rise counter-clockwise; settings of the drive do not change that. So a drive that turns the
+  wrong way misses its switch.
+- Positions are relative to the shaft.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ if TYPE_CHECKING:
 
 
 def drive_of(probe: Probe) -> MksDrive:
-    """Return the emulated drive. Raises NotRun for a real one, or one of another make."""
+    """Return the emulated MKS drive. Raises NotRun for any other drive."""
     if not isinstance(probe.drive, MksDrive):
         raise NotRun("it needs to act on an emulated MKS drive")
     return probe.drive
 
 
 def lk_drive(probe: Probe) -> LkDrive:
-    """Return the emulated drive. Raises NotRun for a real one."""
+    """Return the emulated LK drive. Raises NotRun for any other drive."""
     if not isinstance(probe.drive, LkDrive):
         raise NotRun("it needs to act on an emulated LK drive")
     return probe.drive
 
 
 def shaft(probe: Probe) -> float:
-    """Return where the shaft is, in counts from where it stood when the drive was made."""
+    """Return the true position of the shaft, in counts from its first position."""
     drive = drive_of(probe)
     return float(drive.motor.position(drive.now_ns))
 
@@ -61,9 +61,9 @@ def _mount(probe: Probe, side: str, counts: int) -> None:
 
 
 def switch_here(probe: Probe, way: int, counts: int) -> None:
-    """Mount the left end stop so that it is closed where the shaft stands, and opens `counts` behind it.
+    """Mount the left end stop so that it is closed at the shaft, and opens `counts` behind it.
 
-    `way`: the side on which it lies, 1 where counts rise.
+    `way`: the side of the switch, 1 where counts rise.
     """
     drive = drive_of(probe)
     drive.switches["left"] = Switch(way, round(shaft(probe)) - way * counts)
@@ -76,7 +76,7 @@ def press(probe: Probe, pressed: bool = True) -> None:
 
 
 def wall(probe: Probe, counts: int | None) -> None:
-    """Put something that the shaft cannot pass `counts` from it, on the side of the sign; None: take all away."""
+    """Put an obstacle `counts` from the shaft, on the side of the sign; None: remove all obstacles."""
     drive = drive_of(probe)
     if counts is None:
         for way in (1, -1):
@@ -87,7 +87,7 @@ def wall(probe: Probe, counts: int | None) -> None:
 
 
 def hold(probe: Probe, held: bool = True) -> None:
-    """Hold the shaft where it is, or let it go."""
+    """Hold the shaft by hand, or let it go."""
     drive_of(probe).block(held)
 
 

@@ -1,4 +1,4 @@
-"""Whether a drive hears: good reads, and what a claim about bad frames rests on."""
+"""Control reads: good requests that show whether a drive still hears, for claims about bad frames."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from conformance.talk.reply_match import in_order
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
 
-#: How long nothing is sent behind a damaged frame before the next good one, where its silence is not what is judged.
+#: The pause between a damaged frame and the next good one, where the claim does not judge the silence between them.
 PAUSE_NS = 60_000_000
-#: How long is listened to what was sent as bytes.
+#: How long a claim listens after it sent plain bytes.
 LISTEN_NS = 300_000_000
-#: Good reads with nothing before them that must be answered before a drive is called deaf.
+#: This many good reads in quiet must be answered before a drive counts as deaf.
 _CONTROLS = 6
-#: Reads that carry data, by verb: what a drive must check beside a head.
+#: Reads that carry data, by verb: a drive must check these data besides the head.
 _WITH_DATA: tuple[Verb, ...] = (Verb.READ_PARAMETER, Verb.BRAKE)
 
 
 def section(dialect: Dialect) -> str:
-    """Return where a dialect's manual says what a frame is."""
+    """Return the section of the manual that describes frames."""
     return dialect.sections.get(Subject.FRAMING, dialect.commands[0].section)
 
 
 def plain_read(dialect: Dialect) -> Command:
-    """Return the read by which a drive is asked whether it hears: of the position, or the first that needs no data."""
+    """Return the control read: of the position, or the first read that needs no data."""
     position = dialect.by_verb.get(Verb.READ_POSITION)
     if position is not None:
         return position
@@ -39,7 +39,7 @@ def plain_read(dialect: Dialect) -> Command:
 
 
 def garblers(probe: Probe) -> list[Garbler]:
-    """Return what makes variants: of a read without data, and of each kind of read with data that the dialect has."""
+    """Return the garblers of a read without data, and of each kind of read with data in the dialect."""
     dialect = probe.dialect
     found = [Garbler(dialect, probe.build(plain_read(dialect)))]
     for verb in _WITH_DATA:
@@ -49,13 +49,13 @@ def garblers(probe: Probe) -> list[Garbler]:
     return found
 
 
-def came(exchange: Exchange) -> str:
-    """Return what came back, as hex, for people."""
+def received_text(exchange: Exchange) -> str:
+    """Return the received bytes as hex, for people."""
     return exchange.received.hex(" ").upper() or ("silence" if exchange.silent else "a frame without data")
 
 
 def is_answered(exchange: Exchange) -> bool:
-    """Say whether a request was answered by a frame of its command, from its address, that checks."""
+    """Say whether a frame of the same command and address, with a good checksum, answered."""
     asked = exchange.command.name if exchange.command is not None else ""
     named = (a for a in exchange.answers if a.command is not None and a.command.name == asked)
     good = (a for a in named if a.message.address == exchange.address)
@@ -63,11 +63,11 @@ def is_answered(exchange: Exchange) -> bool:
 
 
 def ask_first(probe: Probe) -> None:
-    """Ask a good read. Raises Inconclusive where the drive does not answer it."""
+    """Send a control read. Raises Inconclusive where the drive does not answer it."""
     exchange = probe.ask(plain_read(probe.dialect))
     probe.reply(exchange)
     if not is_answered(exchange):
-        raise Inconclusive(f"a good request is answered {came(exchange)}, which another claim judges")
+        raise Inconclusive(f"a good request is answered {received_text(exchange)}, which another claim judges")
 
 
 def answered_by(probe: Probe, sent: Exchange, *commands: Command) -> bool:
@@ -75,15 +75,15 @@ def answered_by(probe: Probe, sent: Exchange, *commands: Command) -> bool:
     return in_order(sent, probe.dialect, commands, probe.address)
 
 
-def ask_cleanly(probe: Probe) -> None:
-    """Send a good read by itself. Raises Inconclusive where it is not answered by one good reply and nothing else."""
+def ask_alone(probe: Probe) -> None:
+    """Send a control read alone. Raises Inconclusive unless exactly one good reply answers it."""
     read = plain_read(probe.dialect)
     sent = probe.send(probe.build(read).item(), timeout_ns=LISTEN_NS)
     if not answered_by(probe, sent, read):
-        raise Inconclusive(f"a good request by itself is answered {came(sent)}, which another claim judges")
+        raise Inconclusive(f"a good request by itself is answered {received_text(sent)}, which another claim judges")
 
 
-def _is_heard(probe: Probe) -> tuple[bool, Exchange]:
+def _answers_read(probe: Probe) -> tuple[bool, Exchange]:
     exchange = probe.ask(plain_read(probe.dialect), quiet_ns=0)
     return is_answered(exchange), exchange
 
@@ -91,25 +91,24 @@ def _is_heard(probe: Probe) -> tuple[bool, Exchange]:
 def judge_next(probe: Probe, what: str, send: Callable[[], Exchange]) -> None:
     """Send something, then a good read that must be answered. `what` names what was sent, for people.
 
-    Raises Refuted where the read is not answered, and that again; Inconclusive where reads without anything before them
-    are lost too.
+    Raises Refuted where the read is twice not answered; Inconclusive where reads in quiet are lost too.
     """
     for last in (False, True):
         sent = send()
-        is_heard, exchange = _is_heard(probe)
+        is_heard, exchange = _answers_read(probe)
         if is_heard:
             if last:
                 raise Inconclusive(f"the good request behind {what} was not answered, and when sent again it was")
             return
         if last:
             break
-        if not all(_is_heard(probe)[0] for _ in range(_CONTROLS)):
+        if not all(_answers_read(probe)[0] for _ in range(_CONTROLS)):
             raise Inconclusive("good requests are not always answered, whatever is before them")
     before = f", sent behind {hex_of(sent.sent)}" if sent.sent is not None else ""
     raise Refuted(
         f"the good request behind {what} is not answered",
         expected=f"a reply to {hex_of(exchange.sent or b'')}{before}",
-        got=came(exchange),
+        got=received_text(exchange),
         exchange=exchange,
         key="the next good request is not answered",
     )
