@@ -117,7 +117,9 @@ def test_reads_alone_are_sent_where_nothing_is_allowed(on_port):
 
 
 def test_a_wrong_drive_is_refuted_on_a_real_port(on_port):
-    status, outcomes, _ = on_port(ToyDrive(highest_current=9000), "--allow", "setting,torque", *FEW)
+    status, outcomes, _ = on_port(
+        ToyDrive(highest_current=9000), "--allow", "setting,torque", "--claim", "*/set_current/*/above"
+    )
     assert (status, outcomes["ranges/set_current/current/above"]) == (1, "refuted")
 
 
