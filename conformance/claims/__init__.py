@@ -21,26 +21,67 @@ from conformance.claims.declare import declared_in, made
 GROUP = "servotap.claims"
 #: Theme modules, in the order in which they run: what is quick and harmless first.
 MODULES = (
+    # shape
     "shape",
+    "shape_parameters",
+    # framing
     "framing",
+    "framing_open",
+    "framing_effects",
+    # examples
     "examples",
     "examples_many",
+    # addressing
     "addressing",
+    "addressing_many",
+    "addressing_package",
+    # traffic
     "traffic",
+    # modbus
     "modbus",
+    "modbus_writes",
+    # ranges
     "ranges_settings",
     "ranges_motion",
     "ranges_obeyed",
     "ranges_parameters",
     "ranges_link",
+    # read-back
     "read_back",
     "read_back_effects",
     "restart",
     "restore",
+    # timing
     "timing",
-    "motion",
+    "ramps",
+    "durations",
+    # motion
+    "moves",
+    "runs",
+    "newer_motion",
+    "speed_limits",
+    "subdivisions",
+    "stops",
+    "enabling",
+    "motor_states",
+    "refusals",
+    "motion_reads",
+    "torque",
+    "health",
+    "encoder_zero",
+    "control_parameters",
+    "responding",
+    "set_zero",
+    "homing",
+    "end_limits",
+    "protection",
+    "power_on",
+    "calibrating",
+    # state
     "state",
+    # resilience
     "resilience",
+    "resilience_busy",
 )
 Source = Callable[[Dialect], Iterable[Claim]]
 

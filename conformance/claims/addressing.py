@@ -15,11 +15,10 @@ from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Role, Subject, Verb
 from analyzer.link import HeadLink, LkLink
-from conformance.claim import Claim, Inconclusive, Theme
-from conformance.claims import addressing_many, addressing_package
+from conformance.claim import Inconclusive, Theme
 from conformance.claims.addressing_many import read_of, send_to
 from conformance.claims.control_reads import ask_first, judge_next, plain_read, received_text
-from conformance.claims.declare import Case, claim, commands, declared_in, described_in
+from conformance.claims.declare import Case, claim, commands, described_in
 from conformance.claims.known_quirks import may_meet
 from conformance.motion import effects
 from conformance.motion.effects import Observable
@@ -30,13 +29,6 @@ NEW_ADDRESS_ANSWERS = "new-address-answers"
 _BYTE = 0xFF
 #: Changes that are sent to other addresses: each takes the time of a move.
 _FEW = 5
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims of this theme for a dialect."""
-    yield from declared_in(__name__, dialect)
-    yield from addressing_many.claims(dialect)
-    yield from addressing_package.claims(dialect)
 
 
 def _addressing(refuted_by: str, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:

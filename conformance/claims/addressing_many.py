@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Doubt, Risk, Subject, Verb
-from conformance.claim import Claim, Theme
+from conformance.claim import Theme
 from conformance.claims.control_reads import ask_first, is_answered, judge_next, plain_read, received_text
-from conformance.claims.declare import Case, Cases, claim, declared_in, described_in
+from conformance.claims.declare import Case, Cases, claim, described_in
 from conformance.motion import effects
 from conformance.motion.effects import Change, Observable
 from conformance.talk.exchange import Exchange, hex_of
@@ -21,11 +21,6 @@ from conformance.talk.probe import Probe
 
 #: A group address, and another one where the drive itself has it.
 _GROUP, _OTHER_GROUP = 0x50, 0x60
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about broadcasts and groups of a dialect that has them."""
-    return declared_in(__name__, dialect)
 
 
 def send_to(probe: Probe, address: int, change: Change, listen_ns: int = 0) -> Exchange:

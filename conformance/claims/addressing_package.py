@@ -12,9 +12,9 @@ from functools import partial
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
-from conformance.claim import Claim, Inconclusive, Theme
+from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import ask_first, judge_next, plain_read, received_text
-from conformance.claims.declare import Case, Cases, claim, declared_in
+from conformance.claims.declare import Case, Cases, claim
 from conformance.motion import effects, motion
 from conformance.motion.effects import STEP, STEP_NS
 from conformance.talk.exchange import Exchange, hex_of
@@ -27,11 +27,6 @@ Slots = Callable[[Dialect, Command, int], Sequence[Slot]]
 EMPTY: Slot = {}
 #: What tells the move of one slot from that of another, in steps.
 _ONE, _OTHER = 1, 3
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about packages of a dialect that has them."""
-    return declared_in(__name__, dialect)
 
 
 def _packages(dialect: Dialect) -> Iterator[Case]:

@@ -9,12 +9,10 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
-from analyzer.catalogue import Command, Dialect, Verb
-from conformance.claim import Claim, Inconclusive
+from analyzer.catalogue import Command, Verb
+from conformance.claim import Inconclusive
 from conformance.claims import bench
-from conformance.claims.declare import commands, declared_in
+from conformance.claims.declare import commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, that_tell_their_end
 from conformance.motion import motion
@@ -25,11 +23,6 @@ _LIMIT_NS = 60 * SECOND_NS
 _CALIBRATING, _STOPPED = 6, 1
 _AT_ONCE = "calibration-answers-1"
 _calibrations = commands(Verb.CALIBRATE)
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about calibration."""
-    return declared_in(__name__, dialect)
 
 
 def _status_now(probe: Probe) -> int:

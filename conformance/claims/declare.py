@@ -74,6 +74,11 @@ def commands(*verbs: Verb) -> Cases:
     return lambda dialect: (Case(dialect, dialect.by_verb[verb]) for verb in verbs if verb in dialect.by_verb)
 
 
+def needing(verb: Verb, each: Cases) -> Cases:
+    """Return those of some cases whose dialect has a command for a verb."""
+    return lambda dialect: each(dialect) if verb in dialect.by_verb else ()
+
+
 def described_in(subject: Subject) -> Callable[[Case], str]:
     """Return what tells the section in which a case's manual describes a subject."""
     return lambda case: case.dialect.sections.get(subject, case.dialect.commands[0].section)

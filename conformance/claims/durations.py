@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind
-from conformance.claim import Claim, Inconclusive, Theme
-from conformance.claims.declare import Case, declared_in
+from conformance.claim import Inconclusive, Theme
+from conformance.claims.declare import Case
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import expect_speed, of_motion, that_tell_their_end
 from conformance.claims.ramps import LATE, time_of, too_late
@@ -31,11 +31,6 @@ _FORMS = (
     ("triangle", -1.0, 300, 56, "up and down again, for the way is too short for its speed"),
     ("no-ramp", 0.5, 60, 0, "along at its speed, without ramps"),
 )
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about whole moves, where their end is told."""
-    return declared_in(__name__, dialect)
 
 
 def _moves(dialect: Dialect) -> Iterator[Case]:

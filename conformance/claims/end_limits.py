@@ -16,9 +16,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Verb
-from conformance.claim import Claim, Inconclusive, NotRun
+from conformance.claim import Inconclusive, NotRun
 from conformance.claims import bench, homing
-from conformance.claims.declare import Case, Cases, commands, declared_in
+from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import expect_stays, of_motion, risks_by, that_tell_their_end
 from conformance.motion import motion
@@ -34,26 +34,23 @@ _RIGHT_TURNS, _LONG_TURNS = 2, 4
 _DEAF = "deaf-after-limit-stop"
 
 
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about end limits."""
-    return declared_in(__name__, dialect)
-
-
 def _fields(case: Case) -> tuple[str, ...]:
     return (*case.dialect.by_verb[Verb.SET_HOME].request_forms[0].layout.named, "limit_remap")
 
 
+_settings = commands(Verb.SET_HOME)
+
+
 def _motions(*kinds: MotionKind) -> Cases:
     def cases(dialect: Dialect) -> Iterator[Case]:
-        for run in dialect.motions(*kinds):
-            yield Case(dialect, dialect.by_verb[Verb.SET_HOME], {"run": run})
+        for case in _settings(dialect):
+            yield from (Case(dialect, case.command, {"run": run}) for run in dialect.motions(*kinds))
 
     return cases
 
 
 _moves = _motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO)
 _runs_and_moves = _motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO)
-_settings = commands(Verb.SET_HOME)
 
 
 def _of_limits(refuted_by: str, *, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:

@@ -22,10 +22,9 @@ from analyzer import dialects as registry
 from analyzer.catalogue import Certainty, Dialect, Doubt, Risk, Role, Subject
 from analyzer.link import CanLink, HeadLink, Link, LkLink, ModbusLink
 from analyzer.records import CanFrame
-from conformance.claim import Claim, NotRun, Theme
-from conformance.claims import framing_effects, framing_open
+from conformance.claim import NotRun, Theme
 from conformance.claims.control_reads import PAUSE_NS, ask_first, garblers, judge_next, plain_read, received_text
-from conformance.claims.declare import Case, claim, declared_in, described_in
+from conformance.claims.declare import Case, claim, described_in
 from conformance.claims.known_quirks import known
 from conformance.talk import garbling
 from conformance.talk.exchange import hex_of
@@ -42,13 +41,6 @@ _OTHER_HEADS: Mapping[type[Link], tuple[int, ...]] = {
     HeadLink: (0xFB, 0xF9, 0x3E, 0xFD, 0xFE, 0x7A, 0x00, 0xFF),
     LkLink: (0x3D, 0x3F, 0xFA, 0xFB, 0xBE, 0x00, 0xFF),
 }
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims of this theme for a dialect."""
-    yield from declared_in(__name__, dialect)
-    yield from framing_open.claims(dialect)
-    yield from framing_effects.claims(dialect)
 
 
 # --- kinds of damage --------------------------------------------------------------------------------------------------

@@ -11,19 +11,13 @@ from dataclasses import dataclass
 
 from analyzer.catalogue import Command, Dialect, Risk, Subject, Verb
 from analyzer.link import HeadLink
-from conformance.claim import Claim, Inconclusive, Theme
+from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import received_text
-from conformance.claims.declare import Case, claim, declared_in, described_in
+from conformance.claims.declare import Case, claim, described_in
 from conformance.motion import effects
 from conformance.motion.effects import Observable
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about start bytes in data, and about what damaged requests do."""
-    return declared_in(__name__, dialect)
-
 
 # --- start bytes in data ----------------------------------------------------------------------------------------------
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Subject
 from analyzer.link import CanLink, ModbusLink
-from conformance.claim import Claim, Inconclusive, Observed, Theme
+from conformance.claim import Inconclusive, Observed, Theme
 from conformance.claims.control_reads import (
     LISTEN_NS,
     PAUSE_NS,
@@ -28,7 +28,7 @@ from conformance.claims.control_reads import (
     plain_read,
     received_text,
 )
-from conformance.claims.declare import Case, claim, declared_in, described_in, once
+from conformance.claims.declare import Case, claim, described_in, once
 from conformance.talk import garbling
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
@@ -39,11 +39,6 @@ _GAPS_NS = (1 * MS, 5 * MS, 16 * MS, 50 * MS, 200 * MS, 1000 * MS)
 #: The pause that ends a Modbus frame at any baud rate of these drives, and one that does not: 3.5 and 1.5 characters.
 _MODBUS_LONG_NS = 20 * MS
 _CHARACTERS = 1.0
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about frames without a pause between or with one inside."""
-    return declared_in(__name__, dialect)
 
 
 def _framing(refuted_by: str, at_best: Any, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:

@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Trait, Verb
-from conformance.claim import Claim, Inconclusive
+from conformance.claim import Inconclusive
 from conformance.claims import bench
-from conformance.claims.declare import Case, Cases, commands, declared_in
+from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.motion_claim import of_motion, risks_by, that_tell_their_end
 from conformance.motion import motion
 from conformance.motion.motion import MS, SECOND_NS
@@ -33,11 +33,6 @@ _DIRECTIONS = {"cw": _CW, "ccw": _CCW}
 _homings = commands(Verb.HOME)
 _WITHOUT_WAY_BACK = (Verb.SET_HOME,)
 _WITH_WAY_BACK = (Verb.SET_HOME, Verb.SET_NO_LIMIT_HOME)
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about homing."""
-    return declared_in(__name__, dialect)
 
 
 def _fields(case: Case) -> tuple[str, ...]:
@@ -119,7 +114,7 @@ def _halt(probe: Probe) -> None:
 
 def _both_ways(dialect: Dialect) -> Iterator[Case]:
     for way in _DIRECTIONS:
-        yield Case(dialect, dialect.by_verb[Verb.HOME], {"way": way})
+        yield from (Case(dialect, case.command, {"way": way}) for case in _homings(dialect))
 
 
 @_of_homing("a shaft that goes the other way or stops elsewhere", each=_both_ways, name="{command}/finds-switch-{way}")
@@ -174,7 +169,7 @@ def _without_switch(dialect: Dialect) -> Iterator[Case]:
     modes = [v for v in _WITH_WAY_BACK if (c := dialect.by_verb.get(v)) and _has_mode(c)]
     for way in _DIRECTIONS if modes else ():
         for angle in (0x1000, 0x3000):
-            yield Case(dialect, dialect.by_verb[Verb.HOME], {"way": way, "angle": angle})
+            yield from (Case(dialect, case.command, {"way": way, "angle": angle}) for case in _homings(dialect))
 
 
 def _has_mode(command: Command) -> bool:
@@ -201,7 +196,7 @@ def _is_held_then_zero(probe: Probe, way: str, angle: int) -> None:
 
 def _at_speeds(dialect: Dialect) -> Iterator[Case]:
     for rpm in (60, 120, 300):
-        yield Case(dialect, dialect.by_verb[Verb.HOME], {"rpm": rpm})
+        yield from (Case(dialect, case.command, {"rpm": rpm}) for case in _homings(dialect))
 
 
 @_of_homing("another speed", each=_at_speeds, name="{command}/speed-{rpm}")
@@ -299,15 +294,16 @@ def _replies(probe: Probe, command: Command) -> None:
 
 
 def _with_end_limit(dialect: Dialect) -> Iterator[Case]:
-    home, lets_go = dialect.by_verb[Verb.HOME], Trait.LETS_GO_AT_END_LIMIT in dialect.traits
+    lets_go = Trait.LETS_GO_AT_END_LIMIT in dialect.traits
     facts = {
         "name": "home/end-limit",
         "statement": f"With the end limit on the shaft is {'let go' if lets_go else 'held'} at the end stop.",
         "refuted_by": "a motor that is enabled" if lets_go else "a motor that is disabled",
         "at_best": Certainty.CERTAIN if lets_go else Certainty.LIKELY,
     }
-    yield Case(dialect, home, {"end_limit": 1, "held": not lets_go}, facts)
-    yield Case(dialect, home, {"end_limit": 0, "held": True})
+    for case in _homings(dialect):
+        yield Case(dialect, case.command, {"end_limit": 1, "held": not lets_go}, facts)
+        yield Case(dialect, case.command, {"end_limit": 0, "held": True})
 
 
 @_of_homing("a motor that is disabled", each=_with_end_limit, name="{command}/holds", at_best=Certainty.LIKELY)

@@ -22,10 +22,9 @@ from dataclasses import dataclass
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Subject
 from analyzer.link import READS, WRITE_MANY, WRITE_ONE
 from analyzer.protocols.modbus import ModbusException
-from conformance.claim import Claim, Theme
-from conformance.claims import modbus_writes
+from conformance.claim import Theme
 from conformance.claims.control_reads import ask_alone, plain_read, received_text
-from conformance.claims.declare import Case, claim, declared_in, described_in
+from conformance.claims.declare import Case, claim, described_in
 from conformance.claims.modbus_frames import ask, exception, expect_answer, on_modbus, request
 from conformance.talk.exchange import hex_of
 from conformance.talk.garbling import harmless
@@ -41,12 +40,6 @@ _OTHER_FUNCTIONS = (0x07, 0x08, 0x0B, 0x11, 0x14, 0x16, 0x17, 0x18, 0x2B, 0x41, 
 _LONGEST_READ = 125
 #: Addresses that the standard keeps back, as far as no other dialect begins its frames with them.
 _RESERVED = (248, 249, 253, 254, 255)
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims of this theme for a dialect on Modbus, none for another."""
-    yield from declared_in(__name__, dialect)
-    yield from modbus_writes.claims(dialect)
 
 
 def _with_standard(case: Case) -> str:

@@ -8,9 +8,9 @@ from typing import Any
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from analyzer.link import WRITE_MANY, WRITE_ONE, ModbusLink
 from analyzer.protocols.modbus import ModbusException
-from conformance.claim import Claim, Inconclusive, Theme
+from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import ask_alone, received_text
-from conformance.claims.declare import Case, Cases, claim, declared_in
+from conformance.claims.declare import Case, Cases, claim
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.modbus_frames import ask, exception, expect_answer, on_modbus, request
 from conformance.motion import motion
@@ -26,11 +26,6 @@ _LATER_MANUAL = "vendor's Modbus manual V1.0.9"
 #: A write of several registers that no command has: homing without a switch, as the later manual has it.
 _HOME_94 = 0x0094
 _HOME_94_DATA = bytes.fromhex("00 00 20 00 00 00 02 58")
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about writes."""
-    return declared_in(__name__, dialect)
 
 
 # --- what is written --------------------------------------------------------------------------------------------------

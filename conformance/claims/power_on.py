@@ -15,9 +15,9 @@ from functools import partial
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
-from conformance.claim import Claim, Inconclusive
+from conformance.claim import Inconclusive
 from conformance.claims import bench
-from conformance.claims.declare import Case, Cases, commands, declared_in
+from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS
@@ -30,11 +30,6 @@ _JITTER = 3
 _OFF, _BY_DIRECTION, _NEAR = 0, 1, 2
 _CW, _CCW = 0, 1
 _ZERO_SETTINGS = ("zero_mode", "set_zero", "zero_speed", "zero_direction")
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about power-on."""
-    return declared_in(__name__, dialect)
 
 
 # --- the way back to zero ---------------------------------------------------------------------------------------------
@@ -188,7 +183,7 @@ def _expect_no_run(probe: Probe, refutes: str) -> None:
 
 def _directions(dialect: Dialect) -> Iterator[Case]:
     for direction in (0, 1):
-        yield Case(dialect, dialect.by_verb[Verb.SAVE_SPEED], {"direction": direction})
+        yield from (Case(dialect, case.command, {"direction": direction}) for case in _saves(dialect))
 
 
 @_of_kept_run("no run, another speed, or the other way", each=_directions, name="{command}/runs-direction-{direction}")

@@ -9,13 +9,13 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
-from conformance.claim import Claim, Inconclusive
+from analyzer.catalogue import Certainty, Command, MotionKind, Verb
+from conformance.claim import Inconclusive
 from conformance.claims import bench
-from conformance.claims.declare import Cases, commands, declared_in, motions
+from conformance.claims.declare import Cases, commands, motions, needing
 from conformance.claims.motion_claim import of_motion, risks_by, that_tell_their_end
 from conformance.claims.refusals import expect_refused
 from conformance.motion import motion
@@ -24,11 +24,6 @@ from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
 _TURNS = 2.0
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about the locked-rotor protection."""
-    return declared_in(__name__, dialect)
 
 
 def _of_protection(
@@ -120,7 +115,8 @@ def _releases(probe: Probe, command: Command) -> None:
 
 
 @_of_protection(
-    "a motion, or an answer that says success", each=motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO)
+    "a motion, or an answer that says success",
+    each=needing(Verb.SET_PROTECTION, motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO)),
 )
 def _protected(probe: Probe, command: Command) -> None:
     """{command} is refused while the rotor protection holds."""

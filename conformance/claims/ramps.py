@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
-from conformance.claim import Claim, Inconclusive, Theme
-from conformance.claims.declare import Case, Cases, declared_in
+from conformance.claim import Inconclusive, Theme
+from conformance.claims.declare import Case, Cases
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion
 from conformance.motion import motion, ramp
@@ -36,11 +36,6 @@ _RAMPS = ((1, 60), (56, 120), (128, 200), (200, 300), (236, 300), (252, 3000), (
 _STEADY_NS = SECOND_NS
 #: Degrees in a ns at one rpm.
 _DEGREES = 6 / SECOND_NS
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about ramps."""
-    return declared_in(__name__, dialect)
 
 
 def _up_and_down(dialect: Dialect) -> Iterator[tuple[Command, str]]:

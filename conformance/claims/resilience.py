@@ -19,10 +19,9 @@ from analyzer.catalogue import Certainty, Command, Dialect, Risk, Subject, Verb
 from analyzer.link import CanLink
 from analyzer.records import CanFrame
 from analyzer.reference.hex_frame import CAN_ID_LIMIT
-from conformance.claim import Claim, Inconclusive, Theme
-from conformance.claims import resilience_busy
+from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import LISTEN_NS, PAUSE_NS, ask_first, is_answered, judge_next, plain_read, received_text
-from conformance.claims.declare import Case, claim, commands, declared_in, described_in
+from conformance.claims.declare import Case, claim, commands, described_in
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.known_reads import plain_reads
 from conformance.talk.exchange import Exchange
@@ -42,12 +41,6 @@ _LONG_IDLE_NS = 24 * 3600 * _SECOND_NS
 #: How long a drive may take from power-on until it answers; real ones take two seconds.
 _POWER_NS = 4 * _SECOND_NS
 _HASTY = "hasty-writes-dropped"
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims of this theme for a dialect."""
-    yield from declared_in(__name__, dialect)
-    yield from resilience_busy.claims(dialect)
 
 
 def _resilience(refuted_by: str, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:

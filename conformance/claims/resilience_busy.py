@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
-from conformance.claim import Claim, Inconclusive, Theme
+from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import PAUSE_NS, garblers, is_answered, received_text
-from conformance.claims.declare import Case, Cases, claim, declared_in
+from conformance.claims.declare import Case, Cases, claim
 from conformance.claims.known_quirks import known, may_meet
 from conformance.claims.known_reads import plain_reads
 from conformance.motion import motion
@@ -34,11 +34,6 @@ _OFF_SUM_MOST, _OFF_SUM_BY = 5, 4
 #: Settings without an effect on a shaft that turns, with what they risk no more than a setting does.
 _HARMLESS = (Verb.SET_SCREEN_OFF, Verb.SET_KEY_LOCK, Verb.SET_PULSE_DELAY, Verb.WRITE_USER_ID)
 _OTHER_FIRMWARE = "lk-firmware-235"
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about busy drives."""
-    return declared_in(__name__, dialect)
 
 
 def _moving(dialect: Dialect) -> Iterator[Case]:

@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
-from conformance.claim import Claim, Inconclusive
-from conformance.claims.declare import Case, Cases, commands, declared_in
+from conformance.claim import Inconclusive
+from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.motion_claim import of_motion, risks_of
 from conformance.motion import motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS
@@ -28,11 +28,6 @@ _TURNS = 0.2
 #: 60 rpm, and 0.6 s from it to a stop.
 _RPM, _RAMP = 60, 56
 _settings = commands(Verb.SET_RESPOND)
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about respond and active, where a dialect has them."""
-    return declared_in(__name__, dialect)
 
 
 def _motions(*kinds: MotionKind) -> Cases:

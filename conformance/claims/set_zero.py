@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Verb
-from conformance.claim import Claim
-from conformance.claims.declare import Case, commands, declared_in
+from conformance.claims.declare import Case, commands, needing
 from conformance.claims.motion_claim import expect_stays, of_motion
 from conformance.motion import motion
 from conformance.motion.motion import QUICK, SECOND_NS
@@ -26,19 +25,18 @@ _ZEROED = {
 }
 
 
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims about zero."""
-    return declared_in(__name__, dialect)
-
-
 def _away(probe: Probe) -> None:
     motion.ready_to_move(probe)
     motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 468, rpm=180, acceleration=QUICK)
 
 
+#: Zero of a drive that counts turns and what is left of them.
+_zeros = needing(Verb.READ_ENCODER_CARRY, commands(Verb.SET_ZERO))
+
+
 def _quantities(dialect: Dialect) -> Iterator[Case]:
     for what in _ZEROED:
-        yield Case(dialect, dialect.by_verb[Verb.SET_ZERO], {"what": what})
+        yield from (Case(dialect, case.command, {"what": what}) for case in _zeros(dialect))
 
 
 @of_motion(each=_quantities, name="{command}/{what}", refuted_by="another number")
@@ -58,7 +56,7 @@ def _reads_zero(probe: Probe, command: Command, what: str) -> None:
     )
 
 
-@of_motion(each=commands(Verb.SET_ZERO), refuted_by="a shaft that moved, or is not held")
+@of_motion(each=_zeros, refuted_by="a shaft that moved, or is not held")
 def _stands(probe: Probe, command: Command) -> None:
     """92 turns nothing, and the motor moves as before."""
     _away(probe)
@@ -74,7 +72,7 @@ def _stands(probe: Probe, command: Command) -> None:
 
 def _places(dialect: Dialect) -> Iterator[Case]:
     for move in reversed(dialect.motions(MotionKind.MOVE_TO)):
-        yield Case(dialect, dialect.by_verb[Verb.SET_ZERO], {"move": move})
+        yield from (Case(dialect, case.command, {"move": move}) for case in _zeros(dialect))
 
 
 @of_motion(each=_places, name="{command}/and-{move}", refuted_by="another place")

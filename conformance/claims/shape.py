@@ -20,9 +20,8 @@ from weakref import WeakKeyDictionary
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, Subject, Verb
 from analyzer.codec import codec
 from analyzer.layout import Field, FieldKind
-from conformance.claim import Aspect, Claim, Inconclusive, Theme
-from conformance.claims import shape_parameters
-from conformance.claims.declare import Case, Cases, claim, declared_in, described_in
+from conformance.claim import Aspect, Inconclusive, Theme
+from conformance.claims.declare import Case, Cases, claim, described_in
 from conformance.claims.known_quirks import known
 from conformance.claims.requests import demands, plain_exchange
 from conformance.talk.exchange import Exchange, hex_of
@@ -38,12 +37,6 @@ _SETTING = ("set_", "write_user_id")
 _APART_NS = 5_000_000
 #: The quirk of replies that have a wrong sum now and then, and the command whose replies were seen so.
 _OFF_SUM, _ERRING = "lk-off-sum", "move_multi_turn_limited"
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims of this theme for a dialect."""
-    yield from declared_in(__name__, dialect)
-    yield from shape_parameters.claims(dialect)
 
 
 # --- one exchange for all claims about a command ----------------------------------------------------------------------

@@ -13,19 +13,14 @@ from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Doubt, Verb
 from analyzer.codec import codec
-from conformance.claim import Aspect, Claim, Inconclusive, Theme
-from conformance.claims.declare import Case, Cases, claim, commands, declared_in
+from conformance.claim import Aspect, Inconclusive, Theme
+from conformance.claims.declare import Case, Cases, claim, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 from conformance.talk.reply_match import MatchedReply, replies
 
 OTHER_FIRMWARE = "lk-firmware-235"
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make a claim for each parameter that a dialect's parameter read lists."""
-    return declared_in(__name__, dialect)
 
 
 def _of_parameters(refuted_by: str, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:

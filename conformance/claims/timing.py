@@ -17,9 +17,8 @@ from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
 from analyzer.link import ModbusLink
-from conformance.claim import Aspect, Claim, Inconclusive, Observed, Theme
-from conformance.claims import control_parameters, durations, ramps
-from conformance.claims.declare import Case, Cases, claim, commands, declared_in, once
+from conformance.claim import Aspect, Inconclusive, Observed, Theme
+from conformance.claims.declare import Case, Cases, claim, commands, once
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
@@ -40,14 +39,6 @@ _LK_DELAY_NS, _LK_SLACK_NS = 250_000, 20_000
 #: What a host's clock and adapter leave uncertain on a real line.
 _HOST_NS = 2 * MS
 _LATE, _HASTY, _SLOW_START = "slow-replies-in-motion", "hasty-writes-dropped", "slow-restart"
-
-
-def claims(dialect: Dialect) -> Iterator[Claim]:
-    """Make the claims of this theme for a dialect."""
-    yield from declared_in(__name__, dialect)
-    yield from ramps.claims(dialect)
-    yield from durations.claims(dialect)
-    yield from (claim for claim in declared_in(control_parameters.__name__, dialect) if claim.theme is Theme.TIMING)
 
 
 def _of_reads(

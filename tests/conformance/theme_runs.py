@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from types import ModuleType
 
 from conformance import claims
 from conformance.claim import Claim, Outcome, Theme, Verdict
@@ -19,18 +18,15 @@ DRIVES = ("mks-rs485@1,model=42D", "mks-modbus@1,model=42D", "mks-can@1,model=42
 OTHERS = ("mks-rs485@255,model=57D", "mks-modbus@247,model=28D", "mks-can@0x7ff,model=57E", "lk-rs485@32,model=MS")
 
 
-def claims_of(theme: ModuleType | Theme, rig: EmulatedRig, wanted: Iterable[str] = ("",)) -> list[Claim]:
+def claims_of(theme: Theme, rig: EmulatedRig, wanted: Iterable[str] = ("",)) -> list[Claim]:
     """Return the claims of a theme whose names (without dialect and theme) begin with one of these."""
-    if isinstance(theme, Theme):
-        every = [c for c in claims.every(rig.dialect) if c.theme is theme]
-    else:
-        every = list(theme.claims(rig.dialect))
+    every = [c for c in claims.every(rig.dialect) if c.theme is theme]
     found = [c for c in every if c.id.split("/", 2)[2].startswith(tuple(wanted))]
     assert len({c.id for c in found}) == len(found)
     return found
 
 
-def run(theme: ModuleType | Theme, drive: str, *wanted: str, fault: Fault | None = None) -> dict[str, Verdict]:
+def run(theme: Theme, drive: str, *wanted: str, fault: Fault | None = None) -> dict[str, Verdict]:
     """Run claims of a theme on an emulated drive; return the verdicts by name."""
     specification = make.parse(drive)
     if fault is not None:
@@ -40,12 +36,12 @@ def run(theme: ModuleType | Theme, drive: str, *wanted: str, fault: Fault | None
     return {v.claim.id.split("/", 2)[2]: v for v in verdicts}
 
 
-def refuted(theme: ModuleType | Theme, drive: str, *wanted: str, fault: Fault | None = None) -> set[str]:
+def refuted(theme: Theme, drive: str, *wanted: str, fault: Fault | None = None) -> set[str]:
     """Return the names of the claims that are refuted."""
     return {n for n, v in run(theme, drive, *wanted, fault=fault).items() if v.outcome is Outcome.REFUTED}
 
 
-def not_confirmed(theme: ModuleType | Theme, drive: str) -> dict[str, str]:
+def not_confirmed(theme: Theme, drive: str) -> dict[str, str]:
     """Return the claims that a drive does not confirm, with why."""
     verdicts = run(theme, drive)
     assert verdicts, f"no claims about {drive}"

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from analyzer.records import Frame, Message
-from conformance.claim import Outcome
-from conformance.claims import addressing
+from conformance.claim import Outcome, Theme
 from conformance.drives.drive import Drive, Fault
 from conformance.drives.mks.core import MksCore
 from tests.conformance.theme_runs import DRIVES, OTHERS, not_confirmed, refuted, run
@@ -14,7 +13,7 @@ from tests.conformance.theme_runs import DRIVES, OTHERS, not_confirmed, refuted,
 
 @pytest.mark.parametrize("drive", [*DRIVES, *OTHERS])
 def test_conforming_drives_confirm_every_claim(drive):
-    assert not_confirmed(addressing, drive) == {}
+    assert not_confirmed(Theme.ADDRESSING, drive) == {}
 
 
 @pytest.mark.parametrize(
@@ -34,7 +33,7 @@ def test_conforming_drives_confirm_every_claim(drive):
     ],
 )
 def test_a_fault_of_addresses_is_refuted_by_the_claims_that_say_so(fault, dialect, names):
-    assert names <= refuted(addressing, f"{dialect}@1,fault={fault}", "other", "broadcast", "group", "set_address")
+    assert names <= refuted(Theme.ADDRESSING, f"{dialect}@1,fault={fault}", "other", "broadcast", "group", "set_address")
 
 
 @pytest.mark.parametrize(
@@ -52,7 +51,7 @@ def test_a_fault_of_addresses_is_refuted_by_the_claims_that_say_so(fault, dialec
     ],
 )
 def test_a_fault_of_packages_is_refuted_by_the_claim_about_it(fault, name):
-    assert name in refuted(addressing, f"mks-rs485@1,fault={fault}", "package")
+    assert name in refuted(Theme.ADDRESSING, f"mks-rs485@1,fault={fault}", "package")
 
 
 def test_a_package_that_is_executed_whatever_its_sum_is_refuted():
@@ -60,7 +59,7 @@ def test_a_package_that_is_executed_whatever_its_sum_is_refuted():
         return wanted or frame.data[:1] == b"\xfc"
 
     fault = Fault("sum", ("mks-rs485",), "packages are not checked", "package", lambda h: h.accept.append(any_sum))
-    assert refuted(addressing, "mks-rs485@1", "package", fault=fault) == {"package/checksum", "package/length"}
+    assert refuted(Theme.ADDRESSING, "mks-rs485@1", "package", fault=fault) == {"package/checksum", "package/length"}
 
 
 def test_a_broadcast_that_is_executed_twice_is_refuted():
@@ -74,7 +73,7 @@ def test_a_broadcast_that_is_executed_twice_is_refuted():
         return wanted
 
     fault = Fault("twice", ("mks-rs485",), "broadcasts are executed twice", "broadcast", lambda h: h.accept.append(again))
-    assert "broadcast/executed" in refuted(addressing, "mks-rs485@1", "broadcast", fault=fault)
+    assert "broadcast/executed" in refuted(Theme.ADDRESSING, "mks-rs485@1", "broadcast", fault=fault)
 
 
 def test_settings_alone_may_be_deaf_to_broadcasts():
@@ -85,14 +84,14 @@ def test_settings_alone_may_be_deaf_to_broadcasts():
 
     fault = Fault("deaf", ("mks-rs485",), "settings by broadcast are ignored", "broadcast",
                   lambda hooks: hooks.accept.append(no_settings))  # fmt: skip
-    assert refuted(addressing, "mks-rs485@1", "broadcast", fault=fault) == {"broadcast/setting/executed"}
+    assert refuted(Theme.ADDRESSING, "mks-rs485@1", "broadcast", fault=fault) == {"broadcast/setting/executed"}
 
 
 def test_a_drive_that_executes_nothing_proves_nothing_about_other_addresses():
-    verdicts = run(addressing, "mks-can@1,fault=user-id-not-stored", "other/not_executed")
+    verdicts = run(Theme.ADDRESSING, "mks-can@1,fault=user-id-not-stored", "other/not_executed")
     assert verdicts["other/not_executed"].outcome is Outcome.INCONCLUSIVE
 
 
 def test_the_reply_from_the_new_address_is_observed():
-    verdicts = run(addressing, "mks-rs485@1,quirk=new-address-answers", "set_address/")
+    verdicts = run(Theme.ADDRESSING, "mks-rs485@1,quirk=new-address-answers", "set_address/")
     assert verdicts["set_address/moves"].outcome is Outcome.OBSERVED

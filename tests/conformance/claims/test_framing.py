@@ -6,8 +6,7 @@ import pytest
 
 from analyzer import dialects, encoder
 from analyzer.catalogue import Risk
-from conformance.claim import Outcome
-from conformance.claims import framing
+from conformance.claim import Outcome, Theme
 from conformance.drives import make
 from conformance.gate.gate import Allowance
 from conformance.suite import engine
@@ -23,12 +22,12 @@ NONE_BEYOND_247 = {"other_dialect/ignored", "other_dialect/next"}
 
 @pytest.mark.parametrize("drive", [*DRIVES, *OTHERS])
 def test_conforming_drives_confirm_every_claim(drive):
-    assert set(not_confirmed(framing, drive)) <= OPEN | (NONE_BEYOND_247 if "@255" in drive else set())
+    assert set(not_confirmed(Theme.FRAMING, drive)) <= OPEN | (NONE_BEYOND_247 if "@255" in drive else set())
 
 
 def test_a_claim_of_which_no_variant_can_be_sent_does_not_confirm_itself():
     rig = EmulatedRig(make.parse("mks-rs485@255"))
-    (claim,) = claims_of(framing, rig, ("other_dialect/ignored",))
+    (claim,) = claims_of(Theme.FRAMING, rig, ("other_dialect/ignored",))
     verdict = engine.run_claim(claim, rig)
     assert (verdict.outcome, "no frame of this kind" in verdict.reason) == (Outcome.NOT_RUN, True)
 
@@ -50,7 +49,7 @@ def test_a_claim_of_which_no_variant_can_be_sent_does_not_confirm_itself():
 )
 def test_a_fault_of_hearing_is_refuted_by_the_claims_that_say_so(fault, dialect, names):
     kinds = ("checksum", "flipped", "head", "unknown_code", "overlong")
-    found = refuted(framing, f"{dialect}@1,fault={fault}", *kinds)
+    found = refuted(Theme.FRAMING, f"{dialect}@1,fault={fault}", *kinds)
     assert names <= found
     if fault == "deaf-after-bad-frame":
         assert all(name.endswith("/next") for name in found)
@@ -58,24 +57,24 @@ def test_a_fault_of_hearing_is_refuted_by_the_claims_that_say_so(fault, dialect,
 
 @pytest.mark.parametrize("fault", ["lost-reply", "first-reply-only", "flaky-checksum"])
 def test_a_line_that_loses_replies_is_not_called_deaf(fault):
-    assert refuted(framing, f"mks-rs485@1,fault={fault}") == set()
+    assert refuted(Theme.FRAMING, f"mks-rs485@1,fault={fault}") == set()
 
 
 def test_how_long_a_frame_may_pause_is_observed_and_measured():
-    verdict = run(framing, "mks-rs485@1", "pieces/answered")["pieces/answered"]
+    verdict = run(Theme.FRAMING, "mks-rs485@1", "pieces/answered")["pieces/answered"]
     assert verdict.outcome is Outcome.OBSERVED
     assert verdict.measured["longest_pause_in_a_frame_ms"] == 16
 
 
 def test_codes_of_other_firmware_are_tolerated_and_no_others():
-    verdicts = run(framing, "lk-rs485@1,quirk=lk-firmware-235", "unknown_code/")
+    verdicts = run(Theme.FRAMING, "lk-rs485@1,quirk=lk-firmware-235", "unknown_code/")
     assert verdicts["unknown_code/ignored"].outcome is Outcome.OBSERVED
 
 
 @pytest.mark.parametrize("drive", DRIVES)
 def test_what_a_claim_sends_needs_no_more_than_it_says(drive):
     specification = make.parse(drive)
-    for claim in claims_of(framing, EmulatedRig(specification)):
+    for claim in claims_of(Theme.FRAMING, EmulatedRig(specification)):
         if claim.emulated or claim.alone:
             continue
         allowance = Allowance(claim.risks | {Risk.READ}, addresses=frozenset({specification.address}))

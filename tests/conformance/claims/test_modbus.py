@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from conformance.claim import Outcome
-from conformance.claims import modbus
+from conformance.claim import Outcome, Theme
 from conformance.drives import make
 from conformance.suite.rig_emulated import EmulatedRig
 from tests.conformance.theme_runs import claims_of, not_confirmed, refuted, run
@@ -13,12 +12,12 @@ from tests.conformance.theme_runs import claims_of, not_confirmed, refuted, run
 
 @pytest.mark.parametrize("drive", ["mks-modbus@1,model=42D", "mks-modbus@247,model=57D"])
 def test_conforming_drives_confirm_every_claim(drive):
-    assert not_confirmed(modbus, drive) == {}
+    assert not_confirmed(Theme.MODBUS, drive) == {}
 
 
 @pytest.mark.parametrize("dialect", ["mks-rs485", "mks-can", "lk-rs485"])
 def test_other_dialects_have_no_such_claims(dialect):
-    assert claims_of(modbus, EmulatedRig(make.parse(f"{dialect}@1"))) == []
+    assert claims_of(Theme.MODBUS, EmulatedRig(make.parse(f"{dialect}@1"))) == []
 
 
 @pytest.mark.parametrize(
@@ -41,15 +40,15 @@ def test_other_dialects_have_no_such_claims(dialect):
     ],
 )
 def test_a_fault_is_refuted_by_the_claims_that_say_so(fault, names):
-    assert names <= refuted(modbus, f"mks-modbus@1,fault={fault}")
+    assert names <= refuted(Theme.MODBUS, f"mks-modbus@1,fault={fault}")
 
 
 @pytest.mark.parametrize("fault", ["doubled-reply", "checksum-wrong", "spurious-bytes", "lost-reply"])
 def test_faults_of_every_reply_are_not_called_faults_of_exceptions(fault):
-    assert refuted(modbus, f"mks-modbus@1,fault={fault}", "function", "register", "quantity", "byte_count") == set()
+    assert refuted(Theme.MODBUS, f"mks-modbus@1,fault={fault}", "function", "register", "quantity", "byte_count") == set()
 
 
 def test_the_register_of_the_later_manual_is_observed():
-    verdicts = run(modbus, "mks-modbus@1,quirk=register-94h", "register/")
+    verdicts = run(Theme.MODBUS, "mks-modbus@1,quirk=register-94h", "register/")
     assert verdicts["register/unknown_write"].outcome is Outcome.OBSERVED
     assert verdicts["register/between"].outcome is Outcome.CONFIRMED

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 
 from analyzer.catalogue import Risk
-from conformance.claim import Claim, Outcome, Verdict
-from conformance.claims import motion
+from conformance.claim import Claim, Outcome, Theme, Verdict
 from conformance.drives import make
 from conformance.gate.gate import Allowance
 from conformance.suite import engine
 from conformance.suite.rig_emulated import EmulatedRig
+from tests.conformance.theme_runs import claims_of
 
 DRIVES = ("mks-rs485@1", "mks-modbus@1", "mks-can@1,model=42E", "lk-rs485@1,model=MF")
 #: Claims in which models differ, by drive.
@@ -37,7 +37,7 @@ def every(rig: EmulatedRig) -> list[Claim]:
     dialect, model = rig.dialect, rig.dialect.model
     key = (dialect.name, model)
     if key not in _made:
-        _made[key] = [c for c in motion.claims(dialect) if not c.models or not model or model in c.models]
+        _made[key] = claims_of(Theme.MOTION, rig)
     return _made[key]
 
 

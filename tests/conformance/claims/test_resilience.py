@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from analyzer.records import Frame, Message
-from conformance.claim import Outcome
-from conformance.claims import resilience
+from conformance.claim import Outcome, Theme
 from conformance.drives.drive import Drive, Fault, Hooks
 from conformance.drives.mks.core import MksCore
 from tests.conformance.theme_runs import DRIVES, not_confirmed, refuted, run
@@ -14,7 +13,7 @@ from tests.conformance.theme_runs import DRIVES, not_confirmed, refuted, run
 
 @pytest.mark.parametrize("drive", DRIVES)
 def test_conforming_drives_confirm_every_claim(drive):
-    assert not_confirmed(resilience, drive) == {}
+    assert not_confirmed(Theme.RESILIENCE, drive) == {}
 
 
 @pytest.mark.parametrize(
@@ -28,7 +27,7 @@ def test_conforming_drives_confirm_every_claim(drive):
     ],
 )
 def test_a_fault_is_refuted_by_the_claim_about_it(fault, dialect, name):
-    assert name in refuted(resilience, f"{dialect}@1,fault={fault}", "reads", "moving/reads")
+    assert name in refuted(Theme.RESILIENCE, f"{dialect}@1,fault={fault}", "reads", "moving/reads")
 
 
 @pytest.mark.parametrize(
@@ -40,7 +39,7 @@ def test_a_fault_is_refuted_by_the_claim_about_it(fault, dialect, name):
     ],
 )
 def test_a_quirk_is_observed(quirk, drive, name):
-    assert run(resilience, f"{drive},quirk={quirk}", name)[name].outcome is Outcome.OBSERVED
+    assert run(Theme.RESILIENCE, f"{drive},quirk={quirk}", name)[name].outcome is Outcome.OBSERVED
 
 
 def test_a_drive_that_lets_a_setting_stop_it_is_refuted():
@@ -50,7 +49,7 @@ def test_a_drive_that_lets_a_setting_stop_it_is_refuted():
         return name, value
 
     fault = Fault("halts", ("mks-can",), "settings stop the shaft", "stop", lambda hooks: hooks.stored.append(stored))
-    assert refuted(resilience, "mks-can@1", "moving", fault=fault) == {"moving/settings"}
+    assert refuted(Theme.RESILIENCE, "mks-can@1", "moving", fault=fault) == {"moving/settings"}
 
 
 def test_a_drive_that_is_deaf_after_power_comes_back_is_refuted():
@@ -64,4 +63,4 @@ def test_a_drive_that_is_deaf_after_power_comes_back_is_refuted():
         hooks.accept.append(accept)
 
     fault = Fault("deaf", ("lk-rs485",), "it hears nothing after power-up", "power", install)
-    assert refuted(resilience, "lk-rs485@1", "power", "idle", fault=fault) == {"power/back", "power/in_frame"}
+    assert refuted(Theme.RESILIENCE, "lk-rs485@1", "power", "idle", fault=fault) == {"power/back", "power/in_frame"}

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from conformance.claim import Outcome
-from conformance.claims import shape
+from conformance.claim import Outcome, Theme
 from conformance.drives import make
 from conformance.suite.rig_emulated import EmulatedRig
 from tests.conformance.theme_runs import DRIVES, OTHERS, claims_of, not_confirmed, refuted, run
@@ -16,7 +15,7 @@ OPEN = {"read_parameter/of/group_address"}
 
 @pytest.mark.parametrize("drive", [*DRIVES, *OTHERS])
 def test_conforming_drives_confirm_every_claim(drive):
-    assert set(not_confirmed(shape, drive)) <= OPEN
+    assert set(not_confirmed(Theme.SHAPE, drive)) <= OPEN
 
 
 @pytest.mark.parametrize(
@@ -46,7 +45,7 @@ def test_conforming_drives_confirm_every_claim(drive):
 )
 def test_a_fault_of_every_reply_is_refuted_by_the_claims_that_say_so(fault, dialect, about):
     reads = ("read_position/", "read_encoder/", "read_speed/", "set_direction/", "set_home/", "clear_turns/")
-    found = {name.partition("/")[2] for name in refuted(shape, f"{dialect}@1,fault={fault}", *reads)}
+    found = {name.partition("/")[2] for name in refuted(Theme.SHAPE, f"{dialect}@1,fault={fault}", *reads)}
     assert found == {about}
 
 
@@ -68,18 +67,18 @@ def test_a_fault_of_every_reply_is_refuted_by_the_claims_that_say_so(fault, dial
 )
 def test_a_fault_of_one_reply_is_refuted_by_the_claim_about_it(fault, dialect, name):
     command = name.split("/")[0]
-    assert name in refuted(shape, f"{dialect}@1,fault={fault}", f"{command}/")
+    assert name in refuted(Theme.SHAPE, f"{dialect}@1,fault={fault}", f"{command}/")
 
 
 def test_old_firmware_without_checksums_is_observed_and_refutes_nothing():
-    verdicts = run(shape, "mks-rs485@1,quirk=no-checksum", "read_speed/")
+    verdicts = run(Theme.SHAPE, "mks-rs485@1,quirk=no-checksum", "read_speed/")
     assert verdicts["read_speed/checksum"].outcome is Outcome.OBSERVED
     assert {v.outcome for v in verdicts.values()} == {Outcome.OBSERVED, Outcome.CONFIRMED}
 
 
 def test_claims_about_one_command_share_an_exchange_and_a_second_run_asks_again():
     rig = EmulatedRig(make.parse("mks-rs485@1"))
-    head, code = claims_of(shape, rig, ("read_speed/head", "read_speed/code"))
+    head, code = claims_of(Theme.SHAPE, rig, ("read_speed/head", "read_speed/code"))
     first, second, again = rig.probe(head), rig.probe(code), rig.probe(head)
     for probe in (first, second, again):
         probe.claim.check(probe)
@@ -88,11 +87,11 @@ def test_claims_about_one_command_share_an_exchange_and_a_second_run_asks_again(
 
 
 def test_a_refutation_carries_what_was_expected_and_the_exchange():
-    verdict = run(shape, "mks-rs485@1,fault=wrong-reply-code", "read_speed/code")["read_speed/code"]
+    verdict = run(Theme.SHAPE, "mks-rs485@1,fault=wrong-reply-code", "read_speed/code")["read_speed/code"]
     assert (verdict.expected, verdict.got) == ("code 32", "33")
     assert verdict.exchange is not None
     assert verdict.exchange.data == bytes.fromhex("FA 01 32 2D")
 
 
 def test_a_command_of_some_models_is_not_judged_where_the_model_is_unknown():
-    assert run(shape, "lk-rs485@1", "run_torque/once")["run_torque/once"].outcome is Outcome.NOT_RUN
+    assert run(Theme.SHAPE, "lk-rs485@1", "run_torque/once")["run_torque/once"].outcome is Outcome.NOT_RUN

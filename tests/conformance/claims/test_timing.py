@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import pytest
 
-from conformance.claim import Claim, Outcome, Verdict
-from conformance.claims import timing
+from conformance.claim import Claim, Outcome, Theme, Verdict
 from conformance.drives import make
 from conformance.drives.mks.paths import move_path, ramp_step_ns
 from conformance.motion import ramp
 from conformance.motion.ramp import Fit, Judgement
 from conformance.suite import engine
 from conformance.suite.rig_emulated import EmulatedRig
+from tests.conformance.theme_runs import claims_of
 
 DRIVES = ("mks-rs485@1", "mks-modbus@1", "mks-can@1", "lk-rs485@1")
 
 
 def every(rig: EmulatedRig) -> dict[str, Claim]:
     """Return the claims about a rig's drive by their names."""
-    return {c.id.split("/", 2)[2]: c for c in timing.claims(rig.dialect)}
+    return {c.id.split("/", 2)[2]: c for c in claims_of(Theme.TIMING, rig)}
 
 
 def judge(drive: str, what: str) -> Verdict:

@@ -11,7 +11,7 @@ from analyzer import dialects
 from analyzer.cli import main
 from analyzer.findings import RULES
 from analyzer.records import CanFrame, Finding, Severity
-from conformance.claim import Outcome
+from conformance.claim import Outcome, Theme
 from conformance.claims import traffic as theme
 from conformance.claims.traffic_rules import ROWS, Party, row_of
 from conformance.drives import make
@@ -46,7 +46,7 @@ def test_who_sent_a_frame_is_to_blame_for_it():
 
 @pytest.mark.parametrize("drive", DRIVES)
 def test_conforming_drives_confirm_every_claim(drive):
-    assert not_confirmed(theme, drive) == {}
+    assert not_confirmed(Theme.TRAFFIC, drive) == {}
 
 
 @pytest.mark.parametrize(
@@ -62,12 +62,12 @@ def test_conforming_drives_confirm_every_claim(drive):
     ],
 )
 def test_a_fault_is_refuted_by_the_finding_about_it(fault, dialect, name):
-    assert name in refuted(theme, f"{dialect}@1,fault={fault}")
+    assert name in refuted(Theme.TRAFFIC, f"{dialect}@1,fault={fault}")
 
 
 def test_a_session_is_shared_and_a_claim_that_runs_again_has_its_own():
     rig = EmulatedRig(make.parse("mks-can@1"))
-    one, other = claims_of(theme, rig)[:2]
+    one, other = claims_of(Theme.TRAFFIC, rig)[:2]
     probes = [rig.probe(c) for c in (one, other, one)]
     for probe in probes:
         probe.claim.check(probe)
@@ -75,7 +75,7 @@ def test_a_session_is_shared_and_a_claim_that_runs_again_has_its_own():
 
 
 def test_a_quirk_that_makes_replies_unreadable_is_observed():
-    assert {v.outcome for v in run(theme, "mks-rs485@1,quirk=no-checksum").values()} == {Outcome.OBSERVED}
+    assert {v.outcome for v in run(Theme.TRAFFIC, "mks-rs485@1,quirk=no-checksum").values()} == {Outcome.OBSERVED}
 
 
 # --- recordings -------------------------------------------------------------------------------------------------------
@@ -84,7 +84,7 @@ def test_a_quirk_that_makes_replies_unreadable_is_observed():
 def recording(path, drive, commands=READS):
     """Write a capture of an emulated drive that is asked some reads; return its path."""
     rig = EmulatedRig(make.parse(drive))
-    probe = rig.probe(claims_of(theme, rig)[0])
+    probe = rig.probe(claims_of(Theme.TRAFFIC, rig)[0])
     for name in commands:
         if name in rig.dialect.by_name:
             probe.ask(name)
