@@ -1,18 +1,20 @@
-"""Claims and verdicts: what the manual says of a drive, each as one small function that can be wrong about it.
+"""Claims and verdicts: each claim is one statement of the manual, with a small function that can refute it.
 
     Claim -> check(probe) -> Verdict
 
 A check returns when the drive did as the claim says, and raises otherwise:
 
-    Refuted         the drive did something else: what was expected, what was got, and the exchange that shows it
-    Inconclusive    nothing can be said: what it rests on did not work (another claim judges that)
-    Observed        the manual leaves it open: what the drive did
+    Refuted         the drive did something else: the expected value, the value got, and the exchange
+    Inconclusive    a precondition failed; the claim of that precondition judges it
+    Observed        the manual leaves it open: the behaviour of the drive
 
-A claim whose certainty is open never refutes: what it would have said is what was observed. A claim may name quirks: what
-real drives were seen to do beside the manual. When it meets one, it says so (`Probe.meets`), and its verdict is observed.
+A claim of open certainty never refutes: its refutation becomes an observation. A claim may name quirks: known behaviour of
+real drives that differs from the manual. If a drive shows one, the claim says so (`Probe.meets`), and its verdict is observed.
 
-Rules: a claim sends nothing that its `risks` do not name; it needs no other claim to have run; it leaves nothing behind
-that the probe does not know of. A check that cannot refute is no claim.
+Rules:
+- A claim sends only requests within its `risks`, and depends on no earlier claim.
+- The probe knows of every change that a claim leaves behind.
+- A check that cannot refute is no claim.
 """
 
 from __future__ import annotations
@@ -166,8 +168,8 @@ class Verdict:
     """The result of a claim on a drive.
 
     `reason`: why it is inconclusive or did not run, what was observed, or what refuted it. `expected`, `got`: of a
-    refutation. `exchange`: the one that shows it. `traffic`: what went over the line, as it was. `first_ns`, `last_ns`: on the
-    line's clock. `quirks`: those that were seen, by name. `measured`: figures by name (latencies, ramp times);
+    refutation. `exchange`: the evidence. `traffic`: all bytes on the line. `first_ns`, `last_ns`: on the line's clock.
+    `quirks`: names of the quirks shown. `measured`: figures by name (latencies, ramp times);
     `series`: curves by name; `latencies`: command and ns, of its exchanges. `steps`: that led to a refutation.
     """
 

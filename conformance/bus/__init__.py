@@ -1,4 +1,4 @@
-"""Lines: the host's end of real and emulated buses, for those who send. Only a gate writes to one."""
+"""Lines: the host's end of real and emulated buses. Only a gate writes to a line."""
 
 from __future__ import annotations
 

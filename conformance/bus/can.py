@@ -1,7 +1,7 @@
-"""A CAN bus as a line, by a python-can interface. `can:INTERFACE:CHANNEL[,bitrate=N][,OPTION=VALUE...]`
+"""A CAN bus as a line, through a python-can interface. `can:INTERFACE:CHANNEL[,bitrate=N][,OPTION=VALUE...]`
 
-Bit rates: an adapter is opened at the endpoint's; a kernel interface (`socketcan`) keeps the one it was given by `ip link`,
-and buses without bits (`virtual`, `udp_multicast`) have none. Where it cannot be set it cannot be changed either.
+An adapter is opened at the bit rate of the endpoint. A kernel interface (`socketcan`) keeps the rate set by `ip link`. Buses
+without bits (`virtual`, `udp_multicast`) have no rate. The last two cannot change the rate later either.
 """
 
 from __future__ import annotations

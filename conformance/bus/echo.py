@@ -1,17 +1,16 @@
-"""The echo of a line: some adapters hand back what they send. It is taken out, and a drive's own echo is left in.
+"""The echo of a line: some adapters return the bytes that they send. This removes them, and keeps a drive's own echo.
 
     sent 3E 80 01 00 BF    heard 3E 80 01 00 BF 3E 80 01 00 BF    the first is the adapter's, the second the drive's reply
 
-How the two are told apart. An adapter always echoes or never does, and its echo comes first:
+Rules that separate the two. An adapter always echoes or never does, and its echo comes first:
 
-1. Where no reply of the catalogue can look like the request (most cannot: another head, another length), a copy of what was
-   sent is the adapter's.
-2. Where one can (LK 80h, 81h, 88h; Modbus 06h), it is the adapter's if the adapter is known to echo, by 1; while that is not
-   known, the first of two copies.
-3. What was learnt from `FIRM` sendings in a row holds for good: then a drive that wrongly echoes a read is heard.
+1. If no reply of the catalogue can equal the request (most have another head or length), a copy is the adapter's.
+2. If one can (LK 80h, 81h, 88h; Modbus 06h), the copy is the adapter's if rule 1 showed that the adapter echoes. If that is
+   unknown, the first of two copies is the adapter's.
+3. After `FIRM` equal sendings in a row the answer is final. From then on a drive that wrongly echoes a read is heard.
 
-A copy is waited for no longer than `WAIT_NS` behind the end of the sending; a part of one is held back only so long. An
-echo that was damaged on the way is no copy: it is passed on, as the collision that it shows.
+A copy must come within `WAIT_NS` after the end of the sending; part of a copy is held back for that time only. A damaged
+echo is passed on: it shows a collision.
 """
 
 from __future__ import annotations
@@ -167,7 +166,7 @@ def _overlap(data: bytes, own: bytes) -> int:
 
 @lru_cache(maxsize=1024)
 def could_be_reply(frame: bytes) -> bool:
-    """Say whether a drive may answer these bytes with the same bytes; also where nobody knows what they are."""
+    """Say whether a drive may answer these bytes with the same bytes; also where the bytes are unknown."""
     read = [answer for d in _serial() if (answer := _echoed(d, frame)) is not None]
     return any(read) if read else True
 

@@ -2,8 +2,8 @@
 
     host <- EmulatedLine -> SerialBus or CanBus -> drives
 
-The clock stands still but while somebody waits (`receive`, `wait`). `bus` is there for those who look at a drive or act on
-it: press a switch, turn the shaft, cut the power.
+The clock moves only during `receive` and `wait`. Tests and claims act on the drives through `bus`: they press a switch, turn
+the shaft, cut the power.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _SECOND_NS = 1_000_000_000
 class EmulatedLine(Line):
     """A line to emulated drives, all of serial dialects or all of CAN.
 
-    `speed`: the host's bits per second, None: whatever each drive listens at. `wire_time` False: bytes take no time.
-    `echo`: the host hears what it sends. `faults`: what the wire does to bytes. Raises ValueError for drives of two kinds
+    `speed`: the host's bits per second, None: the rate of each drive. `wire_time` False: bytes take no time.
+    `echo`: the host hears its own bytes. `faults`: damage on the wire. Raises ValueError for drives of two kinds
     of bus, or none.
     """
 

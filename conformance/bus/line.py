@@ -1,9 +1,9 @@
-"""A line: the host's end of a bus, for those who send. Real ones run on the real clock, emulated ones on a virtual one.
+"""A line: the host's end of a bus. Real lines run on the real clock, emulated lines on a virtual clock.
 
-Nothing but a gate (`conformance.gate.gate`) may call `write`: it is where bytes leave. Whoever sends holds a gate.
+Only a gate (`conformance.gate.gate`) may call `write`, where bytes leave. All other code sends through a gate.
 
 Times are nanoseconds of the line's own clock, which begins anywhere and never goes back; `anchor_ns` is UTC at its zero.
-An emulated line's clock moves only while somebody waits, so a program that waits needs no time.
+The clock of an emulated line moves only during waits, so waiting takes no real time.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Line(ABC):
     def receive(self, timeout_ns: int) -> Chunk | CanFrame | None:
         """Return what comes next, with its time, or None when `timeout_ns` have passed without anything.
 
-        What this host sent itself never comes back here, whatever the adapter or interface does.
+        The host's own bytes never come back here, even if the adapter or interface echoes.
         Raises ServotapError (`LineLost`) when the port is gone.
         """
 

@@ -1,4 +1,4 @@
-"""Opening a line from the name of an endpoint. What a kind of line needs is imported when it is opened."""
+"""Opens a line by the name of its endpoint. Each kind of line is imported only when it is opened."""
 
 from __future__ import annotations
 

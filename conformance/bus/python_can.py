@@ -1,8 +1,8 @@
-"""A python-can interface, for emulated drives and for those who send to real ones.
+"""A python-can interface, for emulated drives and for lines to real drives.
 
-Rule: what this end sent never comes back as somebody else's. An interface that hands a sender its own frames back
-(`HANDS_BACK`) returns each of them once and in order, so what comes back is told from the others' frames by what was sent
-and has not returned yet: MKS replies have the identifier of their request, and may have its very bytes.
+Rule: `receive` gives only frames of other senders. Some interfaces (`HANDS_BACK`) return each sent frame to its sender, once
+and in order. So sent frames are remembered until they return. The identifier alone is not enough: MKS replies have the
+identifier of their request, and may have the same bytes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from analyzer.errors import ServotapError, UsageError
 from analyzer.records import CanFrame
 from analyzer.values import quote
 
-#: Interfaces of python-can that hand a sender its own frames back, whatever they are told.
+#: Interfaces of python-can that return frames to their sender, even if told not to.
 HANDS_BACK = frozenset({"udp_multicast"})
 #: How long a frame that was sent may take to return.
 _RETURN_NS = 500_000_000

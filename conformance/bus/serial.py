@@ -2,9 +2,9 @@
 
     serial:/dev/ttyUSB0,baud=38400      serial:,serial=A50285BI,baud=115200
 
-Opening disturbs as little as an opening can: the port is taken for this process alone, RTS and DTR are held active as the
-user's own programs have them (many RS485 adapters live on one of them; those with a direction pin of their own switch it by
-themselves), no flow control. Adapters with a latency timer are asked for their quick mode, where the system can.
+Opening disturbs the bus as little as possible. The port is locked for this process, without flow control. RTS and DTR are
+active, as in most programs: many RS485 adapters draw their power from one of them. Adapters with a direction pin switch it by
+themselves. Adapters with a latency timer are set to their fast mode, where the system can.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     receive: wait for the descriptor, read all there is, stamp it at once
 
-The stamp is taken right behind the wait, in the thread that waits: a thread of its own would be late by what Python's lock
-costs it. Who does other work between two calls finds what came meanwhile stamped late; exchanges wait for their reply.
+The waiting thread takes the stamp right after the wait; a separate thread would be delayed by Python's lock. Bytes that come
+while the caller does other work are stamped late. Exchanges wait for their reply, so their stamps are right.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A TCP connection as a line: a terminal server, or emulated drives. `tcp:HOST:PORT[,baud=N]`
 
-The line behind it has a speed of its own that cannot be set from here; `baud` says what it is, for times on the wire.
+The speed of the line behind it cannot be set from here. `baud` gives that speed, for times on the wire.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _CONNECT_S = 5.0
 
 
 class TcpLine(StreamLine):
-    """A TCP connection. Raises UsageError where nobody answers."""
+    """A TCP connection. Raises UsageError where the server does not answer."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         super().__init__(endpoint)

@@ -2,7 +2,7 @@
 
     host.send -> wire -> every drive's receiver -> Drive.receive -> Outgoing -> wire -> other drives' receivers, host.receive
 
-A bus knows when something will happen next: bytes arrive, a reply is ready, a drive acts by itself, a pause ends. With a
+A bus knows the time of its next event: bytes arrive, a reply is ready, a drive acts, a pause ends. With a
 virtual clock `receive` and `run_until` jump from one event to the next; a server on the real clock sleeps until the next
 event. The same calls in the same order give the same bytes at the same times.
 
@@ -13,7 +13,7 @@ Rules:
 3. A drive sends at the speed that it had when it began to answer: the reply to a change of speed is the last one at the
    old speed.
 
-Watchers get what went over the wire as the analyzer's records (`watch`).
+Watchers get all traffic as the analyzer's records (`watch`).
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Station:
 class Bus(ABC):
     """Drives and one host on one wire.
 
-    `name`: the bus in logs. `speed`: the host's bits per second, None: whatever each drive listens at. `wire_time` False:
+    `name`: the bus in logs. `speed`: the host's bits per second, None: the rate of each drive. `wire_time` False:
     bytes and frames take no time.
     """
 
@@ -74,7 +74,7 @@ class Bus(ABC):
 
     @property
     def speed(self) -> int | None:
-        """The host's bits per second; None: whatever each drive listens at."""
+        """The host's bits per second; None: the rate of each drive."""
         return self._speed
 
     @speed.setter

@@ -1,4 +1,4 @@
-"""How long a CAN 2.0 data frame is on the wire, bit by bit, with the bits that stuffing adds.
+"""The length of a CAN 2.0 data frame on the wire in bits, stuff bits included.
 
 start | ID 11 | RTR IDE r0 | DLC 4 | data | CRC15    stuffed: after five equal bits one of the other kind
 delimiter | ACK | delimiter | end 7 | gap 3          as they are

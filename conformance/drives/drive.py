@@ -1,4 +1,4 @@
-"""What every emulated drive is: one path of a request, with time as an argument.
+"""The base of every emulated drive: one path for all requests, with time as an argument.
 
     frame -> accepted? -> addressed? -> request -> allowed? -> behaviour -> reply values -> reply -> Outgoing
              Responder.read, .understands          Drive.obey              Responder.reply

@@ -1,4 +1,4 @@
-"""Drives from how people name them.
+"""Makes drives from their names.
 
     mks-rs485@1    mks-rs485@2,model=57D,quirk=stale-status    lk-rs485@3,fault=late-reply,baud=38400
 
@@ -6,9 +6,9 @@
 
 A setting is named as its field, or as its command without `set_` where that has one field: `work_mode=5`,
 `work_mode=sr_vfoc`, `direction=ccw`. Values are as people write them, in the unit of the field. `baud` (`bitrate` on CAN)
-is the drive's speed in bits per second, whatever its setting is called.
+is the drive's speed in bits per second in every dialect.
 
-Which class speaks a dialect stands in `KINDS`, and nowhere else.
+`KINDS` alone names the class of each dialect.
 """
 
 from __future__ import annotations

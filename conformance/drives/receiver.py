@@ -1,6 +1,6 @@
 """The receiver of a drive: it finds frames in the bytes on the line.
 
-Unlike the analyzer's framer it does not wait for what follows: a drive acts when the last byte of a frame has arrived.
+Unlike the analyzer's framer it does not look ahead: a drive acts when the last byte of a frame has arrived.
 Bytes and times in, frames out; no I/O, no clock.
 
 Rules:
@@ -10,7 +10,7 @@ Rules:
 2. A frame is passed on at the time of its last byte.
 3. A known frame whose check does not fit is passed on with `checksum_ok` False, unless a frame begins inside it: then
    that one counts. Where one may still be arriving, the pause decides.
-   A Modbus write of several registers whose byte count is not its registers' is a frame by that count.
+   A Modbus write of several registers with a wrong byte count has the length of that count.
 4. A byte that begins no frame is skipped. Where two lengths check, one byte apart, the longer one counts.
 5. A pause ends every wait: an incomplete frame is dropped, and the bytes after its first are searched again. Under Modbus
    it is 3.5 characters (1.75 ms above 19200 baud), elsewhere `PAUSE_NS`, the silence that no adapter puts inside a frame.

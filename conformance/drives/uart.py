@@ -1,12 +1,12 @@
-"""What a UART makes of a line: the levels that several senders put on it, read at the listener's own speed.
+"""A UART on a line: it reads the levels of several senders at its own speed.
 
     idle 1 | start 0 | eight data bits, the lowest first | stop 1 | idle        ten bits a byte
 
-Two things follow from the levels alone, without a rule of their own: a listener at another speed reads garbled bytes
-(more or fewer than were sent, the same ones each time), and of senders at once each low level wins, so that their bytes
-are ANDed. Speeds that differ by less than about four per cent read the same.
+Two effects follow from the levels alone. A listener at another speed reads garbled bytes: more or fewer than were sent, but the
+same each time. With several senders each low level wins, so their bytes are ANDed. Speeds that differ by less than about
+four per cent read the same.
 
-A byte whose stop bit is low is given on as it was read: a real UART marks it, and most hosts drop the mark.
+A byte with a low stop bit is passed on as it was read: a real UART marks it, and most hosts drop the mark.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Faults of the wire: what happens to bytes between sender and listener, by a seeded plan, in both directions.
+"""Faults of the wire: damage to bytes between sender and listener, by a seeded plan, in both directions.
 
     flip        a bit of a byte is turned over                          for each byte
     drop        a byte is lost                                          for each byte

@@ -1,10 +1,10 @@
-"""The limits of fields and layouts as lists of integers: at them, beside them, and the bits that are to be 0.
+"""The limits of fields and layouts as lists of integers: values at and beyond the limits, and reserved bits.
 
     edges(field)             the limits, or every choice           beyond(field)        the nearest forbidden values
     allowed(field)           spans of allowed values               forbidden(field)     spans of forbidden ones
     reserved_masks(layout)   the reserved bits, as data            with_bits(layout, values, mask)
 
-Strategies (`conformance.model.strategies`) and claims are both made from these; nothing here draws anything.
+Strategies (`conformance.model.strategies`) and claims are made from these lists.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def allowed(
 ) -> list[Span]:
     """Return the spans of values that the manual, the bounds of `leeway` and `without` leave.
 
-    `command`: the one that has the field, where it matters what that does.
+    `command`: the command of the field, where its motion matters.
     """
     choices = listed(field)
     kept = span(field, leeway, command)

@@ -1,15 +1,15 @@
-"""The model of an LK drive: on or off, positions, control parameters, brake; and the steps that are drawn for it.
+"""The model of an LK drive: on or off, positions, control parameters, brake; and the random steps for it.
 
-    off     motion commands are answered and not obeyed, neither then nor when the motor is on again
+    off     motion commands are answered but never executed, also not when the motor is on again
     on      0x81 stops and leaves it on
 
 Rules kept here:
 - Positions are hundredths of a degree over all turns, clockwise up; the angle within the turn goes with them.
-- A motor that was let go or stopped on its way stands wherever it comes to rest: the model asks.
-- What 0x93 leaves of the position is open, but for the turns: the model asks.
+- A motor that was released or stopped during a move may rest anywhere: the model asks the drive.
+- The manual says only that 0x93 clears the turns of the position: the model asks for the rest.
 - Control parameters are moderate, and such that the motor can still move. On hardware the gains of the loops are left alone.
-- Values are drawn within the bounds of the session; positions from where the shaft is. A move within the turn goes to
-  another angle than that of the shaft: the manual does not say whether that is no distance or a turn.
+- Values are drawn within the bounds of the session; positions start from the shaft. A move within the turn never goes to the
+  current angle: the manual does not say whether that is no distance or a turn.
 
 Not modelled: torque, limits at their ends, errors, what 0x19 stores.
 """

@@ -1,8 +1,8 @@
 """Control parameters of LK drives: the forms that list them, values to write, and how they are read.
 
 Rules kept here:
-- Values are moderate: what a drive does at the ends of their types is open.
-- A firmware without 0xC0 and 0xC1 was seen: a claim that may meet it observes it.
+- Values are moderate: the behaviour of a drive at the ends of their types is open.
+- Some firmware lacks 0xC0 and 0xC1: a claim that meets such firmware is observed.
 """
 
 from __future__ import annotations

@@ -1,18 +1,18 @@
-"""A Hypothesis state machine per dialect: random sequences of all that is allowed, compared with a model after each step.
+"""A Hypothesis state machine for each dialect: random sequences of allowed steps, compared with a model after each step.
 
-    check(probe, "mixed")                  what a claim does: draw, run, and refute with the shortest sequence that shows it
-    machine(probe, "mixed", recorder)      the RuleBasedStateMachine itself, for those who run it otherwise
-    replay(probe, steps)                   the same steps again, on whatever drive
+    check(probe, "mixed")                  the check of a claim: draw, run, and refute with the shortest failing sequence
+    machine(probe, "mixed", recorder)      the RuleBasedStateMachine itself
+    replay(probe, steps)                   the same steps again, on any drive
 
 The rules are the kinds of steps of the dialect's session (`mks`, `lk`) whose risks are allowed. Their values are drawn within
 the bounds of the gate. A run is derandomised: the same seed draws the same sequences.
 
-A failure is shortened by taking out steps and running what is left on a new emulated drive, as long as it fails in the same
-way; so the time that it takes is bounded. On hardware it is told as it came; it can be shortened on an emulated drive.
+A failing sequence is shortened: steps are removed, and the rest runs on a new emulated drive, as long as it fails in the same
+way. So the time for shortening is bounded. On hardware the sequence is reported in full.
 
 Rules kept here:
-- All sequences of a run go to one drive, each from the state that `Session.begin` brings about.
-- What raises Inconclusive ends the run: another claim judges that.
+- All sequences of a run go to one drive, each from the state that `Session.begin` sets up.
+- A step that raises Inconclusive ends the run: another claim judges its cause.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ def run(probe: Probe, variant: str) -> Recorder:
                 stateful_step_count=REAL_STEPS if real else STEPS,
                 phases=(Phase.generate,),
                 database=None,
-                # The seed decides what is drawn, whatever profile Hypothesis finds for this machine.
+                # The seed alone decides the draws; a profile of Hypothesis must not change them.
                 derandomize=False,
                 deadline=None,
                 print_blob=False,

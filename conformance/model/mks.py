@@ -1,22 +1,22 @@
-"""The model of an MKS drive: mode, settings, enabled, moving, position; and the steps that are drawn for it.
+"""The model of an MKS drive: mode, settings, enabled, moving, position; and the random steps for it.
 
-    pulse modes     enabling, motion and what needs a bus mode are refused
-    bus modes       disabled: motion is refused; enabled: it begins (1), and ends (2) where the dialect tells the end
+    pulse modes     enabling, motion and all that needs a bus mode are refused
+    bus modes       disabled: motion is refused; enabled: it begins (1), and ends (2) where the dialect reports the end
     respond 0       motion is not answered         active 0     its end is not told
 
 Rules kept here:
-- Positions are counts of the encoder since the last zero. Which way the direction bit of a move by pulses means is learnt from
-  the first one; then the drive must keep to it.
+- Positions are counts of the encoder since the last zero. The first move by pulses shows
+  the meaning of its direction bit; then the drive must keep to it.
 - After a change of mode the manual does not say whether the motor is enabled (CAN: `axis_lock` says it): the model asks.
-- A stop, a run that was ended and a motor that was let go leave the shaft where it comes to rest: the model asks.
-- The manual does not say what a setting does to a motion under way: settings that motion depends on are given to a shaft that
-  stands.
+- After a stop, an ended run or a release, the shaft may rest anywhere: the model asks.
+- The manual does not say how a setting affects a current motion. So settings that motion depends on are sent only while the
+  shaft stands.
 - Values are those of the catalogue; a setting outside them is refused and changes nothing.
 - Values of motion are drawn within the bounds of the session. Speeds are as sent: at a finer subdivision than 16 the
   shaft turns slower.
-- On hardware no setting is changed that the motor cannot move without, or that a switch decides (`_STRONG`).
+- On hardware some settings stay unchanged (`_STRONG`): those that motion needs, and those that depend on a switch.
 
-Not modelled: limits and homing (where a real drive has its switches is not known), the ramp, the link.
+Not modelled: limits and homing (the places of a real drive's switches are unknown), the ramp, the link.
 """
 
 from __future__ import annotations

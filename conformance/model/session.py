@@ -1,16 +1,16 @@
-"""A session: one drive, the steps that were done with it, and a model of what it should be after each of them.
+"""A session: one drive, the steps sent to it, and a model of its state after each step.
 
-    session = MksSession(probe)          begins from a known state, whatever the drive was in
+    session = MksSession(probe)          sets up a known state first
     session.do(Step("run_speed", {"direction": 0, "speed": 60, "acceleration": 200}))     raises Refuted where it differs
 
-Each step is a request (or two), what the model says of its answer, and what the model is then. After each step the drive is
+Each step is a request (or two), the answer that the model expects, and the next state of the model. After each step the drive is
 compared with the model. Steps are data, so that a sequence can be repeated, shortened, stored and read again (`steps_text`,
-`parse_steps`). The methods of a session that are marked `@step` are the kinds of steps that can be drawn for it (`machine`).
+`parse_steps`). The methods marked `@step` are the kinds of steps that `machine` can draw.
 
 Rules kept here:
 - Where the manual leaves something open, the model asks the drive and goes on from there.
-- A step whose result nothing predicts is not drawn.
-- What does not work in a way that another claim judges raises Inconclusive.
+- A step with an unpredictable result is not drawn.
+- A failure that another claim judges raises Inconclusive.
 """
 
 from __future__ import annotations

@@ -1,22 +1,22 @@
 """Hypothesis strategies from the catalogue: values of fields, of layouts and whole requests, inside, at and outside the limits.
 
     inside(field)           integers as sent that the manual allows       edges(field)    the limits, or every choice
-    outside(field)          those that it forbids and the bits can hold   beyond(field)   the nearest of them, and the last
+    outside(field)          forbidden values that the bits can hold   beyond(field)   the nearest of them, and the last
     layouts(layout)         {name: value}, all inside                     strays(layout)  exactly one of them outside
     reserved_set(layout)    data whose reserved bits are not all 0
-    requests(dialect, risks, leeway)     whole requests, every risk of which is allowed
+    requests(dialect, risks, leeway)     whole requests with allowed risks only
     packages(dialect, risks, leeway)     packages of such requests
     drawn(strategy, count, seed)        so many different values, the same for the same seed
 
-All take a `leeway`: bounds (how fast, far, hard and strong a motion may be) and what is known of the drive. Values are drawn
-within it and within the risks; nothing is drawn and thrown away. A field that no bound is about is not narrowed. Where all
-bits of a field are used, there is nothing outside: `beyond` is empty, `outside` draws nothing.
+All take a `leeway`: bounds (speed, distance, acceleration and current of a motion) and the known facts about the drive. Values
+are drawn within it and within the risks; no draw is thrown away. A bound narrows only its own fields. If a field uses all
+values of its bits, `beyond` is empty and `outside` draws nothing.
 
     @given(strategies.requests(dialect, {Risk.READ, Risk.MOTION}, Leeway(Bounds(speed=300, turns=2))))
     def test_mine(request):
         probe.ask(request.command, request.values, form=request.form)
 
-Numbers are integers as sent, as everywhere in the catalogue. Not known here: links, and what a drive does.
+Numbers are integers as sent, as everywhere in the catalogue. Links and the behaviour of drives are unknown here.
 """
 
 from __future__ import annotations

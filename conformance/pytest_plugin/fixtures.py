@@ -1,11 +1,11 @@
-"""Emulated drives for other people's tests: behind a pseudo-terminal for programs, on a line in virtual time for code.
+"""Emulated drives for users' tests: on a pseudo-terminal for programs, on a line in virtual time for code.
 
     def test_my_program(servo_port):
         port = servo_port("mks-rs485@1", "mks-rs485@2,fault=late-reply")        "/dev/pts/5", as pyserial opens it
 
     def test_my_protocol(servo_line):
         line = servo_line("mks-can@1")
-        line.write(...); line.receive(1_000_000_000)                           no time passes but on the line's clock
+        line.write(...); line.receive(1_000_000_000)                           only the line's clock moves
 
 The pytest plugin offers both as fixtures. `servo_port` needs a system with pseudo-terminals.
 """

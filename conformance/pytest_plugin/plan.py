@@ -1,4 +1,4 @@
-"""Between pytest and the suite: the plan from pytest's options, and what a test's report carries."""
+"""Between pytest and the suite: the plan from pytest's options, and the data in a test's report."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def give_up(error: Exception, request: pytest.FixtureRequest) -> NoReturn:
 
 
 def note(error: Exception, config: pytest.Config) -> int:
-    """Have the run end with what an error means, whatever else comes of it; return that."""
+    """End the run with the exit status of an error, whatever the other results; return that status."""
     status = error.exit_status if isinstance(error, (NotStopped, RigFault)) else pytest.ExitCode.USAGE_ERROR.value
     end_with(config, status)
     return status

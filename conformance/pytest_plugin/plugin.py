@@ -1,13 +1,13 @@
-"""The pytest plugin: options of the suite, and what its reports carry. It is there in every pytest run and does nothing there.
+"""The pytest plugin: options of the suite, and data of its reports. It is loaded in every pytest run and idle in most.
 
     pytest --pyargs conformance --drive mks-rs485@1 --on serial:/dev/ttyUSB0,baud=38400
 
-Refuted is failed, confirmed and observed are passed, inconclusive and not run are skipped with their reason. Nothing of the
-suite, Hypothesis included, is imported before a test of it is collected.
+Refuted is failed; confirmed and observed are passed; inconclusive and not run are skipped with their reason. The suite and
+Hypothesis are imported only when a test of the suite is collected.
 
 With pytest-xdist, tests on one real port go to one worker, for a port has one owner, and all workers draw from one budget
 (`conformance.pytest_plugin.workers`).
-An option that another plugin has already taken is there as `--servotap-NAME`.
+If another plugin has an option of the same name, the suite's option is `--servotap-NAME`.
 """
 
 from __future__ import annotations

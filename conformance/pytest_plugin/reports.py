@@ -1,4 +1,4 @@
-"""The end of a pytest run of the suite: the table of claims, and the reports that were asked for."""
+"""The end of a pytest run of the suite: the table of claims, and the requested reports."""
 
 from __future__ import annotations
 

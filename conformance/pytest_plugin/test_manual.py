@@ -1,4 +1,4 @@
-"""What pytest collects: one test for each claim about each drive under test."""
+"""The tests that pytest collects: one for each claim about each drive under test."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Opened = dict[tuple[str, str], ClaimRig]
 
 @pytest.fixture(scope="session")
 def rigs(request: pytest.FixtureRequest) -> Iterator[Opened]:
-    """Return the rigs by port and target; whatever ends the session closes them: everything stopped and put back."""
+    """Return the rigs by port and target. At the end of the session all drives are stopped and their settings restored."""
     opened: Opened = {}
     try:
         yield opened

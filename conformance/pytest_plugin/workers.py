@@ -1,7 +1,7 @@
-"""Which worker of pytest-xdist runs which test: all tests on one real port run in one, for a port has one owner.
+"""Workers of pytest-xdist: all tests on one real port run in one worker, since a port has one owner.
 
-The groups of xdist itself (`--dist loadgroup`) are not relied on: they are told by the names of tests, which some versions of
-pytest do not let it change.
+The groups of xdist itself (`--dist loadgroup`) are not used: they need changed names of tests, and some versions of pytest
+do not let xdist change names.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""What a run says: on the terminal, as a page, as logs. Everything here works on records of verdicts and knows no rig."""
+"""Reports of a run: on the terminal, as a page, as logs. All are made from records of verdicts; no rig is needed."""

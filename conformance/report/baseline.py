@@ -1,8 +1,8 @@
-"""A baseline: deviations of a drive that are known and accepted, so that only new ones fail a run.
+"""A baseline: known and accepted deviations of a drive, so that only new deviations fail a run.
 
-A JSON file, one object a deviation: the claim's id, its parameters, and the key of what the drive did. A claim that is
-refuted in another way is new. One that holds now is reported as fixed. One that did not run any more fails: a deviation
-that nobody looks at is not accepted.
+A JSON file with one object for each deviation: the claim's id, its parameters, and the key of the refutation. A claim refuted
+with another key is new. A claim that holds now is reported as fixed. A claim that no longer runs fails: an untested
+deviation is not accepted.
 """
 
 from __future__ import annotations

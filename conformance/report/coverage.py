@@ -1,4 +1,4 @@
-"""Coverage: which command was looked at in which way, and what came of it."""
+"""Coverage: the tested aspects of each command, and their outcomes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from analyzer import dialects
 from conformance.claim import Aspect, Outcome
 from conformance.suite.record import VerdictRecord
 
-#: The worst of several outcomes is shown; a command that nobody looked at is `never`.
+#: The worst of several outcomes is shown; an untested command is `never`.
 RANK = (Outcome.REFUTED, Outcome.OBSERVED, Outcome.CONFIRMED, Outcome.INCONCLUSIVE, Outcome.NOT_RUN)
 NEVER = "never"
 

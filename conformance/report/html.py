@@ -1,6 +1,6 @@
 """The report as one page: verdicts, coverage, latencies, curves, and each refuted claim with its exchange.
 
-Everything is in the page, so that it can be mailed and kept. Text from the wire is escaped: nothing of it is markup.
+The page contains everything, so it can be mailed and kept. Text from the wire is escaped and cannot act as markup.
 """
 
 from __future__ import annotations

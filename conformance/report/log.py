@@ -1,7 +1,7 @@
-"""A run as an MCAP log: all that went over the lines, decoded, and on `/tests` which claim ran when and what came of it.
+"""A run as an MCAP log: all traffic, decoded, and on `/tests` the time and verdict of each claim.
 
-Emulated drives are made anew for each claim and each begins at time 0; in the log the claims stand one behind the other.
-The log of one refuted claim alone is what `servotap rerun` takes: its metadata say what was run.
+Each claim gets new emulated drives, whose time begins at 0; in the log the claims follow one another. `servotap rerun` takes
+the log of one refuted claim; its metadata name the claim and the drive.
 """
 
 from __future__ import annotations

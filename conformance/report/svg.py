@@ -1,4 +1,4 @@
-"""Plots of a report, as SVG text: latencies by command, and curves. No library: a report is one page that needs nothing."""
+"""Plots of a report, as SVG text: latencies by command, and curves. It uses no library, since a report is one page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The terminal's report: claims by theme and dialect, the refuted ones with their exchange and how to repeat them."""
+"""The terminal's report: claims by theme and dialect, refuted claims with their exchange and the command that repeats them."""
 
 from __future__ import annotations
 

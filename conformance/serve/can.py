@@ -4,9 +4,9 @@
 
 Rules:
 
-1. The drives' own frames are never taken for requests (`conformance.bus.python_can`).
-2. Frames that are no CAN 2.0 data frames with 11 bits are logged and reach no drive.
-3. With `bitrate` drives at another rate are not there; without it each drive's rate is right.
+1. The drives' own frames never count as requests (`conformance.bus.python_can`).
+2. Only CAN 2.0 data frames with 11 bits reach a drive; all others are only logged.
+3. With `bitrate`, drives at another rate receive nothing; without it each drive's rate is right.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The line speed of a terminal, also one that is no standard rate (25000, 256000 baud).
+"""The line speed of a terminal, also a non-standard rate (25000, 256000 baud).
 
 Standard rates are codes in the terminal's attributes; others stand in them as numbers (`BOTHER`), which only Linux's
 second version of the attributes (termios2) tells.

@@ -1,6 +1,6 @@
-"""The log of an emulated bus: what went over the wire, through the analyzer's own pipeline, into an MCAP file.
+"""The log of an emulated bus: all traffic, through the analyzer's own pipeline, into an MCAP file.
 
-The file is complete up to the last second while it is written, and whole after `finish`.
+While it is written, the file is complete up to the last second; `finish` completes it.
 """
 
 from __future__ import annotations

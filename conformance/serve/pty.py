@@ -1,13 +1,13 @@
-"""A pseudo-terminal as the serial port of emulated drives. Clients open it as they would open an adapter.
+"""A pseudo-terminal as the serial port of emulated drives. Clients open it like an adapter.
 
     client  <->  /dev/pts/5 (or a link to it)  |kernel|  master  <->  bus
 
 Rules:
 
-1. The terminal stays open here too: clients come and go, and none of them ends it or changes what it is.
-2. The line speed is read with each request, so that a client at the wrong speed meets what it would meet on a wire.
-3. A terminal that a client took for itself alone (TIOCEXCL) is free again for the next one.
-4. What nobody reads is lost, as on a wire, once the terminal is full.
+1. This process keeps the terminal open too, so it survives clients that come and go.
+2. The line speed is read with each request, so a client at the wrong speed reads garbled bytes, as on a wire.
+3. If a client locks the terminal (TIOCEXCL), it is free again for the next client.
+4. When the terminal is full, unread bytes are lost, as on a wire.
 """
 
 from __future__ import annotations

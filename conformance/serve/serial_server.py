@@ -1,7 +1,7 @@
-"""A serial bus on the real clock, behind a port that bytes come from and go to.
+"""A serial bus on the real clock, behind a port with clients.
 
-The loop sleeps until a byte comes or the bus has something due, whichever is first; it never spins. What a client sends
-is on the wire from the moment at which it was read, and takes as long as its bytes do.
+The loop sleeps until a byte comes or an event of the bus is due. Bytes of a client are on the wire from the time when they
+were read, for as long as their bits take.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ BACKLOG_NS = 100_000_000
 
 
 class SerialPort(Protocol):
-    """Where clients come to. `name`: what they open; `lost`: bytes that nobody took."""
+    """The port of the clients. `name`: the path or address to open; `lost`: the number of unread bytes."""
 
     name: str
     lost: int
@@ -33,13 +33,13 @@ class SerialPort(Protocol):
         """Return what clients have sent; empty if nothing. Never blocks, never raises for what a client does."""
 
     def write(self, data: bytes) -> None:
-        """Send bytes to the clients; what nobody takes is lost. Never blocks."""
+        """Send bytes to the clients; bytes that no client takes are lost. Never blocks."""
 
     def speed(self) -> int | None:
         """Return the clients' line speed in bits per second, None where it is not known."""
 
     def idle(self) -> None:
-        """Do what is to be done now and then."""
+        """Do periodic work."""
 
     def close(self) -> None:
         """Close the port."""

@@ -1,9 +1,8 @@
-"""What drives keep over runs: their settings, as JSON.
+"""Settings that drives keep between runs, as JSON.
 
     {"servotap": "drives", "version": 1, "drives": {"mks-rs485@1": {"settings": {"work_mode": 5, ...}}}}
 
-A drive is known by how it was named on the command line. The file is replaced as a whole, so that it is never half
-written.
+A drive is identified by its name on the command line. The file is replaced as a whole, so it is never half written.
 """
 
 from __future__ import annotations

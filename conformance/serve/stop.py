@@ -1,4 +1,4 @@
-"""The wish to end, from a signal or from another thread; it wakes whoever waits."""
+"""A request to stop, from a signal or another thread; it wakes all waiting threads."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """A TCP port as the serial port of emulated drives, for pyserial's `socket://HOST:PORT` and for terminal servers.
 
-Clients come and go; several at once share the line as several hosts would: each hears everything that drives send. There
-is no line speed: it is always right.
+Clients come and go. Several clients share the line like several hosts: each hears all replies. There is no line speed, so
+it is always right.
 """
 
 from __future__ import annotations

@@ -4,15 +4,13 @@
                                                         |
                                     thread: 1-NAME-request, 2-NAME-reply (spools, as of any recording)
 
-Whatever the program writes goes to the adapter, and nothing else does: no byte of the bus is this program's own. So a tap is
-the one thing in `conformance` that writes without passing the gate, and it writes nothing that it was not given.
+The adapter gets the program's bytes and no others. So a tap needs no gate; in `conformance` it alone writes without one.
 
 Rules:
 
-1. Bytes first. They are passed on before anything is made of them; storing them is a thread's work, and neither a full disk
-   nor a dead supervisor keeps them waiting.
-2. Unchanged, in order, none twice. What the program does not read is kept up to a limit and then counted as lost to the
-   program; it is recorded all the same. What the adapter does not take makes the program wait, as a real port would.
-3. The line runs as the program sets it up: `settings`.
-4. The adapter comes and goes without the program's port going; what the program writes meanwhile is counted and not sent.
+1. Bytes are passed on first; a separate thread stores them. A full disk or a dead supervisor delays no byte.
+2. Bytes stay unchanged and in order, without repeats. Bytes that the program does not read are kept up to a limit, then counted
+   as lost to the program. All of them are recorded. If the adapter takes no bytes, the program waits, as at a real port.
+3. The line has the program's settings: `settings`.
+4. The program's port stays open while the adapter is gone. Bytes that the program writes meanwhile are counted but not sent.
 """

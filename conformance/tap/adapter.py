@@ -1,7 +1,7 @@
 """The adapter's end of a tap: a serial port opened for both ways, or a TCP connection.
 
-RTS and DTR are left as the kernel sets them when a program opens a port, unless the user says otherwise: a tap stands in for
-the program, and an adapter that needs RTS to send (`rs485`: the kernel raises it while it sends) needs it here too.
+RTS and DTR stay as the kernel sets them at opening, unless the user says otherwise. The tap replaces the program, so an adapter
+that needs RTS to send needs it here too (`rs485`: the kernel raises RTS while sending).
 """
 
 from __future__ import annotations

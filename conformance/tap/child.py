@@ -1,4 +1,4 @@
-"""The process of a tap as the supervisor of a recording sees it: one reader that stores both directions of a bus."""
+"""The process of a tap for the supervisor of a recording: one reader that stores both directions of a bus."""
 
 from __future__ import annotations
 

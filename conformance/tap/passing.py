@@ -1,9 +1,9 @@
 """The loop of a tap: bytes from the program to the adapter and back, as soon as they are there.
 
-    poll -> read the adapter -> write to the program -> read the program -> write to the adapter -> what is to be stored
+    poll -> read the adapter -> write to the program -> read the program -> write to the adapter -> store
 
-It knows nothing of spools beyond handing bytes to `Storing`, and nothing of processes. An adapter that is gone is opened again
-by a thread, for a connection may take seconds.
+It hands bytes to `Storing`, and knows no spools or processes. A thread reopens a lost adapter, since a connection may take
+seconds.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ class Passing:
 
     def _give_program(self, data: bytes) -> None:
         if not self._terminal.attended:
-            # Nobody hears it, as on a port that nobody has open.
+            # No program has the port open: the bytes are lost, as on a real port.
             return
         room = PROGRAM_LIMIT - len(self._to_program)
         if len(data) > room:

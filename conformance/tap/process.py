@@ -1,11 +1,11 @@
 """The process of a tap: `python -m conformance.tap.process FOLDER REQUEST-STEM REPLY-STEM --terminal MASTER SLAVE ...`
 
-FOLDER holds the recording's configuration, the stems name the spools of the two directions. MASTER and SLAVE are descriptors of
-the pseudo-terminal, handed down by the supervisor, who holds them too: so the program's port outlives this process. Events are
-told on standard output, one line of JSON each with its stem. SIGTERM ends it. When the supervisor dies it goes on passing and
-storing for as long as the program has its port open.
+FOLDER holds the recording's configuration; the stems name the spools of the two directions. MASTER and SLAVE are descriptors of
+the pseudo-terminal. The supervisor holds them too, so the program's port outlives this process. Events go to standard output,
+one line of JSON each, with the stem. SIGTERM ends the process. If the supervisor dies, the process continues until the program
+closes its port.
 
-Exit status: 0 ended as asked; 2 the adapter could not be opened at the start (the reason is told as the event `failed`).
+Exit status: 0 ended by SIGTERM; 2 the adapter could not be opened at the start (the event `failed` has the reason).
 """
 
 from __future__ import annotations

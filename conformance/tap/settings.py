@@ -1,8 +1,7 @@
-"""How a program has set its port up, read from the pseudo-terminal, and the same on an adapter.
+"""The program's port settings: read from the pseudo-terminal and set on the adapter.
 
-Linux keeps of a pseudo-terminal's settings the speed, the stop bits and whether parity would be odd; that there is parity
-at all, and seven data bits, it takes away (`pty_set_termios`). So odd parity shows by its own mark, even parity cannot be told
-from none and has to stand in the endpoint.
+For a pseudo-terminal Linux keeps the speed, the stop bits and the mark of odd parity. It removes the mark of any parity, and
+seven data bits (`pty_set_termios`). So odd parity is visible, but even parity looks like none: the endpoint must name it.
 """
 
 from __future__ import annotations

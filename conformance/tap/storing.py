@@ -1,10 +1,10 @@
-"""What a tap stores, by a thread of its own, so that no disk ever keeps the bytes waiting.
+"""The storage of a tap: a separate thread, so that a slow disk delays no bytes.
 
     tap: pass on -> put into a queue -> go on          thread: queue -> Store (spool, memory while the disk is full)
 
-Times. What the adapter brought is stamped as any reader does. What the program wrote is stamped with the end of its
-transmission on the line: reckoned from the speed, but no later than the first byte that the drive answered. Rules: the queue is
-bounded; what does not fit is counted, and told in its place. What happens to the adapter stands with the replies.
+Times. Bytes from the adapter are stamped like those of any reader. Bytes from the program get the end of their transmission on
+the line, computed from the speed, but no later than the first byte of the reply. Rules: the queue is bounded; bytes that do
+not fit are counted, and an event marks their place. Events of the adapter stand with the replies.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Storing:
         self._queue.put(lambda: self._stores[direction].quiet(t_ns))
 
     def still_there(self, t_ns: int) -> None:
-        """Store that nothing came once more: whoever follows the spools sees that somebody writes them."""
+        """Store a sign of life: processes that follow the spools see that they are still written."""
 
         def store() -> None:
             self._stores[REPLY].idle = False

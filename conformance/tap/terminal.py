@@ -1,8 +1,7 @@
-"""The pseudo-terminal that a tap offers, and who has it open.
+"""The pseudo-terminal of a tap, and whether a program has it open.
 
-The tap holds both ends, so that programs come and go without ending it. The kernel tells of every opening and closing
-(inotify), so what the drive says while no program is there is not kept for the next one, as on a real port. Where there is no
-inotify somebody is taken to be there always.
+The tap holds both ends, so that programs can come and go. The kernel reports every opening and closing (inotify). Bytes of the
+drive are dropped while no program has the port open, as on a real port. Without inotify the port counts as always open.
 """
 
 from __future__ import annotations

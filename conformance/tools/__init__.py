@@ -1,1 +1,1 @@
-"""Tools that talk to drives beside the suite: scan, replay, and the mutants that prove the suite itself."""
+"""Tools besides the suite that talk to drives: scan, replay, and the mutants that test the suite itself."""

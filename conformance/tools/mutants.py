@@ -1,11 +1,11 @@
-"""Mutants: the suite held against every drive that is known to be wrong, so that the suite itself is proved.
+"""Mutants: the suite runs against every known faulty drive, which tests the suite itself.
 
-Each named fault is put into an emulated drive of each dialect that can have it (of as few models as have all commands); a claim
-must refute it. A fault that no
-claim refutes has survived: a hole in the suite. Claims that no fault refutes are listed too: perhaps they cannot fail.
+Each named fault is put into an emulated drive of each dialect that can have it, of as few models as have all commands. At least
+one claim must refute it. A fault that survives is a hole in the suite. Claims that refute no fault are listed too: perhaps
+they cannot fail.
 
-In a hurry (`full` False) the claims are tried in an order that puts those first which are about what the fault is
-said to break, and the first refutation ends a mutant. In full every claim is run, and all that refute are told.
+In a short run (`full` False) the first refutation ends a mutant, and the likely claims are tried first, by the words of the
+fault. A full run tries every claim and reports all refutations.
 """
 
 from __future__ import annotations

@@ -1,15 +1,13 @@
-"""Replaying: the requests of a recording, at their times, through the gate; the replies compared with the recorded ones.
+"""Replay: the requests of a recording, at their times, through the gate; replies are compared with the recorded ones.
 
     steps -> rehearsal (all judged, nothing sent) -> the gate, step by step -> comparison
 
-Times. Each step has its own time from the start, so nothing adds up: one that was late does not make the next one late.
-The last part of the wait is spent without sleeping. Only one thing holds a step back, and only on a serial line, where two
-frames at once collide: the reply to the step before, where the recording has one that has not come yet (`PATIENCE_NS` at
-most).
+Times. Each step has its own time from the start, so delays do not add up. The last part of a wait is spent without sleeping.
+On a serial line, where frames can collide, a step waits for the expected reply to the step before (`PATIENCE_NS` at most).
 
-Permission. A file brings none: what is in it is judged as a whole before its first byte leaves, and again byte by byte as it
-leaves. When it is stopped (Ctrl-C, a lost port), what it set in motion is stopped by a ramp and watched until it stands;
-so is, at the end, a run that the recording left running.
+Permission. A file grants none: all requests are judged before the first byte leaves, and each again as it leaves. When the
+replay is interrupted (Ctrl-C, a lost port), moving drives are stopped by a ramp and watched until they stand. At the end of
+the recording, a drive that still runs is stopped too.
 """
 
 from __future__ import annotations
@@ -43,7 +41,7 @@ PATIENCE_NS = 100 * MS
 _LEAD_NS = 50 * MS
 #: Steps whose replies may still come: a completion comes long after the request.
 _OPEN = 256
-#: How long is listened behind the last step, beside the time its replies took then.
+#: The replay listens this long after the last step, plus the recorded time of its replies.
 _TAIL_NS = 300 * MS
 #: The acceleration as sent of a stop to all, and the pause between the stops of several ways to move.
 _GENTLE = 200

@@ -1,9 +1,9 @@
-"""The plan of a replay: the requests of a recording in order, each with its time and the replies that it got then.
+"""The plan of a replay: the requests of a recording in order, each with its time and recorded replies.
 
     capture or log -> the analyzer's pipeline -> steps
 
-A step is a request with its bytes as recorded, good or bad: the analyzer tells it from replies. Items of an unknown role
-(junk, a CAN frame of 29 bits) are left out and counted; so is the echo of an adapter.
+A step is a request with its bytes as recorded, good or bad: the analyzer separates it from replies. Items of an unknown
+role (junk, a CAN frame of 29 bits) and echoes of an adapter are left out and counted.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""An emulated Lingkong (LK) drive on RS485: what it does with each command of manual V2.36, and what it answers.
+"""An emulated Lingkong (LK) drive on RS485: its actions and replies for each command of manual V2.36.
 
     request 3E A2 01 04 E5 A0 8C 00 00 2C  ->  values by name  ->  ACTS["run_speed"]  ->  the motor
     reply   3E A2 01 07 E8 ...             <-  reply's fields by name  <-  SENT, PHYSICAL  <-  the motor and the drive
 
-    ACTS      command name -> what it does; a command that is not listed only reads
+    ACTS      command name -> its action; a command that is not listed only reads
     ANSWERS   command name -> the values of its reply, where they are not measured
     PHYSICAL  field name -> its measured value in the field's unit
     SENT      field name -> its measured value as sent
@@ -12,18 +12,18 @@ Layouts, ranges, models, codes and frames come from the catalogue.
 
 Rules kept here:
 - One request, one reply, `reply_delay_ns` (0.25 ms) after the last byte of the request. Nothing is sent unasked.
-- There is no broadcast. A parameter that appendix 1 does not list is not answered: there is nothing to answer.
-- A value outside its range or choices changes nothing. It is answered all the same: LK has no reply that refuses.
+- There is no broadcast. A request for a parameter that appendix 1 does not list gets no reply.
+- A value outside its range or choices changes nothing, but it is answered: LK has no reply that refuses.
   Reserved bytes are ignored.
-- Off, or with an error flag set: answered, but nothing moves, neither then nor later. An error takes the torque away.
-- 0x80 drops the motion under way and keeps the turns; 0x88 resumes nothing. 0x81 brakes by the ramp and holds, and the
+- Off, or with an error flag set: commands are answered, but never executed. An error removes the torque.
+- 0x80 drops the current motion and keeps the turns; 0x88 resumes nothing. 0x81 brakes by the ramp and holds, and the
   motor stays on.
 - `max_speed` of 0xA4, 0xA6 and 0xA8 replaces the speed limit, as the remarks of sections 13, 15 and 17 leave Max Speed
-  out. 0 is a limit of 0 and nothing moves: the manual makes no exception of it (real drives do, which is a quirk).
+  out. 0 is a limit of 0 and nothing moves: the manual prints no exception (real drives differ, which is a quirk).
 - 0xA7 and 0xA8 count from where the shaft is. A multi-turn position counts from the encoder's zero at power-up, until
-  0x93 (the whole turns are dropped, the angle within the turn stays) or 0x95. Neither disturbs motion under way.
-- 0xA5 and 0xA6 turn in the direction given and no other; at the angle already, the shaft stays.
-- 0xC1 holds at once, also for motion under way. Parameter numbers are taken as: torques LSB of torque current (MS:
+  0x93 (the whole turns are dropped, the angle within the turn stays) or 0x95. Neither disturbs a current motion.
+- 0xA5 and 0xA6 turn only in the given direction; a shaft that is at the angle already stays.
+- 0xC1 takes effect at once, also on a current motion. Parameter numbers are taken as: torques LSB of torque current (MS:
   power), speeds 0.01 deg/s, angles 0.01 deg, torque ramp LSB/s, speed ramp 0.01 deg/s2; signs are ignored. The manual
   gives no units; these are those of its commands. On MS 30 and 36 act on the power.
 - 0x19 stores the raw encoder value; the zero moves at the next power-up.
@@ -31,11 +31,11 @@ Rules kept here:
 - Error flags stay until 0x9B, which clears those whose cause is gone; its reply shows what is left.
 - 0x8C answers with the state after switching. At power-up the brake is released, since the motor obeys at once then.
 
-Decided, since nothing is printed: the voltages and temperatures that raise flags, the values at power-up, the supply
-current, the phases' angle.
+The manual does not print the voltages and temperatures that raise flags, the values at power-up, the supply current and the
+phases' angle. They are chosen here.
 
-Not emulated: loop gains (kept and read back, without effect), heating under load, the light, the setup program's
-link, what a failed encoder does to the position, the multi-motor commands that the manual only mentions.
+Not emulated: loop gains (stored without effect), heating under load, the light, and the link of the setup program. Nor the
+effect of a failed encoder on the position, and the multi-motor commands that the manual only mentions.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""An LK motor: what its shaft does. Physics alone: no bytes, no commands, no clock.
+"""The motion of an LK motor's shaft: physics only, without bytes, commands or a clock.
 
-    goal (free, torque, speed, position) + limits + what holds the shaft -> path (`paths`) -> angle, speed, torque
+    goal (free, torque, speed, position) + limits + brake or hand -> path (`paths`) -> angle, speed, torque
 
 Angles are degrees, speeds deg/s, accelerations deg/s2, torques LSB of the model's torque current (MS: of its power);
 clockwise is positive. Times are integer nanoseconds and only go forward.
@@ -9,18 +9,18 @@ Three angles: `angle` is the shaft's own and never jumps; `position` is counted 
 be moved; the angle within a turn is counted from `zero`, the encoder's.
 
 Rules kept here:
-- A goal is turned into a path when it is given, and again whenever something changes under it: limits, what holds the
-  shaft, a hand that turns it. Between changes the motion is a formula in time.
+- Each new goal becomes a path. The path is made again after each change: of limits, of a brake, of a hand on the shaft.
+  Between changes the motion is a formula in time.
 - Speed and position loops are ideal: they follow ramps of constant acceleration exactly, and hold exactly.
-- Their acceleration is the smaller of the ramp and of what the torque limit gives to a shaft at rest. Friction is not
-  charged against it, so that the acceleration is constant; it shows in the torque that is reported.
-- A limit is a limit: with 0 nothing passes. Without torque a loop cannot act, and the shaft runs out. A ramp of 0 is no
-  ramp: only the torque limit is left.
-- A torque is given by the torque ramp; the shaft settles at the speed at which friction takes it all up.
-- Off, or free: no torque, friction alone. A brake or a hand holds the shaft at once; the goal stays, and what is left
-  of it is done when the shaft is let go.
+- Their acceleration is the smaller of two: the ramp, and the acceleration by the torque limit of a shaft at rest. Friction
+  does not reduce it, so the acceleration is constant. Friction shows in the reported torque.
+- A limit of 0 allows nothing. Without torque a loop cannot act, and the shaft coasts to a stop. With a ramp of 0, only the
+  torque limit counts.
+- A torque rises by the torque ramp; the shaft settles at the speed where friction equals the torque.
+- Off, or free: friction alone acts. A brake or a hand holds the shaft at once. The goal stays, and the motion continues when
+  the shaft is released.
 
-What is not emulated: the loops' tuning (gains are kept by the drive and change nothing), cogging, backlash, load, heat.
+Not emulated: the tuning of the loops (the drive stores gains, without effect), cogging, backlash, load, heat.
 """
 
 from __future__ import annotations

@@ -12,10 +12,10 @@ r"""Paths of a shaft in closed form: angle, speed and acceleration at any time, 
 Angles are degrees, speeds deg/s, accelerations deg/s2, times seconds since the path began; clockwise is positive.
 
 Rules kept here:
-- A path is a function of time alone: asking for a time twice, or for times in any order, gives the same answers.
-- `Ramps` ends exactly where it was meant to end: rounding of floats does not show in a position that was reached.
-- A move is the fastest one within its acceleration and top speed, also from a shaft that turns already. One that turns
-  the wrong way, or too fast to stop in time, brakes first and comes back.
+- A path is a function of time alone. Times may be asked for in any order.
+- `Ramps` ends exactly at its target; a reached position has no rounding error.
+- A move is the fastest within its acceleration and top speed, also from a turning shaft. A shaft that turns the wrong way,
+  or too fast to stop in time, brakes first and comes back.
 """
 
 from __future__ import annotations

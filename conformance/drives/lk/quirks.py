@@ -1,13 +1,15 @@
-"""Quirks of the LK drive: what real drives were seen to do beside or against manual V2.36. All are off by default.
+"""Quirks of the LK drive: behaviour of real drives that manual V2.36 does not print or contradicts. All are off by default.
 
-Facts and sources are those of the project's notes on real hardware. Facts that the conforming drive already keeps,
-since the manual says them too or leaves them open, have no quirk: 0x80 and 0x88 are echoed exactly, 0x80 drops the
-motion under way, 0x19 takes effect at the next power-up, 0x92 counts clockwise up, the encoder of 0x90 is the raw value
-less the offset.
+Facts and sources are those of the project's notes on real hardware. A fact has no quirk if the conforming drive behaves so
+already: the manual says it too, or leaves it open. Such facts are:
 
-Firmware 2.35 speaks four codes that the manual does not have. They are declared here as `Command`s, as the catalogue
-would, from what that firmware was seen to send; the analyzer does not know them. What its 0x40 and 0x42 do with the two
-halves of an angle limit (0x9B, 0x9C) was not seen and is left out.
+- 0x80 and 0x88 are echoed exactly; 0x80 drops the current motion.
+- 0x19 takes effect at the next power-up. 0x92 counts up clockwise.
+- The encoder of 0x90 is the raw value less the offset.
+
+Firmware 2.35 speaks four codes that the manual does not have. They are declared here as `Command`s, from traffic of that
+firmware; the analyzer does not know them. The two halves of an angle limit (0x9B, 0x9C) by its 0x40 and 0x42 are left out,
+since no traffic shows them.
 """
 
 from __future__ import annotations

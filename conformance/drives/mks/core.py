@@ -1,18 +1,18 @@
-"""What goes on in an MKS drive: scripts (a move, a homing), end limits, the locked rotor.
+"""The activities of an MKS drive: scripts (a move, a homing), end limits, the locked rotor.
 
     Request -> behaviours[verb] -> reply values
                     |
                script: waits, and a completion reply at its end
 
-A script is a generator: it yields what it waits for, as a function that says when that will be. The drive calls it again
-when something has changed. So a switch pressed by hand and one that the shaft reaches are the same to a script.
+A script is a generator. It yields its next wait, as a function that returns the time when the wait ends. The drive calls that
+function again after each change. So a script treats a switch pressed by hand like a switch that the shaft reaches.
 
 Rules kept here:
 - A motion with a speed above its range runs at the highest speed of the work mode. Reserved bits of a motion are
   ignored. A command that needs certain work modes is refused in the others.
 - One script runs at a time: a newer motion replaces the older one, whose completion is not sent. A refused request
   leaves the older motion alone.
-- `respond` 0 silences what the catalogue marks as silenced, `active` 0 all completion replies.
+- `respond` 0 silences the commands that the catalogue marks, `active` 0 all completion replies.
 - A completion is sent when the motion ends, in the dialect that began the motion. In another dialect it is not sent.
 
 Not emulated: a drive that is too busy to answer.

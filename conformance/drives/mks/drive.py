@@ -1,22 +1,24 @@
-"""An emulated MKS drive, whatever its dialect: which dialects it speaks, what it does, what can be done to it from outside.
+"""An emulated MKS drive of any dialect: its dialects, its behaviour, and actions from outside.
 
     responders      requests and replies in native frames, Modbus-RTU, CAN
     state, core     settings, memory, motor and switches; scripts, limits and the locked rotor
-    reading, settings, motion     what it does with each command: `BEHAVIOURS`, one function a verb
+    reading, settings, motion     the behaviour of each command: `BEHAVIOURS`, one function for each verb
     motor, paths    the shaft
 
     native 8E 01, or `modbus=1` at the start  ->  Modbus     Modbus 008Eh = 0, or a restore  ->  native
 
 Rules kept here:
-- Settings, motion and all else are of the drive, not of its dialect. `dialect` is the one that it speaks now.
-- The reply to a change of dialect is still in the old one.
-- What the CAN drives do otherwise than the RS485 drives stands in `CanResponder`.
-- What is done from outside happens at the time that the drive has reached.
+- Settings and motion belong to the drive, and stay when its dialect changes. `dialect` is the current dialect.
+- The reply to a change of dialect is still in the old dialect.
+- Differences of the CAN drives from the RS485 drives stand in `CanResponder`.
+- Actions from outside happen at the drive's current time.
 
-Not emulated: the display and the keys (a key lock is stored), motor and holding current (stored, without effect: no
-manual gives a torque), interpolation, heat (no command shows it), and that a restored drive is to be calibrated. On CAN
-also: pulses at the STP and DIR pins beyond their count, the 100 ms after 85, the LED, homing that a 200 ms pulse at En
-starts, and what an X4 mode without a magnet would read (the encoder stays readable).
+Not emulated:
+- the display and the keys (a key lock is stored), interpolation, heat (no command shows it);
+- the effect of motor and holding current (they are stored; no manual gives a torque);
+- the calibration that a restored drive needs;
+- on CAN: pulses at the STP and DIR pins beyond their count, the 100 ms after 85, the LED, homing by a 200 ms pulse at En;
+- the reading of an X4 mode without a magnet (the encoder stays readable).
 """
 
 from __future__ import annotations
@@ -58,7 +60,7 @@ def _responders(dialect: Dialect, model: str) -> list[MksResponder]:
 
 
 class MksDrive(MksCore):
-    """One MKS drive with its motor. `dialect`: the one that it speaks at first.
+    """One MKS drive with its motor. `dialect`: its first dialect.
 
     Raises UsageError for a name that is no setting and for a value that a setting cannot have.
     """

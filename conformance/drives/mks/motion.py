@@ -1,33 +1,33 @@
-"""How an MKS drive moves: runs, moves to a position, stops, enabling, homing, calibration, and what it does at power-on.
+"""Motion of an MKS drive: runs, moves, stops, enabling, homing, calibration, and motion at power-on.
 
     FD  relative, in pulses     wanted position + pulses        F4  relative, in counts   wanted position + counts
     FE  absolute, in pulses     pulse 0 + pulses                F5  absolute, in counts   the encoder's 0 + counts
 
 Rules kept here:
-- A motion is refused while the motor is disabled, protected, without supply or calibrating. A stop is not: it has nothing
-  to refuse, unless the motor calibrates.
-- A newer motion begins with the speed that the shaft has: so mode 4 takes new targets and speeds on the way.
-- A move is answered when it begins and when the shaft is there; in a closed loop a blocked shaft is not there. One at
-  speed 0 is a stop. A stop is answered when it begins and when the shaft stands.
-- Towards an end limit that is closed: a run at a speed is refused, a move begins and is stopped at once (status 3). A
-  limit met on the way stops at once; a run at a speed has no reply that could tell.
-- A locked rotor with its protection on ends a move as failed (0) and lets the shaft go.
-- Emergency stop and disabling end what is under way without a completion.
-- A run at a speed is kept for power-on by FF; without one nothing turns at power-on.
-- With a switch: run until it is effective, stop at once, that point is zero. From an effective one the shaft first goes
-  the other way: on RS485 until the switch opens, on CAN by the return angle.
-- Without: run until something holds the shaft, then go back by the return angle; that point is zero.
-- With the end limit on, homing to a switch ends with the shaft let go (RS485).
+- A motion is refused while the motor is disabled, protected, without supply or calibrating. A stop is refused only
+  while calibrating.
+- A newer motion begins at the current speed of the shaft: so mode 4 takes new targets and speeds during a move.
+- A move is answered at its begin and when the shaft arrives; in a closed loop a blocked shaft does not arrive. A move at
+  speed 0 is a stop. A stop is answered at its begin and when the shaft stands.
+- Towards a closed end limit, a run at a speed is refused; a move begins and is stopped at once (status 3). A limit
+  reached during motion stops it at once. A run at a speed has no reply for that.
+- A locked rotor with its protection on ends a move as failed (0) and releases the shaft.
+- Emergency stop and disabling end the current motion without a completion.
+- FF stores a run at a speed for power-on; without a stored run nothing turns at power-on.
+- Homing with a switch: the shaft runs until the switch is effective and stops at once; that point is zero. If the switch is
+  effective at the start, the shaft first leaves it: on RS485 until it opens, on CAN by the return angle.
+- Homing without a switch: the shaft runs until it is blocked, then returns by the return angle; that point is zero.
+- With the end limit on, homing to a switch releases the shaft at its end (RS485).
 - Homing is answered 1 and then 2, or 0 where it cannot begin or a locked rotor ends it. It cannot begin at speed 0, nor
   while the motor is disabled, protected, without supply or calibrating. It works in every mode.
-- Calibration turns the shaft once to and fro and is answered 0 (it goes on) and then 1, or 2 where the shaft is held, the
+- Calibration turns the shaft once in each direction. It is answered 0 (running) and then 1, or 2 if the shaft is held, the
   encoder fails or the supply is bad.
-- At power-on: the way back to the kept zero point (9A), by the direction set or the shorter way, then a kept run (FF).
-  3B reads how the way back went: 2 where no point is kept or something interrupted it.
+- At power-on the shaft returns to the stored zero point (9A), by the set direction or the shorter way. Then a stored run
+  (FF) begins. 3B reads the result of the return: 2 if no point is stored or the return was interrupted.
 
-Decided, since nothing is printed: the direction of pulses is that of the direction bit, 0 raises their count. Homing,
-calibration and the way back change their speed at once; the way back turns at 30 rpm a step of its setting, its end is
-zero; a restored drive needs no calibration.
+The manual does not print these; they are chosen here. The direction bit gives the direction of pulses; 0 raises their count.
+Homing, calibration and the return to zero change their speed at once. The return turns at 30 rpm for each step of its
+setting, and its end is zero. A restored drive needs no calibration.
 """
 
 from __future__ import annotations

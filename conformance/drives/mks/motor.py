@@ -3,16 +3,15 @@
     path (where the shaft is meant to be) + lost steps  ->  obstacles  ->  shaft  ->  encoder, switches
 
 Rules kept here:
-- Positions are encoder counts, counter-clockwise raises them; speeds are rpm; both are integers or Fractions, exact at
-  any time that is asked for, but that a path begins at a whole part of a turn (`TURN`, 1 / 29,296,875 count). The encoder
-  of a drive shows the nearest whole count.
-- A shaft that meets an obstacle stays there; its path goes on, and the difference is the position error. Without the
-  obstacle a closed loop is where it is meant to be at once, an open loop has lost the steps for good.
-- A shaft that is let go stands where it is and follows the hand; one that is held springs back, in an open loop it does
-  not.
+- Positions are encoder counts, which rise counter-clockwise; speeds are rpm. Both are integers or Fractions, exact at any
+  time. Only the start of a path is rounded, to a whole part of a turn (`TURN`, 1 / 29,296,875 count). The encoder of a drive
+  shows the nearest whole count.
+- An obstacle blocks the shaft; its path continues, and the difference is the position error. When the obstacle goes, a
+  closed loop is at its target at once, while an open loop has lost the steps.
+- A released shaft stands still and follows the hand. A held shaft springs back in a closed loop, but not in an open loop.
 - A switch is closed while the shaft is at or beyond its place, or while a hand presses it.
 
-Not emulated: torque, current and heat of their own making (a manual gives no law for them); how a loop catches up.
+Not emulated: torque, current and heat (no manual gives a law for them), and how a loop catches up.
 """
 
 from __future__ import annotations

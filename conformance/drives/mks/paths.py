@@ -1,22 +1,22 @@
-"""Paths: where a shaft is meant to be at any time, exactly, without simulation steps.
+"""Paths: the target position of a shaft at any time, exact, without simulation steps.
 
     speed  ^      ____                    the ramp law: one rpm more (or less) every `step_ns`; a ramp is a staircase
            |    _|    |_                  0, 1, 2, ... whose first step waits: speed 1 comes after one `step_ns`
            |  _|        |_
            |_|            |____> time
 
-A path is a handful of segments: a staircase or a constant speed, the last one without end. Position, speed and the time
-of a position follow in closed form, whatever the length of a move.
+A path has a few segments: staircases and constant speeds; the last segment has no end. Position, speed and the time of a
+position follow in closed form, for a move of any length.
 
 Rules kept here:
 - Times are ns, speeds rpm, positions parts of a turn (`TURN`): so small that rpm x ns is a whole number of them. All are
   integers or Fractions; nothing is rounded.
-- A move ends exactly at its target: up to the highest whole step from which the way down still fits, down by one rpm a
-  step, and the distance that is left is spent by staying longer at the top.
-- A path that is too fast to stop at its target goes beyond it, stands, and comes back.
+- A move ends exactly at its target. It climbs to the highest step that leaves room to slow down by one rpm per step. The
+  rest of the distance passes at that top speed.
+- A path that is too fast to stop at its target passes it, stops, and comes back.
 - `step_ns` 0: speeds change at once.
 
-Not emulated: inertia, resonance, overshoot of the control loop and settling. The shaft is where it is meant to be.
+Not emulated: inertia, resonance, overshoot of the control loop and settling. The shaft is always at its target position.
 """
 
 from __future__ import annotations

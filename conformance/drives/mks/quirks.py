@@ -1,8 +1,7 @@
-"""Quirks of the MKS drives: what real ones were seen to do beside their manuals, by name, off by default.
+"""Quirks of the MKS drives: named behaviour of real drives that differs from their manuals, off by default.
 
-Each names where it was seen. Facts that only confirm the manual's reading (register 90h with five bytes, FFFFh for a
-refused write, `00 82` answered `82 05`) are how the drives behave anyway and are no quirks; nor is what hosts, adapters
-and buses do.
+Each quirk names its source. Facts that only confirm the manual have no quirk, since all drives here keep them: register 90h
+with five bytes, FFFFh for a refused write, `00 82` answered `82 05`. Behaviour of hosts, adapters and buses has no quirk.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""What an MKS drive answers to a read: measured values by the names of the catalogue's fields.
+"""Reads of an MKS drive: measured values by the names of the catalogue's fields.
 
 Rules kept here:
-- A behaviour returns all that it knows; the reply's layout takes what it has room for.
+- A behaviour returns all values; the layout of the reply selects its fields.
 - Measured values are the nearest whole number. The speed stays within its bits; counters wrap.
 - Ports: a closed switch is a low pin. RS485: in_2 exists on the 57D or with the ports remapped, the outputs on the 57D
   alone. CAN: on the 42E in_2 is the En pin (or the right limit, remapped), on the 57E in_2 is the left and in_1 the right
   limit.
-- In pulse modes only a calibration shows in the status (CAN says so; the RS485 drives have nothing else to show).
-- 3B without a way back to zero since power-on: 1.
+- In pulse modes the status shows only a calibration. The CAN manual says so; RS485 drives have no other status then.
+- 3B reads 1 if there was no return to zero since power-on.
 
 Not emulated: out_2, which the manual reserves.
 """

@@ -1,4 +1,4 @@
-"""How an MKS drive reads requests and puts replies into frames: native frames, Modbus-RTU, CAN.
+"""Requests and replies of an MKS drive as frames: native, Modbus-RTU, CAN.
 
     native   FA 01 F6 01 40 02 34                ->  run_speed(direction 0, speed 320, acceleration 2)  ->  FB 01 F6 01 F3
     Modbus   01 10 00 F6 00 02 04 00 02 01 40 .. ->  run_speed(...)  ->  01 10 00 F6 00 02 ..   executed: the echo
@@ -14,7 +14,7 @@ Rules kept here:
   has no statuses: a write answers its echo, or the "refused" form where the native drive would answer that it failed.
 - Modbus answers exception 01 for a function that the drive does not have. It answers 03 for a quantity or byte count other
   than the register's own, and 02 for a register that does not begin a command of that function.
-- Modbus does not tell the end of a motion: the status F1h must be asked.
+- Modbus does not report the end of a motion: the host must read status F1h.
 - A reply on a Modbus line (an exception, a 10h of eight bytes, a read of another length) is no request and is not answered.
 
 Not emulated: diagnostics and the other functions of the Modbus standard, which the manual leaves out.
@@ -108,7 +108,7 @@ class ModbusResponder(MksResponder):
         return None
 
     def _counted(self, message: Message) -> bool:
-        """Say whether the byte count of a write of several registers is the one that the register must have."""
+        """Say whether a write of several registers has the byte count of its register."""
         link, frame = self.dialect.link, message.frame
         assert isinstance(link, ModbusLink)
         head = link.parse(frame.data)

@@ -1,18 +1,18 @@
-"""What an MKS drive does with its settings: it stores them by name, and keeps or loses them in a restart and a restore.
+"""Settings of an MKS drive: stored by name, kept or lost in a restart and a restore.
 
 Rules kept here:
-- All settings are one behaviour: their fields are stored, status 1 is answered, and `AFTER` says what else follows. Values
-  that the manual does not allow never come here.
-- The reply to what changes the link goes out by the old setting; the new one holds from then on.
+- One behaviour serves all settings: it stores their fields and answers status 1; `AFTER` lists further effects. Values that
+  the manual does not allow are refused before.
+- The reply to a change of the link still uses the old setting; then the new setting holds.
 - Another work mode ends motion at once. A bus mode begins with the shaft held; on CAN `axis_lock` says whether.
 - Another subdivision or pulse direction leaves the counts as they are.
 - Changed limit settings hold only after the next homing.
-- A restart keeps what is stored and forgets the rest: motion, whether the motor was enabled, protection, zero, turns.
-  The encoder knows its place within the turn. It takes `start_ns`, in which the drive hears nothing.
-- A restore puts all that is stored to its default, address, baud rate and dialect too, and restarts.
-- Both are answered by the settings of before.
+- A restart keeps stored settings and forgets all else: motion, enabling, protection, zero, turns. The encoder keeps its
+  position within the turn. A restart takes `start_ns`, in which the drive hears nothing.
+- A restore sets all stored values to their defaults, also address, baud rate and dialect, and restarts.
+- Replies to both still use the earlier settings.
 
-Not emulated: what settings without an effect on a bus do (screen, keys, interpolation, currents, pulse delay).
+Not emulated: settings without an effect on a bus (screen, keys, interpolation, currents, pulse delay).
 """
 
 from __future__ import annotations

@@ -126,10 +126,11 @@ class MksState(Drive):
 
     Raises UsageError for a name that is no setting and for a value that a setting cannot have.
 
-    Times and laws that a quirk or a fault may change are attributes: `reply_delay_ns`, `start_ns`, `calibration_ns`, `ramp`
-    (time of one rpm by acceleration as sent), `home_settings` (by which it homes), `heedless` (names of settings that have no
-    effect), `forgetful` (settings that a restart puts back to their default), `clinging` (settings that a restore leaves
-    alone).
+    A quirk or a fault may change these attributes:
+
+    - `reply_delay_ns`, `start_ns`, `calibration_ns`: times. `ramp`: the time of one rpm, by acceleration as sent.
+    - `home_settings`: the settings of homing. `heedless`: names of settings without an effect.
+    - `forgetful`: settings that a restart resets. `clinging`: settings that a restore keeps.
     """
 
     def __init__(self, responders: Sequence[MksResponder], address: int, **options: Unpack[Options]) -> None:
