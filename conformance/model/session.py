@@ -3,7 +3,7 @@
     session = MksSession(probe)          sets up a known state first
     session.do(Step("run_speed", {"direction": 0, "speed": 60, "acceleration": 200}))     raises Refuted where it differs
 
-Each step is a request (or two), the answer that the model expects, and the next state of the model. After each step the drive is
+Each step is a request (or two), the answer that the model expects, and the next state of the model. Then the drive is
 compared with the model. Steps are data, so that a sequence can be repeated, shortened, stored and read again (`steps_text`,
 `parse_steps`). The methods marked `@step` are the kinds of steps that `machine` can draw.
 
