@@ -1,4 +1,4 @@
-"""`servotap decode` beside plain scripts that do a part of it, in the same run.
+"""`servotap decode` compared with plain scripts that do a part of its work, in the same run.
 
     python benchmarks/decode_peers.py [--frames 100000] [--rounds 3]
 
@@ -7,7 +7,7 @@ Two captures of plausible exchanges are made: candump lines of MKS on CAN, and r
 - candump: python-can reads, cantools decodes by a database with a multiplexer, json writes, mcap logs;
 - raw: a hand-written slicer for exactly these commands, struct, json, mcap.
 
-The peers neither pair nor judge nor check ranges. Absolute numbers are of this machine; the ratios are what counts.
+The peers do not pair frames, report findings or check ranges. Absolute numbers depend on the machine; compare the ratios.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     python benchmarks/decode_spool.py [--seconds 10] [--record-bytes 64] [--motion]
 
 A spool of a serial line at 66 thousand frames/s of 6 bytes (400 kB/s) is decoded in full: frames, pairing, findings, the raw
-topic, the log, snapshots for whoever watches. Told is CPU time of the process, all its threads, per second of traffic.
+topic, the log, snapshots for a viewer. The result is the CPU time of the process with all threads, per second of traffic.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 
     python benchmarks/drive_soak.py [--seconds 120] [--baud 115200] [--no-log] [--json]
 
-The drives run in a process of their own (`servotap emulate`), with the times of the wire. The client asks each in turn
-for speed, position, pulses and status and checks every reply byte by byte where it does not depend on the moment.
+The drives run in a process of their own (`servotap emulate`), with the times of the wire. The client asks each drive
+in turn for speed, position, pulses and status. It checks every byte of a reply that does not depend on the time.
 Passed (exit 0): no reply lost, late (2 s) or wrong; the memory of the drives' process grows by less than 2 MB from the
 first quarter on; the log holds every request and every reply. (A log keeps an index of its chunks, one a second, until it
 is finished: some kB a second with many topics.)

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""How well frames are found on a noisy line, beside pymodbus' RTU framer and a splitter by read chunks.
+"""How well frames are found on a noisy line, compared with pymodbus' RTU framer and a splitter by read chunks.
 
     python benchmarks/framing_noise.py [--frames N] [--seed N] [--json]
 
-Traffic: plausible exchanges made from the catalogue (a request with valid values, then its reply or replies), mixed
-over all commands of a dialect and several drives; some requests go to all drives, some packages to five. Damage: each
+Traffic: plausible exchanges from the catalogue, each a request with valid values and its replies. They mix all commands of a
+dialect and several drives; some requests go to all drives, some packages to five. Damage: each
 byte of the line is flipped (another value), dropped, or has a byte inserted before it, one third each, with the given
 probability.
 

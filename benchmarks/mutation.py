@@ -2,8 +2,8 @@
 
     python benchmarks/mutation.py [--dialect D] [--jobs N]
 
-Says which claim refuted which fault, which faults survived, which claims no fault refutes, and how long the suite itself
-takes beside it. In full it takes about an hour on two cores.
+Prints the claims that refute each fault, the faults that survive, the claims that refute no fault, and the time of the suite
+alone. A full run takes about an hour on two cores.
 """
 
 from __future__ import annotations

@@ -8,12 +8,11 @@ raw     the same with --raw-only
 can     udp_multicast at 16 thousand frames/s, decoded
 peer    python-can's own logger (`python -m can.logger`) on the same traffic
 
-A pseudo-terminal loses nothing by itself: it stops the sender. So the sender's longest delay is told: on a real line, more
-than about 160 ms at 400 kB/s would have been lost. Cores: processor time over the time of sending, all of it: also what was
-decoded after the end. Lateness: the time in the log of the last byte of each chunk (of each frame on CAN) less the time when
-its sender had written it.
+A pseudo-terminal loses nothing by itself: it stops the sender. So the result shows the sender's longest delay: a real
+line would have lost bytes after about 160 ms at 400 kB/s. Cores: processor time divided by the time of sending, including
+decoding after the end. Lateness: the logged time of the last byte of a chunk (on CAN: of a frame) less the time of its write.
 
---first lets all of it go before other processes (root), on a machine that is busy otherwise.
+--first gives all processes a high priority (root), for a machine that is otherwise busy.
 """
 
 from __future__ import annotations

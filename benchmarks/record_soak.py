@@ -8,9 +8,9 @@
     axis    lk-rs485    2000000 baud       200 kB/s
     arm     mks-can     1 Mbit/s         16000 frames/s udp_multicast
 
-With --faults a reader and the decoding process are killed now and then. It ends well if all bytes and frames that were sent
-are in the log, in order, each decoded once, with no finding; and if the memory of no process has grown by more than 20 %
-(and 4 MiB) from the second quarter of the time to the last.
+With --faults a reader and the decoding process are killed now and then. The run passes if the log has all sent
+bytes and frames in order, each decoded once, with no finding. Also, no process may grow in memory by more than 20 % (and
+4 MiB) from the second quarter of the time to the last.
 """
 
 from __future__ import annotations

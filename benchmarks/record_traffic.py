@@ -3,8 +3,8 @@
     python benchmarks/record_traffic.py serial --fd N --dialect D --rate BYTES --seconds S --times FILE
     python benchmarks/record_traffic.py can --group G --port P --rate FRAMES --seconds S --times FILE
 
-A sender keeps to absolute times: what is due is sent, a late moment is made up for. `--times` gets, for each write, how much
-had been sent after it and when that was (two unsigned 64-bit numbers).
+A sender keeps to absolute times and catches up after a delay. `--times` gets two unsigned 64-bit numbers for each write: the
+total sent so far, and the time.
 """
 
 from __future__ import annotations

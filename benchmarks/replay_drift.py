@@ -1,11 +1,11 @@
-"""How late a replay's requests leave, and whether that adds up; and what the gate costs.
+"""How late the requests of a replay leave, whether delays add up, and the cost of the gate.
 
     python benchmarks/replay_drift.py [--seconds 10] [--rate 200]
 
-Polls at a steady rate are replayed on a pseudo-terminal with an emulated drive behind it, in a process of its own. Late is
-each request by itself, against its own time from the start; drift is how much the last tenth is later than the first.
-A sender that sleeps for the gap between two requests is measured beside it, as the plain way to do it.
-The gate is measured on reads it has seen, and on bytes that are new to it.
+Polls at a steady rate are replayed on a pseudo-terminal with an emulated drive behind it, in its own process. Each
+request has its own planned time from the start; lateness is the delay against that time. Drift is the lateness of the last
+tenth less that of the first. For comparison, a plain sender sleeps for the gap between two requests. The gate is measured on
+reads that it has seen, and on new bytes.
 """
 
 from __future__ import annotations

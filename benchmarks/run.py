@@ -2,7 +2,7 @@
 
     python benchmarks/run.py [--quick]
 
-Figures are of the machine they were taken on; what counts are the ratios beside the peers of the same run.
+Absolute figures depend on the machine; compare the ratios to the peers of the same run.
 """
 
 from __future__ import annotations

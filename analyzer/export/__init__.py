@@ -1,12 +1,12 @@
-"""Exports: the raw bytes of a capture in files that other programs read.
+"""Exports: the raw bytes of a capture in files for other programs.
 
     source -> item (chunk, CAN frame, comment) -> writer -> stream
 
-A format is one module with a writer, imported only when it is asked for. What a format cannot hold is left out and
-counted by bus; nothing is decoded here.
+A format is one module with a writer, imported only on demand. Items that a format cannot hold are left out and counted by
+bus. Nothing is decoded here.
 
-Times: exact to 1 ns unless a writer's `digits` say less. A capture without times gets made-up ones from the line speed
-where the format must have some; a time before zero becomes zero. Both are noted.
+Times: exact to 1 ns unless a writer's `digits` say less. If a format needs times and a capture has none, they are
+estimated from the line speed. A time before zero becomes zero. Both are noted.
 """
 
 from __future__ import annotations

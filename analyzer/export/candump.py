@@ -1,12 +1,12 @@
 """candump's log form, as `candump -L` prints it and canplayer, SavvyCAN and python-can read it.
 
-    (1436509052.249713) can0 001#F60140023A          T behind it: the host sent the frame
+    (1436509052.249713) can0 001#F60140023A          T at the end: the host sent the frame
     (1436509052.249713) can0 12345678##0AABB         extended identifier; CAN FD, whose flags no source keeps
     (1436509052.249713) can0 123#R                   remote request; its length is not known
     (1436509052.249713) can0 20000004#0004...        error frame with its class
 
-Times are cut to microseconds unless nine digits are asked for: canplayer of most distributions takes more than six
-digits for a larger number. Nobody but the host is named: a listener receives everything.
+Times are cut to microseconds unless nine digits are asked for: canplayer of most distributions reads more than six
+digits as a larger number. Only the host is marked, since a listener receives everything.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""Hex text: a line for each piece of serial bytes, which people, grep and this program's own reader take as it is.
+"""Hex text: a line for each piece of serial bytes, for people, grep and this program's own reader.
 
-    2026-07-01 12:00:00.123456789 > FA 01 F6 01 40 02 34               the host sent it
-    2026-07-01 12:00:00.126000000 < [bus:left] FB 01 F6 01 F3          a drive sent it; the bus has a name
-    2026-07-01 12:00:00.200000000 [bus:left] FA 01 32 2D               who sent it is not known
+    2026-07-01 12:00:00.123456789 > FA 01 F6 01 40 02 34               from the host
+    2026-07-01 12:00:00.126000000 < [bus:left] FB 01 F6 01 F3          from a drive; the bus has a name
+    2026-07-01 12:00:00.200000000 [bus:left] FA 01 32 2D               unknown sender
     // text                                                            a comment of the capture
 
-Rules: dates in UTC where the capture has any, else seconds from its own zero; nothing where it has no times. A comment
-begins so that nothing in it can pass for bytes.
+Rules: dates in UTC if the capture has dates, else seconds from its start, else no times. A comment begins so that its text
+cannot pass for bytes.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""pcapng for Wireshark: an interface for each bus, times in nanoseconds, who sent in the flags, comments as comments.
+"""pcapng for Wireshark: an interface for each bus, times in nanoseconds, the sender in the flags, comments as comments.
 
     section header (this program's name) | interface: link type, name, resolution 9 | enhanced packet block ...
 
     CAN     SocketCAN (227): ID and flags, big endian; length; FD flags; data
-    serial  USER0 (147): the bytes and nothing else; or RTAC serial (250): 4 s, 4 us, event, control lines, 2 footer, bytes
+    serial  USER0 (147): the bytes only; or RTAC serial (250): 4 s, 4 us, event, control lines, 2 footer, bytes
 
-A comment stands at the packet that follows it, those behind the last one at that. RTAC has an event for sent and one for
-received and none for unknown, which is written as received; the flags tell the three apart.
+A comment stands at the next packet, or at the last packet if none follows. RTAC has events only for sent and received; an
+unknown sender is written as received, and the flags say unknown.
 """
 
 from __future__ import annotations

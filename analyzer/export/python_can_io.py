@@ -4,11 +4,11 @@
     can_player -i virtual -c 0 bus.mcap                  sends the CAN frames of a log again
     for message in can.LogReader("bus.mcap"): ...        can.Message with time, flags, channel
 
-Rules of writing: the file is complete up to the last second while it is written (a thread of its own flushes, also while
-nothing comes) and whole after `stop`. Each frame's check tells which CAN dialect it is in, so there is nothing to wait for.
+Rules of writing: while it is written, the file is complete up to the last second; a separate thread flushes it. After `stop`
+it is finished. The check of each frame tells its CAN dialect, so there is no wait for detection.
 
-What is lost on the way: python-can's times are floating-point seconds, good to about 0.2 us; a remote frame's length, and
-the flags BRS and ESI of CAN FD, have no place in a log.
+Losses: python-can's times are floating-point seconds, good to about 0.2 us. A log has no place for the length of a remote
+frame, nor for the flags BRS and ESI of CAN FD.
 """
 
 from __future__ import annotations
@@ -156,10 +156,10 @@ def _port(channel: object) -> str:
 
 
 class McapReader(BinaryIOMessageReader):
-    """Gives the CAN frames of a log as python-can's messages; serial buses of it are passed over.
+    """Gives the CAN frames of a log as python-can's messages; skips serial buses.
 
-    `file`: a path, or an open file that has one (as python-can opens `.mcap.gz`). Raises UnreadableError for what is no log,
-    ValueError for a stream without a name.
+    `file`: a path, or an open file that has one (as python-can opens `.mcap.gz`). Raises UnreadableError for a file
+    that is not a log, ValueError for a stream without a name.
     """
 
     def __init__(self, file: Any, **rest: Any) -> None:

@@ -3,7 +3,7 @@
     FA 01 F6 | 01 40 02 | 34        head, address, code | data | 8-bit check over all before it
     FC | 5 slots of 10 bytes | 34   a package: 52 bytes, an address and a code in each slot
 
-The head tells the role. Lengths come from the layouts of the catalogue, by head and code.
+The head gives the role. Lengths come from the layouts of the catalogue, by head and code.
 """
 
 from __future__ import annotations

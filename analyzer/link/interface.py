@@ -1,18 +1,17 @@
-"""What all links have in common: the head and the checks of a frame, and finding frames in a stream of bytes.
+"""The interface of all links: the head and the checks of a frame, and the search for frames in a stream of bytes.
 
-A `Link` says how the frames of a dialect are delimited and checked, and what stands in their heads. It knows bytes and
-lengths, no command. A `Slicer` is a link that has been told which data lengths the codes of one dialect have.
+A `Link` delimits and checks the frames of a dialect, and reads their heads. It knows bytes and lengths, but no commands. A
+`Slicer` is a link together with the data lengths of one dialect's codes.
 
 `Slicer.look` returns the length of a complete frame whose check fits, 0 for none, `MORE` while that is open, and `TIE`
-where two lengths check. It never raises, whatever the bytes.
+where two lengths check. It never raises, for any bytes.
 
 Rules of every slicer:
-- An answer other than `MORE` rests on bytes that have come. Later bytes do not change it, so the cuts between reads do
-  not matter.
-- The shortest length that checks is the answer. What follows the frame can still speak for another one
+- Later bytes never change an answer other than `MORE`, so the cuts between reads do not matter.
+- The shortest length that checks is the answer. The following bytes can still favour another length
   (`Slicer.lengths`). Only lengths one byte apart are a `TIE`.
 
-Not known here: whether bytes that check are a frame. Where that is doubtful, `analyzer.framer` decides.
+Bytes that check may still not be a frame: `analyzer.framer` decides.
 """
 
 from __future__ import annotations
@@ -156,10 +155,10 @@ class Candidates(NamedTuple):
 
 
 class Finder(ABC):
-    """Finds every request that could begin at a place: of known and unknown code, whole or cut off, whatever its checks.
+    """Finds every request that could begin at an offset: of known or unknown code, complete or cut off, with any check.
 
-    A slicer looks for the frames that are there; a finder must miss none that a careless drive could take to be there. A
-    frame with the head of a reply counts as a request of its code.
+    A slicer looks for real frames; a finder must not miss any bytes that a careless drive could take for a frame. A frame with
+    the head of a reply counts as a request of its code.
 
     `longest`: bytes of the longest frame. `headless`: any byte can begin a frame, so that those of an unknown function only
     show by their check (`checked`).
@@ -215,7 +214,7 @@ class Slicer(ABC):
         return False
 
     def whole(self, data: bytes) -> bool:
-        """Say whether a burst is one frame, of whatever code and length: its head and its check fit."""
+        """Say whether a burst is one frame, of any code and length: its head and its check fit."""
         return False
 
     def shortened(self, buffer: bytes, at: int, end: int) -> list[int]:

@@ -2,7 +2,7 @@
 
     3E A2 01 04 E5 | 10 27 00 00 | 37      head, code, address, length, sum8 of the head | data | sum8 of the data
 
-Frames without data have 5 bytes and one sum. The length is believed only behind a fitting sum of the head.
+Frames without data have 5 bytes and one sum. The length counts only if the sum of the head fits.
 """
 
 from __future__ import annotations

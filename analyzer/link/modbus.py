@@ -6,7 +6,7 @@
 Lengths follow the standard functions, whether or not the register is in the catalogue.
 
 Rules kept here:
-- First bytes above 0xF7 are never taken for addresses.
+- First bytes above 0xF7 are never addresses.
 - A frame whose CRC ends in 00 also checks one byte short: that is a `TIE`.
 """
 

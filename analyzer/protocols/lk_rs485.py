@@ -13,9 +13,9 @@ Rules kept here:
 - A layout covers the data alone. The header and both sums belong to the link.
 - The commands stand in the manual's order; the section is the number of its heading ("25" for 0x95), and `appendix 1`
   is its table of parameters.
-- A positive angle or speed is clockwise; the manual says so for what it reads, and it is taken so for what it writes.
-- MS motors report output power where the others report torque current, in the same bytes. Nothing on the wire tells
-  which: without a chosen model those bytes are read as torque current, in LSB, because its scale differs by model too.
+- A positive angle or speed is clockwise. The manual says so for reads; the same is assumed for writes.
+- MS motors report output power where the others report torque current, in the same bytes. The wire does not
+  tell the model. Without a chosen model these bytes are torque current in LSB, since its scale also differs by model.
 - The manual prints no frame. Every vector is computed from its tables.
 
 What is not known here:

@@ -1,9 +1,9 @@
 """Errata of the Lingkong motor RS485 manual V2.36, in the manual's order; a number stays with its entry.
 
-Each entry says what is printed, what is wrong with it, what this project takes as true and why. The manual prints no
-frame, so no entry corrects one. Its text is a machine translation from Chinese: what the translation broke is damage of
-the manual; what broke between its pages and their text is damage of the scan. Sections are the numbers of the headings;
-the pages before the first command go by their own headings.
+Each entry gives the printed text, its error, the reading that this project takes as true, and the reason. The manual prints no
+frame, so no entry corrects one. Its text is a machine translation from Chinese. Errors of the translation count as errors
+of the manual, errors between its pages and their text as damage of the scan. Sections are the numbers of the headings;
+the pages before the first command have their own headings.
 """
 
 from __future__ import annotations

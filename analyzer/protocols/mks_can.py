@@ -14,11 +14,11 @@ Rules kept here:
 - Motion commands answer twice: when they begin, and when they are done (unless `active` is off). `respond` off silences
   only them.
 - ID 0 reaches all drives, a group ID several; neither is answered.
-- What the parameter read can answer is made from the settings; nothing of it is declared again.
-- Where the manual contradicts itself, `mks_can_errata` says what is taken as true.
+- The replies of the parameter read are made from the settings, without further declarations.
+- If the manual contradicts itself, `mks_can_errata` gives the reading taken as true.
 
-Not known here: who sent a frame. `80 00` and `42` with four bytes read alike both ways, a parameter read's reply like a
-request to set it, and only the order of frames tells. Nor: which settings can be read back, whether 94 carries a
+Not known here: who sent a frame. `80 00`, and `42` with four bytes, can be a request or a reply. The reply to a parameter
+read equals the request that sets it. Only the order of frames tells. Nor: which settings can be read back, whether 94 carries a
 current, and which byte makes homing start at power-on.
 """
 

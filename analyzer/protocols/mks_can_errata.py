@@ -2,10 +2,10 @@
 
 In the manual's order; a number stays with its entry, so later entries have higher ones. `certain` and `likely` readings
 refute a drive that differs; an `open` one is only observed.
-Damage of the scan is told from errors of the authors where the text allows it: a table cell that spans two rows comes
-out torn, so a digit of a DLC column proves nothing by itself, while the columns beside it do.
+Damage of the scan is separated from errors of the authors where the text allows it. A table cell that spans two rows is torn
+by the scan. So a digit of a DLC column alone proves nothing, but the columns next to it do.
 
-Not known here: what the figures show; they are not in the text.
+Not known here: the content of the figures, which are not in the text.
 """
 
 from __future__ import annotations

@@ -8,15 +8,15 @@
 
 Rules kept here:
 - Registers are the codes of the native commands, and so are summaries, risks and notes: they are taken from there.
-- A command's data are what the function leaves to it: the registers of a read reply, the value of 06h, the bytes behind
-  the byte count of 10h, the quantity of a 10h reply.
-- Registers do not adjoin: each start address is a command of its own, with its own quantity.
+- The data of a command: the registers of a read reply, the value of 06h, the bytes after the byte count of 10h, the quantity
+  of a 10h reply.
+- Registers do not adjoin: each start address is its own command, with its own quantity.
 - A stop is its run with zeros everywhere but in the acceleration, stands before it, and owns a reply only while it is
   open.
 - Commands stand in the manual's order, but for stops. What Part 8 leaves out (8Ch, 8Dh, 94h, packages) is left out.
 
-Not known here: how a drive refuses (the two forms above are those of the vendor's later manual), whether the
-switch for replies (`respond`) reaches Modbus, and when a move ends: a write is answered once, status F1h must be asked.
+Not known here: how a drive refuses (the two forms above come from the vendor's later manual), and whether `respond` silences
+Modbus. Nor the end of a move: a write is answered once, and the host must read status F1h.
 """
 
 from __future__ import annotations

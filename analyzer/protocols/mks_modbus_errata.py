@@ -3,8 +3,8 @@
 In the manual's order; a number stays with its entry, so later entries have higher ones. `certain` and `likely` readings
 refute a drive that differs; an `open` one is only observed.
 
-Not known here: what the .mbp files that the chapter names hold. Nothing is said of registers that only a later manual
-of the vendor has.
+Not known here: the content of the .mbp files that the chapter names. Registers that only a later manual of the vendor has
+are left out.
 """
 
 from __future__ import annotations

@@ -11,10 +11,11 @@ Rules kept here:
 - Motion commands answer twice: when they begin, and when they are done (unless `active` is off). `respond` off silences
   only them.
 - Address 0 reaches all drives, a group address several; neither is answered.
-- Where the manual contradicts itself, `mks_rs485_errata` says what is taken as true.
+- If the manual contradicts itself, `mks_rs485_errata` gives the reading taken as true.
 
-Not known here: how long a drive takes, what a drive answers to a code it does not have, and defaults of the home speed,
-the zero speed and the limit remap, which the manual does not print.
+Not printed in the manual, so not known here:
+- the reply time of a drive, and its reply to an unknown code;
+- the defaults of the home speed, the zero speed and the limit remap.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 In the manual's order; a number stays with its entry, so later entries have higher ones. `certain` and `likely` readings
 refute a drive that differs; an `open` one is only observed.
-Damage of the scan is told from errors of the authors where the text allows it.
+Damage of the scan is separated from errors of the authors where the text allows it.
 
-Not known here: what the figures show; they are not in the text.
+Not known here: the content of the figures, which are not in the text.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What the MKS dialects share: enumerations, fields, reply meanings and risks that native RS485, Modbus and CAN repeat.
 
-The wire picture belongs to each dialect; here is only what stands inside a command's own data:
+Each dialect declares its own frames; here are only the data inside a command:
 
     speed body      direction:1 reserved:3 speed:12 | acceleration:8                    F6 and, with pulses, FD
     position body   speed:16 | acceleration:8 | position:32 (CAN: 24)                   FE, F4, F5 (Modbus: other order)
@@ -10,7 +10,7 @@ Rules kept here:
 - A field has one name in every dialect where its meaning is the same, and another name where it is not.
 - Fields are big-endian. The encoder has 16384 counts a turn and counter-clockwise raises it.
 - The direction bit of motion commands is 0 = CCW, 1 = CW; configuration fields are 0 = CW, 1 = CCW. Both as printed.
-- A builder takes the options of `layout.Field`, which win over what stands here; `fixed=0` makes the field of a stop.
+- A builder takes the options of `layout.Field`, which override the values here; `fixed=0` makes the field of a stop.
 - A risk rule never leaves a value without a risk.
 
 Not known here: codes, frames, models of the CAN drives, and whether a real drive turns the way its bits say.

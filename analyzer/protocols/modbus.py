@@ -1,4 +1,4 @@
-"""What every Modbus dialect shares: standard functions on registers that no manual lists, and exception replies.
+"""Shared by every Modbus dialect: standard functions on registers that no manual lists, and exception replies.
 
     read     address, function | register, quantity      reply: byte count, registers
     write    address, function | register, value         reply: the same

@@ -1,1 +1,1 @@
-"""Where what the pipeline decodes goes to."""
+"""Sinks: outputs for the decoded records of the pipeline."""

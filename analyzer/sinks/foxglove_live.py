@@ -1,11 +1,11 @@
-"""The log, live: what is written to a log file also goes out over Foxglove's WebSocket, the same topics, schemas and JSON.
+"""The log, live: all messages of a log file also go out over Foxglove's WebSocket, with the same topics, schemas and JSON.
 
-    McapLog -> FoxgloveFile -> McapFile          whatever happens on the network, this comes first and is whole
+    McapLog -> FoxgloveFile -> McapFile          always first and complete, despite the network
                             -> FoxgloveServer -> clients that have subscribed
 
-A message is passed on only while a client subscribes to its topic. The SDK sends from threads of its own and keeps at
-most `BACKLOG` messages for a client that is slow; then the oldest are dropped, so a client can lose messages but never slow
-the recording. Nothing that a client sends is taken: the server offers no capability to.
+A message is passed on only while a client subscribes to its topic. The SDK sends from its own threads and
+keeps at most `BACKLOG` messages for a slow client; then the oldest are dropped. So a client can lose messages but never slow
+the recording. The server offers no capability for sending, so it takes nothing from clients.
 
 Needs the package foxglove-sdk (the extra `foxglove`). A server is started in the process that uses it, never before a fork.
 """

@@ -1,12 +1,11 @@
-"""An MCAP file under way: records of the `mcap` library, chunks put together here.
+"""An MCAP file being written: records of the `mcap` library, in chunks that are built here.
 
-The library's writer builds each message field by field (about 3 us); a log has two messages a frame, so that alone would
-cost more than framing and decoding. Here a message is one packed header beside its data, an index is an array, and
-chunks are compressed on a thread while the next one fills. Everything else is written by the library's own record classes.
+The library's writer builds each message field by field (about 3 us). A log has two messages per frame, so that would cost more
+than framing and decoding. Here a message is one packed header plus its data, and an index is an array. A thread compresses
+each chunk while the next one fills. The library's own record classes write everything else.
 
-Rules: nothing is written twice; a file is whole after `finish`; after `flush` everything so far can be recovered. A chunk
-and its indexes go out in one write: where it raises (a full disk) nothing is lost, and `flush` or `finish` may be called
-again.
+Rules: nothing is written twice; `finish` completes the file; after `flush` all messages can be recovered. A chunk and its
+indexes go out in one write. If that raises (a full disk), nothing is lost, and `flush` or `finish` may be called again.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""What the summary of an MCAP file will hold, while the file is being written: schemas, channels, indexes, one after the other.
+"""The records for the summary of an MCAP file, collected while the file is written: schemas, channels, indexes.
 
-In memory for a file that is written in one go. A log that is flushed every second gets an index record of some hundred bytes
-a second, for weeks: there it is kept in a file beside the log (`FileIndex`), which also serves a process that goes on where
-another was killed. Both hold MCAP records as they will stand in the summary.
+They are kept in memory for a file that is written at once. A log that is flushed every second gets an index record of some
+hundred bytes a second, for weeks. There they are kept in a file next to the log (`FileIndex`). A process that continues after
+another was killed reads that file. Both hold MCAP records in their final form.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The log: what the pipeline decodes, as an MCAP file that Foxglove, PlotJuggler and any MCAP reader can use.
+"""The log: decoded records as an MCAP file for Foxglove, PlotJuggler and any MCAP reader.
 
     /<bus>/<address>/<command>/<request|reply>   the decoded fields, flat, with reserved keys that begin with _
-    /<bus>/<address>/state                       position, speed, current ... from whichever reply carried them
+    /<bus>/<address>/state                       position, speed, current ... from any reply that carries them
     /<bus>/unknown  /<bus>/junk  /<bus>/stats    /findings  /comments  /recording
 
 `log_time` is the time of the last byte and never decreases; `publish_time` is the estimated start on the wire.

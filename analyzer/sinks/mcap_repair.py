@@ -1,9 +1,8 @@
-"""An MCAP log made whole: what of it can be read is copied, chunk by chunk as it lies there, and its summary made anew.
+"""Repairs an MCAP log: copies all readable chunks unchanged, and makes a new summary.
 
-Works on logs of any program. A chunk that breaks off (a process that was killed, a disk that was full) is read as far as it
-goes; behind bytes that are no record the next chunk that checks is looked for. Each of these is a `Fault`: nothing is left
-out without being told. Declarations of topics that were lost with a chunk are taken from the old summary, if that is there;
-else their messages go to a topic that says so.
+Works on logs of any program. A chunk that breaks off (a killed process, a full disk) is read up to the break. After unreadable
+bytes, the search goes on for the next valid chunk. Each of these is reported as a `Fault`. Topics whose declaration was lost
+with a chunk are declared from the old summary, if there is one. Otherwise their messages go to a topic that says so.
 
 Memory is bounded by one chunk and by the index of the new summary.
 """
@@ -57,7 +56,7 @@ class Fault:
 
 @dataclass
 class RepairResult:
-    """What was done: what the new log holds, and what of the old one could not be read."""
+    """The content of the new log, and the faults of the old one."""
 
     chunks: int = 0
     messages: int = 0
@@ -67,7 +66,7 @@ class RepairResult:
 
 
 def is_whole(path: Path) -> bool:
-    """Say whether a log ends as one that was finished does. Raises UnreadableError for what is no MCAP log."""
+    """Say whether a log was finished. Raises UnreadableError if the file is not an MCAP log."""
     with path.open("rb") as stream:
         if stream.read(len(scan.MAGIC)) != scan.MAGIC:
             raise UnreadableError(f"{path} is not an MCAP log, expected the beginning 89 4D 43 41 50 30 0D 0A")
@@ -76,15 +75,15 @@ def is_whole(path: Path) -> bool:
     try:
         with path.open("rb") as stream:
             return SeekingReader(stream, record_size_limit=scan.RECORD_LIMIT).get_summary() is not None
-    # The library raises whatever a damaged record makes it stumble over.
+    # On damaged records the library raises exceptions of any kind.
     except Exception:
         return False
 
 
 def repair(path: Path, target: Writable, position: Callable[[int], None] = lambda at: None) -> RepairResult:
-    """Copy what can be read of a log into a new one; `position` is told how far it has come, in bytes.
+    """Copy the readable part of a log into a new log; `position` is called with the progress in bytes.
 
-    Raises UnreadableError for what is no MCAP log, OSError where the target cannot be written.
+    Raises UnreadableError if the file is not an MCAP log, OSError if the target cannot be written.
     """
     with path.open("rb") as stream:
         return _Repair(path, stream, target, position).run()

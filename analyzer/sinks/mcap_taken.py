@@ -1,6 +1,6 @@
-"""An MCAP file that takes over records of another as they lie there: chunks (with their indexes made anew), attachments.
+"""An MCAP file that takes over records of another unchanged: chunks (with new indexes) and attachments.
 
-The summary is made by `McapFile`, of what was taken.
+`McapFile` makes the summary of these records.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Numbers for the objects of the catalogue, so that records that hold them can go to another process.
+"""Numbers for the objects of the catalogue, so that records with such objects can go to another process.
 
-Both sides have the very same dialects; what goes over are their numbers. `digest` tells whether that is so where the other
-process may be another version of this program.
+Both sides have the same dialects and send only their numbers. If the other process may be another version of this program,
+`digest` tells whether the dialects are the same.
 """
 
 from __future__ import annotations

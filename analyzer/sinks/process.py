@@ -2,14 +2,14 @@
 
     pipeline -> SinkProcess | pipe | worker -> sinks
 
-What goes through the pipe are batches, each its length first; a batch is a row of records, each a tag byte first:
+The pipe carries batches, each after its length. A batch is a row of records, each after a tag byte:
 
     P  a frame of a lane: a fixed head, then the frame's bytes
-    O  anything else: a length, then a pickle in which dialects, commands and forms are numbers of a table that both
-       sides had before they parted (the worker is forked, so it has the very same objects)
+    O  anything else: a length, then a pickle in which dialects, commands and forms are numbers of a shared table
+       (the worker is forked, so it has the same objects)
 
-Rules: order is kept; the pipe's own limit holds the pipeline back when the sinks are slower; what goes wrong in a sink is
-raised here, as what it was there. A worker whose parent is gone ends without finishing anything.
+Rules: order is kept. If the sinks are slower, the limit of the pipe holds the pipeline back. An error in a sink is raised
+here as the same error. A worker whose parent is gone ends without finishing anything.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _BATCH = 1 << 16
 
 
 def available() -> bool:
-    """Say whether this machine can run sinks beside the pipeline."""
+    """Say whether this machine can run sinks in parallel to the pipeline."""
     return hasattr(os, "fork") and (os.cpu_count() or 1) > 1
 
 
@@ -184,7 +184,7 @@ def _work(pipe: int, answers: int, table: Table, make: Callable[[], Sequence[Sin
         with io.FileIO(pipe) as raw, io.BufferedReader(raw, 1 << 18) as stream:
             _serve(stream, answers, table, make())
     except BaseException as error:
-        # Whatever it was, it is raised again in the parent.
+        # The parent raises the same error again.
         _say(answers, (False, error if isinstance(error, Exception) else OSError(repr(error))))
     finally:
         os._exit(0)

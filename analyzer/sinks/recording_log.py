@@ -1,10 +1,10 @@
-"""The log of a live recording: what `McapLog` writes, and besides what came as it came.
+"""The log of a live recording: all that `McapLog` writes, and the bytes as received.
 
     /<bus>/raw    every chunk with its offset and direction, every CAN frame where decoding is left for later, every pause
                   that ended a wait
 
-From `/<bus>/raw` a recording can be decoded again with the same outcome. A log can go over to another file (rotation), each
-complete by itself, and a process can go on where another was killed (`state`, `restore`).
+From `/<bus>/raw` a recording can be decoded again with the same result. A log can continue in another file (rotation); each
+file is complete by itself. A process can continue the log of a killed process (`state`, `restore`).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """JSON Schemas of the log's topics, made from the layouts.
 
-Rules (Foxglove's): the root is an object; no null, no anyOf, no lists of types; a field that may be absent is just not
+Rules (Foxglove's): the root is an object; no null, no anyOf, no lists of types; a field that may be absent is not
 required. A choice is two fields, the number and its name. Reserved keys begin with `_`.
 """
 

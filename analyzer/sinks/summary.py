@@ -1,7 +1,7 @@
-"""The summary of a capture: frames and latencies by command and address, bytes by what they are, findings by rule.
+"""The summary of a capture: frames and latencies by command and address, bytes by kind, findings by rule.
 
-Memory does not grow with the capture: latencies go into histograms whose buckets are at most 3 % wide, and of the findings only
-the first few of each rule are kept.
+Memory does not grow with the capture. Latencies go into histograms with buckets of at most 3 %, and only the first few
+findings of each rule are kept.
 """
 
 from __future__ import annotations

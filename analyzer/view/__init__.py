@@ -3,21 +3,20 @@
     run_live(fd, mark=...)       a recording, from the snapshots that its decoding process writes into a pipe
     run_capture(reading, ...)    a capture or a log
 
-For those who supervise a recording:
+In the supervisor of a recording:
 
     read, write = os.pipe()
     # give `write` to the decoding process: SnapshotWriter(write).offer(feed.snapshot(now_ns)) ten times a second
     # close `write` here; run the supervision in another thread
     why = run_live(read, mark=mark, log="week.mcap", model="")
     # "quit": the user has ended it; "ended": the pipe was closed; anything else: why the view could not go on.
-    # Whatever it is, the recording itself goes on until its supervisor ends it.
+    # In any case the recording itself goes on until its supervisor ends it.
 
-`run_live` blocks and wants the main thread and the terminal (nothing else may print to it meanwhile). To end it from
-outside, close the writing end of the pipe (or send a snapshot with `ended`). `mark(text)` is called in the main thread when
-the user makes a mark: it writes the note into the log and returns what to tell the user ("" for nothing more than that it
-is done), or raises ServotapError.
+`run_live` blocks. It needs the main thread and the terminal; nothing else may print meanwhile. To end it from outside, close
+the writing end of the pipe (or send a snapshot with `ended`). When the user makes a mark, `mark(text)` is called in the main
+thread. It writes the note into the log and returns a message for the user (or ""), or raises ServotapError.
 
-Nothing here can slow a recording: what the view does not take in time is dropped by the writer, and said.
+The view cannot slow a recording: the writer drops and counts snapshots that the view does not take in time.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The terminal view itself: panels that are switched by keys, a head that is always there, a line to type in.
+"""The terminal view: panels that keys switch, a head that is always visible, and a prompt.
 
-Ten times a second it takes what is new, draws what is seen of it, and looks a little further for what was asked for (a
-filter, a search, a plot). That work is bounded, so it keeps up by showing less.
+Ten times a second it takes new records, draws the visible ones, and continues a filter, a search or a plot by a small step.
+This work is bounded: under load the view shows less but keeps up.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class ViewApp(App[str]):
         if self._filter_text:
             self._set_filter(self._filter_text)
         if not self.source.live:
-            # Whoever supervises a recording has handlers of his own.
+            # The supervisor of a recording has its own handlers.
             end_on_signals(lambda: self.exit("quit"))
         self.set_interval(PERIOD, self.tick)
         self.tick()

@@ -1,7 +1,7 @@
-"""A capture that is viewed: read once from its beginning to its end, while it is already shown.
+"""A capture in the view: read once from beginning to end, while its frames are already shown.
 
-A thread reads and decodes; every frame goes into a `FrameStore`, from which the view takes the few that it shows. A plot or
-a filter looks through the store, a little at a time. Nothing is written but a temporary file where the capture is long.
+A thread reads and decodes; every frame goes into a `FrameStore`, from which the view takes the visible frames. A plot or
+a filter reads the store in small steps. Long captures need a temporary file.
 """
 
 from __future__ import annotations

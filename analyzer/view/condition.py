@@ -1,7 +1,7 @@
-"""A filter on lines that are looked at: which names it uses, so that only those are made, and only where they can matter.
+"""A filter on lines. It knows the names that it uses, so only these are made, and only where they can matter.
 
-Of a long capture most frames are of a few lanes (one head and length); where a filter asks for nothing but what all frames of
-a lane share, one of them answers for all.
+Most frames of a long capture belong to a few lanes (one head and length). If a filter uses only facts that all frames of a lane
+share, one frame answers for the lane.
 """
 
 from __future__ import annotations

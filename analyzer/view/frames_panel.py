@@ -1,4 +1,4 @@
-"""The frames, a row each; those that a filter lets through if there is one."""
+"""The frames, one row each; with a filter, only the matching frames."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Lists by number: the newest lines of an endless sequence, and those that a filter selects.
 
-A number stays that of its item while older items are dropped, so a cursor stays where it was put.
+An item keeps its number while older items are dropped, so a cursor stays on its item.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Lines of text for frames: cells that stand in columns, and the names that a filter can use.
 
-Everything that comes from a capture goes through `printable` and is never read as markup, so nothing in it steers the terminal.
-What a colour says, a letter says too: E W i for the severity, > < ? ~ * for who speaks.
+Everything that comes from a capture goes through `printable` and never acts as markup, so it cannot steer the terminal.
+Each colour also has a letter: E W i for the severity, > < ? ~ * for the sender.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""A recording that is watched: snapshots from a pipe become counts, lines and series, in bounded memory.
+"""A live recording in the view: snapshots from a pipe become counts, lines and series, in bounded memory.
 
-What a full bus brings is more than anyone can read: a snapshot holds some of its frames, of these the newest are kept, and
-the view says how many it did not show. Pausing keeps the lines as they are; those that come meanwhile wait, the newest of them.
+A full bus has more frames than a person can read. A snapshot holds some of them, the newest are kept, and the view counts
+the frames not shown. During a pause the lines stay, and the newest of the further lines wait.
 """
 
 from __future__ import annotations

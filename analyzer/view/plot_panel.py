@@ -1,6 +1,6 @@
-"""A plot of chosen fields: on the left what there is to choose, on the right a chart for each that is chosen.
+"""A plot of chosen fields: on the left the list of fields, on the right a chart for each chosen field.
 
-Each has a scale of its own, its least and greatest value beside it; they share the time. No colour is needed to read it.
+Each chart has its own scale, with the least and the greatest value; all share the time. Reading needs no colour.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The line to type in: a filter, a text to search for, a note."""
+"""The prompt: a line for a filter, a search text or a note."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Rows with a cursor: a widget that draws only what is seen, so a list of millions costs as much as one of twenty.
+"""Rows with a cursor: a widget that draws only the visible rows, so a list of millions costs as much as a list of twenty.
 
-Rows go by number, `first` to `stop` - 1, and the numbers of old ones can vanish while it is shown. It follows the end until
-the cursor is moved away from it, and follows again when it comes back.
+Rows have numbers, `first` to `stop` - 1; old numbers can vanish while the widget is shown. The widget follows the end until
+the cursor leaves the last row, and again when it returns.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What lies over the view for a moment: the help, and the question before a recording is ended."""
+"""Screens over the view: the help, and the question before a recording ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Looking for a line, a little at a time, so that the view stays awake while millions of lines are looked through."""
+"""A search for a line in small steps, so that the view stays responsive over millions of lines."""
 
 from __future__ import annotations
 

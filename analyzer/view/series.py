@@ -1,6 +1,6 @@
 """Series for the plot: points of one field over time, in bounded memory.
 
-Where there are more points than fit, neighbours are joined to the least and the greatest of them, so a peak is never lost.
+If there are more points than fit, neighbours are reduced to their least and greatest, so a peak is never lost.
 A series is named `bus/address/state.speed` or `bus/address/read_speed.reply.speed`.
 """
 

@@ -1,4 +1,4 @@
-"""What the view shows: a recording that goes on, or a capture. Both are asked alike; neither knows the terminal."""
+"""The source of the view: a live recording or a capture, with one interface. Neither knows the terminal."""
 
 from __future__ import annotations
 

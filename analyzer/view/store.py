@@ -1,4 +1,4 @@
-"""All frames of a capture, each to be had by its number, in little memory.
+"""All frames of a capture, by their numbers, in little memory.
 
     block: 256 records, compressed         record: P | lane u32 | sequence ... | data    a frame of a lane
                                                    L | length u32 | msgpack              any other line

@@ -1,7 +1,7 @@
-"""The terminal under the view, and what becomes of the view when it goes (a window closed, a connection lost).
+"""The terminal under the view, and the end of the view when the terminal is gone (window closed, connection lost).
 
-textual writes in a thread of its own; if writing fails there, that thread dies and the program waits for it for ever. So
-writing to a terminal that has gone fails silently here, and the view looks, each time before it draws, whether it has gone.
+textual writes in its own thread. If a write fails there, that thread dies and the program waits for it for ever. So writes to
+a lost terminal fail silently here, and the view checks the terminal before each drawing.
 """
 
 from __future__ import annotations

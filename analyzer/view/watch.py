@@ -1,4 +1,4 @@
-"""What is known of what is watched: counts, rows, findings, made of the snapshots so far. It knows no terminal."""
+"""The state of a watched source: counts, rows and findings from all snapshots. It knows no terminal."""
 
 from __future__ import annotations
 
