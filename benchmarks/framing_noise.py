@@ -20,9 +20,8 @@ What is counted:
              bytes is one frame and its check fits, it is reported as such a frame, and a sum does not see lost zeros
 
 The analyzer runs as it does in `servotap decode`: framer, decoder and transactions. The splitter takes each read for a
-frame and keeps those whose check fits. pymodbus is made for one direction of a line: it is given requests and replies
-apart, as if someone had told it who sent each byte, and one byte more at a time, so that nothing is lost because two
-frames came in one read. The analyzer is told neither.
+frame and keeps those whose check fits. pymodbus reads one direction of a line only. So it gets requests and replies
+separately, and byte by byte, so that it loses no frame in a read of two. The analyzer gets neither help.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The encoder and the values people write: what goes in comes out again, whatever the field."""
+"""The encoder and the values people write: each field decodes to the encoded value."""
 
 from __future__ import annotations
 

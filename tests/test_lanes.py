@@ -1,4 +1,4 @@
-"""Lanes, the short way of usual frames, give the same as the long way: whatever comes, in whatever order."""
+"""Lanes, the fast path of usual frames, give the same results as the slow path, for any frames in any order."""
 
 from __future__ import annotations
 

@@ -107,7 +107,7 @@ def sends(source):
     found = {word for word in source.words if word in SENDS and (source.name, word) not in NOT_TO_A_BUS}
     # Where nothing is open a word may stand in a table; used it may not be.
     yield from found if source.name.startswith("analyzer/live/") else found & source.used
-    # `os.write` is the way past every object: nobody has it.
+    # `os.write` passes by every object: no module may have it.
     yield from {"os.write"} & ({called for called, _ in source.calls} | source.imported)
 
 

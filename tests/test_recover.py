@@ -128,7 +128,7 @@ def repaired(path):
 
 
 def test_cut_anywhere(tmp_path):
-    """Whatever is missing at the end: all messages before it are kept, those of a torn chunk as far as it goes."""
+    """A log cut at any place keeps all messages before the cut, also those of a torn chunk."""
     spools = whole_log(tmp_path)
     data = spools.log.read_bytes()
     wanted = messages(data)

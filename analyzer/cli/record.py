@@ -52,7 +52,7 @@ examples:
   servotap record tcp:192.168.0.7:5000 --json --raw-only --max-total 200GB
   servotap record serial:/dev/ttyUSB0,baud=38400 --view
 
-exit status: 0 all that came is in the log, 1 something was lost (the end says what), 2 wrong use
+exit status: 0 the log has all traffic, 1 traffic was lost (see the summary), 2 wrong use
 """
 
 
@@ -75,7 +75,7 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duration", metavar="TIME", help="stop after 10s, 5min, 2h")
     parser.add_argument("--rotate", metavar="SIZE|TIME", help="a new file every 100MB or 10min, or both: 100MB,10min")
     parser.add_argument("--keep", type=positive, default=0, metavar="N", help="with --rotate: keep the last N files")
-    parser.add_argument("--max-total", metavar="SIZE", help="delete the oldest files beyond 200GB in total")
+    parser.add_argument("--max-total", metavar="SIZE", help="delete the oldest files beyond a total SIZE, as 200GB")
     parser.add_argument("--raw-only", action="store_true", help="store raw traffic without decoding it")
     parser.add_argument("--force", action="store_true", help="replace a log that exists")
     parser.add_argument("--json", action="store_true", help="one line of JSON per second, and a summary")

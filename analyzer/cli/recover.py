@@ -1,4 +1,4 @@
-"""Repair the log of an interrupted recording: it gets what its spools still hold, and its end.
+"""Repair the log of an interrupted recording: add the bytes left in its spools, and finish it.
 
 Without -o it happens in place. Where the folder FILE.spool of the recording is still there, not even the last second is lost;
 without it the log is copied as far as it can be read, also behind damaged places, and takes the place of the old one.
@@ -30,8 +30,8 @@ from analyzer.values import counted, printable
 
 EXAMPLES = """\
 examples:
-  servotap recover week.mcap                    makes week.mcap whole
-  servotap recover week.mcap -o whole.mcap      leaves week.mcap as it is
+  servotap recover week.mcap                    repairs week.mcap
+  servotap recover week.mcap -o whole.mcap      leaves week.mcap unchanged
   servotap recover week-0007.mcap               the last part of a recording in parts
 """
 

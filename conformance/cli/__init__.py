@@ -4,13 +4,13 @@ from __future__ import annotations
 
 #: What each command does, in one line. It stands here and not beside the command, so that listing them imports nothing.
 HELP: dict[str, str] = {
-    "emulate": "emulated drives on a serial port, a TCP port or a CAN bus",
+    "emulate": "emulate drives on a serial port, a TCP port or a CAN bus",
     "send": "send one frame to a drive, and show the reply decoded",
     "scan": "find what answers on a bus: rates, dialects, addresses; reads only",
     "replay": "send the requests of a recording again, at their times",
     "tap": "record what a program and its serial adapter say to each other",
-    "check": "recordings against the manual, by their traffic alone",
-    "test": "drives, real or emulated, against their manual",
-    "rerun": "the claim of a stored failure again: fixed, failing or flaky",
-    "restore": "put back the settings that an interrupted run changed, from its journal",
+    "check": "check recordings against the manual, by their traffic alone",
+    "test": "test drives, real or emulated, against their manual",
+    "rerun": "run the claim of a stored failure again: fixed, failing or flaky",
+    "restore": "restore the settings that an interrupted run changed, from its journal",
 }

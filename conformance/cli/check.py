@@ -1,4 +1,4 @@
-"""Judge recordings by the claims that need nothing but traffic: what the manual says of frames, replies and statuses.
+"""Judge recordings by the claims that need only traffic: about frames, replies and statuses.
 
 Each claim is about the drive, the host or the wire. Exit status: 0 nothing refuted, 1 a claim is refuted, 2 wrong use or a
 file that cannot be read.
@@ -38,10 +38,12 @@ _PARTIES = ("drive", "host", "wire")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("files", nargs="+", metavar="CAPTURE", help="captures, logs, folders of parts; - reads standard input")
-    parser.add_argument("--about", metavar="WHO", default="", help="only claims about these: drive, host, wire; W,W")
+    parser.add_argument(
+        "--about", metavar="WHO", default="", help="only claims about these, separated by commas: drive, host, wire"
+    )
     parser.add_argument("--all", action="store_true", help="list confirmed claims and those that did not run too")
-    parser.add_argument("--examples", type=_count, default=3, metavar="N", help="findings shown of each claim (default 3)")
-    parser.add_argument("--json", action="store_true", help="print what came of it as JSON, one line a file")
+    parser.add_argument("--examples", type=_count, default=3, metavar="N", help="findings shown for each claim (default 3)")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON, one line per file")
     add_reading_arguments(parser)
 
 
@@ -79,7 +81,7 @@ def _about(text: str) -> tuple[str, ...]:
 
 
 def _check(path: str, arguments: argparse.Namespace, about: tuple[str, ...]) -> bool:
-    """Judge one file and print what came of it; return whether a claim is refuted."""
+    """Judge one file and print the result; return whether a claim is refuted."""
     from conformance.claims import traffic_rules
     from conformance.claims.traffic import verdicts
     from conformance.claims.traffic_rules import Judge, Party

@@ -53,16 +53,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--pty", nargs="?", const="", metavar="LINK", help="a pseudo-terminal; LINK: a link to it")
     where.add_argument("--tcp", metavar="HOST:PORT", help="a TCP port; without HOST, loopback; port 0: a free one")
     where.add_argument("--can", metavar="INTERFACE:CHANNEL[,bitrate=N]", help="a python-can interface")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of measured noise and wire faults (default 0)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of measured noise and wire faults (default 0)")
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", dest="settings",
         help="a start setting of all drives that have it, named as its command without set_: work_mode=5",
     )  # fmt: skip
-    parser.add_argument("--state", metavar="FILE", help="keep settings over runs in FILE; --set wins over what it holds")
+    parser.add_argument("--state", metavar="FILE", help="keep settings between runs in FILE; --set overrides them")
     parser.add_argument("--log", metavar="OUT.mcap", help="log what goes over the bus, decoded")
     parser.add_argument("--force", action="store_true", help="replace a log that exists")
     parser.add_argument("--no-wire-time", action="store_true", help="bytes and frames take no time on the wire")
-    parser.add_argument("--reply-delay", type=_milliseconds, metavar="MS", help="what a drive takes to answer")
+    parser.add_argument("--reply-delay", type=_milliseconds, metavar="MS", help="delay of a drive's reply")
     parser.add_argument("--echo", action="store_true", help="echo what the host sends, as some adapters do")
     parser.add_argument(
         "--wire-fault", action="append", default=[], metavar="KIND=RATE,...",

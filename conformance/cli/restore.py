@@ -1,4 +1,4 @@
-"""Put back the settings that a run changed, from its journal: after kill -9, a crash, a pulled plug.
+"""Restore the settings that a run changed, from its journal: after kill -9, a crash, a pulled plug.
 
 Exit status: 0 all is put back, 1 not all could be (the journal keeps what is left), 2 wrong use.
 """
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("journal", metavar="JOURNAL", help="the file that the run left")
     parser.add_argument("--on", metavar="ENDPOINT", help="where the drive is now; by default as in the journal")
-    parser.add_argument("--dry-run", action="store_true", help="list what would be put back, and send nothing")
+    parser.add_argument("--dry-run", action="store_true", help="list the settings to restore, and send nothing")
 
 
 def run(arguments: argparse.Namespace) -> int:

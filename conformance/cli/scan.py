@@ -1,4 +1,4 @@
-"""Look for drives on a bus, by reads alone: over rates, dialects and addresses. Report what answered and other bytes.
+"""Search a bus for drives, with reads only: over rates, dialects and addresses. Report replies and other bytes.
 
 Without --rates a serial line is tried at every rate of the manuals, the endpoint's own first (and alone, where it was given).
 Ctrl-C ends the search and shows what was found so far.
@@ -43,8 +43,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--addresses", default=_DEFAULT_ADDRESSES, metavar="LIST", help="as 1-32 (default) or 1,2,0x10-0x1F")
     parser.add_argument("--rates", metavar="LIST", help="bits per second, as 38400,115200, or all")
     parser.add_argument("--dialects", metavar="LIST", help="as mks-rs485,lk-rs485; default: all of the bus")
-    parser.add_argument("--timeout", type=float, default=PATIENCE_NS / 1e6, metavar="MS", help="patience (default 40 ms)")
-    parser.add_argument("--busy", action="store_true", help="ask although others speak on the bus")
+    parser.add_argument(
+        "--timeout", type=float, default=PATIENCE_NS / 1e6, metavar="MS", help="wait for a reply (default 40 ms)"
+    )
+    parser.add_argument("--busy", action="store_true", help="scan even if there is other traffic on the bus")
     parser.add_argument("--json", action="store_true", help="one JSON object")
 
 

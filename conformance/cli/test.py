@@ -1,4 +1,4 @@
-"""Test drives against their manual: every claim that can be tested, on real or emulated drives.
+"""Test drives, real or emulated, against their manual: run every claim that can be tested.
 
 Without a drive, emulated drives of all dialects are tested. On hardware only reads are sent unless --allow opens more.
 Exit status: 0 nothing refuted, 1 refuted, 2 wrong use, 10 a fault of the rig (port lost, no verdict), 20 not stopped.
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--theme", action="append", default=[], metavar="T", help="only this theme; may be repeated")
     parser.add_argument("--claim", action="append", default=[], metavar="ID", help="only these claims; * and ? are patterns")
     parser.add_argument("--short", action="store_true", help="one claim for each command and each theme")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn at random (default 0)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of random values (default 0)")
     parser.add_argument("--jobs", type=_jobs, default=0, metavar="N", help="processes for emulated drives (default: all cores)")
     add_safety_arguments(parser)
     parser.add_argument("--dry-run", action="store_true", help="print all that would be sent, and send nothing")
@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--log", metavar="OUT.mcap", help="all traffic, with a /tests topic")
     parser.add_argument("--failures", metavar="FOLDER", help="a small log of each refuted claim, for servotap rerun")
     parser.add_argument("--baseline", metavar="FILE", help="accept the deviations listed there")
-    parser.add_argument("--write-baseline", metavar="FILE", help="write what is refuted as the baseline")
+    parser.add_argument("--write-baseline", metavar="FILE", help="write the refuted claims as a baseline")
     parser.add_argument("--json", action="store_true", help="one JSON object a verdict, then one of the run")
 
 

@@ -126,7 +126,7 @@ def parse_allow(text: str) -> frozenset[Risk]:
 
 def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options by which a user says what may be sent."""
-    group = parser.add_argument_group("what may be sent (reads alone, unless it is said)")
+    group = parser.add_argument_group("permissions (without them, only reads are sent)")
     group.add_argument("--allow", action="append", default=[], metavar="RISKS", help=f"some of {','.join(WORDS)}")
     group.add_argument("--max-speed", type=_above_zero, metavar="RPM", help="highest speed of the shaft, by its subdivision")
     group.add_argument("--max-turns", type=_above_zero, metavar="N", help="longest move; runs without an end are `unbounded`")

@@ -34,7 +34,7 @@ OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("claim", {"action": "append", "default": [], "metavar": "ID", "help": "only these claims; * and ? are patterns"}),
     ("theme", {"action": "append", "default": [], "metavar": "T", "help": "only this theme"}),
     ("short", {"action": "store_true", "default": False, "help": "one claim for each command and each theme"}),
-    ("servo-seed", {"type": int, "default": 0, "metavar": "N", "help": "of what is drawn at random"}),
+    ("servo-seed", {"type": int, "default": 0, "metavar": "N", "help": "seed of random values"}),
     ("settings", {"default": None, "metavar": "FILE", "help": "JSON: what to put back where the drive cannot be asked"}),
     ("journal", {"default": None, "metavar": "FILE", "help": "where changes are written down before they are made"}),
     ("cut-power", {"default": "", "metavar": "COMMAND", "help": "runs when no stop can be verified"}),

@@ -15,8 +15,8 @@ _LONGEST_RUN = 3600.0
 
 def add_safety_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options by which a real drive is stopped and gets its settings back."""
-    parser.add_argument("--settings", metavar="FILE", help="JSON: what to put back where the drive cannot be asked")
-    parser.add_argument("--journal", metavar="FILE", help="where changes are written down before they are made")
+    parser.add_argument("--settings", metavar="FILE", help="JSON: values to restore for settings that cannot be read")
+    parser.add_argument("--journal", metavar="FILE", help="file for the original settings, written before each change")
     parser.add_argument("--cut-power", default="", metavar="COMMAND", help="runs when no stop can be verified")
     parser.add_argument(
         "--max-run", type=_seconds, default=30.0, metavar="S", help="longest run without an end, in seconds (default 30)"

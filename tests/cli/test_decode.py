@@ -131,7 +131,7 @@ def test_a_disk_that_is_full_leaves_no_broken_log(tmp_path):
     subprocess.run([sys.executable, CAPTURES / "make.py", "--frames", "60000", "-o", capture], check=True, capture_output=True)
     target = tmp_path / "out"
     target.mkdir()
-    # A limit on the size of a file fails a write as a full disk does (EFBIG for ENOSPC), without a file system of our own.
+    # With a limit on the file size, a write fails as on a full disk (EFBIG for ENOSPC).
     code = (
         "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (300000, 300000));"

@@ -1,4 +1,4 @@
-"""What every source must do, whatever its format: run on a small capture that is known to be good."""
+"""The contract of every source, of any format: run on a small valid capture."""
 
 from __future__ import annotations
 

@@ -156,7 +156,7 @@ def test_few_frames_are_not_believed() -> None:
 def test_a_rate_at_which_little_was_heard_gets_a_second_turn() -> None:
     sent = line("mks-modbus", 19200, 4)
     turns = len(rates(SERIAL))
-    # Somebody speaks during the first turn at the first rate alone, and then from the second turn on.
+    # There is traffic in the first turn at the first rate only, and then from the second turn on.
     wire = Wire(line("mks-modbus", 19200, 1), *[[]] * (turns - 1), sent)
     found = search(ENDPOINT, wire, SERIAL)
     assert found.endpoint.speed == 19200
@@ -197,7 +197,7 @@ class Talker:
                 try:
                     os.write(self._master, data)
                 except BlockingIOError:
-                    # Nobody listens.
+                    # No process listens.
                     continue
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""The feed: its counts are those of the traffic, its snapshots are bounded, and the pipe never makes anybody wait."""
+"""The feed: its counts are those of the traffic, its snapshots are bounded, and the pipe never blocks."""
 
 from __future__ import annotations
 

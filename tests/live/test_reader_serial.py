@@ -49,7 +49,7 @@ def attributes(path):
 def test_any_rate_is_set_raw_with_nothing_that_touches_a_byte(speed, stop):
     with pty_pair() as (_, path):
         fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
-        # As a terminal is when nobody has set it up: with echo.
+        # A terminal echoes until a program sets it up.
         tty.setcbreak(fd)
         mode = termios.tcgetattr(fd)
         mode[3] |= termios.ECHO | termios.ICANON

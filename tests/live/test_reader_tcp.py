@@ -94,7 +94,7 @@ def test_why_there_is_no_connection():
 
 
 def test_a_server_that_does_not_answer_is_given_up_and_the_wish_to_end_ends_the_wait(monkeypatch):
-    # A full queue of a server that accepts nobody: further ones get no answer.
+    # The queue of a server that does not accept is full: further clients get no answer.
     with socket.socket() as server:
         server.bind(("127.0.0.1", 0))
         server.listen(0)

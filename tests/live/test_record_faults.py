@@ -35,7 +35,7 @@ class Talker:
         number = 0
         while not self._stop.wait(self._pause):
             data = number.to_bytes(4, "big") * 5
-            # The terminal is full while nobody reads it.
+            # The terminal is full while no process reads it.
             with suppress(BlockingIOError):
                 self.sent += data[: os.write(self._fd, data)]
             number += 1

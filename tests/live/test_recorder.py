@@ -209,7 +209,7 @@ def test_noise_is_no_dialect_and_it_is_tried_again(tmp_path):
 @settings(max_examples=40, deadline=None)
 @given(st.data())
 def test_the_log_is_what_decode_makes_of_its_bytes(tmp_path_factory, data):
-    """Random chunks, pauses and idle marks; whatever the times say."""
+    """Random chunks, pauses and idle marks, with any times."""
     folder = tmp_path_factory.mktemp("equal")
     auto = data.draw(st.booleans())
     byte_ns = data.draw(st.sampled_from([0, 260_416, 2_500]))
@@ -244,7 +244,7 @@ def test_the_library_reads_it(tmp_path):
 
 
 def test_every_message_obeys_its_schema(tmp_path):
-    """By Foxglove's rules, with whatever a reader notes."""
+    """By Foxglove's rules, with any note of a reader."""
     import jsonschema
 
     from tests.test_mcap_log import check_schema
@@ -318,7 +318,7 @@ def test_what_the_decoder_cannot_do_costs_no_byte(tmp_path, monkeypatch):
 
 
 def test_the_supervisor_died(tmp_path):
-    """Nobody writes an end: the leash is gone, what there is is read, and the log is whole."""
+    """Without an end record the leash is gone: the rest is read, and the log is finished."""
     import subprocess
     import sys
 

@@ -131,7 +131,7 @@ class Full(Exception):
 
 @pytest.mark.parametrize("rotating", [False, True])
 def test_every_write_may_fail_once(tmp_path, monkeypatch, rotating):
-    """Whichever write it is, and wherever in it: tried again, the log is the same."""
+    """After a failure in any write, at any byte, a retry gives the same log."""
     from analyzer.sinks import mcap_index
 
     spools = Spools(tmp_path, port("1-left", "left"), rotate_bytes=4000 if rotating else 0)

@@ -1,4 +1,4 @@
-"""The spool: what was written is read, in order, from any place on, whatever happened to the writer."""
+"""The spool: written records are read in order, from any place, after any end of the writer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is no capture, and captures with impossible content: each with its message."""
+"""Files that are not captures, and captures with impossible content: each with its message."""
 
 from __future__ import annotations
 

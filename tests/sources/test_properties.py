@@ -1,4 +1,4 @@
-"""Whatever the bytes, and whatever they are read as: nothing but errors of this program comes out."""
+"""Any bytes, read as any format, raise only errors of this program."""
 
 from __future__ import annotations
 

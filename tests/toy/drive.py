@@ -1,4 +1,4 @@
-"""A toy drive that answers, with a shaft that turns: as its manual has it, or wrong in one way.
+"""A toy drive with a turning shaft: it follows its manual, or has one fault.
 
 It stands beside the dialect on purpose: the project has no emulated drive of the toy, and what is tested must not need one.
 """

@@ -1,4 +1,4 @@
-"""Every fault and every quirk changes what a host can see: a story that is told by each drive, beside the conforming one.
+"""Every fault and every quirk shows to a host: its drive and the conforming drive answer one story differently.
 
 A story is a list of chapters; each begins with a fresh drive and yields all that comes over the bus, with its times. The
 frames of a chapter do not depend on what the drive answers.

@@ -11,7 +11,7 @@ from analyzer.errors import UsageError
 from conformance.drives.mks.state import KEPT, UNPRINTED, is_setting
 from tests.conformance.drives.test_mks_rig import MODELS, NAMES, SECOND, Rig, make
 
-#: What changes the link: a request after it would go to nobody.
+#: Settings that change the link: no drive would hear the next request.
 LINK = {"new_address", "modbus"}
 
 

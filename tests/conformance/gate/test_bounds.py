@@ -1,4 +1,4 @@
-"""Bounds: how fast, how far, how hard a frame would make a drive go, and what is refused because nobody can tell."""
+"""Bounds: the speed, distance and acceleration of a frame's motion, and refusals where they are unknown."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def test_relative_moves_by_their_length():
     assert "2.25 turns" in refusal(bounded, MKS, "move_relative_axis", position=-9 * 4096)
     assert refusal(bounded, LK, "move_increment", position=72000) == ""
     assert "2.5 turns" in refusal(bounded, LK, "move_increment", position=-90000)
-    # Pulses: at a subdivision that nobody knows, 200 are a turn.
+    # Pulses: at an unknown subdivision, 200 are a turn.
     assert refusal(bounded, MKS, "move_relative_pulses", pulses=400) == ""
     assert "turns" in refusal(bounded, MKS, "move_relative_pulses", pulses=401)
     bounded.known.note_subdivision(16)
@@ -254,7 +254,7 @@ _TURNS = Command(
 
 @pytest.mark.parametrize("bound", ["speed", "turns", "acceleration", "current"])
 def test_a_motion_that_is_not_declared_is_beyond_every_bound(bound: str):
-    # Its length and its speed are unknown, whatever its verb and its fields are called.
+    # Its length and its speed are unknown; the names of its verb and fields say nothing.
     dialect = replace(MKS, commands=(*MKS.commands, _TURNS))
     assert refusal(judge(dialect=dialect), dialect, "spin_turns", turns=50, speed=1) == ""
     assert "not in the catalogue" in refusal(judge(dialect=dialect, **{bound: 0.1}), dialect, "spin_turns", turns=50, speed=1)

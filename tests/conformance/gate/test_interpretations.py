@@ -86,7 +86,7 @@ def test_an_example_needs_each_of_its_risks(sending: Sending):
 
 @pytest.mark.parametrize("sending", RISKY_BYTES, ids=ids(RISKY_BYTES))
 class TestRiskyUnderReadsAlone:
-    """However a risky frame is wrapped, nobody gets it through a gate that allows reads alone."""
+    """A gate that allows only reads refuses a risky frame in any wrapping."""
 
     def test_as_it_is(self, sending: Sending):
         assert refuses(sending.data)
@@ -190,7 +190,7 @@ def test_modbus_registers_beside_those_of_a_command_are_unknown():
     assert any("needs unknown" in o.reasons for o in found)
 
 
-# --- codes that nobody knows ------------------------------------------------------------------------------------------
+# --- unknown codes ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The guard: whatever ends the suite, the motor stands and the settings are what they were."""
+"""The guard: after any end of the suite, the motor stands and the settings are restored."""
 
 from __future__ import annotations
 

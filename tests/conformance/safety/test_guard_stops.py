@@ -124,7 +124,7 @@ def test_where_nothing_stops_the_motor_the_guard_cuts_the_power_by_itself(tmp_pa
 
 
 def test_a_drive_that_does_not_tell_its_position_is_not_stopped(tmp_path, monkeypatch):
-    """Unplugged while it may be moving: nobody can say that it stands."""
+    """Unplugged while it may be moving: a stop cannot be proved."""
     with on_pty("mks-rs485@1") as path:
         rig = open_rig(path, tmp_path, cut_power=f"touch {tmp_path / 'cut'}")
         monkeypatch.setattr("conformance.safety.stopping._RAMP_NS", 300_000_000)

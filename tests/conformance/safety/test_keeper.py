@@ -1,4 +1,4 @@
-"""Settings on a real rig, tried on emulated drives in virtual time: read first, written down, put back, whatever happens."""
+"""Settings of a real rig, on emulated drives in virtual time: read, stored in the journal, restored after any failure."""
 
 from __future__ import annotations
 

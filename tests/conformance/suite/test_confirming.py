@@ -39,7 +39,7 @@ def test_what_fails_once_of_two_times_is_refuted_and_says_so(tmp_path):
 
 
 def test_a_sequence_of_steps_is_shortened_where_an_emulated_drive_has_the_same_fault(tmp_path):
-    """The real drive's fault is one that the suite knows; the one that the manual describes does not have it."""
+    """The real drive has a fault that the suite knows; a drive by the manual does not have it."""
     rig = EmulatedPort("mks-rs485@1,fault=set-zero-ignored", tmp_path, settings=KNOWN,
                        allowance=Allowance(EVERYTHING))  # fmt: skip
     from conformance.model import machine

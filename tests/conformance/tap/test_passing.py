@@ -325,7 +325,7 @@ def test_an_adapter_that_does_not_take_bytes_makes_the_program_wait(tapped: Tapp
         os.set_blocking(fd, False)
         at = 0
         deadline = time.monotonic() + 5
-        # Nobody reads at the far end: the program comes to a stop long before it is through.
+        # The far end does not read: the program blocks long before its end.
         while at < len(data) and select.select([], [fd], [], 0.3)[1] and time.monotonic() < deadline:
             with suppress(BlockingIOError):
                 at += os.write(fd, data[at : at + 1000])
