@@ -15,7 +15,7 @@ def open_line(endpoint: Endpoint) -> Line:
     Raises UsageError where it cannot be opened, with what to do about it.
     """
     if endpoint.auto:
-        raise UsageError(f"{endpoint.text}: a sender has to know its speed, expected baud=N (servotap scan finds it)")
+        raise UsageError(f"{endpoint.text}: the speed is missing, expected baud=N (servotap scan finds it)")
     return _KINDS[endpoint.kind](endpoint)
 
 

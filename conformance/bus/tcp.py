@@ -23,7 +23,7 @@ class TcpLine(StreamLine):
         try:
             self._socket = socket.create_connection(endpoint.host, timeout=_CONNECT_S)
         except OSError as error:
-            raise UsageError(f"{endpoint.place}: nobody answers there ({error.strerror or error})") from None
+            raise UsageError(f"{endpoint.place}: cannot connect ({error.strerror or error})") from None
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setblocking(False)
 

@@ -47,7 +47,7 @@ _OTHER_HEADS: Mapping[type[Link], tuple[int, ...]] = {
 
 
 @dataclass(frozen=True)
-class _Kind:
+class _Damage:
     """One kind of damage. `ignored`, `following`: how sure the two claims are. `links`: None for every link. `of_checks`: for
     links that check their frames.
     """
@@ -68,7 +68,7 @@ def _each(make: Callable[[Garbler], Iterable[Variant]]) -> Makes:
     return lambda probe: [v for g in garblers(probe) for v in _some(list(make(g)))]
 
 
-def _variants(probe: Probe, kind: _Kind) -> Iterator[Variant]:
+def _variants(probe: Probe, kind: _Damage) -> Iterator[Variant]:
     """Yield the variants of a kind. Raises NotRun where there is none that is harmless."""
     variants = list(kind.variants(probe))
     if not variants:
@@ -138,29 +138,29 @@ _UNWANTED = frozenset({0x07, 0x40, 0x42})
 _UNKNOWN = frozenset({Risk.UNKNOWN})
 
 _KINDS = (
-    _Kind("checksum_bit", "a request with one bit of its checksum flipped", _each(Garbler.check_bits), of_checks=True,
+    _Damage("checksum_bit", "a request with one bit of its checksum flipped", _each(Garbler.check_bits), of_checks=True,
           rests_on=(Doubt.CHECK,)),
-    _Kind("checksum_value", "a request whose checksum is reckoned otherwise", _each(Garbler.wrong_checks), of_checks=True,
+    _Damage("checksum_value", "a request whose checksum is reckoned otherwise", _each(Garbler.wrong_checks), of_checks=True,
           rests_on=(Doubt.CHECK, Doubt.CHECK_OF_ADDRESS)),
-    _Kind("flipped_bit", "a request with one bit flipped before its checksum", _each(Garbler.body_bits), of_checks=True),
-    _Kind("truncated", "a request that breaks off", _each(Garbler.truncated)),
-    _Kind("overlong", "a request with data that its command does not have", _each(Garbler.overlong),
+    _Damage("flipped_bit", "a request with one bit flipped before its checksum", _each(Garbler.body_bits), of_checks=True),
+    _Damage("truncated", "a request that breaks off", _each(Garbler.truncated)),
+    _Damage("overlong", "a request with data that its command does not have", _each(Garbler.overlong),
           ignored=Certainty.LIKELY, rests_on=(Doubt.LAYOUT,)),
-    _Kind("underlong", "a request with less data than its command has", _each(Garbler.underlong),
+    _Damage("underlong", "a request with less data than its command has", _each(Garbler.underlong),
           ignored=Certainty.LIKELY, links=(LkLink, CanLink), rests_on=(Doubt.LAYOUT,)),
-    _Kind("noise", "noise", _noise, links=(HeadLink, LkLink, ModbusLink)),
-    _Kind("head", "a frame with another head than a request's", _other_heads, links=(HeadLink, LkLink)),
-    _Kind("other_dialect", "a good request in another dialect", _other_dialects, ignored=Certainty.LIKELY,
+    _Damage("noise", "noise", _noise, links=(HeadLink, LkLink, ModbusLink)),
+    _Damage("head", "a frame with another head than a request's", _other_heads, links=(HeadLink, LkLink)),
+    _Damage("other_dialect", "a good request in another dialect", _other_dialects, ignored=Certainty.LIKELY,
           links=(HeadLink, LkLink, ModbusLink), quirks=(FRAGMENTS,)),
-    _Kind("unknown_code", "a good frame of a code that the manual does not list", _with_unknown_codes,
+    _Damage("unknown_code", "a good frame of a code that the manual does not list", _with_unknown_codes,
           ignored=Certainty.LIKELY, links=(HeadLink, LkLink, CanLink), risks=_UNKNOWN,
           quirks=(OTHER_FIRMWARE,)),
-    _Kind("frame_type", "a frame that is no data frame of 11 bits", _strange_frames, ignored=Certainty.LIKELY,
+    _Damage("frame_type", "a frame that is no data frame of 11 bits", _strange_frames, ignored=Certainty.LIKELY,
           links=(CanLink,), risks=_UNKNOWN),
 )  # fmt: skip
 
 
-def _tolerated(dialect: Dialect, kind: _Kind, what: str) -> bool:
+def _tolerated(dialect: Dialect, kind: _Damage, what: str) -> bool:
     """Say whether a quirk explains the answer to a variant: other firmware has codes of its own, and no more."""
     return OTHER_FIRMWARE not in kind.quirks or what in map(_coded, dialect.unlisted_codes)
 
@@ -188,7 +188,7 @@ def _of_kinds(refuted_by: str, **facts: Any) -> Callable[[Callable[..., None]], 
     rests_on=lambda case: case["kind"].rests_on,
     quirks=lambda case: known(case.dialect, *case["kind"].quirks),
 )
-def _ignored(probe: Probe, kind: _Kind) -> None:
+def _ignored(probe: Probe, kind: _Damage) -> None:
     """{damaged} is not answered."""
     ask_first(probe)
     for what, item in _variants(probe, kind):
@@ -207,7 +207,7 @@ def _ignored(probe: Probe, kind: _Kind) -> None:
 
 
 @_of_kinds("silence, or another answer than the request's", name="{kind}/next", at_best=lambda case: case["kind"].following)
-def _next(probe: Probe, kind: _Kind) -> None:
+def _next(probe: Probe, kind: _Damage) -> None:
     """The next good request behind {lower} is answered."""
     ask_first(probe)
     for what, item in _variants(probe, kind):

@@ -54,7 +54,7 @@ Asked = Iterator[tuple[str, int, bytes]]
 
 
 @dataclass(frozen=True)
-class _Kind:
+class _Denied:
     """Requests that an exception answers. `make(probe)` yields them."""
 
     name: str
@@ -139,19 +139,19 @@ def _too_many(probe: Probe) -> Asked:
 
 
 _KINDS = (
-    _Kind("function/other_reads", "Registers are read by function 04h alone; 01h, 02h and 03h are refused by exception 01.",
+    _Denied("function/other_reads", "Registers are read by function 04h alone; 01h, 02h and 03h are refused by exception 01.",
           FUNCTION, _other_reads),
-    _Kind("function/coils", "There are no coils: functions 05h and 0Fh are refused by exception 01.", FUNCTION, _other_writes,
+    _Denied("function/coils", "There are no coils: functions 05h and 0Fh are refused by exception 01.", FUNCTION, _other_writes,
           risks=frozenset({Risk.UNKNOWN})),
-    _Kind("function/unknown", "A function that the drive does not have is refused by exception 01.", FUNCTION,
+    _Denied("function/unknown", "A function that the drive does not have is refused by exception 01.", FUNCTION,
           _unknown_functions, risks=frozenset({Risk.UNKNOWN})),
-    _Kind("register/between", "A read of a register that no command has is refused by exception 02.", ADDRESS, _between),
-    _Kind("register/high_byte", "Both bytes of a register count: one more high byte is another register (exception 02).",
+    _Denied("register/between", "A read of a register that no command has is refused by exception 02.", ADDRESS, _between),
+    _Denied("register/high_byte", "Both bytes of a register count: one more high byte is another register (exception 02).",
           ADDRESS, _high_byte),
-    _Kind("register/written", "A read of a register that is only written is refused by exception 02.", ADDRESS, _written,
+    _Denied("register/written", "A read of a register that is only written is refused by exception 02.", ADDRESS, _written,
           sure=Certainty.OPEN),
-    _Kind("quantity/others", "A register is read with its own quantity and no other (exception 03).", VALUE, _quantities),
-    _Kind("quantity/too_many", "A read of more than 125 registers is refused by exception 03.", VALUE, _too_many),
+    _Denied("quantity/others", "A register is read with its own quantity and no other (exception 03).", VALUE, _quantities),
+    _Denied("quantity/too_many", "A read of more than 125 registers is refused by exception 03.", VALUE, _too_many),
 )  # fmt: skip
 
 
@@ -170,7 +170,7 @@ def _kinds(dialect: Dialect) -> Iterator[Case]:
     section=_with_standard,
     parameters={},
 )
-def _refused(probe: Probe, kind: _Kind) -> None:
+def _refused(probe: Probe, kind: _Denied) -> None:
     ask_alone(probe)
     following = probe.build(plain_read(probe.dialect)).frame
     for what, function, frame in kind.make(probe):

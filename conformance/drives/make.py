@@ -93,7 +93,7 @@ def _find(changes: Sequence[_Change], what: str, name: str, dialect: str) -> _Ch
         return found
     elsewhere = sorted({d for c in changes if c.name == word for d in c.dialects})
     if elsewhere:
-        raise UsageError(f"{dialect} has no {what} {quote(name)}: it is one of {', '.join(elsewhere)}")
+        raise UsageError(f"{dialect} has no {what} {quote(name)}: it belongs to {', '.join(elsewhere)}")
     hint = near(word, own) or near(f"{family}-{word}", own)
     raise UsageError(f"{dialect} has no {what} {quote(name)}{hint} (see servotap emulate --list-{what}s)")
 

@@ -325,7 +325,7 @@ def test_a_tcp_line_that_is_closed_by_the_other_end():
         line.receive(SECOND_NS)
     line.close()
     server.close()
-    with pytest.raises(UsageError, match="nobody answers there"):
+    with pytest.raises(UsageError, match="cannot connect"):
         open_line(parse(f"tcp:127.0.0.1:{server.getsockname()[1] if server.fileno() > 0 else 1}"))
 
 

@@ -207,7 +207,7 @@ def test_near_names_of_faults_and_quirks() -> None:
     for dialect in make.KINDS:
         assert [f.name for f in make.parse(f"{dialect}@3,fault=late-reply").faults] == ["late-reply"]
     of_one = next(f for f in make.every_fault() if "lk-rs485" not in f.dialects)
-    with pytest.raises(UsageError, match=f"it is one of {', '.join(sorted(of_one.dialects))}"):
+    with pytest.raises(UsageError, match=f"it belongs to {', '.join(sorted(of_one.dialects))}"):
         make.parse(f"lk-rs485@1,fault={of_one.name}")
 
 

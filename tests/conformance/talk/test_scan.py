@@ -261,7 +261,7 @@ def test_ctrl_c_shows_what_was_found(path: str, capsys: pytest.CaptureFixture[st
     ("words", "told"),
     [
         (("serial:/dev/none",), "is not there"),
-        (("tcp:127.0.0.1:1",), "nobody answers"),
+        (("tcp:127.0.0.1:1",), "cannot connect"),
         (("serial:x", "--addresses", "0-5"), "--addresses"),
         (("serial:x", "--addresses", "5-1"), "--addresses"),
         (("serial:x", "--rates", "fast"), "--rates"),

@@ -368,7 +368,7 @@ def test_a_dry_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     [
         ((), "where? expected --on"),
         (("--on", "can:virtual:x"), "is of a serial bus"),
-        (("--on", "tcp:127.0.0.1:1"), "nobody answers"),
+        (("--on", "tcp:127.0.0.1:1"), "cannot connect"),
         (("--dry-run", "--bus", "left"), "has no bus 'left'"),
         (("--dry-run", "--address", "9"), "has no request to send (3 requests to other addresses)"),
         (("--dry-run", "--address", "x"), "--addresses"),
