@@ -75,7 +75,8 @@ def looked_at(path: str) -> tuple[float, bool]:
         line.close()
 
 
-def guards() -> list[int]:
+def guards(of: int | None = None) -> list[int]:
+    """Return the guards that run, or those that a process has started."""
     found = []
     for each in Path("/proc").iterdir():
         if each.name.isdigit():
@@ -83,9 +84,16 @@ def guards() -> list[int]:
                 words = (each / "cmdline").read_bytes()
             except OSError:
                 continue
-            if b"conformance.safety.guard" in words:
+            if b"conformance.safety.guard" in words and (of is None or f"\nPPid:\t{of}\n" in _status(each)):
                 found.append(int(each.name))
     return found
+
+
+def _status(process: Path) -> str:
+    try:
+        return (process / "status").read_text()
+    except OSError:
+        return ""
 
 
 @pytest.mark.skipif(not Path("/proc").exists(), reason="needs /proc to see processes")
@@ -93,9 +101,8 @@ def guards() -> list[int]:
 def test_the_motor_stands_and_settings_are_back_whatever_ends_the_suite(ending, tmp_path):
     path_of_journal = tmp_path / "run.journal"
     with on_pty("mks-rs485@1") as path:
-        before = set(guards())
         process = started(path, ending, path_of_journal)
-        mine = set(guards()) - before
+        mine = set(guards(process.pid))
         assert mine
         if ending.startswith("SIG"):
             process.send_signal(getattr(signal, ending))
@@ -113,9 +120,8 @@ def test_the_motor_stands_and_settings_are_back_whatever_ends_the_suite(ending, 
 def test_a_killed_guard_leaves_a_journal_for_restore(tmp_path):
     path_of_journal = tmp_path / "run.journal"
     with on_pty("mks-rs485@1") as path:
-        before = set(guards())
         process = started(path, "wait", path_of_journal)
-        (guard,) = set(guards()) - before
+        (guard,) = guards(process.pid)
         os.kill(guard, signal.SIGKILL)
         process.kill()
         process.communicate(timeout=20)
