@@ -640,4 +640,5 @@ DIALECT = Dialect(
     subdivision=mks.SUBDIVISION,
     counts_per_turn=mks.COUNTS_PER_TURN,
     rates=BIT_RATES,
+    said_in="analyzer.protocols.mks_can_statements",
 )
