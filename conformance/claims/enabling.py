@@ -7,9 +7,12 @@ Rules kept here:
 
 from __future__ import annotations
 
-from analyzer.catalogue import Certainty, Command, Verb
+from collections.abc import Iterator
+
+from analyzer.catalogue import Certainty, Command, Dialect, Verb
+from analyzer.link import CanLink
 from conformance.claims.bench import lk_drive
-from conformance.claims.declare import commands
+from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.claims.stops import expect_standing, set_going
@@ -71,6 +74,32 @@ def _does_not_resume(probe: Probe) -> None:
     exchange = motion.switch(probe, True)
     probe.wait(SECOND_NS)
     expect_standing(probe, exchange, "switching the motor on takes up the motion again")
+
+
+def _levels_of_pulse_modes(dialect: Dialect) -> Iterator[Case]:
+    """Yield the level of the En pin where the manual says that it is without effect in bus modes."""
+    if isinstance(dialect.link, CanLink):
+        yield from commands(Verb.SET_ENABLE_LEVEL)(dialect)
+
+
+@of_motion(
+    each=_levels_of_pulse_modes,
+    name="{command}/not-in-bus-modes",
+    refuted_by="a motor that the pin enables or disables",
+    at_best=Certainty.LIKELY,
+    settings=("enable_level",),
+    risks=risks_by(Verb.ENABLE),
+)
+def _not_in_bus_modes(probe: Probe, command: Command) -> None:
+    """In a bus mode the motor is enabled as it was told, whatever the level of the En pin at which it would be."""
+    motion.ready_to_move(probe)
+    for level in (0, 1, 2):
+        exchange = probe.do(command, {"enable_level": level})
+        for on in (False, True):
+            motion.switch(probe, on)
+            probe.wait(200 * MS)
+            text = f"with enable_level {level} a motor that was told to be {'on' if on else 'off'} is not"
+            probe.expect(motion.is_on(probe), equal=on, refutes=text, exchange=exchange)
 
 
 def expect_obeys(probe: Probe, refutes: str) -> None:

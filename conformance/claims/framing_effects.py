@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-from analyzer.catalogue import Command, Dialect, Risk, Subject, Verb
-from analyzer.link import HeadLink
+from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Subject, Verb
+from analyzer.link import CanLink, HeadLink
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import received_text
 from conformance.claims.declare import Case, claim, described_in
-from conformance.motion import effects
+from conformance.claims.motion_claim import expect_stays, of_motion
+from conformance.motion import effects, motion
 from conformance.motion.effects import Observable
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
@@ -187,3 +188,36 @@ _LISTEN_NS = 300_000_000
 
 #: What damaged requests could be read as, beside what they were built from.
 _READ_AS: Mapping[type, frozenset[Risk]] = {HeadLink: frozenset({Risk.UNKNOWN})}
+
+
+# --- a motion that does not check ---------------------------------------------------------------------------------------
+
+
+def _alone_in_their_frame(dialect: Dialect) -> Iterable[Case]:
+    """Return the motions of a dialect whose frames stand alone: nothing else can be read in a damaged one."""
+    if isinstance(dialect.link, CanLink):
+        for command in dialect.motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO):
+            yield Case(dialect, command)
+
+
+@of_motion(theme=Theme.FRAMING, each=_alone_in_their_frame, name="{command}/wrong_check", refuted_by="a shaft that turns")
+def _wrong_check(probe: Probe, command: Command) -> None:
+    """{command} whose checksum does not fit turns nothing."""
+    motion.prepare(probe, command)
+    before = motion.wait_standing(probe)
+    values = motion.values_of(probe.dialect, command, _DEGREES, start=motion.place(probe, command))
+    built = probe.build(command, values)
+    for what, frame in _wrong_checks(probe.dialect, built.frame, probe.address):
+        sent = probe.send(built.item(frame), timeout_ns=_LISTEN_NS)
+        after = motion.position(probe)
+        expect_stays(before, after, sent, f"{command.name} is executed with {what}")
+    motion.begin(probe, command, _DEGREES)
+    probe.wait(_LISTEN_NS)
+    went = abs(motion.position(probe).value - before.value)
+    motion.stand_still(probe)
+    if went < _DEGREES / 4:
+        raise Inconclusive(f"{command.name} turns nothing when its checksum fits either")
+
+
+#: A move that takes a tenth of a second.
+_DEGREES = 36

@@ -11,10 +11,11 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
-from conformance.claim import Aspect, Inconclusive, Theme
+from conformance.claim import Aspect, Inconclusive, NotRun, Theme
 from conformance.claims import bench
 from conformance.claims.declare import Case, claim, commands, motions, with_values
 from conformance.claims.known_quirks import may_meet
@@ -83,6 +84,45 @@ def _is_position(probe: Probe, command: Command) -> None:
             refutes="carry and value are not the position",
             exchange=exchange,
         )
+
+
+def _with_places(dialect: Dialect) -> Iterable[Case]:
+    """Return the read of carry and value where a move to a place counts as the encoder does."""
+    return commands(Verb.READ_ENCODER_CARRY)(dialect) if Verb.MOVE_ABSOLUTE_AXIS in dialect.by_verb else ()
+
+
+@of_motion(
+    each=_with_places,
+    refuted_by="a value beyond 3FFFh, or a carry that comes early or late",
+    risks=risks_by(Verb.MOVE_ABSOLUTE_AXIS),
+)
+def _at_the_carry(probe: Probe, command: Command) -> None:
+    """On either side of a whole turn, count by count, carry x 16384 + value is the place, and the value is within a turn."""
+    move, turn = probe.command(Verb.MOVE_ABSOLUTE_AXIS), probe.dialect.counts_per_turn
+    motion.prepare(probe, move)
+    base = round(motion.place(probe, move) / turn)
+    for place in ((base + carry) * turn + beside for carry in (1, -1, 0) for beside in (-2, -1, 0, 1, 2)):
+        exchange = motion.begin(probe, move, (place - motion.place(probe, move)) * 360 / turn, rpm=180, acceleration=QUICK)
+        motion.wait_standing(probe)
+        exchange = probe.ask(command)
+        values = probe.reply(exchange).values
+        probe.expect(values["encoder"], at_most=turn - 1, refutes="the value is more than a turn", exchange=exchange)
+        together = values["carry"] * turn + values["encoder"]
+        text = "carry and value are not the place beside a whole turn"
+        probe.expect(together, near=_counts(probe), within=_JITTER, refutes=text, exchange=exchange)
+
+
+@of_motion(each=_counted_positions, refuted_by="a position that stays", emulated=True, risks=risks_by(Verb.ENABLE))
+def _while_disabled(probe: Probe) -> None:
+    """The position follows the shaft while the motor is disabled."""
+    motion.ready_to_move(probe)
+    motion.switch(probe, False)
+    for turned in (3000, -20_000):
+        before = _counts(probe)
+        bench.drive_of(probe).turn_shaft(turned)
+        text = "the position does not follow the shaft of a disabled motor"
+        probe.expect(_counts(probe) - before, near=turned, within=_JITTER, unit="counts", refutes=text)
+    motion.switch(probe, True)
 
 
 @of_motion(
@@ -310,6 +350,77 @@ def _calibration(probe: Probe) -> None:
         probe.meets("version-cal-1")
     else:
         probe.expect(seen, equal=_CW_LOWERS, refutes="the version tells another sense of the encoder")
+
+
+#: What the version tells of a drive of each model: E series, and the hardware.
+_VERSIONS: Mapping[str, tuple[int, int]] = {"42E": (1, 2), "57E": (1, 4)}
+
+
+@claim(
+    Theme.MOTION, each=commands(Verb.READ_VERSION), refuted_by="another drive", aspect=Aspect.STATE, at_best=Certainty.LIKELY
+)
+def _names_the_drive(probe: Probe, command: Command) -> None:
+    """The version tells the series and the hardware of this drive."""
+    model = probe.dialect.model
+    if model not in _VERSIONS:
+        raise NotRun("the model of the drive is not known: add model=42E or model=57E to the drive")
+    exchange = probe.ask(command)
+    values = probe.reply(exchange).values
+    seen = values["series"], values["hardware"]
+    probe.expect(seen, equal=_VERSIONS[model], refutes=f"the version is not that of a {model} with CAN", exchange=exchange)
+
+
+# --- the ports --------------------------------------------------------------------------------------------------------
+
+
+def _ports(dialect: Dialect) -> Iterator[Case]:
+    """Yield the read of the ports where one tells whether the shaft is in place."""
+    for case in commands(Verb.READ_IO)(dialect):
+        if "pend" in case.command.reply_forms[0].layout.named:  # type: ignore[union-attr]  # cases of commands
+            yield case
+
+
+_of_ports = partial(
+    of_motion,
+    each=_ports,
+    refuted_by="the other level",
+    at_best=Certainty.LIKELY,
+    risks=risks_by(Verb.SET_PULSE_DIVISION, Verb.WRITE_IO),
+    settings=("division_level", "division_period"),
+)
+
+
+def _give_ports_back(probe: Probe) -> None:
+    """Let the ports tell what they tell by default."""
+    motion.ready_to_move(probe)
+    probe.do(Verb.SET_PULSE_DIVISION, {"division_level": 0, "division_period": 0})
+    probe.do(Verb.WRITE_IO, {"alm_mask": 0, "pend_mask": 0, "alm": 0, "pend": 0})
+
+
+@_of_ports()
+def _in_position_at_rest(probe: Probe, command: Command) -> None:
+    """PEND is 1 when the shaft has come to its target, and ALM is 1 without an alarm."""
+    _give_ports_back(probe)
+    motion.follow(probe, motion.any_move(probe.dialect), 90)
+    for port, text in (("pend", "the shaft is in place, and PEND says that it is not"), ("alm", "ALM tells an alarm at rest")):
+        probe.expect(probe.read(command, port), equal=1, refutes=text, exchange=probe.traffic[-1])
+
+
+@_of_ports()
+def _not_in_position_while_moving(probe: Probe, command: Command) -> None:
+    """PEND is 0 while the shaft is on its way."""
+    _give_ports_back(probe)
+    motion.begin(probe, motion.any_move(probe.dialect), 720)
+    probe.wait(SECOND_NS)
+    seen, exchange = probe.read(command, "pend"), probe.traffic[-1]
+    turning = motion.turning(probe)
+    motion.stand_still(probe)
+    if abs(turning) < 1:
+        raise Inconclusive("the shaft does not turn")
+    probe.expect(seen, equal=0, refutes="the shaft is on its way, and PEND says that it is in place", exchange=exchange)
+
+
+# --- while it turns ---------------------------------------------------------------------------------------------------
 
 
 def _plain_reads(dialect: Dialect) -> Iterator[Case]:

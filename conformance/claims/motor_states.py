@@ -7,11 +7,12 @@ Rule kept here: each state of the ramp lasts longer than a second, so that a lat
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 
-from analyzer.catalogue import Verb
+from analyzer.catalogue import Dialect, Verb
 from conformance.claim import Inconclusive
-from conformance.claims.declare import commands
+from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
@@ -69,6 +70,25 @@ def _full_speed(probe: Probe) -> None:
     _wait_until(probe, _run(probe), _RAMP_NS + 500 * MS)
     _expect(probe, _status(probe), _FULL, "turns at full speed")
     motion.stand_still(probe)
+
+
+def _slow_runs(dialect: Dialect) -> Iterator[Case]:
+    for case in commands(Verb.READ_STATUS)(dialect):
+        for rpm in (3, 12, 28):
+            yield Case(dialect, case.command, {"rpm": rpm}, {"name": f"{{command}}/slow-{rpm}"})
+
+
+@of_motion(each=_slow_runs, refuted_by="another status", risks=risks_by(Verb.RUN_SPEED))
+def _slow(probe: Probe, rpm: int) -> None:
+    """At {rpm} rpm too the status is 4, and 1 after the stop."""
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
+    motion.run_at(probe, rpm, QUICK)
+    probe.wait(SECOND_NS)
+    seen = _status(probe)
+    motion.stand_still(probe)
+    _expect(probe, seen, _FULL, f"turns at {rpm} rpm")
+    probe.wait(_STAYS_NS)
+    _expect(probe, _status(probe), _STOPPED, "has stopped")
 
 
 @_of_a_run(quirks=may_meet("status-stops-early"))

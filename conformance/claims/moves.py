@@ -30,7 +30,7 @@ from conformance.claims.motion_claim import (
     that_tell_their_end,
 )
 from conformance.motion import motion
-from conformance.motion.motion import MOVES, MS, QUICK, SAME, SECOND_NS, Move, takes_pulses
+from conformance.motion.motion import MOVES, MS, QUICK, SAME, SECOND_NS, SUBDIVISION, Move, takes_pulses
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
@@ -280,6 +280,26 @@ def _both_ways(probe: Probe, command: Command) -> tuple[float, float, Exchange]:
     ccw = motion.follow(probe, command, -240, start=start)
     motion.follow(probe, command, 360, start=start)
     return cw.degrees, ccw.degrees, ccw.exchange
+
+
+#: Speeds at which the end of a move is looked at, each by an acceleration whose ramps take less than half of the way.
+_FAST = (600, 1600, 3000)
+_FAST_ACCELERATION, _FAST_TURNS = 255, 9
+
+
+def _fast_moves(dialect: Dialect) -> Iterator[Case]:
+    for case in _counted(dialect):
+        for rpm in _FAST:
+            yield Case(dialect, case.command, {"rpm": rpm}, {"name": f"{{command}}/ends-at-{rpm}"})
+
+
+@of_motion(each=_fast_moves, refuted_by="a shaft that ends elsewhere")
+def _ends_at(probe: Probe, command: Command, rpm: int) -> None:
+    """{command} at {rpm} rpm ends where it was asked to go, both ways."""
+    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
+    for turns in (_FAST_TURNS, -_FAST_TURNS):
+        move = motion.follow(probe, command, turns * 360, rpm=rpm, acceleration=_FAST_ACCELERATION)
+        _expect_way(probe, move, False, f"{command.name} at {rpm} rpm does not go as far as it was asked to")
 
 
 # --- on the way -------------------------------------------------------------------------------------------------------

@@ -10,7 +10,8 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.layout import Field
@@ -26,6 +27,7 @@ from conformance.talk.acceptance import Acceptance, can_refuse, expect_accepted,
 from conformance.talk.probe import Probe
 from conformance.talk.settings import LINK_EFFECTS
 
+_BYTE = 0xFF
 #: Values of these do something that no claim about ranges needs; other claims are about what they do.
 _NOT_DONE = frozenset({Verb.RESTART, Verb.RESTORE, Verb.CALIBRATE, Verb.HOME})
 
@@ -82,6 +84,50 @@ def _refused(probe: Probe, command: Command, field: Field, values: tuple[int, ..
         asked = ranges.plain(probe, command, form, **{field.name: value})
         expect_refused(probe, probe.build(command, asked, form=form), ranges.text(field, value))
     _keep_enabled(probe, command)
+
+
+def _bytes_with_a_list(dialect: Dialect) -> Iterator[tuple[Command, Field]]:
+    """Yield the settings of a byte whose values are listed."""
+    for command in _judged(dialect):
+        for field in ranges.fields(command):
+            changes_link = field.effect in LINK_EFFECTS or command.verb in _NOT_DONE
+            if limits.listed(field) is not None and field.wire_maximum == _BYTE and not changes_link:
+                yield command, field
+
+
+def _every_other(dialect: Dialect) -> Iterator[Case]:
+    for command, field in _bytes_with_a_list(dialect):
+        yield _other(dialect, command, field, "every", range(_BYTE + 1))
+
+
+def _round(dialect: Dialect) -> Iterator[Case]:
+    """Yield numbers that a list leaves out. A field with named choices has no number that looks like one of them."""
+    for command, field in _bytes_with_a_list(dialect):
+        if field.values is not None:
+            yield _other(dialect, command, field, "round", range(10, _BYTE + 1, 10))
+
+
+def _other(dialect: Dialect, command: Command, field: Field, where: str, values: Iterable[int]) -> Case:
+    others = tuple(v for v in values if not field.allows(v))
+    case = _case(dialect, command, field, where, others)
+    return replace(case, facts={**case.facts, "rests_on": ranges.doubts("unlisted"), "parameters": {"field": field.name}})
+
+
+@of_ranges(
+    each=_every_other,
+    statement="Of the 256 values of a byte those that are not listed of {field} are refused.",
+    refuted_by="success, or silence",
+    at_best=Certainty.LIKELY,
+    emulated=True,
+)
+@of_ranges(
+    each=_round,
+    statement="A multiple of ten that is not listed of {field} is refused.",
+    refuted_by="success, or silence",
+    at_best=Certainty.LIKELY,
+)
+def _others_refused(probe: Probe, command: Command, field: Field, values: tuple[int, ...]) -> None:
+    _refused(probe, command, field, values)
 
 
 def _keep_enabled(probe: Probe, command: Command) -> None:

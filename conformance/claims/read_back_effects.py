@@ -207,6 +207,27 @@ def _ports(probe: Probe, command: Command) -> None:
     probe.do(command, {"alm_mask": 0, "pend_mask": 0, "alm": 0, "pend": 0})
 
 
+@of_read_back(
+    each=commands(Verb.WRITE_IO),
+    name="{command}/gives-back",
+    refuted_by="a port that stays as it was written",
+    at_best=Certainty.LIKELY,
+    risks=lambda case: case.command.all_risks | case.dialect.by_verb[Verb.SET_PULSE_DIVISION].all_risks,
+    settings=("division_level", "division_period"),
+)
+def _gives_back(probe: Probe, command: Command) -> None:
+    """With mask 0 the ports tell again that there is no alarm and that the shaft is in place."""
+    probe.do(Verb.SET_PULSE_DIVISION, {"division_level": 0, "division_period": 0})
+    for level in (0, 1):
+        probe.do(command, {"alm_mask": 1, "pend_mask": 1, "alm": 0, "pend": 0})
+        if set(_levels(probe, "alm", "pend").values()) != {0}:
+            raise Inconclusive("the ports do not read as they were written")
+        exchange = probe.do(command, {"alm_mask": 0, "pend_mask": 0, "alm": level, "pend": level})
+        wanted = {"alm": 1, "pend": 1}
+        text = "ports that were given back do not tell what they tell at rest"
+        probe.expect(_levels(probe, *wanted), equal=wanted, refutes=text, exchange=exchange)
+
+
 def _levels(probe: Probe, *ports: str) -> dict[str, int | None]:
     values = probe.reply(probe.ask(Verb.READ_IO)).values
     return {port: values.get(port) for port in ports}

@@ -16,7 +16,7 @@ from typing import Any
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive
 from conformance.claims.declare import Case, Cases, commands
-from conformance.claims.motion_claim import of_motion, risks_of
+from conformance.claims.motion_claim import of_motion, risks_by, risks_of
 from conformance.motion import motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
@@ -133,6 +133,23 @@ def _others_answered(probe: Probe) -> None:
         assert exchange.command is not None
         text = f"{exchange.command.name} is not answered with respond 0"
         probe.expect("silence", holds=not exchange.silent, expected="a reply", refutes=text, exchange=exchange)
+
+
+@_of_respond("another status", each=_settings, name="{command}/0-status-follows", risks=risks_by(Verb.RUN_SPEED))
+def _status_follows(probe: Probe) -> None:
+    """With respond 0 the status still tells whether the motor turns or stands."""
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    run = probe.command(Verb.RUN_SPEED)
+    _set(probe, 0, 0)
+    seen = []
+    for rpm in (_RPM, 0):
+        motion.ask(probe, run, rpm=rpm, acceleration=QUICK, until=Until.TIMEOUT, timeout_ns=SECOND_NS)
+        probe.wait(2 * SECOND_NS)
+        seen.append(probe.read(Verb.READ_STATUS, "status"))
+    _set(probe, 1, 1)
+    motion.stand_still(probe)
+    text = "the status of a motor that does not answer is not what it does: first at full speed, then stopped"
+    probe.expect(seen, equal=[4, 1], refutes=text)
 
 
 # --- active 0, and both again -----------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from analyzer import dialects as registry
-from analyzer.catalogue import Command, Dialect, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.layout import Effect, Field
 from conformance.claim import Inconclusive
 from conformance.claims import ranges, read_back
@@ -150,6 +150,35 @@ def _expect_default_seen(probe: Probe, command: Command, effect: SettingEffect, 
         key=f"{command.name} restore",
     )
 
+
+# --- starting again ---------------------------------------------------------------------------------------------------
+
+
+def _restored_on_the_way(dialect: Dialect) -> Iterator[Case]:
+    command = dialect.by_verb.get(Verb.RESTORE)
+    if command is not None:
+        yield Case(dialect, command, {}, {"parameters": {}, "risks": motion.risks(dialect, *command.all_risks)})
+
+
+@of_read_back(each=_restored_on_the_way, refuted_by="a shaft that turns on", by_name=True, alone=True, at_best=Certainty.LIKELY)
+def _reboots(probe: Probe, command: Command) -> None:
+    """A restored drive starts again, and that ends a motion."""
+    move = motion.any_move(probe.dialect)
+    motion.prepare(probe, move)
+    motion.begin(probe, move, _LONG_TURNS * 360)
+    probe.wait(SETTLE_NS)
+    if abs(motion.turning(probe)) < 1:
+        raise Inconclusive("the shaft does not turn before the restore")
+    exchange = probe.do(command)
+    _lead_back(probe)
+    turning = motion.turning(probe)
+    motion.wait_standing(probe)
+    text = "a restored drive goes on turning its shaft"
+    probe.expect(turning, near=0, within=1, unit="rpm", refutes=text, exchange=exchange)
+
+
+#: A move at 60 rpm that goes on for longer than a restored drive takes to come back.
+_LONG_TURNS = 12
 
 # --- the link ---------------------------------------------------------------------------------------------------------
 

@@ -14,7 +14,15 @@ from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, T
 from conformance.claim import Inconclusive
 from conformance.claims.declare import Case, commands, motions
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion_claim import expect_speed, has_direction, has_sign, of_motion, risks_by, that_tell_their_end
+from conformance.claims.motion_claim import (
+    expect_speed,
+    has_direction,
+    has_sign,
+    of_motion,
+    risks_by,
+    risks_of,
+    that_tell_their_end,
+)
 from conformance.motion import motion
 from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, SUBDIVISION
 from conformance.talk.probe import Probe
@@ -151,6 +159,33 @@ def _and_the_bus(probe: Probe, command: Command, turns: bool) -> None:
         expected="opposite ways" if turns else "one way",
         refutes="the setting of the motor's direction and motion by the bus",
     )
+
+
+def _directions_of_moves(dialect: Dialect) -> Iterator[Case]:
+    if Trait.DIRECTION_TURNS_BUS_MOTION in dialect.traits:
+        for case in commands(Verb.SET_DIRECTION)(dialect):
+            for move in dialect.motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO):
+                if motion.takes_pulses(move):
+                    yield Case(dialect, case.command, {"move": move})
+
+
+@of_motion(
+    each=_directions_of_moves,
+    name="{command}/and-{move}",
+    refuted_by="a move that turns the same way with both settings",
+    risks=risks_of("move"),
+    settings=("motor_direction",),
+)
+def _and_moves(probe: Probe, command: Command, move: Command) -> None:
+    """The setting of the motor's direction turns {move}."""
+    motion.prepare(probe, move)
+    ways = []
+    for value in (0, 1):
+        exchange = probe.do(command, {"motor_direction": value})
+        ways.append(motion.follow(probe, move, 45).degrees)
+    text = f"the setting of the motor's direction does not turn {move.name}"
+    shown = f"{ways[0]:+.1f} and {ways[1]:+.1f} degrees"
+    probe.expect(shown, holds=ways[0] * ways[1] < 0, expected="opposite ways", refutes=text, exchange=exchange)
 
 
 # --- as time goes on --------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 
-from analyzer.catalogue import Certainty, Dialect, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from analyzer.layout import Effect
 from conformance.claims.declare import Case
 from conformance.claims.motion_claim import of_motion, risks_by
@@ -77,3 +77,43 @@ def _pulses(probe: Probe, sent: int, subdivision: int) -> None:
     move = motion.follow(probe, command, 45, acceleration=QUICK, subdivision=subdivision)
     text = f"{25 * subdivision} pulses at {subdivision} subdivisions are not an eighth of a turn"
     probe.expect(abs(move.degrees), near=45, within=SAME, unit="degrees", refutes=text, exchange=move.exchange)
+
+
+#: Subdivisions at which moves are tried: below those that leave speeds as they are, and above.
+_OF_MOVES = (8, 100, 256)
+
+
+def _moves(dialect: Dialect) -> Iterator[Case]:
+    """Yield each move at some subdivisions, as `_subdivisions` does runs."""
+    for case in _subdivisions(dialect):
+        if case["subdivision"] in _OF_MOVES:
+            for command in dialect.motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO):
+                yield Case(dialect, command, {n: case[n] for n in ("subdivision", "sent", "rpm")})
+
+
+@of_motion(
+    each=_moves,
+    name="{command}/speed-at-{subdivision}",
+    refuted_by="another speed, or another way",
+    at_best=Certainty.LIKELY,
+    parameters=lambda case: {"subdivision": case["subdivision"]},
+)
+def _speed_of_a_move(probe: Probe, command: Command, subdivision: int, sent: int, rpm: float) -> None:
+    """At {subdivision} subdivisions {command} turns the shaft at {rpm:g} rpm, as asked, and by 1080 degrees."""
+    motion.ready_to_move(probe, subdivision=sent)
+    before = motion.position(probe)
+    how = {"rpm": rpm, "acceleration": QUICK, "subdivision": subdivision}
+    exchange = motion.begin(probe, command, _TURNS * 360, **how)
+    # The ramp goes by the real speed, or by the speed as sent: either way it is over then.
+    probe.wait(500 * MS)
+    seen, spread = motion.mean_speed(probe, SECOND_NS)
+    end = motion.wait_standing(probe)
+    text = f"the speed of {command.name} does not follow the subdivision as the manual says"
+    probe.expect(abs(seen), near=rpm, within=rpm * _SHARE + spread, unit="rpm", refutes=text, exchange=exchange)
+    text = f"{command.name} does not go as far at {subdivision} subdivisions as it should"
+    degrees = abs(end.value - before.value)
+    probe.expect(degrees, near=_TURNS * 360, within=SAME, unit="degrees", refutes=text, exchange=exchange)
+
+
+#: Three seconds at 60 rpm.
+_TURNS = 3

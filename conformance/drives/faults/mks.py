@@ -43,7 +43,7 @@ from conformance.drives.faults.mks_behaviour import (
     with_state,
     wrapped,
 )
-from conformance.drives.faults.numbers import always, exchanged, negated, renamed
+from conformance.drives.faults.numbers import accepts, always, exchanged, negated, renamed
 from conformance.drives.faults.places import (
     CAN,
     MODBUS,
@@ -58,6 +58,7 @@ from conformance.drives.faults.places import (
     byte,
     faults,
     frames,
+    limit,
     reply,
     result,
     stored_as,
@@ -87,6 +88,12 @@ HEARING: Rows = {
             "executes-bad-checksum",
             "frames with a wrong checksum are executed and not answered",
             together(taken(mks.take_bad_checksum), silent_to(lambda d, m: not m.frame.checksum_ok)),
+        ),
+        Row(
+            "executes-bad-motion",
+            "motion with a wrong checksum is executed and not answered",
+            together(taken(mks.take_bad_motion), silent_to(lambda d, m: not m.frame.checksum_ok)),
+            CAN,
         ),
         Row("deaf-after-bad-frame", "after a frame with a wrong checksum the next good one is not heard", Change(mks.startle)),
     ),
@@ -174,6 +181,7 @@ REPLIES: Rows = {
     ),
     "sign": (Row("carry-cut-to-zero", "30 cuts negative positions towards zero", result(mks.carry_to_zero, CARRY)),),
     "width": (Row("carry-too-late", "30 carries only every second turn", result(mks.carry_late, CARRY)),),
+    "boundary": (Row("carry-a-count-late", "30 says 4000h before the carry counts", result(mks.carry_a_count_late, CARRY)),),
     "byte order": (
         Row("carry-before-value", "30 sends the value before the carry", bodies(lambda b: b[:-6] + b[-2:] + b[-6:-2], CARRY)),
         Row(
@@ -192,6 +200,19 @@ REPLIES: Rows = {
             reply("status", renamed(6, 5), F1),
         ),
         Row("homing-as-running", "F1 says full speed while homing", reply("status", renamed(5, 4), F1)),
+        Row("status-slow-is-stopped", "F1 says below 30 rpm that the motor stands", result(mks.slow_as_stopped, F1)),
+        Row(
+            "status-silent-is-stopped",
+            "with respond 0 F1 says that the motor stands",
+            result(mks.silent_as_stopped, F1),
+            TELLING,
+        ),
+        Row("in-position-inverted", "34 says 0 in place", reply("pend", exchanged(0, 1), Verb.READ_IO), CAN),
+        Row("in-position-always", "34 always says that the shaft is in place", reply("pend", always(1), Verb.READ_IO), CAN),
+        Row("alarm-inverted", "34 says 0 without an alarm", reply("alm", exchanged(0, 1), Verb.READ_IO), CAN),
+        Row("hardware-of-another", "40 names a drive of another size", reply("hardware", always(6), Verb.READ_VERSION), CAN),
+        Row("series-of-another", "40 names the D series", reply("series", always(0), Verb.READ_VERSION), CAN),
+        Row("enabled-by-pin", "3A goes by the level of En in a bus mode", result(mks.by_pin, Verb.READ_ENABLED), CAN),
         Row("status-outside-list", "F1 says 7 for a motor that stands", reply("status", renamed(1, 7), F1)),
         Row("enabled-inverted", "3A says enabled for disabled", reply("enabled", exchanged(0, 1), Verb.READ_ENABLED)),
         Row(
@@ -203,6 +224,7 @@ REPLIES: Rows = {
     "frozen": (
         Row("status-frozen", "F1 always says that the motor stands", reply("status", always(1), F1)),
         Row("status-stale", "F1 says what it said the time before", mks.stale(F1)),
+        Row("position-frozen-while-free", "31 stays while the motor is disabled", mks.while_enabled(Verb.READ_POSITION)),
         Row("speed-frozen", "32 always says 0", reply("speed", always(0), Verb.READ_SPEED)),
         Row("position-frozen", "31 always says 0", reply("position", always(0), Verb.READ_POSITION)),
         Row("pulses-frozen", "33 always says 0", reply("pulses", always(0), Verb.READ_PULSES)),
@@ -240,6 +262,9 @@ REPLIES: Rows = {
 
 SETTING: Rows = {
     "stored": (
+        Row("subdivision-250-accepted", "84 accepts 250", limit("subdivision", accepts(250)), CAN),
+        Row("subdivision-any-odd", "84 accepts 7 and 99", limit("subdivision", accepts(7, 99)), CAN),
+        Row("ports-not-given-back", "36 with mask 0 leaves the ports as written", before(Verb.WRITE_IO, mks.keep_ports)),
         Row("subdivision-not-stored", "84 says success and changes nothing", unstored("subdivision")),
         Row("work-mode-not-stored", "82 says success and changes nothing", unstored("work_mode")),
         Row("home-speed-not-stored", "90 says success and keeps the old speed", unstored("home_speed")),
@@ -281,6 +306,7 @@ SETTING: Rows = {
         Row("subdivision-kept", "a restore leaves the subdivision", clinging("subdivision")),
         Row("address-kept", "a restore leaves the address", clinging("new_address")),
         Row("restore-lies", "3F says success and restores nothing", lying(Verb.RESTORE)),
+        Row("restore-without-restart", "3F restores and does not start again", instead(Verb.RESTORE, mks.restore_running)),
         Row("current-kept", "a restore leaves the current", clinging("current"), CAN),
         Row("dialect-kept", "a restore leaves Modbus on", clinging("modbus"), MODBUS),
     ),
@@ -307,6 +333,7 @@ MOTION: Rows = {
         Row("absolute-axis-direction-wrong", "F5 moves to the other side of zero", asked("position", negated, F5)),
         Row("saved-direction-lost", "the run kept for power-on turns counter-clockwise always", unstored("saved_direction")),
         Row("direction-setting-ignored", "86 does not turn motion by the bus", unstored("motor_direction"), CAN),
+        Row("direction-setting-of-runs", "86 turns runs and no moves", wrapped(MOVES, mks.without_sense), CAN),
         Row("direction-setting-turns-bus", "86 turns motion by the bus", tuned(mks.turn_bus_motion), SERIAL),
         Row("zero-direction-ignored", "the way back at power-on is always clockwise", unstored("zero_direction")),
     ),
@@ -314,6 +341,7 @@ MOTION: Rows = {
         Row("relative-as-absolute", "F4 moves to the position instead of by it", wrapped(F4, mks.as_command(F5))),
         Row("absolute-as-relative", "F5 moves by the position instead of to it", wrapped(F5, mks.as_command(F4))),
         Row("move-ends-short", "moves end 200 counts before their target", landing(-200)),
+        Row("fast-move-ends-beyond", "moves above 1500 rpm end 60 counts beyond their target", mks.landing_above(1500, 60)),
         Row("move-ends-beyond", "moves end 200 counts beyond their target", landing(200)),
     ),
     "scale": (
@@ -324,6 +352,7 @@ MOTION: Rows = {
             "the speed as sent is the real one at every subdivision",
             with_law("real_speed", lambda speed: speed),
         ),
+        Row("move-speed-ignores-subdivision", "moves turn at the speed as sent", wrapped(MOVES, mks.at_speed_as_sent)),
         Row(
             "speed-scaled-at-32",
             "at 32 and 64 subdivisions too the speed is reckoned from 16",

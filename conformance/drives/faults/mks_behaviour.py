@@ -42,7 +42,7 @@ from conformance.drives.faults.places import (
 )
 from conformance.drives.mks.core import MOTIONS, Activity, Behaviour, MksCore, Script, Task
 from conformance.drives.mks.motion import TARGETS
-from conformance.drives.mks.paths import Number, ramp_step_ns
+from conformance.drives.mks.paths import Number, ramp_step_ns, size
 from conformance.drives.mks.responders import MksResponder
 
 #: The moves to a position.
@@ -52,6 +52,7 @@ STARTING: Values = {"status": int(mks_shared.RunStatus.STARTING)}
 COMPLETE, LIMIT_STOP = int(mks_shared.RunStatus.COMPLETE), int(mks_shared.RunStatus.LIMIT_STOP)
 COUNTS = mks_shared.COUNTS_PER_TURN
 SUBDIVISION_CODE = 0x84
+SLOW_RPM = 30
 LATE_NS = COAST_NS = 2_000_000_000
 
 
@@ -200,6 +201,45 @@ def landing(*offsets: int) -> Change:
         drive.finish(COMPLETE)
 
     return ended(script)
+
+
+def landing_above(speed: int, offset: int) -> Change:
+    """Let moves above a speed as sent end so many counts beyond their target."""
+
+    def script(drive: MksCore, request: Request) -> Script:
+        motor = drive.motor
+        target, begin = motor.wanted(motor.settled), motor.wanted(drive.now_ns)
+        yield lambda: motor.settled
+        if request.values["speed"] > speed and target != begin:
+            motor.jump(drive.now_ns, offset if target > begin else -offset)
+        drive.finish(COMPLETE)
+
+    return ended(script)
+
+
+def at_speed_as_sent(behaviour: Behaviour) -> Behaviour:
+    """Move at the speed as sent, whatever the subdivision."""
+
+    def act(drive: MksCore, request: Request) -> Values | None:
+        law, drive.real_speed = drive.real_speed, lambda speed: speed  # type: ignore[method-assign]
+        answer = behaviour(drive, request)
+        drive.real_speed = law  # type: ignore[method-assign]
+        return answer
+
+    return act
+
+
+def without_sense(behaviour: Behaviour) -> Behaviour:
+    """Move as if the direction were not turned by its setting."""
+
+    def act(drive: MksCore, request: Request) -> Values | None:
+        setting = drive.settings["motor_direction"]
+        drive.settings["motor_direction"] = int(mks_shared.ConfigDirection.CW)
+        answer = behaviour(drive, request)
+        drive.settings["motor_direction"] = setting
+        return answer
+
+    return act
 
 
 def keep_going(drive: MksCore, request: Request) -> Values | None:
@@ -395,6 +435,46 @@ def carry_late(drive: Drive, command: Command, asked: Values, values: Values) ->
     return values | {"carry": values["carry"] - 1, "encoder": values["encoder"] + COUNTS}
 
 
+def carry_a_count_late(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    """Let the value be a whole turn for one count before it carries."""
+    return values if values["encoder"] else values | {"carry": values["carry"] - 1, "encoder": COUNTS}
+
+
+def slow_as_stopped(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    """Say of a shaft below 30 rpm that it stands."""
+    slow = 0 < size(mks(drive).motor.speed(drive.now_ns)) < SLOW_RPM
+    return values | {"status": int(mks_shared.MotorStatus.STOPPED)} if slow else values
+
+
+def silent_as_stopped(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    """Say with respond 0 that the shaft stands."""
+    return values if mks(drive).settings["respond"] else values | {"status": int(mks_shared.MotorStatus.STOPPED)}
+
+
+def by_pin(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    """Say in a bus mode too that a motor is disabled whose pin would have to be high."""
+    return values | {"enabled": 0} if mks(drive).settings["enable_level"] == mks_shared.Level.HIGH else values
+
+
+def while_enabled(verb: Verb) -> Change:
+    """Answer what was read last while the motor was enabled."""
+
+    def install(hooks: Hooks) -> None:
+        last: Values = {}
+
+        def hook(drive: Drive, command: Command, asked: Values, values: Values | None) -> Values | None:
+            nonlocal last
+            if command.verb is not verb or values is None:
+                return values
+            if mks(drive).enabled or not last:
+                last = values
+            return last
+
+        hooks.result.append(hook)
+
+    return Change(install, having(verb))
+
+
 def stale(verb: Verb) -> Change:
     """Answer with the values of the reply before."""
 
@@ -457,6 +537,18 @@ def retuned(verb: Verb) -> Change:
         return act
 
     return wrapped(verb, wrap)
+
+
+def restore_running(drive: MksCore, request: Request) -> Values:
+    """Put the settings back, and go on as before."""
+    drive.settings.update(drive.factory)
+    drive.tune()
+    return dict(OK)
+
+
+def keep_ports(drive: MksCore, request: Request) -> Values | None:
+    """Leave written ports as they are when they are given back."""
+    return None if request.values["alm_mask"] or request.values["pend_mask"] else dict(OK)
 
 
 def store_refused(drive: Drive, command: Command, values: Values, wanted: bool) -> bool:
@@ -548,6 +640,12 @@ def take_bad_checksum(drive: Drive, frame: Frame, message: Message, wanted: bool
     """Take own frames with a wrong checksum."""
     core = mks(drive)
     return wanted or (not frame.checksum_ok and own(core, message) and core.responder.understands(message))
+
+
+def take_bad_motion(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+    """Take own motions with a wrong checksum."""
+    moves = message.command is not None and message.command.verb in MOTIONS
+    return wanted or (moves and take_bad_checksum(drive, frame, message, wanted))
 
 
 def take_reply_head(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
