@@ -260,7 +260,12 @@ STATEMENTS: tuple[Statement, ...] = (
     ),
     _said("3.1.3/sign", "Counter-clockwise it is above zero, clockwise below.", "motion/read_speed/is-change"),
     *_tables("3.1.4", "read_pulses", "33 without data", "a count of 32 bits, signed"),
-    _said("3.1.4/received", "It counts the pulses that were received.", "motion/read_pulses/counts-moves"),
+    _said(
+        "3.1.4/received",
+        "It counts the pulses that were received.",
+        "motion/read_pulses/counts-moves",
+        "motion/read_pulses/wide",
+    ),
     *_tables("3.1.5", "read_io", "34 without data", "a byte of four ports"),
     _said("3.1.5/reserved", "Bits 7 to 4 are reserved.", "shape/read_io/reserved", "traffic/reply_reserved"),
     _said(
@@ -318,6 +323,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "3.2.2/bus-modes",
         "In modes X4 and 05 the bus runs the motor.",
         "motion/run_speed/highest-*",
+        "motion/*/in-bus_open",
         "read-back/set_work_mode/effect",
     ),
     _said("3.2.2/default", "Mode 03 is the default.", "read-back/restore/settings"),
@@ -477,6 +483,7 @@ STATEMENTS: tuple[Statement, ...] = (
     _said(
         "3.2.14/own-id",
         "What is sent to the ID of one drive turns that one alone.",
+        "addressing/*/other_address",
         "addressing/other/not_executed",
         "addressing/group/own",
     ),
@@ -494,8 +501,13 @@ STATEMENTS: tuple[Statement, ...] = (
         "addressing/group/read",
     ),
     *_tables("3.3", "write_io", "36 with a byte of masks and levels", "a status of one byte"),
-    _said("3.3/write", "With mask 1 the port has the level that is written.", "read-back/write_io/effect"),
-    _said("3.3/keep", "With mask 2 the port stays as it is.", "read-back/write_io/effect"),
+    _said(
+        "3.3/write",
+        "With mask 1 the port has the level that is written.",
+        "read-back/write_io/effect",
+        "read-back/write_io/each-port",
+    ),
+    _said("3.3/keep", "With mask 2 the port stays as it is.", "read-back/write_io/effect", "read-back/write_io/each-port"),
     _said(
         "3.3/give-back", "With mask 0 the port is that of its alarm or in-place signal again.", "read-back/write_io/gives-back"
     ),
@@ -532,6 +544,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "HmSpeed is the speed of homing, 0 to 3000 rpm.",
         "motion/home/speed-*",
         "read-back/set_home/home_speed",
+        "read-back/set_home/home_speed-at-8",
         "ranges/set_home/home_speed/*",
     ),
     _said(
@@ -849,7 +862,13 @@ STATEMENTS: tuple[Statement, ...] = (
         "timing/move_relative_pulses/takes-*",
         "ranges/move_relative_pulses/speed/width",
     ),
-    _said("4.5.1/range", "Pulses are 0 to FFFFFFh.", "ranges/move_relative_pulses/pulses/*", "motion/move_relative_pulses/far"),
+    _said(
+        "4.5.1/range",
+        "Pulses are 0 to FFFFFFh.",
+        "ranges/move_relative_pulses/pulses/*",
+        "motion/move_relative_pulses/by-nothing",
+        "motion/move_relative_pulses/far",
+    ),
     _said("4.5.1/examples", "The frames of the manual turn the shaft 20 times, either way.", "examples/move_relative_pulses/*"),
     _said(
         "4.5.1/status",
@@ -966,6 +985,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "4.7.1/range",
         "The way is -8388607 to 8388607.",
         "ranges/move_relative_axis/position/*",
+        "motion/move_relative_axis/by-nothing",
         "motion/move_relative_axis/far",
     ),
     _said("4.7.1/examples", "The frames of the manual move by 4000h and by -4000h.", "examples/move_relative_axis/*"),

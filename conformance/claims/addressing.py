@@ -13,22 +13,25 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Role, Subject, Verb
-from analyzer.link import HeadLink, LkLink
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Role, Subject, Verb
+from analyzer.link import CanLink, HeadLink, LkLink
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.addressing_many import read_of, send_to
 from conformance.claims.control_reads import ask_first, judge_next, plain_read, received_text
 from conformance.claims.declare import Case, claim, commands, described_in
 from conformance.claims.known_quirks import may_meet
-from conformance.motion import effects
+from conformance.claims.motion_claim import expect_stays, of_motion
+from conformance.motion import effects, motion
 from conformance.motion.effects import Observable
 from conformance.talk.exchange import Exchange, hex_of
-from conformance.talk.probe import Probe
+from conformance.talk.probe import Probe, Until
 
 NEW_ADDRESS_ANSWERS = "new-address-answers"
 _BYTE = 0xFF
 #: Changes that are sent to other addresses: each takes the time of a move.
 _FEW = 5
+#: A motion of a tenth of a second, and how long another drive's is listened to.
+_DEGREES, _LISTEN_NS = 36, 300_000_000
 
 
 def _addressing(refuted_by: str, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -145,6 +148,33 @@ def _not_executed(probe: Probe, shown: Observable) -> None:
             key="another address is executed",
         )
     shown.control(probe)
+
+
+def _motions_of_can(dialect: Dialect) -> Iterator[Case]:
+    """Yield the motions of a dialect whose frames stand alone: nothing else can be read in one to another drive."""
+    if isinstance(dialect.link, CanLink):
+        for command in dialect.motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO):
+            yield Case(dialect, command)
+
+
+@of_motion(
+    theme=Theme.ADDRESSING, each=_motions_of_can, name="{command}/other_address", refuted_by="a shaft that turns", alone=True
+)
+def _motion_of_another(probe: Probe, command: Command) -> None:
+    """{command} to another address turns nothing."""
+    dialect, own = probe.dialect, probe.address
+    motion.prepare(probe, command)
+    before = motion.wait_standing(probe)
+    values = motion.values_of(dialect, command, _DEGREES, start=motion.place(probe, command))
+    for address in _chosen(dialect, own, (own + 1, own ^ 0x100, *_edges(dialect, own)))[:_FEW]:
+        sent = probe.ask(command, values, address=address, until=Until.TIMEOUT, timeout_ns=_LISTEN_NS)
+        expect_stays(before, motion.position(probe), sent, f"{command.name} to {address} turns the shaft of {own}")
+    motion.begin(probe, command, _DEGREES)
+    probe.wait(_LISTEN_NS)
+    went = abs(motion.position(probe).value - before.value)
+    motion.stand_still(probe)
+    if went < _DEGREES / 4:
+        raise Inconclusive(f"{command.name} to the drive itself turns nothing either")
 
 
 # --- another address for the drive ------------------------------------------------------------------------------------

@@ -163,6 +163,19 @@ def _counts_moves(probe: Probe, command: Command) -> None:
     )
 
 
+@of_motion(each=commands(Verb.READ_PULSES), name="{command}/wide", refuted_by="a count that begins anew", risks=_by_pulses)
+def _wide_pulses(probe: Probe, command: Command) -> None:
+    """The count of pulses goes on beyond 16 bits, above and below zero."""
+    move, finest = probe.command(Verb.MOVE_RELATIVE_PULSES), 256
+    motion.ready_to_move(probe, subdivision=motion.finest(probe))
+    for turns in (2, -4):
+        before = probe.read(command, "pulses")
+        motion.follow(probe, move, turns * 360, rpm=180, acceleration=QUICK, subdivision=finest)
+        change = abs(probe.read(command, "pulses") - before)
+        wanted = abs(turns) * motion.units_per_turn(probe.dialect, move, finest)
+        probe.expect(change, near=wanted, within=1, refutes="the count of pulses does not change by those of a long move")
+
+
 # --- the angle within the turn ----------------------------------------------------------------------------------------
 
 
@@ -214,7 +227,7 @@ def _within_turn(probe: Probe, command: Command) -> None:
 
 
 @of_motion(
-    each=with_values(commands(Verb.READ_SPEED), speeds=(_RPM, -_RPM, 300)),
+    each=with_values(commands(Verb.READ_SPEED), speeds=(_RPM, -_RPM, 300, -2200)),
     statement="The speed that is read is that at which the position changes, rising positions being positive.",
     refuted_by="another speed, or another sign",
     at_best=Certainty.LIKELY,
@@ -235,7 +248,7 @@ def _is_change(probe: Probe, speeds: tuple[int, ...]) -> None:
     motion.ready_to_move(probe, subdivision=SUBDIVISION)
     for rpm in speeds:
         motion.run_at(probe, rpm, QUICK)
-        probe.wait(500 * MS)
+        probe.wait(max(500, round(abs(rpm))) * MS)
         change, spread = motion.mean_speed(probe, 500 * MS)
         seen = motion.speed(probe).value
         exchange = probe.traffic[-1]

@@ -302,6 +302,45 @@ def _ends_at(probe: Probe, command: Command, rpm: int) -> None:
         _expect_way(probe, move, False, f"{command.name} at {rpm} rpm does not go as far as it was asked to")
 
 
+def _in_modes(dialect: Dialect) -> Iterator[Case]:
+    """Yield each move in each bus mode whose encoder tells where the shaft is, but for the mode of all other claims."""
+    for case in _counted(dialect):
+        for mode in motion.bus_modes(dialect)[:-1]:
+            if "no_encoder" not in mode:
+                yield Case(dialect, case.command, {"mode": mode}, {"name": f"{{command}}/in-{mode}"})
+
+
+@of_motion(each=_in_modes, refuted_by="a refusal, or a shaft that ends elsewhere", settings=("work_mode",))
+def _in_mode(probe: Probe, command: Command, mode: str) -> None:
+    """In {mode} {command} goes as far as it was asked to."""
+    motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
+    for degrees in (_THERE, _BACK):
+        exchange = motion.ask(probe, command, 0)
+        text = f"{command.name} is refused in {mode}"
+        refused = motion.refused(probe, exchange)
+        probe.expect("a refusal", holds=not refused, expected="no refusal", refutes=text, exchange=exchange)
+        motion.wait_standing(probe)
+        move = motion.follow(probe, command, degrees)
+        _expect_way(probe, move, False, f"{command.name} in {mode} does not go as far as it was asked to")
+
+
+@of_motion(each=motions(MotionKind.MOVE_BY, where=takes_counts), refuted_by="a shaft that turns, a refusal, or no completion")
+def _by_nothing(probe: Probe, command: Command) -> None:
+    """{command} by a distance of 0 turns nothing, and where the end of a move is told it is told."""
+    motion.prepare(probe, command)
+    before = motion.wait_standing(probe)
+    tells = motion.of(command).tells_end
+    exchange = motion.ask(probe, command, 0, until=Until.DONE if tells else Until.REPLY)
+    refused = motion.refused(probe, exchange)
+    text = f"{command.name} by 0 is refused"
+    probe.expect("a refusal", holds=not refused, expected="no refusal", refutes=text, exchange=exchange)
+    probe.wait(SECOND_NS)
+    expect_stays(before, motion.position(probe), exchange, f"{command.name} by 0 turns the shaft")
+    if tells:
+        seen, text = exchange.status(command.replies.status), f"{command.name} by 0 is not told as complete"
+        probe.expect(seen, holds=seen[-1:] == [2], expected="status 2 at the end", refutes=text, exchange=exchange)
+
+
 # --- on the way -------------------------------------------------------------------------------------------------------
 
 

@@ -100,6 +100,20 @@ def _home_speed(probe: Probe, command: Command) -> None:
         )
 
 
+def _home_at_8(dialect: Dialect) -> Iterator[Case]:
+    for case in _home("home_speed")(dialect):
+        yield Case(dialect, case.command, {}, {**case.facts, "name": "{command}/home_speed-at-8"})
+
+
+@of_read_back(each=_home_at_8, refuted_by="another speed", at_best=Certainty.LIKELY)
+def _home_speed_at_8(probe: Probe, command: Command) -> None:
+    """At 8 subdivisions homing turns at twice the speed that was set, as a run does."""
+    motion.ready_to_move(probe, subdivision=8)
+    seen, exchange = _homing_with(probe, command, home_speed=60)
+    text = f"at 8 subdivisions home_speed 60 is {seen}"
+    probe.expect(seen.rpm, near=120, within=120 * _SPEED_SHARE, unit="rpm", refutes=text, exchange=exchange)
+
+
 @of_read_back(each=_home("home_direction"), statement="The other direction homes the other way.", refuted_by="the same way")
 @of_read_back(
     each=_home("home_trigger"),
@@ -226,6 +240,25 @@ def _gives_back(probe: Probe, command: Command) -> None:
         wanted = {"alm": 1, "pend": 1}
         text = "ports that were given back do not tell what they tell at rest"
         probe.expect(_levels(probe, *wanted), equal=wanted, refutes=text, exchange=exchange)
+
+
+@of_read_back(
+    each=commands(Verb.WRITE_IO),
+    name="{command}/each-port",
+    refuted_by="a port that its mask does not name",
+    at_best=Certainty.LIKELY,
+    risks=lambda case: case.command.all_risks,
+)
+def _each_port(probe: Probe, command: Command) -> None:
+    """A mask writes its own port and leaves the other one."""
+    for port, other in (("alm", "pend"), ("pend", "alm")):
+        for level in (0, 1):
+            probe.do(command, {"alm_mask": 1, "pend_mask": 1, "alm": 1 - level, "pend": 1 - level})
+            exchange = probe.do(command, {f"{port}_mask": 1, f"{other}_mask": 2, port: level, other: level})
+            wanted = {port: level, other: 1 - level}
+            text = f"a write of {port} alone does not leave {other} as it was"
+            probe.expect(_levels(probe, *wanted), equal=wanted, refutes=text, exchange=exchange)
+    probe.do(command, {"alm_mask": 0, "pend_mask": 0, "alm": 0, "pend": 0})
 
 
 def _levels(probe: Probe, *ports: str) -> dict[str, int | None]:

@@ -172,8 +172,8 @@ def _told_when_standing(probe: Probe, command: Command, run: Command) -> None:
 
 def _emergencies(dialect: Dialect) -> Iterator[Case]:
     for case in _emergency(dialect):
-        for verb in (Verb.RUN_SPEED, Verb.MOVE_ABSOLUTE_AXIS):
-            yield Case(dialect, case.command, {"run": dialect.by_verb[verb]})
+        for run in dialect.motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO):
+            yield Case(dialect, case.command, {"run": run})
 
 
 @of_motion(

@@ -44,6 +44,12 @@ def _subdivisions(dialect: Dialect) -> Iterator[Case]:
             )
 
 
+def _settings_of_subdivisions(dialect: Dialect) -> Iterator[Case]:
+    found = dialect.effect(Effect.SUBDIVISION)
+    if found is not None and dialect.subdivision is not None:
+        yield Case(dialect, found[0])
+
+
 _of_subdivision = partial(of_motion, each=_subdivisions, parameters=lambda case: {"subdivision": case["subdivision"]})
 
 
@@ -77,6 +83,22 @@ def _pulses(probe: Probe, sent: int, subdivision: int) -> None:
     move = motion.follow(probe, command, 45, acceleration=QUICK, subdivision=subdivision)
     text = f"{25 * subdivision} pulses at {subdivision} subdivisions are not an eighth of a turn"
     probe.expect(abs(move.degrees), near=45, within=SAME, unit="degrees", refutes=text, exchange=move.exchange)
+
+
+#: The subdivisions of the CAN manual that have no claims of their own.
+_OTHERS = (4, 5, 10, 20, 25, 40, 50, 200)
+
+
+@of_motion(
+    each=_settings_of_subdivisions,
+    name="{command}/pulses-at-others",
+    refuted_by="a move by pulses of another length",
+    statement=f"At {', '.join(map(str, _OTHERS))} subdivisions too a turn has 200 pulses for each.",
+    risks=risks_by(Verb.MOVE_RELATIVE_PULSES),
+)
+def _pulses_at_others(probe: Probe) -> None:
+    for subdivision in _OTHERS:
+        _pulses(probe, subdivision, subdivision)
 
 
 #: Subdivisions at which moves are tried: below those that leave speeds as they are, and above.

@@ -60,6 +60,7 @@ from conformance.drives.faults.places import (
     frames,
     limit,
     reply,
+    request,
     result,
     stored_as,
     taken,
@@ -108,6 +109,12 @@ HEARING: Rows = {
             together(hearing(lambda d, m: True), answering(mks.to_one)),
         ),
         Row("executes-another-address", "requests to any address are executed, without an answer", hearing(lambda d, m: True)),
+        Row(
+            "executes-motion-of-another",
+            "motion to any address is executed, and not answered",
+            hearing(mks.motion_of_another),
+            CAN,
+        ),
         Row(
             "answers-next-address",
             "requests to the next higher address are answered too",
@@ -180,7 +187,17 @@ REPLIES: Rows = {
         ),
     ),
     "sign": (Row("carry-cut-to-zero", "30 cuts negative positions towards zero", result(mks.carry_to_zero, CARRY)),),
-    "width": (Row("carry-too-late", "30 carries only every second turn", result(mks.carry_late, CARRY)),),
+    "width": (
+        Row("carry-too-late", "30 carries only every second turn", result(mks.carry_late, CARRY)),
+        Row("pulses-of-16-bits", "33 counts pulses in 16 bits", result(mks.short_count, Verb.READ_PULSES)),
+    ),
+    "range": (
+        Row(
+            "speed-read-up-to-2000",
+            "32 says at most 2000 rpm, either way",
+            reply("speed", lambda value, field: min(max(value, -2000), 2000), Verb.READ_SPEED),
+        ),
+    ),
     "boundary": (Row("carry-a-count-late", "30 says 4000h before the carry counts", result(mks.carry_a_count_late, CARRY)),),
     "byte order": (
         Row("carry-before-value", "30 sends the value before the carry", bodies(lambda b: b[:-6] + b[-2:] + b[-6:-2], CARRY)),
@@ -264,6 +281,7 @@ SETTING: Rows = {
     "stored": (
         Row("subdivision-250-accepted", "84 accepts 250", limit("subdivision", accepts(250)), CAN),
         Row("subdivision-any-odd", "84 accepts 7 and 99", limit("subdivision", accepts(7, 99)), CAN),
+        Row("ports-written-together", "36 writes PEND too when ALM is written", before(Verb.WRITE_IO, mks.both_ports)),
         Row("ports-not-given-back", "36 with mask 0 leaves the ports as written", before(Verb.WRITE_IO, mks.keep_ports)),
         Row("subdivision-not-stored", "84 says success and changes nothing", unstored("subdivision")),
         Row("work-mode-not-stored", "82 says success and changes nothing", unstored("work_mode")),
@@ -340,6 +358,7 @@ MOTION: Rows = {
     "target": (
         Row("relative-as-absolute", "F4 moves to the position instead of by it", wrapped(F4, mks.as_command(F5))),
         Row("absolute-as-relative", "F5 moves by the position instead of to it", wrapped(F5, mks.as_command(F4))),
+        Row("move-of-25-as-20", "at 25 subdivisions FD goes as far as at 20", request(mks.coarse, FD)),
         Row("move-ends-short", "moves end 200 counts before their target", landing(-200)),
         Row("fast-move-ends-beyond", "moves above 1500 rpm end 60 counts beyond their target", mks.landing_above(1500, 60)),
         Row("move-ends-beyond", "moves end 200 counts beyond their target", landing(200)),
@@ -386,6 +405,7 @@ MOTION: Rows = {
         Row("speed-stop-ignored", "F6 with speed 0 stops nothing", lying(Verb.STOP_SPEED)),
         Row("move-stop-ignored", "stops of moves stop nothing", lying(STOPS - {Verb.STOP_SPEED})),
         Row("emergency-stop-ignored", "F7 stops nothing", lying(Verb.EMERGENCY_STOP)),
+        Row("emergency-stop-of-runs", "F7 ends no relative move by pulses", before(Verb.EMERGENCY_STOP, mks.only_runs)),
         Row("emergency-stop-ramps", "F7 stops by a ramp", instead(Verb.EMERGENCY_STOP, mks.emergency_ramp)),
     ),
     "enable": (
@@ -398,7 +418,10 @@ MOTION: Rows = {
         Row("release-ignored", "3D ends no protection", lying(Verb.RELEASE_PROTECTION)),
         Row("stall-tolerance-ignored", "the stall tolerance is 180 degrees always", unstored("stall_tolerance")),
     ),
-    "mode": (Row("pulse-mode-moves", "motion commands work in pulse modes", heedless("work_mode")),),
+    "mode": (
+        Row("pulse-mode-moves", "motion commands work in pulse modes", heedless("work_mode")),
+        Row("open-loop-refuses-moves", "moves are refused in the open loop modes", before(MOVES, mks.refuse_in_open_loop)),
+    ),
     "zero": (
         Row("set-zero-ignored", "92 sets no zero", lying(Verb.SET_ZERO)),
         Row("set-zero-pulses-only", "92 sets the zero of the pulses alone", instead(Verb.SET_ZERO, mks.zero_pulses)),
@@ -409,6 +432,7 @@ MOTION: Rows = {
         Row("home-sets-no-zero", "home is found and not made zero", when_home(mks.lose_zero)),
         Row("home-wrong-way", "homing goes the other way", homing_by(lambda s: {"home_direction": 1 - s["home_direction"]})),
         Row("home-speed-ignored", "homing turns at 30 rpm always", homing_by(lambda s: {"home_speed": 30})),
+        Row("home-speed-as-sent", "homing turns at home_speed at every subdivision", wrapped(Verb.HOME, mks.at_speed_as_sent)),
         Row("home-trigger-not-stored", "90 keeps the old level of the end stop", unstored("home_trigger")),
         Row(
             "home-return-ignored",
@@ -426,6 +450,12 @@ MOTION: Rows = {
 COMPLETION: Rows = {
     "completion": (
         Row("completion-missing", "the end of a move is not told", completing()),
+        Row(
+            "completion-missing-at-zero",
+            "the end of a move by nothing is not told",
+            wrapped(MOVES, mks.endless_at_zero),
+            TELLING,
+        ),
         Row("completion-doubled", "the end of a move is told twice", completing(2, 2)),
         Row("completion-too-early", "the end of a move is told half-way", completing(2, at=half_way)),
         Row("completion-too-late", "the end of a move is told two seconds late", completing(2, at=afterwards)),

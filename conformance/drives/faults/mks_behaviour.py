@@ -242,6 +242,36 @@ def without_sense(behaviour: Behaviour) -> Behaviour:
     return act
 
 
+def refuse_in_open_loop(drive: MksCore, request: Request) -> Values | None:
+    """Refuse what needs no closed loop."""
+    return None if drive.motor.closed_loop else drive.refused(request)
+
+
+def endless_at_zero(behaviour: Behaviour) -> Behaviour:
+    """Tell no end of a move by nothing."""
+
+    def act(drive: MksCore, request: Request) -> Values | None:
+        answer = behaviour(drive, request)
+        if drive.motor.settled <= drive.now_ns:
+            drive.drop()
+        return answer
+
+    return act
+
+
+def only_runs(drive: MksCore, request: Request) -> Values | None:
+    """Let the emergency stop end no move by pulses."""
+    task = drive.task
+    by_pulses = task is not None and task.request is not None and "pulses" in task.request.values
+    return dict(OK) if by_pulses else None
+
+
+def coarse(drive: Drive, command: Command, values: Values) -> Values:
+    """Take 25 subdivisions for 20."""
+    is_25 = mks(drive).settings["subdivision"] == 25
+    return values | {"pulses": values["pulses"] * 5 // 4} if is_25 else values
+
+
 def keep_going(drive: MksCore, request: Request) -> Values | None:
     """Answer a newer move while an older one is under way, and go on with the older one."""
     return dict(STARTING) if drive.doing(Activity.MOVE) else None
@@ -440,6 +470,11 @@ def carry_a_count_late(drive: Drive, command: Command, asked: Values, values: Va
     return values if values["encoder"] else values | {"carry": values["carry"] - 1, "encoder": COUNTS}
 
 
+def short_count(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    """Count pulses in 16 bits."""
+    return values | {"pulses": (values["pulses"] + 0x8000) % 0x10000 - 0x8000}
+
+
 def slow_as_stopped(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
     """Say of a shaft below 30 rpm that it stands."""
     slow = 0 < size(mks(drive).motor.speed(drive.now_ns)) < SLOW_RPM
@@ -546,6 +581,12 @@ def restore_running(drive: MksCore, request: Request) -> Values:
     return dict(OK)
 
 
+def both_ports(drive: MksCore, request: Request) -> None:
+    """Write the PEND port whenever the ALM port is written."""
+    if request.values["alm_mask"] == 1:
+        drive.memory.pend_mask, drive.memory.pend = 1, request.values["pend"]
+
+
 def keep_ports(drive: MksCore, request: Request) -> Values | None:
     """Leave written ports as they are when they are given back."""
     return None if request.values["alm_mask"] or request.values["pend_mask"] else dict(OK)
@@ -599,6 +640,11 @@ def package(drive: MksCore, message: Message) -> bool:
 def to_one(drive: MksCore, message: Message) -> bool:
     """Say whether a frame is for one drive, this or another."""
     return not (to_all(drive, message) or to_group(drive, message) or package(drive, message))
+
+
+def motion_of_another(drive: MksCore, message: Message) -> bool:
+    """Say whether a frame is a motion of another drive."""
+    return to_one(drive, message) and message.command is not None and message.command.verb in MOTIONS
 
 
 def to_next(drive: MksCore, message: Message) -> bool:

@@ -291,6 +291,60 @@ def respond(open_story):
             yield story
 
 
+def beside(open_story):
+    """What differs from its neighbours: a whole turn, a slow run, a fast move, a coarse subdivision, a port given back."""
+    story = open_story()
+    story.drive.motor.jump(story.now, 16384)
+    story.tell("read_encoder_carry")
+    story.tell("read_position")
+    story.tell("enable", enabled=0)
+    story.drive.turn_shaft(500)
+    story.tell("read_position")
+    story.tell("set_enable_level", enable_level=1)
+    story.tell("enable", enabled=1)
+    story.tell("read_enabled")
+    for mask in (1, 0):
+        story.tell("write_io", alm_mask=mask, pend_mask=mask, alm=0, pend=0)
+        story.tell("read_io")
+    for subdivision in (7, 99, 250):
+        story.tell("set_subdivision", subdivision=subdivision)
+    story.tell("set_respond", respond=0, active=0)
+    story.tell("run_speed", speed=20)
+    story.wait(SECOND, 3)
+    story.tell("set_respond", respond=1, active=1)
+    story.wait(SECOND, 3)
+    story.tell("restore")
+    story.wait(SECOND, 4)
+    yield story
+    story = open_story(subdivision=8)
+    story.tell("set_direction", motor_direction=1)
+    story.tell("move_relative_pulses", 2, speed=60, pulses=3200)
+    for command, values in (("move_relative_pulses", {"pulses": 3200}), ("move_relative_axis", {"position": 1_000_000})):
+        story.tell(command, speed=1800, acceleration=0, **values)
+        story.wait(SECOND, 6)
+    story.wait(3 * SECOND)
+    story.tell("read_position")
+    story.tell("move_relative_axis", speed=60, position=0)
+    story.tell("home")
+    story.wait(100 * MS, 1)
+    yield story
+    story = open_story(subdivision=25)
+    story.tell("run_speed", speed=3000)
+    story.wait(SECOND, 3)
+    story.tell("write_io", alm_mask=1, pend_mask=2, alm=1, pend=0)
+    story.tell("read_io")
+    story.tell("move_relative_pulses", speed=600, pulses=70_000)
+    story.wait(20 * SECOND, 1)
+    story.tell("read_pulses")
+    story.tell("move_relative_pulses", speed=600, pulses=70_000)
+    story.tell("emergency_stop")
+    story.wait(SECOND, 2)
+    yield story
+    story = open_story(mode=4)
+    story.tell("move_relative_axis", speed=600, position=5000)
+    yield story
+
+
 def states(open_story):
     story = open_story()
     story.tell("enable", enabled=0)
@@ -504,7 +558,8 @@ def calibration(open_story):
 
 
 CHAPTERS = (
-    hasty, reads, settings, runs, moves, hearing, exceptions, packages, reads_in_motion, read_back, stops, updates, respond,
+    hasty, beside, reads, settings, runs, moves, hearing, exceptions, packages, reads_in_motion, read_back, stops, updates,
+    respond,
     states, subdivisions, homing, limits, refused_settings, restarts, saved_runs, zero_modes, calibration,
 )  # fmt: skip
 
