@@ -331,7 +331,7 @@ def beside(open_story):
     story = open_story(subdivision=25)
     story.tell("run_speed", speed=3000)
     story.wait(SECOND, 3)
-    story.tell("write_io", alm_mask=1, pend_mask=2, alm=1, pend=0)
+    story.tell("write_io", alm_mask=1, pend_mask=2, alm=1, pend=1)
     story.tell("read_io")
     story.tell("move_relative_pulses", speed=600, pulses=70_000)
     story.wait(20 * SECOND, 1)
@@ -340,9 +340,10 @@ def beside(open_story):
     story.tell("emergency_stop")
     story.wait(SECOND, 2)
     yield story
-    story = open_story(mode=4)
-    story.tell("move_relative_axis", speed=600, position=5000)
-    yield story
+    for mode in (3, 4):
+        story = open_story(mode=mode)
+        story.tell("move_relative_axis", speed=600, position=5000)
+        yield story
 
 
 def states(open_story):
