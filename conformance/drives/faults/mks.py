@@ -189,7 +189,11 @@ REPLIES: Rows = {
     "sign": (Row("carry-cut-to-zero", "30 cuts negative positions towards zero", result(mks.carry_to_zero, CARRY)),),
     "width": (
         Row("carry-too-late", "30 carries only every second turn", result(mks.carry_late, CARRY)),
-        Row("pulses-of-16-bits", "33 counts pulses in 16 bits", result(mks.short_count, Verb.READ_PULSES)),
+        Row(
+            "pulses-of-16-bits",
+            "33 is not as wide as its field when pulses are read: 16 bits",
+            result(mks.short_count, Verb.READ_PULSES),
+        ),
     ),
     "range": (
         Row(
@@ -226,7 +230,7 @@ REPLIES: Rows = {
         ),
         Row("in-position-inverted", "34 says 0 in place", reply("pend", exchanged(0, 1), Verb.READ_IO), CAN),
         Row("in-position-always", "34 always says that the shaft is in place", reply("pend", always(1), Verb.READ_IO), CAN),
-        Row("alarm-inverted", "34 says 0 without an alarm", reply("alm", exchanged(0, 1), Verb.READ_IO), CAN),
+        Row("alarm-inverted", "34 is read with ALM at 0, at rest too", reply("alm", exchanged(0, 1), Verb.READ_IO), CAN),
         Row("hardware-of-another", "40 names a drive of another size", reply("hardware", always(6), Verb.READ_VERSION), CAN),
         Row("series-of-another", "40 names the D series", reply("series", always(0), Verb.READ_VERSION), CAN),
         Row("enabled-by-pin", "3A goes by the level of En in a bus mode", result(mks.by_pin, Verb.READ_ENABLED), CAN),
@@ -281,8 +285,12 @@ SETTING: Rows = {
     "stored": (
         Row("subdivision-250-accepted", "84 accepts 250", limit("subdivision", accepts(250)), CAN),
         Row("subdivision-any-odd", "84 accepts 7 and 99", limit("subdivision", accepts(7, 99)), CAN),
-        Row("ports-written-together", "36 writes PEND too when ALM is written", before(Verb.WRITE_IO, mks.both_ports)),
-        Row("ports-not-given-back", "36 with mask 0 leaves the ports as written", before(Verb.WRITE_IO, mks.keep_ports)),
+        Row(
+            "ports-written-together",
+            "each write of ALM by 36 is one of the port PEND too",
+            before(Verb.WRITE_IO, mks.both_ports),
+        ),
+        Row("ports-not-given-back", "a write by 36 with mask 0 gives no port back", before(Verb.WRITE_IO, mks.keep_ports)),
         Row("subdivision-not-stored", "84 says success and changes nothing", unstored("subdivision")),
         Row("work-mode-not-stored", "82 says success and changes nothing", unstored("work_mode")),
         Row("home-speed-not-stored", "90 says success and keeps the old speed", unstored("home_speed")),
@@ -358,7 +366,11 @@ MOTION: Rows = {
     "target": (
         Row("relative-as-absolute", "F4 moves to the position instead of by it", wrapped(F4, mks.as_command(F5))),
         Row("absolute-as-relative", "F5 moves by the position instead of to it", wrapped(F5, mks.as_command(F4))),
-        Row("move-of-25-as-20", "at 25 subdivisions FD goes as far as at 20", request(mks.coarse, FD)),
+        Row(
+            "move-of-25-as-20",
+            "with 25 set for the subdivision pulses of FD go as far as at 20, and at others as they should",
+            request(mks.coarse, FD),
+        ),
         Row("move-ends-short", "moves end 200 counts before their target", landing(-200)),
         Row("fast-move-ends-beyond", "moves above 1500 rpm end 60 counts beyond their target", mks.landing_above(1500, 60)),
         Row("move-ends-beyond", "moves end 200 counts beyond their target", landing(200)),
