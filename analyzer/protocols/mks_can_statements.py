@@ -276,7 +276,12 @@ STATEMENTS: tuple[Statement, ...] = (
     ),
     _said("3.1.5/alm", "ALM is 1 without an alarm.", "motion/read_io/in-position-at-rest"),
     _unseen("3.1.5/alm-0", "ALM is 0 with an alarm.", "the manual has no command that raises an alarm and names it"),
-    _said("3.1.5/inputs", "IN_1 and IN_2 are the levels of the switches.", "read-back/set_limit_remap/effect"),
+    _said(
+        "3.1.5/inputs",
+        "IN_1 and IN_2 are the levels of the switches.",
+        "motion/read_io/shows-left-switch",
+        "read-back/set_limit_remap/effect",
+    ),
     _unseen("3.1.5/42e-en", "On a 42E, bit 1 is the level of En.", "the suite has no hand on the En pin of a drive"),
     *_tables("3.1.6", "read_angle_error", "39 without data", "an error of 32 bits, signed"),
     _said(
@@ -477,7 +482,7 @@ STATEMENTS: tuple[Statement, ...] = (
     _said(
         "3.2.14/broadcast",
         "What is sent to ID 0 turns all drives.",
-        "addressing/broadcast/executed",
+        "addressing/broadcast/*",
         "examples/move_relative_pulses/to_all_1",
     ),
     _said(

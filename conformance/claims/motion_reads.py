@@ -433,6 +433,18 @@ def _not_in_position_while_moving(probe: Probe, command: Command) -> None:
     probe.expect(seen, equal=0, refutes="the shaft is on its way, and PEND says that it is in place", exchange=exchange)
 
 
+@of_motion(each=_ports, refuted_by="a port that stays, or one of another switch", at_best=Certainty.LIKELY, emulated=True)
+def _shows_left_switch(probe: Probe, command: Command) -> None:
+    """The port of the left switch changes when it is pressed, and again when it is let go: in_1, or in_2 on a 57."""
+    port = "in_2" if probe.dialect.model.startswith("57") else "in_1"
+    seen = []
+    for pressed in (False, True, False):
+        bench.press(probe, pressed)
+        seen.append(probe.read(command, port))
+    text = f"{port} does not follow the left switch"
+    probe.expect(seen, holds=seen[0] != seen[1] and seen[0] == seen[2], expected="two levels", refutes=text)
+
+
 # --- while it turns ---------------------------------------------------------------------------------------------------
 
 

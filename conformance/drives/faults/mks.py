@@ -130,6 +130,7 @@ HEARING: Rows = {
     "broadcast": (
         Row("answers-broadcast", "broadcasts are answered", answering(mks.to_all)),
         Row("answers-broadcast-reads", "reads by broadcast are answered", answering(mks.read_of_all)),
+        Row("broadcast-stops-ignored", "a stop by broadcast is not executed", deaf_to(mks.stop_of_all)),
         Row("ignores-broadcast", "broadcasts are not executed", deaf_to(mks.to_all)),
     ),
     "group": (
@@ -230,6 +231,7 @@ REPLIES: Rows = {
         ),
         Row("in-position-inverted", "34 says 0 in place", reply("pend", exchanged(0, 1), Verb.READ_IO), CAN),
         Row("in-position-always", "34 always says that the shaft is in place", reply("pend", always(1), Verb.READ_IO), CAN),
+        Row("switch-not-shown", "34 shows no left switch", reply(("in_1", "in_2"), always(1), Verb.READ_IO), CAN),
         Row("alarm-inverted", "34 is read with ALM at 0, at rest too", reply("alm", exchanged(0, 1), Verb.READ_IO), CAN),
         Row("hardware-of-another", "40 names a drive of another size", reply("hardware", always(6), Verb.READ_VERSION), CAN),
         Row("series-of-another", "40 names the D series", reply("series", always(0), Verb.READ_VERSION), CAN),

@@ -40,7 +40,7 @@ from conformance.drives.faults.places import (
     result,
     taken,
 )
-from conformance.drives.mks.core import MOTIONS, Activity, Behaviour, MksCore, Script, Task
+from conformance.drives.mks.core import MOTIONS, STOPS, Activity, Behaviour, MksCore, Script, Task
 from conformance.drives.mks.motion import TARGETS
 from conformance.drives.mks.paths import Number, ramp_step_ns, size
 from conformance.drives.mks.responders import MksResponder
@@ -614,6 +614,12 @@ def own(drive: MksCore, message: Message) -> bool:
 def to_all(drive: MksCore, message: Message) -> bool:
     """Say whether a frame is a broadcast."""
     return message.address == drive.dialect.broadcast and not package(drive, message)
+
+
+def stop_of_all(drive: MksCore, message: Message) -> bool:
+    """Say whether a frame is a stop by broadcast."""
+    stops = STOPS | {Verb.EMERGENCY_STOP}
+    return to_all(drive, message) and message.command is not None and message.command.verb in stops
 
 
 def read_of_all(drive: MksCore, message: Message) -> bool:
