@@ -40,7 +40,7 @@ SHARED = (
     # Part 1
     said("1.3/angle", "The displayed angle is reckoned from the encoder value that can be read.", "motion/read_position/turn"),
     said("1.3/angle-error", "The displayed error is that of the shaft's angle.", "motion/read_angle_error/*"),
-    said("1.3/pulses", "The displayed clk is the count of pulses received.", "motion/read_pulses/counts-moves"),
+    said("1.3/pulses", "The displayed clk is the count of pulses received.", "motion/read_pulses/counts-*"),
     said("1.4/open-400", "In the open modes the shaft turns at 400 rpm at most.", "motion/run_speed/highest-sr_open"),
     said("1.4/close-1500", "In the close modes the shaft turns at 1500 rpm at most.", "motion/run_speed/highest-sr_close"),
     said("1.4/vfoc-3000", "In the vFOC modes the shaft turns at 3000 rpm at most.", "motion/run_speed/highest-sr_vfoc"),
@@ -61,18 +61,14 @@ SHARED = (
         "2.5/in-1", "IN_1 is the home switch or left limit.", "motion/home/finds-switch-*", "motion/set_home/end-limit-stops-*"
     ),
     said("2.5/in-2", "On the 57D IN_2 is the right limit; the 42D has none.", "motion/set_limit_remap/right-off"),
-    unseen(
-        "2.5/out-1",
-        "OUT_1 of the 57D is 0 while the rotor protection holds, else 1.",
-        "OUT_1 can be seen, but only of a locked rotor",
-    ),
+    said("2.5/out-1", "OUT_1 of the 57D is 0 while the rotor protection holds, else 1.", "motion/read_io/stall"),
     unseen("2.5/out-2", "OUT_2 is reserved.", "the manual gives it no meaning"),
     said("2.5/remapped", "With the limits remapped IN_1 is En and IN_2 is Dir.", "read-back/set_limit_remap/effect"),
     said("2.6/off-at-first", "The end limits hold only when they are switched on.", "motion/set_home/end-limit-off"),
     unseen(
         "2.6/home-first",
         "After a change of the limits the drive must go home first.",
-        "no claim yet: a limit that was changed since homing",
+        "the manual does not say what a limit does before homing",
     ),
     said(
         "2.6/left",
@@ -103,6 +99,7 @@ SHARED = (
         "Every subdivision from 1 to 256 can be set.",
         "ranges/set_subdivision/*",
         "motion/set_subdivision/pulses-at-*",
+        "motion/move_*/speed-at-*",
     ),
     said("3.5/default", "The default subdivision is 16.", "read-back/restore/settings"),
     said("3.6/en-level", "The motor holds at the set level of En, or always with Hold.", "read-back/set_enable_level/effect"),
@@ -172,17 +169,20 @@ RAMPS = (
         "A speed above the mode's maximum turns the shaft at that maximum.",
         "motion/run_speed/highest-sr_*",
         "motion/*/beyond-highest",
+        "motion/*/mode-limit",
     ),
     said(
         "6.1/16-32-64",
         "At 16, 32 and 64 subdivisions the speed is that which is sent.",
         *(f"motion/set_subdivision/speed-at-{n}" for n in (16, 32, 64)),
-        "motion/set_subdivision/*-at-64",
+        "motion/set_subdivision/pulses-at-64",
     ),
     said(
         "6.1/other-subdivisions",
         "At others it is speed times 16 over the subdivision.",
         *(f"motion/set_subdivision/speed-at-{n}" for n in (2, 8, 100, 128, 256)),
+        "motion/move_*/speed-at-8",
+        "motion/move_*/speed-at-100",
     ),
     said("6.1/8", "At 8 subdivisions speed 1200 is 2400 rpm.", "motion/set_subdivision/speed-at-8"),
     said("6.1/128", "At 128 subdivisions speed 1200 is 150 rpm.", "motion/set_subdivision/speed-at-128"),
@@ -238,15 +238,13 @@ _LONG_READS = (
         "30 reads the carry in four bytes and the value in two.",
         "motion/read_encoder_carry/is-position",
     ),
-    said("5.1.1/range", "The value is 0 to 3FFFh.", "shape/read_encoder_carry/values"),
+    said(
+        "5.1.1/range", "The value is 0 to 3FFFh.", "shape/read_encoder_carry/values", "motion/read_encoder_carry/at-the-carry"
+    ),
     said("5.1.1/carries-up", "Above 3FFFh the carry is one more.", "motion/read_encoder_carry/*"),
     said("5.1.1/carries-down", "Below 0 the carry is one less.", "motion/read_encoder_carry/*"),
     said("5.1.1/turn", "A turn changes the carry by one and leaves the value.", "motion/read_encoder_carry/is-position"),
-    unseen(
-        "5.1.1/disabled",
-        "The encoder is read whether the motor is enabled or not.",
-        "no claim yet: the shaft is turned while disabled",
-    ),
+    said("5.1.1/disabled", "The encoder is read whether the motor is enabled or not.", "motion/read_position/while-disabled"),
     read("5.1.2", "read_position", "31 reads the encoder as one signed count of six bytes.", "motion/read_position/wide"),
     said("5.1.2/turn", "A turn changes it by 4000h.", "motion/read_position/turn"),
     said("5.1.2/way", "Counter-clockwise raises it (in print both ways).", "motion/run_speed/raises"),
@@ -259,10 +257,10 @@ _LONG_READS = (
     read("5.1.3", "read_speed", "32 reads the speed in rpm, in two signed bytes.", "motion/read_speed/is-change"),
     said("5.1.3/code", "Its reply carries code 32.", "shape/read_speed/code"),
     said("5.1.3/sign", "The speed is positive counter-clockwise and negative clockwise.", "motion/read_speed/is-change"),
-    read("5.1.4", "read_pulses", "33 reads how many pulses came, in four signed bytes.", "motion/read_pulses/counts-moves"),
+    read("5.1.4", "read_pulses", "33 reads how many pulses came, in four signed bytes.", "motion/read_pulses/counts-*"),
     read("5.1.5", "read_io", "34 reads the ports, one bit each.", "read-back/set_limit_remap/effect", "motion/read_io/*"),
     said("5.1.5/reserved", "Bits 7 to 4 are reserved.", "shape/read_io/reserved"),
-    unseen("5.1.5/in-1", "Bit 0 is the level of IN_1.", "no claim yet: the level of the switch"),
+    said("5.1.5/in-1", "Bit 0 is the level of IN_1.", "motion/read_io/in_1"),
     said("5.1.5/remapped", "With the limits remapped, IN_1 is En and IN_2 is Dir.", "read-back/set_limit_remap/effect"),
     read("5.1.6", "read_angle_error", "39 reads the angle error in four signed bytes.", "motion/read_angle_error/*"),
     said("5.1.6/sign", "The error is the wanted angle minus the real one.", "motion/read_angle_error/held-*"),
@@ -294,7 +292,7 @@ _SETTINGS = (
         "82 sets the work mode, 0 to 5.",
         said("5.2.2/serial", "In modes 3 to 5 the bus moves the motor.", "read-back/set_work_mode/effect"),
         said("5.2.2/pulses", "In modes 0 to 2 pulses do.", "motion/*/pulse-mode"),
-        said("5.2.2/maximum", "A mode has its own highest speed.", "motion/run_speed/highest-sr_*"),
+        said("5.2.2/maximum", "A mode has its own highest speed.", "motion/run_speed/highest-sr_*", "motion/*/mode-limit"),
         unseen("5.2.2/current", "A mode sets whether the current is fixed or adapts.", CURRENT_UNSEEN),
     ),
     *setting(
@@ -321,7 +319,12 @@ _SETTINGS = (
         "5.2.5",
         "set_subdivision",
         "84 sets the subdivision in one byte, 0 being 256.",
-        said("5.2.5/pulses", "A turn has 200 times the subdivision in pulses.", "motion/set_subdivision/pulses-at-*"),
+        said(
+            "5.2.5/pulses",
+            "A turn has 200 times the subdivision in pulses.",
+            "motion/set_subdivision/pulses-at-*",
+            "motion/move_*/speed-at-*",
+        ),
         said("5.2.5/256", "Value 0 means 256 subdivisions.", "motion/set_subdivision/pulses-at-256"),
         unseen("5.2.5/shown", "The display shows the new subdivision.", DISPLAY),
     ),
@@ -405,6 +408,7 @@ _SETTINGS = (
             "Motion is answered at once by 1, or by 0 when it fails.",
             "timing/*/answered-soon",
             "motion/*/disabled",
+            "motion/enable/off-holds-all",
         ),
     ),
     *setting(
@@ -438,6 +442,7 @@ _SETTINGS = (
         said(
             "5.2.16/group",
             "What the group address is sent, the group's drives execute.",
+            "addressing/group/*_*/*",
             "addressing/group/executed",
             "examples/*/to_group_*",
         ),
@@ -475,7 +480,9 @@ _SETTINGS = (
             "motion/set_home/end-limit-stops-*",
         ),
         unseen(
-            "5.3.1/home-first", "A changed end limit holds after homing.", "no claim yet: a limit that was changed since homing"
+            "5.3.1/home-first",
+            "A changed end limit holds after homing.",
+            "the manual does not say what a limit does before homing",
         ),
         said("5.3.1/lets-go", "With the end limit on, homing lets the shaft go at the switch.", "motion/home/end-limit"),
         said("5.3.1/holds", "With it off, the shaft is held after homing.", "motion/home/holds"),
@@ -530,7 +537,7 @@ _SETTINGS = (
         "5.5/defaults", "3F puts every parameter back to its default.", "read-back/restore/settings", "read-back/restore/link"
     ),
     said("5.5/status", "It is answered by 1, or by 0 when that fails.", "shape/restore/status"),
-    unseen("5.5/reboots", "Then the drive starts again.", "no claim yet: what a restart ends"),
+    said("5.5/reboots", "Then the drive starts again.", "read-back/restore/reboots"),
     unseen("5.5/uncalibrated", "Then the motor needs a calibration.", "no command tells whether the motor is calibrated"),
     unseen("5.5/key", "A key held at power-on restores the defaults.", KEYS),
     said("5.6/restarts", "41 starts the drive again.", "motion/restart/ends-motion", "timing/restart/*"),
@@ -539,12 +546,12 @@ _SETTINGS = (
     said(
         "5.7/five",
         "A package holds up to five commands; each drive takes its own by the address.",
+        "addressing/package/move_*",
+        "addressing/package/run_speed",
         "addressing/package/own_slot",
     ),
     said("5.7/slots", "Each of the five slots is executed.", *(f"addressing/package/slot_{n}" for n in range(1, 6))),
-    unseen(
-        "5.7/settings", "A slot holds any ordinary command, without head and checksum.", "no claim yet: a setting in a slot"
-    ),
+    said("5.7/settings", "A slot holds any ordinary command, without head and checksum.", "addressing/package/setting*"),
     said("5.7/length", "A package has 52 bytes.", "addressing/package/length", "addressing/package/broken_off"),
     said(
         "5.7/zeros",
@@ -552,7 +559,7 @@ _SETTINGS = (
         "addressing/package/own_slot",
         "addressing/package/slot_*",
     ),
-    said("5.7/checksum", "A package ends in its checksum.", "addressing/package/checksum"),
+    said("5.7/checksum", "A package ends in its checksum.", "addressing/package/checksum", "addressing/package/damaged"),
     said("5.7/first", "Of two commands for one drive only the first is executed.", "addressing/package/first_of_two"),
     said("5.7/silent", "A package is not answered.", "addressing/package/silent"),
     said("5.7/others", "Slots of other drives are not executed.", "addressing/package/others"),
@@ -568,6 +575,7 @@ _FRAMES = (
     said(
         "4/broadcast",
         "Address 0 reaches every drive.",
+        "addressing/broadcast/*_*/*",
         "addressing/broadcast/executed",
         "addressing/broadcast/setting/executed",
     ),
@@ -591,10 +599,12 @@ _FRAMES = (
         "Motion with a wrong check is not executed.",
         "framing/checksum_bit/not_executed",
         "framing/flipped_bit/not_executed",
+        "framing/*/wrong_check",
     ),
     said(
         "4/other-motion",
         "Motion for another address is not executed.",
+        "addressing/*/other_address",
         "addressing/other/not_executed",
         "addressing/group/other",
     ),
@@ -635,13 +645,19 @@ def _move(section: str, name: str, code: str, *more: Statement) -> Iterator[Stat
 
 
 _MOTION = (
-    said("6/serial", "Motion commands need a serial work mode.", "motion/*/pulse-mode"),
+    said("6/serial", "Motion commands need a serial work mode.", "motion/*/in-sr_*", "motion/*/pulse-mode"),
     *RAMPS,
     said("6.2.1/answered", "F1 reads what the motor does.", "shape/read_status/answered", "motion/read_status/follows"),
-    said("6.2.1/stopped", "1: it stands.", "motion/read_status/at-rest", "motion/read_status/after-a-move"),
+    said(
+        "6.2.1/stopped",
+        "1: it stands.",
+        "motion/read_status/at-rest",
+        "motion/read_status/slow-*",
+        "motion/read_status/after-a-move",
+    ),
     said("6.2.1/up", "2: it speeds up.", "motion/read_status/speeding-up", "motion/read_status/in-a-move"),
     said("6.2.1/down", "3: it slows down.", "motion/read_status/slowing-down"),
-    said("6.2.1/full", "4: it turns at full speed.", "motion/read_status/full-speed"),
+    said("6.2.1/full", "4: it turns at full speed.", "motion/read_status/full-speed", "motion/read_status/slow-*"),
     said("6.2.1/homing", "5: it is homing.", "motion/home/status"),
     said("6.2.1/calibrating", "6 (printed 5): it is calibrating.", "motion/calibrate/status"),
     said("6.2.1/fail", "0: the query failed.", "shape/read_status/status"),
@@ -652,12 +668,23 @@ _MOTION = (
         "6.2.2/disabled-motion",
         "A disabled motor is not turned by any motion command.",
         *each(_RUNS, "motion/{}/disabled"),
+        "motion/enable/off-holds-all",
         "motion/home/disabled",
     ),
     said("6.3/stops", "F7 stops the motor at once.", "motion/emergency_stop/ends-*", "motion/home/stopped"),
     said("6.3/status", "It is answered by 1, or by 0 when that fails.", "motion/emergency_stop/replies"),
-    said("6.4/broadcast", "By address 0 all motors execute the same.", "addressing/broadcast/executed"),
-    said("6.4/group", "By group addresses the motors of each group execute the same.", "addressing/group/executed"),
+    said(
+        "6.4/broadcast",
+        "By address 0 all motors execute the same.",
+        "addressing/broadcast/*_*/*",
+        "addressing/broadcast/executed",
+    ),
+    said(
+        "6.4/group",
+        "By group addresses the motors of each group execute the same.",
+        "addressing/group/*_*/*",
+        "addressing/group/executed",
+    ),
     said("6.4/package", "By a package each motor executes its own.", "addressing/package/own_slot"),
     # 6.5 Speed
     said(
@@ -711,6 +738,8 @@ _MOTION = (
             "It goes on by the pulses, 32 bits of them.",
             "motion/move_relative_pulses/distance",
             "motion/move_relative_pulses/far",
+            "motion/*/ends-at-*",
+            "motion/*/by-nothing",
         ),
         said(
             "6.6.1/20-turns",
@@ -755,6 +784,7 @@ _MOTION = (
             "It goes on by a distance in encoder counts, 32 signed bits.",
             "motion/move_relative_axis/distance",
             "motion/move_relative_axis/far",
+            "motion/*_axis/ends-at-*",
         ),
         said("6.8.1/axis", "The axis is the value that 31 reads.", "motion/move_relative_axis/sign"),
         said(

@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Role, Subject, Verb
-from analyzer.link import CanLink, HeadLink, LkLink
+from analyzer.link import HeadLink, LkLink
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.addressing_many import read_of, send_to
 from conformance.claims.control_reads import ask_first, judge_next, plain_read, received_text
@@ -150,15 +150,15 @@ def _not_executed(probe: Probe, shown: Observable) -> None:
     shown.control(probe)
 
 
-def _motions_of_can(dialect: Dialect) -> Iterator[Case]:
-    """Yield the motions of a dialect whose frames stand alone: nothing else can be read in one to another drive."""
-    if isinstance(dialect.link, CanLink):
+def _runs_and_moves(dialect: Dialect) -> Iterator[Case]:
+    """Yield the motions of the MKS drives by the bus."""
+    if dialect.family == "mks":
         for command in dialect.motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO):
             yield Case(dialect, command)
 
 
 @of_motion(
-    theme=Theme.ADDRESSING, each=_motions_of_can, name="{command}/other_address", refuted_by="a shaft that turns", alone=True
+    theme=Theme.ADDRESSING, each=_runs_and_moves, name="{command}/other_address", refuted_by="a shaft that turns", alone=True
 )
 def _motion_of_another(probe: Probe, command: Command) -> None:
     """{command} to another address turns nothing."""

@@ -10,12 +10,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from analyzer.catalogue import Command, Dialect, Doubt, Risk, Subject, Verb
+from analyzer.catalogue import Command, Dialect, Doubt, MotionKind, Risk, Subject, Verb
 from conformance.claim import Theme
 from conformance.claims.control_reads import ask_first, is_answered, judge_next, plain_read, received_text
 from conformance.claims.declare import Case, Cases, claim, described_in
-from conformance.motion import effects
+from conformance.claims.stops import expect_standing
+from conformance.motion import effects, motion
 from conformance.motion.effects import Change, Observable
+from conformance.motion.motion import MOVES, MS
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
 
@@ -218,6 +220,33 @@ def _silent(probe: Probe, many: _Many, shown: Observable) -> None:
     shown.prepare(probe)
     to = many.join(probe)
     _expect_silence(probe, send_to(probe, to, shown.change(probe), shown.settle_ns), many.what)
+
+
+def _motions(dialect: Dialect) -> Iterator[Case]:
+    """Yield each address of several drives with each motion and its stops."""
+    for many in _addresses(dialect):
+        for run in dialect.motions(MotionKind.RUN, *MOVES):
+            for stop in dialect.stops_of(run):
+                risks = many.risks(dialect) | motion.risks(dialect, *run.all_risks)
+                settings = (*motion.settings(dialect), *many.settings)
+                given = {"many": many, "what": many.what, "run": run, "stop": stop}
+                yield Case(dialect, given=given, facts={"risks": risks, "settings": settings})
+
+
+@_addressing("a shaft that stands, or one that turns on", _motions, name="{many}/{run}/{stop}")
+def _turns_and_stops(probe: Probe, many: _Many, run: Command, stop: Command) -> None:
+    """{run} by {what} turns the shaft, and {stop} by it lets it stand."""
+    motion.prepare(probe, run)
+    to = many.join(probe)
+    values = motion.values_of(probe.dialect, run, 10 * 360, start=motion.place(probe, run))
+    begun = probe.send(probe.build(run, values, address=to).item())
+    probe.wait(300 * MS)
+    text = f"{run.name} by {many.what} does not turn the shaft"
+    probe.expect(abs(motion.turning(probe)), at_least=motion.CALM / 2, unit="rpm", refutes=text, exchange=begun)
+    how = {"acceleration": motion.QUICK} if motion.of(stop).acceleration else {}
+    ended = probe.send(probe.build(stop, how, address=to).item())
+    probe.wait(300 * MS)
+    expect_standing(probe, ended, f"{stop.name} by {many.what} does not stop the shaft")
 
 
 def _group_changes(dialect: Dialect) -> Iterator[Case]:

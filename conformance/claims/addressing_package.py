@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import ask_first, judge_next, plain_read, received_text
 from conformance.claims.declare import Case, Cases, claim
@@ -190,6 +190,56 @@ def _executed(probe: Probe, command: Command, slots: Slots, steps: int) -> None:
     _expect_move(probe, frame, steps, probe.claim.statement)
 
 
+@_of_packages("no effect", name="setting")
+def _setting(probe: Probe, command: Command) -> None:
+    """A command that is no motion is executed in a slot of a package too."""
+    shown = effects.observable_setting(probe.dialect)
+    if shown is None:
+        raise Inconclusive("there is no setting whose effect can be read")
+    shown.prepare(probe)
+    change = shown.change(probe)
+    frame = _frame(probe, command, [EMPTY, {"address": probe.address, "command": change.command.name, **change.values}])
+    sent = probe.send(frame, timeout_ns=STEP_NS)
+    probe.expect(
+        f"{shown.read(probe)} is read",
+        holds=shown.done(probe, change),
+        expected=f"{change.after} after {hex_of(frame)}",
+        refutes=f"{change.command.name} in a slot of a package is not executed",
+        exchange=sent,
+    )
+
+
+def _motions(dialect: Dialect) -> Iterator[Case]:
+    """Yield the package with each motion, its own stop and a slot for both."""
+    for case in _packages(dialect):
+        assert case.command is not None
+        assert case.command.slots is not None
+        for number, run in enumerate(dialect.motions(MotionKind.RUN, *motion.MOVES)):
+            slot = 1 + number % case.command.slots.count
+            given = {"run": run, "stop": dialect.stops_of(run)[0], "before": slot - 1}
+            yield Case(dialect, case.command, given, {"risks": motion.risks(dialect, *run.all_risks)})
+
+
+@_of_packages("a shaft that stands, or one that turns on", name="{run}", each=_motions)
+def _turns_and_stops(probe: Probe, command: Command, run: Command, stop: Command, before: int) -> None:
+    """{run} in a slot of a package turns the shaft, and {stop} in it lets it stand."""
+    motion.prepare(probe, run)
+    values = motion.values_of(probe.dialect, run, 10 * 360, start=motion.place(probe, run))
+    seen = []
+    for order, data in ((run, values), (stop, {"acceleration": motion.QUICK})):
+        slot = {"address": probe.address, "command": order.name, **data}
+        sent = probe.send(_frame(probe, command, [EMPTY] * before + [slot]))
+        probe.wait(300 * motion.MS)
+        seen.append((abs(motion.turning(probe)), sent))
+    (turning, begun), (left, ended) = seen
+    text = f"{run.name} in a slot of a package does not turn the shaft"
+    probe.expect(turning, at_least=motion.CALM / 2, unit="rpm", refutes=text, exchange=begun)
+    if left:
+        motion.stop(probe)
+    text = f"{stop.name} in a slot of a package does not stop the shaft"
+    probe.expect(left, at_most=1, unit="rpm", refutes=text, exchange=ended)
+
+
 # --- what is answered -------------------------------------------------------------------------------------------------
 
 
@@ -242,6 +292,12 @@ def _other_lengths(probe: Probe, command: Command) -> None:
         yield completed(frame[:-1] + bytes(10))
 
     _expect_nothing(probe, command, lengths)
+
+
+@_of_packages("a move", name="damaged", other_slots=True)
+def _damaged(probe: Probe, command: Command) -> None:
+    """A package with one bit of its checksum flipped moves nothing, and one whose checksum fits does."""
+    _expect_nothing(probe, command, lambda frame: (frame[:-1] + bytes((frame[-1] ^ 1 << bit,)) for bit in (1, 6)))
 
 
 @_of_packages("a move", name="checksum", emulated=True, other_slots=True)

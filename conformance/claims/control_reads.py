@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from analyzer.catalogue import Command, Dialect, Risk, Subject, Verb
 from conformance.claim import Inconclusive, Refuted
 from conformance.talk import samples
-from conformance.talk.exchange import Exchange, hex_of
+from conformance.talk.exchange import Answer, Exchange, hex_of
 from conformance.talk.garbling import Garbler
 from conformance.talk.reply_match import in_order
 
@@ -55,11 +55,16 @@ def received_text(exchange: Exchange) -> str:
 
 
 def is_answered(exchange: Exchange) -> bool:
-    """Say whether a frame of the same command and address, with a good checksum, answered."""
+    """Say whether a frame of the same command and address, with a good checksum, answered; an exception is no answer."""
     asked = exchange.command.name if exchange.command is not None else ""
     named = (a for a in exchange.answers if a.command is not None and a.command.name == asked)
     good = (a for a in named if a.message.address == exchange.address)
-    return any(a.message.frame.checksum_ok for a in good)
+    return any(a.message.frame.checksum_ok and not is_exception(a) for a in good)
+
+
+def is_exception(answer: Answer) -> bool:
+    """Say whether an answer is a Modbus exception."""
+    return "exception" in answer.values
 
 
 def ask_first(probe: Probe) -> None:

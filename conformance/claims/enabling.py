@@ -9,17 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from analyzer.catalogue import Certainty, Command, Dialect, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from analyzer.link import CanLink
 from conformance.claims.bench import lk_drive
 from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion_claim import of_motion, risks_by
+from conformance.claims.motion_claim import expect_stays, of_motion, risks_by
 from conformance.claims.stops import expect_standing, set_going
 from conformance.motion import motion
-from conformance.motion.motion import MS, SECOND_NS
+from conformance.motion.motion import MOVES, MS, SAME, SECOND_NS
 from conformance.talk.probe import Probe
 
+#: Motion that turns the shaft by itself, without a switch to find.
+_TURNING = (MotionKind.RUN, *MOVES)
 _enable, _off, _on = commands(Verb.ENABLE), commands(Verb.MOTOR_OFF), commands(Verb.MOTOR_ON)
 
 
@@ -100,6 +102,28 @@ def _not_in_bus_modes(probe: Probe, command: Command) -> None:
             probe.wait(200 * MS)
             text = f"with enable_level {level} a motor that was told to be {'on' if on else 'off'} is not"
             probe.expect(motion.is_on(probe), equal=on, refutes=text, exchange=exchange)
+
+
+@of_motion(
+    each=_enable,
+    name="{command}/off-holds-all",
+    refuted_by="motion",
+    risks=lambda case: frozenset().union(*(c.all_risks for c in case.dialect.motions(*_TURNING))),
+)
+def _off_holds_all(probe: Probe) -> None:
+    """A disabled motor is turned by no run and no move, whatever it answers."""
+    motion.ready_to_move(probe)
+    motion.switch(probe, False)
+    for command in probe.dialect.motions(*_TURNING):
+        before = motion.position(probe)
+        exchange = motion.ask(probe, command, 30, quiet_ns=0)
+        probe.wait(300 * MS)
+        after = motion.position(probe)
+        if abs(after.value - before.value) > SAME:
+            motion.stop(probe)
+            motion.switch(probe, True)
+        expect_stays(before, after, exchange, f"{command.name} turns a disabled motor")
+    motion.switch(probe, True)
 
 
 def expect_obeys(probe: Probe, refutes: str) -> None:

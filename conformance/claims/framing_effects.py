@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Subject, Verb
-from analyzer.link import CanLink, HeadLink
+from analyzer.link import HeadLink
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import received_text
 from conformance.claims.declare import Case, claim, described_in
@@ -193,14 +193,20 @@ _READ_AS: Mapping[type, frozenset[Risk]] = {HeadLink: frozenset({Risk.UNKNOWN})}
 # --- a motion that does not check ---------------------------------------------------------------------------------------
 
 
-def _alone_in_their_frame(dialect: Dialect) -> Iterable[Case]:
-    """Return the motions of a dialect whose frames stand alone: nothing else can be read in a damaged one."""
-    if isinstance(dialect.link, CanLink):
+def _runs_and_moves(dialect: Dialect) -> Iterable[Case]:
+    """Return the motions of the MKS drives by the bus; a damaged one is small and slow as the whole one is."""
+    if dialect.family == "mks":
         for command in dialect.motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO):
             yield Case(dialect, command)
 
 
-@of_motion(theme=Theme.FRAMING, each=_alone_in_their_frame, name="{command}/wrong_check", refuted_by="a shaft that turns")
+@of_motion(
+    theme=Theme.FRAMING,
+    each=_runs_and_moves,
+    name="{command}/wrong_check",
+    refuted_by="a shaft that turns",
+    risks=lambda case: _READ_AS.get(type(case.dialect.link), frozenset()),
+)
 def _wrong_check(probe: Probe, command: Command) -> None:
     """{command} whose checksum does not fit turns nothing."""
     motion.prepare(probe, command)

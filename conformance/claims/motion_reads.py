@@ -17,6 +17,7 @@ from functools import partial
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
 from conformance.claim import Aspect, Inconclusive, NotRun, Theme
 from conformance.claims import bench
+from conformance.claims.control_reads import is_exception, received_text
 from conformance.claims.declare import Case, claim, commands, motions, with_values
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, risks_by
@@ -123,6 +124,23 @@ def _while_disabled(probe: Probe) -> None:
         text = "the position does not follow the shaft of a disabled motor"
         probe.expect(_counts(probe) - before, near=turned, within=_JITTER, unit="counts", refutes=text)
     motion.switch(probe, True)
+
+
+def _switch_inputs(dialect: Dialect) -> Iterable[Case]:
+    """Return the read of the ports where the home switch is at IN_1 on every model."""
+    return commands(Verb.READ_IO)(dialect) if dialect.bus == "serial" else ()
+
+
+@of_motion(each=_switch_inputs, name="{command}/in_1", refuted_by="a bit that stays", emulated=True, still=True)
+def _shows_switch(probe: Probe, command: Command) -> None:
+    """Bit 0 changes when the switch at IN_1 opens or closes."""
+    for _ in range(2):
+        levels = []
+        for pressed in (True, False):
+            bench.press(probe, pressed)
+            levels.append(probe.read(command, "in_1"))
+        text = "IN_1 does not tell whether its switch is closed"
+        probe.expect(levels, holds=levels[0] != levels[1], expected="two levels", refutes=text)
 
 
 @of_motion(
@@ -464,10 +482,10 @@ def _while_moving(probe: Probe, command: Command) -> None:
     motion.run_at(probe, _RPM, QUICK)
     probe.wait(300 * MS)
     exchanges = [probe.ask(command) for _ in range(2)]
-    silent = all(e.silent for e in exchanges)
-    if silent:
+    answered = any(not all(map(is_exception, e.answers)) for e in exchanges if not e.silent)
+    if not answered:
         # Whether it stands cannot be seen where nothing is answered.
         motion.stop(probe, QUICK)
     text = f"{command.name} is not answered while the motor turns"
-    probe.expect("silence", holds=not silent, expected="a reply", refutes=text, exchange=exchanges[0])
+    probe.expect(received_text(exchanges[0]), holds=answered, expected="a reply", refutes=text, exchange=exchanges[0])
     motion.stand_still(probe)

@@ -9,13 +9,13 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, MotionKind, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive
 from conformance.claims import bench
-from conformance.claims.declare import Cases, commands, motions, needing
+from conformance.claims.declare import Case, Cases, commands, motions, needing
 from conformance.claims.motion_claim import of_motion, risks_by, that_tell_their_end
 from conformance.claims.refusals import expect_refused
 from conformance.motion import motion
@@ -64,6 +64,24 @@ def _protect(probe: Probe) -> None:
 
 def _expect(probe: Probe, exchange: Exchange, wanted: int, text: str) -> None:
     probe.expect(_is_protected(probe), equal=wanted, refutes=text, exchange=exchange)
+
+
+def _stall_outputs(dialect: Dialect) -> Iterable[Case]:
+    """Return the read of the ports, of which only a 57D has the one that tells of a stall."""
+    return commands(Verb.READ_IO)(dialect) if dialect.bus == "serial" and dialect.model.startswith("57") else ()
+
+
+@_of_protection("another level", each=_stall_outputs, name="{command}/stall")
+def _stall(probe: Probe, command: Command) -> None:
+    """OUT_1 is 0 while the protection holds, and 1 before and after."""
+    _prepare(probe, 1)
+    for when, wanted in (("before", 1), ("while", 0), ("after", 1)):
+        if when == "while":
+            _protect(probe)
+        elif when == "after":
+            probe.do(Verb.RELEASE_PROTECTION)
+        text = f"OUT_1 is not {wanted} {when} the protection holds"
+        probe.expect(probe.read(command, "out_1"), equal=wanted, refutes=text)
 
 
 @_of_protection("3E that reads 0", each=commands(Verb.SET_PROTECTION))

@@ -122,11 +122,12 @@ def _silent_stop(probe: Probe, run: Command, stop: Command) -> None:
 @_of_respond("silence", each=_settings, name="{command}/0-leaves-reads")
 def _others_answered(probe: Probe) -> None:
     """With respond 0 reads, settings and enabling are answered as before."""
-    motion.ready_to_move(probe)
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     if any(probe.ask(verb).silent for verb in _ANSWERED):
         raise Inconclusive("a read is not answered with respond 1 either")
     _set(probe, 0, 0)
     asked = [probe.ask(verb) for verb in _ANSWERED]
+    asked.append(probe.ask(Verb.SET_SUBDIVISION, {"subdivision": motion.SUBDIVISION}))
     asked.append(probe.ask(Verb.ENABLE, {"enabled": 1}))
     asked.append(probe.ask(Verb.SET_RESPOND, {"respond": 1, "active": 1}))
     for exchange in asked:

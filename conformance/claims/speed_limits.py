@@ -79,6 +79,27 @@ def _highest_of_mode(probe: Probe, command: Command, mode: str, rpm: int) -> Non
         expect_speed(seen, rpm, exchange, f"speed {speed} in mode {mode} turns at another speed")
 
 
+def _moves_by_mode(dialect: Dialect) -> Iterator[Case]:
+    """Yield the moves of a dialect whose modes have highest speeds, each with those below the highest of all."""
+    for command in dialect.motions(*MOVES):
+        modes = {mode: dialect.mode_speeds.get(mode, _HIGHEST) for mode in command.modes}
+        lower = {mode: rpm for mode, rpm in modes.items() if rpm < _HIGHEST}
+        if lower:
+            yield Case(dialect, command, {"limits": lower})
+
+
+@of_motion(each=_moves_by_mode, refuted_by="another speed", at_best=Certainty.LIKELY, parameters={})
+def _mode_limit(probe: Probe, command: Command, limits: dict[str, int]) -> None:
+    """{command} at a greater speed than that of the work mode turns the shaft at the mode's."""
+    for mode, rpm in limits.items():
+        motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
+        exchange = motion.begin(probe, command, 20 * 360, rpm=_HIGHEST, acceleration=255, quiet_ns=0)
+        probe.wait(exchange.sent_ns + 230 * MS - probe.gate.now_ns())
+        seen = motion.speed(probe)
+        motion.stand_still(probe)
+        expect_speed(seen, rpm, exchange, f"{command.name} in mode {mode} turns at another speed")
+
+
 # --- the max_speed of a move ------------------------------------------------------------------------------------------
 
 

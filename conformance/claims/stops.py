@@ -197,6 +197,41 @@ def _stops_all(probe: Probe, command: Command) -> None:
     expect_standing(probe, exchange, f"{command.name} by a broadcast stops nothing")
 
 
+def _in_other_modes(dialect: Dialect) -> Iterator[Case]:
+    """Yield the stop of a run in the work modes below the one in which the suite moves, beside the emergency stop."""
+    for run in dialect.motions(MotionKind.RUN):
+        stops = dialect.stops_of(run)
+        if len(stops) > 1 and motion.of(stops[0]).acceleration:
+            for mode in run.modes[:-1]:
+                yield Case(dialect, stops[0], {"mode": mode, "run": run, "emergency": stops[1]})
+
+
+@of_motion(
+    each=_in_other_modes,
+    name="{command}/in-{mode}",
+    refuted_by="a shaft that stands at once, or turns on",
+    risks=risks_of("run"),
+    at_best=Certainty.LIKELY,
+)
+def _in_mode(probe: Probe, command: Command, mode: str, emergency: Command) -> None:
+    """In mode {mode} {command} stops the shaft by its ramp, and {emergency} stops it at once."""
+    motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
+    motion.run_at(probe, _RPM, QUICK)
+    probe.wait(500 * MS)
+    exchange = probe.ask(command, {"acceleration": _SLOW_RAMP}, quiet_ns=0)
+    probe.wait(exchange.sent_ns + _RAMP_NS // 2 - probe.gate.now_ns())
+    seen = motion.speed(probe)
+    text = f"in mode {mode} the shaft does not slow down by the ramp of {command.name}"
+    probe.expect(abs(seen.value), near=_RPM / 2, within=_RPM / 4, unit="rpm", refutes=text, exchange=exchange)
+    probe.wait(_RAMP_NS)
+    expect_standing(probe, exchange, f"{command.name} does not stop the shaft in mode {mode}")
+    motion.run_at(probe, CALM, QUICK)
+    probe.wait(500 * MS)
+    _expect_turning(probe, CALM / 2)
+    exchange = probe.ask(emergency)
+    expect_standing(probe, exchange, f"{emergency.name} does not stop the shaft in mode {mode}")
+
+
 # --- the stop of whatever moves ---------------------------------------------------------------------------------------
 
 

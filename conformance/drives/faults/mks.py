@@ -94,7 +94,6 @@ HEARING: Rows = {
             "executes-bad-motion",
             "motion with a wrong checksum is executed and not answered",
             together(taken(mks.take_bad_motion), silent_to(lambda d, m: not m.frame.checksum_ok)),
-            CAN,
         ),
         Row("deaf-after-bad-frame", "after a frame with a wrong checksum the next good one is not heard", Change(mks.startle)),
     ),
@@ -135,6 +134,12 @@ HEARING: Rows = {
     ),
     "group": (
         Row("answers-group", "requests to the group address are answered", answering(mks.to_group), TELLING),
+        Row(
+            "ignores-group-stops",
+            "stops to the group address are not executed",
+            deaf_to(lambda d, m: mks.to_group(d, m) and mks.stops(m)),
+            TELLING,
+        ),
         Row("ignores-group", "requests to the group address are not executed", deaf_to(mks.to_group), TELLING),
         Row("group-replaces-address", "a drive in a group no longer hears its own address", deaf_to(mks.grouped), TELLING),
     ),
@@ -142,6 +147,7 @@ HEARING: Rows = {
         Row("package-answered", "packages are answered", answering(mks.package), NATIVE),
         Row("package-ignored", "packages are not executed", deaf_to(mks.package), NATIVE),
         Row("package-any-length", "packages shorter than 52 bytes are executed", taken(mks.take_short_package), NATIVE),
+        Row("package-any-checksum", "packages are executed whatever their checksum", taken(mks.take_bad_package), NATIVE),
         Row("package-both-slots", "all slots for an address are executed", slots(lambda own, all_, w: mks.mine(own, all_))),
         Row(
             "package-last-slot",
@@ -151,6 +157,16 @@ HEARING: Rows = {
         Row("package-next-slot", "the slot behind the own one is executed", slots(mks.behind_mine)),
         Row("package-first-slot-only", "only the first slot is looked at", slots(lambda own, all_, w: mks.mine(own, all_[:1]))),
         Row("package-every-slot", "the slots of all addresses are executed", slots(lambda own, all_, w: all_)),
+        Row(
+            "package-without-stops",
+            "a stop of a run at a speed, or of a move, is not executed in a package",
+            slots(lambda own, all_, w: [s for s in w if s.command is None or s.command.verb not in STOPS]),
+        ),
+        Row(
+            "package-motion-only",
+            "a slot that is no motion is not executed",
+            slots(lambda own, all_, w: [s for s in w if s.command is not None and s.command.motion is not None]),
+        ),
         Row(
             "package-broadcast-slot", "a slot for address 0 is executed", slots(lambda own, all_, w: w or mks.mine(0, all_)[:1])
         ),
@@ -250,6 +266,12 @@ REPLIES: Rows = {
         Row("position-frozen-while-free", "31 stays while the motor is disabled", mks.while_enabled(Verb.READ_POSITION)),
         Row("speed-frozen", "32 always says 0", reply("speed", always(0), Verb.READ_SPEED)),
         Row("position-frozen", "31 always says 0", reply("position", always(0), Verb.READ_POSITION)),
+        Row(
+            "io-in-1-frozen",
+            "a read of the ports always says that IN_1 is high",
+            reply("in_1", always(1), Verb.READ_IO),
+            SERIAL,
+        ),
         Row("pulses-frozen", "33 always says 0", reply("pulses", always(0), Verb.READ_PULSES)),
         Row("enabled-frozen", "3A always says enabled", reply("enabled", always(1), Verb.READ_ENABLED)),
         Row("protection-hidden", "3E never says protected", reply("status", always(0), Verb.READ_PROTECTION)),
@@ -399,6 +421,12 @@ MOTION: Rows = {
             with_law("highest_speed", lambda declared: declared),
             SERIAL,
         ),
+        Row(
+            "mode-limit-ignored-by-moves",
+            "every work mode moves at up to 3000 rpm",
+            mks.moving_by(highest_speed=lambda declared: declared),
+            SERIAL,
+        ),
         Row("speed-unlimited", "speeds above 3000 are run", with_law("highest_speed", lambda declared: 0xFFFF)),
         Row("speed-above-3000-refused", "speeds above 3000 are refused", before(MOTIONS, mks.refuse_above(3000))),
         Row("speed-3000-refused", "3000 rpm is refused", before(MOTIONS, mks.refuse_above(2999))),
@@ -414,6 +442,12 @@ MOTION: Rows = {
         Row("stop-without-ramp", "stops are at once whatever the acceleration", asked("acceleration", always(0), STOPS)),
         Row(
             "stop-by-slowest-ramp", "stops go by the slowest ramp, also those at once", asked("acceleration", always(1), STOPS)
+        ),
+        Row(
+            "open-mode-stops-ignored",
+            "stops in SR_OPEN stop nothing",
+            before(STOPS | {Verb.EMERGENCY_STOP}, mks.ignore_in("sr_open")),
+            SERIAL,
         ),
         Row("stop-coasts", "a stop begins two seconds late", wrapped(STOPS, mks.coasting)),
         Row("speed-stop-ignored", "F6 with speed 0 stops nothing", lying(Verb.STOP_SPEED)),
@@ -513,6 +547,12 @@ COMPLETION: Rows = {
         ),
         Row("active-ignored", "active 0 leaves completions as they are", heedless("active"), TELLING),
         Row(
+            "respond-silences-settings",
+            "respond 0 silences the replies of settings",
+            unless(lambda d, c: not d.settings["respond"] and c.verb in SETTINGS and c.verb is not Verb.SET_RESPOND),
+            TELLING,
+        ),
+        Row(
             "active-silences-first",
             "active 0 silences the first reply to motion too",
             unless(lambda d, c: not d.settings["active"], MOTIONS | STOPS),
@@ -601,6 +641,12 @@ FUNCTIONS: Rows = {
             of_functions(WRITES, not_done(lambda b: bytes((b[0], b[mks.FUNCTION] | 0x80, 3)))),
         ),
         Row("exception-always-04", "every exception is 04", of_functions(REQUESTS, byte(2, lambda _: 4), exceptions=True)),
+        Row(
+            "exception-while-turning",
+            "reads are answered by exception 04 while the shaft turns",
+            frames(mks.busy_while_turning),
+            MODBUS,
+        ),
         Row(
             "exceptions-mixed-up",
             "exceptions 02 and 03 stand for each other",

@@ -20,7 +20,7 @@ from msgspec.structs import replace
 
 from analyzer.catalogue import Command, Role, Verb
 from analyzer.decoder import Decoder, Slot
-from analyzer.link import WRITE_MANY
+from analyzer.link import READS, WRITE_MANY
 from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Hooks, Outgoing, Request, Values
@@ -272,6 +272,25 @@ def coarse(drive: Drive, command: Command, values: Values) -> Values:
     return values | {"pulses": values["pulses"] * 5 // 4} if is_25 else values
 
 
+def moving_by(**laws: Any) -> Change:
+    """Let moves to a position go by other laws than runs: attributes of `MksState`."""
+
+    def wrap(behaviour: Behaviour) -> Behaviour:
+        def act(drive: MksCore, request: Request) -> Values | None:
+            kept = {name: getattr(drive, name) for name in laws}
+            for name, law in laws.items():
+                setattr(drive, name, law)
+            try:
+                return behaviour(drive, request)
+            finally:
+                for name, law in kept.items():
+                    setattr(drive, name, law)
+
+        return act
+
+    return wrapped(MOVES, wrap)
+
+
 def keep_going(drive: MksCore, request: Request) -> Values | None:
     """Answer a newer move while an older one is under way, and go on with the older one."""
     return dict(STARTING) if drive.doing(Activity.MOVE) else None
@@ -286,6 +305,11 @@ def stop_first(drive: MksCore, request: Request) -> None:
 def refuse_above(speed: int) -> Callable[[MksCore, Request], Values | None]:
     """Refuse a speed above a limit."""
     return lambda drive, request: drive.refused(request) if request.values["speed"] > speed else None
+
+
+def ignore_in(mode: str) -> Callable[[MksCore, Request], Values | None]:
+    """Say in a work mode that it is done, and do nothing."""
+    return lambda drive, request: dict(OK) if drive.mode == mode else None
 
 
 def emergency_ramp(drive: MksCore, request: Request) -> Values:
@@ -638,6 +662,11 @@ def grouped(drive: MksCore, message: Message) -> bool:
     return own(drive, message) and bool(drive.settings["group_address"])
 
 
+def stops(message: Message) -> bool:
+    """Say whether a frame is one that stops the shaft."""
+    return message.command is not None and message.command.verb in STOPS | {Verb.EMERGENCY_STOP}
+
+
 def package(drive: MksCore, message: Message) -> bool:
     """Say whether a frame is a package."""
     return message.command is not None and message.command.slots is not None
@@ -703,6 +732,11 @@ def take_bad_motion(drive: Drive, frame: Frame, message: Message, wanted: bool) 
 def take_reply_head(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
     """Take own frames with the head of a reply."""
     return wanted or (frame.checksum_ok and own(mks(drive), message) and frame.data[:1] == b"\xfb")
+
+
+def take_bad_package(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+    """Take packages whatever their checksum."""
+    return wanted or package(mks(drive), message)
 
 
 def take_short_package(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
@@ -847,6 +881,13 @@ def six_bytes(drive: MksCore, body: bytes) -> bytes | None:
 def low_byte_register(drive: MksCore, body: bytes) -> bytes | None:
     """Look only at the low byte of a register."""
     return body[:REGISTER] + b"\0" + body[REGISTER + 1 :] if body[REGISTER] else None
+
+
+def busy_while_turning(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:
+    """Answer reads with exception 04 while the shaft turns."""
+    body = body_of(drive, outgoing)
+    busy = body[FUNCTION] in READS and mks(drive).motor.speed(drive.now_ns)
+    yield rebuilt(drive, outgoing, bytes((body[0], body[FUNCTION] | 0x80, 4))) if busy else outgoing
 
 
 def echo_at_end(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:

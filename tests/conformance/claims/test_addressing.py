@@ -59,7 +59,11 @@ def test_a_package_that_is_executed_whatever_its_sum_is_refuted():
         return wanted or frame.data[:1] == b"\xfc"
 
     fault = Fault("sum", ("mks-rs485",), "packages are not checked", "package", lambda h: h.accept.append(any_sum))
-    assert refuted(Theme.ADDRESSING, "mks-rs485@1", "package", fault=fault) == {"package/checksum", "package/length"}
+    assert refuted(Theme.ADDRESSING, "mks-rs485@1", "package", fault=fault) == {
+        "package/checksum",
+        "package/damaged",
+        "package/length",
+    }
 
 
 def test_a_broadcast_that_is_executed_twice_is_refuted():

@@ -168,6 +168,12 @@ def hearing(open_story):
     story.tell("run_speed", 81, speed=60)
     story.wait(100 * MS, 1)
     yield story
+    for address in (0, 80):
+        story = open_story(group_address=80)
+        story.tell("run_speed", speed=60)
+        story.tell("stop_speed", address)
+        story.wait(100 * MS, 1)
+        yield story
 
 
 def packages(open_story):
@@ -187,6 +193,13 @@ def packages(open_story):
     good = package("01 " + fast)
     yield told(good[:40] + good[-1:])
     yield told(package("01 31"))
+    for slot in ("F6 00 00 00", "92"):
+        story = open_story()
+        story.tell("run_speed", speed=60)
+        story.wait(100 * MS)
+        story.send(package("01 " + slot), dialect=NATIVE)
+        story.wait(100 * MS, 1)
+        yield story
 
 
 def exceptions(open_story):
@@ -243,6 +256,10 @@ def moves(open_story):
     for speed in (2999, 3000, 3001, 5000):
         story.tell("move_absolute_axis", speed=speed, position=100_000)
     yield story
+    story = open_story(mode=3)
+    story.tell("move_relative_axis", speed=600, position=100_000)
+    story.wait(SECOND, 2)
+    yield story
 
 
 def stops(open_story):
@@ -283,6 +300,7 @@ def respond(open_story):
         story.tell("run_speed", speed=600)
         story.tell("stop_speed")
         story.wait(SECOND)
+        story.tell("set_subdivision", subdivision=16)
         yield story
         for way in (lambda s: s.tell("restart"), lambda s: s.drive.power_cycle(s.now)):
             way(story)
