@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
-from conformance.drives import make
+from conformance.drives import make, realism
 from conformance.drives.bus import Bus
 from conformance.drives.can_bus import CanBus
 from conformance.drives.drive import Drive
@@ -38,6 +38,7 @@ examples:
   servotap emulate mks-modbus@1,baud=115200 --pty --state drive.json --log bus.mcap
   servotap emulate lk-rs485@3,fault=late-reply --tcp :5000    for pyserial's socket://127.0.0.1:5000
   servotap emulate mks-can@1 mks-can@2 --can udp_multicast:239.74.163.2,bitrate=500000
+  servotap emulate mks-rs485@1,real=bench,latency-timer=16ms --pty       an honest drive as it is in the world
   servotap emulate --list-faults
 """
 SECOND_NS = 1_000_000_000
@@ -47,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument(
         "drives", nargs="*", metavar="DRIVE",
-        help="DIALECT@ADDRESS[,model=M][,quirk=NAME][,fault=NAME][,baud=N][,SETTING=VALUE]",
+        help="DIALECT@ADDRESS[,model=M][,quirk=NAME][,fault=NAME][,real=bench|poor][,TRAIT=VALUE][,baud=N][,SETTING=VALUE]",
     )  # fmt: skip
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--pty", nargs="?", const="", metavar="LINK", help="a pseudo-terminal; LINK: a link to it")
@@ -70,6 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--duration", type=_seconds, metavar="S", help="end after S seconds")
     parser.add_argument("--list-quirks", action="store_true", help="list the quirks of real drives and where they were seen")
+    parser.add_argument("--list-realism", action="store_true", help="list what honest drives and lines do, by trait")
     parser.add_argument("--list-faults", action="store_true", help="list the faults a drive can be given")
 
 
@@ -89,7 +91,9 @@ def _seconds(text: str) -> float:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the drives until they are told to end; return 0."""
-    if arguments.list_quirks or arguments.list_faults:
+    if arguments.list_quirks or arguments.list_faults or arguments.list_realism:
+        if arguments.list_realism:
+            _print_realism()
         if arguments.list_quirks:
             _print_changes(make.every_quirk(), lambda quirk: f"seen: {quirk.source}")
         if arguments.list_faults:
@@ -106,6 +110,15 @@ def run(arguments: argparse.Namespace) -> int:
 def _print_changes(changes: Sequence[Any], last: Callable[[Any], str]) -> None:
     for change in changes:
         print(f"{change.name}  ({', '.join(change.dialects)})\n    {change.text}\n    {last(change)}")
+
+
+def _print_realism() -> None:
+    for trait in realism.TRAITS:
+        written = f"{trait.name}={trait.example}" if trait.unit else trait.name
+        where = "  (serial lines)" if trait.serial else ""
+        print(f"{written}{where}\n    {trait.touches}\n    unit: {trait.unit or 'none'}; from: {trait.source}")
+    for name, traits in realism.SETS.items():
+        print(f"real={name}\n    " + ",".join(f"{n}={value}" if value else n for n, value in traits.items()))
 
 
 def _untangle(arguments: argparse.Namespace) -> None:

@@ -26,7 +26,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypedDict
+from typing import Any, NamedTuple, Protocol, TypedDict
 
 import msgspec
 
@@ -109,16 +109,32 @@ class Fault:
     install: Callable[[Hooks], None]
 
 
+class Change(Protocol):
+    """What changes a drive through its hooks: a quirk, a fault, realism."""
+
+    def install(self, hooks: Hooks, /) -> None:
+        """Add its functions."""
+
+
+class Rest(NamedTuple):
+    """How the shaft comes to rest. `at_ns`: when; `since_ns`: for how long, negative before; `way`: the sign of its turning."""
+
+    at_ns: float
+    since_ns: float
+    way: int
+
+
 class Options(TypedDict, total=False):
     """What all drives can be made with.
 
     `settings`: what is stored at first, by the setting command's field names, integers as sent; they replace the defaults.
-    `seed` makes chance repeatable.
+    `realism`: what makes it real, behind all else. `seed` makes chance repeatable.
     """
 
     settings: Mapping[str, int] | None
     quirks: Iterable[Quirk]
     faults: Iterable[Fault]
+    realism: Change | None
     seed: int
 
 
@@ -250,6 +266,7 @@ class Drive(ABC):
         settings: Mapping[str, int] | None = None,
         quirks: Iterable[Quirk] = (),
         faults: Iterable[Fault] = (),
+        realism: Change | None = None,
         seed: int = 0,
     ) -> None:
         self.responders = tuple(responders)
@@ -261,9 +278,10 @@ class Drive(ABC):
         self.now_ns = 0
         self.reply_delay_ns = 1_000_000
         self.hooks = Hooks()
-        changes: list[Quirk | Fault] = [*quirks, *faults]
+        changes: list[Change | None] = [*quirks, *faults, realism]
         for change in changes:
-            change.install(self.hooks)
+            if change is not None:
+                change.install(self.hooks)
         #: The names of the settings that hold the speed of the link and the group that the drive is in. A drive whose speed
         #: no command sets is given it in bits per second.
         self.speed_setting = self._named(Effect.BAUD_RATE) or "baud_rate"
@@ -471,6 +489,20 @@ class Drive(ABC):
     @abstractmethod
     def foresee(self) -> tuple[int, Callable[[], None]] | None:
         """Return what the drive does next by itself, and when, or None while nothing is under way."""
+
+    @property
+    @abstractmethod
+    def counts_per_turn(self) -> int:
+        """What the encoder counts in a turn, as it is sent."""
+
+    @property
+    @abstractmethod
+    def rest(self) -> Rest:
+        """When and how the shaft came to rest, or will."""
+
+    @abstractmethod
+    def hot(self, temperature: float) -> None:
+        """Set the temperature of the motor (degC)."""
 
     @abstractmethod
     def power_cycle(self, t_ns: int) -> None:

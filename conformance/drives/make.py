@@ -1,8 +1,8 @@
 """Makes drives from their names.
 
-    mks-rs485@1    mks-rs485@2,model=57D,quirk=stale-status    lk-rs485@3,fault=late-reply,baud=38400
+    mks-rs485@1    mks-rs485@2,model=57D,quirk=stale-status    lk-rs485@3,fault=late-reply,baud=38400,real=bench
 
-    DIALECT@ADDRESS[,model=M][,quirk=NAME...][,fault=NAME...][,baud=N][,SETTING=VALUE...]
+    DIALECT@ADDRESS[,model=M][,quirk=NAME...][,fault=NAME...][,real=bench|poor][,TRAIT=VALUE...][,baud=N][,SETTING=VALUE...]
 
 A setting is named as its field, or as its command without `set_` where that has one field: `work_mode=5`,
 `work_mode=sr_vfoc`, `direction=ccw`. Values are as people write them, in the unit of the field. `baud` (`bitrate` on CAN)
@@ -24,7 +24,9 @@ from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
 from analyzer.layout import Field
 from analyzer.values import near, parse_value, quote, refusal
+from conformance.drives import realism
 from conformance.drives.drive import Drive, Fault, Quirk
+from conformance.drives.realism import Realism
 
 
 class DriveClass(NamedTuple):
@@ -60,6 +62,7 @@ class Specification:
     faults: tuple[Fault, ...] = ()
     settings: tuple[tuple[str, str], ...] = ()
     speed: int | None = None
+    realism: Realism | None = None
 
     @property
     def name(self) -> str:
@@ -114,10 +117,13 @@ def parse(text: str) -> Specification:
     if dialect.name not in KINDS:
         raise UsageError(f"no emulated drive speaks {dialect.name} (there are {', '.join(KINDS)})")
     found: dict[str, list[str]] = {}
-    settings = []
+    settings, real = [], []
     for part in parts:
         word, equals, value = part.partition("=")
         word = word.strip()
+        if word == "real" or word.replace("_", "-") in realism.BY_NAME:
+            real.append((word.replace("_", "-"), value.strip()))
+            continue
         if not equals or not word or not value.strip():
             raise UsageError(f"{head}: got {quote(part)}, expected NAME=VALUE, as in model={_example(dialect)}")
         if word in _WORDS:
@@ -135,6 +141,7 @@ def parse(text: str) -> Specification:
         tuple(_find(every_fault(), "fault", n, dialect.name) for n in found.get("fault", ())),
         tuple(settings),
         _speed(dialect, head, found),
+        realism.parse(head, real),
     )
 
 
@@ -262,10 +269,11 @@ def make(
     for word, text in specification.settings:
         name = names.find(word)
         if name is None:
-            known = near(word, [*names.names, *_WORDS])
+            known = near(word, [*names.names, *_WORDS, "real", *realism.BY_NAME])
             raise UsageError(f"{specification.name} has no setting {quote(word)}{known}")
         given[name] = names.value(name, text)
-    drive = _made(specification, settings=given, quirks=specification.quirks, faults=specification.faults, seed=seed)
+    changes: dict[str, Any] = {"quirks": specification.quirks, "faults": specification.faults, "realism": specification.realism}
+    drive = _made(specification, settings=given, seed=seed, **changes)
     if reply_delay_ns is not None:
         changed_ns = drive.reply_delay_ns - plain.reply_delay_ns
         drive.reply_delay_ns = max(0, reply_delay_ns + changed_ns)

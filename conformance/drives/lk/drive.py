@@ -60,7 +60,7 @@ from analyzer.protocols.lk_rs485 import (
     SpinDirection,
 )
 from analyzer.records import Frame, Message
-from conformance.drives.drive import Drive, Options, Request, Responder, Values
+from conformance.drives.drive import Drive, Options, Request, Responder, Rest, Values
 from conformance.drives.lk.motor import BUILDS, Build, Limits, LkMotor, Speed, Torque
 
 DEFAULT_MODEL = "MF"
@@ -394,6 +394,17 @@ class LkDrive(Drive):
 
     def _stall(self) -> None:
         self._raise({"stalled"})
+
+    @property
+    def counts_per_turn(self) -> int:
+        """What the encoder counts in a turn, as it is sent."""
+        return self.motor.encoder_scale
+
+    @property
+    def rest(self) -> Rest:
+        """When and how the shaft came to rest, or will."""
+        at_ns, way = self.motor.rests
+        return Rest(at_ns, self.now_ns - at_ns, way)
 
     def power_cycle(self, t_ns: int) -> None:
         """Switch the drive off and on: parameters, turns and errors are gone, the stored zero takes effect."""

@@ -34,6 +34,8 @@ from conformance.drives.lk.paths import Lag, Motion, Path, Ramps, Still, Stretch
 TURN = 360.0
 #: Angles nearer than this are one angle: what is left by the rounding of floats.
 SAME = 1e-6
+#: Seconds before the end of a path at which its direction is looked at.
+_JUST_BEFORE = 1e-4
 #: A speed or position loop that pushes against a held shaft for this long has stalled.
 STALL_NS = 1_000_000_000
 
@@ -297,6 +299,17 @@ class LkMotor:
     def motion(self) -> Motion:
         """The shaft now."""
         return self._path.at((self.now_ns - self._path_ns) / 1e9)
+
+    @property
+    def rests(self) -> tuple[float, int]:
+        """When the shaft comes to rest, later than now while it turns, and the sign of its turning until then."""
+        speed, seconds = self.motion.speed, self._path.seconds
+        if speed:
+            return self.now_ns + 1, 1 if speed > 0 else -1
+        if math.isinf(seconds):
+            return self._path_ns, 0
+        before = self._path.at(max(0.0, seconds - _JUST_BEFORE)).speed
+        return self._path_ns + seconds * 1e9, (before > 0) - (before < 0)
 
     @property
     def settles_ns(self) -> int | None:

@@ -31,7 +31,7 @@ from analyzer.catalogue import Dialect, Verb
 from analyzer.layout import Effect
 from analyzer.link import CanLink, HeadLink, Link, ModbusLink
 from analyzer.protocols import mks_rs485
-from conformance.drives.drive import Options
+from conformance.drives.drive import Options, Rest
 from conformance.drives.mks.core import Behaviour, MksCore
 from conformance.drives.mks.motion import MOTION, power_on
 from conformance.drives.mks.motor import Switch
@@ -72,6 +72,21 @@ class MksDrive(MksCore):
         if chosen is not None:
             options["settings"] = {chosen[1].name: int(dialect.chosen_by)} | dict(options.get("settings") or {})
         super().__init__(_responders(dialect, model or dialect.model), address, BEHAVIOURS, power_on, **options)
+
+    @property
+    def counts_per_turn(self) -> int:
+        """What the encoder counts in a turn."""
+        return self.motor.counts_per_turn
+
+    @property
+    def rest(self) -> Rest:
+        """When and how the shaft came to rest, or will."""
+        now, path = self.now_ns, self.motor.path
+        speed = path.speed(now)
+        if speed:
+            return Rest(now, -1, 1 if speed > 0 else -1)
+        at_ns = float(path.settled)
+        return Rest(at_ns, now - at_ns, next((s.way for s in reversed(path.segments) if s.way), 0))
 
     def power_cycle(self, t_ns: int) -> None:
         """Switch the drive off and on: what is in RAM is gone, what happens at power-on happens."""

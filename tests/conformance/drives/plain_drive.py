@@ -7,7 +7,7 @@ from collections.abc import Callable
 from analyzer import dialects
 from analyzer.catalogue import Verb
 from analyzer.records import Frame
-from conformance.drives.drive import Drive, Outgoing, Request, Responder, Values
+from conformance.drives.drive import Drive, Outgoing, Request, Responder, Rest, Values
 
 MOVE_NS = 50_000_000
 
@@ -55,6 +55,12 @@ class PlainDrive(Drive):
     def _arrive(self) -> None:
         _, request = self._moves.pop(0)
         self.answer(request, self._zeros(request, 2), True, self.address, self.now_ns)
+
+    counts_per_turn = 16384
+    rest = Rest(0, 0, 0)
+
+    def hot(self, temperature: float) -> None:
+        return
 
     def power_cycle(self, t_ns: int) -> None:
         self._moves.clear()
