@@ -91,7 +91,7 @@ def _told_in_time(probe: Probe, command: Command) -> None:
     if not ends:
         raise Inconclusive(f"{command.name} did not say that it was complete")
     place = seen[-1].value
-    stood = next(s for s in seen if abs(s.value - place) <= motion.SAME)
+    stood = next(s for s in seen if abs(s.value - place) <= motion.same(probe))
     late_ms = (ends[-1].first_ns - stood.t_ns) / 1e6
     text = f"the end of {command.name} is told late"
     at_most = _HALF_SECOND_NS / 1e6

@@ -221,7 +221,7 @@ def _same_encoder(probe: Probe, command: Command) -> None:
         values, _ = _encoder(probe)
         motion.switch(probe, True)
         text = "the state tells another encoder value than 90"
-        probe.expect(told, near=values["encoder"], within=_JITTER, refutes=text, exchange=exchange)
+        probe.expect(told, near=values["encoder"], within=_JITTER + probe.noise.encoder, refutes=text, exchange=exchange)
 
 
 def _power_cycle(probe: Probe) -> None:
@@ -270,7 +270,7 @@ def _answers_raw(probe: Probe, command: Command) -> None:
         told = probe.reply(exchange).values["encoder_zero"]
         values, _ = _encoder(probe)
         text = "19 is answered with another value than the raw one"
-        probe.expect(told, near=values["encoder_raw"], within=_JITTER, refutes=text, exchange=exchange)
+        probe.expect(told, near=values["encoder_raw"], within=_JITTER + probe.noise.encoder, refutes=text, exchange=exchange)
         _power_cycle(probe)
 
 

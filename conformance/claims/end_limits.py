@@ -72,7 +72,7 @@ def _homed(probe: Probe, end_limit: int = 1) -> None:
     # Homing may have let the shaft go.
     probe.do(Verb.ENABLE, {"enabled": 1})
     move = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), _degrees(probe, _HALF))
-    if abs(move.degrees - _degrees(probe, _HALF)) > motion.SAME:
+    if abs(move.degrees - _degrees(probe, _HALF)) > motion.same(probe):
         raise Inconclusive(f"a move by {_HALF} counts between the end stops went {move.degrees:+.2f} degrees")
 
 

@@ -84,8 +84,8 @@ def _voltage(probe: Probe, command: Command) -> None:
     """The voltage is that of the supply, in 0.01 V."""
     for volts in (23.45, 18.02):
         lk_drive(probe).supply(volts)
-        seen = probe.read(command, "voltage")
-        probe.expect(seen, near=round(volts * 100), within=1, refutes="the voltage is another one")
+        seen = probe.read(command, "voltage") / 100
+        probe.expect(seen, near=volts, within=0.01, unit="V", refutes="the voltage is another one")
 
 
 @_state(refuted_by="another one", emulated=True)

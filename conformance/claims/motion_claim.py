@@ -93,14 +93,14 @@ def that_tell_their_end(each: Cases) -> Cases:
 def expect_stays(before: Sample, after: Sample, exchange: Exchange | None, text: str, within: float = SAME) -> None:
     """Refute unless the shaft is where it was, `within` so many degrees."""
     moved = after.value - before.value
-    if abs(moved) > within:
+    if abs(moved) > within + after.noise:
         raise Refuted(text, expected="no motion", got=f"the shaft moved by {moved:+.2f} degrees", exchange=exchange)
 
 
 def expect_speed(seen: Sample | float, rpm: float, exchange: Exchange | None, text: str, share: float = 0.01) -> None:
     """Refute unless a speed is near `rpm`, whichever way the shaft turns."""
-    value = abs(seen if isinstance(seen, float) else seen.value)
-    if abs(value - abs(rpm)) > 1 + abs(rpm) * share:
+    value, noise = (abs(seen), 0.0) if isinstance(seen, float) else (abs(seen.value), seen.noise)
+    if abs(value - abs(rpm)) > 1 + abs(rpm) * share + noise:
         raise Refuted(text, expected=f"{abs(rpm):g} rpm", got=f"{value:g} rpm", exchange=exchange)
 
 
@@ -117,7 +117,8 @@ def expect_at_rest(probe: Probe, command: Command, exchange: Exchange, refutes: 
         raise Inconclusive(f"{command.name} did not say that it was complete")
     at_once = motion.position(probe)
     off = abs(motion.wait_standing(probe).value - at_once.value)
-    if SAME < off <= _SETTLING and "settling" in probe.claim.quirks:
+    most = SAME + probe.noise.swing
+    if most < off <= _SETTLING + probe.noise.place and "settling" in probe.claim.quirks:
         probe.meets("settling")
     else:
-        probe.expect(off, at_most=SAME, unit="degrees from where it comes to rest", refutes=refutes, exchange=exchange)
+        probe.expect(off, at_most=most, unit="degrees from where it comes to rest", refutes=refutes, exchange=exchange)

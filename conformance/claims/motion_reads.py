@@ -61,7 +61,8 @@ def _turn(probe: Probe) -> None:
         before = _counts(probe)
         _move_by_pulses(probe, turns)
         change, wanted = abs(_counts(probe) - before), probe.dialect.counts_per_turn
-        probe.expect(change, near=wanted, within=_JITTER, refutes="a turn of the shaft is another number of counts")
+        text = "a turn of the shaft is another number of counts"
+        probe.expect(change, near=wanted, within=_JITTER, unit="counts", refutes=text)
 
 
 @of_motion(
@@ -80,7 +81,7 @@ def _is_position(probe: Probe, command: Command) -> None:
         together, counts = carry * turn + value, _counts(probe)
         probe.expect(
             f"{carry} x {turn} + {value} = {together}",
-            holds=abs(together - counts) <= _JITTER,
+            holds=abs(together - counts) <= _JITTER + probe.noise.counts,
             expected=f"{counts}, as read_position has it",
             refutes="carry and value are not the position",
             exchange=exchange,
@@ -225,7 +226,7 @@ def _angle_is_position(probe: Probe) -> None:
         turned, moved = angle(probe) - angle_before, motion.position(probe).value - place_before
         probe.expect(
             f"{around(turned):+.2f} degrees",
-            holds=abs(around(turned - moved)) <= motion.near(probe.dialect),
+            holds=abs(around(turned - moved)) <= motion.near(probe.dialect) + probe.noise.place,
             expected=f"{around(moved):+.2f} degrees",
             refutes="the angle within the turn does not change as the position does",
         )
@@ -291,7 +292,7 @@ def _speed_at_rest(probe: Probe) -> None:
     before = motion.position(probe)
     seen = motion.speed(probe)
     exchange = probe.traffic[-1]
-    if abs(motion.position(probe).value - before.value) > motion.SAME:
+    if abs(motion.position(probe).value - before.value) > motion.same(probe):
         raise Inconclusive("the shaft does not stand")
     text = "the shaft stands and its speed is not 0"
     probe.expect(seen, near=0, within=0.9, unit="rpm", refutes=text, exchange=exchange)

@@ -145,7 +145,7 @@ def _opposite(probe: Probe, command: Command) -> None:
     there, back = _there_and_back(probe, command)
     probe.expect(
         f"{there.degrees:+.2f} and {back.degrees:+.2f} degrees",
-        holds=there.degrees * back.degrees < 0 and min(abs(there.degrees), abs(back.degrees)) > SAME,
+        holds=there.degrees * back.degrees < 0 and min(abs(there.degrees), abs(back.degrees)) > motion.same(probe),
         expected="two ways",
         refutes=f"{command.name} does not turn two ways",
         exchange=back.exchange,
@@ -242,7 +242,9 @@ def _reads_as_asked(probe: Probe, command: Command) -> None:
         target = motion.place(probe, command) + round(degrees * turn / 360)
         move = motion.follow(probe, command, degrees)
         text = f"{command.name}: the drive reads another place than was asked for"
-        probe.expect(motion.place(probe, command), near=target, within=2, refutes=text, exchange=move.exchange)
+        unit = "counts" if probe.dialect.counts_per_turn else "0.01 degrees"
+        seen = motion.place(probe, command)
+        probe.expect(seen, near=target, within=2, unit=unit, refutes=text, exchange=move.exchange)
 
 
 @of_motion(each=_in_turn, refuted_by="one way for both directions")
@@ -251,7 +253,7 @@ def _two_ways(probe: Probe, command: Command) -> None:
     cw, ccw, exchange = _both_ways(probe, command)
     probe.expect(
         f"{cw:+.1f} and {ccw:+.1f} degrees",
-        holds=cw * ccw < 0 and abs(abs(cw) + abs(ccw) - 360) <= 2 * motion.near(probe.dialect),
+        holds=cw * ccw < 0 and abs(abs(cw) + abs(ccw) - 360) <= 2 * motion.near(probe.dialect) + probe.noise.place,
         expected="two ways that are a turn together",
         refutes=f"{command.name} does not go to one angle by both ways",
         exchange=exchange,
@@ -264,7 +266,7 @@ def _clockwise(probe: Probe, command: Command) -> None:
     cw, ccw, exchange = _both_ways(probe, command)
     probe.expect(
         f"{cw:+.1f} and {ccw:+.1f} degrees",
-        holds=max(abs(cw - 120), abs(ccw + 240)) <= motion.near(probe.dialect),
+        holds=max(abs(cw - 120), abs(ccw + 240)) <= motion.near(probe.dialect) + probe.noise.place,
         expected="+120 and -240 degrees",
         refutes=f"{command.name} does not turn the way that it was told",
         exchange=exchange,

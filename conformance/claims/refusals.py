@@ -15,7 +15,7 @@ from conformance.claim import Inconclusive
 from conformance.claims.declare import Case, motions
 from conformance.claims.motion_claim import command_of, expect_stays, of_motion, risks_by
 from conformance.motion import motion
-from conformance.motion.motion import MOVES, QUICK, SAME, SECOND_NS
+from conformance.motion.motion import MOVES, QUICK, SECOND_NS
 from conformance.talk.probe import Probe
 from conformance.talk.samples import sample
 
@@ -45,7 +45,7 @@ def expect_refused(probe: Probe, command: Command, why: str, again: Callable[[],
         again()
         probe.wait(SECOND_NS)
     after = motion.position(probe)
-    if abs(after.value - before.value) > SAME:
+    if abs(after.value - before.value) > motion.same(probe):
         motion.stop(probe)
     expect_stays(before, after, exchange, f"{command.name} {why} turns the shaft")
     probe.expect(

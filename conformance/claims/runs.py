@@ -216,7 +216,7 @@ def _changes(probe: Probe) -> None:
         if rpm == 25:
             seen = motion.turning(probe)  # the ramp from 50 to 25 rpm takes 250 ms at 10 ms for each rpm
             text = "a newer run stops the shaft first"
-            probe.expect(abs(seen), at_least=rpm - 1, unit="rpm", refutes=text, exchange=exchange)
+            probe.expect(abs(seen.value), at_least=rpm - 1, unit="rpm", refutes=text, exchange=exchange)
         probe.wait(800 * MS)
         expect_speed(motion.turning(probe), rpm, exchange, "a newer run does not take over")
     motion.stand_still(probe)

@@ -45,7 +45,7 @@ def expect_standing(probe: Probe, exchange: Exchange, refutes: str) -> None:
     before = motion.position(probe)
     probe.wait(300 * MS)
     moved = motion.position(probe).value - before.value
-    stands = abs(seen.value) < 1 and abs(moved) <= motion.near(probe.dialect)
+    stands = abs(seen.value) < 1 + seen.noise and abs(moved) <= motion.near(probe.dialect) + probe.noise.place
     if not stands:
         motion.stop(probe, 0)
     got = f"{seen.value:g} rpm, and {moved:+.2f} degrees in 300 ms"
@@ -64,11 +64,11 @@ def _expect_halt(probe: Probe, exchange: Exchange, at_once: Sample, refutes: str
     probe.wait(300 * MS)
     end = motion.position(probe)
     went = max(abs(later.value - at_once.value), abs(end.value - at_once.value))
-    if went > SAME:
+    if went > motion.same(probe):
         motion.stop(probe)
     got = f"{went:.2f} degrees in {(end.t_ns - at_once.t_ns) / 1e6:.0f} ms"
     expected = "no motion after the reply"
-    probe.expect(got, holds=went <= SAME, expected=expected, refutes=refutes, exchange=exchange)
+    probe.expect(got, holds=went <= motion.same(probe), expected=expected, refutes=refutes, exchange=exchange)
 
 
 # --- the stop of a motion ---------------------------------------------------------------------------------------------

@@ -62,15 +62,15 @@ class Trait(NamedTuple):
 
 TRAITS: tuple[Trait, ...] = (
     Trait("encoder-noise", "counts", "positions, angles and encoder values read", "magnetic encoders of 14 bits", "1"),
-    Trait("loop-error", "counts", "how far from its target the shaft rests, anew after each motion; its lag", "closed loops", "3"),
+    Trait("loop-error", "counts", "how far the shaft rests from its target, and its lag", "closed loops", "3"),
     Trait("speed-noise", "%", "speeds read while the shaft turns", "speeds are differences of a trembling encoder", "2%"),
     Trait("tremble", "rpm", "speeds read of a resting shaft", "speeds are differences of a trembling encoder", "1"),
     Trait("settle", "ms", "how long the shaft swings after a motion", "TRazDev/servo42es-esp32-can-controller", "50ms"),
-    Trait("overshoot", "counts", "how far beyond its target the shaft swings at first", "the same: +4096 read 4082 at done", "5"),
+    Trait("overshoot", "counts", "how far beyond its target the shaft swings first", "the same: 4082 of 4096 at done", "5"),
     Trait("latency", "ms", "how long a reply takes", "MKS drives answer in 0.3 to 8 ms", "0.3..8ms", span=True),
     Trait("latency-timer", "ms", "replies come at whole multiples of it", "FTDI adapters (pyserial PR 290)", "16ms"),
     Trait("turnaround-noise", "byte", "a byte that is none, before each reply", "transceivers without bias", "FF", serial=True),
-    Trait("byte-gap", "characters", "a pause inside one of four replies", "firmware that fills a UART by polling", "1", serial=True),
+    Trait("byte-gap", "characters", "a pause inside one of four replies", "UARTs filled by polling", "1", serial=True),
     Trait("line-errors", "%", "replies with one bit turned over", "long lines without termination", "0.1%"),
     Trait("voltage-noise", "V", "volts and amperes read", "switching supplies", "0.2"),
     Trait("warm", "", "the motor is at 62 degC", "any motor that works", ""),

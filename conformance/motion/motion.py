@@ -74,17 +74,23 @@ _POSITION = (Verb.READ_POSITION, Verb.READ_ENCODER_CARRY)
 _SPEED = (Verb.READ_SPEED, Verb.READ_STATE_2)
 #: What tells whether a motor is on, in which field, and its values of a motor that is on and off.
 _ON_READ = ((Verb.READ_ENABLED, "enabled", 1, 0), (Verb.READ_STATE_1, "state", 0x00, 0x10))
+#: The unit by which the noise of a quantity is known.
+_UNITS: Mapping[str, str] = {"position": "degrees", "speed": "rpm", "voltage": "V"}
 _ENABLING = (Verb.ENABLE, Verb.MOTOR_ON)
 
 
 @dataclass(frozen=True)
 class Sample:
-    """A measured value: it held at some moment within `spread_ns` of `t_ns`. `step`: the smallest difference it shows."""
+    """A measured value: it held at some moment within `spread_ns` of `t_ns`. `step`: the smallest difference it shows.
+
+    `noise`: by how much it may be off, as the run measured at rest.
+    """
 
     t_ns: float
     spread_ns: float
     value: float
     step: float
+    noise: float = 0.0
 
     def minus(self, other: Sample) -> tuple[float, float]:
         """Return the difference of two values and of their times (ns)."""
@@ -182,6 +188,7 @@ class _Reading:
     """A command whose reply holds a quantity, and the fields that add up to it."""
 
     command: Command
+    quantity: str
     fields: tuple[Field, ...]
 
     def value(self, values: Mapping[str, int]) -> float:
@@ -200,7 +207,7 @@ def _reading(dialect: Dialect, quantity: str, verbs: Iterable[Verb]) -> _Reading
         named = command.reply_forms[0].layout.named.values()
         fields = tuple(f for f in named if f.state is not None and f.state.quantity == quantity)
         if fields:
-            return _Reading(command, fields)
+            return _Reading(command, quantity, fields)
     raise Inconclusive(f"{dialect.name} has no command that reads the {quantity}")
 
 
@@ -217,7 +224,8 @@ def _measure(probe: Probe, reading: _Reading) -> Sample:
     if any(n not in answer.values for n in names):
         raise Inconclusive(f"the answer to {reading.command.name} has no {' and '.join(names)}")
     between_ns = max(0, answer.first_ns - exchange.sent_ns)
-    return Sample(exchange.sent_ns + between_ns / 2, between_ns / 2, reading.value(answer.values), reading.step)
+    value, unit = reading.value(answer.values), _UNITS.get(reading.quantity, "")
+    return Sample(exchange.sent_ns + between_ns / 2, between_ns / 2, value, reading.step, probe.noise.of(unit, value))
 
 
 def readable(exchange: Exchange) -> bool:
@@ -238,6 +246,18 @@ def position(probe: Probe) -> Sample:
     return sample
 
 
+def reads_position(dialect: Dialect) -> Command:
+    """Return the command that reads the position. Raises Inconclusive where there is none."""
+    return _reading(dialect, "position", _POSITION).command
+
+
+def volts(probe: Probe) -> float:
+    """Measure the supply in volts; 0 where no command reads it. Raises Inconclusive where it cannot be read."""
+    if Verb.READ_STATE_1 not in probe.dialect.by_verb:
+        return 0.0
+    return _measure(probe, _reading(probe.dialect, "voltage", (Verb.READ_STATE_1,))).value
+
+
 def speed(probe: Probe) -> Sample:
     """Measure the speed, in rpm, positive where the position rises. Raises Inconclusive where it cannot be read."""
     return _measure(probe, _reading(probe.dialect, "speed", _SPEED))
@@ -254,9 +274,12 @@ def speed_between(first: Sample, second: Sample) -> tuple[float, float]:
     return rpm, uncertain
 
 
-def turning(probe: Probe) -> float:
-    """Return the speed of a turning shaft in rpm: as the drive reads it, or from positions where no read is about it alone."""
-    return speed(probe).value if Verb.READ_SPEED in probe.dialect.by_verb else mean_speed(probe, 300 * MS)[0]
+def turning(probe: Probe) -> Sample:
+    """Measure the speed of a turning shaft in rpm: as the drive reads it, or from positions where no read is about it alone."""
+    if Verb.READ_SPEED in probe.dialect.by_verb:
+        return speed(probe)
+    rpm, spread = mean_speed(probe, 300 * MS)
+    return Sample(probe.gate.now_ns(), 0.0, rpm, spread)
 
 
 def mean_speed(probe: Probe, over_ns: int = SECOND_NS) -> tuple[float, float]:
@@ -293,6 +316,11 @@ def of(command: Command) -> Motion:
 def near(dialect: Dialect) -> float:
     """Return by how many degrees a move may miss its target."""
     return SAME if dialect.counts_per_turn else _NEAR
+
+
+def same(probe: Probe) -> float:
+    """Return in how many degrees two positions are one: two counts of the coarsest encoder, and the noise."""
+    return SAME + probe.noise.place
 
 
 def field_of(command: Command, name: str) -> Field:
@@ -486,7 +514,7 @@ def wait_standing(probe: Probe, *, limit_ns: int = _REST_NS) -> Sample:
         # A fast shaft takes as long as its ramp; there is nothing to see before.
         probe.wait(max(_LOOK_NS, min(int(rpm * ramp.step_ns(GENTLE)), limit_ns)))
         now, rpm = position(probe), abs(speed(probe).value)
-        if abs(now.value - before.value) <= SAME and rpm < 1:
+        if abs(now.value - before.value) <= same(probe) and rpm < 1 + probe.noise.rpm:
             return now
         if probe.gate.now_ns() >= until_ns:
             raise Inconclusive(f"the shaft does not come to rest within {limit_ns / 1e9:.0f} s")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Risk
@@ -12,8 +13,10 @@ from conformance.drives.make import Specification
 from conformance.gate.budget import Budget
 from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
+from conformance.motion import resting
 from conformance.suite.rig import ClaimRig
-from conformance.talk.probe import MS, SECOND_NS, Probe
+from conformance.talk.noise import Noise
+from conformance.talk.probe import MS, SECOND_NS, Probe, plain_probe
 
 if TYPE_CHECKING:
     from conformance.drives.drive import Drive
@@ -48,6 +51,12 @@ class EmulatedRig(ClaimRig):
     def make_drive(self) -> Drive:
         """Return a new drive of the specification."""
         return make.make(self.specification, seed=self.seed)
+
+    @cached_property
+    def noise(self) -> Noise:
+        """What a new drive of the specification shows at rest."""
+        probe = plain_probe(self.dialect, self.address, Gate(EmulatedLine([self.make_drive()]), self._allowance))
+        return resting.measure(probe)
 
     def probe(self, claim: Claim) -> Probe:
         """Return a probe of a new drive."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,7 @@ from conformance.bus.line import Line, LineLost
 from conformance.claim import Claim, NotStopped, RigFault
 from conformance.gate.gate import Gate
 from conformance.gate.permissions import READS, Allowance
+from conformance.motion import resting
 from conformance.safety import messages as say
 from conformance.safety import settings
 from conformance.safety.guarded import GuardedLine
@@ -34,7 +36,8 @@ from conformance.suite.rig import ClaimRig
 from conformance.suite.target import Target
 from conformance.talk.dialogue import Dialogue
 from conformance.talk.drive_state import read_drive_state
-from conformance.talk.probe import SECOND_NS, Probe
+from conformance.talk.noise import Noise
+from conformance.talk.probe import SECOND_NS, Probe, plain_probe
 
 if TYPE_CHECKING:
     from conformance.suite.plan import Plan
@@ -139,6 +142,11 @@ class RealRig(ClaimRig):
     def missing(self, claim: Claim) -> str:
         """Return why a claim cannot run here, or nothing."""
         return super().missing(claim) or self.keeper.cannot_keep(claim.settings)
+
+    @cached_property
+    def noise(self) -> Noise:
+        """What the drive and its line show at rest, by reads alone."""
+        return resting.measure(plain_probe(self.dialect, self.address, self.gate))
 
     def probe(self, claim: Claim) -> Probe:
         """Return a probe of the drive."""

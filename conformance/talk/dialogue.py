@@ -98,7 +98,8 @@ class Dialogue:
     """Sends and listens on one line.
 
     `dialects`: what may be spoken there. `direction`: of what comes, None: as the line says. `bare`: reads replies that lack
-    their checksum. `log`: called for each record that leaves or comes.
+    their checksum. `log`: called for each record that leaves or comes. `stray`: bytes of
+    the line that come before each reply and are no part of it.
     """
 
     def __init__(
@@ -111,6 +112,7 @@ class Dialogue:
         direction: Role | None = None,
         bare: Bare | None = None,
         log: Callable[[Chunk | CanFrame], None] | None = None,
+        stray: bytes = b"",
     ) -> None:
         self.gate = gate
         line = gate.line
@@ -120,6 +122,7 @@ class Dialogue:
         self._direction = direction
         self._bare = bare
         self._log = log
+        self._stray = stray
         self._sorter = _Sorter()
         self._pipeline = Pipeline(self.dialects, (self._sorter,), Options(byte_ns=line.byte_ns, late_ns=late_ns))
         self._exchange = Exchange(None, 0)
@@ -203,6 +206,8 @@ class Dialogue:
     def _feed(self, got: Chunk | CanFrame) -> None:
         if self._log is not None:
             self._log(got)
+        if self._stray and isinstance(got, Chunk):
+            got = replace(got, data=self._without_stray(got.data))
         self._exchange.received += got.data
         direction = got.direction if self._direction is None else self._direction
         if isinstance(got, CanFrame):
@@ -210,6 +215,11 @@ class Dialogue:
             return
         chunk = replace(got, port=self._name, direction=direction)
         self._pipeline.feed(chunk if self._bare is None else self._bare.completed(chunk))
+
+    def _without_stray(self, data: bytes) -> bytes:
+        """Return what comes without what the line shows before a reply: at the begin, or where the next one begins alike."""
+        rest = data.removeprefix(self._stray)
+        return data if self._pending and rest[:1] != self._exchange.received[:1] else rest
 
     def _take(self) -> None:
         exchange, sorter, bare = self._exchange, self._sorter, self._bare
@@ -219,6 +229,8 @@ class Dialogue:
             paired = entry.request_sequence in sorter.asked
             exchange.answers.append(Answer(whole or entry, latency_ns, whole is not None, paired))
         for junk in sorter.junk_pieces:
+            if junk.data == self._stray:
+                continue
             whole = None if bare is None else bare.of_junk(junk, exchange)
             if whole is None:
                 exchange.junk.append(junk)

@@ -25,6 +25,7 @@ from conformance.gate.gate import Gate
 from conformance.talk.dialogue import MS, Dialogue, Ended, Until
 from conformance.talk.exchange import Answer, Exchange
 from conformance.talk.no_checksum import Bare
+from conformance.talk.noise import QUIET, Noise
 
 if TYPE_CHECKING:
     from conformance.drives.drive import Drive
@@ -68,6 +69,11 @@ class Rig:
         """Time of a byte on the line."""
         return self.gate.line.byte_ns
 
+    @property
+    def noise(self) -> Noise:
+        """What the run measured of the resting shaft and of the line before it judges."""
+        return QUIET
+
     def timeout_ns(self, until: Until) -> int:
         """Return how long to listen by default."""
         return {Until.REPLY: self.late_ns, Until.DONE: self.done_ns, Until.TIMEOUT: self.silence_ns}[until]
@@ -105,6 +111,7 @@ class Probe:
         #: Command and ns from the end of its request to the beginning of its first reply.
         self.latencies: list[tuple[str, int]] = []
         self.first_ns = self.gate.now_ns()
+        self.noise: Noise = rig.noise
         self._dialogue = Dialogue(
             self.gate,
             (self.dialect,),
@@ -114,6 +121,7 @@ class Probe:
             direction=Role.UNKNOWN if self.dialect.bus == "can" else Role.REPLY,
             bare=Bare(self.dialect),
             log=self.raw.append,
+            stray=self.noise.stray,
         )
 
     # --- asking ---------------------------------------------------------------------------------------------------
@@ -236,7 +244,8 @@ class Probe:
         `got`: a number, a measurement (its `value` counts), a list of numbers, or text beside `holds`. One or several
         conditions: `holds` itself, `equal`, `among` several, `near` a number `within` a distance, `at_least`, `at_most`.
         `refutes`: what a drive does that is otherwise, as a sentence without a stop. `expected` says it where the conditions do
-        not. `exchange` shows it; the last one where none is given. `key`: what makes two failures one; `refutes` by default.
+        not. `unit`: of a number; the noise that the run measured of it widens `within` and the limits. `exchange` shows it;
+        the last one where none is given. `key`: what makes two failures one; `refutes` by default.
 
         Raises Refuted.
         """
@@ -249,10 +258,13 @@ class Probe:
         if among:
             conditions.append((value in among, " or ".join(_text(v, unit) for v in among)))
         if near is not None:
+            within += self.noise.of(unit, near)
             conditions.append((abs(value - near) <= within, f"{_text(near, unit)} +-{within:.3g}"))
         if at_least > -math.inf:
+            at_least -= self.noise.of(unit, at_least)
             conditions.append((value >= at_least, f"at least {_text(at_least, unit)}"))
         if at_most < math.inf:
+            at_most += self.noise.of(unit, at_most)
             conditions.append((value <= at_most, f"at most {_text(at_most, unit)}"))
         if not conditions:
             raise ValueError(f"{self.claim.id}: expect needs a condition")

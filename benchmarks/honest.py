@@ -1,0 +1,106 @@
+"""How many honest drives a suite accuses: drives drawn from all traits of realism, every claim, in virtual time.
+
+    python -m benchmarks.honest [--drives 200] [--seed 1] [--jobs 2] [--set bench|poor]
+
+Each drive has a dialect, a model and traits drawn by its number and the seed. An encoder always trembles by a count at least:
+one of 14 bits that does not has not been seen. Nothing may be refuted; the exit status says so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from multiprocessing import get_context
+
+from analyzer import dialects
+from conformance.claim import Outcome
+from conformance.drives import make
+from conformance.suite import engine
+from conformance.suite import plan as suite
+from conformance.suite.target import parse
+
+#: Each trait but the encoder's noise: how many drives of a hundred have it, and what it is drawn from.
+TRAITS: tuple[tuple[str, int, tuple[str, ...]], ...] = (
+    ("loop-error", 60, ("1", "2", "3", "4")),
+    ("speed-noise", 60, ("0.5%", "1%", "1.5%", "2%")),
+    ("tremble", 30, ("1",)),
+    ("settle", 50, ("10ms", "30ms", "50ms", "80ms")),
+    ("overshoot", 40, ("2", "4", "6", "8")),
+    ("latency", 70, ("0.3..1ms", "0.3..3ms", "0.3..8ms", "2..5ms")),
+    ("latency-timer", 25, ("1ms", "2ms", "16ms")),
+    ("turnaround-noise", 20, ("FF", "00")),
+    ("byte-gap", 25, ("0.5", "1", "1.4")),
+    ("voltage-noise", 50, ("0.05", "0.1", "0.3")),
+    ("warm", 30, ("",)),
+)
+
+
+def drawn(number: int, seed: int) -> str:
+    """Return an honest drive by its number, as people name it."""
+    chance = random.Random(f"{seed} honest {number}")
+    names = sorted(make.KINDS)
+    dialect = dialects.get(names[number % len(names)])
+    words = [f"{dialect.name}@{chance.randint(1, 30)}"]
+    if dialect.models:
+        words.append(f"model={chance.choice(dialect.models)}")
+    words.append(f"encoder-noise={chance.choice((1, 1, 2))}")
+    for name, share, values in TRAITS:
+        value = chance.choice(values)
+        if chance.randrange(100) < share:
+            words.append(f"{name}={value}" if value else name)
+    return ",".join(words)
+
+
+def accused(text: str, seed: int = 0) -> tuple[str, Counter[str], list[str]]:
+    """Run every claim on a drive; return what came out, and what was refuted."""
+    target = parse(text)
+    plan = suite.Plan((target,), seed=seed)
+    rig = suite.open_rig(plan, target)
+    counts: Counter[str] = Counter()
+    refuted = []
+    for verdict in engine.run(plan.selected(target), rig):
+        counts[verdict.outcome.value] += 1
+        if verdict.outcome is Outcome.REFUTED:
+            refuted.append(f"{verdict.claim.id}: {verdict.reason} ({verdict.expected}; {verdict.got})")
+    return text, counts, refuted
+
+
+def _numbered(given: tuple[str, int]) -> tuple[str, Counter[str], list[str]]:
+    return accused(*given)
+
+
+def drives(count: int, seed: int, of: str = "") -> Iterator[tuple[str, int]]:
+    """Yield drives with the seed of each; all with one set of traits where it is named."""
+    for number in range(count):
+        text = drawn(number, seed)
+        if of:
+            text = ",".join([*(word for word in text.split(",")[:2] if "@" in word or "model=" in word), f"real={of}"])
+        yield text, seed * 100_000 + number
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--drives", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--set", default="", help="bench or poor: this set for all, in place of traits drawn")
+    arguments = parser.parse_args()
+    began, guilty = time.monotonic(), 0
+    total: Counter[str] = Counter()
+    with get_context("spawn").Pool(arguments.jobs) as pool:
+        for text, counts, refuted in pool.imap(_numbered, drives(arguments.drives, arguments.seed, arguments.set)):
+            total += counts
+            guilty += bool(refuted)
+            if refuted:
+                print(text, *refuted, sep="\n    ", flush=True)
+    shown = ", ".join(f"{count} {name}" for name, count in total.most_common())
+    print(f"{arguments.drives} honest drives, {guilty} accused; {shown}; {time.monotonic() - began:.0f} s")
+    return int(guilty > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
