@@ -9,7 +9,8 @@ A check returns when the drive did as the claim says, and raises otherwise:
     Observed        the manual leaves it open: the behaviour of the drive
 
 A claim of open certainty never refutes: its refutation becomes an observation. A claim may name quirks: known behaviour of
-real drives that differs from the manual. If a drive shows one, the claim says so (`Probe.meets`), and its verdict is observed.
+real drives that differs from the manual. If a drive shows one, the claim says so (`Probe.meets`): it is refuted and the quirk
+named, or observed where the user accepts that quirk.
 
 Rules:
 - A claim sends only requests within its `risks`, and depends on no earlier claim.
@@ -132,7 +133,7 @@ class Claim:
     empty: all. `alone`: it sends to other addresses than the target's, or changes the link. `by_name`: it wears or wipes
     the drive and runs only when its id is named. `emulated`: it needs to act on the drive itself (block the shaft, close a
     switch, cut power), which only an emulated one lets it. `settings`: fields of settings that it changes (they are put
-    back). `covers`: command and aspect pairs. `quirks`: those that it tolerates, by name. `parameters`: what tells it
+    back). `covers`: command and aspect pairs. `quirks`: those that it knows, by name. `parameters`: what tells it
     from its siblings. `commands`: those that it is about.
     """
 

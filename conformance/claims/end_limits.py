@@ -117,10 +117,11 @@ def _stops_at(probe: Probe, run: Command) -> None:
     _homed(probe)
     exchange = _send_left(probe, run)
     seen = probe.read(Verb.READ_POSITION, "position")
-    if abs(seen) > _JITTER:
+    if abs(seen) > _JITTER + probe.noise.counts:
         motion.stop(probe)
     text = f"{run.name} does not stop at an end limit"
-    probe.expect(seen, near=0, within=_JITTER, expected="0, where the end stop is", refutes=text, exchange=exchange)
+    expected = "0, where the end stop is"
+    probe.expect(seen, near=0, within=_JITTER, unit="counts", expected=expected, refutes=text, exchange=exchange)
 
 
 def _ask_again(probe: Probe, command: Command, values: dict[str, int]) -> Exchange:
@@ -222,7 +223,7 @@ def _right(probe: Probe, command: Command, remap: int) -> None:
     seen, right = probe.read(Verb.READ_POSITION, "position"), _RIGHT_TURNS * turn
     probe.expect(
         seen,
-        holds=(abs(seen - right) <= _JITTER) is wanted,
+        holds=(abs(seen - right) <= _JITTER + probe.noise.counts) is wanted,
         expected=f"{right}, where the right end stop is" if wanted else f"{_HALF + _LONG_TURNS * turn}",
         refutes=f"with limit_remap {remap} the right end stop {'does not hold' if wanted else 'holds'}",
         exchange=exchange,

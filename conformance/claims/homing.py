@@ -162,7 +162,7 @@ def _zero(probe: Probe) -> None:
     probe.wait(500 * MS)
     for verb, name in ((Verb.READ_POSITION, "position"), (Verb.READ_PULSES, "pulses")):
         text = f"the {name} is not zero where homing ended"
-        probe.expect(probe.read(verb, name), near=0, within=_JITTER, refutes=text, exchange=exchange)
+        probe.expect(probe.read(verb, name), near=0, within=_JITTER, unit="counts", refutes=text, exchange=exchange)
 
 
 def _without_switch(dialect: Dialect) -> Iterator[Case]:
@@ -188,7 +188,7 @@ def _is_held_then_zero(probe: Probe, way: str, angle: int) -> None:
     _expect_shaft(probe, exchange, "homing without an end stop ends elsewhere", near=end)
     seen = probe.read(Verb.READ_POSITION, "position")
     text = "the position is not zero where homing ended"
-    probe.expect(seen, near=0, within=_JITTER, refutes=text, exchange=exchange)
+    probe.expect(seen, near=0, within=_JITTER, unit="counts", refutes=text, exchange=exchange)
 
 
 # --- on the way -------------------------------------------------------------------------------------------------------

@@ -38,6 +38,10 @@ OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("settings", {"default": None, "metavar": "FILE", "help": "JSON: what to put back where the drive cannot be asked"}),
     ("journal", {"default": None, "metavar": "FILE", "help": "where changes are written down before they are made"}),
     ("cut-power", {"default": "", "metavar": "COMMAND", "help": "runs when no stop can be verified"}),
+    (
+        "accept-quirk",
+        {"action": "append", "default": [], "metavar": "NAME", "help": "a known quirk that fails nothing, or all"},
+    ),
     ("max-run", {"type": float, "default": 30.0, "metavar": "S", "help": "longest run without an end, in seconds"}),
     ("report", {"default": None, "metavar": "OUT.html", "help": "one self-contained page"}),
     ("log", {"default": None, "metavar": "OUT.mcap", "help": "all traffic of the run, with a /tests topic"}),

@@ -54,6 +54,10 @@ def show(records: Sequence[VerdictRecord], run: RunRecord, console: Console) -> 
 def show_counts(records: Sequence[VerdictRecord], console: Console) -> None:
     """Print the table of outcomes by drive and theme, and why claims have no verdict."""
     console.print(_table(records))
+    for target in dict.fromkeys(record.target for record in records if record.noise):
+        noise = next(record.noise for record in records if record.target == target and record.noise)
+        shown = ", ".join(f"{value:g} {what.replace('_', ' ')}" for what, value in noise.items() if value)
+        console.print(f"{target}: measured at rest: {shown}", markup=False, highlight=False)
     _reasons(records, console)
 
 

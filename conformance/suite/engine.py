@@ -81,8 +81,18 @@ def _judge(claim: Claim, probe: Probe) -> Verdict:
         failure = f"a fault of the claim itself: {type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})"
         return _verdict(claim, probe, Outcome.INCONCLUSIVE, failure)
     if probe.quirks:
-        return _verdict(claim, probe, Outcome.OBSERVED, f"as real drives were seen to do: {', '.join(probe.quirks)}")
+        return _of_quirks(claim, probe)
     return _verdict(claim, probe, Outcome.CONFIRMED, "")
+
+
+def _of_quirks(claim: Claim, probe: Probe) -> Verdict:
+    """Return the verdict of a claim that met known quirks: they are deviations from the manual, unless all are accepted."""
+    named = "; ".join(f"{q.name} ({q.text})" for q in make.every_quirk() if q.name in probe.quirks)
+    accepted = probe.rig.accepts(probe.quirks)
+    outcome = Outcome.OBSERVED if accepted or claim.certainty is Certainty.OPEN else Outcome.REFUTED
+    text = f"{'accepted' if accepted else 'known'} quirk of real drives: {named}"
+    shown = Refuted(text, expected=claim.statement, got=named, key=" ".join(probe.quirks))
+    return _verdict(claim, probe, outcome, text, shown if outcome is Outcome.REFUTED else None)
 
 
 def _verdict(claim: Claim, probe: Probe, outcome: Outcome, reason: str, error: Refuted | None = None) -> Verdict:

@@ -19,6 +19,13 @@ def add_safety_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--journal", metavar="FILE", help="file for the original settings, written before each change")
     parser.add_argument("--cut-power", default="", metavar="COMMAND", help="runs when no stop can be verified")
     parser.add_argument(
+        "--accept-quirk",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="a known quirk of real drives that refutes nothing, or all (servotap emulate --list-quirks)",
+    )
+    parser.add_argument(
         "--max-run", type=_seconds, default=30.0, metavar="S", help="longest run without an end, in seconds (default 30)"
     )
 
@@ -61,6 +68,7 @@ def plan_from(
         dry_run=dry_run,
         traffic=traffic,
         short=short,
+        accepted=tuple(arguments.accept_quirk),
     )
     plan.check()
     return plan

@@ -24,11 +24,13 @@ from analyzer.errors import UsageError
 from analyzer.values import near, quote
 from conformance import claims as registry
 from conformance.claim import Claim, Theme
+from conformance.drives import make
 from conformance.gate.permissions import READS, Allowance
 from conformance.suite import engine
 from conformance.suite.record import VerdictRecord, record
 from conformance.suite.rig import ClaimRig
 from conformance.suite.target import Target
+from conformance.talk.probe import ALL_QUIRKS
 
 if TYPE_CHECKING:
     from multiprocessing.pool import Pool
@@ -46,7 +48,8 @@ class Plan:
     `allowance`: what may be sent, None: everything for emulated drives, reads alone for others. `claims`: ids or patterns
     (`*/shape/*`), empty: all. `themes`: empty: all. `seed` of Hypothesis and of emulated drives. `settings`: what to put
     back where a dialect cannot read it (by drive and field). `longest_run`: seconds of motion without an end. `traffic`:
-    keep what went over the lines. `short`: one claim for each command, for lines on which time passes.
+    keep what went over the lines. `short`: one claim for each command, for lines on which time passes. `accepted`: known
+    quirks that refute nothing, by name, or `all`.
     """
 
     targets: tuple[Target, ...]
@@ -61,6 +64,7 @@ class Plan:
     dry_run: bool = False
     traffic: bool = False
     short: bool = False
+    accepted: tuple[str, ...] = ()
 
     def selected(self, target: Target) -> list[Claim]:
         """Return the claims about a target, in order. Raises UsageError for a theme or an id that there is not."""
@@ -83,7 +87,11 @@ class Plan:
         return not self.claims or any(fnmatch.fnmatchcase(claim.id, pattern) for pattern in self.claims)
 
     def check(self) -> None:
-        """Raise UsageError for patterns that name no claim of any target."""
+        """Raise UsageError for patterns that name no claim of any target, and for quirks that there are not."""
+        quirks = [*(q.name for q in make.every_quirk()), ALL_QUIRKS]
+        for name in self.accepted:
+            if name not in quirks:
+                raise UsageError(f"no quirk {quote(name)}{near(name, quirks)} (see servotap emulate --list-quirks)")
         ids = [c.id for target in self.targets for c in every_claim(target)]
         for pattern in self.claims:
             if not any(fnmatch.fnmatchcase(i, pattern) for i in ids):
@@ -140,10 +148,13 @@ def open_rig(plan: Plan, target: Target) -> ClaimRig:
     if target.specification is not None:
         from conformance.suite.rig_emulated import EmulatedRig
 
-        return EmulatedRig(target.specification, seed=plan.seed, allowance=plan.allowance)
-    from conformance.suite.rig_real import RealRig
+        rig: ClaimRig = EmulatedRig(target.specification, seed=plan.seed, allowance=plan.allowance)
+    else:
+        from conformance.suite.rig_real import RealRig
 
-    return RealRig(plan, target)
+        rig = RealRig(plan, target)
+    rig.accepted = frozenset(plan.accepted)
+    return rig
 
 
 def run(plan: Plan, jobs: int = 1) -> Generator[VerdictRecord]:
@@ -186,7 +197,7 @@ def _run_target(plan: Plan, target: Target) -> Iterator[VerdictRecord]:
     rig = open_rig(plan, target)
     try:
         for verdict in engine.run(selected, rig):
-            yield record(verdict, target.text, firmware=rig.firmware, traffic=plan.traffic)
+            yield record(verdict, target.text, firmware=rig.firmware, traffic=plan.traffic, noise=rig.noise.figures)
     finally:
         rig.close()
 
@@ -217,7 +228,7 @@ def _batch(work: tuple[int, tuple[str, ...]]) -> list[VerdictRecord]:
     rig = open_rig(_plan, target)
     try:
         found = [c for c in every_claim(target) if c.id in wanted]
-        return [record(v, target.text, traffic=_plan.traffic) for v in engine.run(found, rig)]
+        return [record(v, target.text, traffic=_plan.traffic, noise=rig.noise.figures) for v in engine.run(found, rig)]
     finally:
         rig.close()
 

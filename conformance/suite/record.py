@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import msgspec
@@ -25,7 +25,8 @@ class Traffic(msgspec.Struct, frozen=True, array_like=True):
 class VerdictRecord(msgspec.Struct, frozen=True, kw_only=True):
     """A verdict as data. `target`: the drive as the user named it; `lines`: the exchange that shows it, for people.
 
-    `duration_ns` on the line's clock (virtual for an emulated drive). `traffic` only where it is asked for.
+    `duration_ns` on the line's clock (virtual for an emulated drive). `traffic` only where it is asked for. `noise`: of the
+    resting shaft and the line, as the run measured it, by what it is of.
     """
 
     id: str
@@ -51,6 +52,7 @@ class VerdictRecord(msgspec.Struct, frozen=True, kw_only=True):
     measured: dict[str, float] = {}
     series: dict[str, tuple[tuple[float, float], ...]] = {}
     latencies: tuple[tuple[str, int], ...] = ()
+    noise: dict[str, float] = {}
     first_ns: int = 0
     last_ns: int = 0
     traffic: tuple[Traffic, ...] = ()
@@ -79,7 +81,9 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     notes: tuple[str, ...] = ()
 
 
-def record(verdict: Verdict, target: str, *, firmware: str = "", traffic: bool = False) -> VerdictRecord:
+def record(
+    verdict: Verdict, target: str, *, firmware: str = "", traffic: bool = False, noise: Mapping[str, float] | None = None
+) -> VerdictRecord:
     """Return a verdict as data; with `traffic` also what went over the line (always, where it is refuted)."""
     claim = verdict.claim
     keep = traffic or verdict.outcome is Outcome.REFUTED
@@ -107,6 +111,7 @@ def record(verdict: Verdict, target: str, *, firmware: str = "", traffic: bool =
         measured=dict(verdict.measured),
         series={name: tuple(points) for name, points in verdict.series.items()},
         latencies=verdict.latencies,
+        noise=dict(noise or {}),
         first_ns=verdict.first_ns,
         last_ns=verdict.last_ns,
         traffic=(tuple(_traffic(verdict.traffic)) or _shown(verdict)) if keep else (),

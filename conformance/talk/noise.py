@@ -81,7 +81,8 @@ class Noise:
     def figures(self) -> Mapping[str, float]:
         """What was measured, for the report."""
         found = {"degrees": self.degrees, "loop_degrees": self.loop, "rpm": self.rpm, "volts": self.volts}
-        return {name: round(value, 4) for name, value in found.items() if value} | {"stray_bytes": len(self.stray)}
+        found["stray_bytes"] = len(self.stray)
+        return {name: round(value, 4) for name, value in found.items() if value}
 
 
 QUIET = Noise()

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 __all__ = ["MS", "SECOND_NS", "Probe", "Rig", "Until", "plain_probe"]
 
 SECOND_NS = 1000 * MS
+#: What stands for every known quirk where quirks are accepted.
+ALL_QUIRKS = "all"
 #: A condition that was not given.
 _ANYTHING = object()
 #: A drive under test is given longer for a pause inside a frame than a host would give it.
@@ -46,7 +48,8 @@ class Rig:
 
     `dialect`: as its model speaks it. `allowed`: risks that the user opened. `late_ns`: a reply later than this counts as
     none. `quiet_ns`: how long to listen after an answer for a second one. `silence_ns`: how long nothing must come before it
-    is called silence. `done_ns`: how long a command may take to its last reply. `write_gap_ns`: between settings.
+    is called silence. `done_ns`: how long a command may take to its last reply. `write_gap_ns`: between settings. `accepted`:
+    known quirks that the user accepts, by name, or `all`.
     """
 
     gate: Gate
@@ -59,6 +62,7 @@ class Rig:
     silence_ns: int = 300 * MS
     done_ns: int = 20 * SECOND_NS
     write_gap_ns: int = 500 * MS
+    accepted: frozenset[str] = frozenset()
 
     def __init__(self, dialect: Dialect, address: int) -> None:
         self.dialect = dialect
@@ -68,6 +72,10 @@ class Rig:
     def byte_ns(self) -> int:
         """Time of a byte on the line."""
         return self.gate.line.byte_ns
+
+    def accepts(self, quirks: Collection[str]) -> bool:
+        """Say whether the user accepts all of these quirks."""
+        return ALL_QUIRKS in self.accepted or self.accepted.issuperset(quirks)
 
     @property
     def noise(self) -> Noise:
@@ -276,7 +284,7 @@ class Probe:
     # --- what claims share ----------------------------------------------------------------------------------------
 
     def meets(self, quirk: str) -> None:
-        """Say that the drive has a quirk that the claim names: its verdict will be observed, not confirmed."""
+        """Say that the drive has a quirk that the claim names: it is a deviation, which the user may accept."""
         if quirk not in self.claim.quirks:
             raise ValueError(f"{self.claim.id} does not name the quirk {quirk!r}")
         if quirk not in self.quirks:

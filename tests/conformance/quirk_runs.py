@@ -14,6 +14,7 @@ from conformance.claim import Claim, Outcome
 from conformance.drives import make
 from conformance.suite import engine
 from conformance.suite.rig_emulated import EmulatedRig
+from conformance.talk.probe import ALL_QUIRKS
 
 DIALECTS = ("mks-rs485", "mks-modbus", "mks-can", "lk-rs485")
 #: Quirks that a listener cannot tell from what the manual has, in these dialects: Modbus echoes a calibration anyway.
@@ -43,9 +44,10 @@ def pairs(dialect: str = "") -> Iterator[tuple[str, str]]:
                 yield name, quirk.name
 
 
-def run(specification: str, wanted: Iterable[Claim] | None = None) -> dict[str, engine.Verdict]:
-    """Run claims (all, where none are given) on an emulated drive; return the verdicts by id."""
+def run(specification: str, wanted: Iterable[Claim] | None = None, accepted: str = ALL_QUIRKS) -> dict[str, engine.Verdict]:
+    """Run claims (all, where none are given) on an emulated drive whose quirks are accepted; return the verdicts by id."""
     rig = EmulatedRig(make.parse(specification))
+    rig.accepted = frozenset({accepted})
     chosen = registry.every(rig.dialect) if wanted is None else tuple(wanted)
     return {verdict.claim.id: verdict for verdict in engine.run(chosen, rig)}
 

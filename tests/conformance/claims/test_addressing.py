@@ -96,6 +96,9 @@ def test_a_drive_that_executes_nothing_proves_nothing_about_other_addresses():
     assert verdicts["other/not_executed"].outcome is Outcome.INCONCLUSIVE
 
 
-def test_the_reply_from_the_new_address_is_observed():
+def test_the_reply_from_the_new_address_is_a_known_quirk():
     verdicts = run(Theme.ADDRESSING, "mks-rs485@1,quirk=new-address-answers", "set_address/")
-    assert verdicts["set_address/moves"].outcome is Outcome.OBSERVED
+    assert (verdicts["set_address/moves"].outcome, *verdicts["set_address/moves"].quirks) == (
+        Outcome.REFUTED,
+        "new-address-answers",
+    )

@@ -48,7 +48,10 @@ def test_faults_of_every_reply_are_not_called_faults_of_exceptions(fault):
     assert refuted(Theme.MODBUS, f"mks-modbus@1,fault={fault}", "function", "register", "quantity", "byte_count") == set()
 
 
-def test_the_register_of_the_later_manual_is_observed():
+def test_the_register_of_the_later_manual_is_a_known_quirk():
     verdicts = run(Theme.MODBUS, "mks-modbus@1,quirk=register-94h", "register/")
-    assert verdicts["register/unknown_write"].outcome is Outcome.OBSERVED
+    assert (verdicts["register/unknown_write"].outcome, *verdicts["register/unknown_write"].quirks) == (
+        Outcome.REFUTED,
+        "register-94h",
+    )
     assert verdicts["register/between"].outcome is Outcome.CONFIRMED

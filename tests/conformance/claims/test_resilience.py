@@ -38,8 +38,9 @@ def test_a_fault_is_refuted_by_the_claim_about_it(fault, dialect, name):
         ("lk-firmware-235", "lk-rs485@1", "moving/settings"),
     ],
 )
-def test_a_quirk_is_observed(quirk, drive, name):
-    assert run(Theme.RESILIENCE, f"{drive},quirk={quirk}", name)[name].outcome is Outcome.OBSERVED
+def test_a_quirk_is_refuted_and_named(quirk, drive, name):
+    verdict = run(Theme.RESILIENCE, f"{drive},quirk={quirk}", name)[name]
+    assert (verdict.outcome, verdict.quirks) == (Outcome.REFUTED, (quirk,))
 
 
 def test_a_drive_that_lets_a_setting_stop_it_is_refuted():

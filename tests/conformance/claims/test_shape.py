@@ -70,10 +70,11 @@ def test_a_fault_of_one_reply_is_refuted_by_the_claim_about_it(fault, dialect, n
     assert name in refuted(Theme.SHAPE, f"{dialect}@1,fault={fault}", f"{command}/")
 
 
-def test_old_firmware_without_checksums_is_observed_and_refutes_nothing():
+def test_old_firmware_without_checksums_is_a_known_quirk():
     verdicts = run(Theme.SHAPE, "mks-rs485@1,quirk=no-checksum", "read_speed/")
-    assert verdicts["read_speed/checksum"].outcome is Outcome.OBSERVED
-    assert {v.outcome for v in verdicts.values()} == {Outcome.OBSERVED, Outcome.CONFIRMED}
+    assert verdicts["read_speed/checksum"].outcome is Outcome.REFUTED
+    assert {v.quirks for v in verdicts.values() if v.outcome is Outcome.REFUTED} == {("no-checksum",)}
+    assert {v.outcome for v in verdicts.values()} == {Outcome.REFUTED, Outcome.CONFIRMED}
 
 
 def test_claims_about_one_command_share_an_exchange_and_a_second_run_asks_again():

@@ -53,6 +53,13 @@ def test_the_longest_run_has_bounds(seconds: str):
     assert plan("--max-run", "3600").longest_run == 3600
 
 
+def test_quirks_are_accepted_by_name():
+    assert plan().accepted == ()
+    assert plan("--accept-quirk", "settling", "--accept-quirk", "all").accepted == ("settling", "all")
+    with pytest.raises(UsageError, match="no quirk 'setling'"):
+        plan("--accept-quirk", "setling")
+
+
 def test_claims_that_there_are_not_are_refused():
     with pytest.raises(UsageError, match="no claim"):
         plan(claims=("mks-rs485/shap/*",))

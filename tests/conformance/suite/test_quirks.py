@@ -1,4 +1,4 @@
-"""Quirks: with each of them nothing is refuted, and exactly the claims that name it change their verdict.
+"""Quirks: with each of them, accepted, nothing is refuted, and exactly the claims that name it change their verdict.
 
 All quirks, over all themes. The claims that name a quirk are run in full; of all others, a sample that differs from quirk
 to quirk. Everything at once (two minutes): python -m tests.conformance.quirk_runs
@@ -70,10 +70,20 @@ def test_other_damage_is_not_taken_for_a_missing_checksum(drive):
     assert not any(answer.bare for answer in exchange.answers)
 
 
-def test_every_verdict_with_a_quirk_says_which():
-    verdict = run("mks-rs485@1,quirk=slow-restart", [c for c in registry.every(EmulatedRig(
-        make.parse("mks-rs485@1")).dialect) if c.id.endswith("timing/restart/time")])  # fmt: skip
-    (only,) = verdict.values()
-    assert only.outcome is Outcome.OBSERVED
-    assert only.quirks == ("slow-restart",)
-    assert "slow-restart" in only.reason
+@pytest.mark.parametrize(
+    ("accepted", "outcome"),
+    [
+        ("new-address-answers", Outcome.OBSERVED),
+        ("all", Outcome.OBSERVED),
+        ("settling", Outcome.REFUTED),
+        ("", Outcome.REFUTED),
+    ],
+)
+def test_a_known_quirk_is_refuted_and_named_unless_it_is_accepted(accepted, outcome):
+    every = registry.every(EmulatedRig(make.parse("mks-rs485@1")).dialect)
+    wanted = [c for c in every if c.id.endswith("addressing/set_address/moves")]
+    (only,) = run("mks-rs485@1,quirk=new-address-answers", wanted, accepted).values()
+    assert only.outcome is outcome
+    assert only.quirks == ("new-address-answers",)
+    assert "new-address-answers" in only.reason
+    assert ("accepted" in only.reason) is (outcome is Outcome.OBSERVED)

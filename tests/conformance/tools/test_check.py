@@ -74,8 +74,9 @@ def test_a_session_is_shared_and_a_claim_that_runs_again_has_its_own():
     assert [bool(p.raw) for p in probes] == [True, False, True]
 
 
-def test_a_quirk_that_makes_replies_unreadable_is_observed():
-    assert {v.outcome for v in run(Theme.TRAFFIC, "mks-rs485@1,quirk=no-checksum").values()} == {Outcome.OBSERVED}
+def test_a_quirk_that_makes_replies_unreadable_is_named():
+    verdicts = run(Theme.TRAFFIC, "mks-rs485@1,quirk=no-checksum").values()
+    assert {(v.outcome, v.quirks) for v in verdicts} == {(Outcome.REFUTED, ("no-checksum",))}
 
 
 # --- recordings -------------------------------------------------------------------------------------------------------
