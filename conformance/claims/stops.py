@@ -20,7 +20,7 @@ from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import expect_at_rest, expect_stays, of_motion, risks_by, risks_of, that_tell_their_end
 from conformance.motion import motion
-from conformance.motion.motion import CALM, MOVES, MS, QUICK, SAME, SECOND_NS, Sample
+from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
