@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from analyzer.catalogue import Command, Risk
+from analyzer.catalogue import Command, Risk, Verb
 from analyzer.errors import UsageError
 from analyzer.layout import Field
 from analyzer.values import quote
@@ -177,7 +177,8 @@ class _Real:
 
     def _numbers(self, drive: Drive, command: Command, asked: Values, values: Values | None) -> Values | None:
         form = next((f for f in command.reply_forms if values and f.layout.named.keys() <= values.keys()), None)
-        if values is None or form is None or not (command.all_risks == {Risk.READ} or command.motion):
+        looks = command.all_risks == {Risk.READ} or command.motion is not None or command.verb is Verb.SET_ZERO
+        if values is None or form is None or not looks:
             return values
         away = self._away(drive) + self._most("encoder-noise") * COUNT * self._chance.choice((-1, 0, 0, 1))
         result = dict(values)
@@ -260,10 +261,10 @@ class _Real:
 
 _Change = Callable[[_Real, Drive, Field, Values, float], None]
 #: Fields of angles that begin anew with each turn.
-_IN_TURN = frozenset({"encoder", "encoder_raw", "angle"})
+_IN_TURN = frozenset({"encoder", "encoder_raw", "encoder_zero", "angle"})
 #: What becomes of a field, by its name.
 _CHANGES: Mapping[str, _Change] = {
-    **dict.fromkeys(("position", "encoder", "encoder_raw", "angle"), _Real.position),
+    **dict.fromkeys(("position", *sorted(_IN_TURN)), _Real.position),
     "angle_error": _Real.error,
     "speed": _Real.speed,
     **dict.fromkeys(("voltage", "current"), _Real.supply),
