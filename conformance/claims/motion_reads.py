@@ -447,7 +447,7 @@ def _not_in_position_while_moving(probe: Probe, command: Command) -> None:
     seen, exchange = probe.read(command, "pend"), probe.traffic[-1]
     turning = motion.turning(probe)
     motion.stand_still(probe)
-    if abs(turning) < 1:
+    if abs(turning.value) < 1:
         raise Inconclusive("the shaft does not turn")
     probe.expect(seen, equal=0, refutes="the shaft is on its way, and PEND says that it is in place", exchange=exchange)
 

@@ -30,7 +30,7 @@ from conformance.claims.motion_claim import (
     that_tell_their_end,
 )
 from conformance.motion import motion
-from conformance.motion.motion import MOVES, MS, QUICK, SAME, SECOND_NS, SUBDIVISION, Move, takes_pulses
+from conformance.motion.motion import MOVES, MS, QUICK, SECOND_NS, SUBDIVISION, Move, takes_pulses
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 

@@ -167,7 +167,7 @@ def _reboots(probe: Probe, command: Command) -> None:
     motion.prepare(probe, move)
     motion.begin(probe, move, _LONG_TURNS * 360)
     probe.wait(SETTLE_NS)
-    if abs(motion.turning(probe)) < 1:
+    if abs(motion.turning(probe).value) < 1:
         raise Inconclusive("the shaft does not turn before the restore")
     exchange = probe.do(command)
     _lead_back(probe)
