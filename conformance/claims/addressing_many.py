@@ -242,7 +242,7 @@ def _turns_and_stops(probe: Probe, many: _Many, run: Command, stop: Command) -> 
     begun = probe.send(probe.build(run, values, address=to).item())
     probe.wait(300 * MS)
     text = f"{run.name} by {many.what} does not turn the shaft"
-    probe.expect(abs(motion.turning(probe)), at_least=motion.CALM / 2, unit="rpm", refutes=text, exchange=begun)
+    probe.expect(abs(motion.turning(probe).value), at_least=motion.CALM / 2, unit="rpm", refutes=text, exchange=begun)
     how = {"acceleration": motion.QUICK} if motion.of(stop).acceleration else {}
     ended = probe.send(probe.build(stop, how, address=to).item())
     probe.wait(300 * MS)

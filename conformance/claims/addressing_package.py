@@ -230,7 +230,7 @@ def _turns_and_stops(probe: Probe, command: Command, run: Command, stop: Command
         slot = {"address": probe.address, "command": order.name, **data}
         sent = probe.send(_frame(probe, command, [EMPTY] * before + [slot]))
         probe.wait(300 * motion.MS)
-        seen.append((abs(motion.turning(probe)), sent))
+        seen.append((abs(motion.turning(probe).value), sent))
     (turning, begun), (left, ended) = seen
     text = f"{run.name} in a slot of a package does not turn the shaft"
     probe.expect(turning, at_least=motion.CALM / 2, unit="rpm", refutes=text, exchange=begun)
