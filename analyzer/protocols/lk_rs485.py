@@ -835,4 +835,5 @@ DIALECT = Dialect(
     family="lk",
     sections=dict.fromkeys(Subject, "Single motor command"),
     unlisted_codes=(0x12,),
+    said_in="analyzer.protocols.lk_rs485_statements",
 )

@@ -1,0 +1,549 @@
+"""What the Lingkong motor RS485 manual V2.36 says a drive does, statement by statement, in the manual's order.
+
+Sections are the numbers of the headings, as in the catalogue; the pages before the first command go by their own headings.
+The two tables of a command, request and reply, are said in the same three statements for each.
+"""
+
+from __future__ import annotations
+
+from analyzer.catalogue import Statement as S
+
+_REPLY_PARTS = ("head", "code", "address", "length", "once", "clean")
+_SETUP = "the setup program's limits can be neither read nor set on the bus"
+_LIGHT = "not visible on the bus: a light"
+_SCALE = "amperes need a meter: on the bus the number alone is seen"
+_UNKNOWN_UNIT = "observed by motion/write_parameter/*: no unit and no effect are printed"
+
+
+def _tables(section: str, command: str, code: str, request: int, reply: int) -> tuple[S, ...]:
+    """Return what the tables of a command say: `request` and `reply` bytes of data."""
+    asked, told = (f"{n} bytes of data" if n else "no data" for n in (request, reply))
+    parts = tuple(f"shape/{command}/{part}" for part in _REPLY_PARTS)
+    return (
+        S(
+            f"{section}/request",
+            f"{command} has code {code} and {asked}.",
+            (f"shape/{command}/answered", f"examples/{command}/*"),
+        ),
+        S(f"{section}/reply", f"The reply has the head, code and address of the request, and {told}.", parts),
+        S(f"{section}/reply-sums", "Each sum of the reply fits.", (f"shape/{command}/*checksum",)),
+    )
+
+
+def _limited(section: str, *limits: str) -> tuple[S, ...]:
+    """Return the remarks on what a setup program limits."""
+    return tuple(
+        S(f"{section}/{limit.lower().replace(' ', '-')}", f"{limit} of the setup program limits it.", unclaimed=_SETUP)
+        for limit in limits
+    )
+
+
+def _tells_state(section: str, command: str) -> S:
+    says = "The reply tells what 9C tells: temperature, torque current (MS: power), speed and encoder."
+    return S(f"{section}/tells-state", says, (f"motion/{command}/tells-state",))
+
+
+STATEMENTS: tuple[S, ...] = (
+    # --- the pages before the first command ---
+    S("RS485 bus parameters/bus", "The bus is RS485.", unclaimed="wiring: a drive on another bus answers nothing at all"),
+    S(
+        "RS485 bus parameters/rates",
+        "Single motors work at ten rates from 9600 to 4000000 baud.",
+        unclaimed="no command sets the rate: a run is at the one rate of its port",
+    ),
+    S(
+        "RS485 bus parameters/default-rate",
+        "115200 baud is the rate of a new drive.",
+        unclaimed="what the rate was when the drive was new cannot be seen",
+    ),
+    S(
+        "RS485 bus parameters/broadcast-rates",
+        "Commands to several motors work at 1, 2 and 4 Mbaud.",
+        unclaimed="no command to several motors is described",
+    ),
+    S(
+        "RS485 bus parameters/characters",
+        "Characters have 8 data bits, no parity and 1 stop bit.",
+        ("shape/read_state_1/answered", "shape/read_state_1/head_checksum", "resilience/reads/good"),
+    ),
+    S(
+        "Single motor command/several-drives",
+        "Several drives share a bus, each with an address of its own from 1 to 32.",
+        ("addressing/other/every", "addressing/other/edges", "addressing/other/zero", "addressing/foreign_reply/ignored"),
+    ),
+    S(
+        "Single motor command/own-address",
+        "The motor that is addressed executes a command, and no other does.",
+        (
+            "addressing/other/neighbours",
+            "addressing/other/one_bit",
+            "addressing/other/not_executed",
+            "addressing/other/not_moved",
+        ),
+    ),
+    S(
+        "Single motor command/executes-then-answers",
+        "A motor that has heard a command answers it, once.",
+        ("shape/*/answered", "shape/*/once", "timing/replies/every-time", "resilience/reads/answered", "traffic/answered"),
+    ),
+    S(
+        "Single motor command/delay",
+        "The reply comes 0.25 ms after the request.",
+        unclaimed="observed by timing/replies/delay: from which byte it counts, and whether it is a limit, is not printed",
+    ),
+    S("Single motor command/same-address", "The reply has the address of the request.", ("shape/*/address",)),
+    S(
+        "Single motor command/frame",
+        "A frame is a head of 5 bytes and, in some commands, data behind it, to which a sum belongs.",
+        ("shape/*/length", "shape/*/clean", "framing/truncated/ignored"),
+    ),
+    S("Single motor command/head", "A frame begins with 3E.", ("shape/*/head", "framing/head/ignored")),
+    S(
+        "Single motor command/code",
+        "The second byte is the code of the command.",
+        ("shape/*/code", "framing/unknown_code/ignored"),
+    ),
+    S(
+        "Single motor command/address",
+        "The third byte is the motor's address, 1 to 32.",
+        ("shape/*/address", "addressing/other/*"),
+    ),
+    S(
+        "Single motor command/length",
+        "The fourth byte counts the data, and each command has its own length.",
+        ("shape/*/length", "framing/overlong/ignored", "framing/underlong/ignored"),
+    ),
+    S(
+        "Single motor command/head-sum",
+        "The fifth byte is the low byte of the sum of the four before it.",
+        (
+            "shape/*/head_checksum",
+            "framing/checksum_bit/ignored",
+            "framing/checksum_value/ignored",
+            "framing/flipped_bit/ignored",
+        ),
+    ),
+    S(
+        "Single motor command/head-sum-guards",
+        "A command whose head sum is wrong is not executed.",
+        ("framing/checksum_bit/not_executed", "framing/checksum_bit/not_moved", "framing/checksum_bit/not_switched"),
+    ),
+    S(
+        "Single motor command/data",
+        "Up to 100 bytes of data follow the head.",
+        unclaimed="no command has more than 12 bytes of data",
+    ),
+    S(
+        "Single motor command/any-data",
+        "The length alone says where data end: a byte of data that reads as a head is data.",
+        ("framing/start_bytes", "addressing/foreign_reply/inside"),
+    ),
+    S(
+        "Single motor command/data-sum",
+        "Where there are data, a last byte is the low byte of their sum; without data there is none.",
+        ("shape/*/data_checksum", "shape/*/length", "motion/move_multi_turn_limited/sums", "resilience/moves/good"),
+    ),
+    S(
+        "Single motor command/data-sum-guards",
+        "A command whose data sum is wrong is not executed.",
+        (
+            "framing/checksum_bit/not_executed",
+            "framing/flipped_bit/not_executed",
+            "framing/checksum_bit/not_moved",
+            "framing/flipped_bit/not_moved",
+        ),
+    ),
+    S(
+        "Single motor command/answers-any-time",
+        "Each sound command is answered, whatever came before it and however long ago.",
+        ("framing/*/next", "resilience/*/next", "resilience/noise/*", "resilience/idle/*"),
+    ),
+    # --- 1: state 1 and error flags ---
+    *_tables("1", "read_state_1", "9Ah", 0, 7),
+    S("1/reads", "It reads and changes nothing.", ("resilience/moving/reads", "resilience/reads/steady")),
+    S("1/temperature", "Byte 0 is the motor's temperature, signed, in degC.", ("motion/read_state_1/temperature",)),
+    S(
+        "1/voltage",
+        "Bytes 1 and 2 are the supply voltage in 0.01 V, low byte first.",
+        ("motion/read_state_1/voltage", "motion/read_state_1/plausible"),
+    ),
+    S(
+        "1/current",
+        "Bytes 3 and 4 are the supply current, signed, in 0.01 A, low byte first.",
+        ("motion/read_state_1/current-at-rest",),
+    ),
+    S("1/state-byte", "Byte 5 is the motor state.", ("shape/read_state_1/values", "motion/motor_off/is-read")),
+    S("1/state-on", "State 00h is a motor that is on.", ("motion/motor_off/is-read", "motion/stop/stays-on")),
+    S("1/state-off", "State 10h is a motor that is off.", ("motion/motor_off/is-read",)),
+    S("1/error-byte", "Byte 6 has the error flags; 0 is normal.", ("motion/read_state_1/flag-*",)),
+    S("1/low-voltage", "Bit 0 is the protection against a low voltage.", ("motion/read_state_1/flag-low_voltage",)),
+    S("1/high-voltage", "Bit 1 is the protection against a high voltage.", ("motion/read_state_1/flag-high_voltage",)),
+    S("1/drive-hot", "Bit 2 is a drive that is too hot.", ("motion/read_state_1/flag-drive_hot",)),
+    S("1/motor-hot", "Bit 3 is a motor that is too hot.", ("motion/read_state_1/flag-motor_hot",)),
+    S("1/overcurrent", "Bit 4 is a motor current that is too high.", ("motion/read_state_1/flag-overcurrent",)),
+    S("1/short-circuit", "Bit 5 is a short circuit of the motor.", ("motion/read_state_1/flag-short_circuit",)),
+    S("1/stalled", "Bit 6 is a motor that is stalled.", ("motion/read_state_1/flag-stalled",)),
+    S("1/input-lost", "Bit 7 is an input signal that was lost too long.", ("motion/read_state_1/flag-input_lost",)),
+    # --- 2: clearing errors ---
+    *_tables("2", "clear_errors", "9Bh", 0, 7),
+    S("2/clears", "It clears the error flags.", ("motion/clear_errors/clears", "motion/read_state_1/flag-*")),
+    S("2/same-reply", "The reply tells what 9A tells.", ("motion/clear_errors/tells-state",)),
+    S("2/cause-lasts", "A flag whose cause lasts is not cleared.", ("motion/clear_errors/keeps",)),
+    # --- 3: state 2 ---
+    *_tables("3", "read_state_2", "9Ch", 0, 7),
+    S("3/temperature", "Byte 0 is the motor's temperature, signed, in degC.", ("motion/read_state_2/temperature",)),
+    S("3/torque-current", "Bytes 1 and 2 are the torque current of MF and MG, signed.", ("motion/run_torque/is-read",)),
+    S("3/power", "On MS bytes 1 and 2 are the output power, signed.", ("motion/run_open_loop/is-read",)),
+    S("3/mg-resolution", "One unit of torque current is 66/4096 A on MG.", unclaimed=_SCALE),
+    S("3/mf-resolution", "One unit of torque current is 33/4096 A on MF.", unclaimed=_SCALE),
+    S("3/power-range", "Power is read within -1000 and 1000.", ("shape/read_state_2/values", "traffic/reply_ranges")),
+    S("3/speed", "Bytes 3 and 4 are the speed, signed, in deg/s, low byte first.", ("motion/read_state_2/speed-is-change",)),
+    S("3/encoder", "Bytes 5 and 6 are the encoder, low byte first.", ("motion/read_state_2/encoder",)),
+    S(
+        "3/encoder-range",
+        "The encoder is read within its 14, 15 or 16 bits.",
+        ("motion/read_state_2/encoder", "motion/read_encoder/difference"),
+    ),
+    # --- 4: state 3 ---
+    *_tables("4", "read_state_3", "9Dh", 0, 7),
+    S(
+        "4/not-on-ms",
+        "MS motors measure no phase currents, so that it has no effect on them.",
+        unclaimed="silence and a reply both fit",
+    ),
+    S("4/temperature", "Byte 0 is the motor's temperature, signed, in degC.", ("motion/read_state_3/temperature",)),
+    S(
+        "4/phases",
+        "Bytes 1 to 6 are the currents of phases A, B and C, signed, low byte first.",
+        ("motion/read_state_3/balance",),
+    ),
+    S("4/mg-resolution", "One unit of phase current is 66/4096 A on MG.", unclaimed=_SCALE),
+    S("4/mf-resolution", "One unit of phase current is 33/4096 A on MF.", unclaimed=_SCALE),
+    # --- 5 and 6: off and on ---
+    *_tables("5", "motor_off", "80h", 0, 0),
+    S("5/switches-off", "It switches the motor off.", ("motion/motor_off/is-read", "motion/*/while-off")),
+    S("5/ends-motion", "A motor that is switched off performs no action any more.", ("motion/motor_off/ends-*",)),
+    S("5/on-at-power-up", "A motor is on when power comes.", ("motion/motor_on/at-power-up",)),
+    S("5/light", "The light flashes slowly while the motor is off.", unclaimed=_LIGHT),
+    S("5/answers", "A motor that is off answers commands.", ("motion/*/while-off",)),
+    S("5/performs-nothing", "A motor that is off performs no motion command.", ("motion/*/while-off", "state/mixed")),
+    *_tables("6", "motor_on", "88h", 0, 0),
+    S("6/switches-on", "It switches the motor on.", ("motion/motor_off/is-read", "motion/motor_on/obeys")),
+    S("6/light", "The light is steady while the motor is on.", unclaimed=_LIGHT),
+    S("6/obeys", "A motor that is on obeys commands.", ("motion/motor_on/obeys", "state/mixed")),
+    S(
+        "6/waits",
+        "Switching on moves nothing: a command must come first.",
+        ("motion/motor_on/does-not-resume", "motion/*/while-off"),
+    ),
+    # --- 7: stop ---
+    *_tables("7", "stop", "81h", 0, 0),
+    S("7/stops", "It stops the motor.", ("motion/stop/stops", "motion/stop/ends-*")),
+    S("7/stays-on", "It leaves the motor on.", ("motion/stop/stays-on",)),
+    S("7/next-command", "The next motion command moves the motor again.", ("motion/stop/stays-on", "motion/stop/then-*")),
+    # --- 8: brake ---
+    *_tables("8", "brake", "8Ch", 1, 1),
+    S("8/power-off", "00h takes the brake's power away, and the brake holds.", ("motion/brake/holds", "motion/brake/is-read")),
+    S("8/release", "01h powers the brake, and it lets go.", ("motion/brake/holds", "motion/brake/is-read")),
+    S("8/read", "10h reads the brake and leaves it as it is.", ("motion/brake/read-only", "motion/brake/is-read")),
+    S("8/unlisted", "Other values are none of its commands.", ("ranges/brake/brake_control/unlisted",)),
+    S("8/state", "The reply is 00h where the brake holds, 01h where it is released.", ("motion/brake/is-read",)),
+    S(
+        "8/new-state",
+        "A reply to a switching tells the state.",
+        unclaimed="observed by motion/brake/answers-new: before or after is not said",
+    ),
+    # --- 9: open loop ---
+    *_tables("9", "run_open_loop", "A0h", 2, 7),
+    S("9/only-ms", "MS motors alone have it.", ("motion/run_open_loop/other-models", "ranges/models")),
+    S("9/drives", "It drives the motor by a voltage.", ("motion/run_open_loop/two-ways", "motion/run_open_loop/zero")),
+    S("9/type", "Power is signed, low byte first.", ("motion/run_open_loop/sign", "motion/run_open_loop/is-read")),
+    S("9/range", "Power is -850 to 850.", ("ranges/run_open_loop/power/*",)),
+    S("9/differs", "Its current and torque differ from motor to motor.", unclaimed="nothing is said of how much"),
+    _tells_state("9", "run_open_loop"),
+    # --- 10: torque ---
+    *_tables("10", "run_torque", "A1h", 2, 7),
+    S("10/only-others", "MF, MH and MG motors alone have it.", ("motion/run_torque/other-models", "ranges/models")),
+    S("10/drives", "It sets the torque current of the motor.", ("motion/run_torque/is-read", "motion/run_torque/two-ways")),
+    S("10/type", "Torque current is signed, low byte first.", ("motion/run_torque/sign", "motion/run_torque/is-read")),
+    S("10/range", "Torque current is -2048 to 2048.", ("ranges/run_torque/torque_current/*",)),
+    S("10/mf-amperes", "The range is 16.5 A either way on MF.", unclaimed=_SCALE),
+    S("10/mg-amperes", "The range is 33 A either way on MG.", unclaimed=_SCALE),
+    S("10/differs", "Supply current and torque differ from motor to motor.", unclaimed="nothing is said of how much"),
+    _tells_state("10", "run_torque"),
+    # --- 11: speed ---
+    *_tables("11", "run_speed", "A2h", 4, 7),
+    S(
+        "11/runs",
+        "It runs the motor at a speed.",
+        ("motion/run_speed/speed-*", "motion/run_speed/lasts", "motion/run_speed/changes"),
+    ),
+    S("11/type", "Speed is signed, of four bytes, low byte first.", ("motion/run_speed/opposite", "ranges/run_speed/speed/*")),
+    S("11/unit", "One unit of speed is 0.01 deg/s.", ("motion/run_speed/speed-*",)),
+    *_limited("11", "Max Speed", "Max Acceleration", "Max Torque Current"),
+    _tells_state("11", "run_speed"),
+    # --- 12 and 13: positions over all turns ---
+    *_tables("12", "move_multi_turn", "A3h", 8, 7),
+    S(
+        "12/moves",
+        "It moves the motor to a position over all turns.",
+        ("motion/move_multi_turn/reaches", "motion/move_multi_turn/absolute"),
+    ),
+    S(
+        "12/type",
+        "The position is signed, of eight bytes, low byte first.",
+        ("ranges/move_multi_turn/position/*", "motion/move_multi_turn/wide"),
+    ),
+    S(
+        "12/unit",
+        "One unit is 0.01 degrees: 36000 are a turn.",
+        ("motion/move_multi_turn/reaches", "motion/set_position/and-moves"),
+    ),
+    S(
+        "12/direction",
+        "It turns from where it is towards the target.",
+        ("motion/move_multi_turn/reaches", "motion/move_multi_turn/wide"),
+    ),
+    *_limited("12", "Max Angle", "Max Speed", "Max Acceleration", "Max Torque Current"),
+    _tells_state("12", "move_multi_turn"),
+    *_tables("13", "move_multi_turn_limited", "A4h", 12, 7),
+    S(
+        "13/moves",
+        "It moves the motor to a position over all turns.",
+        ("motion/move_multi_turn_limited/reaches", "motion/move_multi_turn_limited/absolute"),
+    ),
+    S(
+        "13/type",
+        "The position is signed, of eight bytes, low byte first.",
+        ("ranges/move_multi_turn_limited/position/*", "motion/move_multi_turn_limited/wide"),
+    ),
+    S("13/unit", "One unit of position is 0.01 degrees: 36000 are a turn.", ("motion/move_multi_turn_limited/reaches",)),
+    S(
+        "13/direction",
+        "It turns from where it is towards the target.",
+        ("motion/move_multi_turn_limited/reaches", "motion/move_multi_turn_limited/wide"),
+    ),
+    S("13/max-speed", "It turns no faster than max_speed.", ("motion/move_multi_turn_limited/max-speed",)),
+    S("13/max-speed-type", "max_speed is unsigned, of four bytes.", ("ranges/move_multi_turn_limited/max_speed/*",)),
+    S("13/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", ("motion/move_multi_turn_limited/max-speed",)),
+    *_limited("13", "Max Angle", "Max Acceleration", "Max Torque Current"),
+    _tells_state("13", "move_multi_turn_limited"),
+    # --- 14 and 15: angles within the turn ---
+    *_tables("14", "move_single_turn", "A5h", 4, 7),
+    S("14/moves", "It moves the motor to an angle within the turn.", ("motion/move_single_turn/reaches",)),
+    S(
+        "14/clockwise",
+        "Direction 0 turns clockwise.",
+        ("motion/move_single_turn/clockwise", "motion/move_single_turn/two-ways"),
+    ),
+    S(
+        "14/counterclockwise",
+        "Direction 1 turns counterclockwise.",
+        ("motion/move_single_turn/two-ways", "ranges/move_single_turn/direction/*"),
+    ),
+    S("14/range", "The angle is 0 to 35999, unsigned, of two bytes.", ("ranges/move_single_turn/angle/*",)),
+    S("14/unit", "One unit is 0.01 degrees.", ("motion/move_single_turn/reaches", "ranges/move_single_turn/angle/highest")),
+    S(
+        "14/null",
+        "The last byte is 0.",
+        unclaimed="observed by ranges/move_single_turn/reserved: what another value does is not said",
+    ),
+    *_limited("14", "Max Speed", "Max Acceleration", "Max Torque Current"),
+    _tells_state("14", "move_single_turn"),
+    *_tables("15", "move_single_turn_limited", "A6h", 8, 7),
+    S("15/moves", "It moves the motor to an angle within the turn.", ("motion/move_single_turn_limited/reaches",)),
+    S(
+        "15/clockwise",
+        "Direction 0 turns clockwise.",
+        ("motion/move_single_turn_limited/clockwise", "motion/move_single_turn_limited/two-ways"),
+    ),
+    S(
+        "15/counterclockwise",
+        "Direction 1 turns counterclockwise.",
+        ("motion/move_single_turn_limited/two-ways", "ranges/move_single_turn_limited/direction/*"),
+    ),
+    S("15/range", "The angle is 0 to 35999, unsigned, of two bytes.", ("ranges/move_single_turn_limited/angle/*",)),
+    S("15/unit", "One unit of angle is 0.01 degrees.", ("motion/move_single_turn_limited/reaches",)),
+    S(
+        "15/null",
+        "The fourth byte is 0.",
+        unclaimed="observed by ranges/move_single_turn_limited/reserved: what another value does is not said",
+    ),
+    S("15/max-speed", "It turns no faster than max_speed.", ("motion/move_single_turn_limited/max-speed",)),
+    S("15/max-speed-type", "max_speed is unsigned, of four bytes.", ("ranges/move_single_turn_limited/max_speed/*",)),
+    S("15/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", ("motion/move_single_turn_limited/max-speed",)),
+    *_limited("15", "Max Acceleration", "Max Torque Current"),
+    _tells_state("15", "move_single_turn_limited"),
+    # --- 16 and 17: increments ---
+    *_tables("16", "move_increment", "A7h", 4, 7),
+    S("16/moves", "It moves the motor by an angle.", ("motion/move_increment/reaches", "motion/move_increment/adds-up")),
+    S("16/type", "The increment is signed, of four bytes, low byte first.", ("ranges/move_increment/position/*",)),
+    S("16/unit", "One unit is 0.01 degrees: 36000 are a turn.", ("motion/move_increment/reaches",)),
+    S(
+        "16/direction",
+        "The sign of the increment is the direction.",
+        ("motion/move_increment/reaches", "ranges/move_increment/position/*"),
+    ),
+    *_limited("16", "Max Speed", "Max Acceleration", "Max Torque Current"),
+    _tells_state("16", "move_increment"),
+    *_tables("17", "move_increment_limited", "A8h", 8, 7),
+    S(
+        "17/moves",
+        "It moves the motor by an angle.",
+        ("motion/move_increment_limited/reaches", "motion/move_increment_limited/adds-up"),
+    ),
+    S("17/type", "The increment is signed, of four bytes, low byte first.", ("ranges/move_increment_limited/position/*",)),
+    S("17/unit", "One unit of the increment is 0.01 degrees: 36000 are a turn.", ("motion/move_increment_limited/reaches",)),
+    S(
+        "17/direction",
+        "The sign of the increment is the direction.",
+        ("motion/move_increment_limited/reaches", "ranges/move_increment_limited/position/*"),
+    ),
+    S("17/max-speed", "It turns no faster than max_speed.", ("motion/move_increment_limited/max-speed",)),
+    S("17/max-speed-type", "max_speed is unsigned, of four bytes.", ("ranges/move_increment_limited/max_speed/*",)),
+    S("17/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", ("motion/move_increment_limited/max-speed",)),
+    *_limited("17", "Max Acceleration", "Max Torque Current"),
+    _tells_state("17", "move_increment_limited"),
+    # --- 18 and 19: control parameters ---
+    *_tables("18", "read_parameter", "C0h", 7, 7),
+    S("18/number", "The first byte says which parameter is read.", ("shape/read_parameter/of/*", "shape/read_parameter/echo")),
+    S(
+        "18/values",
+        "The reply has the number and the values of that parameter.",
+        ("shape/read_parameter/of/*", "read-back/parameter/*/written"),
+    ),
+    S("18/reads", "It reads and changes nothing.", ("read-back/parameter/*/others", "resilience/moving/reads")),
+    *_tables("19", "write_parameter", "C1h", 7, 7),
+    S(
+        "19/writes",
+        "It writes the values of the parameter whose number it has.",
+        ("read-back/parameter/*/written", "state/settings"),
+    ),
+    S(
+        "19/others",
+        "It writes no other parameter.",
+        ("read-back/parameter/*/others", "ranges/write_parameter/parameter/unlisted"),
+    ),
+    S(
+        "19/at-once",
+        "It takes effect at once.",
+        unclaimed="observed by motion/write_parameter/* and timing/write_parameter/*: which effect it has is not printed",
+    ),
+    S("19/power", "What it wrote is gone when power was off.", ("read-back/parameter/*/power",)),
+    S("19/values", "The reply has the values after writing.", ("read-back/parameter/*/written",)),
+    # --- 20: encoder ---
+    *_tables("20", "read_encoder", "90h", 0, 6),
+    S(
+        "20/encoder",
+        "The first value is the encoder: its raw value less the zero offset.",
+        ("motion/read_encoder/difference", "motion/read_encoder/below-offset"),
+    ),
+    S("20/raw", "The second value is the raw value.", ("motion/read_encoder/follows", "motion/set_zero/answers-raw")),
+    S("20/offset", "The third value is the offset of the zero.", ("motion/read_encoder/difference", "motion/set_zero/offset")),
+    S("20/initial-zero", "That offset is the zero from power-up.", ("motion/set_zero/offset",)),
+    S("20/ranges", "A value has 14, 15 or 16 bits; of 18 bits the upper 16 are sent.", ("motion/read_encoder/*",)),
+    # --- 21: zero ---
+    *_tables("21", "set_zero", "19h", 0, 2),
+    S("21/zero", "The raw value where the shaft stands becomes the zero from power-up.", ("motion/set_zero/at-power-up",)),
+    S("21/not-at-once", "The zero is that of the next power-up.", ("motion/set_zero/not-at-once",)),
+    S("21/kept", "The zero is kept without power.", ("motion/set_zero/at-power-up",)),
+    S("21/wear", "Each use wears the flash.", unclaimed="the wear of a chip is not seen by a few writes"),
+    S("21/raw", "The reply tells the raw value where the shaft stands, low byte first.", ("motion/set_zero/answers-raw",)),
+    # --- 22 to 25: positions ---
+    *_tables("22", "read_position", "92h", 0, 8),
+    S(
+        "22/position",
+        "It reads the position over all turns, signed, of eight bytes, low byte first.",
+        ("motion/set_position/counts-on", "motion/set_position/reads"),
+    ),
+    S(
+        "22/clockwise",
+        "A positive position is clockwise.",
+        ("motion/move_single_turn/clockwise", "motion/read_encoder/follows"),
+    ),
+    S("22/unit", "One unit is 0.01 degrees.", ("motion/read_single_turn/is-position", "motion/read_encoder/follows")),
+    *_tables("23", "clear_turns", "93h", 0, 0),
+    S("23/clears", "It clears what was counted of turns.", ("motion/clear_turns/drops-turns",)),
+    S("23/turns-nothing", "It clears information, and moves nothing.", ("motion/clear_turns/stands",)),
+    *_tables("24", "read_single_turn", "94h", 0, 4),
+    S(
+        "24/zero",
+        "The angle counts from the zero of the encoder.",
+        ("motion/set_zero/at-power-up", "motion/read_single_turn/is-encoder"),
+    ),
+    S("24/clockwise", "The angle rises clockwise.", ("motion/read_single_turn/is-position",)),
+    S(
+        "24/wraps",
+        "At the zero the angle is 0 again.",
+        ("motion/read_single_turn/within-turn", "motion/read_single_turn/is-position"),
+    ),
+    S(
+        "24/range",
+        "The angle is 0 to 35999, of four bytes, low byte first.",
+        ("shape/read_single_turn/values", "motion/read_single_turn/within-turn"),
+    ),
+    S("24/unit", "One unit is 0.01 degrees.", ("motion/read_single_turn/is-position",)),
+    *_tables("25", "set_position", "95h", 4, 4),
+    S(
+        "25/sets",
+        "It calls the present position any angle over all turns.",
+        ("motion/set_position/reads", "motion/set_position/and-moves"),
+    ),
+    S("25/turns-nothing", "It gives a name, and moves nothing.", ("motion/set_position/stands",)),
+    S("25/ram", "The name is gone when power was off.", ("motion/set_position/lost",)),
+    S(
+        "25/type",
+        "The angle is signed, of four bytes, low byte first.",
+        ("ranges/set_position/position/*", "motion/set_position/reads"),
+    ),
+    S("25/unit", "One unit is 0.01 degrees.", ("motion/set_position/and-moves", "motion/set_position/counts-on")),
+    S("25/echo", "The reply has the angle that was sent.", ("shape/set_position/echo",)),
+    # --- appendix 1 ---
+    S(
+        "appendix 1/angle_pid",
+        "Parameter 10 has kp, ki and kd of the angle loop, unsigned, of two bytes each.",
+        ("shape/read_parameter/of/angle_pid", "read-back/parameter/angle_pid/written"),
+    ),
+    S(
+        "appendix 1/speed_pid",
+        "Parameter 11 has kp, ki and kd of the speed loop, unsigned, of two bytes each.",
+        ("shape/read_parameter/of/speed_pid", "read-back/parameter/speed_pid/written"),
+    ),
+    S(
+        "appendix 1/current_pid",
+        "Parameter 12 has kp, ki and kd of the current loop, unsigned, of two bytes each.",
+        ("shape/read_parameter/of/current_pid", "read-back/parameter/current_pid/written"),
+    ),
+    S(
+        "appendix 1/torque_limit",
+        "Parameter 30 has the highest torque current, signed, in bytes 3 and 4.",
+        ("shape/read_parameter/of/torque_limit", "read-back/parameter/torque_limit/written"),
+    ),
+    S(
+        "appendix 1/speed_limit",
+        "Parameter 32 has the highest speed, signed, in bytes 3 to 6.",
+        ("shape/read_parameter/of/speed_limit", "read-back/parameter/speed_limit/written"),
+    ),
+    S(
+        "appendix 1/angle_limit",
+        "Parameter 34 has the limit of the angle, signed, in bytes 3 to 6.",
+        ("shape/read_parameter/of/angle_limit", "read-back/parameter/angle_limit/written"),
+    ),
+    S(
+        "appendix 1/current_ramp",
+        "Parameter 36 has the ramp of the current, signed, in bytes 3 to 6.",
+        ("shape/read_parameter/of/current_ramp", "read-back/parameter/current_ramp/written"),
+    ),
+    S(
+        "appendix 1/speed_ramp",
+        "Parameter 38 has the ramp of the speed, signed, in bytes 3 to 6.",
+        ("shape/read_parameter/of/speed_ramp", "read-back/parameter/speed_ramp/written"),
+    ),
+    S("appendix 1/loops", "Kp, ki and kd are gains of the loops.", unclaimed="what a gain does to a shaft is not printed"),
+    S("appendix 1/limits", "The limits limit torque, speed and angle.", unclaimed=_UNKNOWN_UNIT),
+    S(
+        "appendix 1/ramps",
+        "The ramps are slopes of current and speed.",
+        unclaimed="observed by timing/write_parameter/*: no unit is printed",
+    ),
+)
