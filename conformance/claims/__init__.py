@@ -35,6 +35,7 @@ MODULES = (
     "addressing",
     "addressing_many",
     "addressing_package",
+    "guarded",
     # traffic
     "traffic",
     # modbus
@@ -68,6 +69,7 @@ MODULES = (
     "motion_reads",
     "torque",
     "health",
+    "told_state",
     "encoder_zero",
     "control_parameters",
     "responding",

@@ -37,6 +37,7 @@ from conformance.drives.faults.places import (
     Change,
     Row,
     Rows,
+    answered,
     asked,
     faults,
     reply,
@@ -60,6 +61,13 @@ OVERSHOOT, SHORT = 3.0, 0.5
 
 def _hearing(also: Callable[[Drive, Frame, Message], bool]) -> Change:
     return taken(lambda drive, frame, message, wanted: wanted or also(drive, frame, message))
+
+
+def _unanswered(change: Change) -> Change:
+    """Let what the drive takes wrongly be obeyed and not be answered."""
+    return together(
+        change, answered(lambda drive, message, wanted: wanted and message.frame.checksum_ok and _own(drive, message))
+    )
 
 
 def _own(drive: Drive, message: Message) -> bool:
@@ -247,6 +255,11 @@ ROWS: Rows = {
             "address 0 is taken for a broadcast, obeyed and answered",
             _hearing(lambda d, f, m: f.checksum_ok and m.form is not None and m.address == 0),
         ),
+        Row(
+            "lk-obeys-other-address",
+            "requests to any address are obeyed, and its own alone are answered",
+            _unanswered(_hearing(lambda d, f, m: f.checksum_ok and m.form is not None)),
+        ),
     ),
     "checksum": (
         Row(
@@ -254,6 +267,16 @@ ROWS: Rows = {
         ),
         Row(
             "lk-answers-wrong-head-sum", "requests are obeyed and answered although the sum of their head is wrong", _broken(0)
+        ),
+        Row(
+            "lk-obeys-wrong-data-sum",
+            "requests are obeyed, and not answered, although the sum of their data is wrong",
+            _unanswered(_broken(1)),
+        ),
+        Row(
+            "lk-obeys-wrong-head-sum",
+            "requests are obeyed, and not answered, although the sum of their head is wrong",
+            _unanswered(_broken(0)),
         ),
     ),
     "unknown code": (

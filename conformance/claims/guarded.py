@@ -1,0 +1,167 @@
+"""What must not move or switch an LK motor: requests whose sums are wrong, and requests to other addresses.
+
+What is executed though it is not answered shows in the shaft and in what is read; so these need no hands on the drive.
+
+Rules kept here:
+- A damaged motion is one that the same permission allows whole: small, slow, and the sums alone are wrong.
+- What was to have no effect is sent whole at last, so that a drive that does nothing at all proves nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Subject, Verb
+from conformance.claim import Inconclusive, Theme
+from conformance.claims.declare import Case, claim, described_in
+from conformance.claims.hearing import PAUSE_NS
+from conformance.claims.motion_claim import command_of
+from conformance.motion import motion
+from conformance.motion.motion import MOVES, MS, SAME
+from conformance.talk.exchange import Exchange, hex_of
+from conformance.talk.probe import Probe
+
+#: A motion that shows: degrees, and rpm where it can be told.
+_DEGREES, _RPM = 20, 30
+#: How long a motion that is executed has until it is looked for; a shaft that went less than `_STILL` (deg) stays.
+_WATCH_NS, _STILL = 150 * MS, 4 * SAME
+_POWER_OFF, _RELEASED, _READ_BRAKE = 0x00, 0x01, 0x10
+_POSITION_STEP = 4_321
+
+
+def _switch_on(probe: Probe) -> object:
+    return motion.switch(probe, True)
+
+
+@dataclass(frozen=True)
+class _Guarded:
+    """A command that must not be executed. `ready`: makes it tell; `values`: what is sent; `see`: what it would change.
+
+    `within`: by how much that differs by itself. `after`: puts back what it changed.
+    """
+
+    ready: Callable[[Probe], object]
+    values: Callable[[Probe, Command], Mapping[str, int]]
+    see: Callable[[Probe], float]
+    within: float = 0.0
+    after: Callable[[Probe], object] = _switch_on
+
+
+def _shaft(probe: Probe) -> float:
+    return motion.position(probe).value
+
+
+def _is_on(probe: Probe) -> float:
+    return probe.read(Verb.READ_STATE_1, "state")
+
+
+def _brake(probe: Probe) -> float:
+    return probe.read(Verb.BRAKE, "brake_state", {"brake_control": _READ_BRAKE})
+
+
+def _release(probe: Probe) -> object:
+    return probe.do(Verb.BRAKE, {"brake_control": _RELEASED})
+
+
+def _nothing(probe: Probe, command: Command) -> Mapping[str, int]:
+    return {}
+
+
+def _motion_values(probe: Probe, command: Command) -> Mapping[str, int]:
+    start = motion.place(probe, command)
+    return motion.values_of(probe.dialect, command, _DEGREES, rpm=_RPM, start=start)
+
+
+def _another_position(probe: Probe, command: Command) -> Mapping[str, int]:
+    now = probe.read(Verb.READ_POSITION, "position")
+    # Far from the ends of 32 bits, whatever it was.
+    return {"position": _POSITION_STEP if abs(now - _POSITION_STEP) > _POSITION_STEP // 2 else -_POSITION_STEP}
+
+
+_MOTION = _Guarded(motion.ready_to_move, _motion_values, _shaft, _STILL)
+_SWITCHES: Mapping[Verb, _Guarded] = {
+    Verb.MOTOR_OFF: _Guarded(_switch_on, _nothing, _is_on),
+    Verb.MOTOR_ON: _Guarded(partial(motion.switch, on=False), _nothing, _is_on),
+    Verb.BRAKE: _Guarded(_release, lambda probe, command: {"brake_control": _POWER_OFF}, _brake, after=_release),
+    Verb.OTHER: _Guarded(motion.ready_to_move, _another_position, _shaft, _STILL),
+}
+_MOTIONS = (*MOVES, MotionKind.RUN, MotionKind.TORQUE)
+
+
+def _all_guarded(dialect: Dialect) -> Iterator[Case]:
+    """Yield the motions, and what switches or renames, of a dialect that switches its motor on and off."""
+    if Verb.MOTOR_ON in dialect.by_verb:
+        for command in dialect.motions(*_MOTIONS):
+            yield Case(dialect, command, {"guarded": _MOTION})
+        for verb, guarded in _SWITCHES.items():
+            yield Case(dialect, dialect.by_verb[verb], {"guarded": guarded})
+
+
+def _risks(case: Case) -> frozenset[Risk]:
+    command = command_of(case)
+    switching = {Risk.TORQUE} if command.verb is Verb.MOTOR_ON else set[Risk]()
+    return motion.risks(case.dialect, *(command.all_risks - {Risk.UNKNOWN}), *switching)
+
+
+_of_guarded = partial(claim, each=_all_guarded, refuted_by="an effect of it", risks=_risks, parameters={})
+
+
+def _expect_no_effect(probe: Probe, guarded: _Guarded, before: float, sent: Exchange, refutes: str, key: str) -> None:
+    probe.wait(_WATCH_NS)
+    after = guarded.see(probe)
+    if abs(after - before) > guarded.within:
+        _leave(probe, guarded)
+    expected = f"{before:g} still, after {hex_of(sent.sent or b'')}"
+    holds = abs(after - before) <= guarded.within
+    probe.expect(f"{after:g}", holds=holds, expected=expected, refutes=refutes, exchange=sent, key=key)
+
+
+def _control(probe: Probe, command: Command, guarded: _Guarded, values: Mapping[str, int]) -> None:
+    """Send the request whole. Raises Inconclusive where it shows no effect."""
+    before = guarded.see(probe)
+    probe.do(command, values)
+    probe.wait(_WATCH_NS)
+    after = guarded.see(probe)
+    _leave(probe, guarded)
+    if abs(after - before) <= guarded.within:
+        raise Inconclusive(f"{command.name} shows no effect when it is sent whole either")
+
+
+def _leave(probe: Probe, guarded: _Guarded) -> None:
+    """Leave the motor on and the shaft at rest."""
+    guarded.after(probe)
+    motion.stand_still(probe)
+
+
+@_of_guarded(Theme.FRAMING, name="{command}/guarded", section=described_in(Subject.FRAMING))
+def _guarded_by_sums(probe: Probe, command: Command, guarded: _Guarded) -> None:
+    """{command} is not executed where a sum of it is wrong."""
+    guarded.ready(probe)
+    values = guarded.values(probe, command)
+    built = probe.build(command, values)
+    for check in probe.dialect.link.checks(built.frame, probe.address):
+        for bit in (0, 7):
+            before = guarded.see(probe)
+            changed = bytearray(built.frame)
+            changed[check.start] ^= 1 << bit
+            sent = probe.send(built.item(bytes(changed)), timeout_ns=PAUSE_NS)
+            text = f"{command.name} is executed with bit {bit} of the {check.name} flipped"
+            _expect_no_effect(probe, guarded, before, sent, text, f"{command.name}: executed with a wrong {check.name}")
+    _control(probe, command, guarded, values)
+
+
+@_of_guarded(Theme.ADDRESSING, name="other/{command}", section=described_in(Subject.ADDRESSING), alone=True)
+def _to_another(probe: Probe, command: Command, guarded: _Guarded) -> None:
+    """{command} to another address is not executed."""
+    guarded.ready(probe)
+    values = guarded.values(probe, command)
+    own, (first, last) = probe.address, probe.dialect.addresses
+    for address in dict.fromkeys((0, first, own ^ 1, own + 1, last)):
+        if address != own and 0 <= address <= last:
+            before = guarded.see(probe)
+            sent = probe.send(probe.build(command, values, address=address).item(), timeout_ns=PAUSE_NS)
+            text = f"{command.name} to {address} is executed, and the drive is {own}"
+            _expect_no_effect(probe, guarded, before, sent, text, f"{command.name}: another address is executed")
+    _control(probe, command, guarded, values)
