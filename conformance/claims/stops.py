@@ -16,7 +16,7 @@ from collections.abc import Iterator
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive, Theme
-from conformance.claims.declare import Case, commands
+from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import expect_at_rest, expect_stays, of_motion, risks_by, risks_of, that_tell_their_end
 from conformance.motion import motion
@@ -298,6 +298,71 @@ def _ends_a_move(probe: Probe, command: Command) -> None:
     went = abs(motion.wait_standing(probe).value - before.value)
     text, expected = "the stop does not end a move on its way", "about 90 degrees of 360"
     probe.expect(went, at_least=20, at_most=300, unit="degrees", expected=expected, refutes=text, exchange=exchange)
+
+
+def endless(probe: Probe, run: Command) -> Exchange:
+    """Begin a motion that lasts for seconds, and let it get going: a run, a torque, or a long move."""
+    motion.prepare(probe, run)
+    lasts = bool(motion.of(run).speed) or motion.of(run).kind is MotionKind.TORQUE
+    exchange = motion.begin(probe, run, _way(run), rpm=15)
+    probe.wait(500 * MS if lasts else 100 * MS)
+    return exchange
+
+
+def _way(run: Command) -> int:
+    """Return how far an endless move goes (degrees): one without a speed is fast, and gets a long way unless within a turn."""
+    return 300 if motion.of(run).speed or motion.of(run).kind is MotionKind.MOVE_IN_TURN else 5 * 360
+
+
+def _of_lk_motions(verb: Verb) -> Cases:
+    def cases(dialect: Dialect) -> Iterator[Case]:
+        for case in commands(verb)(dialect):
+            for run in dialect.motions(*MOVES, MotionKind.TORQUE):
+                yield Case(dialect, case.command, {"run": run}, {"models": run.models, "parameters": {}})
+
+    return cases
+
+
+@of_motion(
+    each=_of_lk_motions(Verb.STOP), name="{command}/ends-{run}", refuted_by="a shaft that goes on", risks=risks_of("run")
+)
+@of_motion(
+    each=_of_lk_motions(Verb.MOTOR_OFF),
+    name="{command}/ends-{run}",
+    statement="Switching the motor off ends {run}.",
+    refuted_by="a shaft that goes on",
+    risks=risks_of("run"),
+    at_best=Certainty.LIKELY,
+)
+def _ends(probe: Probe, command: Command, run: Command) -> None:
+    """The stop ends {run}."""
+    before = motion.position(probe)
+    exchange = endless(probe, run)
+    if abs(motion.position(probe).value - before.value) < SAME:
+        raise Inconclusive(f"{run.name} does not turn the shaft")
+    exchange = probe.do(command)
+    probe.wait(3 * SECOND_NS)
+    went = abs(motion.position(probe).value - before.value)
+    expect_standing(probe, exchange, f"{command.name} does not end {run.name}")
+    motion.switch(probe, True)
+    if motion.of(run).distance:
+        text = f"{run.name} comes to its target after {command.name}"
+        got = f"{went:.1f} degrees"
+        probe.expect(got, holds=abs(went - _way(run)) > 2, expected="less than its way", refutes=text, exchange=exchange)
+
+
+@of_motion(each=_of_lk_motions(Verb.STOP), name="{command}/then-{run}", refuted_by="a shaft that stays", risks=risks_of("run"))
+def _then(probe: Probe, command: Command, run: Command) -> None:
+    """After the stop {run} moves the shaft, without switching the motor on."""
+    motion.ready_to_move(probe)
+    probe.do(command)
+    before = motion.position(probe)
+    start = motion.place(probe, run)
+    exchange = motion.ask(probe, run, 30, start=start)
+    probe.wait(300 * MS)
+    went = abs(motion.stand_still(probe).value - before.value)
+    text = f"{run.name} after the stop does not move the shaft"
+    probe.expect(went, at_least=1, unit="degrees", refutes=text, exchange=exchange)
 
 
 @of_motion(

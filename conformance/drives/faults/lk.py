@@ -48,7 +48,7 @@ from conformance.drives.faults.places import (
     unstored,
 )
 from conformance.drives.lk.drive import MOVES, Act, LkDrive
-from conformance.drives.lk.motor import Goal, Position
+from conformance.drives.lk.motor import Goal, Position, Torque
 
 STATE_1 = (Verb.READ_STATE_1, Verb.CLEAR_ERRORS)
 PARAMETERS = (Verb.READ_PARAMETER, Verb.WRITE_PARAMETER)
@@ -205,6 +205,37 @@ def _resuming(hooks: Hooks) -> None:
     together(acting("motor_off", off), acting("motor_on", on, after=True))(hooks)
 
 
+def _stopping(drive: LkDrive, of: type[Goal]) -> None:
+    """Let 0x81 leave motion of one kind alone."""
+    if not isinstance(drive.motor.goal, of):
+        drive.motor.stop()
+
+
+def _off_unless_torque(drive: LkDrive, request: Request) -> None:
+    """Let 0x80 leave a torque as it is."""
+    if isinstance(drive.motor.goal, Torque):
+        drive.motor.on = False
+    else:
+        drive.motor.turn_off()
+
+
+def _dead_after_stop(hooks: Hooks) -> None:
+    stopped: list[bool] = []
+
+    def once(old: Act) -> Act:
+        def act(drive: LkDrive, request: Request) -> None:
+            if not stopped:
+                old(drive, request)
+
+        return act
+
+    together(
+        acting("stop", lambda drive, request: stopped.append(True), after=True),
+        acting("motor_on", lambda drive, request: stopped.clear(), after=True),
+        *(replaced(name, once) for name in (*MULTI_TURN, *SINGLE_TURN, *INCREMENTS)),
+    )(hooks)
+
+
 def _brake_backwards(drive: LkDrive, request: Request) -> None:
     control = request.values["brake_control"]
     if control != BrakeControl.READ:
@@ -302,6 +333,7 @@ ROWS: Rows = {
         Row("lk-state-always-on", "the motor is reported on while it is off", reply("state", always(MotorState.ON))),
         Row("lk-off-still-moves", "motion commands are obeyed while the motor is off", tuned(_disobedient)),
         Row("lk-off-keeps-running", "0x80 does not end a motion under way", acting("motor_off", _keep_running)),
+        Row("lk-off-keeps-torque", "0x80 does not end a torque or an open loop", acting("motor_off", _off_unless_torque)),
         Row("lk-off-ignored", "0x80 is answered and does nothing", acting("motor_off", nothing)),
     ),
     "reply layout": (
@@ -455,6 +487,15 @@ ROWS: Rows = {
             acting("stop", lambda drive, request: drive.motor.release()),
         ),
         Row("lk-stop-ignored", "0x81 is answered and does nothing", acting("stop", nothing)),
+        Row(
+            "lk-stop-keeps-torque",
+            "0x81 does not end a torque or an open loop",
+            acting("stop", lambda drive, request: _stopping(drive, Torque)),
+        ),
+        Row(
+            "lk-stop-keeps-moves", "0x81 does not end a move", acting("stop", lambda drive, request: _stopping(drive, Position))
+        ),
+        Row("lk-stop-needs-on", "after 0x81 moves need 0x88 first", Change(_dead_after_stop, LK)),
         Row(
             "lk-stop-clears-turns",
             "0x81 drops the counted turns",
