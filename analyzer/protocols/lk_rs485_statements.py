@@ -78,7 +78,8 @@ STATEMENTS: tuple[S, ...] = (
             "addressing/other/neighbours",
             "addressing/other/one_bit",
             "addressing/other/not_executed",
-            "addressing/other/not_moved",
+            "addressing/other/m*",
+            "addressing/other/run_*",
         ),
     ),
     S(
@@ -126,7 +127,7 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "Single motor command/head-sum-guards",
         "A command whose head sum is wrong is not executed.",
-        ("framing/checksum_bit/not_executed", "framing/checksum_bit/not_moved", "framing/checksum_bit/not_switched"),
+        ("framing/*/guarded", "framing/checksum_bit/not_executed"),
     ),
     S(
         "Single motor command/data",
@@ -146,12 +147,7 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "Single motor command/data-sum-guards",
         "A command whose data sum is wrong is not executed.",
-        (
-            "framing/checksum_bit/not_executed",
-            "framing/flipped_bit/not_executed",
-            "framing/checksum_bit/not_moved",
-            "framing/flipped_bit/not_moved",
-        ),
+        ("framing/*/guarded", "framing/checksum_bit/not_executed", "framing/flipped_bit/not_executed"),
     ),
     S(
         "Single motor command/answers-any-time",

@@ -293,3 +293,14 @@ def _at_power_up(probe: Probe, command: Command) -> None:
     exchange = probe.do(command)
     _power_cycle(probe)
     _expect_angle(probe, 0, 0, "the zero of 19 is not there when power comes on again", exchange)
+
+
+@_zero(refuted_by="another offset")
+def _offset(probe: Probe, command: Command) -> None:
+    """From the next power-up on the offset that 90 tells is the value that 19 was answered with."""
+    motion.ready_to_move(probe)
+    turn_by(probe, 77)
+    told = probe.reply(probe.do(command)).values["encoder_zero"]
+    _power_cycle(probe)
+    values, exchange = _encoder(probe)
+    probe.expect(values["encoder_offset"], equal=told, refutes="90 tells another offset than 19 set", exchange=exchange)

@@ -37,6 +37,8 @@ _SHIVER = 16
 _PIECE, _PIECES = 64, 32
 _SEED = 20_241
 _IDLE_NS = 10 * _SECOND_NS
+#: Pauses after which the first request is looked at, each of them twice at most.
+_PAUSES_NS = (1 * _SECOND_NS, 5 * _SECOND_NS)
 _LONG_IDLE_NS = 24 * 3600 * _SECOND_NS
 #: How long a drive may take from power-on until it answers; real ones take two seconds.
 _POWER_NS = 4 * _SECOND_NS
@@ -259,6 +261,29 @@ def _after(probe: Probe, what: str, happen: Sends) -> None:
         refutes=f"the drive does not answer after {what}",
         exchange=tries[-1],
     )
+
+
+@_resilience("silence, pause after pause", name="idle/first", at_best=Certainty.LIKELY)
+def _first_after_idle(probe: Probe) -> None:
+    """The first request after seconds of silence is answered."""
+    ask_first(probe)
+    read = plain_read(probe.dialect)
+    for pause_ns in _PAUSES_NS:
+        # Twice: a line loses a reply now and then, and not after each pause.
+        exchanges = []
+        for _ in range(2):
+            probe.wait(pause_ns)
+            exchanges.append(probe.ask(read))
+            if is_answered(exchanges[-1]):
+                break
+        probe.expect(
+            came(exchanges[-1]),
+            holds=is_answered(exchanges[-1]),
+            expected=f"a reply to {read.name}",
+            refutes=f"the first request after {pause_ns / _SECOND_NS:g} s of silence is not answered",
+            exchange=exchanges[-1],
+            key="the first request after a pause is lost",
+        )
 
 
 # --- settings in haste ------------------------------------------------------------------------------------------------

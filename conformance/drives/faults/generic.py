@@ -63,6 +63,7 @@ from conformance.drives.faults.places import (
     body_of,
     byte,
     check,
+    counted,
     every,
     faults,
     frames,
@@ -78,6 +79,8 @@ from conformance.drives.faults.places import (
 LATE_NS = 2_000_000_000
 LK_LATE_NS = 20_000_000
 PAUSE_NS = 40_000_000
+#: A drive that sleeps does so after this long without a request.
+SLEEP_NS = 3_000_000_000
 NOISE = bytes((0xFF, 0x00, 0x55))
 LK_HEAD = 5
 COUNTS = mks_shared.COUNTS_PER_TURN
@@ -111,6 +114,18 @@ def _twice(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgo
 
 def _noisy(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:
     return (replace(outgoing, data=NOISE), outgoing)
+
+
+def _asleep() -> Say:
+    """Lose the first reply after a pause."""
+    last_ns = 0
+
+    def say(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:
+        nonlocal last_ns
+        pause_ns, last_ns = outgoing.at_ns - last_ns, outgoing.at_ns
+        return () if pause_ns >= SLEEP_NS else (outgoing,)
+
+    return say
 
 
 def _halting(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:
@@ -225,6 +240,7 @@ LINK: Rows = {
     "timing": (Row("lk-reply-late", "replies come 20 ms after the request", frames(_late(LK_LATE_NS))),),
     "lost": (
         Row("lost-reply", "every third reply is not sent", every(3, _lost), EVERY),
+        Row("first-after-pause-lost", "the first reply after three seconds of silence is not sent", counted(_asleep), EVERY),
         Row("first-reply-only", "every second reply is not sent", every(2, _lost), EVERY),
     ),
     "shape": (

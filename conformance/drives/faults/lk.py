@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+
+from msgspec.structs import replace
 
 from analyzer.catalogue import Command, Verb
 from analyzer.protocols.lk_rs485 import (
@@ -15,7 +17,7 @@ from analyzer.protocols.lk_rs485 import (
     SpinDirection,
 )
 from analyzer.records import Frame, Message
-from conformance.drives.drive import Drive, Hooks, Request, Values
+from conformance.drives.drive import Drive, Hooks, Outgoing, Request, Values
 from conformance.drives.faults.generic import LK_MOTIONS
 from conformance.drives.faults.lk_behaviour import (
     INCREMENTS,
@@ -31,7 +33,7 @@ from conformance.drives.faults.lk_behaviour import (
     replaced,
     tuned,
 )
-from conformance.drives.faults.numbers import always, exchanged, negated, renamed
+from conformance.drives.faults.numbers import always, exchanged, negated, renamed, swap_bytes
 from conformance.drives.faults.places import (
     LK,
     Change,
@@ -40,6 +42,7 @@ from conformance.drives.faults.places import (
     answered,
     asked,
     faults,
+    frames,
     reply,
     result,
     storing,
@@ -52,6 +55,16 @@ from conformance.drives.lk.motor import Goal, Position, Torque
 
 STATE_1 = (Verb.READ_STATE_1, Verb.CLEAR_ERRORS)
 PARAMETERS = (Verb.READ_PARAMETER, Verb.WRITE_PARAMETER)
+#: Reads of values that change with the motion.
+LK_READS = (
+    Verb.READ_STATE_1,
+    Verb.READ_STATE_2,
+    Verb.READ_STATE_3,
+    Verb.READ_ENCODER,
+    Verb.READ_POSITION,
+    Verb.READ_SINGLE_TURN,
+    Verb.READ_PARAMETER,
+)
 FLAGS = tuple(field.name for field in ERROR_BITS)
 #: Degrees by which a faulty move overshoots, or stops short.
 OVERSHOOT, SHORT = 3.0, 0.5
@@ -128,6 +141,13 @@ def _within_turn(drive: LkDrive, values: Values) -> Values:
 def _offset_added(drive: LkDrive, values: Values) -> Values:
     motor = drive.motor
     return {"encoder": (motor.encoder_raw + motor.encoder_zero) % motor.encoder_scale}
+
+
+def _head_alone_moving(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:
+    """Answer with a head without data while the shaft turns."""
+    data = outgoing.data
+    head = bytes((*data[:3], 0))
+    yield replace(outgoing, data=head + bytes((sum(head) & 0xFF,))) if lk(drive).motor.motion.speed else outgoing
 
 
 # --- what commands do ------------------------------------------------------------------------------------------------
@@ -343,6 +363,17 @@ ROWS: Rows = {
             "0x9A and 0x9B answer current and voltage in each other's place",
             _read(lambda d, v: {"voltage": v["current"], "current": v["voltage"]}, *STATE_1),
         ),
+        Row("lk-state-2-cold", "0x9C tells the temperature 0", reply("temperature", always(0), Verb.READ_STATE_2)),
+        Row("lk-state-3-cold", "0x9D tells the temperature 0", reply("temperature", always(0), Verb.READ_STATE_3)),
+        Row("lk-motion-cold", "motion commands tell the temperature 0", reply("temperature", always(0), LK_MOTIONS)),
+        Row("lk-motion-speed-0", "motion commands tell the speed 0", reply("speed", always(0), LK_MOTIONS)),
+        Row(
+            "lk-motion-encoder-raw",
+            "motion commands tell the encoder half a turn on",
+            _read(lambda d, v: {"encoder": (v["encoder"] + d.motor.encoder_scale // 2) % d.motor.encoder_scale}, *LK_MOTIONS),
+        ),
+        Row("lk-cleared-no-voltage", "0x9B tells the voltage 0", reply("voltage", always(0), Verb.CLEAR_ERRORS)),
+        Row("lk-supply-current-swapped", "0x9A tells the current high byte first", reply("current", swap_bytes, STATE_1)),
     ),
     "error flags": (
         Row(
@@ -374,7 +405,14 @@ ROWS: Rows = {
             reply("encoder", lambda v, field: v >> 2, (Verb.READ_STATE_2, *LK_MOTIONS)),
         ),
     ),
-    "range": (Row("lk-single-turn-runs-on", "0x94 counts on past 359.99 degrees", _read(_running_on, Verb.READ_SINGLE_TURN)),),
+    "range": (
+        Row("lk-single-turn-runs-on", "0x94 counts on past 359.99 degrees", _read(_running_on, Verb.READ_SINGLE_TURN)),
+        Row(
+            "lk-single-turn-shifted",
+            "0x94 tells an angle a quarter of a turn on",
+            _read(lambda d, v: {"angle": (v["angle"] + 9_000) % 36_000}, Verb.READ_SINGLE_TURN),
+        ),
+    ),
     "position": (
         Row("lk-position-single-turn", "0x92 answers the angle within the turn", _read(_within_turn, Verb.READ_POSITION)),
         Row(
@@ -385,6 +423,18 @@ ROWS: Rows = {
         # Positions, parameters, models
         Row("lk-set-position-ignored", "0x95 is echoed and does nothing", acting("set_position", nothing)),
         Row("lk-clear-turns-ignored", "0x93 is echoed and does nothing", acting("clear_turns", nothing)),
+    ),
+    "moving": (
+        Row(
+            "lk-reads-silent-moving",
+            "reads are not answered while the shaft turns",
+            result(lambda drive, command, asked, values: None if lk(drive).motor.motion.speed else values, LK_READS),
+        ),
+        Row(
+            "lk-reads-unfit-moving",
+            "reads are answered by a head alone while the shaft turns",
+            frames(_head_alone_moving, LK_READS),
+        ),
     ),
     "phase currents": (
         Row(
@@ -400,6 +450,7 @@ ROWS: Rows = {
             _read(lambda d, v: {"encoder_zero": d.motor.encoder}, Verb.SET_ZERO),
         ),
         Row("lk-zero-at-once", "0x19 moves the zero at once", acting("set_zero", _zero_now, after=True)),
+        Row("lk-zero-not-told", "0x90 tells the offset 0, whatever 0x19 set", reply("encoder_offset", always(0))),
         Row("lk-zero-lost", "the zero of 0x19 is not there after power-up", unstored("encoder_zero")),
     ),
     "parameters": (

@@ -1,0 +1,140 @@
+"""What LK motors tell of their state in several replies: it is one state, whichever reply tells it.
+
+    9A 9B            temperature, voltage, current, state and errors
+    9C, motions      temperature, torque current, speed, encoder
+    9D               temperature, phase currents
+
+A value that one command alone gets wrong shows beside the others. All of it runs on any drive.
+
+Rules kept here:
+- What is compared is read within one moment, before and after, and may lie anywhere between.
+- Encoders are compared by their low 14 bits, which every width has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import partial
+
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
+from conformance.claims.declare import Case, commands
+from conformance.claims.encoder_zero import named
+from conformance.claims.motion_claim import of_motion
+from conformance.claims.motion_reads import PLACES, turn_by
+from conformance.claims.stops import endless
+from conformance.motion import motion
+from conformance.motion.motion import MOVES
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
+
+#: By how much temperatures (degC), supply voltages (0.01 V) and currents (0.01 A) may differ between two replies.
+_WARMING, _SAGGING, _FLICKER = 3, 100, 100
+#: Speeds (deg/s), and counts of 14 bits, that are one, whatever a shaft shivers.
+_STEADY, _COUNTS, _TURN = 10, 64, 1 << 14
+#: The supply current of a motor that stands and holds nothing, at most (0.01 A).
+_AT_REST = 300
+_still = partial(of_motion, still=True)
+
+
+def _told(probe: Probe, command: Command | Verb, values: Mapping[str, int] | None = None) -> tuple[Mapping[str, int], Exchange]:
+    exchange = probe.ask(command, values, quiet_ns=0)
+    return probe.reply(exchange).values, exchange
+
+
+def _expect_same_temperature(probe: Probe, seen: int, wanted: int, command: Command, exchange: Exchange) -> None:
+    text = f"{command.name} tells another temperature than 9A"
+    probe.expect(seen, near=wanted, within=_WARMING, unit="degC", refutes=text, exchange=exchange)
+
+
+@_still(each=commands(Verb.READ_STATE_2, Verb.READ_STATE_3), refuted_by="another temperature", name="{command}/temperature")
+def _temperature(probe: Probe, command: Command) -> None:
+    """{command} tells the temperature that 9A tells."""
+    wanted, _ = _told(probe, Verb.READ_STATE_1)
+    seen, exchange = _told(probe, command)
+    _expect_same_temperature(probe, seen["temperature"], wanted["temperature"], command, exchange)
+
+
+@_still(each=commands(Verb.READ_STATE_1), refuted_by="a current that no resting motor takes", at_best=Certainty.LIKELY)
+def _current_at_rest(probe: Probe, command: Command) -> None:
+    """The supply current of a motor that stands is small."""
+    seen, exchange = _told(probe, command)
+    text = "a motor that stands takes a current that no resting motor takes"
+    probe.expect(seen["current"], at_least=-_AT_REST, at_most=_AT_REST, unit="x 0.01 A", refutes=text, exchange=exchange)
+
+
+@_still(each=commands(Verb.CLEAR_ERRORS), refuted_by="another state", at_best=Certainty.LIKELY)
+def _tells_state(probe: Probe, command: Command) -> None:
+    """{command} is answered with what 9A then tells."""
+    seen, exchange = _told(probe, command)
+    wanted, _ = _told(probe, Verb.READ_STATE_1)
+    _expect_same_temperature(probe, seen["temperature"], wanted["temperature"], command, exchange)
+    within = {"temperature": _WARMING, "voltage": _SAGGING, "current": _FLICKER}
+    for name, value in wanted.items():
+        text = f"{command.name} is answered with another {name} than 9A tells"
+        probe.expect(seen[name], near=value, within=within.get(name, 0), refutes=text, exchange=exchange)
+
+
+def _of_motions(dialect: Dialect) -> Iterable[Case]:
+    for command in dialect.motions(*MOVES, MotionKind.RUN, MotionKind.TORQUE) if Verb.READ_STATE_2 in dialect.by_verb else ():
+        yield Case(dialect, command)
+
+
+@of_motion(each=_of_motions, refuted_by="another temperature, speed or encoder", name="{command}/tells-state")
+def _motion_tells_state(probe: Probe, command: Command) -> None:
+    """{command} is answered with the temperature, speed and encoder that 9C tells, at rest and while the shaft turns."""
+    motion.ready_to_move(probe)
+    motion.wait_standing(probe)
+    before, _ = _told(probe, Verb.READ_STATE_2)
+    exchange = endless(probe, command)
+    at_rest = probe.reply(exchange).values
+    _expect_between(probe, command, exchange, (before, before), at_rest)
+    first, _ = _told(probe, Verb.READ_STATE_2)
+    exchange = probe.ask(command, exchange.values, quiet_ns=0)
+    told = probe.reply(exchange).values
+    last, _ = _told(probe, Verb.READ_STATE_2)
+    motion.stand_still(probe)
+    _expect_between(probe, command, exchange, (first, last), told)
+
+
+def _expect_between(
+    probe: Probe,
+    command: Command,
+    exchange: Exchange,
+    between: tuple[Mapping[str, int], Mapping[str, int]],
+    told: Mapping[str, int],
+) -> None:
+    """Refute unless a reply tells what 9C told before and after it, or something between."""
+    first, last = between
+    _expect_same_temperature(probe, told["temperature"], first["temperature"], command, exchange)
+    low, high = sorted((first["speed"], last["speed"]))
+    slack = _STEADY + abs(high) * 0.1
+    text = f"{command.name} is answered with another speed than 9C tells"
+    probe.expect(told["speed"], at_least=low - slack, at_most=high + slack, unit="deg/s", refutes=text, exchange=exchange)
+    gone, way = ((values["encoder"] - first["encoder"]) % _TURN for values in (told, last))
+    probe.expect(
+        str(told["encoder"]),
+        holds=(gone + _COUNTS) % _TURN <= way + 2 * _COUNTS,
+        expected=f"{first['encoder']} to {last['encoder']}, as 9C tells",
+        refutes=f"{command.name} is answered with another encoder value than 9C tells",
+        exchange=exchange,
+    )
+
+
+@of_motion(each=named("read_single_turn"), refuted_by="another angle", at_best=Certainty.LIKELY, name="{command}/is-encoder")
+def _angle_is_encoder(probe: Probe, command: Command) -> None:
+    """The angle within the turn is what the encoder tells, as a share of its range."""
+    motion.ready_to_move(probe)
+    widths = {14, 15, 16}
+    for degrees in PLACES:
+        turn_by(probe, degrees)
+        encoder, _ = _told(probe, Verb.READ_ENCODER)
+        angle, exchange = _told(probe, command)
+        off = {w: abs(encoder["encoder"] * 36_000 / (1 << w) - angle["angle"]) for w in widths}
+        widths = {w for w, by in off.items() if min(by, 36_000 - by) <= 50}
+        probe.expect(
+            f"{angle['angle'] / 100:.2f} degrees beside encoder {encoder['encoder']}",
+            holds=bool(widths),
+            expected="the share that the encoder is of 14, 15 or 16 bits",
+            refutes="the angle within the turn is not that of the encoder",
+            exchange=exchange,
+        )
