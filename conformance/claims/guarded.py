@@ -15,8 +15,8 @@ from functools import partial
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Subject, Verb
 from conformance.claim import Inconclusive, Theme
+from conformance.claims.control_reads import PAUSE_NS
 from conformance.claims.declare import Case, claim, described_in
-from conformance.claims.hearing import PAUSE_NS
 from conformance.claims.motion_claim import command_of
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, SAME

@@ -277,7 +277,7 @@ def _first_after_idle(probe: Probe) -> None:
             if is_answered(exchanges[-1]):
                 break
         probe.expect(
-            came(exchanges[-1]),
+            received_text(exchanges[-1]),
             holds=is_answered(exchanges[-1]),
             expected=f"a reply to {read.name}",
             refutes=f"the first request after {pause_ns / _SECOND_NS:g} s of silence is not answered",

@@ -113,7 +113,7 @@ def _tasks(dialect: Dialect) -> Iterator[Case]:
 @_of_busy("silence, or another reply", each=_tasks, name="{kind}/reads", at_best=Certainty.LIKELY)
 def _reads(probe: Probe, task: Command | None, when: str) -> None:
     """Every read is answered by its own reply {when}."""
-    readable = [c for c in plain_reads(probe.dialect) if is_answered(probe.ask(c, quiet_ns=0))]
+    readable = [c for c in plain_reads(probe.dialect) if _tells(probe, probe.ask(c, quiet_ns=0))]
     if not readable:
         raise Inconclusive("no read is answered while the shaft stands")
     _begin(probe, task)
@@ -125,12 +125,17 @@ def _reads(probe: Probe, task: Command | None, when: str) -> None:
         _end(probe, task)
 
 
+def _tells(probe: Probe, exchange: Exchange) -> bool:
+    """Say whether a read was answered by what it reads: no other layout, and no refusal."""
+    return is_answered(exchange) and motion.readable(exchange) and not probe.refused(exchange)
+
+
 def _expect_answer(probe: Probe, command: Command, when: str) -> None:
-    if not is_answered(probe.ask(command, quiet_ns=0)):
+    if not _tells(probe, probe.ask(command, quiet_ns=0)):
         again = probe.ask(command, quiet_ns=0)
         probe.expect(
             received_text(again),
-            holds=is_answered(again),
+            holds=_tells(probe, again),
             expected=f"a reply to {command.name}",
             refutes=f"{command.name} is not answered {when}",
             exchange=again,

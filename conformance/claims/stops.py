@@ -337,9 +337,12 @@ def _of_lk_motions(verb: Verb) -> Cases:
 def _ends(probe: Probe, command: Command, run: Command) -> None:
     """The stop ends {run}."""
     before = motion.position(probe)
-    exchange = endless(probe, run)
-    if abs(motion.position(probe).value - before.value) < SAME:
+    endless(probe, run)
+    turned = abs(motion.position(probe).value - before.value)
+    if turned < SAME:
         raise Inconclusive(f"{run.name} does not turn the shaft")
+    if motion.of(run).distance and turned > _way(run) - 20:
+        raise Inconclusive(f"{run.name} was at its target before {command.name} could be sent")
     exchange = probe.do(command)
     probe.wait(3 * SECOND_NS)
     went = abs(motion.position(probe).value - before.value)
