@@ -344,7 +344,8 @@ def _ends(probe: Probe, command: Command, run: Command) -> None:
     if motion.of(run).distance and turned > _way(run) - 20:
         raise Inconclusive(f"{run.name} was at its target before {command.name} could be sent")
     exchange = probe.do(command)
-    probe.wait(3 * SECOND_NS)
+    # Without torque the shaft runs out.
+    probe.wait((3 if command.verb is Verb.MOTOR_OFF else 1) * SECOND_NS)
     went = abs(motion.position(probe).value - before.value)
     expect_standing(probe, exchange, f"{command.name} does not end {run.name}")
     motion.switch(probe, True)
