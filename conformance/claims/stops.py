@@ -329,8 +329,8 @@ def _of_lk_motions(verb: Verb) -> Cases:
 @of_motion(
     each=_of_lk_motions(Verb.MOTOR_OFF),
     name="{command}/ends-{run}",
-    statement="Switching the motor off ends {run}.",
-    refuted_by="a shaft that goes on",
+    statement="Switching the motor off ends {run}, and switching it on does not take it up.",
+    refuted_by="a shaft that goes on, or moves again",
     risks=risks_of("run"),
     at_best=Certainty.LIKELY,
 )
@@ -348,7 +348,8 @@ def _ends(probe: Probe, command: Command, run: Command) -> None:
     probe.wait((3 if command.verb is Verb.MOTOR_OFF else 1) * SECOND_NS)
     went = abs(motion.position(probe).value - before.value)
     expect_standing(probe, exchange, f"{command.name} does not end {run.name}")
-    motion.switch(probe, True)
+    if command.verb is Verb.MOTOR_OFF:
+        expect_standing(probe, motion.switch(probe, True), f"switching the motor on takes up {run.name} again")
     if motion.of(run).distance:
         text = f"{run.name} comes to its target after {command.name}"
         got = f"{went:.1f} degrees"

@@ -19,7 +19,7 @@ from functools import partial
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claims.declare import Case, commands
 from conformance.claims.encoder_zero import named
-from conformance.claims.motion_claim import of_motion
+from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.claims.motion_reads import PLACES, turn_by
 from conformance.claims.stops import endless
 from conformance.motion import motion
@@ -60,6 +60,25 @@ def _current_at_rest(probe: Probe, command: Command) -> None:
     seen, exchange = _told(probe, command)
     text = "a motor that stands takes a current that no resting motor takes"
     probe.expect(seen["current"], at_least=-_AT_REST, at_most=_AT_REST, unit="x 0.01 A", refutes=text, exchange=exchange)
+
+
+@of_motion(
+    each=commands(Verb.READ_STATE_1),
+    refuted_by="state 10h, or an error flag",
+    risks=risks_by(Verb.RUN_SPEED),
+    name="{command}/turning",
+)
+def _on_while_turning(probe: Probe, command: Command) -> None:
+    """A motor that turns reads state 00h, with the error flags and the temperature that it had at rest."""
+    motion.ready_to_move(probe)
+    at_rest, _ = _told(probe, command)
+    endless(probe, probe.command(Verb.RUN_SPEED))
+    seen, exchange = _told(probe, command)
+    motion.stand_still(probe)
+    _expect_same_temperature(probe, seen["temperature"], at_rest["temperature"], command, exchange)
+    for name in sorted(seen.keys() - {"temperature", "voltage", "current"}):
+        text = f"a motor that turns reads another {name} than at rest"
+        probe.expect(seen[name], equal=at_rest[name], refutes=text, exchange=exchange)
 
 
 @_still(each=commands(Verb.CLEAR_ERRORS), refuted_by="another state", at_best=Certainty.LIKELY)

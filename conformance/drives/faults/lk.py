@@ -178,6 +178,27 @@ def _land_short(drive: LkDrive, request: Request) -> None:
         drive.motor.go(Position(goal.angle - side * SHORT, goal.top))
 
 
+def _whole_turns_ignored(drive: LkDrive, request: Request) -> None:
+    if request.physical["position"] % 360 or not request.physical["position"]:
+        _as_relative(drive, request)
+
+
+def _fast_long(drive: LkDrive, request: Request) -> None:
+    goal = drive.motor.goal
+    if (
+        isinstance(goal, Position)
+        and goal.top is not None
+        and goal.top > 600
+        and abs(goal.angle - drive.motor.motion.angle) > 180
+    ):
+        drive.motor.go(Position(goal.angle + (1.0 if goal.angle > drive.motor.motion.angle else -1.0), goal.top))
+
+
+def _clear_upward(drive: LkDrive, request: Request) -> None:
+    if drive.motor.position > 0:
+        drive.motor.clear_turns()
+
+
 def _without_effect(name: str) -> Change:
     """Let a limit of the control parameters have no effect: the motor keeps the one of power-up."""
 
@@ -422,9 +443,26 @@ ROWS: Rows = {
         ),
         # Positions, parameters, models
         Row("lk-set-position-ignored", "0x95 is echoed and does nothing", acting("set_position", nothing)),
+        Row("lk-whole-turns-ignored", "0xA7 and 0xA8 by whole turns do nothing", moving(INCREMENTS, _whole_turns_ignored)),
+        Row(
+            "lk-fast-moves-long",
+            "moves above 600 deg/s end a degree beyond",
+            moving((*MULTI_TURN, *INCREMENTS), _fast_long, after=True),
+        ),
+        Row("lk-clear-turns-upward", "0x93 drops positive turns alone", acting("clear_turns", _clear_upward)),
         Row("lk-clear-turns-ignored", "0x93 is echoed and does nothing", acting("clear_turns", nothing)),
     ),
     "moving": (
+        Row(
+            "lk-off-while-turning",
+            "0x9A tells a motor that turns as off",
+            _read(lambda d, v: {"state": MotorState.OFF} if d.motor.motion.speed else {}, *STATE_1),
+        ),
+        Row(
+            "lk-stalled-while-turning",
+            "0x9A tells a motor that turns as stalled",
+            _read(lambda d, v: {"stalled": 1} if d.motor.motion.speed else {}, *STATE_1),
+        ),
         Row(
             "lk-reads-silent-moving",
             "reads are not answered while the shaft turns",
