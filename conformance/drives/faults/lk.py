@@ -443,16 +443,10 @@ ROWS: Rows = {
         ),
         # Positions, parameters, models
         Row("lk-set-position-ignored", "0x95 is echoed and does nothing", acting("set_position", nothing)),
-        Row("lk-whole-turns-ignored", "0xA7 and 0xA8 by whole turns do nothing", moving(INCREMENTS, _whole_turns_ignored)),
-        Row(
-            "lk-fast-moves-long",
-            "moves above 600 deg/s end a degree beyond",
-            moving((*MULTI_TURN, *INCREMENTS), _fast_long, after=True),
-        ),
         Row("lk-clear-turns-upward", "0x93 drops positive turns alone", acting("clear_turns", _clear_upward)),
         Row("lk-clear-turns-ignored", "0x93 is echoed and does nothing", acting("clear_turns", nothing)),
     ),
-    "moving": (
+    "read state 1": (
         Row(
             "lk-off-while-turning",
             "0x9A tells a motor that turns as off",
@@ -463,6 +457,8 @@ ROWS: Rows = {
             "0x9A tells a motor that turns as stalled",
             _read(lambda d, v: {"stalled": 1} if d.motor.motion.speed else {}, *STATE_1),
         ),
+    ),
+    "moving": (
         Row(
             "lk-reads-silent-moving",
             "reads are not answered while the shaft turns",
@@ -472,6 +468,14 @@ ROWS: Rows = {
             "lk-reads-unfit-moving",
             "reads are answered by a head alone while the shaft turns",
             frames(_head_alone_moving, LK_READS),
+        ),
+    ),
+    "move lengths": (
+        Row("lk-whole-turns-ignored", "0xA7 and 0xA8 by whole turns do nothing", moving(INCREMENTS, _whole_turns_ignored)),
+        Row(
+            "lk-fast-moves-long",
+            "moves above 600 deg/s end a degree beyond",
+            moving((*MULTI_TURN, *INCREMENTS), _fast_long, after=True),
         ),
     ),
     "phase currents": (

@@ -83,6 +83,7 @@ def off(bench: Bench) -> None:
 def stop(bench: Bench) -> None:
     bench.ask("run_speed", speed=50_000)
     bench.wait(2)
+    bench.ask("run_speed", speed=50_000)
     bench.ask("stop")
     bench.wait(0.05)
     look(bench)
@@ -199,7 +200,37 @@ def strangers(bench: Bench) -> None:
             spoiled = bytearray(frame)
             spoiled[at] ^= 1
             bench.send(bytes(spoiled))
+    bench.send(bench.request("move_increment", address=2, position=500))
     bench.wait(0.3)
+    look(bench)
+
+
+def ended(name: str, seconds: float, **values: int) -> Script:
+    """Ask for a motion and end it by a stop, and by switching off; look, and ask for a move without switching on."""
+
+    def script(bench: Bench) -> None:
+        for ended_by in ("stop", "motor_off"):
+            bench.ask(name, **values)
+            bench.wait(seconds)
+            look(bench)
+            bench.ask(ended_by)
+            bench.wait(1)
+            look(bench)
+            bench.ask("move_increment", position=500)
+            bench.wait(0.5)
+            look(bench)
+            bench.ask("motor_on")
+            bench.wait(1)
+
+    return script
+
+
+def lengths(bench: Bench) -> None:
+    for position in (36_000, -200_000):
+        bench.ask("move_increment_limited", position=position, max_speed=70_000)
+        bench.wait(5)
+        look(bench)
+    bench.ask("clear_turns")
     look(bench)
 
 
@@ -257,6 +288,9 @@ SCRIPTS: dict[str, Script] = {
     "too high an angle": asking("move_single_turn", direction=0, angle=40_000),
     "no direction": asking("move_single_turn", direction=2, angle=9000),
     "increment": asking("move_increment", position=-9000),
+    "ended torque": ended("run_torque", 0.5, torque_current=60),
+    "ended move": ended("move_increment_limited", 0.5, position=30_000, max_speed=9_000),
+    "lengths": lengths,
 }
 MS_SCRIPTS = {name for name in SCRIPTS if "power" in name} - {"parameters and power", "position and power"}
 
@@ -401,6 +435,29 @@ SHOWN_BY: dict[str, str] = {
     "lk-parameter-survives": "parameters and power",
     "lk-ms-runs-torque": "other models",
     "lk-runs-open-loop": "other models",
+    "lk-obeys-other-address": "strangers",
+    "lk-obeys-wrong-data-sum": "strangers",
+    "lk-obeys-wrong-head-sum": "strangers",
+    "lk-stop-keeps-torque": "ended torque",
+    "lk-stop-keeps-moves": "ended move",
+    "lk-stop-needs-on": "ended move",
+    "lk-off-keeps-torque": "ended torque",
+    "lk-state-2-cold": "readings",
+    "lk-state-3-cold": "phases",
+    "lk-motion-cold": "speed",
+    "lk-motion-speed-0": "stop",
+    "lk-motion-encoder-raw": "speed",
+    "lk-cleared-no-voltage": "errors",
+    "lk-supply-current-swapped": "readings",
+    "lk-reads-silent-moving": "readings",
+    "lk-reads-unfit-moving": "readings",
+    "lk-off-while-turning": "readings",
+    "lk-stalled-while-turning": "readings",
+    "lk-zero-not-told": "zero",
+    "lk-single-turn-shifted": "turns",
+    "lk-whole-turns-ignored": "lengths",
+    "lk-fast-moves-long": "lengths",
+    "lk-clear-turns-upward": "lengths",
 }
 
 
