@@ -81,22 +81,23 @@ def _another_position(probe: Probe, command: Command) -> Mapping[str, int]:
 
 
 _MOTION = _Guarded(motion.ready_to_move, _motion_values, _shaft, _STILL)
-_SWITCHES: Mapping[Verb, _Guarded] = {
-    Verb.MOTOR_OFF: _Guarded(_switch_on, _nothing, _is_on),
-    Verb.MOTOR_ON: _Guarded(partial(motion.switch, on=False), _nothing, _is_on),
-    Verb.BRAKE: _Guarded(_release, lambda probe, command: {"brake_control": _POWER_OFF}, _brake, after=_release),
-    Verb.OTHER: _Guarded(motion.ready_to_move, _another_position, _shaft, _STILL),
+_SWITCHES: Mapping[str, _Guarded] = {
+    "motor_off": _Guarded(_switch_on, _nothing, _is_on),
+    "motor_on": _Guarded(partial(motion.switch, on=False), _nothing, _is_on),
+    "brake": _Guarded(_release, lambda probe, command: {"brake_control": _POWER_OFF}, _brake, after=_release),
+    "set_position": _Guarded(motion.ready_to_move, _another_position, _shaft, _STILL),
 }
 _MOTIONS = (*MOVES, MotionKind.RUN, MotionKind.TORQUE)
 
 
 def _all_guarded(dialect: Dialect) -> Iterator[Case]:
-    """Yield the motions, and what switches or renames, of a dialect that switches its motor on and off."""
-    if Verb.MOTOR_ON in dialect.by_verb:
+    """Yield the motions, and what switches or renames, of a dialect that reads whether its motor is on."""
+    if Verb.READ_STATE_1 in dialect.by_verb and motion.can_move(dialect):
         for command in dialect.motions(*_MOTIONS):
             yield Case(dialect, command, {"guarded": _MOTION})
-        for verb, guarded in _SWITCHES.items():
-            yield Case(dialect, dialect.by_verb[verb], {"guarded": guarded})
+        for name, guarded in _SWITCHES.items():
+            if name in dialect.by_name:
+                yield Case(dialect, dialect.by_name[name], {"guarded": guarded})
 
 
 def _risks(case: Case) -> frozenset[Risk]:
