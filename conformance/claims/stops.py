@@ -339,7 +339,7 @@ def _ends(probe: Probe, command: Command, run: Command) -> None:
     before = motion.position(probe)
     endless(probe, run)
     turned = abs(motion.position(probe).value - before.value)
-    if turned < SAME:
+    if turned < motion.SAME:
         raise Inconclusive(f"{run.name} does not turn the shaft")
     if motion.of(run).distance and turned > _way(run) - 20:
         raise Inconclusive(f"{run.name} was at its target before {command.name} could be sent")
