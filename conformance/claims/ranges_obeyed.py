@@ -307,7 +307,7 @@ def _in_turn(name: str, *where: str) -> Any:
             field = command.request_forms[0].layout.named.get(name)
             if field is not None and "direction" in command.request_forms[0].layout.named:
                 known = ranges.allowed(field) | ranges.forbidden(dialect, command, field, far=False)
-                for each in known.keys() & set(where):
+                for each in (kind for kind in where if kind in known):
                     values = known[each] or ranges.inner(dialect, command, field)
                     yield ranges.case(dialect, command, field, each, values, risks=motion.risks(dialect))
 
