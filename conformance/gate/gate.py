@@ -8,16 +8,22 @@ wrong) has to be permitted (`gate.permissions`), within the bounds, and within t
 here: nothing else may call `Line.write`.
 
 Several gates on one line share what was sent: make the second one by `Gate.under`, never by `Gate(line, ...)`.
+
+A stop is never refused where motion is allowed. A lone, sound stop of a drive that is meant passes whatever was sent before.
+Where it would be the last piece of a sound frame that may not leave, reads of that drive go before it until it is not.
+What a stop has passed in spite of (frames that are cut off or do not check) is not held against reads and stops behind it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy, deepcopy
 from dataclasses import replace
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect, Risk, Role
+from analyzer.encoder import build
 from analyzer.errors import ServotapError
 from analyzer.records import CanFrame, Chunk
 from analyzer.reference.hex_frame import write_frame
@@ -70,11 +76,32 @@ def shown(item: Item) -> str:
     return text + (f" ... ({len(item)} bytes)" if len(item) > 64 else "")
 
 
+#: Reads that go before a stop at the most: more than the longest frame has room for.
+_MOST_CLOSING = 32
+#: How long the reply to such a read may take, beside its time on the wire.
+_REPLY_NS = 20_000_000
+_REPLY_BYTES = 20
+_NOTHING = Pending()
+#: A frame that a stop has passed in spite of: where it begins in all that was sent, and its slot.
+_Passed = tuple[int, int]
+
+
 class _Sent:
-    """What was sent on a line and can still matter; judges and gates of one line share it."""
+    """What was sent on a line and can still matter; judges and gates of one line share it.
+
+    `count`: bytes that have left; `passed`: what stops have passed in spite of.
+    """
 
     def __init__(self) -> None:
-        self.pending = Pending()
+        self.pending = _NOTHING
+        self.count = 0
+        self.passed: frozenset[_Passed] = frozenset()
+        #: What came while a stop waited for its turn, for those who receive next.
+        self.early: deque[Chunk | CanFrame] = deque()
+
+    def place(self, each: Interpretation) -> _Passed:
+        """Return what tells a frame from all others, before it has left."""
+        return self.count + each.offset, each.slot
 
 
 class Judge:
@@ -88,12 +115,18 @@ class Judge:
         self.allowance = allowance
         self._wears = wears
         chosen = registry.every() if dialects is None else list(dialects)
-        self._serial = SerialInterpreter([d for d in chosen if d.bus == "serial"])
+        self._spoken = [d for d in chosen if d.bus == "serial"]
+        self._serial = SerialInterpreter(self._spoken)
         self._can = CanInterpreter([d for d in chosen if d.bus == "can"])
         self._sent = _Sent()
         self.known = Knowledge(allowance.subdivision)
         #: Bytes that do nothing but read, by what was pending: they were allowed, and nothing can change that.
         self._plain: dict[tuple[Pending, bytes], Pending] = {}
+
+    @property
+    def early(self) -> deque[Chunk | CanFrame]:
+        """What came while a stop waited for its turn, the first first."""
+        return self._sent.early
 
     def under(self, allowance: Allowance) -> Judge:
         """Return a judge by another allowance, which shares with this one what was sent and what is known."""
@@ -119,7 +152,7 @@ class Judge:
 
     def objections(self, item: Item, now_ns: int = 0) -> list[Objection]:
         """Return why an item may not leave now; empty where it may. Nothing changes by it."""
-        return self._objections(self.interpret(item), now_ns, self.allowance.budget.refusal)
+        return self._objections(item, self.interpret(item), now_ns, self.allowance.budget.refusal)
 
     def admit(self, item: Item, now_ns: int = 0) -> tuple[Interpretation, ...]:
         """Take it that an item leaves now, spend what it costs, and return its interpretations.
@@ -130,12 +163,18 @@ class Judge:
         after = self._plain.get(key) if isinstance(item, bytes) else None  # type: ignore[arg-type]
         if after is not None:
             self._sent.pending = after
+            self._sent.count += len(item.data if isinstance(item, CanFrame) else item)
             return ()
         found, after = self._interpret(item)
-        objections = self._objections(found, now_ns, self.allowance.budget.take)
+        objections = self._objections(item, found, now_ns, self.allowance.budget.take)
         if objections:
             raise Refused(item, objections)
-        self._sent.pending = after
+        sent = self._sent
+        if isinstance(item, bytes):
+            if self._stops(item):
+                sent.passed |= {sent.place(o.interpretation) for o in self._not_permitted(found)}
+            sent.count += len(item)
+        sent.pending = after
         for each in found:
             self.known.learn(each, now_ns)
         if isinstance(item, bytes) and all(each.reads_only for each in found):
@@ -146,14 +185,75 @@ class Judge:
 
     # --- why not --------------------------------------------------------------------------------------------------
 
-    def _objections(self, found: Sequence[Interpretation], now_ns: int, charge: Callable[[Cost, int], str]) -> list[Objection]:
+    def _objections(
+        self, item: Item, found: Sequence[Interpretation], now_ns: int, charge: Callable[[Cost, int], str]
+    ) -> list[Objection]:
         """Return what is not permitted; where all is, what `charge` says of the budget."""
-        allowance, known = self.allowance, self.known
-        objections = [o for each in found if (o := allowance.objection(each, known)) is not None]
+        if self._stops(item):
+            # The run that it ends is counted; what stands in the way of a stop is for `closing`.
+            charge(self._cost([each for each in found if stops(each)], now_ns), now_ns)
+            return []
+        objections = self._not_permitted(found)
+        if objections and self._sent.passed and self._reads(item):
+            passed, place = self._sent.passed, self._sent.place
+            objections = [o for o in objections if o.interpretation.fits or place(o.interpretation) not in passed]
         if objections:
             return objections
         beyond = charge(self._cost(found, now_ns), now_ns)
         return [Objection(next(each for each in found if _acts(each)), (beyond,))] if beyond else []
+
+    def _not_permitted(self, found: Sequence[Interpretation]) -> list[Objection]:
+        allowance, known = self.allowance, self.known
+        return [o for each in found if (o := allowance.objection(each, known)) is not None]
+
+    # --- stops ----------------------------------------------------------------------------------------------------
+
+    def _alone(self, item: Item) -> tuple[Interpretation, ...]:
+        """Return the interpretations of an item before which nothing was sent."""
+        return self._can.interpret(item) if isinstance(item, CanFrame) else self._serial.interpret(_NOTHING, item)[0]
+
+    def _reads(self, item: Item) -> bool:
+        """Say whether an item is one that may leave where nothing was sent before, and only reads."""
+        found = self._alone(item)
+        return all(each.reads_only for each in found) and not self._not_permitted(found)
+
+    def _stops(self, item: Item) -> bool:
+        """Say whether an item is a lone, sound stop of a drive that is meant, and no other sound frame."""
+        return self._stop(item) is not None
+
+    def _stop(self, item: Item) -> Interpretation | None:
+        length = len(item.data if isinstance(item, CanFrame) else item)
+        sound = [each for each in self._alone(item) if each.fits]
+        whole = next((each for each in sound if each.offset == 0 and len(each.data) == length and self._is_stop(each)), None)
+        return whole if whole is not None and all(each.reads_only or self._is_stop(each) for each in sound) else None
+
+    def _is_stop(self, each: Interpretation) -> bool:
+        meant = self.allowance.addresses is None or each.address in self.allowance.addresses or self.allowance.alone
+        return stops(each) and meant and not each.to_many and each.risks <= self.allowance.risks
+
+    def _completes(self, item: bytes) -> bool:
+        """Say whether an item is the last piece of a sound frame that may not leave."""
+        own = {(0, len(item))}
+        found = (o.interpretation for o in self._not_permitted(self.interpret(item)))
+        return any(each.fits and (each.offset, each.offset + len(each.data)) not in own for each in found)
+
+    def closing(self, item: Item) -> Iterator[bytes]:
+        """Yield the reads that have to leave before a stop, so that no sound frame ends with it that may not leave.
+
+        Each has to be sent before the next is asked for.
+        """
+        stop = None if isinstance(item, CanFrame) else self._stop(item)
+        if stop is None or isinstance(item, CanFrame) or stop.address is None:
+            return
+        # One of another length helps where sums are such that each of these would end the frame as well.
+        reads = [r for d in sorted(self._spoken, key=lambda d: d is not stop.dialect) for r in _plain_reads(d, stop.address)]
+        for _ in range(_MOST_CLOSING):
+            if not self._completes(item):
+                return
+            read = next((r for r in reads if not self.objections(r)), None)
+            if read is None:
+                return
+            yield read
 
     def _cost(self, found: Sequence[Interpretation], now_ns: int) -> Cost:
         """Return what an item costs: nothing if it only reads; a stop the turns of the run that it ends."""
@@ -176,6 +276,14 @@ class Judge:
             return before
         own = known.turns(asked)
         return None if own is None else own + before
+
+
+def _plain_reads(dialect: Dialect, address: int) -> list[bytes]:
+    """Return the requests of a drive on a serial line that only read, without values; none where it has no such address."""
+    if not dialect.addresses[0] <= address <= dialect.addresses[1]:
+        return []
+    commands = [c for c in dialect.commands if c.all_risks == {Risk.READ} and c.reply_forms and c.request_forms]
+    return [build(dialect, c, address) for c in commands if not c.request_forms[0].layout.named and not c.models]
 
 
 def _acts(asked: Interpretation) -> bool:
@@ -222,6 +330,11 @@ class Gate:
 
         Raises Refused, with nothing sent; LineLost.
         """
+        for read in self._judge.closing(item):
+            self.send(read)
+            # A stop that the drive's reply runs into is not heard.
+            wire_ns = (len(read) + _REPLY_BYTES) * self.line.byte_ns
+            self._judge.early.extend(self.wait(wire_ns + _REPLY_NS))
         self._judge.admit(item, self.line.now_ns())
         t_ns = self.line.write(item)
         self.sent += 1
@@ -265,6 +378,8 @@ class Gate:
 
     def receive(self, timeout_ns: int) -> Chunk | CanFrame | None:
         """Return what comes next, None when the time is over. Raises LineLost."""
+        if self._judge.early:
+            return self._judge.early.popleft()
         got = self.line.receive(timeout_ns)
         if got is not None and self.log is not None:
             self.log(got)
