@@ -46,6 +46,8 @@ from conformance.talk.drive_state import read_drive_state
 #: The subdivision that is sent as 0.
 LARGEST = 256
 _TICK_SECONDS = 0.2
+#: What is told before a motor is stopped: two stops by a ramp, two at once, and the user's power command.
+_LONG = say.Busy(60.0)
 #: Signals that must not end the guard before the motor stands; the end of the pipe does.
 _SHIELDED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGPIPE")
 
@@ -54,7 +56,8 @@ _SHIELDED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGPIPE")
 class _Watched:
     """One drive. `moving`: something was sent that may move it, and no stop was proved since.
 
-    `endless_since`: when it began what ends only by a stop. `asked`: a stop was sent since, and not looked at yet.
+    `endless_since`: when it began what ends only by a stop. `asked`: a stop was sent since, and not looked at yet. `told`: the
+    suite has said since that it stands.
     """
 
     dialect: Dialect
@@ -62,10 +65,11 @@ class _Watched:
     moving: bool = False
     endless_since: float | None = None
     asked: bool = False
+    told: bool = False
 
     def stands(self) -> None:
         """Take it that it was seen standing."""
-        self.moving, self.endless_since, self.asked = False, None, False
+        self.moving, self.endless_since, self.asked, self.told = False, None, False, False
 
 
 class Guard:
@@ -102,7 +106,12 @@ class Guard:
         # Before it leaves: from then on the drive may be moving, whatever happens here.
         for reading in gate.interpret(item):
             self._note(reading)
-        return say.Done(gate.send(item))
+        return say.Done(gate.send(item), self._moving)
+
+    @property
+    def _moving(self) -> bool:
+        """Whether a drive may be moving, as far as the suite has said."""
+        return any(drive.moving and not drive.told for drive in self._drives)
 
     def _gate_for(self, item: bytes | CanFrame) -> Gate:
         """Return the gate that an item has to pass: a stop, and what puts back what was there, have one of their own."""
@@ -137,7 +146,7 @@ class Guard:
                 drive.asked = drive.endless_since is not None
                 drive.endless_since = time.monotonic() if drive.asked else None
                 continue
-            drive.moving, drive.asked = True, False
+            drive.moving, drive.asked, drive.told = True, False, False
             endless = Risk.UNBOUNDED in reading.risks
             drive.endless_since = (drive.endless_since or time.monotonic()) if endless else None
 
@@ -162,10 +171,14 @@ class Guard:
             read_drive_state(Dialogue(self.gate, [drive.dialect]), drive.dialect, drive.address)
         return say.Done(self.gate.now_ns())
 
+    def cannot(self, request: say.Request) -> say.Answer:
+        """Answer what has no place here: a second beginning."""
+        return say.Failed("usage", f"the port is open already, and {type(request).__name__} was asked for")
+
     def standing(self, request: say.Standing) -> say.Answer:
-        """Take the suite's word that the drives stand; a stop at the end is sent all the same."""
+        """Take the suite's word that the drives stand; it is no proof, so they are looked at in the end all the same."""
         for drive in self._drives:
-            drive.endless_since, drive.asked = None, False
+            drive.endless_since, drive.asked, drive.told = None, False, True
         return say.Done(self.gate.now_ns())
 
     def all_put_back(self, request: say.AllPutBack) -> say.Answer:
@@ -176,11 +189,16 @@ class Guard:
 
     # --- what the guard does by itself --------------------------------------------------------------------------------
 
-    def stop_overdue(self) -> str:
-        """Stop what has run without an end for too long; return what was done, or nothing. Raises NotStopped."""
+    def stop_overdue(self, begins: Callable[[], object] = lambda: None) -> str:
+        """Stop what has run without an end for too long; return what was done, or nothing. Raises NotStopped.
+
+        `begins` is called before that takes time.
+        """
         longest = self._begin.longest_run_ns / 1e9
         now = time.monotonic()
         late = [d for d in self._drives if d.endless_since is not None and now - d.endless_since > longest]
+        if late:
+            begins()
         for drive in [d for d in late if d.asked]:
             # A stop was sent, and the suite has not reported whether the drive stands.
             if not standing_failure(self.gate, drive.dialect, drive.address):
@@ -190,6 +208,13 @@ class Guard:
             return ""
         self.stop_all()
         return f"a run without an end took longer than {longest:g} s (--max-run), so the guard has stopped the motor"
+
+    def stop_unproved(self) -> None:
+        """Stop what is not seen standing, whoever set it going, at the end of a run. Raises NotStopped."""
+        for drive in self._drives:
+            if drive.moving and drive.told and not standing_failure(self.gate, drive.dialect, drive.address):
+                drive.stands()
+        self.stop_all()
 
     def stop_all(self) -> None:
         """Stop every drive that may be moving. Raises NotStopped, after all were tried."""
@@ -284,20 +309,20 @@ def _serve(guard: Guard, requests: queue.Queue[say.Request | None], answers: IO[
         try:
             request = requests.get(timeout=_TICK_SECONDS)
         except queue.Empty:
-            stopped = stopped or _overdue(guard)
+            # There is no question yet, so nothing is answered.
+            stopped = stopped or _overdue(guard, lambda: None)
             continue
         if request is None:
             return _finish_alone(guard)
         if isinstance(request, say.End):
-            _answer(answers, say.Done(guard.gate.now_ns()))
-            return 0
-        stopped = stopped or _overdue(guard)
+            return _finish(guard, answers, request)
+        stopped = stopped or _overdue(guard, lambda: _answer(answers, _LONG))
         if stopped is not None:
             answer: say.Answer = stopped
             # Of a motor that turns on there is nothing else to say.
             stopped = stopped if stopped.kind == "not stopped" else None
         else:
-            answer = _done(table[type(request)], guard, request)
+            answer = _done(table.get(type(request), Guard.cannot), guard, request)
         if not _answer(answers, answer):
             return _finish_alone(guard)
 
@@ -313,15 +338,31 @@ def _done(act: Callable[[Guard, say.Request], say.Answer], guard: Guard, request
         return say.Failed("usage", str(error))
 
 
-def _overdue(guard: Guard) -> say.Failed | None:
-    """Stop a run that took too long; return what to report to the suite, if anything."""
+def _overdue(guard: Guard, begins: Callable[[], object]) -> say.Failed | None:
+    """Stop a run that took too long; return what to report to the suite, if anything. `begins` is called before it takes time."""
     try:
-        stopped = guard.stop_overdue()
+        stopped = guard.stop_overdue(begins)
     except NotStopped as error:
         return say.Failed("not stopped", str(error))
     except LineLost as error:
         return say.Failed("lost", str(error))
     return say.Failed("stopped", stopped) if stopped else None
+
+
+def _finish(guard: Guard, answers: IO[bytes], request: say.End) -> int:
+    """End as the suite asks for it, with nothing moving; return the exit status."""
+    _answer(answers, _LONG)
+    try:
+        if not request.given_up:
+            guard.stop_unproved()
+    except NotStopped as error:
+        _answer(answers, say.Failed("not stopped", str(error)))
+        return NotStopped.exit_status
+    except ServotapError as error:
+        _answer(answers, say.Failed("lost", str(error)))
+        return RigFault.exit_status
+    _answer(answers, say.Done(guard.gate.now_ns()))
+    return 0
 
 
 def _finish_alone(guard: Guard) -> int:

@@ -1,14 +1,17 @@
 """A line whose port is owned by a guard: the suite's end of the pipe.
 
 A question and its answer are one: a Ctrl-C between them waits until the answer has come, or the next question would get it.
+Every answer has a deadline. A guard that misses it is frozen or hangs: it is killed, so that another one can take the port.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import queue
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -27,8 +30,13 @@ from conformance.safety.signals import deferred
 from conformance.safety.stopping import GuardLost
 
 _ROOT = Path(__file__).parents[2]
-#: How long the guard may take to stop motors and put settings back before it is left alone.
-_FAREWELL_SECONDS = 60
+#: How long the guard may take to stop motors and put settings back before it is killed.
+_FAREWELL_SECONDS = 60.0
+#: How long it may take to start, and to answer beside what was asked for. A busy machine is slow at times.
+_START_SECONDS = 30.0
+_ANSWER_SECONDS = 3.0
+#: How much longer for what it has to ask the drive.
+_LOOK_SECONDS = 10.0
 #: Waits are cut into pieces, so that a Ctrl-C is not held up for long.
 _PIECE_NS = 200_000_000
 
@@ -69,9 +77,15 @@ class GuardedLine(Line):
         )
         self._to = cast(IO[bytes], self._process.stdin)
         self._from = cast(IO[bytes], self._process.stdout)
+        #: Answers as they come, and None at the end.
+        self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._reader = threading.Thread(target=_read, args=(self._from, self._answers), daemon=True)
+        self._reader.start()
         self._decode = msgspec.msgpack.Decoder(say.Answer).decode
         self._closed = False
         self.not_stopped: NotStopped | None = None
+        #: Whether something was sent that may move a drive, and nothing said since that it stands; whoever sent it.
+        self.moving = False
         try:
             begun = self._ask(begin)
         except ServotapError:
@@ -85,7 +99,11 @@ class GuardedLine(Line):
         with deferred():
             try:
                 say.put(self._to, request)
-                answer = self._decode(say.take(self._from))
+                answer = self._answer(_seconds(request))
+            except queue.Empty:
+                self._process.kill()
+                self._process.wait()
+                raise GuardLost(f"{self.endpoint.text}: the process that owns the port did not answer and was killed") from None
             except (OSError, EOFError, ValueError) as error:
                 raise GuardLost(f"{self.endpoint.text}: the process that owns the port has gone ({error})") from None
         if isinstance(answer, say.Failed):
@@ -95,9 +113,22 @@ class GuardedLine(Line):
             raise failed
         return cast("say.Done | say.Got", answer)
 
+    def _answer(self, seconds: float) -> say.Answer:
+        """Return the answer to what was asked. Raises EOFError, queue.Empty where none comes in time."""
+        while True:
+            message = self._answers.get(timeout=seconds)
+            if message is None:
+                raise EOFError("no answer")
+            answer = self._decode(message)
+            if not isinstance(answer, say.Busy):
+                return answer
+            seconds = answer.seconds
+
     def tell(self, request: say.DriveFound | say.ReadState | say.Standing | say.AllPutBack) -> None:
         """Tell the guard something. Raises LineLost."""
         self._ask(request)
+        if isinstance(request, say.Standing):
+            self.moving = False
 
     def now_ns(self) -> int:
         """Return the time of the guard's clock: both are the monotonic clock of one machine."""
@@ -109,7 +140,9 @@ class GuardedLine(Line):
         Raises Refused where the guard does not let it through, LineLost; Inconclusive where the guard had to stop the motor.
         """
         done = self._ask(say.Send(say.wire(item)))
-        return done.t_ns if isinstance(done, say.Done) else self.now_ns()
+        assert isinstance(done, say.Done)  # every other answer raises
+        self.moving = done.moving
+        return done.t_ns
 
     def receive(self, timeout_ns: int) -> Chunk | CanFrame | None:
         """Return what comes next, None when the time is over."""
@@ -128,18 +161,21 @@ class GuardedLine(Line):
         self.endpoint = self.endpoint.at(bits_per_second)
 
     def close(self) -> None:
-        """Tell the guard that all is done, and wait until the port is free."""
+        """Tell the guard that all is done, and wait until the port is free. Raises NotStopped."""
         if self._closed:
             return
         try:
-            self._ask(say.End())
+            self._ask(say.End(given_up=self.not_stopped is not None))
         except LineLost:
             pass  # it has gone already, and the port with it
         finally:
             self._leave()
 
     def abandon(self) -> int | None:
-        """Leave without a word, so that the guard stops and puts back by itself; return its exit status, None: not yet."""
+        """Leave without a word, so that the guard stops and puts back by itself; return its exit status.
+
+        None: it did not end, and was killed.
+        """
         return self._process.returncode if self._closed else self._leave()
 
     def _leave(self) -> int | None:
@@ -149,7 +185,30 @@ class GuardedLine(Line):
         try:
             return self._process.wait(_FAREWELL_SECONDS)
         except subprocess.TimeoutExpired:
-            print(f"servotap: process {self._process.pid} still holds {self.endpoint.text}", file=sys.stderr)
+            self._process.kill()
+            self._process.wait()
             return None
         finally:
+            self._reader.join()
             self._from.close()
+
+
+def _read(stream: IO[bytes], into: queue.SimpleQueue[bytes | None]) -> None:
+    try:
+        while True:
+            into.put(say.take(stream))
+    except (EOFError, OSError, ValueError):
+        into.put(None)
+
+
+def _seconds(request: say.Request) -> float:
+    """Return how long the answer to a request may take."""
+    match request:
+        case say.Begin():
+            return _START_SECONDS
+        case say.Receive():
+            return request.timeout_ns / 1e9 + _ANSWER_SECONDS
+        case say.ReadState():
+            return _LOOK_SECONDS
+        case _:
+            return _ANSWER_SECONDS

@@ -93,13 +93,25 @@ class AllPutBack(msgspec.Struct, frozen=True, tag="all_put_back"):
 
 
 class End(msgspec.Struct, frozen=True, tag="end"):
-    """The suite is done and has stopped and put back everything itself: close the port and end."""
+    """The suite is done and has put back everything itself: stop what is not seen standing, close the port and end.
+
+    `given_up`: all was tried already.
+    """
+
+    given_up: bool = False
 
 
 class Done(msgspec.Struct, frozen=True, tag="done"):
-    """It was done; `t_ns` on the line's clock."""
+    """It was done; `t_ns` on the line's clock. `moving`: a drive may be moving since, of which nothing was said."""
 
     t_ns: int = 0
+    moving: bool = False
+
+
+class Busy(msgspec.Struct, frozen=True, tag="busy"):
+    """The answer comes later, within `seconds`: a motor is being stopped first."""
+
+    seconds: float
 
 
 class Got(msgspec.Struct, frozen=True, tag="got"):
@@ -116,7 +128,7 @@ class Failed(msgspec.Struct, frozen=True, tag="failed"):
 
 
 Request = Begin | Send | Receive | Speed | DriveFound | ReadState | Standing | AllPutBack | End
-Answer = Done | Got | Failed
+Answer = Done | Got | Failed | Busy
 
 
 def put(stream: IO[bytes], message: Request | Answer) -> None:

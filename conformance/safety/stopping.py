@@ -11,10 +11,10 @@ import subprocess
 import sys
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk
-from analyzer.errors import ServotapError
+from analyzer.errors import ServotapError, UsageError
 from conformance.bus.line import LineLost
 from conformance.claim import Inconclusive, NotStopped
-from conformance.gate.gate import Gate
+from conformance.gate.gate import Gate, Refused
 from conformance.gate.permissions import Allowance
 from conformance.motion import motion
 from conformance.talk.probe import Probe, plain_probe
@@ -43,18 +43,21 @@ def stopping(address: int) -> Allowance:
 
 
 def stop(gate: Gate, dialect: Dialect, address: int) -> str:
-    """Stop a drive by a ramp and prove that it stands; return why there is no proof, or nothing. Raises LineLost."""
+    """Stop a drive by a ramp and prove that it stands; return why there is no proof, or nothing. Raises LineLost.
+
+    Where one way of stopping fails, the next is tried until none is left.
+    """
     probe = plain_probe(dialect, address, gate)
     failure = ""
     ramped = ramped_stops(dialect)
     at_once = tuple(c for c in dialect.motions(MotionKind.STOP) if c not in ramped)
     for sent, limit_ns in ((ramped, _RAMP_NS), (at_once, _AT_ONCE_NS)):
-        for command in sent:
-            _ask(probe, command)
+        refused = [text for command in sent if (text := _ask(probe, command))]
         if sent:
             failure = prove_standing(probe, limit_ns)
             if not failure:
                 return ""
+            failure = "; ".join([failure, *refused])
     return failure or f"{dialect.name} has no stop"
 
 
@@ -64,10 +67,15 @@ def ramped_stops(dialect: Dialect) -> tuple[Command, ...]:
     return tuple(c for c in stops if c.motion is not None and c.motion.acceleration) or stops
 
 
-def _ask(probe: Probe, command: Command) -> None:
+def _ask(probe: Probe, command: Command) -> str:
+    """Send a stop; return why it could not be sent, or nothing. Raises LineLost."""
     named = command.request_forms[0].layout.named
-    # Whether it is answered says nothing about the shaft: that is looked at.
-    probe.ask(command, {"acceleration": motion.GENTLE} if "acceleration" in named else None, timeout_ns=_LOOK_NS, quiet_ns=0)
+    try:
+        # Whether it is answered says nothing about the shaft: that is looked at.
+        probe.ask(command, {"acceleration": motion.GENTLE} if "acceleration" in named else None, timeout_ns=_LOOK_NS, quiet_ns=0)
+    except (Refused, UsageError) as error:
+        return f"{command.name}: {error}"
+    return ""
 
 
 def prove_standing(probe: Probe, limit_ns: int) -> str:
@@ -81,7 +89,7 @@ def prove_standing(probe: Probe, limit_ns: int) -> str:
         try:
             speed = motion.speed(probe).value
             position = motion.position(probe).value
-        except Inconclusive as error:
+        except (Inconclusive, Refused) as error:
             seen, before, failure = 0, None, str(error)
             probe.wait(_LOOK_NS)
             continue

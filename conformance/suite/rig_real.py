@@ -174,7 +174,7 @@ class RealRig(ClaimRig):
         if self._not_stopped:
             return "not put back: nothing more was sent to a drive that could not be stopped" * self.keeper.changed
         failure = self.keeper.put_back(link_only=True) if self.keeper.link_changed else ""
-        if self._moved:
+        if self._may_move:
             self._stop()
         if self.keeper.changed:
             failure = self.keeper.put_back()
@@ -182,14 +182,21 @@ class RealRig(ClaimRig):
                 self._is_back()
         return f"not put back: {failure}" if failure else ""
 
+    @property
+    def _may_move(self) -> bool:
+        """Whether something was sent that may have set the drive going: the guard knows, whoever sent it."""
+        return self._moved or getattr(self._line, "moving", False)
+
     def _stop(self) -> None:
         try:
             earlier = getattr(self._line, "not_stopped", None)
             if earlier is not None:
                 raise earlier
             stop_or_cut(self.gate, self.dialect, self.address, self._plan.cut_power)
-        except NotStopped:
+        except NotStopped as error:
             self._not_stopped = True
+            if isinstance(self._line, GuardedLine):
+                self._line.not_stopped = error
             raise
         self._moved = False
         self._tell(say.Standing())
@@ -216,23 +223,25 @@ class RealRig(ClaimRig):
                 failure = self._last()
                 done = True
             finally:
-                if done or self._not_stopped or not isinstance(self._line, GuardedLine):
-                    self._line.close()
-                else:
-                    # Something went wrong here, so the guard does it alone.
-                    self._line.abandon()
-                self._end_journal(done=done and not failure)
+                try:
+                    if done or self._not_stopped or not isinstance(self._line, GuardedLine):
+                        self._line.close()
+                    else:
+                        # Something went wrong here, so the guard does it alone.
+                        self._line.abandon()
+                finally:
+                    self._end_journal(done=done and not failure)
         if failure and not self._not_stopped:
             raise RigFault(failure)
 
     def _last(self) -> str:
         """Settle for the last time; return what could not be put back. Where the guard has died, by a new one."""
-        if (self._moved or self.keeper.changed) and not self._not_stopped:
+        if (self._may_move or self.keeper.changed) and not self._not_stopped:
             print(f"servotap: {self.name}: stopping it and putting back what it was", file=sys.stderr, flush=True)
         try:
             failure = self.settle()
         except GuardLost as error:
-            if not (self._moved or self.keeper.changed):
+            if not (self._may_move or self.keeper.changed):
                 return ""
             print(f"servotap: {error}; another one takes over", file=sys.stderr, flush=True)
             failure = self._settle_anew()
@@ -244,6 +253,7 @@ class RealRig(ClaimRig):
 
     def _settle_anew(self) -> str:
         """Open the port again and settle."""
+        self._moved = self._may_move
         self._line.close()
         try:
             self._line = self._open_line()

@@ -13,9 +13,10 @@ from pathlib import Path
 import pytest
 
 from analyzer.encoder import build
+from analyzer.errors import UsageError
 from analyzer.live import endpoint as endpoints
 from conformance.bus import open_line
-from conformance.claim import Claim, Inconclusive, NotStopped, Outcome, Theme
+from conformance.claim import Claim, Inconclusive, NotStopped, Outcome, RigFault, Theme
 from conformance.gate.gate import Gate, Refused
 from conformance.gate.permissions import READS, Allowance, parse_allow
 from conformance.motion import motion
@@ -218,3 +219,66 @@ def test_a_motor_that_does_not_stop_ends_pytest_with_20(workers, tmp_path):
     assert done.returncode == 20, done.stdout[-2000:]
     assert "NOT STOPPED" in done.stdout + done.stderr
     assert done.stdout.count("FAILED") <= 1, "no other worker went on with the port"
+
+
+# --- whoever asks, and a guard that does not answer -------------------------------------------------------------------
+
+
+def run_behind_the_probe(probe):
+    """Send a run by the gate itself: no risk is declared, and the rig is not told."""
+    run = build(probe.dialect, "run_speed", 1, {"speed": 60, "acceleration": 200})
+    probe.gate.send(run)
+    probe.gate.wait(300_000_000)
+
+
+def test_a_claim_that_declares_no_motion_leaves_none(tmp_path):
+    with on_pty("mks-rs485@1,work_mode=sr_vfoc") as path:
+        rig = open_rig(path, tmp_path)
+        try:
+            rig.probe(claim(lambda p: None)).do("enable", {"enabled": 1})
+            assert engine.run_claim(claim(run_behind_the_probe), rig).outcome is Outcome.CONFIRMED
+            assert motion.speed(probe_of(rig)).value == 0
+        finally:
+            rig.close()
+
+
+def test_what_was_sent_going_behind_the_rig_is_stopped_at_the_end_of_the_run(tmp_path):
+    with on_pty("mks-rs485@1,work_mode=sr_vfoc") as path:
+        rig = open_rig(path, tmp_path)
+        probe = probe_of(rig)
+        probe.do("enable", {"enabled": 1})
+        run_behind_the_probe(probe)
+        # As if the suite knew nothing: the guard does it alone.
+        rig._moved, rig._line.moving = False, False
+        rig.close()
+        assert speed_of(path) == 0
+
+
+@pytest.mark.parametrize("frozen", ["SIGSTOP"])
+def test_a_guard_that_does_not_answer_is_killed_and_another_stops_the_motor(tmp_path, capfd, frozen):
+    with on_pty("mks-rs485@1,work_mode=sr_vfoc") as path:
+        rig = open_rig(path, tmp_path)
+        probe = probe_of(rig)
+        motion.ready_to_move(probe, "sr_vfoc")
+        motion.run_at(probe, 60)
+        first = rig.gate.line._process
+        first.send_signal(getattr(signal, frozen))
+        begun = time.monotonic()
+        with pytest.raises(RigFault, match="did not answer"):
+            probe.read("read_speed")
+        rig.close()
+        assert first.returncode == -signal.SIGKILL
+        assert time.monotonic() - begun < 30
+        assert speed_of(path) == 0
+    assert "another one takes over" in capfd.readouterr().err
+
+
+def test_a_second_beginning_does_not_end_the_guard(tmp_path):
+    with on_pty("mks-rs485@1,work_mode=sr_vfoc") as path:
+        rig = open_rig(path, tmp_path)
+        try:
+            with pytest.raises(UsageError, match="open already"):
+                rig.gate.line._ask(rig._begin())
+            assert motion.speed(probe_of(rig)).value == 0
+        finally:
+            rig.close()
