@@ -42,6 +42,15 @@ class NotStopped(ServotapError):
     exit_status = 20
 
 
+#: Exit statuses of a run, what counts most first: a motor that turns, a drive that is refuted, a rig at fault.
+_WORST_FIRST = (NotStopped.exit_status, 1, RigFault.exit_status)
+
+
+def worst(*statuses: int) -> int:
+    """Return which of several exit statuses counts."""
+    return min(statuses, key=lambda s: (_WORST_FIRST.index(s) if s in _WORST_FIRST else len(_WORST_FIRST), -s), default=0)
+
+
 class Evidence(Protocol):
     """What shows a refutation: an exchange (`conformance.talk.exchange`)."""
 

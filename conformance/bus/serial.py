@@ -2,9 +2,10 @@
 
     serial:/dev/ttyUSB0,baud=38400      serial:,serial=A50285BI,baud=115200
 
-Opening disturbs the bus as little as possible. The port is locked for this process, without flow control. RTS and DTR are
-active, as in most programs: many RS485 adapters draw their power from one of them. Adapters with a direction pin switch it by
-themselves. Adapters with a latency timer are set to their fast mode, where the system can.
+Opening disturbs the bus as little as possible. The port is locked for this process, without flow control, and by TIOCEXCL no
+other program can open it, root aside. RTS and DTR are active, as in most programs: many RS485 adapters draw their power from
+one of them. Adapters with a direction pin switch it by themselves. Adapters with a latency timer are set to their fast mode,
+where the system can.
 """
 
 from __future__ import annotations
@@ -23,8 +24,15 @@ from analyzer.errors import UsageError
 from analyzer.live.endpoint import Endpoint
 from conformance.bus.stream import StreamLine, read_all
 
+try:
+    import fcntl
+    import termios
+except ImportError:  # a system without them
+    termios = None  # type: ignore[assignment]
+
 _HAS_SELECT = os.name == "posix"
 _MOST_LISTED = 8
+_PSEUDO = "/dev/pts/"
 
 
 class SerialLine(StreamLine):
@@ -46,9 +54,20 @@ class SerialLine(StreamLine):
             port.open()
         except (serial.SerialException, OSError, ValueError) as error:
             raise UsageError(why_not(self.path, error)) from None
+        self._take(True)
         # Terminals, and adapters without such a timer, have no such mode.
         with contextlib.suppress(NotImplementedError, AttributeError, OSError, ValueError, serial.SerialException):
             port.set_low_latency_mode(True)
+
+    def _take(self, taken: bool) -> None:
+        """Let no other program open the port, where the system can; or let them again.
+
+        A pseudo-terminal would stay taken when this process is killed, and nobody but root could stop the motor behind it.
+        """
+        if termios is not None and (os.geteuid() == 0 or not os.path.realpath(self.path).startswith(_PSEUDO)):
+            # What is served in place of a port (a pipe, a terminal of another kind) may have no such thing.
+            with contextlib.suppress(OSError, termios.error):
+                fcntl.ioctl(self.fileno(), termios.TIOCEXCL if taken else termios.TIOCNXCL)
 
     def fileno(self) -> int:
         """Return the port's descriptor."""
@@ -95,6 +114,9 @@ class SerialLine(StreamLine):
         self.endpoint = self.endpoint.at(bits_per_second)
 
     def _shut(self) -> None:
+        # A pseudo-terminal keeps it when it is closed.
+        with contextlib.suppress(OSError, ValueError, serial.SerialException):
+            self._take(False)
         # A port that has gone cannot be closed any more.
         with contextlib.suppress(OSError, serial.SerialException):
             self._port.close()

@@ -1,7 +1,8 @@
 """Send one frame to a drive, through the gate, and show the reply decoded.
 
 Reads are sent as they are; anything else needs --allow with every risk it has. Bytes are judged as they leave: all that
-can be read in them has to be allowed. Values are written as for 'servotap frame'.
+can be read in them has to be allowed. Bytes that end in the beginning of a frame are refused, for what is sent next could
+complete it; where a whole frame ends like one, a read goes behind it. Values are written as for 'servotap frame'.
 """
 
 from __future__ import annotations
@@ -90,6 +91,8 @@ def run(arguments: argparse.Namespace) -> int:
         if request.dialect is not None and request.address is not None and request.acts:
             read_drive_state(dialogue, request.dialect, request.address)
         exchange = _ask(dialogue, request, arguments)
+        for dialect, address in request.meant[:1]:
+            gate.end_stream(dialect, address)
         echoes = getattr(gate.line, "echo", None)
     if arguments.json:
         print(json.dumps(_object(request, exchange)))
@@ -115,8 +118,14 @@ class _Request:
         self.command = command
         self.address = address
         self.dialect = self.dialects[0] if command is not None else None
+        judge = Judge(Allowance(), registry.every())
+        readings = judge.interpret(item)
         #: Whether anything but a read can be meant.
-        self.acts = any(not r.reads_only for r in Judge(Allowance(), registry.every()).interpret(item))
+        self.acts = any(not r.reads_only for r in readings)
+        #: What the next sending could complete.
+        self.left_open = judge.left_open(item)
+        #: The drives that it is for.
+        self.meant = [(r.dialect, r.address) for r in readings if r.fits and not r.to_many and r.address is not None]
         many = self.dialect is not None and address == self.dialect.broadcast
         self.answered = command is None or (bool(command.reply_forms) and not many and command.slots is None)
 
@@ -156,7 +165,13 @@ def _known_dialects(arguments: argparse.Namespace) -> list[Dialect]:
 
 
 def _check_risks(request: _Request, allowance: Allowance, dialects: Sequence[Dialect]) -> None:
-    """Raise Refused for what is not allowed whatever the drive answers."""
+    """Raise Refused for what is not allowed whatever the drive answers, UsageError for bytes that another sending could end."""
+    begun = [head for head in request.left_open if head.bare or not request.meant]
+    if begun:
+        raise UsageError(
+            f"not sent: {shown(request.item)}: it ends in {begun[0].data.hex(' ').upper()}, the beginning of a frame of "
+            f"{begun[0].dialect.name} that the next sending could complete"
+        )
     found = Judge(replace(allowance, turns=None, speed=None), dialects).objections(request.item)
     if found:
         raise Refused(request.item, found)

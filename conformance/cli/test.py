@@ -1,7 +1,8 @@
 """Test drives, real or emulated, against their manual: run every claim that can be tested.
 
 Without a drive, emulated drives of all dialects are tested. On hardware only reads are sent unless --allow opens more.
-Exit status: 0 nothing refuted, 1 refuted, 2 wrong use, 10 a fault of the rig (port lost, no verdict), 20 not stopped.
+Exit status: 20 not stopped, else 1 refuted, else 10 a fault of the rig (port lost, not put back, no verdict, too many of them
+inconclusive), else 0. 2: wrong use.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ from typing import TYPE_CHECKING
 from analyzer import __version__
 from analyzer.cli.reading import now_text
 from analyzer.errors import ServotapError
-from conformance.claim import NotStopped, Outcome, RigFault
+from conformance.claim import NotStopped, Outcome, RigFault, worst
 from conformance.gate.permissions import add_gate_arguments
 from conformance.safety.signals import as_interrupt
 from conformance.suite import plan as suite
 from conformance.suite import target
-from conformance.suite.options import add_safety_arguments, plan_from
-from conformance.suite.record import RunRecord, VerdictRecord
+from conformance.suite.options import add_safety_arguments, add_verdict_arguments, plan_from
+from conformance.suite.record import RunRecord, VerdictRecord, too_inconclusive
 
 if TYPE_CHECKING:
     from conformance.suite.plan import Plan
@@ -57,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of random values (default 0)")
     parser.add_argument("--jobs", type=_jobs, default=0, metavar="N", help="processes for emulated drives (default: all cores)")
     add_safety_arguments(parser)
+    add_verdict_arguments(parser)
     parser.add_argument("--dry-run", action="store_true", help="print all that would be sent, and send nothing")
     parser.add_argument("--list", action="store_true", help="list the claims and what they need")
     parser.add_argument("--mutants", action="store_true", help="run against every named fault: which claim refutes which")
@@ -147,7 +149,7 @@ def _test(plan: Plan, arguments: argparse.Namespace) -> int:
         _print_json(run_record)
     else:
         _show(records, run_record, total)
-    status = max(status, _baseline(records, arguments)) if arguments.baseline else status
+    status = worst(status, _baseline(records, arguments)) if arguments.baseline else status
     if arguments.write_baseline:
         from conformance.report import baseline
 
@@ -162,12 +164,16 @@ def _test(plan: Plan, arguments: argparse.Namespace) -> int:
 
 
 def _status(records: Sequence[VerdictRecord], arguments: argparse.Namespace, trouble: ServotapError | None) -> int:
+    found = [REFUTED] if any(r.refuted for r in records) and not arguments.baseline else []
     if trouble is not None:
-        return trouble.exit_status if isinstance(trouble, (NotStopped, RigFault)) else WRONG_USE
-    if any(r.refuted for r in records) and not arguments.baseline:
-        return REFUTED
+        found.append(trouble.exit_status if isinstance(trouble, (NotStopped, RigFault)) else WRONG_USE)
     judged = (Outcome.CONFIRMED, Outcome.REFUTED, Outcome.OBSERVED)
-    return 0 if any(r.outcome in judged for r in records) else RigFault.exit_status
+    doubt = too_inconclusive(records, arguments.max_inconclusive)
+    if doubt:
+        print(f"servotap test: {doubt}", file=sys.stderr)
+    if doubt or not any(r.outcome in judged for r in records):
+        found.append(RigFault.exit_status)
+    return worst(*found, 0)
 
 
 def _baseline(records: Sequence[VerdictRecord], arguments: argparse.Namespace) -> int:

@@ -30,7 +30,7 @@ from analyzer.reference.hex_frame import write_frame
 from conformance.bus.line import Line
 from conformance.gate.bounds import Knowledge, moves, runs, stops
 from conformance.gate.budget import Budget, Cost
-from conformance.gate.interpretations import CanInterpreter, Interpretation, Pending, SerialInterpreter
+from conformance.gate.interpretations import CanInterpreter, Interpretation, OpenHead, Pending, SerialInterpreter
 from conformance.gate.permissions import Allowance, Objection, add_gate_arguments, allowance_from, parse_allow
 
 __all__ = [
@@ -237,6 +237,25 @@ class Judge:
         found = (o.interpretation for o in self._not_permitted(self.interpret(item)))
         return any(each.fits and (each.offset, each.offset + len(each.data)) not in own for each in found)
 
+    # --- what is left open ----------------------------------------------------------------------------------------
+
+    def left_open(self, item: Item) -> tuple[OpenHead, ...]:
+        """Return the frames that an item would leave begun, and that the next sending could make more than reads."""
+        return () if isinstance(item, CanFrame) else self._serial.open_heads(self._interpret(item)[1])
+
+    def ending(self, dialect: Dialect, address: int) -> Iterator[bytes]:
+        """Yield the reads of a drive that end what was sent and is open. Each has to be sent before the next is asked for."""
+        reads = [
+            r for r in _plain_reads(dialect, address) if not self._serial.open_heads(self._serial.interpret(_NOTHING, r)[1])
+        ]
+        for _ in range(_MOST_CLOSING):
+            if not self._serial.open_heads(self._sent.pending):
+                return
+            allowed = [r for r in reads if not self.objections(r)]
+            if not allowed:
+                return
+            yield min(allowed, key=lambda r: len(self.left_open(r)))
+
     def closing(self, item: Item) -> Iterator[bytes]:
         """Yield the reads that have to leave before a stop, so that no sound frame ends with it that may not leave.
 
@@ -330,11 +349,7 @@ class Gate:
 
         Raises Refused, with nothing sent; LineLost.
         """
-        for read in self._judge.closing(item):
-            self.send(read)
-            # A stop that the drive's reply runs into is not heard.
-            wire_ns = (len(read) + _REPLY_BYTES) * self.line.byte_ns
-            self._judge.early.extend(self.wait(wire_ns + _REPLY_NS))
+        self._send_reads(self._judge.closing(item))
         self._judge.admit(item, self.line.now_ns())
         t_ns = self.line.write(item)
         self.sent += 1
@@ -343,6 +358,17 @@ class Gate:
         for told in self.on_sent:
             told(t_ns, item)
         return t_ns
+
+    def _send_reads(self, reads: Iterable[bytes]) -> None:
+        for read in reads:
+            self.send(read)
+            # A stop that the drive's reply runs into is not heard.
+            wire_ns = (len(read) + _REPLY_BYTES) * self.line.byte_ns
+            self._judge.early.extend(self.wait(wire_ns + _REPLY_NS))
+
+    def end_stream(self, dialect: Dialect, address: int) -> None:
+        """End what was sent and is open, by reads of a drive: another program's first bytes must not complete it."""
+        self._send_reads(self._judge.ending(dialect, address))
 
     def interpret(self, item: Item) -> tuple[Interpretation, ...]:
         """Return the interpretations of an item, if it left now; nothing is sent."""

@@ -240,6 +240,36 @@ class SerialInterpreter:
             tuple(sorted({(max(a - first, -1), b - first) for a, b in good.spans if b > first})),
         )
 
+    def open_heads(self, pending: Pending) -> tuple[OpenHead, ...]:
+        """Return the frames that what is pending has begun, and that may be more than reads once they are whole."""
+        good, found = _Good(pending.good), []
+        for at in range(len(pending.tail)):
+            for each in self._dialects:
+                if each.finder.headless and at not in pending.starts:
+                    # Their drives begin to read where a sending begins.
+                    continue
+                candidates, is_open = each.finder.at(pending.tail, at)
+                begun = [(c, m) for c in candidates if c.known and not c.complete for m in each.meanings(c)]
+                means = [m for _, m in begun]
+                acts = any(not m.risks <= _READ for m in means)
+                # What a package does is not known before its slots have come.
+                reads = bool(means) and not acts and all(m.command is None or m.command.slots is None for m in means)
+                if is_open and not reads:
+                    more = any(c.code_at < len(pending.tail) - 1 and not m.risks <= _READ for c, m in begun)
+                    found.append(OpenHead(each.dialect, pending.tail[at:], more or not good.has(at)))
+        return tuple(found)
+
+
+class OpenHead(NamedTuple):
+    """A frame that was begun. `data`: what there is of it.
+
+    `bare`: it stands in no good frame, or there is more of it than a code that acts. By chance a good frame ends with less.
+    """
+
+    dialect: Dialect
+    data: bytes
+    bare: bool
+
 
 class _Good:
     """The good frames of a buffer."""

@@ -72,6 +72,7 @@ _AGAIN = 2
 
 _POSITION = (Verb.READ_POSITION, Verb.READ_ENCODER_CARRY)
 _SPEED = (Verb.READ_SPEED, Verb.READ_STATE_2)
+_STATUS = (Verb.READ_STATUS, Verb.READ_STATE_1)
 #: What tells whether a motor is on, in which field, and its values of a motor that is on and off.
 _ON_READ = ((Verb.READ_ENABLED, "enabled", 1, 0), (Verb.READ_STATE_1, "state", 0x00, 0x10))
 #: The unit by which the noise of a quantity is known.
@@ -261,6 +262,16 @@ def volts(probe: Probe) -> float:
 def speed(probe: Probe) -> Sample:
     """Measure the speed, in rpm, positive where the position rises. Raises Inconclusive where it cannot be read."""
     return _measure(probe, _reading(probe.dialect, "speed", _SPEED))
+
+
+def proving_reads(dialect: Dialect) -> frozenset[str]:
+    """Return the names of the reads by which a shaft is proved to stand: its position, its speed, its status."""
+    found = {
+        _reading(dialect, quantity, verbs).command.name
+        for quantity, verbs in (("position", _POSITION), ("speed", _SPEED))
+        if any(v in dialect.by_verb for v in verbs)
+    }
+    return frozenset(found | {dialect.by_verb[v].name for v in _STATUS if v in dialect.by_verb})
 
 
 def speed_between(first: Sample, second: Sample) -> tuple[float, float]:

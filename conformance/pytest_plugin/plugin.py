@@ -43,6 +43,7 @@ OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
         {"action": "append", "default": [], "metavar": "NAME", "help": "a known quirk that fails nothing, or all"},
     ),
     ("max-run", {"type": float, "default": 30.0, "metavar": "S", "help": "longest run without an end, in seconds"}),
+    ("max-inconclusive", {"default": "10%", "metavar": "N|P%", "help": "inconclusive claims above which the status is 10"}),
     ("report", {"default": None, "metavar": "OUT.html", "help": "one self-contained page"}),
     ("log", {"default": None, "metavar": "OUT.mcap", "help": "all traffic of the run, with a /tests topic"}),
     ("failures", {"default": None, "metavar": "FOLDER", "help": "a small log of each refuted claim"}),
@@ -135,8 +136,10 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
 
 
 def end_with(config: pytest.Config, status: int) -> None:
-    """Have the run end with an exit status of its own; of several the highest counts."""
-    config.stash[STATUS] = max(status, config.stash.get(STATUS, 0))
+    """Have the run end with an exit status of its own; of several the one that says most."""
+    from conformance.claim import worst
+
+    config.stash[STATUS] = worst(status, config.stash.get(STATUS, 0))
     output = getattr(config, "workeroutput", None)
     if output is not None:
         output[_STATUS] = config.stash[STATUS]
@@ -154,7 +157,12 @@ def pytest_testnodedown(node: Any, error: object) -> None:
 def pytest_sessionfinish(session: pytest.Session) -> Any:
     """Give the run its exit status, after the drives were stopped and put back."""
     yield
-    status = session.config.stash.get(STATUS, 0)
+    config = session.config
+    if _verdicts and not hasattr(config, "workerinput"):
+        from conformance.pytest_plugin.reports import judge
+
+        judge(config, _verdicts)
+    status = config.stash.get(STATUS, 0)
     if status:
         session.exitstatus = status
 

@@ -14,9 +14,12 @@ import msgspec
 import pytest
 
 from analyzer import __version__
+from conformance.claim import RigFault
 from conformance.pytest_plugin.plan import arguments_of, plan_of
+from conformance.pytest_plugin.plugin import end_with
 from conformance.report import terminal
-from conformance.suite.record import RunRecord, VerdictRecord
+from conformance.suite.options import inconclusive
+from conformance.suite.record import RunRecord, VerdictRecord, too_inconclusive
 
 
 def summarise(reporter: Any, config: pytest.Config, verdicts: Sequence[str]) -> None:
@@ -42,6 +45,17 @@ def summarise(reporter: Any, config: pytest.Config, verdicts: Sequence[str]) -> 
         from conformance.report.log import write_failures
 
         write_failures(Path(arguments.failures), records, run)
+
+
+def judge(config: pytest.Config, verdicts: Sequence[str]) -> None:
+    """Have the run end with what its verdicts say: a refutation counts more than a fault of the rig."""
+    records = [msgspec.json.decode(text, type=VerdictRecord) for text in verdicts]
+    doubt = too_inconclusive(records, inconclusive(arguments_of(config).max_inconclusive))
+    if doubt:
+        print(f"servotap: {doubt}", file=sys.stderr)
+        end_with(config, RigFault.exit_status)
+    if any(r.refuted for r in records):
+        end_with(config, pytest.ExitCode.TESTS_FAILED.value)
 
 
 def _run(config: pytest.Config, reporter: Any) -> RunRecord:

@@ -10,6 +10,7 @@ import pytest
 from analyzer.errors import ServotapError
 from conformance.claim import Claim, Outcome
 from conformance.pytest_plugin import plan as pytest_plan
+from conformance.pytest_plugin.plugin import end_with
 from conformance.suite import engine
 from conformance.suite import plan as suite
 from conformance.suite.plan import Plan
@@ -78,6 +79,10 @@ def _rig_of(target: Target, plan: Plan, rigs: Opened, request: pytest.FixtureReq
         _close(rigs.pop(other), request.config)
     try:
         rig = rigs[key] = suite.open_rig(plan, target)
+        for verdict in engine.prove_reads(suite.proving_claims(plan, target), rig):
+            if verdict.outcome is Outcome.REFUTED:
+                print(f"servotap: {verdict.claim.id} is refuted: {verdict.reason}", file=sys.__stderr__)
+                end_with(request.config, pytest.ExitCode.TESTS_FAILED.value)
     except ServotapError as error:
         pytest_plan.give_up(error, request)
     return rig

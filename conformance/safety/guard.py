@@ -339,7 +339,10 @@ def _done(act: Callable[[Guard, say.Request], say.Answer], guard: Guard, request
 
 
 def _overdue(guard: Guard, begins: Callable[[], object]) -> say.Failed | None:
-    """Stop a run that took too long; return what to report to the suite, if anything. `begins` is called before it takes time."""
+    """Stop a run that took too long; return what to report to the suite, if anything.
+
+    `begins` is called before that takes time.
+    """
     try:
         stopped = guard.stop_overdue(begins)
     except NotStopped as error:

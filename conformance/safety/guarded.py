@@ -119,7 +119,7 @@ class GuardedLine(Line):
             message = self._answers.get(timeout=seconds)
             if message is None:
                 raise EOFError("no answer")
-            answer = self._decode(message)
+            answer: say.Answer = self._decode(message)
             if not isinstance(answer, say.Busy):
                 return answer
             seconds = answer.seconds

@@ -40,11 +40,15 @@ PUTTING_BACK = Allowance(
 
 @dataclass
 class _Kept:
-    """A command and the values that its settings had; `sent`: those that were sent since."""
+    """A command and the values that its settings had; `sent`: those that were sent since.
+
+    `failed`: why it was not put back, where that was tried.
+    """
 
     command: Command
     before: dict[str, int]
     sent: list[dict[str, int]] = field(default_factory=list)
+    failed: str = ""
 
 
 class Keeper:
@@ -194,6 +198,11 @@ class Keeper:
         return bool(self._kept)
 
     @property
+    def untried(self) -> bool:
+        """Whether something is to be put back of which that was not tried in vain."""
+        return any(not kept.failed for kept in self._kept.values())
+
+    @property
     def link_changed(self) -> bool:
         """Whether the drive may answer elsewhere than it did."""
         return any(changes_link(kept.command) for kept in self._kept.values())
@@ -207,20 +216,29 @@ class Keeper:
             key = (command.name, settings.selector(command, entry.values))
             self._kept[key] = _Kept(command, dict(entry.values), [dict(s) for s in entry.sent])
 
-    def put_back(self, *, link_only: bool = False) -> str:
-        """Put everything back, the last change first; return what was not put back, or nothing. Raises LineLost."""
+    def put_back(self, *, link_only: bool = False, again: bool = False) -> str:
+        """Put everything back, the last change first; return what was not put back, or nothing. Raises LineLost.
+
+        What could not be put back is tried once more only with `again`: a drive that refuses goes on refusing.
+        """
         self._asking = True
         try:
+            if again:
+                for kept in self._kept.values():
+                    kept.failed = ""
             gate = self._gate.under(PUTTING_BACK)
             failed = self._pass(gate, link_only)
             if failed and not link_only and self._into_bus_mode(gate):
                 # Some settings are refused in a mode in which the bus does not move the motor.
+                for kept in failed:
+                    kept.failed = ""
                 failed = self._pass(gate, link_only)
         finally:
             self._asking = False
-        return "; ".join(failed)
+        return "; ".join(kept.failed for kept in failed)
 
-    def _pass(self, gate: Gate, link_only: bool) -> list[str]:
+    def _pass(self, gate: Gate, link_only: bool) -> list[_Kept]:
+        """Put back what was not tried in vain; return what could not be."""
         failed = []
         # The link first: a drive that does not answer takes nothing back. The work mode last: other settings depend on it.
         newest = list(self._kept.items())[::-1]
@@ -228,9 +246,11 @@ class Keeper:
         for key, kept in newest:
             if link_only and not changes_link(kept.command):
                 continue
-            failure = self._restore(gate, kept)
-            if failure:
-                failed.append(failure)
+            if kept.failed:
+                continue
+            kept.failed = self._restore(gate, kept)
+            if kept.failed:
+                failed.append(kept)
                 continue
             del self._kept[key]
             self._write("back", kept.command, kept.before)

@@ -72,7 +72,9 @@ def _ask(probe: Probe, command: Command) -> str:
     named = command.request_forms[0].layout.named
     try:
         # Whether it is answered says nothing about the shaft: that is looked at.
-        probe.ask(command, {"acceleration": motion.GENTLE} if "acceleration" in named else None, timeout_ns=_LOOK_NS, quiet_ns=0)
+        probe.ask(
+            command, {"acceleration": motion.GENTLE} if "acceleration" in named else None, timeout_ns=_LOOK_NS, quiet_ns=0
+        )
     except (Refused, UsageError) as error:
         return f"{command.name}: {error}"
     return ""

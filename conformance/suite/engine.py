@@ -23,6 +23,8 @@ from conformance.talk.probe import Probe
 
 #: How long emulated drives are looked for that fail alike.
 _SEARCH_SECONDS = 20.0
+#: What is said of a refutation that did not come again.
+ONCE = "1 of 2 times"
 
 
 def run_claim(claim: Claim, rig: ClaimRig) -> Verdict:
@@ -57,6 +59,18 @@ def run(claims: Iterable[Claim], rig: ClaimRig) -> Iterator[Verdict]:
     """Run claims one after the other."""
     for claim in claims:
         yield run_claim(claim, rig)
+
+
+def prove_reads(claims: Iterable[Claim], rig: ClaimRig) -> Iterator[Verdict]:
+    """Run the claims about the reads on which safety rests; where one is refuted, nothing that moves is sent afterwards.
+
+    Without these reads no stop could be proved, and the drive's fault would show as a motor that does not stop.
+    """
+    for claim in claims:
+        verdict = run_claim(claim, rig)
+        if verdict.outcome is Outcome.REFUTED and ONCE not in verdict.reason:
+            rig.let_nothing_move(f"{claim.id} is refuted, and by that read a shaft is proved to stand")
+        yield verdict
 
 
 def _judge(claim: Claim, probe: Probe) -> Verdict:
@@ -122,7 +136,7 @@ def _confirmed(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verdict:
     """Return the verdict of a refuted claim after it was repeated."""
     again = _once(claim, rig)
     if again.outcome is not Outcome.REFUTED:
-        return replace(verdict, reason=f"{verdict.reason} (1 of 2 times; the other time {again.outcome}: {again.reason})")
+        return replace(verdict, reason=f"{verdict.reason} ({ONCE}; the other time {again.outcome}: {again.reason})")
     shorter = _shortened(claim, rig, verdict) if verdict.steps else None
     if shorter is not None:
         return replace(shorter, reason=f"{shorter.reason} (2 of 2 times; {len(shorter.steps)} of {len(verdict.steps)} steps)")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from conformance.gate.permissions import allowance_from
 from conformance.suite.plan import Plan
+from conformance.suite.record import MOST_INCONCLUSIVE, most_inconclusive
 from conformance.suite.target import Target
 
 _LONGEST_RUN = 3600.0
@@ -28,6 +29,25 @@ def add_safety_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-run", type=_seconds, default=30.0, metavar="S", help="longest run without an end, in seconds (default 30)"
     )
+
+
+def add_verdict_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say what a run without a refutation is worth."""
+    parser.add_argument(
+        "--max-inconclusive",
+        type=inconclusive,
+        default=MOST_INCONCLUSIVE,
+        metavar="N|P%",
+        help=f"inconclusive claims, of those that ran, above which the exit status is 10 (default {MOST_INCONCLUSIVE}%)",
+    )
+
+
+def inconclusive(text: str) -> float:
+    """Return the limit that `--max-inconclusive` names."""
+    try:
+        return most_inconclusive(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected a number of claims, or a share as 10%, got {text}") from None
 
 
 def _seconds(text: str) -> float:

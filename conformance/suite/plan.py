@@ -23,9 +23,11 @@ from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
 from analyzer.values import near, quote
 from conformance import claims as registry
-from conformance.claim import Claim, Theme
+from conformance.claim import Claim, Outcome, Theme, Verdict
 from conformance.drives import make
 from conformance.gate.permissions import READS, Allowance
+from conformance.motion import motion
+from conformance.safety.stopping import MAY_MOVE
 from conformance.suite import engine
 from conformance.suite.record import VerdictRecord, record
 from conformance.suite.rig import ClaimRig
@@ -192,11 +194,28 @@ def _one_budget(plan: Plan) -> Iterator[Plan]:
         path.unlink(missing_ok=True)
 
 
+def proving_claims(plan: Plan, target: Target) -> list[Claim]:
+    """Return the claims about the reads on which safety rests, where something may move a real drive."""
+    if target.emulated or not (plan.allowance or Allowance(READS)).risks & MAY_MOVE:
+        return []
+    reads = motion.proving_reads(target.dialect)
+    return [c for c in every_claim(target) if c.theme is Theme.SHAPE and reads.intersection(c.commands) and c.risks <= READS]
+
+
+def _verdicts(plan: Plan, target: Target, selected: Sequence[Claim], rig: ClaimRig) -> Iterator[Verdict]:
+    """Yield the verdicts of the selected claims, and those of claims about safety's reads that are refuted."""
+    proving = proving_claims(plan, target) if any(c.risks & MAY_MOVE for c in selected) else []
+    for verdict in engine.prove_reads(proving, rig):
+        if verdict.claim in selected or verdict.outcome is Outcome.REFUTED:
+            yield verdict
+    yield from engine.run((c for c in selected if c not in proving), rig)
+
+
 def _run_target(plan: Plan, target: Target) -> Iterator[VerdictRecord]:
     selected = plan.selected(target)
     rig = open_rig(plan, target)
     try:
-        for verdict in engine.run(selected, rig):
+        for verdict in _verdicts(plan, target, selected, rig):
             yield record(verdict, target.text, firmware=rig.firmware, traffic=plan.traffic, noise=rig.noise.figures)
     finally:
         rig.close()

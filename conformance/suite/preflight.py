@@ -11,14 +11,23 @@ from dataclasses import dataclass
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
+from analyzer.encoder import assemble
 from analyzer.errors import UsageError
+from analyzer.records import CanFrame, Chunk
 from conformance.claim import RigFault
 from conformance.gate.gate import Gate
+from conformance.gate.permissions import Allowance
 from conformance.talk.dialogue import MS
-from conformance.talk.scan import Finder, Found, Report, scan
+from conformance.talk.scan import Finder, Found, Report, scan, search_read
 
-#: Addresses at which a drive that is not there, or another one, is looked for.
+#: Addresses at which a drive that is not there is looked for.
 _NEAR = range(1, 33)
+#: How long another drive may take for its answer, beside its time on the wire, while all addresses are looked at: drives take
+#: half a millisecond, adapters a few. One that is later still is heard while the next is asked, or at the end.
+_PROMPT_NS = 8 * MS
+_LATE_NS = 300 * MS
+#: Bits of the longest frame of 11 bits, stuffed.
+_CAN_BITS = 135
 #: A drive that moves was seen to take 0.7 s for an answer.
 _PATIENT_NS = 1000 * MS
 _ATTEMPTS = 3
@@ -48,10 +57,9 @@ def check(gate: Gate, dialect: Dialect, address: int, *, alone: bool) -> str:
         raise DriveNotFound(search.text)
     if alone:
         same_bus = [d for d in registry.every() if d.bus == dialect.bus]
-        others = other_drives(gate, same_bus, _NEAR, own=(address,))
+        others = neighbours(gate, same_bus, own=(address,))
         if others:
-            names = ", ".join(found.name for found in others)
-            raise DriveNotFound(f"--alone was given, but {names} answers too: nothing was sent but reads")
+            raise DriveNotFound(f"--alone was given, but {', '.join(others)} answers too: nothing was sent but reads")
     return search.found.identity if search.found is not None else ""
 
 
@@ -60,6 +68,31 @@ def other_drives(gate: Gate, dialects: Sequence[Dialect], addresses: Iterable[in
     mine = frozenset(own)
     report = scan(gate, dialects, addresses=[a for a in addresses if a not in mine], busy=True)
     return [f for f in report.found if f.address not in mine]
+
+
+def neighbours(gate: Gate, dialects: Sequence[Dialect], own: Iterable[int]) -> list[str]:
+    """Return the drives that answer at any address that their dialect has, those at `own` aside, by name. Raises LineLost."""
+    mine = frozenset(own)
+    everywhere = {d.name: [a for a in range(d.addresses[0], d.addresses[1] + 1) if a not in mine] for d in dialects}
+    if not gate.line.is_can:
+        report = scan(gate, dialects, addresses=everywhere, busy=True, patience_ns=_PROMPT_NS, late_ns=_LATE_NS)
+        return [f.name for f in report.found if f.address not in mine]
+    return [name for d in dialects for name in _on_can(gate.under(Allowance()), d, everywhere[d.name])]
+
+
+def _on_can(gate: Gate, dialect: Dialect, addresses: Sequence[int]) -> list[str]:
+    """Ask all of them without waiting for one: on CAN the identifier says whose reply it is."""
+    command = search_read(dialect)
+    frame_ns = _CAN_BITS * 1_000_000_000 // gate.line.endpoint.bits_per_second
+    heard: list[Chunk | CanFrame] = []
+    for address in addresses:
+        gate.send(assemble(dialect, command, address).item())
+        # Interfaces have room for a few frames only.
+        heard += gate.wait(2 * frame_ns)
+    heard += gate.wait(_LATE_NS)
+    asked = set(addresses)
+    ids = {f.id for f in heard if isinstance(f, CanFrame) and f.id in asked and f.data[:1] == bytes([command.code])}
+    return [f"{dialect.name}@{i}" for i in sorted(ids)]
 
 
 def find_drive(gate: Gate, dialect: Dialect, address: int, *, widely: bool = True) -> Search:

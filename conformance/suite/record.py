@@ -135,3 +135,26 @@ def _shown(verdict: Verdict) -> tuple[Traffic, ...]:
 def firmware_of(records: Iterable[VerdictRecord]) -> dict[str, str]:
     """Return the firmware that each drive reported."""
     return {r.target: r.firmware for r in records if r.firmware}
+
+
+#: Inconclusive claims that a run may have, of those that ran: with more of them it is no success.
+MOST_INCONCLUSIVE = "10%"
+
+
+def most_inconclusive(text: str) -> float:
+    """Return the share of `10%`, or of a number of claims as a number from 1 on. Raises ValueError."""
+    share = float(text.removesuffix("%")) / 100 if text.endswith("%") else float(int(text))
+    if not 0 <= share <= (1 if text.endswith("%") else 1e9):
+        raise ValueError(text)
+    return share if text.endswith("%") else -share
+
+
+def too_inconclusive(records: Iterable[VerdictRecord], most: float) -> str:
+    """Say that too many claims of those that ran are inconclusive; nothing where they are not.
+
+    `most`: a share; below 0 a number of claims.
+    """
+    ran = [r.outcome for r in records if r.outcome != Outcome.NOT_RUN]
+    count = sum(outcome == Outcome.INCONCLUSIVE for outcome in ran)
+    limit = -most if most < 0 else most * len(ran)
+    return f"{count} of {len(ran)} claims that ran are inconclusive (--max-inconclusive)" if count > limit else ""

@@ -39,6 +39,9 @@ class ClaimRig(Rig, ABC):
             return f"it needs --allow {','.join(lacking)}"
         return ""
 
+    def let_nothing_move(self, reason: str) -> None:
+        """Let nothing pass from now on that may move the drive."""
+
     @abstractmethod
     def probe(self, claim: Claim) -> Probe:
         """Return a probe for one claim; an emulated drive is new."""

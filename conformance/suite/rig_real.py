@@ -77,6 +77,8 @@ class RealRig(ClaimRig):
             self.gate, self.dialect, self.address, known, self._journal, target.endpoint.text, alone=self.alone
         )
         self._moved = False
+        #: Why nothing that moves may be sent, or nothing.
+        self._unproved = ""
         self._closed = False
         self._not_stopped = False
         try:
@@ -141,7 +143,13 @@ class RealRig(ClaimRig):
 
     def missing(self, claim: Claim) -> str:
         """Return why a claim cannot run here, or nothing."""
-        return super().missing(claim) or self.keeper.cannot_keep(claim.settings)
+        unproved = self._unproved if claim.risks & MAY_MOVE else ""
+        return super().missing(claim) or unproved or self.keeper.cannot_keep(claim.settings)
+
+    def let_nothing_move(self, reason: str) -> None:
+        """Let nothing pass from now on that may move the drive: it could not be proved to stand again."""
+        self._unproved = f"nothing that moves is sent: {reason}"
+        self.gate = self.gate.under(replace(self._allowance, risks=self._allowance.risks - MAY_MOVE))
 
     @cached_property
     def noise(self) -> Noise:
@@ -161,24 +169,25 @@ class RealRig(ClaimRig):
         """Keep what an item is about to change, and know that it may move the motor."""
         readings = self.gate.interpret(item)
         # What the gate refuses changes nothing, so there is nothing to keep.
-        if not self.gate.objections(item):
-            self.keeper.keep_before(readings)
+        if self.gate.objections(item):
+            return
+        self.keeper.keep_before(readings)
         if any(reading.risks & MAY_MOVE for reading in readings):
             self._moved = True
 
-    def settle(self, probe: Probe | None = None) -> str:
+    def settle(self, probe: Probe | None = None, *, last: bool = False) -> str:
         """Stop the motor if the claim may have moved it, and put back what it changed.
 
-        Raises NotStopped, LineLost.
+        What the drive refused to take back is tried again with `last`. Raises NotStopped, LineLost.
         """
         if self._not_stopped:
             return "not put back: nothing more was sent to a drive that could not be stopped" * self.keeper.changed
         failure = self.keeper.put_back(link_only=True) if self.keeper.link_changed else ""
         if self._may_move:
             self._stop()
-        if self.keeper.changed:
-            failure = self.keeper.put_back()
-            if not failure:
+        if self.keeper.untried or (last and self.keeper.changed):
+            failure = self.keeper.put_back(again=last)
+            if not self.keeper.changed:
                 self._is_back()
         return f"not put back: {failure}" if failure else ""
 
@@ -239,7 +248,7 @@ class RealRig(ClaimRig):
         if (self._may_move or self.keeper.changed) and not self._not_stopped:
             print(f"servotap: {self.name}: stopping it and putting back what it was", file=sys.stderr, flush=True)
         try:
-            failure = self.settle()
+            failure = self.settle(last=True)
         except GuardLost as error:
             if not (self._may_move or self.keeper.changed):
                 return ""
@@ -267,4 +276,4 @@ class RealRig(ClaimRig):
             return f"not put back: {error}"
         self.gate = self._open_gate()
         self.keeper.use_gate(self.gate)
-        return self.settle()
+        return self.settle(last=True)

@@ -178,6 +178,7 @@ def scan(
     addresses: Iterable[int] | Mapping[str, Iterable[int]] = range(1, 33),
     rates: Sequence[int] = (),
     patience_ns: int = PATIENCE_NS,
+    late_ns: int = 0,
     busy: bool = False,
     enough: Callable[[Found], bool] | None = None,
     progress: Progress | None = None,
@@ -187,7 +188,8 @@ def scan(
 
     `addresses`: of every dialect, or by its name; those that a dialect's drives cannot have are left out. `rates`: bits per
     second in the order in which they are tried, none: the line's own alone. `busy`: ask although others speak. `enough`:
-    end with the first drive for which it holds. `report`: what to fill, for those who want it after Ctrl-C. Raises LineLost.
+    end with the first drive for which it holds. `patience_ns`, `late_ns`: how long each is waited for, and how long answers
+    are listened to at the end that come later than that. `report`: what to fill, for those who want it after Ctrl-C. Raises LineLost.
     """
     report = Report() if report is None else report
     line = gate.line
@@ -206,14 +208,27 @@ def scan(
         for rate in tried:
             if rate != line.endpoint.bits_per_second:
                 gate.set_speed(rate)
-            if not _scan_rate(Finder(gate, kinds, patience_ns), plan, rate, busy, enough, report, report_progress):
+            finder = Finder(gate, kinds, patience_ns)
+            if not _scan_rate(finder, plan, rate, busy, enough, report, report_progress):
                 break
+            report.found += _later(finder, late_ns, report)
     finally:
         if line.endpoint.bits_per_second != own:
             gate.set_speed(own)
     echo = getattr(line, "echo", None)
     report.echoes = bool(echo is not None and echo.dropped)
     return report
+
+
+def _later(finder: Finder, late_ns: int, report: Report) -> list[Found]:
+    """Listen for answers that come later than they were waited for; return the drives that were not known."""
+    if not late_ns:
+        return []
+    known = {(f.dialect.name, f.address) for f in report.found}
+    heard = [a for a in finder.dialogue.listen(late_ns).answers if a.message.role is Role.REPLY and a.message.frame.checksum_ok]
+    speed = finder.dialogue.gate.line.endpoint.bits_per_second
+    found = [Found(a.message.frame.dialect, a.message.address, speed, late_ns, a.data) for a in heard]
+    return [f for f in found if (f.dialect.name, f.address) not in known]
 
 
 def _possible(dialect: Dialect, addresses: Iterable[int]) -> list[int]:

@@ -437,3 +437,25 @@ def test_an_emulated_line_of_two_kinds_of_bus():
         EmulatedLine(drives("mks-can@1", "mks-rs485@1"))
     with pytest.raises(ValueError, match="no drive"):
         EmulatedLine([])
+
+
+def test_a_port_is_taken_for_this_program_alone_and_given_back():
+    import fcntl
+    import struct
+
+    from conformance.bus.serial import SerialLine
+
+    asked = getattr(__import__("termios"), "TIOCGEXCL", 0x80045440)
+
+    def taken(fd: int) -> bool:
+        return struct.unpack("i", fcntl.ioctl(fd, asked, b"\0\0\0\0"))[0] != 0
+
+    with on_pty("mks-rs485@1") as path:
+        line = SerialLine(parse(f"serial:{path},baud=38400"))
+        assert taken(line.fileno())
+        line.close()
+        fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        try:
+            assert not taken(fd)
+        finally:
+            os.close(fd)

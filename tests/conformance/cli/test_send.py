@@ -173,3 +173,35 @@ def test_a_can_drive_of_another_process(capsys: pytest.CaptureFixture[str]):
 
 def test_it_is_listed():
     assert "reply" in HELP["send"]
+
+
+# --- two sendings in turn ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("FA 01", "F6 01 40 02 34"),
+        ("FA", "01 F6 01 40 02 34"),
+        ("04 04 FA 01 F6 01 17 27", "30 01 00 00 00 01 F8 2B"),
+        ("FA D0 30 FA", "01 F6 01 40 02 34"),
+        ("3E", "A2 01 04 E5 10 27 00 00 37"),
+        ("01 06", "00 F6 00 3C 68 29"),
+    ],
+)
+def test_two_sendings_in_turn_move_nothing(first, second, capsys):
+    bus = SerialBus(drives("mks-rs485@1,work_mode=sr_vfoc", "lk-rs485@1,baud=38400"))
+    with on_port(bus, TcpPort("127.0.0.1", 0)) as found:
+        assert run("mks-rs485@1", "enable", "enabled=1", "--allow", "torque,motion", "--on", f"tcp:{found}") == 0
+        for text in (first, second):
+            run("--hex", text, "--on", f"tcp:{found}", "--timeout", "100")
+        assert run("mks-rs485@1", "read_speed", "--on", f"tcp:{found}", "--json") == 0
+    assert '"speed": 0' in capsys.readouterr().out
+
+
+def test_bytes_that_begin_a_frame_are_refused_and_say_what_they_begin(said):
+    assert "the beginning of a frame of mks-rs485" in said("--hex", "FA 01", status=2)
+    assert "the beginning of a frame of mks-rs485" in said("--hex", "04 04 FA 01 F6 01 17 27", status=2)
+    # A damaged frame, and a read that is cut off, begin nothing that acts.
+    said("--hex", "FA 01 31 00", "--timeout", "100", status=1)
+    said("--hex", "FA 01 31", "--timeout", "100", status=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import random
 from functools import cache
 
@@ -98,10 +99,8 @@ def history(rng: random.Random, length: int = 14) -> None:
     address, wire = rng.choice((1, 1, 2, 6, 16)), Wire()
     gate = Gate(wire, Allowance(rng.choice(ALLOWED), addresses=frozenset({address})))
     for _ in range(rng.randint(0, length)):
-        try:
+        with contextlib.suppress(Refused):
             gate.send(random_item(rng, address))
-        except Refused:
-            pass
     dialect = rng.choice(SERIAL)
     for stop in stops(dialect, address, rng.choice((0, 1, 200, 250, 252, 62, 246))):
         gate.send(stop)

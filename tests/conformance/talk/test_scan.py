@@ -21,7 +21,7 @@ from conformance.drives import make
 from conformance.drives.serial_bus import SerialBus
 from conformance.gate.gate import Allowance, Gate
 from conformance.serve.pty import PtyPort
-from conformance.suite.preflight import find_drive, other_drives
+from conformance.suite.preflight import DriveNotFound, check, find_drive, neighbours, other_drives
 from conformance.talk.scan import Report, StrayKind, scan, search_read
 from tests.conformance.drives.served import drives, on_port, on_pty
 
@@ -280,3 +280,23 @@ def test_addresses():
     assert parse_addresses("1-3,2,0x10-0x11") == [1, 2, 3, 16, 17]
     with pytest.raises(UsageError):
         parse_addresses("1-9999")
+
+
+@pytest.mark.parametrize("other", ["mks-rs485@60", "mks-rs485@255", "lk-rs485@32,baud=38400", "mks-modbus@247"])
+def test_a_drive_at_any_address_is_a_neighbour(other: str):
+    both = gate("mks-rs485@1", other)
+    assert neighbours(both, SERIAL, own=(1,)) == [other.partition(",")[0]]
+    with pytest.raises(DriveNotFound, match="answers too"):
+        check(both, dialects.get("mks-rs485"), 1, alone=True)
+
+
+def test_a_drive_at_any_identifier_is_a_neighbour():
+    both = gate("mks-can@1", "mks-can@1999", speed=None)
+    assert neighbours(both, [dialects.get("mks-can")], own=(1,)) == ["mks-can@1999"]
+
+
+def test_all_addresses_are_looked_at_within_seconds():
+    one = gate("mks-rs485@1")
+    begun_ns = one.now_ns()
+    assert neighbours(one, SERIAL, own=(1,)) == []
+    assert one.now_ns() - begun_ns < 10_000_000_000
