@@ -189,7 +189,9 @@ def scan(
     `addresses`: of every dialect, or by its name; those that a dialect's drives cannot have are left out. `rates`: bits per
     second in the order in which they are tried, none: the line's own alone. `busy`: ask although others speak. `enough`:
     end with the first drive for which it holds. `patience_ns`, `late_ns`: how long each is waited for, and how long answers
-    are listened to at the end that come later than that. `report`: what to fill, for those who want it after Ctrl-C. Raises LineLost.
+    are listened to at the end that come later than that. `report`: what to fill, for those who want it after Ctrl-C.
+
+    Raises LineLost.
     """
     report = Report() if report is None else report
     line = gate.line
