@@ -1,6 +1,7 @@
 """Restore the settings that a run changed, from its journal: after kill -9, a crash, a pulled plug.
 
-Exit status: 0 all is put back, 1 not all could be (the journal keeps what is left), 2 wrong use.
+Before that it looks at the shaft of each drive, and stops one that is not seen standing: settings of a turning motor are not
+changed. Exit status: 0 all is put back, 1 not all could be (the journal keeps what is left), 2 wrong use, 20 not stopped.
 """
 
 from __future__ import annotations
@@ -9,13 +10,16 @@ import argparse
 import sys
 from pathlib import Path
 
+from analyzer.catalogue import Dialect
 from analyzer.errors import UnreadableError
 from analyzer.live import endpoint as endpoints
 from conformance.bus.line import LineLost
 from conformance.cli.endpoint import gate_to
+from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
 from conformance.safety import journal
-from conformance.safety.keeper import restore
+from conformance.safety.keeper import dialect_of, restore
+from conformance.safety.stopping import standing_failure, stop_or_cut
 
 EXAMPLES = """\
 examples:
@@ -30,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("journal", metavar="JOURNAL", help="the file that the run left")
     parser.add_argument("--on", metavar="ENDPOINT", help="where the drive is now; by default as in the journal")
+    parser.add_argument("--cut-power", default="", metavar="COMMAND", help="runs when no stop can be verified")
     parser.add_argument("--dry-run", action="store_true", help="list the settings to restore, and send nothing")
 
 
@@ -51,6 +56,10 @@ def run(arguments: argparse.Namespace) -> int:
     # Reads by this gate; what is put back, and nothing else, passes another one.
     with gate_to(endpoints.parse(place), Allowance(addresses=addresses)) as gate:
         try:
+            # A drive that may answer elsewhere is brought back first, for it has to be stopped there.
+            restore(path, gate, link_only=True)
+            for address, dialect in {change.address: dialect_of(change) for change in changes}.items():
+                _stand(gate, dialect, address, arguments.cut_power)
             failure = restore(path, gate)
         except LineLost as error:
             failure = str(error)
@@ -60,3 +69,15 @@ def run(arguments: argparse.Namespace) -> int:
         return NOT_ALL
     print(f"all {len(changes)} put back")
     return 0
+
+
+def _stand(gate: Gate, dialect: Dialect, address: int, power: str) -> None:
+    """Look at the shaft, stop it where it does not stand, and say what was found. Raises NotStopped."""
+    name = f"{dialect.name}@{address}"
+    found = standing_failure(gate, dialect, address)
+    if not found:
+        print(f"{name}: the shaft stands")
+        return
+    print(f"{name}: the shaft is not seen standing ({found}): stopping it first")
+    stop_or_cut(gate, dialect, address, power)
+    print(f"{name}: stopped, and it stands")

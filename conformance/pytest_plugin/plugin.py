@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import os
 import tempfile
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +52,9 @@ OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
 )
 #: Environment of all workers of one run: the file in which the budget is kept.
 BUDGET = "SERVOTAP_BUDGET_FILE"
+#: How often a worker looks for its controller, and its exit status where that has gone.
+_WATCH_SECONDS = 0.1
+_GONE = 3
 RUN: pytest.StashKey[Any] = pytest.StashKey()
 #: Of a run that ended early: 10 a fault of the rig, 20 a motor that was not stopped. From a worker to its controller by name.
 STATUS: pytest.StashKey[int] = pytest.StashKey()
@@ -70,7 +75,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure(config: pytest.Config) -> None:
     """Keep the tests of one port together, and give all workers one budget."""
-    if not config.getoption("servotap_drive") or hasattr(config, "workerinput"):
+    if not config.getoption("servotap_drive"):
+        return
+    if hasattr(config, "workerinput"):
+        threading.Thread(target=_end_with_controller, args=(os.getppid(),), daemon=True).start()
         return
     config.pluginmanager.register(_Controller(config), "servotap-controller")
     real = any(place != "emulated" for place in config.getoption("servotap_on"))
@@ -79,6 +87,16 @@ def pytest_configure(config: pytest.Config) -> None:
         os.close(handle)
         os.environ[BUDGET] = path
         config.add_cleanup(lambda: Path(path).unlink(missing_ok=True))
+
+
+def _end_with_controller(controller: int) -> None:
+    """End a worker at once when its controller has gone, as if it had been killed too: the guards then stop the motors.
+
+    By itself a worker goes on for seconds.
+    """
+    while os.getppid() == controller:
+        time.sleep(_WATCH_SECONDS)
+    os._exit(_GONE)
 
 
 class _Controller:

@@ -25,7 +25,7 @@ from conformance.suite import engine
 from conformance.suite import plan as suite
 from conformance.suite.target import parse
 from conformance.talk.probe import plain_probe
-from tests.conformance.drives.served import on_pty
+from tests.conformance.drives.served import on_pty, wait_for
 
 ROOT = Path(__file__).parents[3]
 MOVING = parse_allow("setting,motion,torque,unbounded")
@@ -282,3 +282,43 @@ def test_a_second_beginning_does_not_end_the_guard(tmp_path):
             assert motion.speed(probe_of(rig)).value == 0
         finally:
             rig.close()
+
+
+def children_of(pid):
+    """Return the processes that a process has started."""
+    found = []
+    for each in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (each / "stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(words[1]) == pid:
+            found.append(int(each.name))
+    return found
+
+
+def alive(pid):
+    try:
+        return (Path("/proc") / str(pid) / "stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="needs /proc to see processes")
+def test_workers_end_at_once_when_their_controller_is_killed(tmp_path):
+    (tmp_path / "s.json").write_text('{"work_mode": "cr_vfoc", "subdivision": 16}')
+    with on_pty("mks-rs485@1") as path:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "pytest", "--pyargs", "conformance", "-v", "-p", "no:cacheprovider", "-n", "2",
+             "--drive", "mks-rs485@1", "--on", f"serial:{path},baud=38400", "--settings", "s.json", "--journal", "j",
+             "--allow", "setting,motion,torque,unbounded", "--claim", "*/motion/run_speed/*"],
+            cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        assert any("run_speed" in line and ("PASSED" in line or "FAILED" in line) for line in process.stdout)
+        workers = children_of(process.pid)
+        assert len(workers) >= 2
+        process.kill()
+        begun = time.monotonic()
+        assert wait_for(lambda: not any(map(alive, workers)), 20)
+        assert time.monotonic() - begun < 3, "execnet alone gives them 5 s"
+        process.communicate(timeout=20)
