@@ -2,7 +2,7 @@
 
 A file brings no permission: all of it is judged by --allow before its first byte is sent. Times do not drift: each request
 has its own from the start. Ctrl-C stops, by a ramp, what the replay set in motion, and so does its end a run that the
-recording left running.
+recording left running. A guard process owns the port: if the replay is killed, the guard stops what moves.
 """
 
 from __future__ import annotations
@@ -15,12 +15,19 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import msgspec
+
 from analyzer.catalogue import Dialect
 from analyzer.cli.reading import OpenCapture, add_reading_arguments, open_reading, progress
 from analyzer.errors import UsageError
+from analyzer.live.endpoint import Endpoint
 from analyzer.values import printable
-from conformance.cli.endpoint import add_on_argument, endpoint_of, gate_to, parse_addresses
-from conformance.gate.gate import Gate, Judge, add_gate_arguments, allowance_from, shown
+from conformance.bus import open_line
+from conformance.bus.line import Line
+from conformance.cli.endpoint import add_on_argument, endpoint_of, parse_addresses
+from conformance.gate.gate import Allowance, Gate, Judge, add_gate_arguments, allowance_from, shown
+from conformance.safety import messages as say
+from conformance.safety.guarded import GuardedLine, beginning
 from conformance.safety.signals import as_interrupt
 from conformance.talk.dialogue import Dialogue
 from conformance.talk.drive_state import read_drive_state
@@ -37,6 +44,9 @@ examples:
   servotap replay can.log --on can:socketcan:can0 --address 1,2 --skip-refused
 """
 _LISTED = 12
+_NO_END_NS = 1 << 62
+#: The interface of python-can that is a bus within one process: no other one can reach it.
+_OWN = "virtual"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -84,12 +94,18 @@ def run(arguments: argparse.Namespace) -> int:
             return 2 if rehearsal.refused and not arguments.skip_refused else 0
         if endpoint.bus_kind != plan.steps[0].dialect.bus:
             raise UsageError(f"{reading.source.name} is of a {plan.steps[0].dialect.bus} bus, {endpoint.text} is another kind")
-        with gate_to(endpoint, allowance, _known_dialects(reading)) as gate:
+        with contextlib.closing(_open(endpoint, plan, allowance)) as line:
+            gate = Gate(line, allowance, dialects=_known_dialects(reading))
             _read_drive_states(gate, plan)
+            if isinstance(line, GuardedLine):
+                line.tell(say.ReadState())
             rehearsal = _rehearse(gate.rehearsal(), plan, arguments)
             if rehearsal.refused and not arguments.skip_refused:
                 _refuse(rehearsal, len(plan.steps))
             result = _replay(gate, plan, rehearsal, reading, arguments)
+            if isinstance(line, GuardedLine):
+                # What ends by itself may go on to its end.
+                line.settled = not result.left_moving
     if arguments.json:
         print(json.dumps(_object(result, plan, rehearsal)))
     else:
@@ -97,6 +113,18 @@ def run(arguments: argparse.Namespace) -> int:
     if result.stopped == "Ctrl-C" and not result.left_moving:
         raise KeyboardInterrupt
     return 1 if result.deviations or result.stopped or result.left_moving else 0
+
+
+def _open(endpoint: Endpoint, plan: Plan, allowance: Allowance) -> Line:
+    """Open the port by a guard, which stops what moves if the replay is killed."""
+    if endpoint.kind == "can" and endpoint.interface[0] == _OWN:
+        return open_line(endpoint)
+    drives = {(s.dialect.name, s.address): s.dialect for s in plan.steps if s.address != s.dialect.broadcast}
+    begin = beginning(endpoint, [(dialect, address) for (_, address), dialect in drives.items()], allowance)
+    # A recording has its own end, so the guard sets none to its runs.
+    line = GuardedLine(endpoint, msgspec.structs.replace(begin, longest_run_ns=_NO_END_NS))
+    line.tell(say.DriveFound())
+    return line
 
 
 def _check(plan: Plan, arguments: argparse.Namespace) -> None:

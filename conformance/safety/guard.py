@@ -85,14 +85,15 @@ class Guard:
             begin.turns,
             begin.acceleration,
             begin.current,
-            frozenset(d.address for d in begin.drives),
+            None if begin.anywhere else frozenset(d.address for d in begin.drives),
             begin.alone,
             Budget(begin.commands, begin.seconds, begin.spun, begin.wear),
             begin.subdivision,
         )
         # While the drive is looked for: reads, and those to any address.
-        self.gate = Gate(self.line, Allowance(subdivision=begin.subdivision))
         self._drives = [_Watched(_dialect(d), d.address) for d in begin.drives]
+        spoken = {d.name: d for d in dialects.every()} | {d.dialect.name: d.dialect for d in self._drives}
+        self.gate = Gate(self.line, Allowance(subdivision=begin.subdivision), dialects=spoken.values())
         self._not_stopped: NotStopped | None = None
         #: The subdivision that was last sent, None: none was.
         self._subdivision: int | None = None

@@ -13,18 +13,19 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import IO, cast
 
 import msgspec
 
+from analyzer.catalogue import Dialect
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live.endpoint import Endpoint
 from analyzer.records import CanFrame, Chunk
 from conformance.bus.line import Line, LineLost
 from conformance.claim import Inconclusive, NotStopped
-from conformance.gate.gate import Refused
+from conformance.gate.gate import Allowance, Refused
 from conformance.safety import messages as say
 from conformance.safety.signals import deferred
 from conformance.safety.stopping import GuardLost
@@ -58,8 +59,31 @@ _KINDS: dict[str, Callable[[str], Exception]] = {
 }
 
 
+def beginning(endpoint: Endpoint, drives: Iterable[tuple[Dialect, int]], allowance: Allowance) -> say.Begin:
+    """Return what a guard is told first. `drives`: those that it looks after."""
+    budget = allowance.budget
+    return say.Begin(
+        endpoint.text,
+        tuple(say.Drive(dialect.name, dialect.model, address) for dialect, address in drives),
+        tuple(sorted(risk.value for risk in allowance.risks)),
+        allowance.speed,
+        allowance.turns,
+        allowance.acceleration,
+        allowance.current,
+        allowance.subdivision,
+        allowance.alone,
+        budget.commands,
+        budget.seconds,
+        budget.turns,
+        budget.wear,
+        anywhere=allowance.addresses is None,
+    )
+
+
 class GuardedLine(Line):
-    """A line by way of a guard process. `not_stopped`: the guard has said that a motor turns on.
+    """A line by way of a guard process.
+
+    `not_stopped`: the guard has said that a motor turns on. `settled`: in the end nothing is left to be stopped.
 
     Raises UsageError where the port cannot be opened.
     """
@@ -86,6 +110,7 @@ class GuardedLine(Line):
         self.not_stopped: NotStopped | None = None
         #: Whether something was sent that may move a drive, and nothing said since that it stands; whoever sent it.
         self.moving = False
+        self.settled = False
         try:
             begun = self._ask(begin)
         except ServotapError:
@@ -165,7 +190,7 @@ class GuardedLine(Line):
         if self._closed:
             return
         try:
-            self._ask(say.End(given_up=self.not_stopped is not None))
+            self._ask(say.End(given_up=self.settled or self.not_stopped is not None))
         except LineLost:
             pass  # it has gone already, and the port with it
         finally:

@@ -36,8 +36,8 @@ class Drive(msgspec.Struct, frozen=True):
 class Begin(msgspec.Struct, frozen=True, tag="begin"):
     """The first request: open the port.
 
-    `risks`, bounds and budget as in an allowance; `longest_run_ns` of motion without an end. Until `DriveFound` reads alone
-    pass, and those to any address.
+    `risks`, bounds and budget as in an allowance; `anywhere`: other addresses than those of the drives are meant too;
+    `longest_run_ns` of motion without an end. Until `DriveFound` reads alone pass, and those to any address.
     """
 
     endpoint: str
@@ -53,6 +53,7 @@ class Begin(msgspec.Struct, frozen=True, tag="begin"):
     seconds: float | None = None
     spun: float | None = None
     wear: int | None = None
+    anywhere: bool = False
     longest_run_ns: int = 30_000_000_000
     journal: str = ""
     cut_power: str = ""

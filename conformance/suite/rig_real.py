@@ -16,6 +16,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from analyzer.catalogue import Risk
 from analyzer.errors import ServotapError
 from analyzer.records import CanFrame
@@ -26,7 +28,7 @@ from conformance.gate.permissions import READS, Allowance
 from conformance.motion import resting
 from conformance.safety import messages as say
 from conformance.safety import settings
-from conformance.safety.guarded import GuardedLine
+from conformance.safety.guarded import GuardedLine, beginning
 from conformance.safety.journal import Entry, Journal
 from conformance.safety.keeper import Keeper
 from conformance.safety.signals import undisturbed
@@ -103,23 +105,9 @@ class RealRig(ClaimRig):
             self._line.tell(message)
 
     def _begin(self) -> say.Begin:
-        allowance, target = self._allowance, self._target
-        budget = allowance.budget
-        assert target.endpoint is not None
-        return say.Begin(
-            target.endpoint.text,
-            (say.Drive(self.dialect.name, self.model, self.address),),
-            tuple(sorted(risk.value for risk in allowance.risks)),
-            allowance.speed,
-            allowance.turns,
-            allowance.acceleration,
-            allowance.current,
-            allowance.subdivision,
-            allowance.alone,
-            budget.commands,
-            budget.seconds,
-            budget.turns,
-            budget.wear,
+        assert self._target.endpoint is not None
+        return msgspec.structs.replace(
+            beginning(self._target.endpoint, [(self.dialect, self.address)], self._allowance),
             longest_run_ns=int(self._plan.longest_run * 1e9),
             journal="" if self._journal is None else str(self._journal.path),
             cut_power=self._plan.cut_power,

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 import uuid
 from functools import partial
 from pathlib import Path
@@ -18,17 +19,23 @@ from analyzer import cli as analyzer_cli
 from analyzer import dialects
 from analyzer.catalogue import Risk, Role
 from analyzer.encoder import build
+from analyzer.errors import UsageError
+from analyzer.live.endpoint import parse
 from analyzer.pipeline import Pipeline
 from analyzer.records import CanFrame, Chunk
+from conformance.bus import open_line
 from conformance.bus.emulated import EmulatedLine
 from conformance.cli import replay as command
+from conformance.cli import send
 from conformance.drives import make
 from conformance.drives.can_bus import CanBus
 from conformance.drives.serial_bus import SerialBus
 from conformance.gate.budget import Budget
 from conformance.gate.gate import Allowance, Gate, Item, Judge
+from conformance.motion import motion
 from conformance.serve.can import CanPort
 from conformance.serve.pty import PtyPort
+from conformance.talk.probe import plain_probe
 from conformance.tools.replay import PATIENCE_NS, Match, Replay, compare, rehearse
 from conformance.tools.replay_plan import Plan, make_plan
 from tests.conformance.drives.served import drives, on_port, on_pty, wait_for
@@ -405,3 +412,35 @@ def test_signals_stop_the_motor(number: int, tmp_path: Path):
     assert process.returncode == 130, out + err
     assert "stopped: Ctrl-C" in out
     assert "NOT KNOWN TO STAND" not in out
+
+
+def test_a_replay_that_is_killed_leaves_no_motor_turning(tmp_path: Path):
+    """The guard owns the port: it stops what the replay has set going."""
+    path = log(tmp_path / "run.log", (0, ">", RUN), (60, ">", STOP))
+    bus = SerialBus(drives("mks-rs485@1,work_mode=sr_vfoc"))
+    with on_port(bus, PtyPort(speed=bus.stations[0].speed)) as port:
+        on = f"serial:{port},baud=38400"
+        assert (
+            analyzer_cli._run("send", send, ["mks-rs485@1", "enable", "enabled=1", "--allow", "motion,torque", "--on", on]) == 0
+        )
+        process = subprocess.Popen(
+            [sys.executable, "-c", "import sys; from analyzer.cli import _run; from conformance.cli import replay;"
+             "sys.exit(_run('replay', replay, sys.argv[1:]))", path, "--on", on, "--allow", "motion,unbounded"],
+            cwd=Path(__file__).parents[3],
+        )  # fmt: skip
+        time.sleep(8)
+        assert process.poll() is None
+        process.kill()
+        process.wait()
+
+        def speed() -> str:
+            try:
+                line = open_line(parse(on))
+            except UsageError:
+                return "the guard is not done"
+            try:
+                return str(motion.speed(plain_probe(MKS, 1, Gate(line, Allowance()))).value)
+            finally:
+                line.close()
+
+        assert wait_for(lambda: speed() == "0.0", 30)
