@@ -37,7 +37,7 @@ def add_verdict_arguments(parser: argparse.ArgumentParser) -> None:
         "--max-inconclusive",
         type=inconclusive,
         default=MOST_INCONCLUSIVE,
-        metavar="N|P%",
+        metavar="LIMIT",
         help=f"inconclusive claims, of those that ran, above which the exit status is 10 (default {MOST_INCONCLUSIVE}%)",
     )
 

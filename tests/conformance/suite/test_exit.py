@@ -70,3 +70,9 @@ def test_settings_that_are_not_taken_back_hide_no_refutation_and_are_tried_once(
     assert "set_current" in tried
     # In two work modes each: behind the claim that changed it first, and at the end of the run.
     assert tried.count("set_current") <= 4
+
+
+def test_the_help_names_the_limit(capsys):
+    with pytest.raises(SystemExit):
+        main(["test", "--help"])
+    assert "--max-inconclusive LIMIT" in " ".join(capsys.readouterr().out.split())
