@@ -187,11 +187,19 @@ class _Dialect:
             )
 
 
+def _of(dialect: Dialect) -> _Dialect:
+    """Return what interprets a dialect, made once and kept with it: each claim on an emulated drive has a gate of its own."""
+    kept: _Dialect | None = dialect.__dict__.get("_interpreted")
+    if kept is None:
+        kept = dialect.__dict__["_interpreted"] = _Dialect(dialect)
+    return kept
+
+
 class SerialInterpreter:
     """Interprets what leaves on a serial line."""
 
     def __init__(self, dialects: Sequence[Dialect]) -> None:
-        self._dialects = [_Dialect(d) for d in dialects]
+        self._dialects = [_of(d) for d in dialects]
         self._longest = max((d.finder.longest for d in self._dialects), default=0)
         self._kept: dict[tuple[Pending, bytes], tuple[tuple[Interpretation, ...], Pending]] = {}
 
@@ -365,7 +373,7 @@ class CanInterpreter:
     """Interprets what leaves on a CAN bus."""
 
     def __init__(self, dialects: Sequence[Dialect]) -> None:
-        self._dialects = [_Dialect(d) for d in dialects]
+        self._dialects = [_of(d) for d in dialects]
         self._kept: dict[tuple[int, bytes, str], tuple[Interpretation, ...]] = {}
 
     def interpret(self, frame: CanFrame) -> tuple[Interpretation, ...]:
