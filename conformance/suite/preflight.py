@@ -85,14 +85,20 @@ def _on_can(gate: Gate, dialect: Dialect, addresses: Sequence[int]) -> list[str]
     command = search_read(dialect)
     frame_ns = _CAN_BITS * 1_000_000_000 // gate.line.endpoint.bits_per_second
     heard: list[Chunk | CanFrame] = []
+    asked: dict[int | None, int] = {}
     for address in addresses:
-        gate.send(assemble(dialect, command, address).item())
+        built = assemble(dialect, command, address)
+        # A question that a drive of another dialect could take for a command is not asked.
+        if gate.objections(built.item()):
+            continue
+        asked[built.can_id] = address
+        gate.send(built.item())
         # Interfaces have room for a few frames only.
         heard += gate.wait(2 * frame_ns)
     heard += gate.wait(_LATE_NS)
-    asked = set(addresses)
-    ids = {f.id for f in heard if isinstance(f, CanFrame) and f.id in asked and f.data[:1] == bytes([command.code])}
-    return [f"{dialect.name}@{i}" for i in sorted(ids)]
+    frames = [f for f in heard if isinstance(f, CanFrame) and f.id in asked]
+    found = {asked[f.id] for f in frames if dialect.link.parse(f.data, f.id).code == command.code}
+    return [f"{dialect.name}@{address}" for address in sorted(found)]
 
 
 def find_drive(gate: Gate, dialect: Dialect, address: int, *, widely: bool = True) -> Search:

@@ -267,7 +267,7 @@ def test_why_a_port_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.MonkeyP
         open_line(parse(f"serial:{tmp_path}"))
     with pytest.raises(UsageError, match="no adapter has the serial number A50285BI"):
         open_line(parse("serial:,serial=A50285BI"))
-    with pytest.raises(UsageError, match="has to know its speed"):
+    with pytest.raises(UsageError, match="the speed is missing"):
         open_line(parse("serial:/dev/ttyUSB0,baud=auto"))
     denied = OSError(errno.EACCES, "Permission denied")
     assert "permission denied" in serial.why_not(str(tmp_path), denied)

@@ -66,9 +66,10 @@ def test_how_long_a_frame_may_pause_is_observed_and_measured():
     assert verdict.measured["longest_pause_in_a_frame_ms"] == 16
 
 
-def test_codes_of_other_firmware_are_tolerated_and_no_others():
+def test_codes_of_other_firmware_are_named_as_known():
     verdicts = run(Theme.FRAMING, "lk-rs485@1,quirk=lk-firmware-235", "unknown_code/")
-    assert verdicts["unknown_code/ignored"].outcome is Outcome.OBSERVED
+    verdict = verdicts["unknown_code/ignored"]
+    assert (verdict.outcome, verdict.quirks) == (Outcome.REFUTED, ("lk-firmware-235",))
 
 
 @pytest.mark.parametrize("drive", DRIVES)

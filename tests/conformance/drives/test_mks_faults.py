@@ -688,14 +688,13 @@ def test_the_faults_of_the_wire_serve_the_lingkong_drive_too():
 
     dialect = dialects.get("lk-rs485")
     asked = ("read_state_1", "read_state_2", "motor_off", "read_encoder", "motor_on")
-    requests = [build(dialect, command, 1) for command in asked]
+    # The last request comes after a pause, which some faults need.
+    times = [n * SECOND for n in (0, 1, 2, 3, 20)]
+    requests = [(t_ns, build(dialect, command, 1)) for t_ns, command in zip(times, asked, strict=True)]
 
     def seen(**options):
         drive = LkDrive(dialect, 1, **options)
-        return [
-            [(o.at_ns, o.data) for o in drive.receive(frame_of(dialect, data, n * SECOND, None), n * SECOND)]
-            for n, data in enumerate(requests)
-        ]
+        return [[(o.at_ns, o.data) for o in drive.receive(frame_of(dialect, d, t, None), t)] for t, d in requests]
 
     plain = seen()
     assert all(plain)
