@@ -1,8 +1,7 @@
 """A dry run: all that a run would send, without a port. An emulated drive stands in for the real one.
 
-It is the run itself, by the rules of a real drive: the search for it and for its neighbours, each setting read before it is
-changed and put back, each stop and its proof; only the line is an emulated one. A real drive's answers may lead elsewhere, so
-what is listed is what would be sent to a drive as the manual has it, which is at hand and alone.
+A real drive's answers may lead elsewhere, so what is listed is what would be sent to a drive as the manual has it, which is at
+hand and alone.
 """
 
 from __future__ import annotations
@@ -12,17 +11,14 @@ from typing import TYPE_CHECKING
 from analyzer.catalogue import Risk, Role
 from analyzer.errors import UsageError
 from analyzer.records import CanFrame
-from conformance.bus.emulated import EmulatedLine
-from conformance.bus.line import Line
 from conformance.claim import Outcome
 from conformance.drives import make
 from conformance.gate.gate import Gate, Judge
 from conformance.gate.permissions import Allowance
-from conformance.safety.journal import Journal
 from conformance.suite import engine
 from conformance.suite import plan as suite
 from conformance.suite.rig import ClaimRig
-from conformance.suite.rig_real import RealRig
+from conformance.suite.rig_stand_in import StandInRig
 from conformance.suite.target import Target
 from conformance.talk.exchange import hex_of
 
@@ -32,28 +28,17 @@ if TYPE_CHECKING:
 Item = bytes | CanFrame
 
 
-class _StandIn(RealRig):
-    """A rig like that of a real drive, on a line to an emulated one. `left`: what left since it was last taken."""
+class _Listed(StandInRig):
+    """A rig that stands in for the real one. `left`: what left since it was last taken."""
 
     def __init__(self, plan: Plan, target: Target) -> None:
         self.left: list[Item] = []
         super().__init__(plan, target)
 
-    def _open_line(self) -> Line:
-        model = f",model={self.model}" if self.model else ""
-        assert self._target.endpoint is not None
-        line = EmulatedLine([make.make(make.parse(f"{self.name}{model}"))])
-        # Its flash counts as one that wears.
-        line.emulated = False
-        return line
-
     def _open_gate(self) -> Gate:
         gate = super()._open_gate()
         gate.on_sent.append(lambda t_ns, item: self.left.append(item))
         return gate
-
-    def _open_journal(self) -> Journal | None:
-        return None
 
     def taken(self) -> list[Item]:
         """Return what left, and forget it."""
@@ -69,7 +54,7 @@ def dry_run(plan: Plan) -> int:
             raise UsageError(f"a dry run needs an emulated drive in place of the real one, and no emulated drive speaks {name}")
     for target in plan.targets:
         print(f"{target.text} on {target.on}: what would be sent (to a drive as the manual has it)")
-        rig = suite.open_rig(plan, target) if target.emulated else _StandIn(plan, target)
+        rig = suite.open_rig(plan, target) if target.emulated else _Listed(plan, target)
         try:
             ran, skipped, frames = _claims(plan, target, rig)
         finally:
@@ -81,12 +66,12 @@ def dry_run(plan: Plan) -> int:
 def _claims(plan: Plan, target: Target, rig: ClaimRig) -> tuple[int, int, int]:
     judge = Judge(Allowance(frozenset(Risk), alone=True))
     ran = skipped = frames = 0
-    if isinstance(rig, _StandIn):
+    if isinstance(rig, _Listed):
         frames += _list("before the first claim", rig.taken(), judge)
     for claim in plan.selected(target):
         verdict = engine.run_claim(claim, rig)
         traffic = [item for item in verdict.traffic if item.direction is Role.REQUEST]
-        sent = rig.taken() if isinstance(rig, _StandIn) else [i if isinstance(i, CanFrame) else i.data for i in traffic]
+        sent = rig.taken() if isinstance(rig, _Listed) else [i if isinstance(i, CanFrame) else i.data for i in traffic]
         if verdict.outcome is Outcome.NOT_RUN and not sent:
             skipped += 1
             print(f"{claim.id}: not run: {verdict.reason}")

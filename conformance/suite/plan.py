@@ -202,7 +202,7 @@ def proving_claims(plan: Plan, target: Target) -> list[Claim]:
     return [c for c in every_claim(target) if c.theme is Theme.SHAPE and reads.intersection(c.commands) and c.risks <= READS]
 
 
-def _verdicts(plan: Plan, target: Target, selected: Sequence[Claim], rig: ClaimRig) -> Iterator[Verdict]:
+def verdicts(plan: Plan, target: Target, selected: Sequence[Claim], rig: ClaimRig) -> Iterator[Verdict]:
     """Yield the verdicts of the selected claims, and those of claims about safety's reads that are refuted."""
     proving = proving_claims(plan, target) if any(c.risks & MAY_MOVE for c in selected) else []
     for verdict in engine.prove_reads(proving, rig):
@@ -215,7 +215,7 @@ def _run_target(plan: Plan, target: Target) -> Iterator[VerdictRecord]:
     selected = plan.selected(target)
     rig = open_rig(plan, target)
     try:
-        for verdict in _verdicts(plan, target, selected, rig):
+        for verdict in verdicts(plan, target, selected, rig):
             yield record(verdict, target.text, firmware=rig.firmware, traffic=plan.traffic, noise=rig.noise.figures)
     finally:
         rig.close()
