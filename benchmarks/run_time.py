@@ -62,7 +62,7 @@ def told(target: Target) -> dict[str, str]:
     drive = make.make(specification(target))
     fields = {n: f for c in drive.dialect.commands if changes(c) for n, f in all_fields(c.request_forms).items()}
     held = {name: value for name, value in drive.settings.items() if name in fields and not refusal(fields[name], value)}
-    return {name: f"{fields[name].physical(value):g}" for name, value in held.items()}
+    return {name: f"{fields[name].physical(value):.12g}" for name, value in held.items()}
 
 
 def specification(target: Target, more: str = "") -> make.Specification:
