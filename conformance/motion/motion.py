@@ -127,6 +127,17 @@ def settings(dialect: Dialect, *more: str) -> tuple[str, ...]:
     return (*(name for verb, name in verbs if verb in dialect.by_verb), *more)
 
 
+def ready_settings(dialect: Dialect) -> dict[str, dict[str, int]]:
+    """Return what `ready_to_move` sets where it has to and nothing else is asked for, by command."""
+    found = {}
+    if Verb.SET_WORK_MODE in dialect.by_verb:
+        command = dialect.by_verb[Verb.SET_WORK_MODE]
+        found[command.name] = {"work_mode": choice(command, "work_mode", bus_modes(dialect)[-1])}
+    if Verb.SET_SUBDIVISION in dialect.by_verb:
+        found[dialect.by_verb[Verb.SET_SUBDIVISION].name] = {"subdivision": SUBDIVISION}
+    return found
+
+
 def choice(command: Command, field: str, name: str) -> int:
     """Return the integer as sent of a named choice of a request's field."""
     for form in command.request_forms:

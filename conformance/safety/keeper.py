@@ -12,7 +12,7 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
@@ -29,7 +29,7 @@ from conformance.motion import motion
 from conformance.safety import following, settings
 from conformance.safety import journal as journals
 from conformance.safety.journal import Entry, Journal, values_text
-from conformance.talk.probe import Probe, plain_probe
+from conformance.talk.probe import Probe, Rig, plain_probe
 from conformance.talk.settings import changes_link
 
 #: What may be sent to put settings back: no motion, nothing that wipes, no unknown code.
@@ -40,7 +40,7 @@ PUTTING_BACK = Allowance(
 
 @dataclass
 class _Kept:
-    """A command and the values that its settings had; `sent`: those that were sent since.
+    """A command and the values that its settings had; `sent`: those that were sent since, each once; `last`: the last of them.
 
     `failed`: why it was not put back, where that was tried.
     """
@@ -48,6 +48,7 @@ class _Kept:
     command: Command
     before: dict[str, int]
     sent: list[dict[str, int]] = field(default_factory=list)
+    last: dict[str, int] = field(default_factory=dict)
     failed: str = ""
 
 
@@ -55,8 +56,10 @@ class Keeper:
     """Keeps the settings of one drive.
 
     `known`: values that the user gave; `journal` None: nothing is written down. `alone`: no other drive is on the bus.
-    `named`: its name in the journal, where it is another one than the dialect's.
+    `named`: its name in the journal, where it is another one than the dialect's. `write_gap_ns`: between settings.
     """
+
+    write_gap_ns = Rig.write_gap_ns
 
     def __init__(
         self,
@@ -149,6 +152,7 @@ class Keeper:
             if key not in self._kept or changes_link(command):
                 self._write("change", command, kept.before, values)
             kept.sent.append(values)
+        kept.last = values
         self._kept[key] = kept
 
     def _write(self, event: str, command: Command, before: dict[str, int], *sent: dict[str, int], text: str = "") -> None:
@@ -187,8 +191,10 @@ class Keeper:
         name, speed = command.sets(Effect.BAUD_RATE), self._gate.line.endpoint.bits_per_second
         return next(({name: code} for code, bits in self._dialect.rates.items() if bits == speed), None)
 
-    def _probe(self) -> Probe:
-        return plain_probe(self._dialect, self._address, self._gate)
+    def _probe(self, gate: Gate | None = None) -> Probe:
+        probe = plain_probe(self._dialect, self._address, gate or self._gate)
+        probe.rig.write_gap_ns = self.write_gap_ns
+        return probe
 
     # --- putting back -------------------------------------------------------------------------------------------------
 
@@ -216,8 +222,12 @@ class Keeper:
             key = (command.name, settings.selector(command, entry.values))
             self._kept[key] = _Kept(command, dict(entry.values), [dict(s) for s in entry.sent])
 
-    def put_back(self, *, link_only: bool = False, again: bool = False) -> str:
-        """Put everything back, the last change first; return what was not put back, or nothing. Raises LineLost.
+    def left_at(self, values: Mapping[str, Mapping[str, int]]) -> set[str]:
+        """Return the commands, of those whose values are given by name, that last set these values."""
+        return {k.command.name for k in self._kept.values() if k.last and values.get(k.command.name) == k.last}
+
+    def put_back(self, *, link_only: bool = False, again: bool = False, but: Collection[str] = ()) -> str:
+        """Put back all `but` some commands, the last change first; return what was not put back, or nothing. Raises LineLost.
 
         What could not be put back is tried once more only with `again`: a drive that refuses goes on refusing.
         """
@@ -227,17 +237,17 @@ class Keeper:
                 for kept in self._kept.values():
                     kept.failed = ""
             gate = self._gate.under(PUTTING_BACK)
-            failed = self._pass(gate, link_only)
+            failed = self._pass(gate, link_only, but)
             if failed and not link_only and self._into_bus_mode(gate):
                 # Some settings are refused in a mode in which the bus does not move the motor.
                 for kept in failed:
                     kept.failed = ""
-                failed = self._pass(gate, link_only)
+                failed = self._pass(gate, link_only, but)
         finally:
             self._asking = False
         return "; ".join(kept.failed for kept in failed)
 
-    def _pass(self, gate: Gate, link_only: bool) -> list[_Kept]:
+    def _pass(self, gate: Gate, link_only: bool, but: Collection[str]) -> list[_Kept]:
         """Put back what was not tried in vain; return what could not be."""
         failed = []
         # The link first: a drive that does not answer takes nothing back. The work mode last: other settings depend on it.
@@ -246,7 +256,7 @@ class Keeper:
         for key, kept in newest:
             if link_only and not changes_link(kept.command):
                 continue
-            if kept.failed:
+            if kept.failed or kept.command.name in but:
                 continue
             kept.failed = self._restore(gate, kept)
             if kept.failed:
@@ -269,13 +279,13 @@ class Keeper:
         finally:
             # Reading the mode ends with asking; there is more to be put back.
             self._asking = True
-        probe = plain_probe(self._dialect, self._address, gate)
+        probe = self._probe(gate)
         return not probe.refused(probe.ask(command, mode))
 
     def _restore(self, gate: Gate, kept: _Kept) -> str:
         if changes_link(kept.command):
             return following.restore_link(gate, self._dialect, self._address, kept.command, kept.before, kept.sent)
-        return put_back(plain_probe(self._dialect, self._address, gate), kept.command, kept.before)
+        return put_back(self._probe(gate), kept.command, kept.before)
 
 
 def put_back(probe: Probe, command: Command, values: Mapping[str, int]) -> str:

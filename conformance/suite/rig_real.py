@@ -1,7 +1,8 @@
 """A rig with a drive on a real port: the port is a guard's, and what claims change is put back.
 
 After each claim the drive is stopped, if the claim may have moved it, and proved to stand; then its settings are put back,
-so that each claim finds the drive as the one before found it.
+so that each claim finds the drive as the one before found it. Claims that follow each other and all make the drive ready to
+move are a group: what that sets stays until the first claim that does not name it, and is put back once.
 
 Whatever goes wrong in the end, the motor is stopped: by the rig itself; by a new guard, where the old one has died; by the
 guard alone, where the rig cannot.
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Collection
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -25,7 +27,7 @@ from conformance.bus.line import Line, LineLost
 from conformance.claim import Claim, NotStopped, RigFault
 from conformance.gate.gate import Gate
 from conformance.gate.permissions import READS, Allowance
-from conformance.motion import resting
+from conformance.motion import motion, resting
 from conformance.safety import messages as say
 from conformance.safety import settings
 from conformance.safety.guarded import GuardedLine, beginning
@@ -78,6 +80,7 @@ class RealRig(ClaimRig):
         self.keeper = Keeper(
             self.gate, self.dialect, self.address, known, self._journal, target.endpoint.text, alone=self.alone
         )
+        self._ready = motion.ready_settings(self.dialect)
         self._moved = False
         #: Why nothing that moves may be sent, or nothing.
         self._unproved = ""
@@ -146,6 +149,9 @@ class RealRig(ClaimRig):
 
     def probe(self, claim: Claim) -> Probe:
         """Return a probe of the drive."""
+        if not self._names_what_is_left(claim):
+            # What fails is tried again in the end.
+            self._put_back()
         bounded = self._allowance.turns is not None or self._allowance.speed is not None
         if bounded and MAY_MOVE & claim.risks:
             # A move to a place is as long as the way there, and a speed is as fast as the subdivision makes it.
@@ -163,6 +169,11 @@ class RealRig(ClaimRig):
         if any(reading.risks & MAY_MOVE for reading in readings):
             self._moved = True
 
+    def _names_what_is_left(self, claim: Claim) -> bool:
+        """Say whether a claim makes the drive ready as the one before left it: it names all settings that were left."""
+        left = self.keeper.left_at(self._ready)
+        return all(name in claim.settings for command in left for name in self._ready[command])
+
     def settle(self, probe: Probe | None = None, *, last: bool = False) -> str:
         """Stop the motor if the claim may have moved it, and put back what it changed.
 
@@ -174,10 +185,16 @@ class RealRig(ClaimRig):
         if self._may_move:
             self._stop()
         if self.keeper.untried or (last and self.keeper.changed):
-            failure = self.keeper.put_back(again=last)
-            if not self.keeper.changed:
-                self._is_back()
+            failure = self._put_back(again=last, but=() if last else self.keeper.left_at(self._ready))
         return f"not put back: {failure}" if failure else ""
+
+    def _put_back(self, *, again: bool = False, but: Collection[str] = ()) -> str:
+        """Put back what was changed, some commands aside; return what was not, or nothing."""
+        self.keeper.write_gap_ns = self.write_gap_ns
+        failure = self.keeper.put_back(again=again, but=but)
+        if not self.keeper.changed:
+            self._is_back()
+        return failure
 
     @property
     def _may_move(self) -> bool:

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 from analyzer.catalogue import Risk
+from analyzer.records import CanFrame
 from conformance.claim import Outcome, Verdict
 from conformance.drives import make
 from conformance.gate.permissions import Allowance
+from conformance.suite import engine, target
 from conformance.suite import plan as suite
-from conformance.suite import target
 from conformance.suite.plan import Plan
 from conformance.suite.rig_stand_in import StandInRig
 
+_PORT = target.parse("mks-can@1", "can:virtual:none,bitrate=500000")
 _MOVES = frozenset({Risk.READ, Risk.SETTING, Risk.TORQUE, Risk.MOTION, Risk.UNBOUNDED})
 
 
+def _rig(drive: str = "") -> StandInRig:
+    plan = Plan((_PORT,), Allowance(_MOVES, alone=True))
+    return StandInRig(plan, _PORT, make.parse(f"mks-can@1{drive}"))
+
+
 def _run(claim: str, drive: str = "") -> tuple[StandInRig, list[Verdict]]:
-    on_a_port = target.parse("mks-can@1", "can:virtual:none,bitrate=500000")
-    plan = Plan((on_a_port,), Allowance(_MOVES, alone=True), (f"mks-can/{claim}",))
-    rig = StandInRig(plan, on_a_port, make.parse(f"mks-can@1{drive}"))
-    found = list(suite.verdicts(plan, on_a_port, plan.selected(on_a_port), rig))
+    plan = Plan((_PORT,), claims=(f"mks-can/{claim}",))
+    rig = _rig(drive)
+    found = list(suite.verdicts(plan, _PORT, plan.selected(_PORT), rig))
     rig.close()
     return rig, found
 
@@ -35,3 +41,46 @@ def test_a_refutation_is_repeated_as_on_a_line() -> None:
     _, found = _run("shape/read_speed/checksum", ",fault=checksum-wrong")
     assert [v.outcome for v in found] == [Outcome.REFUTED]
     assert "2 of 2 times" in found[0].reason
+
+
+def _modes_sent(rig: StandInRig, names: list[str]) -> list[int]:
+    """Run claims one after the other; return the work modes that were set meanwhile."""
+    by_id = {claim.id: claim for claim in suite.every_claim(_PORT)}
+    sent: list[int] = []
+
+    def note(t_ns: int, item: object) -> None:
+        assert isinstance(item, CanFrame)
+        if item.data[0] == 0x82:
+            sent.append(item.data[1])
+
+    rig.gate.on_sent.append(note)
+    for name in names:
+        assert engine.run_claim(by_id[f"mks-can/{name}"], rig).outcome is Outcome.CONFIRMED
+    return sent
+
+
+def test_what_claims_of_a_group_need_is_set_once_and_put_back_once() -> None:
+    rig = _rig(",work_mode=pulse_direction_closed")
+    runs = ["motion/run_speed/speed-60", "motion/run_speed/opposite", "motion/run_speed/speed-300"]
+    assert _modes_sent(rig, runs) == [0x05]
+    assert rig.keeper.changed
+    # The first claim that does not name the mode finds it as the user had it.
+    assert _modes_sent(rig, ["shape/read_speed/checksum"]) == [0x03]
+    assert not rig.keeper.changed
+    rig.close()
+
+
+def test_another_value_than_the_groups_is_put_back_behind_its_claim() -> None:
+    rig = _rig(",subdivision=64")
+    _modes_sent(rig, ["motion/run_speed/speed-60"])
+    assert rig.keeper.left_at({"set_subdivision": {"subdivision": 16}})
+    _modes_sent(rig, ["motion/move_relative_pulses/speed-at-8"])
+    assert not rig.keeper.left_at({"set_subdivision": {"subdivision": 16}})
+    rig.close()
+
+
+def test_a_group_that_ends_the_run_is_put_back_by_its_end() -> None:
+    rig = _rig(",work_mode=pulse_direction_closed")
+    _modes_sent(rig, ["motion/run_speed/speed-60"])
+    rig.close()
+    assert not rig.keeper.changed
