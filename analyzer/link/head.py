@@ -15,6 +15,7 @@ from itertools import accumulate
 
 from analyzer.link.interface import (
     MORE,
+    NO_CANDIDATES,
     TIE,
     Candidate,
     Candidates,
@@ -221,7 +222,7 @@ class _HeadFinder(Finder):
     def at(self, buffer: bytes, start: int, can_id: int | None = None) -> Candidates:
         head, end = buffer[start], len(buffer)
         if head not in self._heads:
-            return Candidates()
+            return NO_CANDIDATES
         if self._package is not None and head == self._package.head:
             return self._packed(buffer, start, self._package)
         if start + 3 > end:

@@ -154,6 +154,10 @@ class Candidates(NamedTuple):
     open: bool = False
 
 
+#: Made once: most bytes begin nothing.
+NO_CANDIDATES = Candidates()
+
+
 class Finder(ABC):
     """Finds every request that could begin at an offset: of known or unknown code, complete or cut off, with any check.
 
@@ -344,7 +348,7 @@ class SlicerFinder(Finder):
     def at(self, buffer: bytes, start: int, can_id: int | None = None) -> Candidates:
         slicer, end = self._slicer, len(buffer)
         if buffer[start] not in slicer.heads:
-            return Candidates()
+            return NO_CANDIDATES
         fitting = {n for n in slicer.lengths(buffer, start, end) if n > 0}
         lengths = fitting | {n for n in slicer.damaged(buffer, start, end) if n > 0}
         found = [self._candidate(buffer[start : start + n], start, n in fitting) for n in sorted(lengths)]

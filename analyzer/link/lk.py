@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from analyzer.link.interface import (
     MORE,
+    NO_CANDIDATES,
     Candidate,
     Candidates,
     Check,
@@ -151,7 +152,7 @@ class _LkFinder(Finder):
 
     def at(self, buffer: bytes, start: int, can_id: int | None = None) -> Candidates:
         if buffer[start] != _LK_HEAD:
-            return Candidates()
+            return NO_CANDIDATES
         end = len(buffer)
         if start + 2 > end:
             return Candidates(open=True)

@@ -19,6 +19,7 @@ from fastcrc import crc16 as _crc16
 
 from analyzer.link.interface import (
     MORE,
+    NO_CANDIDATES,
     TIE,
     Candidate,
     Candidates,
@@ -251,12 +252,12 @@ class _ModbusFinder(Finder):
     def at(self, buffer: bytes, start: int, can_id: int | None = None) -> Candidates:
         end = len(buffer)
         if buffer[start] > _MODBUS_HIGHEST:
-            return Candidates()
+            return NO_CANDIDATES
         if start + 2 > end:
             return Candidates(open=True)
         function = buffer[start + 1]
         if function not in FUNCTIONS:
-            return Candidates()
+            return NO_CANDIDATES
         if start + 4 > end:
             return Candidates(open=True)
         register = _u16(buffer, start + 2)

@@ -12,6 +12,7 @@ from analyzer.live import endpoint as endpoints
 from analyzer.live.endpoint import Endpoint
 from analyzer.values import quote
 from conformance.bus import open_line
+from conformance.bus.line import LineLost
 from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
 
@@ -32,9 +33,17 @@ def endpoint_of(arguments: argparse.Namespace) -> Endpoint:
 
 @contextlib.contextmanager
 def gate_to(endpoint: Endpoint, allowance: Allowance, dialects: Iterable[Dialect] | None = None) -> Iterator[Gate]:
-    """Open a port and yield the gate to it; the port is closed in the end. Raises UsageError where it cannot be opened."""
+    """Open a port and yield the gate to it; the port is closed in the end, and nothing that was sent is left open.
+
+    Raises UsageError where it cannot be opened.
+    """
     with contextlib.closing(open_line(endpoint)) as line:
-        yield Gate(line, allowance, dialects=dialects)
+        gate = Gate(line, allowance, dialects=dialects)
+        try:
+            yield gate
+        finally:
+            with contextlib.suppress(LineLost):
+                gate.end_stream()
 
 
 def parse_addresses(text: str, lowest: int = 1) -> list[int]:

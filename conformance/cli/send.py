@@ -1,7 +1,7 @@
 """Send one frame to a drive, through the gate, and show the reply decoded.
 
-Reads are sent as they are; anything else needs --allow with every risk it has. Bytes are judged as they leave: all that
-can be read in them has to be allowed. Bytes that end in the beginning of a frame are refused, for what is sent next could
+Reads and stops are sent as they are; anything else needs --allow with every risk it has. Bytes are judged as they leave: all
+that can be read in them has to be allowed. Bytes that end in the beginning of a frame are refused, for what is sent next could
 complete it; where a whole frame ends like one, a read goes behind it. Values are written as for 'servotap frame'.
 """
 
@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import Any
 
 from analyzer import dialects as registry
-from analyzer.catalogue import Command, Dialect
+from analyzer.catalogue import Command, Dialect, Risk
 from analyzer.cli.frame import parse_target, parse_values
 from analyzer.cli.show import fields_text, names_of
 from analyzer.decoder import physical
@@ -78,7 +78,7 @@ def _milliseconds(text: str) -> float:
 def run(arguments: argparse.Namespace) -> int:
     """Send; return 0 if it was answered well, 1 if not."""
     request = _hex(arguments) if arguments.hex is not None else _command(arguments)
-    allowance = allowance_from(arguments, addresses=request.addresses)
+    allowance = request.allowance(allowance_from(arguments, addresses=request.addresses))
     if arguments.dry_run:
         return _dry_run(request, allowance, arguments)
     endpoint = endpoint_of(arguments)
@@ -91,8 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
         if request.dialect is not None and request.address is not None and request.acts:
             read_drive_state(dialogue, request.dialect, request.address)
         exchange = _ask(dialogue, request, arguments)
-        for dialect, address in request.meant[:1]:
-            gate.end_stream(dialect, address)
+        gate.end_stream(next(iter(request.meant), None))
         echoes = getattr(gate.line, "echo", None)
     if arguments.json:
         print(json.dumps(_object(request, exchange)))
@@ -124,10 +123,19 @@ class _Request:
         self.acts = any(not r.reads_only for r in readings)
         #: What the next sending could complete.
         self.left_open = judge.left_open(item)
+        #: Bytes of no frame: they could complete what another program has begun.
+        self.loose = (
+            bytes(b for n, b in enumerate(item) if not any(r.covers(n) for r in readings)) if isinstance(item, bytes) else b""
+        )
         #: The drives that it is for.
         self.meant = [(r.dialect, r.address) for r in readings if r.fits and not r.to_many and r.address is not None]
         many = self.dialect is not None and address == self.dialect.broadcast
         self.answered = command is None or (bool(command.reply_forms) and not many and command.slots is None)
+
+    def allowance(self, given: Allowance) -> Allowance:
+        """Return what may be sent: a stop that is named needs no permission."""
+        stopping = replace(given, risks=given.risks | {Risk.MOTION})
+        return stopping if Judge(stopping).is_stop(self.item) else given
 
 
 def _command(arguments: argparse.Namespace) -> _Request:
@@ -165,34 +173,44 @@ def _known_dialects(arguments: argparse.Namespace) -> list[Dialect]:
 
 
 def _check_risks(request: _Request, allowance: Allowance, dialects: Sequence[Dialect]) -> None:
-    """Raise Refused for what is not allowed whatever the drive answers, UsageError for bytes that another sending could end."""
-    begun = [head for head in request.left_open if head.bare or not request.meant]
-    if begun:
-        raise UsageError(
-            f"not sent: {shown(request.item)}: it ends in {begun[0].data.hex(' ').upper()}, the beginning of a frame of "
-            f"{begun[0].dialect.name} that the next sending could complete"
-        )
+    """Raise Refused for what is not allowed whatever the drive answers, UsageError for bytes that do not stand alone."""
     found = Judge(replace(allowance, turns=None, speed=None), dialects).objections(request.item)
     if found:
         raise Refused(request.item, found)
+    beside = _beside(request, allowance)
+    if beside:
+        raise UsageError(f"not sent: {shown(request.item)}: {beside}")
+
+
+def _beside(request: _Request, allowance: Allowance) -> str:
+    """Return what makes an item part of what was sent before or will be, or nothing."""
+    begun = [head for head in request.left_open if head.bare or not request.meant]
+    if begun:
+        text = f"it ends in {shown(begun[0].data)}, the beginning of a frame of {begun[0].dialect.name}"
+        return f"{text} that the next sending could complete"
+    if request.loose and Risk.UNKNOWN not in allowance.risks:
+        return f"{shown(request.loose)} is no frame, and could complete one that another program has begun (--allow unknown)"
+    return ""
 
 
 def _dry_run(request: _Request, allowance: Allowance, arguments: argparse.Namespace) -> int:
     judge = Judge(replace(allowance, budget=allowance.budget.rehearsal()), _known_dialects(arguments))
     readings, objections = judge.interpret(request.item), judge.objections(request.item)
+    beside = _beside(request, allowance)
     if arguments.json:
         listed = [{"reading": str(r), "risk": sorted(r.risks)} for r in readings]
         refused = [{"reading": str(o.interpretation), "reasons": list(o.reasons), "hint": o.hint} for o in objections]
+        refused += [{"reading": shown(request.item), "reasons": [beside], "hint": ""}] * bool(beside)
         print(json.dumps({"sent": shown(request.item), "readings": listed, "refused": refused}))
     else:
         print(shown(request.item))
         for reading in readings:
             print(f"  {reading}: {', '.join(sorted(reading.risks))}")
-        for objection in objections:
+        for objection in [*objections, *filter(None, (beside,))]:
             print(f"  not allowed: {objection}")
-        if not objections:
+        if not objections and not beside:
             print("  it may be sent")
-    return 2 if objections else 0
+    return 2 if objections or beside else 0
 
 
 def _ask(dialogue: Dialogue, request: _Request, arguments: argparse.Namespace) -> Exchange:

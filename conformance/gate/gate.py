@@ -10,7 +10,7 @@ here: nothing else may call `Line.write`.
 Several gates on one line share what was sent: make the second one by `Gate.under`, never by `Gate(line, ...)`.
 
 A stop is never refused where motion is allowed. A lone, sound stop of a drive that is meant passes whatever was sent before.
-Where it would be the last piece of a sound frame that may not leave, reads of that drive go before it until it is not.
+Where it would end a sound frame that may not leave, reads of that drive (else bytes that begin no frame) go before it.
 What a stop has passed in spite of (frames that are cut off or do not check) is not held against reads and stops behind it.
 """
 
@@ -20,6 +20,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy, deepcopy
 from dataclasses import replace
+from itertools import chain
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect, Risk, Role
@@ -82,6 +83,8 @@ _MOST_CLOSING = 32
 _REPLY_NS = 20_000_000
 _REPLY_BYTES = 20
 _NOTHING = Pending()
+#: Bytes that begin no frame of any dialect: the reads of a drive at FAh, FCh or 3Eh are heads themselves.
+_FILLERS = (bytes(8), b"\x55" * 8, b"\x00\x55" * 4, b"\x55\x00" * 4)
 #: A frame that a stop has passed in spite of: where it begins in all that was sent, and its slot.
 _Passed = tuple[int, int]
 
@@ -154,10 +157,10 @@ class Judge:
         """Return why an item may not leave now; empty where it may. Nothing changes by it."""
         return self._objections(item, self.interpret(item), now_ns, self.allowance.budget.refusal)
 
-    def admit(self, item: Item, now_ns: int = 0) -> tuple[Interpretation, ...]:
+    def admit(self, item: Item, now_ns: int = 0, *, closing: bool = False) -> tuple[Interpretation, ...]:
         """Take it that an item leaves now, spend what it costs, and return its interpretations.
 
-        Raises Refused, with nothing changed.
+        `closing`: it goes before a stop, which would make sound what this leaves damaged. Raises Refused, with nothing changed.
         """
         key = (self._sent.pending, item)
         after = self._plain.get(key) if isinstance(item, bytes) else None  # type: ignore[arg-type]
@@ -167,11 +170,13 @@ class Judge:
             return ()
         found, after = self._interpret(item)
         objections = self._objections(item, found, now_ns, self.allowance.budget.take)
+        if closing:
+            objections = _sound(objections)
         if objections:
             raise Refused(item, objections)
         sent = self._sent
         if isinstance(item, bytes):
-            if self._stops(item):
+            if closing or self.is_stop(item):
                 sent.passed |= {sent.place(o.interpretation) for o in self._not_permitted(found)}
             sent.count += len(item)
         sent.pending = after
@@ -189,7 +194,7 @@ class Judge:
         self, item: Item, found: Sequence[Interpretation], now_ns: int, charge: Callable[[Cost, int], str]
     ) -> list[Objection]:
         """Return what is not permitted; where all is, what `charge` says of the budget."""
-        if self._stops(item):
+        if self.is_stop(item):
             # The run that it ends is counted; what stands in the way of a stop is for `closing`.
             charge(self._cost([each for each in found if stops(each)], now_ns), now_ns)
             return []
@@ -217,7 +222,7 @@ class Judge:
         found = self._alone(item)
         return all(each.reads_only for each in found) and not self._not_permitted(found)
 
-    def _stops(self, item: Item) -> bool:
+    def is_stop(self, item: Item) -> bool:
         """Say whether an item is a lone, sound stop of a drive that is meant, and no other sound frame."""
         return self._stop(item) is not None
 
@@ -243,21 +248,22 @@ class Judge:
         """Return the frames that an item would leave begun, and that the next sending could make more than reads."""
         return () if isinstance(item, CanFrame) else self._serial.open_heads(self._interpret(item)[1])
 
-    def ending(self, dialect: Dialect, address: int) -> Iterator[bytes]:
-        """Yield the reads of a drive that end what was sent and is open. Each has to be sent before the next is asked for."""
-        reads = [
-            r for r in _plain_reads(dialect, address) if not self._serial.open_heads(self._serial.interpret(_NOTHING, r)[1])
-        ]
+    def ending(self, drive: tuple[Dialect, int] | None) -> Iterator[bytes]:
+        """Yield what ends frames that were sent and are open: reads of a drive, or bytes that begin no frame.
+
+        Each has to be sent before the next is asked for. What still is open then could be ended by no allowed bytes.
+        """
+        reads = [] if drive is None else [r for r in _plain_reads(*drive) if not self._serial.ends_open(r)]
         for _ in range(_MOST_CLOSING):
             if not self._serial.open_heads(self._sent.pending):
                 return
-            allowed = [r for r in reads if not self.objections(r)]
+            allowed = [r for r in (*reads, *_FILLERS) if not self.objections(r)]
             if not allowed:
                 return
             yield min(allowed, key=lambda r: len(self.left_open(r)))
 
     def closing(self, item: Item) -> Iterator[bytes]:
-        """Yield the reads that have to leave before a stop, so that no sound frame ends with it that may not leave.
+        """Yield what has to leave before a stop, so that no sound frame ends with it that may not leave: reads, or fillers.
 
         Each has to be sent before the next is asked for.
         """
@@ -265,14 +271,16 @@ class Judge:
         if stop is None or isinstance(item, CanFrame) or stop.address is None:
             return
         # One of another length helps where sums are such that each of these would end the frame as well.
-        reads = [r for d in sorted(self._spoken, key=lambda d: d is not stop.dialect) for r in _plain_reads(d, stop.address)]
+        own = [r for d in sorted(self._spoken, key=lambda d: d is not stop.dialect) for r in _plain_reads(d, stop.address)]
         for _ in range(_MOST_CLOSING):
             if not self._completes(item):
                 return
-            read = next((r for r in reads if not self.objections(r)), None)
-            if read is None:
+            reads = (r for r in own if not self.objections(r))
+            fillers = (f for f in _FILLERS if not _sound(self.objections(f)))
+            before = next(chain(reads, fillers), None)
+            if before is None:
                 return
-            yield read
+            yield before
 
     def _cost(self, found: Sequence[Interpretation], now_ns: int) -> Cost:
         """Return what an item costs: nothing if it only reads; a stop the turns of the run that it ends."""
@@ -297,12 +305,20 @@ class Judge:
         return None if own is None else own + before
 
 
-def _plain_reads(dialect: Dialect, address: int) -> list[bytes]:
+def _plain_reads(dialect: Dialect, address: int) -> Sequence[bytes]:
     """Return the requests of a drive on a serial line that only read, without values; none where it has no such address."""
     if not dialect.addresses[0] <= address <= dialect.addresses[1]:
-        return []
-    commands = [c for c in dialect.commands if c.all_risks == {Risk.READ} and c.reply_forms and c.request_forms]
-    return [build(dialect, c, address) for c in commands if not c.request_forms[0].layout.named and not c.models]
+        return ()
+    kept: dict[int, list[bytes]] = dialect.__dict__.setdefault("_plain_reads", {})
+    if address not in kept:
+        commands = [c for c in dialect.commands if c.all_risks == {Risk.READ} and c.reply_forms and c.request_forms]
+        plain = [c for c in commands if not c.request_forms[0].layout.named and not c.models]
+        kept[address] = [build(dialect, c, address) for c in plain]
+    return kept[address]
+
+
+def _sound(objections: Iterable[Objection]) -> list[Objection]:
+    return [o for o in objections if o.interpretation.fits]
 
 
 def _acts(asked: Interpretation) -> bool:
@@ -349,8 +365,11 @@ class Gate:
 
         Raises Refused, with nothing sent; LineLost.
         """
-        self._send_reads(self._judge.closing(item))
-        self._judge.admit(item, self.line.now_ns())
+        self._close_by(self._judge.closing(item))
+        return self._put(item)
+
+    def _put(self, item: Item, *, closing: bool = False) -> int:
+        self._judge.admit(item, self.line.now_ns(), closing=closing)
         t_ns = self.line.write(item)
         self.sent += 1
         if self.log is not None:
@@ -359,16 +378,23 @@ class Gate:
             told(t_ns, item)
         return t_ns
 
-    def _send_reads(self, reads: Iterable[bytes]) -> None:
-        for read in reads:
-            self.send(read)
+    def _close_by(self, items: Iterable[bytes]) -> None:
+        for item in items:
+            try:
+                self._put(item, closing=True)
+            except Refused:
+                # By the guard behind this line, which closes by itself what it has to: the stop must not wait for that.
+                continue
+            if item in _FILLERS:
+                continue
             # A stop that the drive's reply runs into is not heard.
-            wire_ns = (len(read) + _REPLY_BYTES) * self.line.byte_ns
+            wire_ns = (len(item) + _REPLY_BYTES) * self.line.byte_ns
             self._judge.early.extend(self.wait(wire_ns + _REPLY_NS))
 
-    def end_stream(self, dialect: Dialect, address: int) -> None:
-        """End what was sent and is open, by reads of a drive: another program's first bytes must not complete it."""
-        self._send_reads(self._judge.ending(dialect, address))
+    def end_stream(self, drive: tuple[Dialect, int] | None = None) -> None:
+        """End what was sent and is open: the next program must not complete it. By reads of a drive, where one is named."""
+        if not self.line.is_can:
+            self._close_by(self._judge.ending(drive))
 
     def interpret(self, item: Item) -> tuple[Interpretation, ...]:
         """Return the interpretations of an item, if it left now; nothing is sent."""

@@ -80,6 +80,10 @@ class Interpretation:
         """Whether it does nothing but read."""
         return self.risks <= _READ
 
+    def covers(self, at: int) -> bool:
+        """Say whether a byte belongs to it."""
+        return self.offset <= at < self.offset + len(self.data)
+
     def __str__(self) -> str:
         """Return it for people: which drive, what, and why it is doubtful."""
         who = "all" if self.address is None or self.to_many else str(self.address)
@@ -247,6 +251,10 @@ class SerialInterpreter:
             tuple(s - first for s in starts if first <= s < len(buffer)),
             tuple(sorted({(max(a - first, -1), b - first) for a, b in good.spans if b > first})),
         )
+
+    def ends_open(self, item: bytes) -> bool:
+        """Say whether an item by itself leaves a frame begun that may be more than a read."""
+        return bool(self.open_heads(self.interpret(Pending(), item)[1]))
 
     def open_heads(self, pending: Pending) -> tuple[OpenHead, ...]:
         """Return the frames that what is pending has begun, and that may be more than reads once they are whole."""

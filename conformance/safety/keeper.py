@@ -220,7 +220,9 @@ class Keeper:
             if command is None:
                 raise NotRun(f"{self._dialect.name} has no command {entry.command}")
             key = (command.name, settings.selector(command, entry.values))
-            self._kept[key] = _Kept(command, dict(entry.values), [dict(s) for s in entry.sent])
+            # Whatever a file says: a motor must not turn at the next power-on.
+            before = _forgotten(command) if command.verb is Verb.SAVE_SPEED else dict(entry.values)
+            self._kept[key] = _Kept(command, before, [dict(s) for s in entry.sent])
 
     def left_at(self, values: Mapping[str, Mapping[str, int]]) -> set[str]:
         """Return the commands, of those whose values are given by name, that last set these values."""

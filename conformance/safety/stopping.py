@@ -113,7 +113,7 @@ def prove_standing(probe: Probe, limit_ns: int) -> str:
 def standing_failure(gate: Gate, dialect: Dialect, address: int) -> str:
     """Look whether a drive stands already, without sending it anything but reads; return why not, or nothing."""
     try:
-        return prove_standing(plain_probe(dialect, address, gate.under(stopping(address))), 5 * _LOOK_NS)
+        return prove_standing(plain_probe(dialect, address, gate.under(stopping(address))), 8 * _LOOK_NS)
     except ServotapError as error:
         return str(error)
 
@@ -141,8 +141,10 @@ def stop_or_cut(gate: Gate, dialect: Dialect, address: int, power: str) -> None:
     except (NotStopped, GuardLost):
         raise
     except ServotapError as error:
-        # Whatever keeps the stop from being sent or proved, the motor may turn.
         failure = str(error)
+    # Whatever keeps the stop from being sent or proved, the motor may turn.
+    except Exception as error:
+        failure = f"{type(error).__name__}: {error}"
     if failure:
         text = f"NOT STOPPED: {dialect.name}@{address}: {failure}; {cut_power(power)}"
         print(text, file=sys.stderr, flush=True)

@@ -31,6 +31,8 @@ _CAN_BITS = 135
 #: A drive that moves was seen to take 0.7 s for an answer.
 _PATIENT_NS = 1000 * MS
 _ATTEMPTS = 3
+#: Places that a message lists.
+_LISTED = 8
 
 
 class DriveNotFound(RigFault):
@@ -57,10 +59,20 @@ def check(gate: Gate, dialect: Dialect, address: int, *, alone: bool) -> str:
         raise DriveNotFound(search.text)
     if alone:
         same_bus = [d for d in registry.every() if d.bus == dialect.bus]
-        others = neighbours(gate, same_bus, own=(address,))
-        if others:
-            raise DriveNotFound(f"--alone was given, but {', '.join(others)} answers too: nothing was sent but reads")
+        near = neighbours(gate, same_bus, own=(address,))
+        if near.names:
+            raise DriveNotFound(f"--alone was given, but {', '.join(near.names)} answers too: nothing was sent but reads")
+        if near.unasked:
+            raise DriveNotFound(
+                f"--alone was given, but {_listed(near.unasked)} cannot be looked for: the question would do something to a "
+                "drive of another dialect; nothing was sent but reads"
+            )
     return search.found.identity if search.found is not None else ""
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = len(names) - _LISTED
+    return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def other_drives(gate: Gate, dialects: Sequence[Dialect], addresses: Iterable[int], own: Iterable[int] = ()) -> list[Found]:
@@ -70,26 +82,37 @@ def other_drives(gate: Gate, dialects: Sequence[Dialect], addresses: Iterable[in
     return [f for f in report.found if f.address not in mine]
 
 
-def neighbours(gate: Gate, dialects: Sequence[Dialect], own: Iterable[int]) -> list[str]:
-    """Return the drives that answer at any address that their dialect has, those at `own` aside, by name. Raises LineLost."""
+@dataclass(frozen=True)
+class Neighbours:
+    """The other drives of a line by name. `unasked`: places that were not looked at."""
+
+    names: tuple[str, ...] = ()
+    unasked: tuple[str, ...] = ()
+
+
+def neighbours(gate: Gate, dialects: Sequence[Dialect], own: Iterable[int]) -> Neighbours:
+    """Look for drives at every address that their dialect has, those at `own` aside. Raises LineLost."""
     mine = frozenset(own)
     everywhere = {d.name: [a for a in range(d.addresses[0], d.addresses[1] + 1) if a not in mine] for d in dialects}
     if not gate.line.is_can:
         report = scan(gate, dialects, addresses=everywhere, busy=True, patience_ns=_PROMPT_NS, late_ns=_LATE_NS)
-        return [f.name for f in report.found if f.address not in mine]
-    return [name for d in dialects for name in _on_can(gate.under(Allowance()), d, everywhere[d.name])]
+        return Neighbours(tuple(f.name for f in report.found if f.address not in mine), tuple(report.refused))
+    found = [_on_can(gate.under(Allowance()), d, everywhere[d.name]) for d in dialects]
+    return Neighbours(tuple(n for each in found for n in each.names), tuple(n for each in found for n in each.unasked))
 
 
-def _on_can(gate: Gate, dialect: Dialect, addresses: Sequence[int]) -> list[str]:
+def _on_can(gate: Gate, dialect: Dialect, addresses: Sequence[int]) -> Neighbours:
     """Ask all of them without waiting for one: on CAN the identifier says whose reply it is."""
     command = search_read(dialect)
     frame_ns = _CAN_BITS * 1_000_000_000 // gate.line.endpoint.bits_per_second
     heard: list[Chunk | CanFrame] = []
+    unasked: list[str] = []
     asked: dict[int | None, int] = {}
     for address in addresses:
         built = assemble(dialect, command, address)
         # A question that a drive of another dialect could take for a command is not asked.
         if gate.objections(built.item()):
+            unasked.append(f"{dialect.name}@{address}")
             continue
         asked[built.can_id] = address
         gate.send(built.item())
@@ -98,7 +121,7 @@ def _on_can(gate: Gate, dialect: Dialect, addresses: Sequence[int]) -> list[str]
     heard += gate.wait(_LATE_NS)
     frames = [f for f in heard if isinstance(f, CanFrame) and f.id in asked]
     found = {asked[f.id] for f in frames if dialect.link.parse(f.data, f.id).code == command.code}
-    return [f"{dialect.name}@{address}" for address in sorted(found)]
+    return Neighbours(tuple(f"{dialect.name}@{address}" for address in sorted(found)), tuple(unasked))
 
 
 def find_drive(gate: Gate, dialect: Dialect, address: int, *, widely: bool = True) -> Search:

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -77,6 +77,41 @@ def on_pty(*texts: str, reply_delay_ns: int | None = None) -> Iterator[str]:
     bus = SerialBus(drives(*texts, reply_delay_ns=reply_delay_ns))
     with on_port(bus, PtyPort(speed=bus.stations[0].speed)) as path:
         yield path
+
+
+class LoggedPty(PtyPort):
+    """A pseudo-terminal that keeps every byte that clients write. `bus`: the drives behind it."""
+
+    def __init__(self, bus: SerialBus) -> None:
+        super().__init__(speed=bus.stations[0].speed)
+        self.bus = bus
+        self.heard = b""
+
+    def read(self, ready: Sequence[int]) -> bytes:
+        data = super().read(ready)
+        self.heard += data
+        return data
+
+    def take(self) -> bytes:
+        """Return what was written since the last call."""
+        data, self.heard = self.heard, b""
+        return data
+
+    @property
+    def on(self) -> str:
+        """What clients open."""
+        return f"serial:{self.path},baud={self.bus.stations[0].speed}"
+
+
+@contextmanager
+def on_logged_pty(*texts: str, patient: bool = False) -> Iterator[LoggedPty]:
+    """Serve drives on a pseudo-terminal that logs. `patient`: they keep the beginning of a frame for any time."""
+    bus = SerialBus(drives(*texts))
+    if patient:
+        for receiver in bus._receivers:
+            receiver.pause_ns = 1 << 62
+    with on_port(bus, port := LoggedPty(bus)):
+        yield port
 
 
 @contextmanager

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from analyzer import cli as analyzer_cli
 from analyzer import dialects
-from analyzer.catalogue import Dialect, Risk, Role
+from analyzer.catalogue import Dialect, Risk, Role, always
 from analyzer.encoder import build
 from analyzer.errors import UsageError
 from analyzer.records import CanFrame, Chunk
@@ -21,8 +22,8 @@ from conformance.drives import make
 from conformance.drives.serial_bus import SerialBus
 from conformance.gate.gate import Allowance, Gate
 from conformance.serve.pty import PtyPort
-from conformance.suite.preflight import DriveNotFound, check, find_drive, neighbours, other_drives
-from conformance.talk.scan import Report, StrayKind, scan, search_read
+from conformance.suite.preflight import DriveNotFound, Neighbours, Search, check, find_drive, neighbours, other_drives
+from conformance.talk.scan import Report, Stray, StrayKind, scan, search_read
 from tests.conformance.drives.served import drives, on_port, on_pty
 
 SERIAL = [d for d in dialects.every() if d.bus == "serial"]
@@ -285,18 +286,43 @@ def test_addresses():
 @pytest.mark.parametrize("other", ["mks-rs485@60", "mks-rs485@255", "lk-rs485@32,baud=38400", "mks-modbus@247"])
 def test_a_drive_at_any_address_is_a_neighbour(other: str):
     both = gate("mks-rs485@1", other)
-    assert neighbours(both, SERIAL, own=(1,)) == [other.partition(",")[0]]
+    assert neighbours(both, SERIAL, own=(1,)) == Neighbours((other.partition(",")[0],))
     with pytest.raises(DriveNotFound, match="answers too"):
         check(both, dialects.get("mks-rs485"), 1, alone=True)
 
 
 def test_a_drive_at_any_identifier_is_a_neighbour():
     both = gate("mks-can@1", "mks-can@1999", speed=None)
-    assert neighbours(both, [dialects.get("mks-can")], own=(1,)) == ["mks-can@1999"]
+    assert neighbours(both, [dialects.get("mks-can")], own=(1,)) == Neighbours(("mks-can@1999",))
 
 
 def test_all_addresses_are_looked_at_within_seconds():
     one = gate("mks-rs485@1")
     begun_ns = one.now_ns()
-    assert neighbours(one, SERIAL, own=(1,)) == []
+    assert neighbours(one, SERIAL, own=(1,)) == Neighbours()
     assert one.now_ns() - begun_ns < 10_000_000_000
+
+
+def with_another(dialect: Dialect) -> list[Dialect]:
+    """Return a dialect and one of the same bus to whose drives the question is a motion."""
+    code = search_read(dialect).code
+    risky = tuple(replace(c, risk=(always(Risk.MOTION),)) if c.code == code else c for c in dialect.commands)
+    return [dialect, replace(dialect, name="another", commands=risky)]
+
+
+@pytest.mark.parametrize("name", ["mks-rs485@1", "mks-can@1"])
+def test_alone_is_not_granted_where_an_address_cannot_be_looked_at(name: str, monkeypatch: pytest.MonkeyPatch):
+    line = EmulatedLine([make.make(make.parse(name))])
+    dialect = dialects.drive(name)[0]
+    both = with_another(dialect)
+    asking = Gate(line, Allowance(), dialects=both)
+    near = neighbours(asking, [dialect], own=(1,))
+    assert near.names == ()
+    assert len(near.unasked) == dialect.addresses[1] - dialect.addresses[0]
+    assert near.unasked[0] == f"{dialect.name}@2"
+    monkeypatch.setattr(
+        "conformance.suite.preflight.find_drive",
+        lambda *_: Search(None, (), "", Report(strays=[Stray(1, "", b"x", StrayKind.LOW)])),
+    )
+    with pytest.raises(DriveNotFound, match=r"@9 and \d+ more cannot be looked for"):
+        check(asking, dialect, 1, alone=True)
