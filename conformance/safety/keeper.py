@@ -118,7 +118,7 @@ class Keeper:
                 continue
             if command.verb is Verb.RESTORE:
                 self._keep_all()
-            elif settings.changes(command) and asked.values:
+            elif settings.changes(command) and asked.values and not asked.reads_only:
                 self._keep(command, dict(asked.values))
 
     def _may_hear(self, asked: Interpretation) -> bool:

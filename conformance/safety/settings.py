@@ -76,10 +76,14 @@ _WITHOUT_VALUE = frozenset({Verb.SET_ZERO, Verb.RELEASE_PROTECTION, Verb.CLEAR_E
 _COUNTS_ANEW = frozenset({"set_position"})
 #: What has a read of its own.
 _OWN_READS = {Verb.WRITE_USER_ID: Verb.READ_USER_ID}
+#: Switches that a command sets and, by another value, reads: the field, the name of that value, the field of the reply.
+_SWITCHES = {Verb.BRAKE: ("brake_control", "read", "brake_state")}
 
 
 def changes(command: Command) -> bool:
     """Say whether a command changes a setting that has a value: one that can be put back."""
+    if command.verb in _SWITCHES:
+        return True
     if command.verb in _WITHOUT_VALUE or command.name in _COUNTS_ANEW or command.slots is not None:
         return False
     return Risk.SETTING in command.all_risks and any(
@@ -89,7 +93,7 @@ def changes(command: Command) -> bool:
 
 def readable(dialect: Dialect, command: Command) -> bool:
     """Say whether the drive tells what a command sets."""
-    if _OWN_READS.get(command.verb) in dialect.by_verb:
+    if command.verb in _SWITCHES or _OWN_READS.get(command.verb) in dialect.by_verb:
         return True
     return Verb.READ_PARAMETER in dialect.by_verb and (command.readable or command.verb is Verb.WRITE_PARAMETER)
 
@@ -109,6 +113,8 @@ def every_selector(command: Command) -> list[dict[str, int]]:
 
 def read(probe: Probe, command: Command, values: Mapping[str, int]) -> dict[str, int] | None:
     """Return what a command sets, as it is now, all fields of its request; None where the drive does not tell."""
+    if command.verb in _SWITCHES:
+        return _switch(probe, command)
     own = _OWN_READS.get(command.verb)
     exchange = probe.ask(own) if own else probe.ask(Verb.READ_PARAMETER, {"parameter": selector(command, values)})
     answer = exchange.reply
@@ -120,3 +126,12 @@ def read(probe: Probe, command: Command, values: Mapping[str, int]) -> dict[str,
         return found if len(found) > 1 else None
     whole = {name for form in command.request_forms for name in form.layout.named}
     return found if found.keys() >= whole else None
+
+
+def _switch(probe: Probe, command: Command) -> dict[str, int] | None:
+    name, reads, told = _SWITCHES[command.verb]
+    control = command.request_forms[0].layout.named[name]
+    answer = probe.ask(command, {name: next(v for v, n in control.choice_names.items() if n == reads)}).reply
+    if answer is None or not answer.message.frame.checksum_ok or told not in answer.values:
+        return None
+    return {name: int(answer.values[told])}

@@ -257,3 +257,17 @@ def test_alone_is_refused_where_another_drive_answers(tmp_path):
     with pytest.raises(RigFault, match="mks-can@2 answers too"):
         EmulatedPort("mks-can@1", tmp_path, beside=("mks-can@2",), allowance=Allowance(EVERYTHING, alone=True))
     assert not (tmp_path / "j").exists()
+
+
+def test_a_brake_is_put_back_as_a_setting_is_and_reading_it_changes_nothing(tmp_path):
+    rig = EmulatedPort("lk-rs485@1,model=MF", tmp_path)
+
+    def brakes(control):
+        left = len(rig.left)
+        ran(rig, lambda p: p.ask("brake", {"brake_control": control}) and None, Risk.TORQUE)
+        return [item[-2] for _, item in rig.left[left:] if item[1] == 0x8C]
+
+    assert brakes(0x10) == [0x10]
+    # What it was is read; without power, as asked; released again, and looked at.
+    assert brakes(0x00) == [0x10, 0x00, 0x01, 0x10]
+    rig.close()
