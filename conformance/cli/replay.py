@@ -23,7 +23,7 @@ from analyzer.errors import UsageError
 from analyzer.live.endpoint import Endpoint
 from analyzer.values import printable
 from conformance.bus import open_line
-from conformance.bus.line import Line
+from conformance.claim import NotStopped, worst
 from conformance.cli.endpoint import add_on_argument, endpoint_of, parse_addresses
 from conformance.gate.gate import Allowance, Gate, Judge, add_gate_arguments, allowance_from, shown
 from conformance.safety import messages as say
@@ -31,11 +31,11 @@ from conformance.safety.guarded import GuardedLine, beginning
 from conformance.safety.signals import as_interrupt
 from conformance.talk.dialogue import Dialogue
 from conformance.talk.drive_state import read_drive_state
-from conformance.tools.replay import DEVIATIONS, Match, Rehearsal, Replay, Result, SentStep, rehearse
+from conformance.tools.replay import DEVIATIONS, Match, Rehearsal, Replay, Result, SentStep, meant, rehearse
 from conformance.tools.replay_plan import Plan, Step, make_plan
 
 EXAMPLES = """\
-exit status: 0 answered as in the recording, 1 otherwise (or something may still move), 2 wrong use or not allowed.
+exit status: 0 answered as in the recording, 1 otherwise, 2 wrong use or not allowed, 20 something may still move.
 
 examples:
   servotap replay week.mcap --on serial:/dev/ttyUSB0,baud=38400 --dry-run
@@ -94,37 +94,61 @@ def run(arguments: argparse.Namespace) -> int:
             return 2 if rehearsal.refused and not arguments.skip_refused else 0
         if endpoint.bus_kind != plan.steps[0].dialect.bus:
             raise UsageError(f"{reading.source.name} is of a {plan.steps[0].dialect.bus} bus, {endpoint.text} is another kind")
-        with contextlib.closing(_open(endpoint, plan, allowance)) as line:
-            gate = Gate(line, allowance, dialects=_known_dialects(reading))
+        with _Port(endpoint, plan, allowance, _known_dialects(reading)) as port:
+            gate = port.gate
             _read_drive_states(gate, plan)
-            if isinstance(line, GuardedLine):
-                line.tell(say.ReadState())
+            if isinstance(gate.line, GuardedLine):
+                gate.line.tell(say.ReadState())
             rehearsal = _rehearse(gate.rehearsal(), plan, arguments)
             if rehearsal.refused and not arguments.skip_refused:
                 _refuse(rehearsal, len(plan.steps))
-            result = _replay(gate, plan, rehearsal, reading, arguments)
-            if isinstance(line, GuardedLine):
-                # What ends by itself may go on to its end.
-                line.settled = not result.left_moving
+            result = _replay(port, plan, rehearsal, reading, arguments)
+            # What ends by itself may go on to its end.
+            port.settle(not result.left_moving)
     if arguments.json:
         print(json.dumps(_object(result, plan, rehearsal)))
     else:
         _show(result, plan, rehearsal)
     if result.stopped == "Ctrl-C" and not result.left_moving:
         raise KeyboardInterrupt
-    return 1 if result.deviations or result.stopped or result.left_moving else 0
+    return worst(NotStopped.exit_status * bool(result.left_moving), int(bool(result.deviations or result.stopped)))
 
 
-def _open(endpoint: Endpoint, plan: Plan, allowance: Allowance) -> Line:
-    """Open the port by a guard, which stops what moves if the replay is killed."""
-    if endpoint.kind == "can" and endpoint.interface[0] == _OWN:
-        return open_line(endpoint)
-    drives = {(s.dialect.name, s.address): s.dialect for s in plan.steps if s.address != s.dialect.broadcast}
-    begin = beginning(endpoint, [(dialect, address) for (_, address), dialect in drives.items()], allowance)
-    # A recording has its own end, so the guard sets none to its runs.
-    line = GuardedLine(endpoint, msgspec.structs.replace(begin, longest_run_ns=_NO_END_NS))
-    line.tell(say.DriveFound())
-    return line
+class _Port:
+    """The port by a guard, which stops what moves if the replay is killed; by another one, where the first is lost."""
+
+    def __init__(self, endpoint: Endpoint, plan: Plan, allowance: Allowance, dialects: Sequence[Dialect]) -> None:
+        self._endpoint, self._allowance, self._dialects = endpoint, allowance, dialects
+        drives = {(s.dialect.name, address): s.dialect for s in plan.steps for address, *_ in meant(s)}
+        begin = beginning(endpoint, [(dialect, address) for (_, address), dialect in drives.items()], allowance)
+        # A recording has its own end, so the guard sets none to its runs.
+        self._begin = msgspec.structs.replace(begin, longest_run_ns=_NO_END_NS)
+        self.gate = self._open(self._begin)
+
+    def _open(self, begin: say.Begin) -> Gate:
+        if self._endpoint.kind == "can" and self._endpoint.interface[0] == _OWN:
+            return Gate(open_line(self._endpoint), self._allowance, dialects=self._dialects)
+        line = GuardedLine(self._endpoint, begin)
+        line.tell(say.DriveFound())
+        return Gate(line, self._allowance, dialects=self._dialects)
+
+    def reopen(self) -> Gate:
+        """Open the port anew: what was set going may go on."""
+        print("servotap replay: the process that owns the port is lost; another one takes over", file=sys.stderr, flush=True)
+        self.gate.close()
+        self.gate = self._open(msgspec.structs.replace(self._begin, moving=True))
+        return self.gate
+
+    def settle(self, settled: bool) -> None:
+        """Say whether nothing is left to be stopped."""
+        if isinstance(self.gate.line, GuardedLine):
+            self.gate.line.settled = settled
+
+    def __enter__(self) -> _Port:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.gate.close()
 
 
 def _check(plan: Plan, arguments: argparse.Namespace) -> None:
@@ -179,9 +203,10 @@ def _refuse(rehearsal: Rehearsal, total: int) -> None:
     )
 
 
-def _replay(gate: Gate, plan: Plan, rehearsal: Rehearsal, reading: OpenCapture, arguments: argparse.Namespace) -> Result:
-    kind = gate.line.endpoint.bus_kind
-    replay = Replay(gate, [d for d in reading.possible if d.bus == kind], speed=arguments.speed)
+def _replay(port: _Port, plan: Plan, rehearsal: Rehearsal, reading: OpenCapture, arguments: argparse.Namespace) -> Result:
+    kind = port.gate.line.endpoint.bus_kind
+    dialects = [d for d in reading.possible if d.bus == kind]
+    replay = Replay(port.gate, dialects, speed=arguments.speed, reopen=port.reopen)
     with as_interrupt(), _bar(len(rehearsal.allowed) * arguments.loop, arguments.json) as advance:
         return replay.run(rehearsal.allowed, plan.period_ns, arguments.loop, advance)
 

@@ -1,17 +1,19 @@
 """Run the claim of a stored failure again, and report whether it is fixed, failing, or flaky.
 
-The file is one that `servotap test --failures FOLDER` wrote. Exit status: 0 fixed, 1 failing or flaky, 10 a fault of the rig.
+The file is one that `servotap test --failures FOLDER` wrote. Exit status: 20 not stopped, else 1 failing or flaky, else 10 a
+fault of the rig (or no verdict), else 0: fixed.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections import Counter
+from collections.abc import Generator, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from analyzer.errors import ServotapError, UnreadableError
-from conformance.claim import NotStopped, Outcome, RigFault, Verdict
+from analyzer.errors import UnreadableError
+from conformance.claim import NotStopped, Outcome, RigFault, Verdict, worst
 from conformance.gate.permissions import add_gate_arguments
 from conformance.report.log import METADATA
 from conformance.safety.signals import as_interrupt
@@ -64,42 +66,41 @@ def run(arguments: argparse.Namespace) -> int:
     # A file never brings its own permission: what may be sent to a real drive is said here, or only reads are.
     plan = plan_from(arguments, (found,), claims=(about["claim"],), seed=int(about.get("seed") or 0))
     print(f"{about['claim']} on {found.text} ({place}), {arguments.times} times; it was: {about.get('reason', '')}")
+    verdicts: list[Verdict] = []
+    trouble = 0
     try:
-        with as_interrupt():
-            verdicts = _verdicts(plan, found, max(1, arguments.times))
+        with as_interrupt(), closing(_verdicts(plan, found, max(1, arguments.times))) as coming:
+            verdicts += coming
     except (NotStopped, RigFault) as error:
+        # What was judged before counts: a motor that turns above all, then a refutation, then the rig.
         print(f"servotap rerun: {error}")
-        return error.exit_status
-    return _judge(verdicts, about)
+        trouble = error.exit_status
+    return worst(trouble, _judge(verdicts, about))
 
 
-def _verdicts(plan: suite.Plan, found: target.Target, times: int) -> list[Verdict]:
+def _verdicts(plan: suite.Plan, found: target.Target, times: int) -> Generator[Verdict]:
     (claim,) = plan.selected(found)
     rig = suite.open_rig(plan, found)
     try:
-        return [engine.run_claim(claim, rig) for _ in range(times)]
+        for _ in range(times):
+            yield engine.run_claim(claim, rig)
     finally:
         rig.close()
 
 
-def _judge(verdicts: list[Verdict], about: dict[str, str]) -> int:
-    counts = Counter(v.outcome for v in verdicts)
-    refuted, times = counts[Outcome.REFUTED], len(verdicts)
-    for verdict in verdicts:
-        if verdict.outcome is Outcome.REFUTED:
-            same = "as before" if verdict.key == about.get("key") else "in another way than before"
-            print(f"  refuted {same}: {verdict.reason}")
-            for line in verdict.exchange.lines() if verdict.exchange is not None else ():
-                print("  " + line)
-            break
-    if refuted == times:
-        print(f"failing: {times} of {times}")
-        return FAILING
+def _judge(verdicts: Sequence[Verdict], about: dict[str, str]) -> int:
+    refuted, times = [v for v in verdicts if v.outcome is Outcome.REFUTED], len(verdicts)
+    for verdict in refuted[:1]:
+        same = "as before" if verdict.key == about.get("key") else "in another way than before"
+        print(f"  refuted {same}: {verdict.reason}")
+        for line in verdict.exchange.lines() if verdict.exchange is not None else ():
+            print("  " + line)
     if refuted:
-        print(f"flaky: {refuted} of {times} failed")
+        print(f"failing: {times} of {times}" if len(refuted) == times else f"flaky: {len(refuted)} of {times} failed")
         return FAILING
-    if counts[Outcome.INCONCLUSIVE] or counts[Outcome.NOT_RUN]:
-        reason = next(v.reason for v in verdicts if v.outcome in (Outcome.INCONCLUSIVE, Outcome.NOT_RUN))
-        raise ServotapError(f"no verdict: {reason}")
+    unjudged = [v for v in verdicts if v.outcome in (Outcome.INCONCLUSIVE, Outcome.NOT_RUN)]
+    if unjudged or not verdicts:
+        print(f"no verdict: {unjudged[0].reason if unjudged else 'none came'}")
+        return RigFault.exit_status
     print(f"fixed: {times} of {times} hold")
     return 0

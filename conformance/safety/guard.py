@@ -54,10 +54,10 @@ _SHIELDED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGPIPE")
 
 @dataclass
 class _Watched:
-    """One drive. `moving`: something was sent that may move it, and no stop was proved since.
+    """One drive, or all of a dialect by the address of all.
 
-    `endless_since`: when it began what ends only by a stop. `asked`: a stop was sent since, and not looked at yet. `told`: the
-    suite has said since that it stands.
+    `moving`: something was sent that may move it, and no stop was proved since. `endless_since`: when it began what ends only
+    by a stop. `asked`: a stop was sent since, and not looked at yet. `told`: the suite has said since that it stands.
     """
 
     dialect: Dialect
@@ -66,6 +66,12 @@ class _Watched:
     endless_since: float | None = None
     asked: bool = False
     told: bool = False
+
+    def concerned(self, asked: Interpretation, *, alone: bool) -> bool:
+        """Say whether a request may be taken by the drive. `alone`: there is no other, and a faulty one may take any."""
+        if self.address == self.dialect.broadcast:
+            return asked.to_many and not asked.slot and asked.dialect.name == self.dialect.name
+        return asked.to_many or alone or asked.address in (None, self.address)
 
     def stands(self) -> None:
         """Take it that it was seen standing."""
@@ -91,7 +97,7 @@ class Guard:
             begin.subdivision,
         )
         # While the drive is looked for: reads, and those to any address.
-        self._drives = [_Watched(_dialect(d), d.address) for d in begin.drives]
+        self._drives = [_Watched(_dialect(d), d.address, begin.moving) for d in begin.drives]
         spoken = {d.name: d for d in dialects.every()} | {d.dialect.name: d.dialect for d in self._drives}
         self.gate = Gate(self.line, Allowance(subdivision=begin.subdivision), dialects=spoken.values())
         self._not_stopped: NotStopped | None = None
@@ -140,8 +146,7 @@ class Guard:
         if not reading.risks & MAY_MOVE:
             return
         for drive in self._drives:
-            # A faulty drive that is alone may take what is meant for another one.
-            if not (reading.to_many or reading.address in (None, drive.address) or self._begin.alone):
+            if not drive.concerned(reading, alone=self._begin.alone):
                 continue
             if stops(reading):
                 drive.asked = drive.endless_since is not None
@@ -168,7 +173,7 @@ class Guard:
 
     def read_state(self, request: say.ReadState) -> say.Answer:
         """Ask the drives where they stand: what the suite says of it would not be proof."""
-        for drive in self._drives:
+        for drive in [d for d in self._drives if d.address != d.dialect.broadcast]:
             read_drive_state(Dialogue(self.gate, [drive.dialect]), drive.dialect, drive.address)
         return say.Done(self.gate.now_ns())
 
@@ -337,6 +342,9 @@ def _done(act: Callable[[Guard, say.Request], say.Answer], guard: Guard, request
         return say.Failed("lost", str(error))
     except ServotapError as error:
         return say.Failed("usage", str(error))
+    # Whatever goes wrong with one request, this process must be there to stop the motor.
+    except Exception as error:
+        return say.Failed("usage", f"{type(error).__name__}: {error}")
 
 
 def _overdue(guard: Guard, begins: Callable[[], object]) -> say.Failed | None:
@@ -371,17 +379,18 @@ def _finish(guard: Guard, answers: IO[bytes], request: say.End) -> int:
 
 def _finish_alone(guard: Guard) -> int:
     """Do what has to be done when the suite has died; return the exit status."""
+    # What goes wrong with a link, however, must not keep the motor from being stopped.
     try:
         guard.restore_link()
-    except ServotapError as error:
-        print(f"servotap: {error}", file=sys.stderr, flush=True)
+    except Exception as error:
+        print(f"servotap: {type(error).__name__}: {error}", file=sys.stderr, flush=True)
     try:
         guard.stop_all()
     except NotStopped:
         return NotStopped.exit_status
     try:
         guard.put_back()
-    except ServotapError as error:
+    except Exception as error:
         print(f"servotap: not all settings were put back: {error}", file=sys.stderr, flush=True)
     return 0
 

@@ -37,7 +37,8 @@ class Begin(msgspec.Struct, frozen=True, tag="begin"):
     """The first request: open the port.
 
     `risks`, bounds and budget as in an allowance; `anywhere`: other addresses than those of the drives are meant too;
-    `longest_run_ns` of motion without an end. Until `DriveFound` reads alone pass, and those to any address.
+    `longest_run_ns` of motion without an end; `moving`: the drives may be moving already. Until `DriveFound` reads alone pass,
+    and those to any address.
     """
 
     endpoint: str
@@ -55,6 +56,7 @@ class Begin(msgspec.Struct, frozen=True, tag="begin"):
     wear: int | None = None
     anywhere: bool = False
     longest_run_ns: int = 30_000_000_000
+    moving: bool = False
     journal: str = ""
     cut_power: str = ""
 

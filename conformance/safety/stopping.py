@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk
+from analyzer.encoder import assemble
 from analyzer.errors import ServotapError, UsageError
 from conformance.bus.line import LineLost
 from conformance.claim import Inconclusive, NotStopped
@@ -33,6 +35,8 @@ _AT_ONCE_NS = 3_000_000_000
 _NO_RAMP_NS = 3_000_000_000
 _AS_FAST = 0.95
 _POWER_SECONDS = 20
+#: Between the stops of several ways to move that are sent to all.
+_STOP_GAP_NS = 20_000_000
 
 
 class GuardLost(LineLost):
@@ -47,8 +51,11 @@ def stopping(address: int) -> Allowance:
 def stop(gate: Gate, dialect: Dialect, address: int) -> str:
     """Stop a drive by a ramp and prove that it stands; return why there is no proof, or nothing. Raises LineLost.
 
-    Where one way of stopping fails, the next is tried until none is left.
+    Where one way of stopping fails, the next is tried until none is left. The address of all drives: they are told to stop, and
+    none can be asked whether it does.
     """
+    if address == dialect.broadcast:
+        return _stop_all(gate, dialect, address)
     probe = plain_probe(dialect, address, gate)
     failure = ""
     ramped = ramped_stops(dialect)
@@ -63,6 +70,18 @@ def stop(gate: Gate, dialect: Dialect, address: int) -> str:
     return failure or f"{dialect.name} has no stop"
 
 
+def _stop_all(gate: Gate, dialect: Dialect, address: int) -> str:
+    everyone = gate.under(replace(stopping(address), alone=True))
+    for command in ramped_stops(dialect):
+        everyone.send(assemble(dialect, command, address, _gentle(command)).item())
+        everyone.wait(_STOP_GAP_NS)
+    return "a stop was sent to all; whether they stand cannot be asked of all"
+
+
+def _gentle(command: Command) -> dict[str, int]:
+    return {"acceleration": motion.GENTLE} if "acceleration" in command.request_forms[0].layout.named else {}
+
+
 def ramped_stops(dialect: Dialect) -> tuple[Command, ...]:
     """Return the stops that take an acceleration; all stops of a dialect where none does."""
     stops = dialect.motions(MotionKind.STOP)
@@ -71,12 +90,9 @@ def ramped_stops(dialect: Dialect) -> tuple[Command, ...]:
 
 def _ask(probe: Probe, command: Command) -> str:
     """Send a stop; return why it could not be sent, or nothing. Raises LineLost."""
-    named = command.request_forms[0].layout.named
     try:
         # Whether it is answered says nothing about the shaft: that is looked at.
-        probe.ask(
-            command, {"acceleration": motion.GENTLE} if "acceleration" in named else None, timeout_ns=_LOOK_NS, quiet_ns=0
-        )
+        probe.ask(command, _gentle(command), timeout_ns=_LOOK_NS, quiet_ns=0)
     except (Refused, UsageError) as error:
         return f"{command.name}: {error}"
     return ""
@@ -114,8 +130,9 @@ def standing_failure(gate: Gate, dialect: Dialect, address: int) -> str:
     """Look whether a drive stands already, without sending it anything but reads; return why not, or nothing."""
     try:
         return prove_standing(plain_probe(dialect, address, gate.under(stopping(address))), 8 * _LOOK_NS)
-    except ServotapError as error:
-        return str(error)
+    # What cannot be looked at is not seen standing.
+    except Exception as error:
+        return str(error) or type(error).__name__
 
 
 def cut_power(command: str) -> str:

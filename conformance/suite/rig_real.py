@@ -70,6 +70,7 @@ class RealRig(ClaimRig):
         if self._allowance.subdivision is None and "subdivision" in known:
             # What the user says the drive is set to also says how fast a speed is.
             self._allowance = replace(self._allowance, subdivision=known["subdivision"] or 256)
+        self._moved = False
         self._journal = self._open_journal() if Risk.SETTING in self.allowed else None
         try:
             self._line = self._open_line()
@@ -81,7 +82,6 @@ class RealRig(ClaimRig):
             self.gate, self.dialect, self.address, known, self._journal, target.endpoint.text, alone=self.alone
         )
         self._ready = motion.ready_settings(self.dialect)
-        self._moved = False
         #: Why nothing that moves may be sent, or nothing.
         self._unproved = ""
         self._closed = False
@@ -112,6 +112,7 @@ class RealRig(ClaimRig):
         return msgspec.structs.replace(
             beginning(self._target.endpoint, [(self.dialect, self.address)], self._allowance),
             longest_run_ns=int(self._plan.longest_run * 1e9),
+            moving=self._moved,
             journal="" if self._journal is None else str(self._journal.path),
             cut_power=self._plan.cut_power,
         )

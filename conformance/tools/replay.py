@@ -7,7 +7,7 @@ On a serial line, where frames can collide, a step waits for the expected reply 
 
 Permission. A file grants none: all requests are judged before the first byte leaves, and each again as it leaves. When the
 replay is interrupted (Ctrl-C, a lost port), moving drives are stopped by a ramp and watched until they stand. At the end of
-the recording, a drive that still runs is stopped too.
+the recording, a drive that still runs is stopped too. Where the process that owns the port is lost, another stops them.
 """
 
 from __future__ import annotations
@@ -23,11 +23,10 @@ from typing import Any, NamedTuple
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk
 from analyzer.codec import codec
 from analyzer.decoder import slots_of
-from analyzer.encoder import assemble
 from analyzer.errors import ServotapError
 from conformance.gate.gate import Gate, Judge, Objection, Refused
 from conformance.safety.signals import undisturbed
-from conformance.safety.stopping import ramped_stops, stop
+from conformance.safety.stopping import GuardLost, stop
 from conformance.talk.dialogue import Dialogue
 from conformance.talk.exchange import Exchange
 from conformance.tools.replay_plan import Plan, Reply, Step, reply_of
@@ -43,9 +42,6 @@ _LEAD_NS = 50 * MS
 _OPEN = 256
 #: The replay listens this long after the last step, plus the recorded time of its replies.
 _TAIL_NS = 300 * MS
-#: The acceleration as sent of a stop to all, and the pause between the stops of several ways to move.
-_GENTLE = 200
-_STOP_GAP_NS = 20 * MS
 
 
 # --- rehearsal ----------------------------------------------------------------------------------------------------
@@ -173,10 +169,16 @@ def compare(then: Sequence[Reply], now: Sequence[Reply]) -> Match:
 
 
 class Replay:
-    """Sends the steps of a plan on a gate. `speed`: 2 is twice as fast as it was recorded."""
+    """Sends the steps of a plan on a gate.
 
-    def __init__(self, gate: Gate, dialects: Sequence[Dialect], *, speed: float = 1.0) -> None:
+    `speed`: 2 is twice as fast as it was recorded. `reopen`: makes another gate, where the process behind this one is lost.
+    """
+
+    def __init__(
+        self, gate: Gate, dialects: Sequence[Dialect], *, speed: float = 1.0, reopen: Callable[[], Gate] | None = None
+    ) -> None:
         self.gate = gate
+        self._reopen = reopen
         self.result = Result()
         self._speed = speed
         self._serial = not gate.line.is_can
@@ -292,12 +294,7 @@ class Replay:
 
     def _watch(self, step: Step) -> None:
         """Remember what a step sets in motion, and what it stops."""
-        message = step.message
-        commands: list[tuple[int, Command | None, Mapping[str, Any]]] = [(step.address, message.command, message.values)]
-        if message.command is not None and message.command.slots is not None:
-            slots = slots_of(step.dialect, message.command, message.data)
-            commands = [(s.address, s.command, codec(s.form.layout).wire(s.data) if s.form else {}) for s in slots]
-        for address, command, values in commands:
+        for address, command, values in meant(step):
             kind = None if command is None or command.motion is None else command.motion.kind
             if kind is MotionKind.STOP:
                 self.moving.pop((step.dialect.name, address), None)
@@ -310,24 +307,30 @@ class Replay:
             if only_runs and not moving.for_ever:
                 continue
             del self.moving[name, address]
-            try:
-                if address == moving.dialect.broadcast:
-                    said = self._stop_all(moving.dialect)
-                else:
-                    said = stop(self.gate, moving.dialect, address)
-            except ServotapError as error:
-                said = str(error)
+            said = self._stop(moving.dialect, address)
             if said:
                 self.result.left_moving.append(f"{name}@{address}: {said}")
 
-    def _stop_all(self, dialect: Dialect) -> str:
-        for command in ramped_stops(dialect):
-            if dialect.broadcast is not None:
-                named = command.request_forms[0].layout.named
-                values = {"acceleration": _GENTLE} if "acceleration" in named else {}
-                self.gate.send(assemble(dialect, command, dialect.broadcast, values).item())
-                self.gate.wait(_STOP_GAP_NS)
-        return "a stop was sent to all; whether they stand cannot be asked of all"
+    def _stop(self, dialect: Dialect, address: int) -> str:
+        try:
+            try:
+                return stop(self.gate, dialect, address)
+            except GuardLost:
+                if self._reopen is None:
+                    raise
+                self.gate = self._reopen()
+                return stop(self.gate, dialect, address)
+        except ServotapError as error:
+            return str(error)
+
+
+def meant(step: Step) -> list[tuple[int, Command | None, Mapping[str, Any]]]:
+    """Return what a step tells whom: address, command and values as sent; of a package each slot."""
+    command = step.message.command
+    if command is None or command.slots is None:
+        return [(step.address, command, step.message.values)]
+    slots = slots_of(step.dialect, command, step.message.data)
+    return [(s.address, s.command, codec(s.form.layout).wire(s.data) if s.form else {}) for s in slots]
 
 
 class _Moving(NamedTuple):

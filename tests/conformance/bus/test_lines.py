@@ -25,6 +25,7 @@ from conformance.bus import open_line, serial
 from conformance.bus.echo import WAIT_NS, EchoFilter, could_be_reply
 from conformance.bus.emulated import EmulatedLine
 from conformance.bus.line import Line, LineLost
+from conformance.bus.serial import SerialLine
 from conformance.drives.can_bus import CanBus
 from conformance.drives.serial_bus import SerialBus
 from conformance.serve.can import CanPort
@@ -443,8 +444,6 @@ def test_a_port_is_taken_for_this_program_alone_and_given_back():
     import fcntl
     import struct
 
-    from conformance.bus.serial import SerialLine
-
     asked = getattr(__import__("termios"), "TIOCGEXCL", 0x80045440)
 
     def taken(fd: int) -> bool:
@@ -459,3 +458,26 @@ def test_a_port_is_taken_for_this_program_alone_and_given_back():
             assert not taken(fd)
         finally:
             os.close(fd)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="to be another user")
+def test_another_users_program_cannot_open_a_taken_port():
+    """The lock alone does not keep it out: it asks for none. The flag does, root aside."""
+    with on_pty("mks-rs485@1") as path:
+        os.chmod(path, 0o666)
+
+        def opened_by_another() -> int:
+            child = os.fork()
+            if not child:
+                os.setuid(65534)
+                try:
+                    os.write(os.open(path, os.O_RDWR | os.O_NOCTTY), READ)
+                except OSError as error:
+                    os._exit(error.errno)
+                os._exit(0)
+            return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+        line = SerialLine(parse(f"serial:{path},baud=38400"))
+        assert opened_by_another() == errno.EBUSY
+        line.close()
+        assert opened_by_another() == 0

@@ -309,14 +309,14 @@ def test_workers_end_at_once_when_their_controller_is_killed(tmp_path):
     (tmp_path / "s.json").write_text('{"work_mode": "cr_vfoc", "subdivision": 16}')
     with on_pty("mks-rs485@1") as path:
         process = subprocess.Popen(
-            [sys.executable, "-m", "pytest", "--pyargs", "conformance", "-v", "-p", "no:cacheprovider", "-n", "2",
+            [sys.executable, "-m", "pytest", "--pyargs", "conformance", "-v", "-p", "no:cacheprovider", "-n", "4",
              "--drive", "mks-rs485@1", "--on", f"serial:{path},baud=38400", "--settings", "s.json", "--journal", "j",
              "--allow", "setting,motion,torque,unbounded", "--claim", "*/motion/run_speed/*"],
             cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
         assert any("run_speed" in line and ("PASSED" in line or "FAILED" in line) for line in process.stdout)
         workers = children_of(process.pid)
-        assert len(workers) >= 2
+        assert len(workers) >= 4
         process.kill()
         begun = time.monotonic()
         assert wait_for(lambda: not any(map(alive, workers)), 20)

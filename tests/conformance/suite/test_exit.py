@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from conformance.claim import worst
+from benchmarks.gate import READS, sound
+from conformance.claim import NotStopped, Outcome, RigFault, Verdict, worst
 from conformance.suite.record import most_inconclusive, too_inconclusive
-from tests.conformance.drives.served import on_pty
+from tests.conformance.drives.served import on_logged_pty, on_pty
 from tests.conformance.suite.test_suite import main
 
 ALL = ("--allow", "setting,motion,torque,unbounded,unknown", "--subdivision", "16", "--max-speed", "300")
@@ -41,10 +42,9 @@ def test_a_limit_that_is_none(text):
 
 def test_a_drive_whose_replies_cannot_be_read_is_refuted_and_not_moved(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with on_pty("mks-rs485@1,work_mode=sr_vfoc,fault=checksum-wrong") as path:
-        status = main(
-            ["test", "mks-rs485@1", "--on", f"serial:{path},baud=38400", *ALL, "--claim", "mks-rs485/motion/run_speed/*"]
-        )
+    with on_logged_pty("mks-rs485@1,work_mode=sr_vfoc,fault=checksum-wrong") as port:
+        status = main(["test", "mks-rs485@1", "--on", port.on, *ALL, "--claim", "mks-rs485/motion/run_speed/*"])
+        assert [str(seen) for seen in sound([port.heard]) if not seen.risks <= READS] == [], "reads alone have left"
     out, err = capsys.readouterr()
     assert status == 1, err
     assert "NOT STOPPED" not in err
@@ -76,3 +76,35 @@ def test_the_help_names_the_limit(capsys):
     with pytest.raises(SystemExit):
         main(["test", "--help"])
     assert "--max-inconclusive LIMIT" in " ".join(capsys.readouterr().out.split())
+
+
+WRONG_SUM = "mks-rs485@1,fault=checksum-wrong"
+
+
+@pytest.fixture
+def stored(tmp_path):
+    """Return a stored failure."""
+    assert main(["test", WRONG_SUM, "--claim", "*/shape/read_speed/checksum", "--failures", str(tmp_path)]) == 1
+    (found,) = tmp_path.glob("*.mcap")
+    return str(found)
+
+
+@pytest.mark.parametrize(
+    ("raised", "status"), [(RigFault("the port is gone"), 1), (NotStopped("NOT STOPPED"), 20)], ids=["rig", "not stopped"]
+)
+def test_what_a_rerun_refuted_is_not_lost_where_the_rig_fails(raised, status, stored, capsys, monkeypatch):
+    def close(rig):
+        raise raised
+
+    monkeypatch.setattr("conformance.suite.rig_emulated.EmulatedRig.close", close)
+    assert main(["rerun", stored, "--drive", WRONG_SUM, "--times", "2"]) == status
+    out = capsys.readouterr().out
+    assert "failing: 2 of 2" in out
+    assert str(raised) in out
+
+
+def test_a_rerun_without_a_verdict_is_a_fault_of_the_rig(stored, capsys, monkeypatch):
+    unjudged = lambda claim, rig: Verdict(claim, Outcome.INCONCLUSIVE, "nothing answers")  # noqa: E731
+    monkeypatch.setattr("conformance.cli.rerun.engine.run_claim", unjudged)
+    assert main(["rerun", stored]) == 10
+    assert "no verdict: nothing answers" in capsys.readouterr().out

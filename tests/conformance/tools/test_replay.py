@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
+import threading
 import uuid
 from functools import partial
 from pathlib import Path
@@ -19,27 +19,23 @@ from analyzer import cli as analyzer_cli
 from analyzer import dialects
 from analyzer.catalogue import Risk, Role
 from analyzer.encoder import build
-from analyzer.errors import UsageError
-from analyzer.live.endpoint import parse
 from analyzer.pipeline import Pipeline
 from analyzer.records import CanFrame, Chunk
-from conformance.bus import open_line
+from benchmarks.gate import sound
 from conformance.bus.emulated import EmulatedLine
 from conformance.cli import replay as command
-from conformance.cli import send
 from conformance.drives import make
 from conformance.drives.can_bus import CanBus
 from conformance.drives.serial_bus import SerialBus
 from conformance.gate.budget import Budget
 from conformance.gate.gate import Allowance, Gate, Item, Judge
-from conformance.motion import motion
 from conformance.serve.can import CanPort
 from conformance.serve.pty import PtyPort
-from conformance.talk.probe import plain_probe
 from conformance.tools.replay import PATIENCE_NS, Match, Replay, compare, rehearse
 from conformance.tools.replay_plan import Plan, make_plan
-from tests.conformance.drives.served import drives, on_port, on_pty, wait_for
+from tests.conformance.drives.served import LoggedPty, drives, on_logged_pty, on_port, on_pty, wait_for
 from tests.conformance.drives.served import on_can as serve_can
+from tests.conformance.safety.test_guard import guards
 from tests.conformance.vectors import EVERYTHING, on_can
 
 MKS, CAN, LK = (dialects.get(n) for n in ("mks-rs485", "mks-can", "lk-rs485"))
@@ -50,6 +46,7 @@ REPLY = build(MKS, "read_speed", 1, {}, Role.REPLY)
 RUN = build(MKS, "run_speed", 1, {"speed": 60, "acceleration": 250})
 RUNS = build(MKS, "run_speed", 1, {"status": 1}, Role.REPLY)
 STOP = build(MKS, "stop_speed", 1, {"acceleration": 250})
+ENABLE = build(MKS, "enable", 1, {"enabled": 1})
 
 
 def log(path: Path, *rows: tuple[float, str, bytes]) -> str:
@@ -414,33 +411,56 @@ def test_signals_stop_the_motor(number: int, tmp_path: Path):
     assert "NOT KNOWN TO STAND" not in out
 
 
-def test_a_replay_that_is_killed_leaves_no_motor_turning(tmp_path: Path):
+ALLOWED = ("--allow", "motion,unbounded,torque")
+RUN_ALL = build(MKS, "run_speed", 0, {"speed": 60, "acceleration": 250})
+
+
+def turning(port: LoggedPty) -> bool:
+    return not stands(port.bus.drives[0])
+
+
+@pytest.mark.parametrize(("sent", "more"), [(RUN, ()), (RUN_ALL, ("--alone",))], ids=["one", "all"])
+def test_a_replay_that_is_killed_leaves_no_motor_turning(sent: bytes, more: tuple[str, ...], tmp_path: Path):
     """The guard owns the port: it stops what the replay has set going."""
-    path = log(tmp_path / "run.log", (0, ">", RUN), (60, ">", STOP))
-    bus = SerialBus(drives("mks-rs485@1,work_mode=sr_vfoc"))
-    with on_port(bus, PtyPort(speed=bus.stations[0].speed)) as port:
-        on = f"serial:{port},baud=38400"
-        assert (
-            analyzer_cli._run("send", send, ["mks-rs485@1", "enable", "enabled=1", "--allow", "motion,torque", "--on", on]) == 0
-        )
+    path = log(tmp_path / "run.log", (0, ">", ENABLE), (0.2, ">", sent), (60, ">", STOP))
+    with on_logged_pty("mks-rs485@1,work_mode=sr_vfoc") as port:
         process = subprocess.Popen(
             [sys.executable, "-c", "import sys; from analyzer.cli import _run; from conformance.cli import replay;"
-             "sys.exit(_run('replay', replay, sys.argv[1:]))", path, "--on", on, "--allow", "motion,unbounded"],
+             "sys.exit(_run('replay', replay, sys.argv[1:]))", path, "--on", port.on, *ALLOWED, *more],
             cwd=Path(__file__).parents[3],
         )  # fmt: skip
-        time.sleep(8)
-        assert process.poll() is None
+        assert wait_for(lambda: turning(port), 30)
         process.kill()
         process.wait()
+        assert wait_for(lambda: not turning(port), 30)
+        assert port.heard.startswith(ENABLE + sent) or ENABLE + sent in port.heard
+        acts = [s.command.name for s in sound([port.heard]) if not s.risks <= {Risk.READ}]
+    assert acts[:2] == ["enable", "run_speed"]
+    assert acts[2:]
+    assert all(name.startswith("stop_") for name in acts[2:])
 
-        def speed() -> str:
-            try:
-                line = open_line(parse(on))
-            except UsageError:
-                return "the guard is not done"
-            try:
-                return str(motion.speed(plain_probe(MKS, 1, Gate(line, Allowance()))).value)
-            finally:
-                line.close()
 
-        assert wait_for(lambda: speed() == "0.0", 30)
+@pytest.mark.skipif(not Path("/proc").exists(), reason="needs /proc to see processes")
+@pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
+def test_where_the_guard_of_a_replay_is_lost_another_stops_the_motor(number: int, tmp_path: Path, capsys):
+    path = log(tmp_path / "run.log", (0, ">", ENABLE), (0.2, ">", RUN), *((0.5 + n / 4, ">", READ) for n in range(200)))
+    with on_logged_pty("mks-rs485@1,work_mode=sr_vfoc") as port:
+
+        def lose() -> None:
+            if wait_for(lambda: turning(port), 30):
+                os.kill(guards(os.getpid())[0], number)
+
+        loser = threading.Thread(target=lose)
+        loser.start()
+        assert run(path, "--on", port.on, *ALLOWED) == 1
+        loser.join()
+        assert not turning(port)
+        assert [s.command.name for s in sound([port.heard]) if not s.risks <= {Risk.READ}][:3] == [
+            "enable",
+            "run_speed",
+            "stop_speed",
+        ]
+    out, err = capsys.readouterr()
+    assert "the process that owns the port" in out
+    assert "NOT KNOWN TO STAND" not in out
+    assert "another one takes over" in err
