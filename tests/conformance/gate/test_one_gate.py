@@ -73,4 +73,4 @@ def test_whoever_asks_and_looks_does_so_through_the_gate():
     Dialogue(gate, [mks]).ask(build(mks, "read_speed", 1), 10_000_000)
     scan(gate, [mks], addresses=[1, 2])
     find_drive(gate, mks, 3, widely=False)
-    assert line.writers == {"Gate.send"}
+    assert line.writers == {"Gate._put"}
