@@ -2,8 +2,7 @@
 
     python -m benchmarks.honest [--drives 200] [--seed 1] [--jobs 2] [--every 1] [--set bench|poor]
 
-Each drive has a dialect, a model and traits drawn by its number and the seed. An encoder always trembles by a count at least:
-one of 14 bits that does not has not been seen. Nothing may be refuted; the exit status says so.
+Each drive has a dialect, a model and traits drawn by its number and the seed. Nothing may be refuted; the exit status says so.
 """
 
 from __future__ import annotations
@@ -28,6 +27,12 @@ TRAITS: tuple[tuple[str, int, tuple[str, ...]], ...] = (
     ("loop-error", 60, ("1", "2", "3", "4")),
     ("speed-noise", 60, ("0.5%", "1%", "1.5%", "2%")),
     ("tremble", 30, ("1",)),
+    ("speed-lag", 25, ("5ms", "20ms")),
+    ("hysteresis", 25, ("1", "2")),
+    ("creep", 25, ("1", "2")),
+    ("stall", 20, ("10ms", "30ms")),
+    ("first-late", 20, ("50ms", "200ms")),
+    ("dip", 20, ("0.3", "1")),
     ("settle", 50, ("10ms", "30ms", "50ms", "80ms")),
     ("overshoot", 40, ("2", "4", "6", "8")),
     ("latency", 70, ("0.3..1ms", "0.3..3ms", "0.3..8ms", "2..5ms")),
@@ -47,7 +52,8 @@ def drawn(number: int, seed: int) -> str:
     words = [f"{dialect.name}@{chance.randint(1, 30)}"]
     if dialect.models:
         words.append(f"model={chance.choice(dialect.models)}")
-    words.append(f"encoder-noise={chance.choice((1, 1, 2))}")
+    noise = chance.choice((0, 1, 1, 1, 2))
+    words += [f"encoder-noise={noise}"] if noise else []
     for name, share, values in TRAITS:
         value = chance.choice(values)
         if chance.randrange(100) < share:

@@ -17,7 +17,7 @@ from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import expect_stays, of_motion, risks_by
 from conformance.claims.stops import expect_standing, set_going
 from conformance.motion import motion
-from conformance.motion.motion import MOVES, MS, SAME, SECOND_NS
+from conformance.motion.motion import MOVES, MS, SECOND_NS
 from conformance.talk.probe import Probe
 
 #: Motion that turns the shaft by itself, without a switch to find.
@@ -119,9 +119,8 @@ def _off_holds_all(probe: Probe) -> None:
         exchange = motion.ask(probe, command, 30, quiet_ns=0)
         probe.wait(300 * MS)
         after = motion.position(probe)
-        if abs(after.value - before.value) > SAME:
+        if abs(after.value - before.value) > motion.same(probe):
             motion.stop(probe)
-            motion.switch(probe, True)
         expect_stays(before, after, exchange, f"{command.name} turns a disabled motor")
     motion.switch(probe, True)
 

@@ -20,11 +20,11 @@ from conformance.claims.motion_reads import PLACES, angle, around, turn_by
 from conformance.motion import motion
 from conformance.motion.motion import MS, SECOND_NS
 from conformance.talk.exchange import Exchange
+from conformance.talk.noise import Noise
 from conformance.talk.probe import Probe
 
 #: Resolutions that the manual names: 14, 15 and 16 bits; of 18 bits the upper 16 are sent.
 _WIDTHS = (14, 15, 16)
-_JITTER = 1
 #: How far a position may be from what it should be, in degrees, and in 0.01 degrees as sent.
 _NEAR, _NEAR_AS_SENT = 0.25, 25
 #: Positions on both sides of zero and at the edge of 32 bits, as sent.
@@ -150,7 +150,7 @@ def _encoder(probe: Probe) -> tuple[dict[str, int], Exchange]:
 def _fits(values: dict[str, int], width: int) -> bool:
     """Say whether the three values fit an encoder of so many bits."""
     difference = (values["encoder_raw"] - values["encoder_offset"] - values["encoder"]) % (1 << width)
-    return max(values.values()) < 1 << width and min(difference, (1 << width) - difference) <= _JITTER
+    return max(values.values()) < 1 << width and min(difference, (1 << width) - difference) <= Noise.step("encoder")
 
 
 @_read_encoder(refuted_by="another value")
@@ -223,7 +223,7 @@ def _same_encoder(probe: Probe, command: Command) -> None:
         values, _ = _encoder(probe)
         motion.switch(probe, True)
         text = "the state tells another encoder value than 90"
-        probe.expect(told, near=values["encoder"], within=_JITTER + probe.noise.encoder, refutes=text, exchange=exchange)
+        probe.expect(told, near=values["encoder"], unit="encoder", refutes=text, exchange=exchange)
 
 
 def _power_cycle(probe: Probe) -> None:
@@ -272,7 +272,7 @@ def _answers_raw(probe: Probe, command: Command) -> None:
         told = probe.reply(exchange).values["encoder_zero"]
         values, _ = _encoder(probe)
         text = "19 is answered with another value than the raw one"
-        probe.expect(told, near=values["encoder_raw"], within=_JITTER + probe.noise.encoder, refutes=text, exchange=exchange)
+        probe.expect(told, near=values["encoder_raw"], unit="encoder", refutes=text, exchange=exchange)
         _power_cycle(probe)
 
 

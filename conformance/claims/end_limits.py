@@ -26,7 +26,6 @@ from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
-_JITTER = 3
 #: Where the left end stop is found (counts), and where homing leaves the shaft afterwards.
 _LEFT, _HALF = -3000, 8000
 #: How many turns the right end stop is from the left one, and how long the moves are that are to meet one.
@@ -117,11 +116,11 @@ def _stops_at(probe: Probe, run: Command) -> None:
     _homed(probe)
     exchange = _send_left(probe, run)
     seen = probe.read(Verb.READ_POSITION, "position")
-    if abs(seen) > _JITTER + probe.noise.counts:
+    if abs(seen) > probe.within("counts"):
         motion.stop(probe)
     text = f"{run.name} does not stop at an end limit"
     expected = "0, where the end stop is"
-    probe.expect(seen, near=0, within=_JITTER, unit="counts", expected=expected, refutes=text, exchange=exchange)
+    probe.expect(seen, near=0, unit="counts", expected=expected, refutes=text, exchange=exchange)
 
 
 def _ask_again(probe: Probe, command: Command, values: dict[str, int]) -> Exchange:
@@ -194,7 +193,7 @@ def _off_passes(probe: Probe) -> None:
     move = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), _degrees(probe, amount))
     text = "an end stop stops the shaft although the end limit is off"
     near = _degrees(probe, amount)
-    probe.expect(move.degrees, near=near, within=motion.SAME, unit="degrees", refutes=text, exchange=move.exchange)
+    probe.expect(move.degrees, near=near, unit="degrees", refutes=text, exchange=move.exchange)
 
 
 # --- the right end stop -----------------------------------------------------------------------------------------------
@@ -223,7 +222,7 @@ def _right(probe: Probe, command: Command, remap: int) -> None:
     seen, right = probe.read(Verb.READ_POSITION, "position"), _RIGHT_TURNS * turn
     probe.expect(
         seen,
-        holds=(abs(seen - right) <= _JITTER + probe.noise.counts) is wanted,
+        holds=(abs(seen - right) <= probe.within("counts")) is wanted,
         expected=f"{right}, where the right end stop is" if wanted else f"{_HALF + _LONG_TURNS * turn}",
         refutes=f"with limit_remap {remap} the right end stop {'does not hold' if wanted else 'holds'}",
         exchange=exchange,

@@ -96,7 +96,7 @@ def _start_bytes(probe: Probe, command: Command, setting: _AnyBytes) -> None:
             seen = probe.read(setting.read, field)
             # What is set may be a place, where a shaft trembles.
             unit = "0.01 degrees" if setting.read is Verb.READ_POSITION else ""
-            probe.expect(seen, near=value, unit=unit, refutes=text, exchange=exchange, key="start bytes in data")
+            probe.expect(seen, near=value, within=0, unit=unit, refutes=text, exchange=exchange, key="start bytes in data")
 
 
 # --- what does not check is not executed ------------------------------------------------------------------------------

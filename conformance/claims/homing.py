@@ -25,7 +25,6 @@ from conformance.talk.probe import Probe, Until
 
 _CW, _CCW = 0, 1
 _SWITCH = 3000
-_JITTER = 3
 _HOMING = 5
 _LIMIT_NS = 20 * SECOND_NS
 _WAYS = {_CW: -1, _CCW: 1}
@@ -91,10 +90,12 @@ def _prepared(probe: Probe, **values: int) -> float:
     return bench.shaft(probe)
 
 
-def _expect_shaft(probe: Probe, exchange: Exchange, refutes: str, *, near: float, within: float = _JITTER, **how: Any) -> None:
+def _expect_shaft(
+    probe: Probe, exchange: Exchange, refutes: str, *, near: float, within: float | None = None, **how: Any
+) -> None:
     """Expect the shaft at a place (counts of its own); where it is elsewhere, stop it."""
     at = bench.shaft(probe)
-    if abs(at - near) > within:
+    if abs(at - near) > (probe.within("counts") if within is None else within):
         _halt(probe)
     probe.expect(at, near=near, within=within, unit="counts", refutes=refutes, exchange=exchange, **how)
 
@@ -162,7 +163,7 @@ def _zero(probe: Probe) -> None:
     probe.wait(500 * MS)
     for verb, name in ((Verb.READ_POSITION, "position"), (Verb.READ_PULSES, "pulses")):
         text = f"the {name} is not zero where homing ended"
-        probe.expect(probe.read(verb, name), near=0, within=_JITTER, unit="counts", refutes=text, exchange=exchange)
+        probe.expect(probe.read(verb, name), near=0, unit="counts", refutes=text, exchange=exchange)
 
 
 def _without_switch(dialect: Dialect) -> Iterator[Case]:
@@ -188,7 +189,7 @@ def _is_held_then_zero(probe: Probe, way: str, angle: int) -> None:
     _expect_shaft(probe, exchange, "homing without an end stop ends elsewhere", near=end)
     seen = probe.read(Verb.READ_POSITION, "position")
     text = "the position is not zero where homing ended"
-    probe.expect(seen, near=0, within=_JITTER, unit="counts", refutes=text, exchange=exchange)
+    probe.expect(seen, near=0, unit="counts", refutes=text, exchange=exchange)
 
 
 # --- on the way -------------------------------------------------------------------------------------------------------

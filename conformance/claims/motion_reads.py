@@ -28,8 +28,8 @@ from conformance.talk.probe import Probe
 _RPM = 120
 #: More counts than 24 signed bits hold, in turns.
 _WIDE_TURNS = 600
-#: A jitter of the encoder, in counts, and in degrees of error.
-_JITTER, _LAG = 2, 1.0
+#: The angle error of a loop that holds its place, at most, in degrees.
+_LAG = 1.0
 #: What the version tells of the bare encoder.
 _CW_RAISES, _CW_LOWERS = 1, 2
 #: Angles by which the shaft is turned before something is read, in degrees: no two alike within a turn.
@@ -62,7 +62,7 @@ def _turn(probe: Probe) -> None:
         _move_by_pulses(probe, turns)
         change, wanted = abs(_counts(probe) - before), probe.dialect.counts_per_turn
         text = "a turn of the shaft is another number of counts"
-        probe.expect(change, near=wanted, within=_JITTER, unit="counts", refutes=text)
+        probe.expect(change, near=wanted, unit="counts", refutes=text)
 
 
 @of_motion(
@@ -81,7 +81,7 @@ def _is_position(probe: Probe, command: Command) -> None:
         together, counts = carry * turn + value, _counts(probe)
         probe.expect(
             f"{carry} x {turn} + {value} = {together}",
-            holds=abs(together - counts) <= _JITTER + probe.noise.counts,
+            holds=abs(together - counts) <= probe.within("counts"),
             expected=f"{counts}, as read_position has it",
             refutes="carry and value are not the position",
             exchange=exchange,
@@ -111,7 +111,7 @@ def _at_the_carry(probe: Probe, command: Command) -> None:
         probe.expect(values["encoder"], at_most=turn - 1, refutes="the value is more than a turn", exchange=exchange)
         together = values["carry"] * turn + values["encoder"]
         text = "carry and value are not the place beside a whole turn"
-        probe.expect(together, near=_counts(probe), within=_JITTER, refutes=text, exchange=exchange)
+        probe.expect(together, near=_counts(probe), unit="counts", refutes=text, exchange=exchange)
 
 
 @of_motion(each=_counted_positions, refuted_by="a position that stays", emulated=True, risks=risks_by(Verb.ENABLE))
@@ -123,7 +123,7 @@ def _while_disabled(probe: Probe) -> None:
         before = _counts(probe)
         bench.drive_of(probe).turn_shaft(turned)
         text = "the position does not follow the shaft of a disabled motor"
-        probe.expect(_counts(probe) - before, near=turned, within=_JITTER, unit="counts", refutes=text)
+        probe.expect(_counts(probe) - before, near=turned, unit="counts", refutes=text)
     motion.switch(probe, True)
 
 
@@ -226,7 +226,7 @@ def _angle_is_position(probe: Probe) -> None:
         turned, moved = angle(probe) - angle_before, motion.position(probe).value - place_before
         probe.expect(
             f"{around(turned):+.2f} degrees",
-            holds=abs(around(turned - moved)) <= motion.near(probe.dialect) + probe.noise.place,
+            holds=abs(around(turned - moved)) <= motion.miss(probe),
             expected=f"{around(moved):+.2f} degrees",
             refutes="the angle within the turn does not change as the position does",
         )

@@ -268,7 +268,7 @@ def _two_ways(probe: Probe, command: Command) -> None:
     cw, ccw, exchange = _both_ways(probe, command)
     probe.expect(
         f"{cw:+.1f} and {ccw:+.1f} degrees",
-        holds=cw * ccw < 0 and abs(abs(cw) + abs(ccw) - 360) <= 2 * motion.near(probe.dialect) + probe.noise.place,
+        holds=cw * ccw < 0 and abs(abs(cw) + abs(ccw) - 360) <= 2 * motion.miss(probe),
         expected="two ways that are a turn together",
         refutes=f"{command.name} does not go to one angle by both ways",
         exchange=exchange,
@@ -281,7 +281,7 @@ def _clockwise(probe: Probe, command: Command) -> None:
     cw, ccw, exchange = _both_ways(probe, command)
     probe.expect(
         f"{cw:+.1f} and {ccw:+.1f} degrees",
-        holds=max(abs(cw - 120), abs(ccw + 240)) <= motion.near(probe.dialect) + probe.noise.place,
+        holds=max(abs(cw - 120), abs(ccw + 240)) <= motion.miss(probe),
         expected="+120 and -240 degrees",
         refutes=f"{command.name} does not turn the way that it was told",
         exchange=exchange,

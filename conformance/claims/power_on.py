@@ -26,7 +26,6 @@ from conformance.talk.probe import Probe
 _START_NS = 3 * SECOND_NS
 #: How long the way back takes at the slowest: less than a turn.
 _BACK_NS = 20 * SECOND_NS
-_JITTER = 3
 _OFF, _BY_DIRECTION, _NEAR = 0, 1, 2
 _CW, _CCW = 0, 1
 _ZERO_SETTINGS = ("zero_mode", "set_zero", "zero_speed", "zero_direction")
@@ -79,7 +78,7 @@ def _goes_back(probe: Probe, mode: int, direction: int, turns: float) -> None:
     whole_turns = round(turns) if mode == _NEAR else int(direction == _CCW)
     text = "the shaft does not go back to its zero as it was set"
     near = zero + whole_turns * probe.dialect.counts_per_turn
-    probe.expect(bench.shaft(probe), near=near, within=_JITTER, unit="counts", refutes=text)
+    probe.expect(bench.shaft(probe), near=near, unit="counts", refutes=text)
 
 
 def _no_zeros(dialect: Dialect) -> Iterator[Case]:
@@ -102,7 +101,7 @@ def _clean(probe: Probe, mode: int, keep: int) -> None:
     before = bench.shaft(probe)
     probe.wait(_START_NS + _BACK_NS)
     text = "the shaft goes back although there is no zero to go to"
-    probe.expect(bench.shaft(probe) - before, near=0, within=_JITTER, unit="counts", refutes=text)
+    probe.expect(bench.shaft(probe) - before, near=0, unit="counts", refutes=text)
 
 
 @_of_zero("one that takes as long, or longer", each=_zero_modes)
@@ -123,7 +122,7 @@ def _faster(probe: Probe) -> None:
 
 
 def _is_at(probe: Probe, place: float) -> bool:
-    return abs(bench.shaft(probe) - place) <= _JITTER
+    return abs(bench.shaft(probe) - place) <= probe.within("counts")
 
 
 def _zero_statuses(dialect: Dialect) -> Iterator[Case]:

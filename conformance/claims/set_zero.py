@@ -16,7 +16,6 @@ from conformance.motion import motion
 from conformance.motion.motion import QUICK, SECOND_NS
 from conformance.talk.probe import Probe
 
-_JITTER = 3
 #: What reads 0 after 92: the quantity in words, the read, and its fields.
 _ZEROED = {
     "position": (Verb.READ_POSITION, ("position",)),
@@ -49,7 +48,7 @@ def _reads_zero(probe: Probe, command: Command, what: str) -> None:
     total = sum(values[n] * (probe.dialect.counts_per_turn if n == "carry" else 1) for n in names)
     probe.expect(
         ", ".join(f"{n} {values[n]}" for n in names),
-        holds=abs(total) <= _JITTER + probe.noise.counts,
+        holds=abs(total) <= probe.within("counts"),
         expected="0",
         refutes="the place where 92 was given is not zero",
         exchange=exchange,
@@ -67,7 +66,7 @@ def _stands(probe: Probe, command: Command) -> None:
     expect_stays(before, motion.position(probe), exchange, "92 turns the shaft")
     move = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 90)
     text = "a move after 92 goes another way than was asked"
-    probe.expect(abs(move.degrees), near=90, within=motion.SAME, unit="degrees", refutes=text, exchange=move.exchange)
+    probe.expect(abs(move.degrees), near=90, unit="degrees", refutes=text, exchange=move.exchange)
 
 
 def _places(dialect: Dialect) -> Iterator[Case]:
@@ -86,4 +85,4 @@ def _is_target(probe: Probe, command: Command, move: Command) -> None:
     probe.wait(SECOND_NS)
     went = motion.wait_standing(probe).value - there.end.value
     text = f"{move.name} to 0 does not come back to where 92 was given"
-    probe.expect(went, near=-there.degrees, within=motion.SAME, unit="degrees", refutes=text, exchange=exchange)
+    probe.expect(went, near=-there.degrees, unit="degrees", refutes=text, exchange=exchange)

@@ -45,7 +45,7 @@ def expect_standing(probe: Probe, exchange: Exchange, refutes: str) -> None:
     before = motion.position(probe)
     probe.wait(300 * MS)
     moved = motion.position(probe).value - before.value
-    stands = abs(seen.value) < 1 + seen.noise and abs(moved) <= motion.near(probe.dialect) + probe.noise.place
+    stands = abs(seen.value) < 1 + seen.noise and abs(moved) <= motion.miss(probe)
     if not stands:
         motion.stop(probe, 0)
     got = f"{seen.value:g} rpm, and {moved:+.2f} degrees in 300 ms"

@@ -16,7 +16,7 @@ from analyzer.layout import Effect
 from conformance.claims.declare import Case
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
-from conformance.motion.motion import CALM, MS, QUICK, SAME, SECOND_NS
+from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS
 from conformance.talk.probe import Probe
 
 #: Subdivisions at which the rule of speeds and pulses is tried, as the number that they stand for.
@@ -82,7 +82,7 @@ def _pulses(probe: Probe, sent: int, subdivision: int) -> None:
     command = probe.command(Verb.MOVE_RELATIVE_PULSES)
     move = motion.follow(probe, command, 45, acceleration=QUICK, subdivision=subdivision)
     text = f"{25 * subdivision} pulses at {subdivision} subdivisions are not an eighth of a turn"
-    probe.expect(abs(move.degrees), near=45, within=SAME, unit="degrees", refutes=text, exchange=move.exchange)
+    probe.expect(abs(move.degrees), near=45, unit="degrees", refutes=text, exchange=move.exchange)
 
 
 #: The subdivisions of the CAN manual that have no claims of their own.
@@ -134,7 +134,7 @@ def _speed_of_a_move(probe: Probe, command: Command, subdivision: int, sent: int
     probe.expect(abs(seen), near=rpm, within=rpm * _SHARE + spread, unit="rpm", refutes=text, exchange=exchange)
     text = f"{command.name} does not go as far at {subdivision} subdivisions as it should"
     degrees = abs(end.value - before.value)
-    probe.expect(degrees, near=_TURNS * 360, within=SAME, unit="degrees", refutes=text, exchange=exchange)
+    probe.expect(degrees, near=_TURNS * 360, unit="degrees", refutes=text, exchange=exchange)
 
 
 #: Three seconds at 60 rpm.

@@ -27,10 +27,8 @@ from conformance.motion.motion import MOVES
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
-#: By how much temperatures (degC), supply voltages (0.01 V) and currents (0.01 A) may differ between two replies.
-_WARMING, _SAGGING, _FLICKER = 3, 100, 100
-#: Speeds (deg/s), and counts of 14 bits, that are one, whatever a shaft shivers.
-_STEADY, _COUNTS, _TURN = 10, 64, 1 << 14
+#: A turn of the encoder that has the fewest bits, and the counts of the finest one in one of its counts.
+_TURN, _FINEST = 1 << 14, 4
 #: The supply current of a motor that stands and holds nothing, at most (0.01 A).
 _AT_REST = 300
 _still = partial(of_motion, still=True)
@@ -43,7 +41,13 @@ def _told(probe: Probe, command: Command | Verb, values: Mapping[str, int] | Non
 
 def _expect_same_temperature(probe: Probe, seen: int, wanted: int, command: Command, exchange: Exchange) -> None:
     text = f"{command.name} tells another temperature than 9A"
-    probe.expect(seen, near=wanted, within=_WARMING, unit="degC", refutes=text, exchange=exchange)
+    probe.expect(seen, near=wanted, unit="degC", refutes=text, exchange=exchange)
+
+
+def _unit(command: Command, name: str) -> str:
+    """Return the unit of a field of a reply as it is sent, empty where it is no measured quantity."""
+    field = command.reply_forms[0].layout.named[name]
+    return f"{float(field.scale):g} {field.unit}" if field.unit else ""
 
 
 @_still(each=commands(Verb.READ_STATE_2, Verb.READ_STATE_3), refuted_by="another temperature", name="{command}/temperature")
@@ -86,11 +90,10 @@ def _tells_state(probe: Probe, command: Command) -> None:
     """{command} is answered with what 9A then tells."""
     seen, exchange = _told(probe, command)
     wanted, _ = _told(probe, Verb.READ_STATE_1)
-    _expect_same_temperature(probe, seen["temperature"], wanted["temperature"], command, exchange)
-    within = {"temperature": _WARMING, "voltage": _SAGGING, "current": _FLICKER}
     for name, value in wanted.items():
-        text = f"{command.name} is answered with another {name} than 9A tells"
-        probe.expect(seen[name], near=value, within=within.get(name, 0), refutes=text, exchange=exchange)
+        text, unit = f"{command.name} is answered with another {name} than 9A tells", _unit(command, name)
+        within = probe.within(unit) if unit else 0
+        probe.expect(seen[name], near=value, within=within, refutes=text, exchange=exchange)
 
 
 def _of_motions(dialect: Dialect) -> Iterable[Case]:
@@ -126,13 +129,14 @@ def _expect_between(
     first, last = between
     _expect_same_temperature(probe, told["temperature"], first["temperature"], command, exchange)
     low, high = sorted((first["speed"], last["speed"]))
-    slack = _STEADY + abs(high) * 0.1
+    slack = probe.noise.step("deg/s")
     text = f"{command.name} is answered with another speed than 9C tells"
     probe.expect(told["speed"], at_least=low - slack, at_most=high + slack, unit="deg/s", refutes=text, exchange=exchange)
     gone, way = ((values["encoder"] - first["encoder"]) % _TURN for values in (told, last))
+    slack = _FINEST * probe.within("counts")
     probe.expect(
         str(told["encoder"]),
-        holds=(gone + _COUNTS) % _TURN <= way + 2 * _COUNTS,
+        holds=(gone + slack) % _TURN <= way + 2 * slack,
         expected=f"{first['encoder']} to {last['encoder']}, as 9C tells",
         refutes=f"{command.name} is answered with another encoder value than 9C tells",
         exchange=exchange,

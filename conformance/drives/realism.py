@@ -43,7 +43,13 @@ _SETTLE_NS = 50 * MS
 _SWINGS = 2
 #: How many replies have a pause in them: one of so many.
 _PAUSED = 4
+#: One of how many replies is stalled.
+_STALLED = 40
+#: How long a shaft creeps.
+_CREEP_NS = 1000 * MS
 _WARM = 62.0
+#: What a drive tells of the zero that it keeps.
+_ZERO = "encoder_zero"
 
 Span = tuple[float, float]
 
@@ -65,14 +71,20 @@ TRAITS: tuple[Trait, ...] = (
     Trait("loop-error", "counts", "how far the shaft rests from its target, and its lag", "closed loops", "3"),
     Trait("speed-noise", "%", "speeds read while the shaft turns", "speeds are differences of a trembling encoder", "2%"),
     Trait("tremble", "rpm", "speeds read of a resting shaft", "speeds are differences of a trembling encoder", "1"),
+    Trait("speed-lag", "ms", "how long a speed read stays behind the speed", "speeds are filtered", "20ms"),
+    Trait("hysteresis", "counts", "positions read after the shaft turned the other way", "magnetic encoders", "1"),
+    Trait("creep", "counts", "how far the shaft goes on in the second after it rests", "integral parts of closed loops", "2"),
     Trait("settle", "ms", "how long the shaft swings after a motion", "TRazDev/servo42es-esp32-can-controller", "50ms"),
     Trait("overshoot", "counts", "how far beyond its target the shaft swings first", "the same: 4082 of 4096 at done", "5"),
     Trait("latency", "ms", "how long a reply takes", "MKS drives answer in 0.3 to 8 ms", "0.3..8ms", span=True),
     Trait("latency-timer", "ms", "replies come at whole multiples of it", "FTDI adapters (pyserial PR 290)", "16ms"),
+    Trait("stall", "ms", "one of forty replies is that late", "USB hubs, and hosts that do something else", "30ms"),
+    Trait("first-late", "ms", "the first reply after power-on is that late", "firmware that still starts", "200ms"),
     Trait("turnaround-noise", "byte", "a byte that is none, before each reply", "transceivers without bias", "FF", serial=True),
     Trait("byte-gap", "characters", "a pause inside one of four replies", "UARTs filled by polling", "1", serial=True),
     Trait("line-errors", "%", "replies with one bit turned over", "long lines without termination", "0.1%"),
     Trait("voltage-noise", "V", "volts and amperes read", "switching supplies", "0.2"),
+    Trait("dip", "V", "volts read while the shaft turns", "supplies with long wires", "1"),
     Trait("warm", "", "the motor is at 62 degC", "any motor that works", ""),
 )
 BY_NAME: Mapping[str, Trait] = {trait.name: trait for trait in TRAITS}
@@ -161,6 +173,10 @@ class _Real:
         self._drawn: tuple[float, float] = (-1.0, 0.0)
         self._seed = 0
         self._last_ns = 0
+        self._answered = False
+        #: The way the shaft turned last; when a speed was read, and as what.
+        self._way = 0
+        self._read: tuple[float, float] = (0.0, 0.0)
 
     def install(self, hooks: Hooks) -> None:
         hooks.setup.append(self._setup)
@@ -181,11 +197,16 @@ class _Real:
         if values is None or form is None or not looks:
             return values
         away = self._away(drive) + self._most("encoder-noise") * COUNT * self._chance.choice((-1, 0, 0, 1))
+        self._way = drive.rest.way or self._way
+        away -= self._way * self._most("hysteresis") * COUNT / 2
         result = dict(values)
         for field in form.layout.named.values():
             change = _CHANGES.get(field.name)
             if change is not None and field.fixed is None:
                 change(self, drive, field, result, away)
+        if command.verb is Verb.SET_ZERO and _ZERO in result:
+            # What is told is what was read, and it is what is kept.
+            drive.store(_ZERO, result[_ZERO])
         return result
 
     def _away(self, drive: Drive) -> float:
@@ -199,7 +220,8 @@ class _Real:
         length_ns = self._most("settle") * MS or _SETTLE_NS
         done = rest.since_ns / length_ns
         swing = rest.way * over * (1 - done) ** 2 * math.cos(2 * math.pi * _SWINGS * done) if done < 1 else 0.0
-        return (self._drawn[1] + swing) * COUNT
+        creep = rest.way * self._most("creep") * max(0.0, 1 - rest.since_ns / _CREEP_NS)
+        return (self._drawn[1] + swing - creep) * COUNT
 
     def position(self, drive: Drive, field: Field, values: Values, away: float) -> None:
         """Move a position; that of an encoder and its turns together."""
@@ -219,7 +241,7 @@ class _Real:
 
     def speed(self, drive: Drive, field: Field, values: Values, away: float) -> None:
         """Make a speed uncertain."""
-        was = values[field.name]
+        was = values[field.name] = round(self._lagged(drive, values[field.name]))
         if was:
             was += round(was * self._chance.uniform(-1, 1) * self._most("speed-noise") / 100)
         elif self._most("tremble"):
@@ -227,9 +249,24 @@ class _Real:
             was = round(self._chance.choice((-1, 0, 1)) * self._most("tremble") * unit)
         values[field.name] = _within(field, was)
 
+    def _lagged(self, drive: Drive, now: float) -> float:
+        """Return a speed as a filter shows it: on the way from what was read last."""
+        lag_ns = self._most("speed-lag") * MS
+        if not lag_ns:
+            return now
+        read_ns, before = self._read
+        passed_ns = drive.now_ns - read_ns
+        if not now:
+            passed_ns = min(passed_ns, max(0.0, drive.rest.since_ns))
+        shown = now + (before - now) * math.exp(-passed_ns / lag_ns)
+        self._read = (drive.now_ns, shown)
+        return shown
+
     def supply(self, drive: Drive, field: Field, values: Values, away: float) -> None:
         """Make volts or amperes uncertain."""
         noise = self._chance.uniform(-1, 1) * self._most("voltage-noise") / float(field.scale)
+        if field.unit == "V" and drive.rest.since_ns < 0:
+            noise -= self._most("dip") / float(field.scale)
         values[field.name] = _within(field, values[field.name] + round(noise if field.unit == "V" else noise / 10))
 
     # --- replies --------------------------------------------------------------------------------------------------
@@ -239,6 +276,10 @@ class _Real:
         if self._latency is not None:
             delay_ns = round(chance.uniform(*self._latency) * MS)
             at_ns = max(drive.now_ns, at_ns - drive.reply_delay_ns) + delay_ns
+        if self._most("stall") and not chance.randrange(_STALLED):
+            at_ns += round(self._most("stall") * MS)
+        if not self._answered:
+            self._answered, at_ns = True, at_ns + round(self._most("first-late") * MS)
         timer_ns = round(self._most("latency-timer") * MS)
         if timer_ns:
             at_ns = -(-at_ns // timer_ns) * timer_ns
@@ -261,7 +302,7 @@ class _Real:
 
 _Change = Callable[[_Real, Drive, Field, Values, float], None]
 #: Fields of angles that begin anew with each turn.
-_IN_TURN = frozenset({"encoder", "encoder_raw", "encoder_zero", "angle"})
+_IN_TURN = frozenset({"encoder", "encoder_raw", _ZERO, "angle"})
 #: What becomes of a field, by its name.
 _CHANGES: Mapping[str, _Change] = {
     **dict.fromkeys(("position", *sorted(_IN_TURN)), _Real.position),

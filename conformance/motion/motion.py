@@ -76,7 +76,7 @@ _STATUS = (Verb.READ_STATUS, Verb.READ_STATE_1)
 #: What tells whether a motor is on, in which field, and its values of a motor that is on and off.
 _ON_READ = ((Verb.READ_ENABLED, "enabled", 1, 0), (Verb.READ_STATE_1, "state", 0x00, 0x10))
 #: The unit by which the noise of a quantity is known.
-_UNITS: Mapping[str, str] = {"position": "degrees", "speed": "rpm", "voltage": "V"}
+_UNITS: Mapping[str, str] = {"position": "degrees", "speed": "rpm"}
 _ENABLING = (Verb.ENABLE, Verb.MOTOR_ON)
 
 
@@ -263,13 +263,6 @@ def reads_position(dialect: Dialect) -> Command:
     return _reading(dialect, "position", _POSITION).command
 
 
-def volts(probe: Probe) -> float:
-    """Measure the supply in volts; 0 where no command reads it. Raises Inconclusive where it cannot be read."""
-    if Verb.READ_STATE_1 not in probe.dialect.by_verb:
-        return 0.0
-    return _measure(probe, _reading(probe.dialect, "voltage", (Verb.READ_STATE_1,))).value
-
-
 def speed(probe: Probe) -> Sample:
     """Measure the speed, in rpm, positive where the position rises. Raises Inconclusive where it cannot be read."""
     return _measure(probe, _reading(probe.dialect, "speed", _SPEED))
@@ -340,9 +333,14 @@ def near(dialect: Dialect) -> float:
     return SAME if dialect.counts_per_turn else _NEAR
 
 
+def miss(probe: Probe) -> float:
+    """Return by how many degrees a move of this drive may miss its target, as it reads."""
+    return near(probe.dialect) + probe.noise.place
+
+
 def same(probe: Probe) -> float:
     """Return in how many degrees two positions are one: two counts of the coarsest encoder, and the noise."""
-    return SAME + probe.noise.place
+    return probe.within("degrees")
 
 
 def field_of(command: Command, name: str) -> Field:

@@ -1,22 +1,34 @@
-"""Noise of a drive and its line, measured by reads alone on a shaft that rests."""
+"""Noise of a drive and its line: measured by reads alone on a shaft that rests, and by a short move."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from analyzer.catalogue import Verb
-from conformance.claim import Inconclusive
+from analyzer.catalogue import Command, Dialect, MotionKind, Verb
+from conformance.claim import Claim, Inconclusive
+from conformance.gate.gate import Refused
 from conformance.motion import motion
 from conformance.talk.noise import QUIET, Noise
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
 
-_TIMES = 12
+_TIMES = 24
+#: How often a supply or a speed is looked at, and the bytes before a reply.
+_FEWER = 12
+#: Fields of the supply.
+_SUPPLY = ("voltage", "current", "temperature")
 #: Bytes that a line shows while nothing sends, and how many of them at most.
 _IDLE, _MOST_STRAY = b"\x00\xff", 2
 #: A shaft that turns is not at rest, in rpm.
 _RESTS = 5.0
+#: When a move has come to its speed, until when it keeps it, and how far it goes, in degrees.
+_GOING_NS, _STEADY_NS, _WAY = 300 * motion.MS, 1500 * motion.MS, 720.0
+#: How long a shaft that stands is watched.
+_CREEPS_NS = 800 * motion.MS
+#: What a speed may tremble by that is told in whole rpm.
+_HIDDEN_RPM = 0.5
 
 
 def measure(probe: Probe) -> Noise:
@@ -25,14 +37,52 @@ def measure(probe: Probe) -> Noise:
         stray = _stray(probe)
         probe.noise = Noise(stray=stray)
         places = [motion.position(probe).value for _ in range(_TIMES)]
-        speeds = [motion.speed(probe).value for _ in range(_TIMES)]
-        loop = [_angle_error(probe) for _ in range(_TIMES)]
-        volts = [motion.volts(probe) for _ in range(_TIMES)]
+        speeds = [motion.speed(probe).value for _ in range(_FEWER)]
+        loop = [_angle_error(probe) for _ in range(_FEWER)]
+        supply = _supply(probe)
     except Inconclusive:
         return QUIET
     if max(map(abs, speeds)) > _RESTS:
         return Noise(stray=stray)
-    return Noise(_half_span(places), max(loop), max(map(abs, speeds)), _half_span(volts), stray)
+    return Noise(_half_span(places), max(loop), max(map(abs, speeds)), supply=supply, stray=stray)
+
+
+def in_motion(probe: Probe) -> Noise:
+    """Turn the shaft for a moment; return the noise with that of the speed and of a shaft that has just come to rest.
+
+    Where the drive does not run, the noise is that at rest.
+    """
+    try:
+        motion.ready_to_move(probe)
+        motion.begin(probe, _move(probe.dialect), _WAY, rpm=motion.CALM, acceleration=motion.QUICK, quiet_ns=0)
+        begun_ns = probe.gate.now_ns()
+        probe.wait(_GOING_NS)
+        speeds: list[float] = []
+        while len(speeds) < _TIMES and probe.gate.now_ns() - begun_ns < _STEADY_NS:
+            speeds.append(abs(motion.speed(probe).value))
+        motion.wait_standing(probe)
+        # A loop goes on towards its target when the shaft seems to stand.
+        after = [sample.value for sample in motion.sampled(probe, _CREEPS_NS, _CREEPS_NS // _TIMES)]
+    except (Inconclusive, Refused):
+        return probe.noise
+    noise = replace(probe.noise, degrees=max(probe.noise.degrees, _half_span(after)))
+    if min(speeds, default=0.0) < _RESTS:
+        return noise
+    mean, trembling = sum(speeds) / len(speeds), _half_span(speeds)
+    # A tremble that a whole rpm hides shows at higher speeds.
+    least = _HIDDEN_RPM if noise.live or trembling else 0.0
+    return replace(noise, share=max(trembling, least) / mean)
+
+
+def can_turn(dialect: Dialect, claim: Claim) -> bool:
+    """Say whether what a claim may do is enough to measure the speed of a shaft that turns."""
+    return motion.can_move(dialect) and claim.risks >= motion.risks(dialect, *_move(dialect).all_risks)
+
+
+def _move(dialect: Dialect) -> Command:
+    """Return a move that is told its speed, and whose length no setting changes."""
+    moves = dialect.motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO)
+    return next(m for m in moves if motion.of(m).speed and not motion.takes_pulses(m))
 
 
 def _half_span(values: list[float]) -> float:
@@ -48,12 +98,23 @@ def _angle_error(probe: Probe) -> float:
     return abs(float(field.physical(probe.read(command, "angle_error"))))
 
 
+def _supply(probe: Probe) -> dict[str, float]:
+    """Return by how much volts, amperes and degrees Celsius tremble, by their units."""
+    command = probe.dialect.by_verb.get(Verb.READ_STATE_1)
+    if command is None:
+        return {}
+    seen = [probe.reply(probe.ask(command, quiet_ns=0)).values for _ in range(_FEWER)]
+    fields = (command.reply_forms[0].layout.named[name] for name in _SUPPLY)
+    spans = {f.unit: _half_span([float(f.physical(values[f.name])) for values in seen]) for f in fields}
+    return {unit: span for unit, span in spans.items() if span}
+
+
 def _stray(probe: Probe) -> bytes:
     """Return the bytes of an idle line that come before every reply."""
     if probe.dialect.bus == "can":
         return b""
     found: set[bytes] = set()
-    for _ in range(_TIMES):
+    for _ in range(_FEWER):
         exchange = probe.ask(motion.reads_position(probe.dialect), quiet_ns=0)
         answer = exchange.reply
         if answer is None:

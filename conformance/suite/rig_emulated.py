@@ -41,6 +41,7 @@ class EmulatedRig(ClaimRig):
         self.name = specification.name
         self.model = specification.model
         self.seed = seed
+        self._in_motion: Noise | None = None
         self._allowance = allowance or Allowance(EVERYTHING, alone=True, budget=Budget(wear=UNLIMITED))
         self.allowed = self._allowance.risks
         self.alone = self._allowance.alone
@@ -52,14 +53,25 @@ class EmulatedRig(ClaimRig):
         """Return a new drive of the specification."""
         return make.make(self.specification, seed=self.seed)
 
-    @cached_property
+    @property
     def noise(self) -> Noise:
-        """What a new drive of the specification shows at rest."""
-        probe = plain_probe(self.dialect, self.address, Gate(EmulatedLine([self.make_drive()]), self._allowance))
-        return resting.measure(probe)
+        """What a new drive of the specification shows at rest, and in motion where a claim needed that."""
+        return self._at_rest if self._in_motion is None else self._in_motion
+
+    @cached_property
+    def _at_rest(self) -> Noise:
+        return resting.measure(self._plain_probe())
+
+    def _plain_probe(self) -> Probe:
+        return plain_probe(self.dialect, self.address, Gate(EmulatedLine([self.make_drive()]), self._allowance))
 
     def probe(self, claim: Claim) -> Probe:
         """Return a probe of a new drive."""
+        real = self.specification.realism is not None
+        if real and self._in_motion is None and resting.can_turn(self.dialect, claim):
+            measuring = self._plain_probe()
+            measuring.noise = self._at_rest
+            self._in_motion = resting.in_motion(measuring)
         drive = self.make_drive()
         line = EmulatedLine([drive])
         self.gate = Gate(line, self._allowance)

@@ -82,6 +82,7 @@ class RealRig(ClaimRig):
             self.gate, self.dialect, self.address, known, self._journal, target.endpoint.text, alone=self.alone
         )
         self._ready = motion.ready_settings(self.dialect)
+        self._in_motion: Noise | None = None
         #: Why nothing that moves may be sent, or nothing.
         self._unproved = ""
         self._closed = False
@@ -143,9 +144,13 @@ class RealRig(ClaimRig):
         self._unproved = f"nothing that moves is sent: {reason}"
         self.gate = self.gate.under(replace(self._allowance, risks=self._allowance.risks - MAY_MOVE))
 
-    @cached_property
+    @property
     def noise(self) -> Noise:
-        """What the drive and its line show at rest, by reads alone."""
+        """What the drive and its line show at rest, by reads alone, and in motion where a claim needed that."""
+        return self._at_rest if self._in_motion is None else self._in_motion
+
+    @cached_property
+    def _at_rest(self) -> Noise:
         return resting.measure(plain_probe(self.dialect, self.address, self.gate))
 
     def probe(self, claim: Claim) -> Probe:
@@ -158,6 +163,10 @@ class RealRig(ClaimRig):
             # A move to a place is as long as the way there, and a speed is as fast as the subdivision makes it.
             read_drive_state(Dialogue(self.gate, [self.dialect]), self.dialect, self.address)
             self._tell(say.ReadState())
+        if self._in_motion is None and resting.can_turn(self.dialect, claim):
+            self._in_motion = self._at_rest
+            self._in_motion = resting.in_motion(Probe(self, claim))
+            self.settle()
         return Probe(self, claim)
 
     def before_send(self, item: bytes | CanFrame) -> None:

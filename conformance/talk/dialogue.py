@@ -123,6 +123,8 @@ class Dialogue:
         self._bare = bare
         self._log = log
         self._stray = stray
+        #: A chunk that may be a byte of the line or the end of a reply, until the next one tells.
+        self._held: Chunk | None = None
         self._sorter = _Sorter()
         self._pipeline = Pipeline(self.dialects, (self._sorter,), Options(byte_ns=line.byte_ns, late_ns=late_ns))
         self._exchange = Exchange(None, 0)
@@ -188,14 +190,14 @@ class Dialogue:
         if got is not None:
             self._feed(got)
         elif self._pending:
-            self._pipeline.silence(self._name)
+            self._silence()
         self._pending = got is not None
         self._take()
         return got
 
     def finish(self) -> Exchange:
         """Decode what came as it stands, and end the exchange."""
-        self._pipeline.silence(self._name)
+        self._silence()
         self._pending = False
         self._take()
         self._exchange.until_ns = self.gate.now_ns()
@@ -207,7 +209,10 @@ class Dialogue:
         if self._log is not None:
             self._log(got)
         if self._stray and isinstance(got, Chunk):
-            got = replace(got, data=self._without_stray(got.data))
+            got = self._without_stray(got)
+        self._take_in(got)
+
+    def _take_in(self, got: Chunk | CanFrame) -> None:
         self._exchange.received += got.data
         direction = got.direction if self._direction is None else self._direction
         if isinstance(got, CanFrame):
@@ -216,10 +221,27 @@ class Dialogue:
         chunk = replace(got, port=self._name, direction=direction)
         self._pipeline.feed(chunk if self._bare is None else self._bare.completed(chunk))
 
-    def _without_stray(self, data: bytes) -> bytes:
+    def _without_stray(self, got: Chunk) -> Chunk:
         """Return what comes without what the line shows before a reply: at the begin, or where the next one begins alike."""
-        rest = data.removeprefix(self._stray)
-        return data if self._pending and rest[:1] != self._exchange.received[:1] else rest
+        data, rest, held = got.data, got.data.removeprefix(self._stray), self._held
+        begin = self._exchange.received[:1]
+        self._held = None
+        if not self._pending:
+            data = rest
+        elif data == self._stray and held is None:
+            self._held, data = got, b""
+        elif held is not None and data[:1] != begin:
+            data = held.data + (rest if rest[:1] == begin else data)
+        elif rest[:1] == begin:
+            data = rest
+        return replace(got, data=data)
+
+    def _silence(self) -> None:
+        """Decode what came as it stands: nothing more belongs to it."""
+        held, self._held = self._held, None
+        if held is not None:
+            self._take_in(held)
+        self._pipeline.silence(self._name)
 
     def _take(self) -> None:
         exchange, sorter, bare = self._exchange, self._sorter, self._bare

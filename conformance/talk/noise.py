@@ -1,7 +1,10 @@
-"""Noise: how much a shaft that rests, and its line, tremble; measured by a run before it judges (`motion.resting`).
+"""Noise: how much a drive and its line tremble, measured by a run before it judges (`motion.resting`); and resolutions.
 
-A claim compares through it: a difference below the noise is none. On a drive that reads the same again and again it is zero,
-so that every count matters.
+    of("counts"), of("deg/s", 360), of("0.01 V")     by how much a value of this unit may be off
+    step("counts")                                   the smallest difference of two values that tells something
+
+A claim compares through both (`Probe.expect`): a difference below them is none. On a drive that reads the same again and
+again the noise is zero, so that every count matters.
 
 Rules kept here:
 - A loop that trembles also rests beside its target, anew after each motion: that is no more than the bounds below.
@@ -11,30 +14,49 @@ Rules kept here:
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 COUNT = 360 / 16384
 #: The most that two rests of a shaft may differ from what was asked, in degrees: less than three pulses at 16 subdivisions.
 _MOST_DEGREES = 0.3
 #: How far from its target a loop that trembles rests at least, in degrees.
 _LOOP_DEGREES = 4 * COUNT
-#: What a shaft swings by when it arrives, in degrees, and the share of a speed by which its reading trembles.
-_SWING_DEGREES, _SPEED_SHARE = 16 * COUNT, 0.025
-_MOST_RPM, _MOST_VOLTS = 3.0, 1.0
+#: What a shaft swings by when it arrives, in degrees.
+_SWING_DEGREES = 16 * COUNT
+#: The most that readings may tremble: a share of a speed, and other quantities by their units.
+_MOST_SHARE, _MOST_RPM = 0.025, 3.0
+_MOST: Mapping[str, float] = {"V": 1.0, "A": 0.5, "degC": 3.0}
+#: Two looks may differ by twice the half span that was seen, and half as much again: few looks do not show all of it.
+_UNSEEN = 3
+#: Two counts of the coarsest encoder, of 14 bits, or two of the unit as it is told: each of two looks is rounded.
+_STEPS: Mapping[str, float] = {
+    "degrees": 2 * COUNT,
+    "counts": 2,
+    "encoder": 1,
+    "rpm": 2,
+    "deg/s": 2,
+    "V": 0.02,
+    "A": 0.02,
+    "degC": 2,
+}
+_UNIT = re.compile(r"(?:x )?(?:(\d+(?:\.\d+)?) )?([\w/]+)")
 
 
 @dataclass(frozen=True)
 class Noise:
     """Half spans measured on a resting shaft, its speed as it reads.
 
-    `loop`: how far from its target it says that it is. `stray`: bytes of the line.
+    `loop`: how far from its target it says that it is. `share`: of a speed, measured while the shaft turns. `supply`: volts,
+    amperes and degrees Celsius by their units. `stray`: bytes of the line.
     """
 
     degrees: float = 0.0
     loop: float = 0.0
     rpm: float = 0.0
-    volts: float = 0.0
+    share: float = 0.0
+    supply: Mapping[str, float] = field(default_factory=dict)
     stray: bytes = b""
 
     @property
@@ -64,25 +86,39 @@ class Noise:
 
     def speed(self, rpm: float) -> float:
         """Return by how much a speed that is read may differ."""
-        return min(_MOST_RPM, self.rpm) + abs(rpm) * _SPEED_SHARE if self.live else 0.0
+        return min(_MOST_RPM, self.rpm) + abs(rpm) * min(_MOST_SHARE, self.share * _UNSEEN / 2)
 
     def of(self, unit: str, value: float = 0.0) -> float:
         """Return by how much a value of a unit may differ; 0 for what does not tremble."""
+        scale, base = _parsed(unit)
         rows = {
             "degrees": self.place,
             "counts": self.counts,
-            "0.01 degrees": self.place * 100,
-            "rpm": self.speed(value),
-            "V": min(_MOST_VOLTS, 2 * self.volts),
+            "encoder": self.encoder,
+            "rpm": self.speed(value * scale),
+            "deg/s": 6 * self.speed(value * scale / 6),
+            **{name: min(most, _UNSEEN * self.supply.get(name, 0.0)) for name, most in _MOST.items()},
         }
-        return next((found for name, found in rows.items() if unit == name or unit.startswith(f"{name} ")), 0.0)
+        return rows.get(base, 0.0) / scale
+
+    @staticmethod
+    def step(unit: str) -> float:
+        """Return by how much two values of a unit may differ that are one. Raises KeyError for a unit that has none."""
+        scale, base = _parsed(unit)
+        return _STEPS[base] / scale
 
     @property
     def figures(self) -> Mapping[str, float]:
         """What was measured, for the report."""
-        found = {"degrees": self.degrees, "loop_degrees": self.loop, "rpm": self.rpm, "volts": self.volts}
-        found["stray_bytes"] = len(self.stray)
+        found = {"degrees": self.degrees, "loop_degrees": self.loop, "rpm": self.rpm, "speed_%": 100 * self.share}
+        found |= {**self.supply, "stray_bytes": len(self.stray)}
         return {name: round(value, 4) for name, value in found.items() if value}
+
+
+def _parsed(unit: str) -> tuple[float, str]:
+    """Return the scale and the first word of a unit such as `0.01 V` or `degrees from the start`."""
+    found = _UNIT.match(unit)
+    return (float(found[1] or 1), found[2]) if found is not None else (1.0, "")
 
 
 QUIET = Noise()

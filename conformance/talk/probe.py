@@ -239,7 +239,7 @@ class Probe:
         equal: Any = _ANYTHING,
         among: Collection[Any] = (),
         near: float | None = None,
-        within: float = 0.0,
+        within: float | None = None,
         at_least: float = -math.inf,
         at_most: float = math.inf,
         unit: str = "",
@@ -252,8 +252,9 @@ class Probe:
         `got`: a number, a measurement (its `value` counts), a list of numbers, or text beside `holds`. One or several
         conditions: `holds` itself, `equal`, `among` several, `near` a number `within` a distance, `at_least`, `at_most`.
         `refutes`: what a drive does that is otherwise, as a sentence without a stop. `expected` says it where the conditions do
-        not. `unit`: of a number; the noise that the run measured of it widens `within` and the limits. `exchange` shows it;
-        the last one where none is given. `key`: what makes two failures one; `refutes` by default.
+        not. `unit`: of a number; the noise that the run measured of it widens `within` and the limits. Where `within` is not
+        given, it is the resolution of the unit. `exchange` shows it; the last one where none is given. `key`: what makes two
+        failures one; `refutes` by default.
 
         Raises Refuted.
         """
@@ -266,7 +267,7 @@ class Probe:
         if among:
             conditions.append((value in among, " or ".join(_text(v, unit) for v in among)))
         if near is not None:
-            within += self.noise.of(unit, near)
+            within = (self.noise.step(unit) if within is None else within) + self.noise.of(unit, near)
             conditions.append((abs(value - near) <= within, f"{_text(near, unit)} +-{within:.3g}"))
         if at_least > -math.inf:
             at_least -= self.noise.of(unit, at_least)
@@ -280,6 +281,10 @@ class Probe:
             shown = expected or " and ".join(text for _, text in conditions if text)
             shown_in = exchange or (self.traffic[-1] if self.traffic else None)
             raise Refuted(refutes, expected=shown, got=_text(value, unit), exchange=shown_in, key=key)
+
+    def within(self, unit: str, value: float = 0.0) -> float:
+        """Return by how much a value of a unit may differ from another one that it is: the resolution and the noise."""
+        return self.noise.step(unit) + self.noise.of(unit, value)
 
     # --- what claims share ----------------------------------------------------------------------------------------
 
