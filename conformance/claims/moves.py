@@ -97,10 +97,10 @@ def _angles(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, command, {"signed": signed}, {"parameters": {}})
 
 
-def _expect_way(probe: Probe, move: Move, signed: bool, refutes: str) -> None:
-    """Refute unless a move went as far as was asked, the way that was asked where it is `signed`."""
+def _expect_way(probe: Probe, move: Move, signed: bool, refutes: str, *, times: int = 1) -> None:
+    """Refute unless a move, or several, went as far as was asked, the way that was asked where it is `signed`."""
     seen, asked = (move.degrees, move.asked) if signed else (abs(move.degrees), abs(move.asked))
-    within = motion.near(probe.dialect)
+    within = times * motion.near(probe.dialect)
     probe.expect(seen, near=asked, within=within, unit="degrees", refutes=refutes, exchange=move.exchange)
 
 
@@ -206,7 +206,7 @@ def _again(probe: Probe, command: Command, signed: bool) -> None:
     motion.prepare(probe, command)
     moves = [motion.follow(probe, command, 11.18, acceleration=QUICK) for _ in range(5)]
     whole = Move(command, moves[-1].exchange, sum(m.asked for m in moves), moves[0].start, moves[-1].end)
-    _expect_way(probe, whole, signed, f"{command.name}: {len(moves)} moves do not add up")
+    _expect_way(probe, whole, signed, f"{command.name}: {len(moves)} moves do not add up", times=len(moves))
 
 
 @of_motion(

@@ -9,9 +9,10 @@ from conformance import claims as registry
 from conformance.claim import Outcome
 from conformance.cli import emulate
 from conformance.drives import make, realism
+from conformance.motion import motion, resting
 from conformance.suite import engine
 from conformance.suite.rig_emulated import EmulatedRig
-from conformance.talk.noise import QUIET
+from conformance.talk.noise import QUIET, Noise
 from tests.conformance.quirk_runs import run
 
 DRIVES = ("mks-rs485@1", "mks-modbus@1", "mks-can@1", "lk-rs485@1")
@@ -62,6 +63,61 @@ def test_a_byte_of_the_line_is_no_part_of_a_reply():
     assert each.noise.stray == b"\xff"
     exchange = each.probe(next(iter(registry.every(each.dialect)))).ask("read_speed")
     assert (exchange.received[:1], exchange.junk) == (b"\xfb", [])
+
+
+def moved(text: str) -> Noise:
+    """Return the noise that a rig knows when a claim has moved the shaft."""
+    each = rig(text)
+    each.probe(next(c for c in registry.every(each.dialect) if resting.can_turn(each.dialect, c)))
+    return each.noise
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+def test_the_speed_of_a_shaft_that_rests_still_is_measured_in_a_move(drive):
+    noise = moved(f"{drive},speed-noise=2%")
+    assert (rig(f"{drive},speed-noise=2%").noise.live, noise.live) == (False, False)
+    assert 0.01 < noise.share <= 0.021
+    assert noise.speed(300) >= 6
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+def test_a_shaft_that_creeps_when_it_has_come_to_rest_trembles(drive):
+    assert not rig(f"{drive},creep=2").noise.live
+    assert moved(f"{drive},creep=2").live
+
+
+def test_a_lone_byte_in_a_pause_is_of_the_line_or_of_the_reply():
+    each = rig("mks-rs485@1,turnaround-noise=FF,byte-gap=1.4")
+    probe = each.probe(next(iter(registry.every(each.dialect))))
+    for _ in range(60):
+        for name in ("read_speed", "read_position"):
+            exchange = probe.ask(name)
+            assert (exchange.junk, exchange.received) == ([], exchange.reply.data)
+
+
+def test_a_zero_that_is_told_is_the_zero_that_is_kept():
+    each = rig("lk-rs485@1,encoder-noise=2,loop-error=4")
+    wanted = [c for c in registry.every(each.dialect) if c.id.endswith("set_zero/offset")]
+    assert {v.outcome for v in engine.run(wanted, each)} == {Outcome.CONFIRMED}
+
+
+def test_replies_are_late_behind_a_hub_and_when_power_comes_on():
+    probe = rig("mks-rs485@1,first-late=200ms,stall=30ms").probe(next(iter(registry.every(rig("mks-rs485@1").dialect))))
+    late = [probe.ask("read_speed").reply.latency_ns // 1_000_000 for _ in range(200)]
+    assert late[0] >= 200
+    assert {30 <= ms < 60 for ms in late[1:]} == {True, False}
+    assert max(late[1:]) < 60
+
+
+def test_a_filtered_speed_stays_behind():
+    each = rig("mks-rs485@1,speed-lag=100ms")
+    probe = each.probe(next(c for c in registry.every(each.dialect) if resting.can_turn(each.dialect, c)))
+    motion.ready_to_move(probe)
+    motion.speed(probe)
+    motion.run_at(probe, 300, 0)
+    seen = [motion.speed(probe).value for _ in range(40)]
+    assert 0 < abs(seen[0]) < 290
+    assert abs(seen[-1]) == 300
 
 
 @pytest.mark.parametrize("drive", DRIVES)
