@@ -15,7 +15,7 @@ from conformance.claim import Aspect, Outcome
 from conformance.report import svg
 from conformance.report.coverage import matrix, share
 from conformance.report.terminal import COLUMNS, repeat_command
-from conformance.suite.record import RunRecord, VerdictRecord, firmware_of
+from conformance.suite.record import RunRecord, VerdictRecord, firmware_of, noise_of
 
 #: Curves that are drawn at most.
 _CURVES = 24
@@ -88,6 +88,7 @@ def _about(records: Sequence[VerdictRecord], run: RunRecord) -> str:
         "allowed": ", ".join(run.allowed) or "everything (emulated drives)",
         "bounds": ", ".join(f"{n} {v}" for n, v in run.bounds.items()),
         "firmware": ", ".join(f"{t}: {v}" for t, v in firmware_of(records).items()),
+        "noise": ", ".join(f"{t}: {v}" for t, v in noise_of(records).items()),
         "seed": str(run.seed),
         "version": f"servotap {run.version}",
         "command": run.command,

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from conformance.claim import Outcome
-from conformance.suite.record import RunRecord, VerdictRecord
+from conformance.suite.record import RunRecord, VerdictRecord, noise_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -54,10 +54,8 @@ def show(records: Sequence[VerdictRecord], run: RunRecord, console: Console) -> 
 def show_counts(records: Sequence[VerdictRecord], console: Console) -> None:
     """Print the table of outcomes by drive and theme, and why claims have no verdict."""
     console.print(_table(records))
-    for target in dict.fromkeys(record.target for record in records if record.noise):
-        noise = next(record.noise for record in records if record.target == target and record.noise)
-        shown = ", ".join(f"{value:g} {what.replace('_', ' ')}" for what, value in noise.items() if value)
-        console.print(f"{target}: measured at rest: {shown}", markup=False, highlight=False)
+    for target, noise in noise_of(records).items():
+        console.print(f"{target}: noise measured: {noise}", markup=False, highlight=False)
     _reasons(records, console)
 
 

@@ -132,6 +132,15 @@ def _shown(verdict: Verdict) -> tuple[Traffic, ...]:
     return () if verdict.exchange is None else tuple(_traffic(verdict.exchange.records()))
 
 
+def noise_of(records: Iterable[VerdictRecord]) -> dict[str, str]:
+    """Return what each drive and its line were measured to tremble by, as text: the last that a claim was given."""
+    found = {record.target: record.noise for record in records if record.noise}
+    return {
+        target: ", ".join(f"{value:g} {what.replace('_', ' ')}" for what, value in noise.items())
+        for target, noise in found.items()
+    }
+
+
 def firmware_of(records: Iterable[VerdictRecord]) -> dict[str, str]:
     """Return the firmware that each drive reported."""
     return {r.target: r.firmware for r in records if r.firmware}

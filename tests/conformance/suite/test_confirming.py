@@ -71,6 +71,7 @@ def test_the_machine_tells_the_steps_of_a_real_drive(tmp_path):
     verdict = engine.run_claim(state, rig)
     rig.close()
     if verdict.outcome is Outcome.REFUTED:
-        assert verdict.steps
+        # The shaft has turned when noise was measured, so the first look may tell already.
+        assert verdict.steps or "after 0 steps" in verdict.reason
     else:
         assert verdict.outcome is Outcome.CONFIRMED, verdict.reason
