@@ -80,7 +80,7 @@ def _reads_check(probe: Probe) -> None:
             received_text(exchange),
             holds=False,
             expected="replies whose checks fit",
-            refutes=f"{len(bad)} of the replies to {_MANY} reads in a row are garbled",
+            refutes=f"the line or the drive damages {len(bad)} of the replies to {_MANY} reads in a row",
             exchange=exchange,
             key="replies in a row are garbled",
         )

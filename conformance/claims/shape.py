@@ -13,7 +13,7 @@ Rules kept here:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -23,6 +23,7 @@ from analyzer.layout import Field, FieldKind
 from conformance.claim import Aspect, Inconclusive, Theme
 from conformance.claims.declare import Case, Cases, claim, described_in
 from conformance.claims.known_quirks import known
+from conformance.claims.known_reads import plain_reads
 from conformance.claims.requests import demands, plain_exchange
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
@@ -35,8 +36,8 @@ _LISTEN_NS = 5_000_000_000
 _SETTING = ("set_", "write_user_id")
 #: Two replies of the quirk "second-reply" are so far apart at least; a doubled reply follows at once.
 _APART_NS = 5_000_000
-#: The quirk of replies that have a wrong sum now and then, and the command whose replies were seen so.
-_OFF_SUM, _ERRING = "lk-off-sum", "move_multi_turn_limited"
+#: How often a command is asked again whose reply is damaged.
+_AGAIN = 2
 
 
 # --- one exchange for all claims about a command ----------------------------------------------------------------------
@@ -95,6 +96,12 @@ class _Answer:
         return self.found.first
 
     @property
+    def whole(self) -> bool:
+        """Whether each part of the reply fits, and nothing else came."""
+        first = self.found.first
+        return first is not None and first.fitting == first.template.count and not self.found.leftover
+
+    @property
     def meets_no_checksum(self) -> bool:
         """Whether the reply has no checksum, as real drives were seen to answer; then there is no more to judge."""
         met = self.reply.lacks_check and NO_CHECKSUM in self.probe.claim.quirks
@@ -108,6 +115,21 @@ class _Answer:
         if not self.reply.length_fits:
             raise Inconclusive(f"the reply to {self.command.name} has a wrong length, so nothing more of it can be told")
         return self.reply
+
+
+def _undamaged(answer: _Answer) -> _Answer:
+    """Return an answer, and where it is damaged one that is not: a line damages replies now and then.
+
+    That is a fault of all replies, which a claim about the line judges once.
+    """
+    for _ in range(_AGAIN):
+        if answer.whole or answer.found.first is None or answer.reply.lacks_check:
+            break
+        exchange = plain_exchange(answer.probe, answer.command)
+        again = replace(answer, exchange=exchange, found=replies(exchange, answer.probe.dialect))
+        if again.whole:
+            return again
+    return answer
 
 
 def _good_fields(command: Command) -> list[Field]:
@@ -158,7 +180,7 @@ def _of_replies(
             if exchange.silent and OTHER_FIRMWARE in probe.claim.quirks:
                 probe.meets(OTHER_FIRMWARE)
                 return
-            answer = _Answer(probe, command, exchange, replies(exchange, probe.dialect))
+            answer = _undamaged(_Answer(probe, command, exchange, replies(exchange, probe.dialect)))
             check(answer, part) if part else check(answer)
 
         def cases(dialect: Dialect) -> Iterator[Case]:
@@ -219,16 +241,12 @@ def _once(answer: _Answer) -> None:
         answer.expect(False, what, "one reply", f"reply {number}: {_hex(other.data)}")
 
 
-# That a reply is one piece stands in no manual; that it is the reply's bytes and no others, in all.
-@_of_replies("stray bytes, or a pause", at_best=Certainty.LIKELY)
+@_of_replies("stray bytes", at_best=Certainty.LIKELY)
 def _clean(answer: _Answer) -> None:
-    """{command} is answered by one frame, with nothing before, in or behind it."""
+    """{command} is answered by one frame, with nothing before or behind it."""
     reply, exchange = answer.reply, answer.exchange
     expected = f"{_hex(reply.data)} alone"
     answer.expect(not answer.found.leftover, "bytes beside the reply", expected, _hex(exchange.received))
-    whole = reply.fitting != reply.template.count or any(reply.data == a.data for a in exchange.answers)
-    lines = " | ".join(exchange.lines()[1:])
-    answer.expect(whole, "a pause within the reply", "a reply in one piece", lines)
 
 
 # --- its head, length and checks --------------------------------------------------------------------------------------
@@ -292,20 +310,8 @@ def _check(answer: _Answer, name: str) -> None:
         return
     if check is None or not reply.length_fits:
         raise Inconclusive(f"the reply to {answer.command.name} has a wrong length, so its {name} cannot be told")
-    if _now_and_then(answer, name):
-        raise Inconclusive(f"the {name} of {answer.command.name} does not fit now and then, which another claim judges")
     expected, got = _hex(check.expected), f"{_hex(check.got)} in {_hex(reply.data)}"
     answer.expect(False, f"a {name} that does not fit", f"{name} {expected}", got)
-
-
-def _now_and_then(answer: _Answer, name: str) -> bool:
-    """Say whether a check fits when a command is asked again, that of drives which were seen to err now and then."""
-    dialect = answer.probe.dialect
-    if answer.command.name != _ERRING or not known(dialect, _OFF_SUM):
-        return False
-    again = [replies(plain_exchange(answer.probe, answer.command), dialect).first for _ in range(2)]
-    checks = [reading.check(name) for reading in again if reading is not None]
-    return any(check is not None and check.ok for check in checks)
 
 
 # --- its values -------------------------------------------------------------------------------------------------------
@@ -415,6 +421,35 @@ def _echo(answer: _Answer) -> None:
         sent = f"{name} {exchange.values[name]}, as in {hex_of(exchange.sent or b'')}"
         same = got[name] == exchange.values[name]
         answer.expect(same, "another value than was sent", sent, f"{got[name]} in {_hex(reply.data)}")
+
+
+# --- the line ---------------------------------------------------------------------------------------------------------
+
+
+def _serial(dialect: Dialect) -> Iterator[Case]:
+    if dialect.bus != "can":
+        yield Case(dialect)
+
+
+# That a reply is one piece stands in no manual.
+@claim(Theme.SHAPE, each=_serial, refuted_by="a pause in a reply", at_best=Certainty.LIKELY, name="one-piece")
+def _one_piece(probe: Probe) -> None:
+    """Each reply to a read comes in one piece, without a pause that ends a frame."""
+    broken = []
+    for command in plain_reads(probe.dialect):
+        exchange = probe.ask(command)
+        found = replies(exchange, probe.dialect).first
+        if (
+            found is not None
+            and found.fitting == found.template.count
+            and not any(found.data == a.data for a in exchange.answers)
+        ):
+            broken.append((command.name, exchange))
+    names = ", ".join(name for name, _ in broken)
+    shown = broken[0][1] if broken else None
+    lines = " | ".join(shown.lines()[1:]) if shown is not None else ""
+    text = f"there is a pause in the replies to {len(broken)} reads ({names})"
+    probe.expect(lines, holds=not broken, expected="replies in one piece", refutes=text, exchange=shown, key="pause in a reply")
 
 
 # --- nothing comes unasked --------------------------------------------------------------------------------------------

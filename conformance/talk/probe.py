@@ -300,13 +300,26 @@ class Probe:
 
         Raises Inconclusive where there is none, or none that can be read.
         """
-        answer = exchange.reply
+        answer = self._once_more(exchange).reply
         asked = exchange.command.name if exchange.command is not None else "the request"
         if answer is None:
             raise Inconclusive(f"{asked} was not answered")
         if answer.command is None or answer.message.form is None or not answer.message.frame.checksum_ok:
             raise Inconclusive(f"the answer to {asked} cannot be read: {answer.data.hex(' ').upper()}")
         return answer
+
+    def _once_more(self, exchange: Exchange) -> Exchange:
+        """Ask a read or a setting again whose reply the line damaged: that is judged once, not by each claim."""
+        answer, command = exchange.reply, exchange.command
+        if answer is None or answer.message.frame.checksum_ok or answer.bare or command is None:
+            return exchange
+        if not command.all_risks <= {Risk.READ, Risk.SETTING} or exchange.address is None:
+            return exchange
+        built = self.build(command, exchange.values, address=exchange.address)
+        if built.item() != exchange.sent:
+            return exchange
+        self.measured["damaged replies"] = self.measured.get("damaged replies", 0) + 1
+        return self.ask_built(built)
 
     def read(self, what: Command | Verb | str, name: str = "", values: Mapping[str, Any] | None = None) -> int:
         """Ask and return one field of the reply as sent (the only one, where no name is given).
