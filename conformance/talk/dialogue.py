@@ -232,7 +232,7 @@ class Dialogue:
             self._held, data = got, b""
         elif held is not None and data[:1] != begin:
             data = held.data + (rest if rest[:1] == begin else data)
-        elif rest[:1] == begin:
+        elif rest[:1] == begin and len(rest) > 1:  # one such byte is the end of this reply
             data = rest
         return replace(got, data=data)
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import pytest
 
 from analyzer.errors import UsageError
 from conformance import claims as registry
-from conformance.claim import Outcome
+from conformance.claim import Inconclusive, Outcome
 from conformance.cli import emulate
 from conformance.drives import make, realism
 from conformance.motion import motion, resting
@@ -150,3 +152,29 @@ def test_every_trait_has_an_example_that_is_read(capsys):
     emulate._print_realism()
     listed = capsys.readouterr().out
     assert [trait.name for trait in realism.TRAITS if trait.name not in listed] == []
+
+
+@pytest.mark.parametrize(
+    ("drive", "judge"),
+    [
+        ("mks-rs485@1,line-errors=2%", "mks-rs485/resilience/reads/good"),
+        ("lk-rs485@1,line-errors=2%", "lk-rs485/resilience/reads/good"),
+        ("mks-rs485@1,fault=pause-in-frame", "mks-rs485/shape/one-piece"),
+        ("lk-rs485@1,fault=pause-in-frame", "lk-rs485/shape/one-piece"),
+    ],
+)
+def test_a_fault_of_the_line_is_one_verdict(drive, judge):
+    dialect = rig(drive).dialect
+    wanted = [c for c in registry.every(dialect) if c.id == judge or ("/shape/read_" in c.id)]
+    verdicts = run(drive, wanted).values()
+    assert [v.claim.id for v in verdicts if v.outcome is Outcome.REFUTED] == [judge]
+
+
+def test_a_read_whose_reply_is_damaged_is_asked_again_and_counted():
+    each = rig("mks-rs485@1,line-errors=20%")
+    probe = each.probe(next(iter(registry.every(each.dialect))))
+    for _ in range(20):
+        with contextlib.suppress(Inconclusive):
+            probe.read("read_speed")
+    assert probe.measured["damaged replies"] >= 2
+    assert len(probe.traffic) == 20 + probe.measured["damaged replies"]
