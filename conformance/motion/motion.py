@@ -84,7 +84,7 @@ _ENABLING = (Verb.ENABLE, Verb.MOTOR_ON)
 class Sample:
     """A measured value: it held at some moment within `spread_ns` of `t_ns`. `step`: the smallest difference it shows.
 
-    `noise`: by how much it may be off, as the run measured at rest.
+    `noise`: by how much it may be off, as the run measured.
     """
 
     t_ns: float
