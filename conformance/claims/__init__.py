@@ -67,6 +67,7 @@ MODULES = (
     "motor_states",
     "refusals",
     "motion_reads",
+    "motion_told",
     "torque",
     "health",
     "told_state",

@@ -18,9 +18,9 @@ from analyzer.link import HeadLink, LkLink
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.addressing_many import read_of, send_to
 from conformance.claims.control_reads import ask_first, judge_next, plain_read, received_text
-from conformance.claims.declare import Case, claim, commands, described_in
+from conformance.claims.declare import Case, claim, commands, described_in, needing
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion_claim import expect_stays, of_motion
+from conformance.claims.motion_claim import expect_stays, of_motion, risks_by
 from conformance.motion import effects, motion
 from conformance.motion.effects import Observable
 from conformance.talk.exchange import Exchange, hex_of
@@ -29,9 +29,9 @@ from conformance.talk.probe import Probe, Until
 NEW_ADDRESS_ANSWERS = "new-address-answers"
 _BYTE = 0xFF
 #: Changes that are sent to other addresses: each takes the time of a move.
-_FEW = 5
-#: A motion of a tenth of a second, and how long another drive's is listened to.
-_DEGREES, _LISTEN_NS = 36, 300_000_000
+_FEW, _MANY = 5, 14
+#: A motion of a tenth of a second; how long another drive's is listened to, and how long the shaft is watched behind all.
+_DEGREES, _BETWEEN_NS, _LISTEN_NS = 36, 60_000_000, 300_000_000
 
 
 def _addressing(refuted_by: str, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -166,9 +166,15 @@ def _motion_of_another(probe: Probe, command: Command) -> None:
     motion.prepare(probe, command)
     before = motion.wait_standing(probe)
     values = motion.values_of(dialect, command, _DEGREES, start=motion.place(probe, command))
-    for address in _chosen(dialect, own, (own + 1, own ^ 0x100, *_edges(dialect, own)))[:_FEW]:
-        sent = probe.ask(command, values, address=address, until=Until.TIMEOUT, timeout_ns=_LISTEN_NS)
-        expect_stays(before, motion.position(probe), sent, f"{command.name} to {address} turns the shaft of {own}")
+    others = (own + 1, own - 1, own ^ 0x80, own + 16, own ^ 0x100, *_edges(dialect, own), *_one_bit(dialect, own))
+    for address in _chosen(dialect, own, others)[:_MANY]:
+        sent = probe.ask(command, values, address=address, until=Until.TIMEOUT, timeout_ns=_BETWEEN_NS)
+        after = motion.position(probe)
+        if abs(after.value - before.value) > motion.same(probe):
+            motion.stop(probe)
+        expect_stays(before, after, sent, f"{command.name} to {address} turns the shaft of {own}")
+    probe.wait(_LISTEN_NS)
+    expect_stays(before, motion.position(probe), sent, f"{command.name} to another address turns the shaft of {own}")
     motion.begin(probe, command, _DEGREES)
     probe.wait(_LISTEN_NS)
     went = abs(motion.position(probe).value - before.value)
@@ -176,6 +182,31 @@ def _motion_of_another(probe: Probe, command: Command) -> None:
     if went < _DEGREES / 4:
         raise Inconclusive(f"{command.name} to the drive itself turns nothing either")
 
+
+@of_motion(
+    theme=Theme.ADDRESSING,
+    each=needing(Verb.MOVE_RELATIVE_PULSES, commands(Verb.SET_SUBDIVISION)),
+    name="other/{command}",
+    refuted_by="pulses of another size",
+    risks=risks_by(Verb.MOVE_RELATIVE_PULSES),
+    alone=True,
+)
+def _setting_of_another(probe: Probe, command: Command) -> None:
+    """{command} to another address leaves the pulses of the drive as they are; to the drive itself it changes them."""
+    own, move = probe.address, probe.command(Verb.MOVE_RELATIVE_PULSES)
+    motion.prepare(probe, move)
+    for address in _chosen(probe.dialect, own, (own + 1, own - 1, own ^ 0x80, own + 16, *_edges(probe.dialect, own)))[:_FEW]:
+        probe.ask(command, {"subdivision": _FINER}, address=address, until=Until.TIMEOUT, timeout_ns=_BETWEEN_NS)
+    went = motion.follow(probe, move, _DEGREES, acceleration=motion.QUICK)
+    text = f"{command.name} to other addresses changes the pulses of {own}"
+    probe.expect(went.degrees, near=went.asked, within=motion.SAME, unit="degrees", refutes=text, exchange=went.exchange)
+    probe.do(command, {"subdivision": _FINER})
+    if abs(motion.follow(probe, move, _DEGREES, acceleration=motion.QUICK).degrees) > went.asked * 3 / 4:
+        raise Inconclusive(f"{command.name} to the drive itself changes nothing either")
+
+
+#: Twice the subdivision at which the suite counts pulses.
+_FINER = 2 * motion.SUBDIVISION
 
 # --- another address for the drive ------------------------------------------------------------------------------------
 

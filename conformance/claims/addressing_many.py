@@ -235,7 +235,7 @@ def _motions(dialect: Dialect) -> Iterator[Case]:
 
 @_addressing("a shaft that stands, or one that turns on", _motions, name="{many}/{run}/{stop}")
 def _turns_and_stops(probe: Probe, many: _Many, run: Command, stop: Command) -> None:
-    """{run} by {what} turns the shaft, and {stop} by it lets it stand."""
+    """{run} by {what} turns the shaft, {stop} by it lets it stand, and neither is answered, then or at its end."""
     motion.prepare(probe, run)
     to = many.join(probe)
     values = motion.values_of(probe.dialect, run, 10 * 360, start=motion.place(probe, run))
@@ -247,6 +247,13 @@ def _turns_and_stops(probe: Probe, many: _Many, run: Command, stop: Command) -> 
     ended = probe.send(probe.build(stop, how, address=to).item())
     probe.wait(300 * MS)
     expect_standing(probe, ended, f"{stop.name} by {many.what} does not stop the shaft")
+    for sent in (begun, ended):
+        _expect_silence(probe, sent, many.what)
+    if many is _GROUPS and stop is probe.dialect.stops_of(run)[0]:
+        own = probe.ask(run, motion.values_of(probe.dialect, run, 36, start=motion.place(probe, run)))
+        motion.stand_still(probe)
+        text = f"a drive in a group no longer answers {run.name} to its own address"
+        probe.expect(received_text(own), holds=not own.silent, expected="a reply", refutes=text, exchange=own)
 
 
 def _group_changes(dialect: Dialect) -> Iterator[Case]:

@@ -60,18 +60,21 @@ def _of_limits(refuted_by: str, *, each: Cases, **facts: Any) -> Callable[[Calla
 # --- between the end stops --------------------------------------------------------------------------------------------
 
 
-def _homed(probe: Probe, end_limit: int = 1) -> None:
-    """Find the left end stop and go back half a turn from it; the right one stands beyond."""
+def _homed(probe: Probe, end_limit: int = 1, side: int = -1) -> None:
+    """Find the left end stop and go back half a turn from it; the right one stands beyond.
+
+    `side`: the way in which left lies, 1 where counts rise.
+    """
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
-    homing.set_home(probe, end_limit=end_limit, home_speed=60)
-    bench.left_switch(probe, _LEFT)
-    bench.right_switch(probe, _LEFT + _RIGHT_TURNS * probe.dialect.counts_per_turn)
+    homing.set_home(probe, end_limit=end_limit, home_speed=60, **({"home_direction": 1} if side > 0 else {}))
+    bench.left_switch(probe, -side * _LEFT)
+    bench.right_switch(probe, -side * (_LEFT + _RIGHT_TURNS * probe.dialect.counts_per_turn))
     homing.find_home(probe)
     probe.wait(500 * MS)
     # Homing may have let the shaft go.
     probe.do(Verb.ENABLE, {"enabled": 1})
-    move = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), _degrees(probe, _HALF))
-    if abs(move.degrees - _degrees(probe, _HALF)) > motion.same(probe):
+    move = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), -side * _degrees(probe, _HALF))
+    if abs(move.degrees + side * _degrees(probe, _HALF)) > motion.same(probe):
         raise Inconclusive(f"a move by {_HALF} counts between the end stops went {move.degrees:+.2f} degrees")
 
 
@@ -79,10 +82,14 @@ def _degrees(probe: Probe, counts: int) -> float:
     return counts * 360 / probe.dialect.counts_per_turn
 
 
-def _values(probe: Probe, command: Command, way: int) -> dict[str, int]:
-    """Return the values of a long motion to the left (-1) or the right (1), whatever its bits turn."""
+def _sense_of(probe: Probe, command: Command) -> int:
     # The sense of counts is known; that of a direction bit and of pulses is not.
-    sense = _sense(probe, command) if motion.of(command).direction or motion.takes_pulses(command) else 1
+    return _sense(probe, command) if motion.of(command).direction or motion.takes_pulses(command) else 1
+
+
+def _values(probe: Probe, command: Command, way: int, sense: int = 0) -> dict[str, int]:
+    """Return the values of a long motion down (-1) or up (1), whatever its bits turn. `sense`: where it is known."""
+    sense = sense or _sense_of(probe, command)
     start, turned = motion.place(probe, command), way * sense
     how = {"rpm": 120 * turned if motion.of(command).kind is MotionKind.RUN else 120, "acceleration": QUICK}
     return motion.values_of(probe.dialect, command, _LONG_TURNS * 360 * turned, start=start, **how)
@@ -121,6 +128,26 @@ def _stops_at(probe: Probe, run: Command) -> None:
     text = f"{run.name} does not stop at an end limit"
     expected = "0, where the end stop is"
     probe.expect(seen, near=0, unit="counts", expected=expected, refutes=text, exchange=exchange)
+
+
+@_of_limits("a shaft that runs beyond it", each=_runs_and_moves, name="{command}/end-limit-stops-{run}-ccw")
+def _stops_at_the_other_side(probe: Probe, run: Command) -> None:
+    """With the end limit on and homing counter-clockwise, {run} that way stops at the left end stop, and goes back from it."""
+    _homed(probe, side=1)
+    # The sense is found before the shaft stands at a limit, where it could not be.
+    sense = _sense_of(probe, run)
+    for way in (1, -1):
+        exchange = probe.ask(run, _values(probe, run, way, sense), timeout_ns=10 * SECOND_NS)
+        probe.reply(exchange)
+        probe.wait(3 * SECOND_NS if way > 0 else SECOND_NS)
+        seen = probe.read(Verb.READ_POSITION, "position")
+        if way > 0:
+            text = f"{run.name} does not stop at an end limit that lies counter-clockwise"
+            expected = "0, where the end stop is"
+            probe.expect(seen, near=0, within=_JITTER, unit="counts", expected=expected, refutes=text, exchange=exchange)
+    motion.stop(probe)
+    text = f"{run.name} does not go back from an end limit"
+    probe.expect(-seen, at_least=_HALF / 4, unit="counts", refutes=text, exchange=exchange)
 
 
 def _ask_again(probe: Probe, command: Command, values: dict[str, int]) -> Exchange:

@@ -13,10 +13,11 @@ from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Subject, Verb
 from analyzer.link import HeadLink
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import received_text
-from conformance.claims.declare import Case, claim, described_in
+from conformance.claims.declare import Case, claim, commands, described_in
 from conformance.claims.motion_claim import expect_stays, of_motion
 from conformance.motion import effects, motion
 from conformance.motion.effects import Observable
+from conformance.motion.motion import QUICK
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
 
@@ -195,6 +196,43 @@ _READ_AS: Mapping[type, frozenset[Risk]] = {HeadLink: frozenset({Risk.UNKNOWN})}
 # --- a motion that does not check ---------------------------------------------------------------------------------------
 
 
+def _wrong_in_all_ways(dialect: Dialect, frame: bytes, address: int) -> Iterator[tuple[str, bytes]]:
+    """Yield a frame with every kind of check that lazy firmware takes for a good one, and with the head of a reply."""
+    for check in dialect.link.checks(frame, address):
+        right, size = check.expected, len(check.expected)
+        number, most = int.from_bytes(right, "big"), (1 << 8 * size) - 1
+        wrong = {
+            "zeros for": bytes(size),
+            "FF for": b"\xff" * size,
+            "one more than": (number + 1 & most).to_bytes(size, "big"),
+            "another first byte of": bytes((right[0] ^ 0x5A, *right[1:])),
+            "another last byte of": bytes((*right[:-1], right[-1] ^ 0x5A)),
+            "the reverse of": right[::-1],
+            "the top bit flipped in": bytes((*right[:-1], right[-1] ^ 0x80)),
+        }
+        if size == 1:
+            wrong["without the head"] = bytes((number - frame[0] & most,))
+            wrong["without the address"] = bytes((number - address & most,))
+        for what, data in wrong.items():
+            if data != right:
+                yield f"{what} the {check.name}", frame[: check.start] + data + frame[check.start + size :]
+    if isinstance(dialect.link, HeadLink):
+        yield from _reply_heads(dialect, frame, address)
+
+
+def _expect_none_turns(probe: Probe, command: Command, values: Mapping[str, int], to: int, before: motion.Sample) -> None:
+    """Send a motion in all the ways in which it must not be executed; the shaft stays."""
+    built = probe.build(command, values, address=to)
+    for what, frame in _wrong_in_all_ways(probe.dialect, built.frame, to):
+        sent = probe.send(built.item(frame), timeout_ns=_BETWEEN_NS)
+        after = motion.position(probe)
+        if abs(after.value - before.value) > motion.same(probe):
+            motion.stop(probe)
+        expect_stays(before, after, sent, f"{command.name} is executed with {what}")
+    probe.wait(_LISTEN_NS)
+    expect_stays(before, motion.position(probe), sent, f"{command.name} is executed with a wrong checksum")
+
+
 def _runs_and_moves(dialect: Dialect) -> Iterable[Case]:
     """Return the motions of the MKS drives by the bus; a damaged one is small and slow as the whole one is."""
     if dialect.family == "mks":
@@ -202,23 +240,19 @@ def _runs_and_moves(dialect: Dialect) -> Iterable[Case]:
             yield Case(dialect, command)
 
 
+def _read_as(case: Case) -> frozenset[Risk]:
+    return _READ_AS.get(type(case.dialect.link), frozenset())
+
+
 @of_motion(
-    theme=Theme.FRAMING,
-    each=_runs_and_moves,
-    name="{command}/wrong_check",
-    refuted_by="a shaft that turns",
-    risks=lambda case: _READ_AS.get(type(case.dialect.link), frozenset()),
+    theme=Theme.FRAMING, each=_runs_and_moves, name="{command}/wrong_check", refuted_by="a shaft that turns", risks=_read_as
 )
 def _wrong_check(probe: Probe, command: Command) -> None:
-    """{command} whose checksum does not fit turns nothing."""
+    """{command} whose checksum does not fit turns nothing, however it is wrong."""
     motion.prepare(probe, command)
     before = motion.wait_standing(probe)
-    values = motion.values_of(probe.dialect, command, _DEGREES, start=motion.place(probe, command))
-    built = probe.build(command, values)
-    for what, frame in _wrong_checks(probe.dialect, built.frame, probe.address):
-        sent = probe.send(built.item(frame), timeout_ns=_LISTEN_NS)
-        after = motion.position(probe)
-        expect_stays(before, after, sent, f"{command.name} is executed with {what}")
+    values = motion.values_of(probe.dialect, command, _DEGREES, acceleration=QUICK, start=motion.place(probe, command))
+    _expect_none_turns(probe, command, values, probe.address, before)
     motion.begin(probe, command, _DEGREES)
     probe.wait(_LISTEN_NS)
     went = abs(motion.position(probe).value - before.value)
@@ -227,5 +261,77 @@ def _wrong_check(probe: Probe, command: Command) -> None:
         raise Inconclusive(f"{command.name} turns nothing when its checksum fits either")
 
 
-#: A move that takes a tenth of a second.
+def _stopping(dialect: Dialect) -> Iterable[Case]:
+    """Yield the stop of a run, which stands for all that can stop it."""
+    for run in dialect.motions(MotionKind.RUN) if dialect.family == "mks" else ():
+        yield Case(dialect, dialect.stops_of(run)[0], {"run": run})
+
+
+@of_motion(
+    theme=Theme.FRAMING,
+    each=_stopping,
+    name="stops/wrong_check",
+    refuted_by="a shaft that stands",
+    risks=lambda case: _read_as(case) | case["run"].all_risks,
+    parameters={},
+)
+def _wrong_stop(probe: Probe, run: Command) -> None:
+    """A stop, an emergency stop or a disabling whose checksum does not fit stops nothing, however it is wrong."""
+    motion.ready_to_move(probe)
+    motion.run_at(probe, motion.CALM, QUICK)
+    before = motion.position(probe)
+    for stop in (*probe.dialect.stops_of(run), probe.command(Verb.ENABLE)):
+        named = stop.request_forms[0].layout.named
+        built = probe.build(stop, {"acceleration": 0} if "acceleration" in named else {n: 0 for n in named if n == "enabled"})
+        for what, frame in _wrong_in_all_ways(probe.dialect, built.frame, probe.address):
+            sent = probe.send(built.item(frame), timeout_ns=_BETWEEN_NS)
+            after, before = before, motion.position(probe)
+            text = f"{stop.name} is executed with {what}"
+            went = abs(before.value - after.value)
+            probe.expect(went, at_least=_WAY_BETWEEN, unit="degrees", refutes=text, exchange=sent)
+    motion.stand_still(probe)
+
+
+def _homes(dialect: Dialect) -> Iterable[Case]:
+    return commands(Verb.HOME)(dialect) if dialect.family == "mks" else ()
+
+
+@of_motion(theme=Theme.FRAMING, each=_homes, name="{command}/wrong_check", refuted_by="a shaft that turns", risks=_read_as)
+def _wrong_home(probe: Probe, command: Command) -> None:
+    """{command} whose checksum does not fit turns nothing, however it is wrong.
+
+    It is not sent whole: without an end stop homing has no end.
+    """
+    motion.ready_to_move(probe)
+    before = motion.wait_standing(probe)
+    _expect_none_turns(probe, command, {}, probe.address, before)
+
+
+def _broadcasting(dialect: Dialect) -> Iterable[Case]:
+    return commands(Verb.RUN_SPEED)(dialect) if dialect.family == "mks" and dialect.broadcast is not None else ()
+
+
+@of_motion(
+    theme=Theme.FRAMING,
+    each=_broadcasting,
+    name="broadcast/wrong_check",
+    refuted_by="a shaft that turns",
+    risks=lambda case: _read_as(case).union(*(c.command.all_risks for c in _runs_and_moves(case.dialect) if c.command)),
+    alone=True,
+)
+def _wrong_to_all(probe: Probe) -> None:
+    """A motion to all drives whose checksum does not fit turns nothing, whatever motion it is."""
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    before = motion.wait_standing(probe)
+    for case in _runs_and_moves(probe.dialect):
+        assert case.command is not None
+        command = probe.command(case.command.name)
+        values = motion.values_of(probe.dialect, command, _DEGREES, acceleration=QUICK, start=motion.place(probe, command))
+        _expect_none_turns(probe, command, values, probe.dialect.broadcast or 0, before)
+
+
+#: A move that takes a tenth of a second; how long is listened between requests that are to do nothing.
 _DEGREES = 36
+_BETWEEN_NS = 60_000_000
+#: What a shaft at 60 rpm goes meanwhile at least, in degrees: half of it.
+_WAY_BETWEEN = 10

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from analyzer.catalogue import Dialect
-from analyzer.link import ModbusLink
+from analyzer.link import ModbusLink, modbus_crc
 from conformance.claims.control_reads import received_text
 from conformance.claims.declare import Case, once
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe, Until
+
+#: Address, function and CRC.
+_SHORTEST = 4
 
 
 def request(probe: Probe, function: int, *words: int, data: bytes = b"", address: int | None = None) -> bytes:
@@ -17,6 +20,15 @@ def request(probe: Probe, function: int, *words: int, data: bytes = b"", address
     to = probe.address if address is None else address
     body = bytes((to, function)) + b"".join(w.to_bytes(2, "big") for w in words) + data
     return probe.dialect.link.completed(body)
+
+
+def unambiguous(make: Callable[[int], bytes]) -> bytes | None:
+    """Return a frame of some value of which no shorter part has a CRC that fits: a drive could take that for the frame.
+
+    None where each has such a part.
+    """
+    frames = map(make, range(0, 0xFFFF, 0x0101))
+    return next((f for f in frames if all(modbus_crc(f[:size]) for size in range(_SHORTEST, len(f)))), None)
 
 
 def exception(probe: Probe, function: int, code: int) -> bytes:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
 from analyzer.link import WRITE_MANY, WRITE_ONE, ModbusLink
 from analyzer.protocols.modbus import ModbusException
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import ask_alone, received_text
 from conformance.claims.declare import Case, Cases, claim
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.modbus_frames import ask, exception, expect_answer, on_modbus, request
+from conformance.claims.modbus_frames import ask, exception, expect_answer, on_modbus, request, unambiguous
+from conformance.claims.motion_claim import expect_stays, of_motion
 from conformance.motion import motion
 from conformance.motion.effects import STEP_NS
 from conformance.talk import samples
@@ -153,11 +155,12 @@ def _unknown_registers(probe: Probe) -> None:
     known = {c.code for c in probe.dialect.commands}
     for register in sorted({0x0000, 0x00A0, 0x0182, 0x7FFF} - known):
         for function, frame in (
-            (0x06, request(probe, 0x06, register, 0x0000)),
-            (0x10, request(probe, 0x10, register, 1, data=b"\x02\0\0")),
+            (0x06, unambiguous(partial(request, probe, 0x06, register))),
+            (0x10, unambiguous(partial(_one_register, probe, register))),
         ):
-            refusal = exception(probe, function, _ADDRESS)
-            expect_answer(probe, ask(probe, frame), refusal, f"a write of register {register:04X}h")
+            if frame is not None:
+                refusal = exception(probe, function, _ADDRESS)
+                expect_answer(probe, ask(probe, frame), refusal, f"a write of register {register:04X}h")
     if _HOME_94 in known:
         return
     frame = request(probe, 0x10, _HOME_94, 4, data=b"\x08" + _HOME_94_DATA)
@@ -166,6 +169,10 @@ def _unknown_registers(probe: Probe) -> None:
         probe.meets(REGISTER_94)
     else:
         expect_answer(probe, sent, exception(probe, 0x10, _ADDRESS), "a write of register 0094h")
+
+
+def _one_register(probe: Probe, register: int, value: int) -> bytes:
+    return request(probe, 0x10, register, 1, data=b"\x02" + value.to_bytes(2, "big"))
 
 
 @_of_writes("an echo", each=_both, name="function/other_write", at_best=Certainty.OPEN, risks={Risk.SETTING, Risk.UNKNOWN})
@@ -180,6 +187,75 @@ def _other_function(probe: Probe, settings: tuple[Command, ...]) -> None:
         frame = request(probe, 0x06, command.code, 0)
         refusal = exception(probe, 0x06, _ADDRESS)
         expect_answer(probe, ask(probe, frame), refusal, f"{command.code:04X}h by function 06h")
+
+
+# --- motion by what is no write of it ---------------------------------------------------------------------------------
+
+
+def _motions(dialect: Dialect) -> Iterator[Case]:
+    for case in on_modbus(dialect):
+        for command in dialect.motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO):
+            yield Case(case.dialect, command)
+
+
+@of_motion(
+    theme=Theme.MODBUS,
+    each=_motions,
+    name="{command}/other_forms",
+    refuted_by="a shaft that turns",
+    risks={Risk.UNKNOWN},
+    at_best=Certainty.LIKELY,
+)
+def _other_forms(probe: Probe, command: Command) -> None:
+    """{command} turns nothing by another function, another quantity or another byte count than its own."""
+    motion.prepare(probe, command)
+    before = motion.wait_standing(probe)
+    values = motion.values_of(probe.dialect, command, 36, acceleration=motion.QUICK, start=motion.place(probe, command))
+    frame = probe.build(command, values).frame
+    data, own = frame[7:-2], command.quantity
+    forms = {
+        "function 06h": request(probe, 0x06, command.code, motion.CALM),
+        "function 05h": request(probe, 0x05, command.code, 0xFF00),
+        "one register fewer": request(probe, 0x10, command.code, own - 1, data=bytes((len(data) - 2,)) + data[:-2]),
+        "one register more": request(probe, 0x10, command.code, own + 1, data=bytes((len(data) + 2,)) + data + b"\0\0"),
+        "another quantity": request(probe, 0x10, command.code, own + 1, data=bytes((len(data),)) + data),
+        "another byte count": request(probe, 0x10, command.code, own, data=bytes((len(data) + 1,)) + data + b"\0"),
+        "a byte count that is too small": request(probe, 0x10, command.code, own, data=bytes((len(data) - 1,)) + data[:-1]),
+    }
+    for what, sent_frame in forms.items():
+        sent = probe.send(sent_frame, timeout_ns=_BETWEEN_NS)
+        after = motion.position(probe)
+        if abs(after.value - before.value) > motion.same(probe):
+            motion.stop(probe)
+        expect_stays(before, after, sent, f"{command.name} is executed with {what}")
+    probe.wait(_WATCH_NS)
+    expect_stays(before, motion.position(probe), sent, f"{command.name} is executed in another form")
+
+
+#: How long is listened to a form that is to do nothing, and how long the shaft is watched behind all.
+_BETWEEN_NS, _WATCH_NS = 60 * motion.MS, 300 * motion.MS
+
+
+@claim(
+    Theme.MODBUS,
+    each=lambda dialect: [Case(dialect, dialect.by_verb[Verb.ENABLE]) for _ in on_modbus(dialect)],
+    name="{command}/other_forms",
+    refuted_by="a motor that is off",
+    risks=lambda case: motion.risks(case.dialect, Risk.UNKNOWN, Risk.TORQUE),
+    settings=lambda case: motion.settings(case.dialect),
+    at_best=Certainty.LIKELY,
+)
+def _not_disabled(probe: Probe, command: Command) -> None:
+    """A write of register 00F3h by 10h, or with a quantity, does not switch the motor off."""
+    motion.ready_to_move(probe)
+    for frame in (
+        request(probe, 0x10, command.code, 1, data=b"\x02\0\0"),
+        request(probe, 0x10, command.code, 2, data=b"\x04\0\0\0\0"),
+        request(probe, 0x05, command.code, 0),
+    ):
+        sent = probe.send(frame, timeout_ns=_BETWEEN_NS)
+        text = "the motor is switched off by another function than 06h"
+        probe.expect("off", holds=motion.is_on(probe) is not False, expected="on", refutes=text, exchange=sent)
 
 
 # --- byte counts ------------------------------------------------------------------------------------------------------

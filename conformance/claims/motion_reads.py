@@ -246,7 +246,7 @@ def _within_turn(probe: Probe, command: Command) -> None:
 
 
 @of_motion(
-    each=with_values(commands(Verb.READ_SPEED), speeds=(_RPM, -_RPM, 300, -2200)),
+    each=with_values(commands(Verb.READ_SPEED), speeds=(12, -_RPM, 300, -2200)),
     statement="The speed that is read is that at which the position changes, rising positions being positive.",
     refuted_by="another speed, or another sign",
     at_best=Certainty.LIKELY,

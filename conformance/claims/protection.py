@@ -1,10 +1,12 @@
 """The locked-rotor protection: when a shaft that is held is let go, what the drive then refuses, and how it is released.
 
-Only an emulated drive can be held, so these claims run on one alone.
+Only an emulated drive can be held, so these claims run on one alone. A motor that is given no current (83 with 0) does not
+follow either: so the protection, what it refuses and the angle error show without hands on the drive.
 
 Rules kept here:
 - How far the shaft must lag behind is printed for CAN alone (89: 1.8 degrees a unit); elsewhere two turns are enough.
 - The answer to a move that ends so is not printed: that it is no success is judged, what it is observed.
+- A motor without current that lags behind is disabled before it gets current again, so that it does not leap.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from typing import Any
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive
 from conformance.claims import bench
+from conformance.claims.control_reads import received_text
 from conformance.claims.declare import Case, Cases, commands, motions, needing
 from conformance.claims.motion_claim import of_motion, risks_by, that_tell_their_end
 from conformance.claims.refusals import expect_refused
@@ -172,3 +175,105 @@ def _angle(probe: Probe, command: Command) -> None:
         probe.do(Verb.RELEASE_PROTECTION)
         probe.do(Verb.ENABLE, {"enabled": 1})
         motion.stand_still(probe)
+
+
+# --- a motor without current, which no hand holds ---------------------------------------------------------------------
+
+
+def _without_hands(refuted_by: str, *, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    risks = risks_by(Verb.SET_PROTECTION, Verb.SET_CURRENT, Verb.RELEASE_PROTECTION, Verb.ENABLE, *_MOVING)
+    settings = ("protection", "current")
+    return of_motion(each=needing(Verb.SET_CURRENT, each), refuted_by=refuted_by, risks=risks, settings=settings, **facts)
+
+
+_MOVING = (
+    Verb.RUN_SPEED,
+    Verb.MOVE_RELATIVE_PULSES,
+    Verb.MOVE_ABSOLUTE_PULSES,
+    Verb.MOVE_RELATIVE_AXIS,
+    Verb.MOVE_ABSOLUTE_AXIS,
+)
+
+
+def _current(probe: Probe, on: bool) -> Exchange:
+    command = probe.command(Verb.SET_CURRENT)
+    default = command.request_forms[0].layout.named["current"].default
+    return probe.do(command, {"current": (default or _WEAK) if on else 0})
+
+
+def _limp_move(probe: Probe, degrees: float) -> tuple[Exchange, float]:
+    """Ask a motor without current for a move; return by how many degrees it went all the same."""
+    before = motion.position(probe)
+    _current(probe, False)
+    exchange = motion.begin(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), degrees, rpm=120, acceleration=QUICK)
+    probe.wait(2 * SECOND_NS)
+    return exchange, motion.position(probe).value - before.value
+
+
+def _end_limp(probe: Probe) -> None:
+    """Drop what the motor still wants, and give it current again."""
+    probe.ask(Verb.ENABLE, {"enabled": 0})
+    _current(probe, True)
+
+
+def _expect_free(probe: Probe, exchange: Exchange, went: float) -> None:
+    """Refute a drive that refuses motion as a protected one does, and says that it is none. Raises Inconclusive otherwise."""
+    _end_limp(probe)
+    probe.do(Verb.ENABLE, {"enabled": 1})
+    refused = motion.refused(probe, motion.ask(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 90, acceleration=QUICK))
+    motion.stand_still(probe)
+    text = "3E reads 0, and motion is refused after a motor without current was to turn"
+    probe.expect("a refusal", holds=not refused, expected="3E 1, or motion", refutes=text, exchange=exchange)
+    raise Inconclusive(f"the drive does not take a motor without current for a locked one; it went {went:+.0f} degrees")
+
+
+@_without_hands("a motion, an answer that says success, or 3E that reads otherwise", each=commands(Verb.RELEASE_PROTECTION))
+def _limp(probe: Probe, command: Command) -> None:
+    """Once a motor without current is protected, 3E reads 1, every motion is refused, and 3D ends it."""
+    _prepare(probe, 1)
+    _expect(probe, probe.traffic[-1], 0, "3E reads protected before the motor was to turn")
+    exchange, went = _limp_move(probe, _TURNS * 360)
+    if not _is_protected(probe):
+        _expect_free(probe, exchange, went)
+    _current(probe, True)
+    for each in probe.dialect.motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO):
+        expect_refused(probe, each, "while protected")
+        _expect(probe, probe.traffic[-1], 1, f"{each.name} ends the protection")
+    exchange = probe.ask(command)
+    text = f"{command.name} is refused while protected"
+    probe.expect(
+        received_text(exchange), holds=not probe.refused(exchange), expected="a release", refutes=text, exchange=exchange
+    )
+    _expect(probe, exchange, 0, "3E reads protected after 3D")
+
+
+@_without_hands("3E that reads 1", each=commands(Verb.SET_PROTECTION))
+def _limp_off(probe: Probe) -> None:
+    """With the protection off, a motor without current that is to turn is not protected."""
+    _prepare(probe, 0)
+    exchange, _ = _limp_move(probe, _TURNS * 360)
+    protected = _is_protected(probe)
+    _end_limp(probe)
+    text = "3E reads protected although the protection is off"
+    probe.expect(protected, equal=0, refutes=text, exchange=exchange)
+
+
+def _errors(dialect: Dialect) -> Iterable[Case]:
+    return needing(Verb.MOVE_RELATIVE_AXIS, commands(Verb.READ_ANGLE_ERROR))(dialect)
+
+
+@_without_hands("another angle, or another sign", each=_errors, name="{command}/limp")
+def _limp_error(probe: Probe, command: Command) -> None:
+    """The angle error of a motor without current is what is missing of its move: wanted less real, either way."""
+    field = command.reply_forms[0].layout.named["angle_error"]
+    for degrees in (90.0, -45.0):
+        _prepare(probe, 0)
+        exchange, went = _limp_move(probe, degrees)
+        error = float(field.physical(probe.read(command, "angle_error")))
+        _end_limp(probe)
+        text = "the angle error of a motor without current is not what is missing of its move"
+        probe.expect(error, near=degrees - went, within=_MISSING, unit="degrees", refutes=text, exchange=exchange)
+
+
+#: A current for models whose default is not known, in mA; degrees by which a shaft without current may tremble.
+_WEAK, _MISSING = 800, 2.0

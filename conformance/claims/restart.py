@@ -14,9 +14,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, MotionKind, Risk, Verb
 from analyzer.layout import Effect
-from conformance.claim import Inconclusive
+from conformance.claim import Inconclusive, Refuted
 from conformance.claims import ranges, setting_effects
 from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
@@ -38,6 +38,12 @@ RESTORED_NS = 4_000 * MS
 _RPM = 60
 #: Speeds that are one, as a share; counts within which a shaft is where it should be.
 _SHARE, _PLAY = 0.1, 100
+#: How long a shaft is watched that is to stand.
+_LOOK_NS = 300 * MS
+#: Beyond the highest speed of an open mode, as sent, at 8 subdivisions.
+_BEYOND = 1_200
+#: A run whose speed takes two bytes, and whose ramp takes two seconds.
+_FAST_RPM, _LONG_RAMP, _RAMP_NS = 600, 192, 2_000 * MS
 #: What keeps a run, and what makes the drive forget it.
 _KEEP, _FORGET = {"save_state": 0xC8}, {"save_state": 0xCA}
 
@@ -190,9 +196,12 @@ def _forget(probe: Probe, command: Command) -> None:
 
 @of_read_back(each=_saved_runs, name="{command}/restart", refuted_by="another speed, or none", rests_on=(Doubt.VALUES,))
 def _saved(probe: Probe, command: Command) -> None:
-    """A run that was kept begins again after a restart, the same way."""
+    """A run that is kept goes on, and begins again after a restart, the same way."""
     before = _turning(probe, -_RPM)
-    probe.do(command, _KEEP)
+    exchange = probe.do(command, _KEEP)
+    text = "a run does not go on when it is kept"
+    within = max(2.0, abs(before) * _SHARE)
+    probe.expect(motion.speed(probe).value, near=before, within=within, unit="rpm", refutes=text, exchange=exchange)
     after, exchange = _after_restart(probe)
     _forget(probe, command)
     probe.expect(
@@ -204,6 +213,33 @@ def _saved(probe: Probe, command: Command) -> None:
         exchange=exchange,
         key="saved run",
     )
+
+
+@of_read_back(each=_saved_runs, name="{command}/as-it-was", refuted_by="another speed, or none", rests_on=(Doubt.VALUES,))
+def _saved_as_it_was(probe: Probe, command: Command) -> None:
+    """In an open mode and at 8 subdivisions, a kept run has its speed and its ramp after each of two restarts."""
+    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[0], subdivision=8)
+    run = probe.command(Verb.RUN_SPEED)
+    # A ramp that is still under way when the speed is first looked at, and a speed of two bytes.
+    values = motion.values_of(probe.dialect, run, rpm=_FAST_RPM, acceleration=_LONG_RAMP, subdivision=8)
+    probe.do(run, values)
+    probe.do(command, _KEEP)
+    wanted = _FAST_RPM
+    for number in ("first", "second"):
+        motion.stand_still(probe)
+        exchange = restart(probe)
+        early = motion.speed(probe)
+        probe.wait(_RAMP_NS)
+        seen = motion.speed(probe)
+        text = f"a run kept at {wanted} rpm and 8 subdivisions is another after the {number} restart"
+        try:
+            probe.expect(abs(seen.value), near=wanted, within=wanted * _SHARE, unit="rpm", refutes=text, exchange=exchange)
+            text = "a run kept with a slow ramp begins without it"
+            probe.expect(abs(early.value), at_most=wanted * (1 - 2 * _SHARE), unit="rpm", refutes=text, exchange=exchange)
+        except Refuted:
+            _forget(probe, command)
+            raise
+    _forget(probe, command)
 
 
 @of_read_back(each=_saved_runs, refuted_by="a shaft that turns", rests_on=(Doubt.VALUES,))
@@ -254,6 +290,63 @@ def _returns_to_zero(probe: Probe, command: Command) -> None:
         exchange=exchange,
         key="zero mode",
     )
+
+
+# --- motion after a restart ---------------------------------------------------------------------------------------------
+
+
+def _restarts(dialect: Dialect) -> Iterator[Case]:
+    if dialect.family == "mks":
+        yield from commands(Verb.RESTART)(dialect)
+
+
+@of_read_back(
+    each=_restarts,
+    name="{command}/motion-as-before",
+    refuted_by="another distance or speed, or the other way",
+    risks=lambda case: (
+        _restart_risks(case).union(*(c.all_risks for c in motion_commands(case.dialect))) | motion.risks(case.dialect)
+    ),
+    settings=lambda case: motion.settings(case.dialect),
+    at_best=Certainty.LIKELY,
+)
+def _motion_as_before(probe: Probe, command: Command) -> None:
+    """After a restart each motion goes as far, as fast and the same way as before it, by the stored mode and subdivision."""
+    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[0], subdivision=8)
+    before = _each_motion(probe)
+    motion.run_at(probe, _RPM, motion.QUICK)
+    exchange = restart(probe)
+    place = motion.position(probe)
+    probe.wait(_LOOK_NS)
+    moved = motion.position(probe).value - place.value
+    motion.ready_to_move(probe)
+    motion.stand_still(probe)
+    text = "the shaft turns after a restart in a run"
+    probe.expect(moved, near=0, within=motion.SAME, unit="degrees", refutes=text, exchange=exchange)
+    for name, seen in _each_motion(probe).items():
+        text = f"{name} is another motion after a restart"
+        probe.expect(seen, near=before[name], within=max(2.0, abs(before[name]) * _SHARE), refutes=text, exchange=exchange)
+
+
+def motion_commands(dialect: Dialect) -> tuple[Command, ...]:
+    """Return the motions that a bus asks for."""
+    return dialect.motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO)
+
+
+def _each_motion(probe: Probe) -> dict[str, float]:
+    """Return what each motion does: the degrees of a move, and the rpm of a run beyond what its mode can."""
+    found = {}
+    for command in motion_commands(probe.dialect):
+        how = {"subdivision": 8, "acceleration": motion.QUICK}
+        if command.motion is not None and command.motion.kind is MotionKind.RUN:
+            # Beyond 400 rpm as sent, so that the limit of the mode shows too.
+            motion.begin(probe, command, rpm=_BEYOND, **how)
+            probe.wait(1_200 * MS)
+            found[command.name] = motion.speed(probe).value
+            motion.stand_still(probe)
+        else:
+            found[command.name] = motion.follow(probe, command, 90, rpm=120, **how).degrees
+    return found
 
 
 # --- control parameters (LK) ------------------------------------------------------------------------------------------

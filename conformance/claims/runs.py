@@ -162,30 +162,30 @@ def _and_the_bus(probe: Probe, command: Command, turns: bool) -> None:
 
 
 def _directions_of_moves(dialect: Dialect) -> Iterator[Case]:
-    if Trait.DIRECTION_TURNS_BUS_MOTION in dialect.traits:
-        for case in commands(Verb.SET_DIRECTION)(dialect):
-            for move in dialect.motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO):
-                if motion.takes_pulses(move):
-                    yield Case(dialect, case.command, {"move": move})
+    turns = Trait.DIRECTION_TURNS_BUS_MOTION in dialect.traits
+    facts = {
+        "statement": f"The setting of the motor's direction {'turns' if turns else 'does not turn'} {{move}}.",
+        "refuted_by": f"a move that turns {'the same way' if turns else 'another way'} with the other setting",
+        "parameters": {},
+    }
+    for case in commands(Verb.SET_DIRECTION)(dialect):
+        for move in dialect.motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO):
+            if motion.takes_pulses(move) or not turns:
+                yield Case(dialect, case.command, {"move": move, "turns": turns}, facts)
 
 
 @of_motion(
-    each=_directions_of_moves,
-    name="{command}/and-{move}",
-    refuted_by="a move that turns the same way with both settings",
-    risks=risks_of("move"),
-    settings=("motor_direction",),
+    each=_directions_of_moves, name="{command}/and-{move}", refuted_by="", risks=risks_of("move"), settings=("motor_direction",)
 )
-def _and_moves(probe: Probe, command: Command, move: Command) -> None:
-    """The setting of the motor's direction turns {move}."""
+def _and_moves(probe: Probe, command: Command, move: Command, turns: bool) -> None:
     motion.prepare(probe, move)
     ways = []
     for value in (0, 1):
         exchange = probe.do(command, {"motor_direction": value})
         ways.append(motion.follow(probe, move, 45).degrees)
-    text = f"the setting of the motor's direction does not turn {move.name}"
-    shown = f"{ways[0]:+.1f} and {ways[1]:+.1f} degrees"
-    probe.expect(shown, holds=ways[0] * ways[1] < 0, expected="opposite ways", refutes=text, exchange=exchange)
+    text = f"the setting of the motor's direction {'does not turn' if turns else 'turns'} {move.name}"
+    shown, expected = f"{ways[0]:+.1f} and {ways[1]:+.1f} degrees", "opposite ways" if turns else "one way"
+    probe.expect(shown, holds=(ways[0] * ways[1] < 0) is turns, expected=expected, refutes=text, exchange=exchange)
 
 
 # --- as time goes on --------------------------------------------------------------------------------------------------

@@ -24,9 +24,11 @@ _ZEROED = {
 }
 
 
-def _away(probe: Probe) -> None:
+def _away(probe: Probe, degrees: float = 468) -> None:
     motion.ready_to_move(probe)
-    motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 468, rpm=180, acceleration=QUICK)
+    motion.follow(
+        probe, probe.command(Verb.MOVE_RELATIVE_AXIS), degrees, rpm=180 if abs(degrees) < 720 else 900, acceleration=QUICK
+    )
 
 
 #: Zero of a drive that counts turns and what is left of them.
@@ -42,17 +44,19 @@ def _quantities(dialect: Dialect) -> Iterator[Case]:
 def _reads_zero(probe: Probe, command: Command, what: str) -> None:
     """After 92 the {what} reads 0."""
     verb, names = _ZEROED[what]
-    _away(probe)
-    exchange = probe.do(command)
-    values = probe.reply(probe.ask(verb)).values
-    total = sum(values[n] * (probe.dialect.counts_per_turn if n == "carry" else 1) for n in names)
-    probe.expect(
-        ", ".join(f"{n} {values[n]}" for n in names),
-        holds=abs(total) <= probe.within("counts"),
-        expected="0",
-        refutes="the place where 92 was given is not zero",
-        exchange=exchange,
-    )
+    # Beyond 16 bits of counts too, above and below zero.
+    for degrees in (468, -2412):
+        _away(probe, degrees)
+        exchange = probe.do(command)
+        values = probe.reply(probe.ask(verb)).values
+        total = sum(values[n] * (probe.dialect.counts_per_turn if n == "carry" else 1) for n in names)
+        probe.expect(
+            ", ".join(f"{n} {values[n]}" for n in names),
+            holds=abs(total) <= probe.within("counts"),
+            expected="0",
+            refutes="the place where 92 was given is not zero",
+            exchange=exchange,
+        )
 
 
 @of_motion(each=_zeros, refuted_by="a shaft that moved, or is not held")

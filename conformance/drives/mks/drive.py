@@ -15,7 +15,7 @@ Rules kept here:
 
 Not emulated:
 - the display and the keys (a key lock is stored), interpolation, heat (no command shows it);
-- the effect of motor and holding current (they are stored; no manual gives a torque);
+- the effect of motor and holding current beyond none at all (they are stored; no manual gives a torque);
 - the calibration that a restored drive needs;
 - on CAN: pulses at the STP and DIR pins beyond their count, the 100 ms after 85, the LED, homing by a 200 ms pulse at En;
 - the reading of an X4 mode without a magnet (the encoder stays readable).
@@ -99,7 +99,7 @@ class MksDrive(MksCore):
 
     def block(self, blocked: bool = True) -> None:
         """Hold the shaft from outside, or let it go."""
-        self.motor.block(self.now_ns, blocked)
+        self.motor.block(self.now_ns, blocked or self.without_current)
         self.changed()
 
     def obstruct(self, side: str, counts: Number | None) -> None:

@@ -12,7 +12,7 @@ Rules kept here:
 - A restore sets all stored values to their defaults, also address, baud rate and dialect, and restarts.
 - Replies to both still use the earlier settings.
 
-Not emulated: settings without an effect on a bus (screen, keys, interpolation, currents, pulse delay).
+Not emulated: settings without an effect on a bus (screen, keys, interpolation, currents beyond none, pulse delay).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def _change_level(drive: MksCore, pulses: int) -> None:
     drive.grip()
 
 
-def _change_link(drive: MksCore, pulses: int) -> None:
+def _tune(drive: MksCore, pulses: int) -> None:
     drive.tune()
 
 
@@ -75,8 +75,9 @@ AFTER: Mapping[Verb, Callable[[MksCore, int], None]] = {
     Verb.SET_SUBDIVISION: _keep_pulses,
     Verb.SET_DIRECTION: _keep_pulses,
     Verb.SET_ENABLE_LEVEL: _change_level,
-    Verb.SET_ADDRESS: _change_link,
-    Verb.SET_MODBUS: _change_link,
+    Verb.SET_ADDRESS: _tune,
+    Verb.SET_CURRENT: _tune,
+    Verb.SET_MODBUS: _tune,
     Verb.SET_HOME: _change_limits,
     Verb.SET_LIMIT_REMAP: _change_limits,
     Verb.SET_ZERO_MODE: _keep_zero,

@@ -10,6 +10,7 @@ Rules kept here:
 - A drive has a port for the right switch if it is a 57 or its ports are remapped.
 - The real speed is the speed as sent at 16, 32 and 64 subdivisions, else speed x 16 / subdivision; the limit of the work
   mode is one of the speed as sent.
+- Without any current (0 mA) the shaft stays where it is, and the position error grows.
 
 Not emulated: which port a switch is wired to; the drive finds it at the port where it looks.
 """
@@ -149,6 +150,7 @@ class MksState(Drive):
         self.memory = Memory()
         self.starting = False
         self.powered = True
+        self.without_current = False
         self.enable_pin = int(mks_shared.Level.LOW)
         self.switches: dict[str, Switch] = {"left": Switch(-1), "right": Switch(1)}
         self.tune()
@@ -164,10 +166,14 @@ class MksState(Drive):
         return {**self.factory, **given}
 
     def tune(self) -> None:
-        """Take what the settings say of the link and of the loop."""
+        """Take what the settings say of the link, of the loop and of the current."""
         self.dialect = self.responder.dialect
         self.address = self.settings["new_address"]
         self.motor.closed_loop = "open" not in self.mode
+        without = not self.settings["current"]
+        if without != self.without_current:
+            self.without_current = without
+            self.motor.block(self.now_ns, without)
 
     # --- link and mode --------------------------------------------------------------------------------------------
 

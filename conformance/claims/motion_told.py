@@ -1,0 +1,109 @@
+"""What reads tell of a motor while it turns, either way, and when it stands again (MKS): what turning changes alone.
+
+A read that is right at rest can be wrong in motion: from a copy that is not kept up, by a sign, by a state that is read for
+another. Each motion here is looked at by several reads.
+
+Rules kept here:
+- A place read between two looks at the position lies between them; a loop may lag behind what it counts by 45 degrees.
+- The motor is on and was never held, so nothing but numbers of the shaft may change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from analyzer.catalogue import Command, Dialect, Verb
+from conformance.claims.declare import Case, commands
+from conformance.claims.motion_claim import of_motion, risks_by
+from conformance.motion import motion
+from conformance.motion.motion import MS, QUICK, SUBDIVISION
+from conformance.talk.probe import Probe
+
+#: What reads the state of a motor, and in which field.
+_STATES = ((Verb.READ_ENABLED, "enabled"), (Verb.READ_PROTECTION, "status"), (Verb.READ_ZERO_STATUS, "status"))
+#: Degrees that a loop may lag behind while it turns, and when it stands.
+_LAG, _REST = 45.0, 1.0
+#: Counts of 31 that two looks at one place may differ by.
+_JITTER = 2
+_RPM = 120
+#: Slow one way and fast the other.
+_SPEEDS = (60, -1000)
+
+
+def _runs(dialect: Dialect) -> Iterator[Case]:
+    if dialect.family == "mks" and dialect.counts_per_turn:
+        yield from commands(Verb.RUN_SPEED)(dialect)
+
+
+def _states(probe: Probe) -> dict[str, int]:
+    known = probe.dialect.by_verb
+    return {verb.value: probe.read(verb, field) for verb, field in _STATES if verb in known}
+
+
+def _expect_states(probe: Probe, before: dict[str, int], when: str) -> None:
+    text = f"reads of the motor's state tell something else {when}"
+    seen = _states(probe)
+    probe.expect(str(seen), holds=seen == before, expected=str(before), refutes=text, key=text)
+
+
+def _expect_error(probe: Probe, most: float, when: str) -> None:
+    read = probe.dialect.by_verb.get(Verb.READ_ANGLE_ERROR)
+    if read is not None:
+        error = float(read.reply_forms[0].layout.named["angle_error"].physical(probe.read(read, "angle_error")))
+        text = f"the angle error of a free shaft {when} is that of one that is held"
+        probe.expect(abs(error), at_most=most, unit="degrees", refutes=text)
+
+
+@of_motion(
+    each=_runs, name="{command}/leaves-states", refuted_by="another state", risks=risks_by(Verb.RUN_SPEED, Verb.EMERGENCY_STOP)
+)
+def _leaves_states(probe: Probe) -> None:
+    """A run, either way, and its stop change nothing that is read of enabling, protection and the way to zero."""
+    motion.ready_to_move(probe)
+    before = _states(probe)
+    for rpm, stop in ((_RPM, Verb.STOP_SPEED), (-_RPM, Verb.EMERGENCY_STOP)):
+        motion.run_at(probe, rpm, QUICK)
+        probe.wait(600 * MS)
+        _expect_states(probe, before, "while it turns")
+        _expect_error(probe, _LAG, "that turns")
+        probe.do(stop, {"acceleration": QUICK} if stop is Verb.STOP_SPEED else None)
+        motion.wait_standing(probe)
+        _expect_states(probe, before, f"after {probe.command(stop).name}")
+        _expect_error(probe, _REST, "at rest, turns away,")
+
+
+def _counts(probe: Probe, command: Command) -> float:
+    """Return where a read says that the shaft is, in counts, of either sign."""
+    values = probe.reply(probe.ask(command, quiet_ns=0)).values
+    turn = probe.dialect.counts_per_turn
+    if command.verb is Verb.READ_PULSES:
+        return float(values["pulses"]) * turn / motion.units_per_turn(probe.dialect, probe.command(Verb.MOVE_RELATIVE_PULSES))
+    return float(values["carry"] * turn + values["encoder"])
+
+
+@of_motion(each=_runs, name="{command}/places-agree", refuted_by="a place that is not kept up", risks=risks_by(Verb.RUN_SPEED))
+def _places_agree(probe: Probe) -> None:
+    """What is read of carry and value and of pulses goes on as the position does while the shaft turns, fast and slow."""
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
+    known, position = probe.dialect.by_verb, probe.command(Verb.READ_POSITION)
+    reads = [known[verb] for verb in (Verb.READ_ENCODER_CARRY, Verb.READ_PULSES) if verb in known]
+    for rpm in _SPEEDS:
+        begin, offsets = probe.read(position), [_counts(probe, read) for read in reads]
+        motion.run_at(probe, rpm, QUICK)
+        probe.wait(max(500, abs(rpm)) * MS)
+        seen = []
+        for read in reads:
+            first = probe.read(position)
+            got = _counts(probe, read)
+            exchange = probe.traffic[-1]
+            seen.append((first, got, probe.read(position), exchange))
+        motion.stand_still(probe)
+        for read, offset, (first, got, last, exchange) in zip(reads, offsets, seen, strict=True):
+            pulses = read.verb is Verb.READ_PULSES
+            # The sense of pulses is not told.
+            way = -1 if pulses and (got - offset) * (first - begin) < 0 else 1
+            low, high = sorted((first - begin, last - begin))
+            beside = (_LAG * probe.dialect.counts_per_turn / 360 if pulses else _JITTER) + probe.noise.counts
+            text = f"{read.name} does not go on as the position does while the shaft turns"
+            went = way * (got - offset)
+            probe.expect(went, at_least=low - beside, at_most=high + beside, unit="counts", refutes=text, exchange=exchange)
