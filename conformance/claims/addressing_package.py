@@ -27,6 +27,8 @@ Slots = Callable[[Dialect, Command, int], Sequence[Slot]]
 EMPTY: Slot = {}
 #: What tells the move of one slot from that of another, in steps.
 _ONE, _OTHER = 1, 3
+#: An acceleration as sent, and its time for one rpm.
+_SLOW_RAMP, _RAMP_STEP_NS = 56, 10_000_000
 
 
 def _packages(dialect: Dialect) -> Iterator[Case]:
@@ -207,6 +209,63 @@ def _setting(probe: Probe, command: Command) -> None:
         refutes=f"{change.command.name} in a slot of a package is not executed",
         exchange=sent,
     )
+
+
+def _in_second_slot(probe: Probe, package: Command, name: str, values: dict[str, int]) -> Exchange:
+    frame = _frame(probe, package, [EMPTY, {"address": probe.address, "command": name, **values}])
+    return probe.send(frame, timeout_ns=STEP_NS)
+
+
+def _switching(dialect: Dialect) -> Iterator[Case]:
+    for case in _packages(dialect):
+        yield Case(dialect, case.command, facts={"risks": motion.risks(dialect, *dialect.by_verb[Verb.ENABLE].all_risks)})
+
+
+@_of_packages("a motor that is as it was", name="enable", each=_switching)
+def _enables(probe: Probe, command: Command) -> None:
+    """Disabling and enabling in a slot of a package switch the motor."""
+    motion.ready_to_move(probe)
+    for enabled in (0, 1):
+        sent = _in_second_slot(probe, command, probe.command(Verb.ENABLE).name, {"enabled": enabled})
+        text = f"enable {enabled} in a slot of a package does not switch the motor"
+        seen = probe.read(Verb.READ_ENABLED, "enabled")
+        if seen != enabled:
+            motion.switch(probe, True)
+        probe.expect(seen, equal=enabled, refutes=text, exchange=sent)
+
+
+@_of_packages("pulses of the size that they had", name="set_subdivision")
+def _sets_subdivision(probe: Probe, command: Command) -> None:
+    """A setting of the flash is executed in a slot of a package: another subdivision changes the pulses."""
+    move, finer = probe.command(Verb.MOVE_RELATIVE_PULSES), 2 * motion.SUBDIVISION
+    motion.prepare(probe, move)
+    sent = _in_second_slot(probe, command, probe.command(Verb.SET_SUBDIVISION).name, {"subdivision": finer})
+    probe.wait(probe.rig.write_gap_ns)
+    went = motion.follow(probe, move, 90, acceleration=motion.QUICK)
+    text = "a subdivision in a slot of a package is not set"
+    probe.expect(abs(went.degrees), near=45, within=motion.SAME, unit="degrees", refutes=text, exchange=sent)
+
+
+def _runs(dialect: Dialect) -> Iterator[Case]:
+    for case in _packages(dialect):
+        risks = motion.risks(dialect, *dialect.by_verb[Verb.RUN_SPEED].all_risks)
+        yield Case(dialect, case.command, facts={"risks": risks})
+
+
+@_of_packages("a speed that comes at once, or never", name="ramp", each=_runs)
+def _by_its_ramp(probe: Probe, command: Command) -> None:
+    """A run in a slot of a package has its acceleration."""
+    motion.ready_to_move(probe)
+    run = probe.command(Verb.RUN_SPEED)
+    # 10 ms for one rpm.
+    values = motion.values_of(probe.dialect, run, rpm=120, acceleration=_SLOW_RAMP)
+    sent = _in_second_slot(probe, command, run.name, values)
+    elapsed_ns = probe.gate.now_ns() - sent.sent_ns
+    seen = abs(motion.speed(probe).value)
+    motion.stand_still(probe)
+    law = min(120.0, elapsed_ns / _RAMP_STEP_NS)
+    text = "a run in a slot of a package does not speed up by its ramp"
+    probe.expect(seen, near=law, within=30, unit="rpm", refutes=text, exchange=sent)
 
 
 def _motions(dialect: Dialect) -> Iterator[Case]:

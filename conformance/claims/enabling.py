@@ -106,6 +106,27 @@ def _not_in_bus_modes(probe: Probe, command: Command) -> None:
 
 @of_motion(
     each=_enable,
+    name="{command}/on-goes-on",
+    refuted_by="a shaft that stands",
+    risks=risks_by(Verb.RUN_SPEED),
+    at_best=Certainty.LIKELY,
+)
+def _on_goes_on(probe: Probe) -> None:
+    """Enabling a motor that is enabled and turns leaves it turning."""
+    motion.ready_to_move(probe)
+    motion.run_at(probe, motion.CALM, motion.QUICK)
+    probe.wait(300 * MS)
+    before = motion.speed(probe).value
+    exchange = motion.switch(probe, True)
+    probe.wait(100 * MS)
+    after = motion.speed(probe).value
+    motion.stand_still(probe)
+    text = "enabling a motor that turns changes its speed"
+    probe.expect(after, near=before, within=2, unit="rpm", refutes=text, exchange=exchange)
+
+
+@of_motion(
+    each=_enable,
     name="{command}/off-holds-all",
     refuted_by="motion",
     risks=lambda case: frozenset().union(*(c.all_risks for c in case.dialect.motions(*_TURNING))),

@@ -12,7 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from analyzer.catalogue import Command, Dialect, Verb
+from analyzer.catalogue import Command, Dialect, Role, Verb
+from analyzer.codec import codec
+from analyzer.link import HeadLink
+from conformance.claims.control_reads import received_text
 from conformance.claims.declare import Case, commands
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
@@ -107,3 +110,41 @@ def _places_agree(probe: Probe) -> None:
             text = f"{read.name} does not go on as the position does while the shaft turns"
             went = way * (got - offset)
             probe.expect(went, at_least=low - beside, at_most=high + beside, unit="counts", refutes=text, exchange=exchange)
+
+
+# --- replies of every check -------------------------------------------------------------------------------------------
+
+
+def _with_one_check(dialect: Dialect) -> Iterator[Case]:
+    """Yield the read of the position where a check of one byte covers it."""
+    if isinstance(dialect.link, HeadLink) and Verb.MOVE_ABSOLUTE_AXIS in dialect.by_verb:
+        yield from commands(Verb.READ_POSITION)(dialect)
+
+
+@of_motion(each=_with_one_check, refuted_by="a reply whose checksum does not fit", risks=risks_by(Verb.MOVE_ABSOLUTE_AXIS))
+def _each_check(probe: Probe, command: Command) -> None:
+    """A reply whose checksum is zero, FF or the head of a frame is as good as any other."""
+    move, form = probe.command(Verb.MOVE_ABSOLUTE_AXIS), command.reply_forms[0]
+    motion.prepare(probe, move)
+
+    def check(place: int) -> int:
+        data = codec(form.layout).encode({"position": place})
+        return probe.dialect.link.build(command, form, probe.address, data, Role.REPLY)[-1]
+
+    for wanted in (0x00, 0xFF, 0xFA, 0xFB, 0xFC):
+        here = motion.place(probe, move)
+        place = next((p for p in range(here + 1, here + 600) if check(p) == wanted), None)
+        if place is None:
+            continue
+        degrees = (place - here) * 360 / probe.dialect.counts_per_turn
+        motion.follow(probe, move, degrees, acceleration=QUICK, start=here)
+        for _ in range(_LOOKS):
+            exchange = probe.ask(command, quiet_ns=0)
+            fits = exchange.reply is not None and exchange.reply.message.frame.checksum_ok
+            text = f"a reply at a place whose checksum is {wanted:02X} does not check, or none comes"
+            got = received_text(exchange)
+            probe.expect(got, holds=fits, expected="a reply that checks", refutes=text, exchange=exchange)
+
+
+#: How often a place is read: an encoder that trembles shows it now and then.
+_LOOKS = 4

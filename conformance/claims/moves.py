@@ -319,6 +319,15 @@ def _ends_at(probe: Probe, command: Command, rpm: int) -> None:
         _expect_way(probe, move, False, f"{command.name} at {rpm} rpm does not go as far as it was asked to")
 
 
+@of_motion(each=_counted, refuted_by="a shaft that ends elsewhere", name="{command}/without-ramp")
+def _without_ramp(probe: Probe, command: Command) -> None:
+    """{command} with acceleration 0 goes as far as it was asked to, both ways."""
+    motion.prepare(probe, command)
+    for degrees in (_THERE, _BACK):
+        move = motion.follow(probe, command, degrees, acceleration=0)
+        _expect_way(probe, move, False, f"{command.name} without a ramp does not go as far as it was asked to")
+
+
 def _in_modes(dialect: Dialect) -> Iterator[Case]:
     """Yield each move in each bus mode whose encoder tells where the shaft is, but for the mode of all other claims."""
     for case in _counted(dialect):
@@ -363,7 +372,7 @@ def _by_nothing(probe: Probe, command: Command) -> None:
 
 @of_motion(
     # 300 rpm does not fit a byte; two turns at it take half a second, of which the ramps take 0.18 s.
-    each=with_values(_counted, tries=((60, 360, 300 * MS), (300, 720, 150 * MS))),
+    each=with_values(_counted, tries=((60, -360, 300 * MS), (300, 720, 150 * MS))),
     statement="{command} turns the shaft at the speed that is asked for.",
     refuted_by="another speed on the way",
     parameters={},
@@ -433,8 +442,9 @@ def _replies(probe: Probe, command: Command) -> None:
 def _told_when_there(probe: Probe, command: Command) -> None:
     """When {command} says that it is complete, the shaft is at its target."""
     motion.prepare(probe, command)
-    exchange = motion.ask(probe, command, _THERE, rpm=120, until=Until.DONE, quiet_ns=0)
-    expect_at_rest(probe, command, exchange, f"{command.name} is told as complete before the shaft is there")
+    for degrees, rpm, acceleration in ((_THERE, 120, motion.GENTLE), (-1080, 900, QUICK)):
+        exchange = motion.ask(probe, command, degrees, rpm=rpm, acceleration=acceleration, until=Until.DONE, quiet_ns=0)
+        expect_at_rest(probe, command, exchange, f"{command.name} is told as complete before the shaft is there")
 
 
 @of_motion(

@@ -283,7 +283,7 @@ def _highest_of_mode(probe: Probe, command: Command, mode: str, highest: int) ->
 
 
 def _distances(dialect: Dialect) -> Iterator[Case]:
-    """Yield distances of 256^n and a little: without the high bytes, a little is left."""
+    """Yield distances of 256^n and a little: without the high bytes, a little is left; and one that read signed is below 0."""
     for command in _runs(dialect):
         if motion.of(command).distance:
             field = motion.field_of(command, motion.of(command).distance)
@@ -291,6 +291,8 @@ def _distances(dialect: Dialect) -> Iterator[Case]:
             little = motion.units_per_turn(dialect, command) // 64
             shifts = range(8, field.bit_width - (len(signs) - 1), 8)
             values = tuple(s * ((1 << shift) + little) for s in signs for shift in shifts)
+            if len(signs) == 1:
+                values += ((1 << field.bit_width) - little,)
             yield ranges.case(dialect, command, field, "width", values, **_needs(dialect, command))
 
 

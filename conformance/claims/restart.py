@@ -14,13 +14,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from analyzer import dialects as registry
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, MotionKind, Risk, Verb
 from analyzer.layout import Effect
-from conformance.claim import Inconclusive, Refuted
+from conformance.claim import Inconclusive, NotRun, Refuted
 from conformance.claims import ranges, setting_effects
-from conformance.claims.declare import Case, commands
+from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.link_changes import NEW_ADDRESS_ANSWERS, OTHER_ADDRESS, change_address
+from conformance.claims.link_changes import (
+    NEW_ADDRESS_ANSWERS,
+    OTHER_ADDRESS,
+    SETTLE_NS,
+    ask_in,
+    change_address,
+    follow,
+    is_reply,
+    need_reply_or_silence,
+)
 from conformance.claims.read_back import expect_values, fields_of, of_read_back, parameters, text
 from conformance.claims.setting_effects import STEEP, SettingEffect
 from conformance.model import lk_parameters
@@ -38,6 +48,8 @@ RESTORED_NS = 4_000 * MS
 _RPM = 60
 #: Speeds that are one, as a share; counts within which a shaft is where it should be.
 _SHARE, _PLAY = 0.1, 100
+#: Speeds of the line that each drive has, of which one is another than that of the line.
+_OTHER_RATES = (19_200, 38_400)
 #: How long a shaft is watched that is to stand.
 _LOOK_NS = 300 * MS
 #: Beyond the highest speed of an open mode, as sent, at 8 subdivisions.
@@ -157,6 +169,77 @@ def move_away(probe: Probe, command: Command) -> None:
     change_address(probe, command, OTHER_ADDRESS)
     if not answers(probe, OTHER_ADDRESS):
         raise Inconclusive(f"the drive does not answer at {OTHER_ADDRESS}, which it was given")
+
+
+def _kept_links(effect: Effect) -> Cases:
+    def cases(dialect: Dialect) -> Iterator[Case]:
+        if Verb.RESTART in dialect.by_verb and dialect.bus == "serial":
+            for command, field in dialect.effects(effect):
+                yield Case(dialect, command, {"field": field.name}, {"fields": (field.name,), "settings": (field.name,)})
+
+    return cases
+
+
+@of_read_back(
+    each=_kept_links(Effect.BAUD_RATE),
+    name="{command}/restart",
+    refuted_by="silence at the new speed",
+    alone=True,
+    risks=_restart_risks,
+)
+def _speed_of_the_line(probe: Probe, command: Command, field: str) -> None:
+    """A restart keeps the speed of the line."""
+    need_reliable_replies(probe)
+    codes = {rate: value for value, rate in probe.dialect.rates.items()}
+    before = probe.gate.line.endpoint.bits_per_second
+    other = next(rate for rate in _OTHER_RATES if rate != before)
+    if before not in codes:
+        raise Inconclusive(f"the line is at {before} bits per second, which is no setting of the drive")
+    exchange = probe.ask(command, {field: codes[other]})
+    follow(probe, other)
+    try:
+        probe.wait(SETTLE_NS)
+        if not answers(probe, probe.address):
+            raise Inconclusive(f"the drive does not answer at {other} bits per second")
+        probe.ask(Verb.RESTART)
+        probe.wait(RESTORED_NS)
+        kept = answers(probe, probe.address)
+        if kept:
+            probe.ask(command, {field: codes[before]})
+    finally:
+        follow(probe, before)
+    probe.wait(SETTLE_NS)
+    text = f"{command.name}: a restart loses the speed of the line"
+    expected = f"an answer at {other}"
+    probe.expect("silence", holds=kept, expected=expected, refutes=text, exchange=exchange, key=f"{command.name} lost")
+
+
+@of_read_back(
+    each=_kept_links(Effect.DIALECT),
+    name="{command}/restart",
+    refuted_by="an answer in the old dialect",
+    alone=True,
+    risks=_restart_risks,
+)
+def _dialect_of_the_line(probe: Probe, command: Command, field: str) -> None:
+    """A restart keeps the dialect."""
+    own, sibling = probe.dialect, registry.get(probe.dialect.siblings[0])
+    if probe.address > sibling.addresses[1]:
+        raise NotRun(f"a drive at {probe.address} cannot speak {sibling.name}")
+    need_reliable_replies(probe)
+    assert own.chosen_by is not None
+    assert sibling.chosen_by is not None
+    exchange = probe.ask(command, {field: sibling.chosen_by})
+    probe.wait(SETTLE_NS)
+    ask_in(probe, sibling, sibling.by_verb[Verb.RESTART].name)
+    probe.wait(RESTORED_NS)
+    answer = ask_in(probe, sibling, "read_speed")
+    ask_in(probe, sibling, command.name, {field: own.chosen_by})
+    probe.wait(SETTLE_NS)
+    need_reply_or_silence(sibling, probe.address, answer)
+    kept = is_reply(sibling, probe.address, answer)
+    text, expected = f"{command.name}: a restart loses the dialect", f"a reply in {sibling.name}"
+    probe.expect("silence", holds=kept, expected=expected, refutes=text, exchange=exchange, key=f"{command.name} lost")
 
 
 # --- what happens at power-on -----------------------------------------------------------------------------------------

@@ -80,13 +80,26 @@ def _places(dialect: Dialect) -> Iterator[Case]:
 
 @of_motion(each=_places, name="{command}/and-{move}", refuted_by="another place")
 def _is_target(probe: Probe, command: Command, move: Command) -> None:
-    """After 92 {move} to 0 comes back to where 92 was given."""
+    """After 92 {move} counts from where 92 was given: below it, from there farther and back, and to 0."""
     motion.prepare(probe, move)
     _away(probe)
+    zero = motion.wait_standing(probe).value
     probe.do(command)
+    shift = zero - motion.position(probe).value
+    sense = 1
+    for number, degrees in enumerate((-144, -288, -72)):
+        values = motion.values_of(probe.dialect, move, degrees, rpm=120, acceleration=QUICK)
+        exchange = probe.do(move, values)
+        went = motion.wait_standing(probe).value + shift - zero
+        # The sense of pulses is not told.
+        sense = sense if number else (-1 if went > 0 and motion.takes_pulses(move) else 1)
+        text = f"{move.name} to {degrees} degrees goes elsewhere after 92"
+        within = 2 * probe.noise.step("degrees")
+        probe.expect(went * sense, near=degrees, within=within, unit="degrees", refutes=text, exchange=exchange)
     there = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 144)
     exchange = motion.begin(probe, move, rpm=120, acceleration=QUICK, start=0)
     probe.wait(SECOND_NS)
     went = motion.wait_standing(probe).value - there.end.value
     text = f"{move.name} to 0 does not come back to where 92 was given"
-    probe.expect(went, near=-there.degrees, unit="degrees", refutes=text, exchange=exchange)
+    wanted = -(there.end.value + shift - zero)
+    probe.expect(went, near=wanted, unit="degrees", refutes=text, exchange=exchange)
