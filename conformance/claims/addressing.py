@@ -91,7 +91,7 @@ def _classes(dialect: Dialect) -> Iterator[Case]:
 def _chosen(dialect: Dialect, own: int, addresses: Iterable[int]) -> list[int]:
     """Return those addresses that can be sent to and are neither the drive's nor all drives'."""
     # A head has a byte for the address, an identifier no more bits than addresses need.
-    wide = dialect.broadcast is None and dialect.bus == "serial"
+    wide = dialect.bus == "serial"
     last = max(dialect.addresses[1], _BYTE if wide else 0)
     fit = [a for a in dict.fromkeys(addresses) if 0 <= a <= last and a != own]
     return [a for a in fit if a != dialect.broadcast]
@@ -166,7 +166,7 @@ def _motion_of_another(probe: Probe, command: Command) -> None:
     motion.prepare(probe, command)
     before = motion.wait_standing(probe)
     values = motion.values_of(dialect, command, _DEGREES, start=motion.place(probe, command))
-    others = (own + 1, own - 1, own ^ 0x80, own + 16, own ^ 0x100, *_edges(dialect, own), *_one_bit(dialect, own))
+    others = (own + 1, own - 1, own ^ 0x80, own + 16, _BYTE, own ^ 0x100, *_edges(dialect, own), *_one_bit(dialect, own))
     for address in _chosen(dialect, own, others)[:_MANY]:
         sent = probe.ask(command, values, address=address, until=Until.TIMEOUT, timeout_ns=_BETWEEN_NS)
         after = motion.position(probe)

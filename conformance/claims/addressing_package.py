@@ -213,7 +213,7 @@ def _setting(probe: Probe, command: Command) -> None:
 
 def _in_second_slot(probe: Probe, package: Command, name: str, values: dict[str, int]) -> Exchange:
     frame = _frame(probe, package, [EMPTY, {"address": probe.address, "command": name, **values}])
-    return probe.send(frame, timeout_ns=STEP_NS)
+    return probe.send(frame, timeout_ns=300 * motion.MS)
 
 
 def _switching(dialect: Dialect) -> Iterator[Case]:

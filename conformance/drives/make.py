@@ -43,7 +43,12 @@ KINDS: Mapping[str, DriveClass] = {
     "lk-rs485": DriveClass("conformance.drives.lk.drive", "LkDrive"),
 }
 #: The modules of faults and of quirks. Names are unique over all of them.
-FAULTS = ("conformance.drives.faults.generic", "conformance.drives.faults.mks", "conformance.drives.faults.lk")
+FAULTS = (
+    "conformance.drives.faults.generic",
+    "conformance.drives.faults.mks",
+    "conformance.drives.faults.mks_conditions",
+    "conformance.drives.faults.lk",
+)
 QUIRKS = ("conformance.drives.mks.quirks", "conformance.drives.lk.quirks")
 #: Words of a specification that are no settings.
 _WORDS = ("model", "quirk", "fault", "baud", "bitrate")

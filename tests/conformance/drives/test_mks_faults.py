@@ -580,8 +580,114 @@ def calibration(open_story):
     yield story
 
 
+def conditions(open_story):
+    """Fast and rising shafts and their stops, checks that do not fit, another subdivision and speed after a restart."""
+    for acceleration, wait in ((0, 100 * MS), (1, 600 * MS)):
+        story = open_story(subdivision=128)
+        story.tell("run_speed", direction=1, speed=3000, acceleration=0)
+        story.tell("emergency_stop")
+        story.tell("set_subdivision", subdivision=16)
+        story.tell("read_encoder_carry")
+        story.tell("read_pulses")
+        story.tell("run_speed", direction=1, speed=1500, acceleration=acceleration)
+        story.wait(wait, 3)
+        for command in ("read_enabled", "read_protection", "read_encoder_carry", "read_pulses", "read_angle_error"):
+            story.tell(command)
+        story.tell("enable", enabled=1)
+        story.tell("save_speed", save_state=0xC8)
+        story.wait(100 * MS, 2)
+        story.tell("emergency_stop")
+        story.wait(100 * MS, 2)
+        story.tell("stop_speed", direction=0, speed=0, acceleration=0)
+        story.wait(100 * MS, 2)
+        for command in ("read_angle_error", "set_zero", "read_position", "read_encoder_carry"):
+            story.tell(command)
+        story.tell(
+            "move_relative_pulses",
+            direction=0,
+            speed=300,
+            acceleration=0,
+            pulses=0xF0_0000 << (0 if story.name == "mks-can" else 8),
+        )
+        story.wait(300 * MS, 2)
+        story.tell("set_direction", motor_direction=1)
+        story.tell("move_absolute_pulses", speed=300, acceleration=0, position=5000)
+        story.wait(SECOND, 2)
+        for _ in range(2):
+            story.drive.power_cycle(story.now)
+            story.wait(400 * MS, 4)
+        story.tell("stop_speed", direction=0, speed=0, acceleration=0)
+        story.tell("set_subdivision", subdivision=128)
+        story.tell("run_speed", direction=0, speed=800, acceleration=0)
+        story.wait(200 * MS, 2)
+        yield story
+
+
+def bad_checks(open_story):
+    """Requests with the checks that lazy firmware lets pass, to the drive and to all."""
+    for command, values in (
+        ("home", {}),
+        ("run_speed", {"direction": 0, "speed": 60, "acceleration": 0}),
+        ("emergency_stop", {}),
+    ):
+        for address in (1, 0):
+            story = open_story()
+            if command == "emergency_stop":
+                story.tell("run_speed", direction=0, speed=60, acceleration=0)
+            frame = build(story.dialect, command, address, values)
+            check = story.dialect.link.checks(frame, address)[-1]
+            size = len(check.expected)
+            number = int.from_bytes(check.expected, "big") + 1 & (1 << 8 * size) - 1
+            for wrong in (b"\xff" * size, bytes(size), number.to_bytes(size, "big"), check.expected[::-1],
+                          check.expected[:1] + bytes(size - 1)):  # fmt: skip
+                if wrong != check.expected:
+                    story.send(frame[: check.start] + wrong, address)
+                    story.wait(100 * MS, 1)
+            yield story
+
+
+def links(open_story):
+    """Another speed of the line, another dialect, settings of a neighbour, motion to the group and in packages."""
+    story = open_story(group_address=80)
+    story.tell("run_speed", 80, direction=0, speed=60, acceleration=0)
+    story.tell("stop_speed", 80, direction=0, speed=0, acceleration=0)
+    story.tell("set_subdivision", 2, subdivision=8)
+    story.tell("read_position")
+    story.tell("move_relative_pulses", direction=0, speed=300, acceleration=0, pulses=3200)
+    story.wait(SECOND, 1)
+    if story.has("long_package"):
+        for command, values in (
+            ("enable", {"enabled": 0}),
+            ("enable", {"enabled": 1}),
+            ("run_speed", {"direction": 0, "speed": 300, "acceleration": 1}),
+        ):
+            story.send(build(story.dialect, "long_package", 0, {"slots": [{"address": 1, "command": command, **values}]}))
+            story.tell("read_enabled")
+            story.wait(100 * MS, 2)
+    if story.name == "mks-modbus":
+        story.send(story.dialect.link.completed(bytes.fromhex("01 06 00 F6 00 3C")))
+        story.wait(100 * MS, 2)
+    for values in (0, 1, 2, 3, 250):
+        story.drive.motor.jump(story.now, values)
+        story.tell("read_position")
+    story.tell("set_baud_rate", baud_rate=2)
+    story.seen.append(story.drive.speed)
+    story.drive.power_cycle(story.now)
+    story.wait(SECOND)
+    story.seen.append(story.drive.speed)
+    yield story
+    if story.name == "mks-rs485":
+        story = open_story()
+        story.tell("set_modbus", modbus=1)
+        story.drive.power_cycle(story.now)
+        story.wait(SECOND)
+        story.seen.append(story.drive.dialect.name)
+        yield story
+
+
 CHAPTERS = (
-    hasty, beside, reads, settings, runs, moves, hearing, exceptions, packages, reads_in_motion, read_back, stops, updates,
+    hasty, conditions, bad_checks, links,
+    beside, reads, settings, runs, moves, hearing, exceptions, packages, reads_in_motion, read_back, stops, updates,
     respond,
     states, subdivisions, homing, limits, refused_settings, restarts, saved_runs, zero_modes, calibration,
 )  # fmt: skip

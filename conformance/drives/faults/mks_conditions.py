@@ -1,0 +1,362 @@
+"""Faults of the MKS drives that show in one condition alone: while the shaft turns, when it is fast, after a restart.
+
+Rules kept here:
+- A fault holds in its condition, and everywhere else the drive does what the manual says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from analyzer.catalogue import Command, Verb
+from analyzer.link import WRITE_ONE
+from analyzer.records import Frame, Message
+from conformance.drives.drive import Drive, Outgoing, Request, Values
+from conformance.drives.faults.mks_behaviour import OK, before, forgetful, mks, own, tuned
+from conformance.drives.faults.places import (
+    MODBUS,
+    NATIVE,
+    SERIAL,
+    Change,
+    Of,
+    Row,
+    Rows,
+    answered,
+    faults,
+    frames,
+    having,
+    request,
+    result,
+    storing,
+    taken,
+)
+from conformance.drives.mks.core import MOTIONS, STOPS, MksCore
+from conformance.drives.mks.motion import begin_run
+from conformance.drives.mks.paths import Phase
+
+Condition = Callable[[MksCore], bool]
+#: Speeds beyond which a fault of a fast shaft holds (rpm).
+_FAST, _VERY_FAST = 500, 1000
+_ENDS = STOPS | {Verb.EMERGENCY_STOP}
+_BITS = 16
+
+
+def _rpm(drive: MksCore) -> float:
+    return float(drive.motor.speed(drive.now_ns))
+
+
+def _turns(drive: MksCore) -> bool:
+    return _rpm(drive) != 0
+
+
+def _rises(drive: MksCore) -> bool:
+    return drive.motor.phase(drive.now_ns) is Phase.SPEEDING_UP
+
+
+def _faster(rpm: float) -> Condition:
+    return lambda drive: abs(_rpm(drive)) > rpm
+
+
+def told_when(when: Condition, of: Verb, **values: int) -> Change:
+    """Tell something else in a condition."""
+    return result(lambda drive, command, sent, found: {**found, **values} if when(mks(drive)) else found, of)
+
+
+def undone_when(when: Condition, of: Of) -> Change:
+    """Say in a condition that it is done, and do nothing."""
+    return before(of, lambda drive, request: dict(OK) if when(drive) else None)
+
+
+def stale_when(when: Condition, of: Verb) -> Change:
+    """Tell in a condition what was told before it."""
+
+    def change(drive: MksCore) -> None:
+        kept: Values = {}
+
+        def tell(_: Drive, command: Command, sent: Values, found: Values | None) -> Values | None:
+            if command.verb is not of or found is None:
+                return found
+            if not when(drive) or not kept:
+                kept.update(found)
+            return dict(kept)
+
+        drive.hooks.result.append(tell)
+
+    return tuned(change, having(of))
+
+
+# --- which frames it takes --------------------------------------------------------------------------------------------
+
+
+def _checked(drive: Drive, frame: Frame) -> tuple[bytes, bytes]:
+    """Return the check of a frame as it is and as it should be."""
+    check = drive.dialect.link.checks(frame.data, frame.can.id if frame.can else None)[-1]
+    return frame.data[check.start : check.start + len(check.expected)], check.expected
+
+
+def _take(judge: Callable[[bytes, bytes], bool]) -> Change:
+    """Take own frames whose wrong check a judge of the check that is there and the right one lets pass."""
+
+    def accept(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        mine = own(mks(drive), message) and mks(drive).responder.understands(message)
+        return wanted or (not frame.checksum_ok and mine and judge(*_checked(drive, frame)))
+
+    return taken(accept)
+
+
+def _unchecked(of: Of, to_all: bool = False) -> Change:
+    """Take some requests with any check, also those to all drives."""
+    verbs = {of} if isinstance(of, Verb) else of
+
+    def accept(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        to = drive.dialect.broadcast if to_all else drive.address
+        meant = message.command is not None and message.command.verb in verbs and message.address == to
+        return wanted or (not frame.checksum_ok and meant and mks(drive).responder.understands(message))
+
+    return taken(accept)
+
+
+def _setting_of_another(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+    setting = message.command is not None and message.command.verb.value.startswith("set_")
+    near = message.address == drive.address + 1
+    return wanted or (frame.checksum_ok and setting and near and mks(drive).responder.understands(message))
+
+
+def _run_by_one(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+    """Begin a run by a write of its register by function 06h, and answer as the manual says."""
+    core, data = mks(drive), frame.data
+    mine = frame.checksum_ok and own(core, message) and data[1] in WRITE_ONE
+    if mine and data[2:4] == b"\0\xf6" and core.ready and core.by_bus:
+        begin_run(core, 0, int.from_bytes(data[4:6], "big") % _VERY_FAST, 0)
+    return wanted
+
+
+def _answers_group(drive: Drive, message: Message, wanted: bool) -> bool:
+    motion = message.command is not None and message.command.verb in MOTIONS
+    return wanted or (motion and message.address == drive.settings.get("group_address"))
+
+
+HEARING: Rows = {
+    "checksum": (
+        Row("check-ff-passes", "a checksum of FF passes with any frame", _take(lambda got, right: set(got) == {0xFF})),
+        Row("check-0-passes", "a checksum of 0 passes with any frame", _take(lambda got, right: not any(got))),
+        Row("check-next-passes", "a checksum that is one too high passes", _take(lambda got, right: got[-1] == right[-1] + 1)),
+        Row("crc-first-byte", "only the first byte of the CRC counts", _take(lambda got, right: got[0] == right[0]), MODBUS),
+        Row("crc-swapped", "a CRC with its bytes swapped passes too", _take(lambda got, right: got == right[::-1]), MODBUS),
+        Row("home-unchecked", "91 is executed with any checksum", _unchecked(Verb.HOME)),
+        Row("broadcast-unchecked", "motion to all drives is executed with any checksum", _unchecked(MOTIONS, True)),
+        Row("stop-unchecked", "F7 is executed with any checksum", _unchecked(Verb.EMERGENCY_STOP)),
+    ),
+    "address": (Row("sets-for-next", "settings of the next higher address are stored too", taken(_setting_of_another)),),
+    "function": (Row("run-by-06", "a write of F6 by 06h begins a run", taken(_run_by_one), MODBUS),),
+    "group": (Row("group-motion-answered", "motion to the group is answered", answered(_answers_group), NATIVE),),
+}
+
+
+# --- what it tells ----------------------------------------------------------------------------------------------------
+
+
+def _whole_turns(drive: Drive, command: Command, sent: Values, found: Values) -> Values:
+    return {"angle_error": found["angle_error"] + mks(drive).axis // drive.counts_per_turn * 51_200}
+
+
+def _zero_check(drive: Drive, command: Command, outgoing: Outgoing) -> tuple[Outgoing]:
+    data = outgoing.data
+    return (Outgoing(outgoing.at_ns, data[:-1] + b"\1" if data[-1] == 0 else data, outgoing.can_id),)
+
+
+TOLD: Rows = {
+    "frozen": (
+        Row("carry-frozen-when-fast", "30 stays above 500 rpm", stale_when(_faster(_FAST), Verb.READ_ENCODER_CARRY)),
+        Row("pulses-counted-at-rest", "33 counts when the motion is over", stale_when(_turns, Verb.READ_PULSES)),
+    ),
+    "status": (
+        Row("off-while-turning", "3A reads 0 while the shaft turns", told_when(_turns, Verb.READ_ENABLED, enabled=0)),
+        Row("protected-while-turning", "3E reads 1 while the shaft turns", told_when(_turns, Verb.READ_PROTECTION, status=1)),
+    ),
+    "scale": (
+        Row("error-counts-turns", "39 tells the turns made", result(_whole_turns, Verb.READ_ANGLE_ERROR)),
+        Row(
+            "slow-speed-tenfold",
+            "32 tells tenths of a rpm below 20 rpm",
+            result(
+                lambda d, c, q, found: {"speed": found["speed"] * 10} if abs(found["speed"]) < 20 else found, Verb.READ_SPEED
+            ),
+        ),
+    ),
+    "reply checksum": (Row("zero-check-sent-1", "a checksum that is 0 is sent as 1", frames(_zero_check), NATIVE),),
+}
+
+
+# --- what it does -----------------------------------------------------------------------------------------------------
+
+
+def _latched(drive: MksCore) -> None:
+    """Refuse motion after an emergency stop until the motor is enabled."""
+    latched = False
+
+    def watch(_: Drive, command: Command, values: Values) -> Values:
+        nonlocal latched
+        latched = command.verb is Verb.EMERGENCY_STOP or (latched and command.verb is not Verb.ENABLE)
+        return values
+
+    drive.hooks.request.append(watch)
+    for verb in MOTIONS & drive.behaviours.keys():
+        obey = drive.behaviours[verb]
+        drive.behaviours[verb] = lambda core, asked, obey=obey: core.refused(asked) if latched else obey(core, asked)  # type: ignore[misc]
+
+
+def _halt_first(drive: MksCore, request: Request) -> None:
+    if request.values["enabled"]:
+        drive.motor.halt(drive.now_ns)
+
+
+def _halted_by_save(drive: MksCore, request: Request) -> None:
+    drive.motor.halt(drive.now_ns)
+
+
+def _low_word(drive: MksCore, request: Request) -> Values | None:
+    """Clear the low 16 bits of the position."""
+    drive.memory.zero += drive.axis & (1 << _BITS) - 1
+    return dict(OK)
+
+
+def _beyond(drive: Drive, command: Command, values: Values) -> Values:
+    """Go farther than was asked where there is no ramp."""
+    name = "pulses" if "pulses" in values else "position"
+    return values if values["acceleration"] else values | {name: values[name] + 60}
+
+
+def _turned_by_setting(drive: Drive, command: Command, values: Values) -> Values:
+    return values | {"position": -values["position"]} if drive.settings["motor_direction"] else values
+
+
+def _back(drive: Drive, command: Command, values: Values) -> Values:
+    """Take pulses for a number with a sign."""
+    high = values["pulses"] >> 31
+    return values | {"direction": 1 - values["direction"], "pulses": (1 << 32) - values["pulses"]} if high else values
+
+
+def _after_restart(change: Callable[[MksCore], None]) -> Change:
+    """Make a change when the drive restarts."""
+
+    def install(drive: MksCore) -> None:
+        power_on, first = drive.power_on, True
+
+        def started(core: MksCore) -> None:
+            nonlocal first
+            if not first:
+                change(core)
+            first = False
+            power_on(core)
+
+        drive.power_on = started
+
+    return tuned(install)
+
+
+def _speeds_as_sent(drive: MksCore) -> None:
+    drive.real_speed = lambda speed: speed  # type: ignore[method-assign]
+
+
+def _runs_round(drive: MksCore) -> None:
+    drive.hooks.request.append(
+        lambda d, command, values: values | {"direction": 1 - values["direction"]} if command.verb is Verb.RUN_SPEED else values
+    )
+
+
+def _once(drive: MksCore) -> None:
+    """Forget the saved run when it has begun."""
+    power_on = drive.power_on
+
+    def started(core: MksCore) -> None:
+        power_on(core)
+        if core.memory.run is not None:
+            core.settings["saved_run"] = 0
+
+    drive.power_on = started
+
+
+def _stored_as(name: str, change: Callable[[int], int]) -> Change:
+    return storing(lambda drive, setting, value: (setting, change(value) if setting == name else value), name)
+
+
+def _in_packages(change: Callable[[Values], Values], of: Verb) -> Change:
+    """Change requests that come in packages."""
+
+    def install(drive: MksCore) -> None:
+        packed = False
+
+        def note(_: Drive, every: list, chosen: list) -> list:  # type: ignore[type-arg]
+            nonlocal packed
+            packed = True
+            return chosen
+
+        def apply(_: Drive, command: Command, values: Values) -> Values:
+            nonlocal packed
+            was, packed = packed, False
+            return change(values) if was and command.verb is of else values
+
+        drive.hooks.slots.append(note)
+        drive.hooks.request.append(apply)
+
+    return Change(tuned(install).install, NATIVE)
+
+
+def _left_elsewhere(drive: MksCore) -> None:
+    """Take the left to be clockwise, but for homing."""
+    way = drive.side_way
+    drive.side_way = lambda side: way(side) if drive.task is not None else (-1 if side == "left" else 1)  # type: ignore[method-assign]
+
+
+DOING: Rows = {
+    "stop": (
+        Row("fast-stop-ignored", "stops are ignored above 1000 rpm", undone_when(_faster(_VERY_FAST), _ENDS)),
+        Row("rising-stop-ignored", "stops are ignored while the shaft speeds up", undone_when(_rises, _ENDS)),
+        Row("emergency-latches", "after F7 motion is refused until the motor is enabled", tuned(_latched)),
+    ),
+    "enable": (
+        Row("enabling-stops", "F3 01 stops a shaft that turns", before(Verb.ENABLE, _halt_first)),
+        Row("saving-stops", "FF C8 stops the shaft", before(Verb.SAVE_SPEED, _halted_by_save)),
+    ),
+    "zero": (Row("zero-low-word", "92 clears 16 bits of the position", before(Verb.SET_ZERO, _low_word)),),
+    "target": (
+        Row("no-ramp-goes-beyond", "FE without a ramp ends 60 pulses beyond", request(_beyond, Verb.MOVE_ABSOLUTE_PULSES)),
+        Row(
+            "high-pulses-back",
+            "FD goes back where the top bit of its pulses is set",
+            Change(request(_back, Verb.MOVE_RELATIVE_PULSES).install, SERIAL),
+        ),
+    ),
+    "direction": (
+        Row(
+            "direction-turns-fe",
+            "86 turns moves by FE",
+            Change(request(_turned_by_setting, Verb.MOVE_ABSOLUTE_PULSES).install, SERIAL),
+        ),
+        Row("restart-turns-round", "after a restart F6 turns the other way", _after_restart(_runs_round)),
+    ),
+    "restart": (
+        Row("restart-speed-as-sent", "after a restart no speed is one of the subdivision", _after_restart(_speeds_as_sent)),
+        Row("baud-rate-lost", "a restart loses the speed of the line", Change(forgetful("baud_rate").install, SERIAL)),
+        Row("dialect-lost", "a restart loses the dialect", Change(forgetful("modbus").install, NATIVE)),
+        Row("saved-run-once", "a saved run begins at one power-on alone", tuned(_once)),
+        Row("saved-ramp-lost", "a saved run begins without its ramp", _stored_as("saved_acceleration", lambda v: 0)),
+        Row("saved-speed-byte", "a saved run has the low byte of its speed", _stored_as("saved_speed", lambda v: v & 0xFF)),
+    ),
+    "package": (
+        Row(
+            "package-without-ramp",
+            "a run in a package has no ramp",
+            _in_packages(lambda values: values | {"acceleration": 0}, Verb.RUN_SPEED),
+        ),
+        Row(
+            "package-never-disables",
+            "F3 in a package enables whatever it says",
+            _in_packages(lambda values: values | {"enabled": 1}, Verb.ENABLE),
+        ),
+    ),
+    "limit": (Row("left-is-clockwise", "the left end limit lies clockwise, however homing goes", tuned(_left_elsewhere)),),
+}
+
+FAULTS = faults(HEARING, TOLD, DOING)
