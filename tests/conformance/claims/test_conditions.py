@@ -1,0 +1,86 @@
+"""Faults of the MKS drives that show in one condition alone, and the claim that refutes each without hands on the drive."""
+
+from __future__ import annotations
+
+import pytest
+
+from conformance.claim import Outcome
+from conformance.drives.faults.mks_conditions import FAULTS
+from conformance.suite import engine, plan
+from conformance.suite.rig_emulated import EmulatedRig
+from conformance.suite.target import EMULATED, parse
+
+REFUTED_BY = {
+    "check-ff-passes": "framing/run_speed/wrong_check",
+    "check-0-passes": "framing/move_absolute_pulses/wrong_check",
+    "check-next-passes": "framing/move_relative_axis/wrong_check",
+    "crc-first-byte": "framing/move_absolute_axis/wrong_check",
+    "crc-swapped": "framing/move_relative_pulses/wrong_check",
+    "home-unchecked": "framing/home/wrong_check",
+    "broadcast-unchecked": "framing/broadcast/wrong_check",
+    "stop-unchecked": "framing/stops/wrong_check",
+    "sets-for-next": "addressing/other/set_subdivision",
+    "run-by-06": "modbus/run_speed/other_forms",
+    "group-motion-answered": "addressing/group/run_speed/stop_speed",
+    "carry-frozen-when-fast": "motion/run_speed/places-agree",
+    "pulses-counted-at-rest": "motion/run_speed/places-agree",
+    "off-while-turning": "motion/run_speed/leaves-states",
+    "protected-while-turning": "motion/run_speed/leaves-states",
+    "error-counts-turns": "motion/run_speed/leaves-states",
+    "slow-speed-tenfold": "motion/read_speed/is-change",
+    "zero-check-sent-1": "motion/read_position/each-check",
+    "fast-stop-ignored": "motion/stop_speed/when-fast",
+    "rising-stop-ignored": "motion/emergency_stop/when-rising-move_relative_axis",
+    "emergency-latches": "motion/emergency_stop/keeps-torque",
+    "enabling-stops": "motion/enable/on-goes-on",
+    "saving-stops": "read-back/save_speed/restart",
+    "zero-low-word": "motion/set_zero/position",
+    "no-ramp-goes-beyond": "motion/move_absolute_pulses/without-ramp",
+    "high-pulses-back": "ranges/move_relative_pulses/pulses/width",
+    "direction-turns-fe": "motion/set_direction/and-move_absolute_pulses",
+    "restart-turns-round": "read-back/restart/motion-as-before",
+    "restart-speed-as-sent": "read-back/restart/motion-as-before",
+    "baud-rate-lost": "read-back/set_baud_rate/restart",
+    "dialect-lost": "read-back/set_modbus/restart",
+    "saved-run-once": "read-back/save_speed/as-it-was",
+    "saved-ramp-lost": "read-back/save_speed/as-it-was",
+    "saved-speed-byte": "read-back/save_speed/as-it-was",
+    "package-without-ramp": "addressing/package/ramp",
+    "package-never-disables": "addressing/package/enable",
+    "left-is-clockwise": "motion/set_home/end-limit-stops-run_speed-ccw",
+}
+#: What a fault of the protection and of the angle error is seen by without a hand that holds the shaft.
+LIMP = (
+    ("protected-moves", "motion/release_protection/limp"),
+    ("protection-hidden", "motion/release_protection/limp"),
+    ("angle-error-in-counts", "motion/read_angle_error/limp"),
+    ("angle-error-sign-turned", "motion/read_angle_error/limp"),
+)
+
+
+def verdict(name, claim):
+    target = parse(name, EMULATED)
+    found = next(c for c in plan.every_claim(target) if c.id.split("/", 1)[1] == claim)
+    return engine.run_claim(found, EmulatedRig(target.specification))
+
+
+def test_each_fault_has_its_claim():
+    assert {fault.name for fault in FAULTS} == set(REFUTED_BY)
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f.name)
+def test_a_fault_of_a_condition_is_refuted(fault):
+    for dialect in fault.dialects:
+        seen = verdict(f"{dialect}@1,fault={fault.name}", REFUTED_BY[fault.name])
+        assert seen.outcome is Outcome.REFUTED, (dialect, seen.reason)
+
+
+@pytest.mark.parametrize("address", [2, 26, 41])
+def test_registers_that_no_command_has_are_refused_at_every_address(address):
+    assert verdict(f"mks-modbus@{address}", "modbus/register/unknown_write").outcome is Outcome.CONFIRMED
+
+
+@pytest.mark.parametrize(("fault", "claim"), LIMP)
+def test_a_motor_without_current_shows_the_protection_and_the_error(fault, claim):
+    seen = verdict(f"mks-modbus@1,fault={fault}", claim)
+    assert seen.outcome is Outcome.REFUTED, seen.reason
