@@ -243,7 +243,7 @@ def _sets_subdivision(probe: Probe, command: Command) -> None:
     probe.wait(probe.rig.write_gap_ns)
     went = motion.follow(probe, move, 90, acceleration=motion.QUICK)
     text = "a subdivision in a slot of a package is not set"
-    probe.expect(abs(went.degrees), near=45, within=motion.SAME, unit="degrees", refutes=text, exchange=sent)
+    probe.expect(abs(went.degrees), near=45, unit="degrees", refutes=text, exchange=sent)
 
 
 def _runs(dialect: Dialect) -> Iterator[Case]:

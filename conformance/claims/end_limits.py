@@ -144,7 +144,7 @@ def _stops_at_the_other_side(probe: Probe, run: Command) -> None:
         if way > 0:
             text = f"{run.name} does not stop at an end limit that lies counter-clockwise"
             expected = "0, where the end stop is"
-            probe.expect(seen, near=0, within=_JITTER, unit="counts", expected=expected, refutes=text, exchange=exchange)
+            probe.expect(seen, near=0, unit="counts", expected=expected, refutes=text, exchange=exchange)
     motion.stop(probe)
     text = f"{run.name} does not go back from an end limit"
     probe.expect(-seen, at_least=_HALF / 4, unit="counts", refutes=text, exchange=exchange)

@@ -26,8 +26,6 @@ from conformance.talk.probe import Probe
 _STATES = ((Verb.READ_ENABLED, "enabled"), (Verb.READ_PROTECTION, "status"), (Verb.READ_ZERO_STATUS, "status"))
 #: Degrees that a loop may lag behind while it turns, and when it stands.
 _LAG, _REST = 45.0, 1.0
-#: Counts of 31 that two looks at one place may differ by.
-_JITTER = 2
 _RPM = 120
 #: Slow one way and fast the other.
 _SPEEDS = (60, -1000)
@@ -106,7 +104,7 @@ def _places_agree(probe: Probe) -> None:
             # The sense of pulses is not told.
             way = -1 if pulses and (got - offset) * (first - begin) < 0 else 1
             low, high = sorted((first - begin, last - begin))
-            beside = (_LAG * probe.dialect.counts_per_turn / 360 if pulses else _JITTER) + probe.noise.counts
+            beside = probe.within("counts") + (_LAG * probe.dialect.counts_per_turn / 360 if pulses else 0.0)
             text = f"{read.name} does not go on as the position does while the shaft turns"
             went = way * (got - offset)
             probe.expect(went, at_least=low - beside, at_most=high + beside, unit="counts", refutes=text, exchange=exchange)

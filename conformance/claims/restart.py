@@ -405,7 +405,7 @@ def _motion_as_before(probe: Probe, command: Command) -> None:
     motion.ready_to_move(probe)
     motion.stand_still(probe)
     text = "the shaft turns after a restart in a run"
-    probe.expect(moved, near=0, within=motion.SAME, unit="degrees", refutes=text, exchange=exchange)
+    probe.expect(moved, near=0, unit="degrees", refutes=text, exchange=exchange)
     for name, seen in _each_motion(probe).items():
         text = f"{name} is another motion after a restart"
         probe.expect(seen, near=before[name], within=max(2.0, abs(before[name]) * _SHARE), refutes=text, exchange=exchange)
