@@ -30,7 +30,7 @@ from conformance.suite.rig_stand_in import StandInRig
 from conformance.suite.target import Target
 
 #: What is tested where no target is named, at which rate.
-TARGETS = ("mks-rs485@1", "mks-modbus@1", "mks-can@1", "lk-rs485@1,model=MF")
+TARGETS = ("mks-rs485@1,model=42D", "mks-modbus@1,model=42D", "mks-can@1,model=42E", "lk-rs485@1,model=MF")
 _SERIAL, _CAN = 38400, 500_000
 
 

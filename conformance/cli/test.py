@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_gate_arguments(parser)
     parser.add_argument("--theme", action="append", default=[], metavar="T", help="only this theme; may be repeated")
     parser.add_argument("--claim", action="append", default=[], metavar="ID", help="only these claims; * and ? are patterns")
-    parser.add_argument("--short", action="store_true", help="one claim for each command and each theme")
+    parser.add_argument("--short", action="store_true", help="the most telling claims, as many as fit into 90 s of the line")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of random values (default 0)")
     parser.add_argument("--jobs", type=_jobs, default=0, metavar="N", help="processes for emulated drives (default: all cores)")
     add_safety_arguments(parser)

@@ -35,7 +35,10 @@ OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("budget", {"action": "append", "default": [], "metavar": "…", "help": "commands=N,seconds=N,turns=N for the whole run"}),
     ("claim", {"action": "append", "default": [], "metavar": "ID", "help": "only these claims; * and ? are patterns"}),
     ("theme", {"action": "append", "default": [], "metavar": "T", "help": "only this theme"}),
-    ("short", {"action": "store_true", "default": False, "help": "one claim for each command and each theme"}),
+    (
+        "short",
+        {"action": "store_true", "default": False, "help": "the most telling claims, as many as fit into 90 s of the line"},
+    ),
     ("servo-seed", {"type": int, "default": 0, "metavar": "N", "help": "seed of random values"}),
     ("settings", {"default": None, "metavar": "FILE", "help": "JSON: what to put back where the drive cannot be asked"}),
     ("journal", {"default": None, "metavar": "FILE", "help": "where changes are written down before they are made"}),

@@ -52,6 +52,21 @@ class _Kept:
     failed: str = ""
 
 
+def cannot_keep(dialect: Dialect, names: Iterable[str], known: Mapping[str, int]) -> str:
+    """Return why settings (by field) of a drive cannot be changed, with what the user told of it, or nothing."""
+    for name in names:
+        commands = [c for c in dialect.commands if settings.changes(c) and name in all_fields(c.request_forms)]
+        if commands and not any(_can_keep(dialect, c, known) for c in commands):
+            return f"the drive does not tell its {name}: say in --settings FILE what to put back"
+    return ""
+
+
+def _can_keep(dialect: Dialect, command: Command, known: Mapping[str, int]) -> bool:
+    if settings.readable(dialect, command) or command.verb is Verb.SAVE_SPEED:
+        return True
+    return _fields(command) <= known.keys() or changes_link(command)
+
+
 class Keeper:
     """Keeps the settings of one drive.
 
@@ -91,16 +106,10 @@ class Keeper:
 
     def cannot_keep(self, names: tuple[str, ...]) -> str:
         """Return why settings (by field) cannot be changed here, or nothing."""
-        for name in names:
-            commands = [c for c in self._dialect.commands if settings.changes(c) and name in all_fields(c.request_forms)]
-            if commands and not any(self._can_keep(c) for c in commands):
-                return f"the drive does not tell its {name}: say in --settings FILE what to put back"
-        return ""
+        return cannot_keep(self._dialect, names, self._known)
 
     def _can_keep(self, command: Command) -> bool:
-        if settings.readable(self._dialect, command) or command.verb is Verb.SAVE_SPEED:
-            return True
-        return _fields(command) <= self._known.keys() or changes_link(command)
+        return _can_keep(self._dialect, command, self._known)
 
     def keep_before(self, found: tuple[Interpretation, ...]) -> None:
         """Make sure that the changes of what is about to leave can be put back.

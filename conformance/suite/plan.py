@@ -11,7 +11,6 @@ import multiprocessing
 import os
 import signal
 import tempfile
-from collections import Counter
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,8 +26,10 @@ from conformance.claim import Claim, Outcome, Theme, Verdict
 from conformance.drives import make
 from conformance.gate.permissions import READS, Allowance
 from conformance.motion import motion
+from conformance.safety import settings
+from conformance.safety.keeper import cannot_keep
 from conformance.safety.stopping import MAY_MOVE
-from conformance.suite import engine
+from conformance.suite import engine, order
 from conformance.suite.record import VerdictRecord, record
 from conformance.suite.rig import ClaimRig
 from conformance.suite.target import Target
@@ -39,8 +40,6 @@ if TYPE_CHECKING:
 
 #: Claims that a worker takes at once.
 _BATCH = 12
-#: Claims of each theme that a short run has at least.
-_OF_EACH_THEME = 1
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class Plan:
     `allowance`: what may be sent, None: everything for emulated drives, reads alone for others. `claims`: ids or patterns
     (`*/shape/*`), empty: all. `themes`: empty: all. `seed` of Hypothesis and of emulated drives. `settings`: what to put
     back where a dialect cannot read it (by drive and field). `longest_run`: seconds of motion without an end. `traffic`:
-    keep what went over the lines. `short`: one claim for each command, for lines on which time passes. `accepted`: known
+    keep what went over the lines. `short`: the most telling claims, as many as fit into 90 s of a line. `accepted`: known
     quirks that refute nothing, by name, or `all`.
     """
 
@@ -69,19 +68,32 @@ class Plan:
     accepted: tuple[str, ...] = ()
 
     def selected(self, target: Target) -> list[Claim]:
-        """Return the claims about a target, in order. Raises UsageError for a theme or an id that there is not."""
+        """Return the claims about a target, in the order in which they run. Raises UsageError for a theme that there is not.
+
+        On a real line what teaches most in a second comes first; time on an emulated one costs nothing.
+        """
         known = every_claim(target)
         _check_themes(self.themes)
         wanted = [c for c in known if self._wants(c)]
-        if not self.short:
-            return wanted
-        return shortened(wanted if target.emulated else [c for c in wanted if self._can_run(c)])
+        if not target.emulated or self.short:
+            wanted = order.ordered(wanted, target.rate)
+        return self._shortened(wanted, target) if self.short else wanted
 
-    def _can_run(self, claim: Claim) -> bool:
-        """Say whether a claim can run on a real drive with what is allowed, as far as that is known before."""
+    def _shortened(self, claims: Sequence[Claim], target: Target) -> list[Claim]:
+        """Return the first claims of an order that fit into a short run with what comes before them."""
+        can_run = claims if target.emulated else [c for c in claims if self._can_run(c, target)]
+        alone = self.allowance is not None and self.allowance.alone
+        before = order.start_seconds(target.dialect.name, target.rate, alone=alone and not target.emulated)
+        before += sum(order.seconds(c, target.rate) for c in proving_claims(self, target))
+        return order.fitting(can_run, target.rate, order.SHORT_SECONDS * order.PLANNED - before)
+
+    def _can_run(self, claim: Claim, target: Target) -> bool:
+        """Say whether a claim can run on a real drive with what is allowed and told, as far as that is known before."""
         given = self.allowance or Allowance(READS)
         named = not claim.by_name or claim.id in self.claims
-        return claim.risks <= given.risks and (given.alone or not claim.alone) and not claim.emulated and named
+        allowed = claim.risks <= given.risks and (given.alone or not claim.alone)
+        known = settings.known(target.dialect, f"{target.dialect.name}@{target.address}", self.settings)
+        return allowed and named and not claim.emulated and not cannot_keep(target.dialect, claim.settings, known)
 
     def _wants(self, claim: Claim) -> bool:
         if self.themes and claim.theme.value not in self.themes:
@@ -98,28 +110,6 @@ class Plan:
         for pattern in self.claims:
             if not any(fnmatch.fnmatchcase(i, pattern) for i in ids):
                 raise UsageError(f"no claim {quote(pattern)}{near(pattern, ids)} (servotap test --list lists all)")
-
-
-def shortened(claims: Sequence[Claim]) -> list[Claim]:
-    """Return one claim for each command, of another theme for each, and one of each theme; in their order.
-
-    It is for lines on which time passes: a look at everything, in a minute or two.
-    """
-    groups: dict[str, dict[str, list[Claim]]] = {}
-    for claim in claims:
-        about = claim.commands[0] if claim.commands else claim.id.split("/")[2]
-        groups.setdefault(about, {}).setdefault(claim.theme.value, []).append(claim)
-    counts: Counter[str] = Counter()
-    chosen = set()
-    for number, themes in enumerate(groups.values()):
-        theme = min(themes, key=lambda name: counts[name])
-        counts[theme] += 1
-        chosen.add(themes[theme][number % len(themes[theme])].id)
-    for claim in claims:
-        if counts[claim.theme.value] < _OF_EACH_THEME and claim.id not in chosen:
-            counts[claim.theme.value] += 1
-            chosen.add(claim.id)
-    return [claim for claim in claims if claim.id in chosen]
 
 
 def _check_themes(themes: Sequence[str]) -> None:

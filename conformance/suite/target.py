@@ -17,7 +17,7 @@ from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
 from analyzer.live import endpoint as endpoints
-from analyzer.live.endpoint import Endpoint
+from analyzer.live.endpoint import DEFAULT_BAUD, DEFAULT_BITRATE, Endpoint
 from analyzer.values import quote
 from conformance.drives import make
 from conformance.drives.make import Specification
@@ -45,6 +45,13 @@ class Target:
     def on(self) -> str:
         """Where it is, as named."""
         return EMULATED if self.endpoint is None else self.endpoint.text
+
+    @property
+    def rate(self) -> int:
+        """Bits per second of its line, the usual one of a new drive where it is emulated."""
+        if self.endpoint is not None:
+            return self.endpoint.bits_per_second
+        return DEFAULT_BITRATE if self.dialect.bus == "can" else DEFAULT_BAUD
 
     @property
     def port(self) -> str:

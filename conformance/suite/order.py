@@ -1,0 +1,159 @@
+"""The order in which claims run on a real line: what teaches most in a second comes first.
+
+A table for each dialect (`telling/DIALECT.json`) was made by measurement (`benchmarks/order.py`): the claims that refute most
+of the known faults in a second of the line, and that look at what no claim before them looked at; and how long each kind of
+claim takes. What stands in no table (new claims, those of another package) comes behind, by an estimate.
+
+Rules kept here:
+- The order depends on the claims alone; it is the same again.
+- A kind is a claim's id without the names of commands. Of the claims that are not named one by one, first one of each kind
+  runs, then a second, the quick ones first.
+- What proves that settings need no distance runs before the first claim that changes one.
+- Claims that make the drive ready to move stand together, as long as nothing comes later by it than some seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cache
+from importlib.resources import files
+from typing import NamedTuple
+
+import msgspec
+
+from analyzer import dialects
+from analyzer.catalogue import Risk
+from conformance.claim import Claim
+
+#: How long a short run may take, in seconds, and how much of it is planned: a port takes a little longer than its bits.
+SHORT_SECONDS, PLANNED = 90.0, 0.95
+#: By how much a claim may come later so that it stands with others that need the drive ready to move, in seconds.
+_TOGETHER_SECONDS = 10.0
+
+
+class Cost(NamedTuple):
+    """What something costs on a line: seconds that pass at any rate, and bits."""
+
+    waits: float
+    bits: float
+
+    def seconds(self, rate: int) -> float:
+        """Return how long it takes at so many bits per second."""
+        return self.waits + self.bits / rate
+
+
+#: What is said of a claim of which nothing is known.
+_UNKNOWN = Cost(1.0, 1000)
+
+
+class Table(msgspec.Struct, frozen=True):
+    """What was measured in a dialect. `start`: until the first claim; `alone`: more of it, with --alone.
+
+    `first`: claims that teach most in a second, in order, by id without the dialect. `kinds`: all others.
+    """
+
+    start: Cost = Cost(1.0, 0)
+    alone: Cost = Cost(0, 0)
+    first: dict[str, Cost] = {}
+    kinds: dict[str, Cost] = {}
+
+
+@cache
+def table(dialect: str) -> Table:
+    """Return what was measured in a dialect; an empty table where nothing was."""
+    file = files("conformance.suite") / "telling" / f"{dialect}.json"
+    return msgspec.json.decode(file.read_bytes(), type=Table) if file.is_file() else Table()
+
+
+def kind(claim: Claim) -> str:
+    """Return a claim's id without its dialect and the names of commands."""
+    return "/".join(_without_names(claim.dialect, part) for part in claim.id.split("/")[1:])
+
+
+@cache
+def _without_names(dialect: str, part: str) -> str:
+    for name in _names(dialect):
+        part = part.replace(name, "*")
+    return part
+
+
+@cache
+def _names(dialect: str) -> Sequence[str]:
+    known = [c.name for d in dialects.every() if d.name == dialect for c in d.commands]
+    return sorted(known, key=lambda name: (-len(name), name))
+
+
+def cost(claim: Claim) -> Cost:
+    """Return what a claim costs, with what comes behind it (stopping, putting back); an estimate where it was not measured."""
+    known = table(claim.dialect)
+    return known.first.get(claim.id.split("/", 1)[1]) or known.kinds.get(kind(claim)) or _UNKNOWN
+
+
+def seconds(claim: Claim, rate: int) -> float:
+    """Return how long a claim takes on a line."""
+    return cost(claim).seconds(rate)
+
+
+def start_seconds(dialect: str, rate: int, *, alone: bool) -> float:
+    """Return how long a run takes until its first claim."""
+    known = table(dialect)
+    return known.start.seconds(rate) + known.alone.seconds(rate) * alone
+
+
+def ordered(claims: Iterable[Claim], rate: int) -> list[Claim]:
+    """Return claims in the order in which they run on a real line."""
+    every = list(claims)
+    told = [c for c in every if c.id.split("/", 1)[1] in table(c.dialect).first]
+    place = {name: number for dialect in {c.dialect for c in every} for number, name in enumerate(_first_ids(dialect))}
+    told.sort(key=lambda c: place[c.id])
+    return _together(_distance_first([*told, *_by_rounds([c for c in every if c.id not in place], rate)]), rate)
+
+
+def _first_ids(dialect: str) -> list[str]:
+    return [f"{dialect}/{name}" for name in table(dialect).first]
+
+
+def _by_rounds(claims: Sequence[Claim], rate: int) -> list[Claim]:
+    """Return one claim of each kind, then a second: a slow one waits for more rounds of quick ones than of its own."""
+    met: dict[str, int] = {}
+    keys: dict[str, tuple[float, str]] = {}
+    for claim in claims:
+        own = kind(claim)
+        met[own] = met.get(own, 0) + 1
+        keys[claim.id] = (met[own] ** 2 * seconds(claim, rate), claim.id)
+    return sorted(claims, key=lambda c: keys[c.id])
+
+
+def _hasty(claim: Claim) -> bool:
+    return claim.id.endswith("/hasty_settings")
+
+
+def _distance_first(claims: list[Claim]) -> list[Claim]:
+    at = next((number for number, claim in enumerate(claims) if Risk.SETTING in claim.risks), len(claims))
+    early, late = claims[:at], claims[at:]
+    return [*early, *(c for c in late if _hasty(c)), *(c for c in late if not _hasty(c))]
+
+
+def _together(claims: Sequence[Claim], rate: int) -> list[Claim]:
+    """Return claims with those of the same settings side by side, within some seconds."""
+    found: list[Claim] = []
+    some: list[Claim] = []
+    passed = 0.0
+    for number, claim in enumerate(claims):
+        some.append(claim)
+        passed += seconds(claim, rate)
+        if passed >= _TOGETHER_SECONDS or _hasty(claim) or number == len(claims) - 1:
+            found += sorted(some, key=lambda c: (_hasty(c), c.settings))
+            some, passed = [], 0.0
+    return found
+
+
+def fitting(claims: Iterable[Claim], rate: int, within: float) -> list[Claim]:
+    """Return the first claims that fit into so many seconds. None is left out: one may judge what another has asked."""
+    found = []
+    for claim in claims:
+        within -= seconds(claim, rate)
+        if within < 0:
+            break
+        found.append(claim)
+    return found

@@ -1,0 +1,91 @@
+"""The order of a real run, and the short run: tables that name what there is, the same order again, what fits in 90 s."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+
+from analyzer.catalogue import Risk
+from conformance.claim import Claim, Theme
+from conformance.gate.permissions import Allowance
+from conformance.suite import order
+from conformance.suite import plan as suite
+from conformance.suite.plan import Plan
+from conformance.suite.target import Target, parse
+
+_PLACES = {
+    "mks-rs485@1,model=42D": "serial:none,baud=38400",
+    "mks-modbus@1,model=42D": "serial:none,baud=38400",
+    "mks-can@1,model=42E": "can:virtual:none,bitrate=500000",
+    "lk-rs485@1,model=MF": "serial:none,baud=38400",
+}
+_TARGETS = [parse(drive, place) for drive, place in _PLACES.items()]
+_EVERYTHING = Allowance(frozenset(Risk), alone=True)
+#: Of the claims, those that a table may not know: they get an estimate.
+_UNKNOWN_SHARE = 0.1
+
+each_target = pytest.mark.parametrize("target", _TARGETS, ids=lambda target: target.dialect.name)
+
+
+def _seconds(plan: Plan, target: Target) -> float:
+    return sum(order.seconds(claim, target.rate) for claim in plan.selected(target))
+
+
+@each_target
+def test_a_table_names_claims_that_there_are_and_knows_nearly_all_kinds(target: Target) -> None:
+    known, claims = order.table(target.dialect.name), suite.every_claim(target)
+    assert set(known.first) <= {claim.id.split("/", 1)[1] for claim in claims}
+    possible = [claim for claim in claims if not claim.emulated and not claim.by_name]
+    unknown = [claim.id for claim in possible if order.kind(claim) not in known.kinds]
+    assert len(unknown) <= _UNKNOWN_SHARE * len(possible), f"make the tables anew (benchmarks/order.py): {unknown}"
+
+
+@each_target
+def test_the_order_is_the_same_again_and_leaves_nothing_out(target: Target) -> None:
+    claims = suite.every_claim(target)
+    found = order.ordered(claims, target.rate)
+    assert [c.id for c in found] == [c.id for c in order.ordered(tuple(claims), target.rate)]
+    assert sorted(c.id for c in found) == sorted(c.id for c in claims)
+
+
+@each_target
+def test_settings_are_proved_to_need_no_distance_before_one_is_changed(target: Target) -> None:
+    found = order.ordered(suite.every_claim(target), target.rate)
+    hasty = [number for number, claim in enumerate(found) if claim.id.endswith("/hasty_settings")]
+    assert all(Risk.SETTING not in claim.risks for claim in found[: min(hasty, default=0)])
+
+
+@each_target
+def test_a_short_run_fits_into_90_seconds_and_fills_them(target: Target) -> None:
+    short = Plan((target,), _EVERYTHING, settings={"": {"work_mode": "2", "subdivision": "16"}}, short=True)
+    before = order.start_seconds(target.dialect.name, target.rate, alone=True)
+    assert 60 < before + _seconds(short, target) <= order.SHORT_SECONDS
+    reads = Plan((target,), short=True)
+    assert all(not claim.risks for claim in reads.selected(target))
+    assert _seconds(reads, target) <= order.SHORT_SECONDS
+
+
+def test_a_slower_line_gets_fewer_claims() -> None:
+    fast, slow = (parse("lk-rs485@1,model=MF", f"serial:none,baud={rate}") for rate in (115200, 9600))
+    counts = [len(Plan((t,), _EVERYTHING, short=True).selected(t)) for t in (fast, slow)]
+    assert counts[0] > counts[1] > 0
+
+
+def test_what_no_table_knows_runs_behind_by_an_estimate() -> None:
+    claims = list(suite.every_claim(_TARGETS[0]))
+    own = Claim("mks-rs485/motion/of-a-package", Theme.MOTION, "mks-rs485", "x", "", "y", lambda probe: None)
+    found = order.ordered([own, *claims], _TARGETS[0].rate)
+    assert order.cost(own).waits > 0
+    assert found.index(own) > len(order.table("mks-rs485").first) // 2
+
+
+def test_claims_that_need_the_drive_ready_stand_together() -> None:
+    plain = [f"mks-rs485/{name}" for name in order.table("mks-rs485").first]
+    by_id = {claim.id: claim for claim in suite.every_claim(_TARGETS[0])}
+    found = [c.id for c in order.ordered(by_id.values(), _TARGETS[0].rate) if c.id in set(plain)]
+
+    def switches(ids: list[str]) -> int:
+        return sum(by_id[one].settings != by_id[other].settings for one, other in pairwise(ids))
+
+    assert switches(found) < 0.8 * switches(plain)
