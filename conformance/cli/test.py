@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -127,7 +128,7 @@ def _test(plan: Plan, arguments: argparse.Namespace) -> int:
     total = sum(len(plan.selected(each)) for each in plan.targets)
     began = now_text()
     # A run that is left is closed at once: what moves is stopped, and what that reports must not get lost.
-    with as_interrupt(), _progress(total) as advance:
+    with as_interrupt(), _progress(plan) as advance:
         try:
             with closing(suite.run(plan, jobs)) as verdicts:
                 for each in verdicts:
@@ -257,20 +258,33 @@ class _Advance:
         """Take a verdict."""
 
 
+def time_left(planned: float, done: float, elapsed: float) -> float:
+    """Return how many seconds of a run are left, of those that were planned: as much slower as it was until now."""
+    return max(0.0, planned - done) * (elapsed / done if done > 0 else 1.0)
+
+
 @contextmanager
-def _progress(total: int) -> Iterator[_Advance]:
+def _progress(plan: Plan) -> Iterator[_Advance]:
     if not sys.stderr.isatty():
         yield _Advance()
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, TextColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    seconds = {(each.text, name): value for each in plan.targets for name, value in plan.seconds(each).items()}
+    planned, began = sum(seconds.values()), time.monotonic()
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[count]}"))
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("testing", total=total)
+        task = bar.add_task("testing", total=planned, count=f"0/{len(seconds)}")
 
         class Shown(_Advance):
+            count, done = 0, 0.0
+
             def __call__(self, each: VerdictRecord) -> None:
-                bar.update(task, advance=1, description=f"{each.dialect} {each.theme}")
+                self.count += 1
+                self.done += seconds.get((each.target, each.id), 0.0)
+                left = timedelta(seconds=round(time_left(planned, self.done, time.monotonic() - began)))
+                shown = f"{self.count}/{len(seconds)}, {left} left"
+                bar.update(task, completed=self.done, count=shown, description=f"{each.dialect} {each.theme}")
 
         yield Shown()

@@ -87,6 +87,13 @@ class Plan:
         before += sum(order.seconds(c, target.rate) for c in proving_claims(self, target))
         return order.fitting(can_run, target.rate, order.SHORT_SECONDS * order.PLANNED - before)
 
+    def seconds(self, target: Target) -> dict[str, float]:
+        """Return how long each claim will take, by id: on a real line what was measured, each alike on an emulated one."""
+        if target.emulated:
+            return {claim.id: 1.0 for claim in self.selected(target)}
+        can_run = {c.id for c in self.selected(target) if self._can_run(c, target)}
+        return {c.id: order.seconds(c, target.rate) if c.id in can_run else 0.0 for c in self.selected(target)}
+
     def _can_run(self, claim: Claim, target: Target) -> bool:
         """Say whether a claim can run on a real drive with what is allowed and told, as far as that is known before."""
         given = self.allowance or Allowance(READS)

@@ -8,6 +8,7 @@ import pytest
 
 from analyzer.catalogue import Risk
 from conformance.claim import Claim, Theme
+from conformance.cli.test import time_left
 from conformance.gate.permissions import Allowance
 from conformance.suite import order
 from conformance.suite import plan as suite
@@ -89,3 +90,15 @@ def test_claims_that_need_the_drive_ready_stand_together() -> None:
         return sum(by_id[one].settings != by_id[other].settings for one, other in pairwise(ids))
 
     assert switches(found) < 0.8 * switches(plain)
+
+
+def test_the_time_left_is_what_was_planned_and_then_what_it_turned_out_to_be() -> None:
+    assert time_left(90, 0, 5) == 90
+    assert time_left(90, 30, 60) == 120
+    assert time_left(90, 95, 60) == 0
+
+
+def test_a_run_plans_no_time_for_claims_that_cannot_run() -> None:
+    planned = Plan((_TARGETS[0],)).seconds(_TARGETS[0])
+    assert planned["mks-rs485/motion/run_speed/speed-60"] == 0
+    assert sum(planned.values()) > 0
