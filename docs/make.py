@@ -1,7 +1,8 @@
-"""Make what the documents show: the outputs in README.md from real runs, the picture, the table of rules.
+"""Make what the documents show: the outputs in README.md from real runs, the picture, the tables of rules and statements.
 
-python docs/make.py          rewrite README.md, docs/show.svg and docs/findings.md in place
-python docs/make.py --check  say what is out of date, exit 1 if anything is
+python docs/make.py                rewrite README.md, docs/show.svg, docs/findings.md and docs/statements.md in place
+python docs/make.py statements.md  rewrite this one alone
+python docs/make.py --check        say what is out of date, exit 1 if anything is
 """
 
 from __future__ import annotations
@@ -106,17 +107,47 @@ def findings() -> str:
     )
 
 
+def statements() -> str:
+    """Return the page of what the manuals say, and the share of it that has claims."""
+    from analyzer import dialects
+
+    every = [d for d in dialects.every() if d.statements]
+    lines = [
+        "# Statements of the manuals",
+        "",
+        "Each thing that a manual says a drive does is a statement with an id and its section. It names the claims that would",
+        "refute its opposite, or the reason why none can. `servotap catalogue --statements [--dialect D] [--json]` lists all.",
+        "A test holds that each claim that is named exists.",
+        "",
+        "| dialect | manual | statements | with claims | share |",
+        "| --- | --- | ---: | ---: | ---: |",
+    ]
+    for dialect in every:
+        total, claimed = len(dialect.statements), sum(bool(s.claims) for s in dialect.statements)
+        lines.append(f"| `{dialect.name}` | {dialect.manual} | {total} | {claimed} | {100 * claimed / total:.1f} % |")
+    counts = [(len(d.statements), sum(bool(s.claims) for s in d.statements)) for d in every]
+    total, claimed = (sum(n) for n in zip(*counts, strict=True))
+    lines += [f"| all | | {total} | {claimed} | {100 * claimed / total:.1f} % |", "", "## Without a claim, and why"]
+    for dialect in every:
+        lines += ["", f"### {dialect.name}", "", "| statement | what is said | why no claim judges it |", "| --- | --- | --- |"]
+        lines += [f"| `{s.id}` | {s.says} | {s.unclaimed} |" for s in dialect.statements if s.unclaimed]
+    return "\n".join([*lines, ""])
+
+
 def main() -> int:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("pages", nargs="*", metavar="PAGE", help="only these, by file name")
     parser.add_argument("--check", action="store_true")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        made = {
-            ROOT / "README.md": filled((ROOT / "README.md").read_text(), Path(folder)),
-            ROOT / "docs" / "show.svg": picture(),
-            ROOT / "docs" / "findings.md": findings(),
+        makers = {
+            ROOT / "README.md": lambda: filled((ROOT / "README.md").read_text(), Path(folder)),
+            ROOT / "docs" / "show.svg": picture,
+            ROOT / "docs" / "findings.md": findings,
+            ROOT / "docs" / "statements.md": statements,
         }
+        made = {path: make() for path, make in makers.items() if not arguments.pages or path.name in arguments.pages}
     old = [path for path, text in made.items() if not path.exists() or path.read_text() != text]
     for path in old:
         print(f"{path.relative_to(ROOT)} {'is out of date' if arguments.check else 'written'}")

@@ -15,6 +15,7 @@ import argparse
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from analyzer import dialects as registry
 from analyzer.catalogue import Risk
 from analyzer.errors import UsageError
 from analyzer.values import near, quote
@@ -44,7 +45,8 @@ class Allowance:
     """What may be sent.
 
     `risks`: reads are always among them. `addresses`: the drives that are meant, None: whichever. `alone`: no other drive is
-    on the bus. `subdivision`: what the drives are set to, where the user says so. `budget` None: no limits but the default
+    on the bus; `spoken`: the dialects in which one is looked for, None: all of the bus. `subdivision`: what the drives
+    are set to, where the user says so. `budget` None: no limits but the default
     wear.
     """
 
@@ -57,6 +59,7 @@ class Allowance:
     alone: bool = False
     budget: Budget = field(default_factory=Budget)
     subdivision: int | None = None
+    spoken: frozenset[str] | None = None
 
     def __post_init__(self) -> None:
         more = READS | ({Risk.MOTION} if Risk.UNBOUNDED in self.risks else frozenset())
@@ -73,7 +76,8 @@ class Allowance:
         numbers |= {"max-current": self.current, "subdivision": self.subdivision}
         shown = {name: f"{value:g}" for name, value in numbers.items() if value is not None}
         budget = ",".join(f"{n}={v}" for n, v in self.budget.described().items())
-        return shown | ({"budget": budget} if budget else {}) | ({"alone": "yes"} if self.alone else {})
+        spoken = {} if self.spoken is None else {"spoken": ",".join(sorted(self.spoken))}
+        return shown | ({"budget": budget} if budget else {}) | ({"alone": "yes"} if self.alone else {}) | spoken
 
     def objection(self, asked: Interpretation, known: Knowledge) -> Objection | None:
         """Return why an interpretation may not leave, None where it may; the budget aside."""
@@ -124,6 +128,11 @@ def parse_allow(text: str) -> frozenset[Risk]:
     return frozenset(found)
 
 
+def parse_spoken(text: str | None) -> frozenset[str] | None:
+    """Return the dialects of `mks-can,lk-rs485`. Raises UsageError for a name that is none."""
+    return None if text is None else frozenset(registry.get(name.strip()).name for name in text.split(","))
+
+
 def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options by which a user says what may be sent."""
     group = parser.add_argument_group("permissions (without them, only reads are sent)")
@@ -133,6 +142,7 @@ def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--max-acceleration", type=_above_zero, metavar="N", help="as sent, 1..255; 0, at once, is above all")
     group.add_argument("--max-current", type=_above_zero, metavar="MA", help="highest current that is set or held")
     group.add_argument("--alone", action="store_true", help="no other drive is on the bus: broadcasts, packages, link changes")
+    group.add_argument("--spoken", metavar="DIALECTS", help="what drives on this bus speak: --alone looks for these")
     group.add_argument(
         "--budget", action="append", default=[], metavar="WORD=N,...", help="of the whole run: commands, seconds, turns, wear"
     )
@@ -154,6 +164,7 @@ def allowance_from(arguments: argparse.Namespace, *, addresses: Iterable[int] | 
         bool(arguments.alone),
         parse_budget(list(arguments.budget or ())),
         getattr(arguments, "subdivision", None),
+        parse_spoken(getattr(arguments, "spoken", None)),
     )
 
 

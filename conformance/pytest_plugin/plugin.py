@@ -27,6 +27,7 @@ OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("on", {"action": "append", "default": [], "metavar": "ENDPOINT", "help": "serial:, tcp:, can:, or emulated (default)"}),
     ("allow", {"action": "append", "default": [], "metavar": "RISKS", "help": "what may be sent beside reads"}),
     ("alone", {"action": "store_true", "default": False, "help": "no other drive is on the bus"}),
+    ("spoken", {"default": None, "metavar": "DIALECTS", "help": "what drives on this bus speak: --alone looks for these"}),
     ("max-speed", {"type": float, "default": None, "metavar": "RPM", "help": "highest speed that may be sent"}),
     ("max-turns", {"type": float, "default": None, "metavar": "N", "help": "longest move that may be sent"}),
     ("max-acceleration", {"type": float, "default": None, "metavar": "N", "help": "highest acceleration that may be sent"}),

@@ -49,23 +49,25 @@ class Search:
     report: Report
 
 
-def check(gate: Gate, dialect: Dialect, address: int, *, alone: bool) -> str:
+def check(gate: Gate, dialect: Dialect, address: int, *, alone: bool, spoken: frozenset[str] | None = None) -> str:
     """Make sure that the drive answers, and with `alone` that no other does; return its firmware as far as it reports it.
 
-    Raises DriveNotFound with what came instead. Sends reads only.
+    `spoken`: the dialects in which others are looked for, None: all of the bus. Sends reads only. Raises DriveNotFound with what
+    came instead.
     """
     search = find_drive(gate, dialect, address)
     if search.found is None and (search.elsewhere or not any(s.data for s in search.report.strays)):
         raise DriveNotFound(search.text)
     if alone:
         same_bus = [d for d in registry.every() if d.bus == dialect.bus]
-        near = neighbours(gate, same_bus, own=(address,))
+        looked_for = [d for d in same_bus if spoken is None or d.name in spoken or d.name == dialect.name]
+        near = neighbours(gate, looked_for, own=(address,))
         if near.names:
             raise DriveNotFound(f"--alone was given, but {', '.join(near.names)} answers too: nothing was sent but reads")
         if near.unasked:
             raise DriveNotFound(
                 f"--alone was given, but {_listed(near.unasked)} cannot be looked for: the question would do something to a "
-                "drive of another dialect; nothing was sent but reads"
+                "drive of another dialect (--spoken names those of this bus); nothing was sent but reads"
             )
     return search.found.identity if search.found is not None else ""
 
@@ -103,24 +105,24 @@ def neighbours(gate: Gate, dialects: Sequence[Dialect], own: Iterable[int]) -> N
 
 def _on_can(gate: Gate, dialect: Dialect, addresses: Sequence[int]) -> Neighbours:
     """Ask all of them without waiting for one: on CAN the identifier says whose reply it is."""
-    command = search_read(dialect)
     frame_ns = _CAN_BITS * 1_000_000_000 // gate.line.endpoint.bits_per_second
     heard: list[Chunk | CanFrame] = []
     unasked: list[str] = []
-    asked: dict[int | None, int] = {}
+    asked: dict[int | None, tuple[int, int]] = {}
     for address in addresses:
+        command = search_read(dialect, address, gate)
         built = assemble(dialect, command, address)
         # A question that a drive of another dialect could take for a command is not asked.
         if gate.objections(built.item()):
             unasked.append(f"{dialect.name}@{address}")
             continue
-        asked[built.can_id] = address
+        asked[built.can_id] = address, command.code
         gate.send(built.item())
         # Interfaces have room for a few frames only.
         heard += gate.wait(2 * frame_ns)
     heard += gate.wait(_LATE_NS)
     frames = [f for f in heard if isinstance(f, CanFrame) and f.id in asked]
-    found = {asked[f.id] for f in frames if dialect.link.parse(f.data, f.id).code == command.code}
+    found = {asked[f.id][0] for f in frames if dialect.link.parse(f.data, f.id).code == asked[f.id][1]}
     return Neighbours(tuple(f"{dialect.name}@{address}" for address in sorted(found)), tuple(unasked))
 
 

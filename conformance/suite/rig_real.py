@@ -88,7 +88,7 @@ class RealRig(ClaimRig):
         self._closed = False
         self._not_stopped = False
         try:
-            self.firmware = check(self.gate, self.dialect, self.address, alone=self.alone)
+            self.firmware = check(self.gate, self.dialect, self.address, alone=self.alone, spoken=given.spoken)
             self._tell(say.DriveFound())
         except BaseException:
             self.close()

@@ -157,13 +157,24 @@ _CAN_SILENCE = (
 Progress = Callable[[int, int, str], None]
 
 
-def search_read(dialect: Dialect) -> Command:
-    """Return the read by which a drive of a dialect is looked for: one without values, that changes nothing."""
+def search_reads(dialect: Dialect) -> list[Command]:
+    """Return the reads by which a drive of a dialect can be looked for, the best first: without values, changing nothing."""
     plain = [c for c in dialect.commands if _is_plain_read(c)]
     if not plain:
         raise UsageError(f"{dialect.name} has no read that needs no value, so its drives cannot be looked for")
     ranks = {verb: rank for rank, verb in enumerate(_SEARCH_READS)}
-    return min(plain, key=lambda c: ranks.get(c.verb, len(ranks)))
+    return sorted(plain, key=lambda c: ranks.get(c.verb, len(ranks)))
+
+
+def search_read(dialect: Dialect, address: int | None = None, gate: Gate | None = None) -> Command:
+    """Return the read by which a drive is looked for: the best, or the best of those that a gate lets through to it.
+
+    A question may do something to a drive of another dialect of the bus; another one then does not. Where each does: the best.
+    """
+    reads = search_reads(dialect)
+    if gate is None or address is None:
+        return reads[0]
+    return next((c for c in reads if not gate.objections(assemble(dialect, c, address).item())), reads[0])
 
 
 def _is_plain_read(command: Command) -> bool:
@@ -286,7 +297,7 @@ class Finder:
 
     def find(self, dialect: Dialect, address: int) -> tuple[Found | None, Exchange]:
         """Ask for a drive; return it, if one answered, and the exchange. Raises LineLost."""
-        command = search_read(dialect)
+        command = search_read(dialect, address, self.dialogue.gate)
         exchange = self._ask(dialect, command, address)
         answer = next((a for a in exchange.answers if _is_of(a, dialect)), None)
         if answer is None:

@@ -25,7 +25,9 @@ def verdicts(toy, tmp_path, monkeypatch):
 
     def run(drive, *wanted, **bounds):
         asked = target.parse("toy-can@2", "can:virtual:toy")
-        plan = Plan((asked,), Allowance(frozenset(Risk), alone=True, **bounds), settings=SETTINGS)
+        plan = Plan(
+            (asked,), Allowance(frozenset(Risk), alone=True, spoken=frozenset({"toy-can"}), **bounds), settings=SETTINGS
+        )
         rig = VirtualRig(drive, plan, asked)
         try:
             names = [(claim.id.partition("/")[2], claim) for claim in every_claim(asked)]

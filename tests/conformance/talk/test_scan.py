@@ -23,7 +23,7 @@ from conformance.drives.serial_bus import SerialBus
 from conformance.gate.gate import Allowance, Gate
 from conformance.serve.pty import PtyPort
 from conformance.suite.preflight import DriveNotFound, Neighbours, Search, check, find_drive, neighbours, other_drives
-from conformance.talk.scan import Report, Stray, StrayKind, scan, search_read
+from conformance.talk.scan import Report, Stray, StrayKind, scan, search_read, search_reads
 from tests.conformance.drives.served import drives, on_port, on_pty
 
 SERIAL = [d for d in dialects.every() if d.bus == "serial"]
@@ -303,10 +303,10 @@ def test_all_addresses_are_looked_at_within_seconds():
     assert one.now_ns() - begun_ns < 10_000_000_000
 
 
-def with_another(dialect: Dialect) -> list[Dialect]:
-    """Return a dialect and one of the same bus to whose drives the question is a motion."""
-    code = search_read(dialect).code
-    risky = tuple(replace(c, risk=(always(Risk.MOTION),)) if c.code == code else c for c in dialect.commands)
+def with_another(dialect: Dialect, reads: int | None = None) -> list[Dialect]:
+    """Return a dialect and one of the same bus to whose drives each question is a motion."""
+    codes = {c.code for c in search_reads(dialect)[:reads]}
+    risky = tuple(replace(c, risk=(always(Risk.MOTION),)) if c.code in codes else c for c in dialect.commands)
     return [dialect, replace(dialect, name="another", commands=risky)]
 
 
@@ -326,3 +326,19 @@ def test_alone_is_not_granted_where_an_address_cannot_be_looked_at(name: str, mo
     )
     with pytest.raises(DriveNotFound, match=r"@9 and \d+ more cannot be looked for"):
         check(asking, dialect, 1, alone=True)
+
+
+@pytest.mark.parametrize("name", ["mks-rs485@1", "mks-can@1"])
+def test_another_read_asks_where_the_best_would_do_something_to_another_dialect(name: str):
+    dialect, other = dialects.drive(name)[0], name.replace("@1", "@9")
+    asking = Gate(
+        EmulatedLine([make.make(make.parse(n)) for n in (name, other)]), Allowance(), dialects=with_another(dialect, 1)
+    )
+    assert neighbours(asking, [dialect], own=(1,)) == Neighbours((other,))
+
+
+def test_who_says_what_is_spoken_is_asked_in_that_alone():
+    both = gate("mks-rs485@1", "lk-rs485@5,baud=38400")
+    assert check(both, MKS, 1, alone=True, spoken=frozenset({"mks-modbus"})) == ""
+    with pytest.raises(DriveNotFound, match="lk-rs485@5 answers too"):
+        check(both, MKS, 1, alone=True, spoken=frozenset({"lk-rs485"}))
