@@ -52,8 +52,9 @@ class Search:
 def check(gate: Gate, dialect: Dialect, address: int, *, alone: bool, spoken: frozenset[str] | None = None) -> str:
     """Make sure that the drive answers, and with `alone` that no other does; return its firmware as far as it reports it.
 
-    `spoken`: the dialects in which others are looked for, None: all of the bus. Sends reads only. Raises DriveNotFound with what
-    came instead.
+    `spoken`: the dialects in which others are looked for, None: all of the bus. Sends reads only.
+
+    Raises DriveNotFound with what came instead.
     """
     search = find_drive(gate, dialect, address)
     if search.found is None and (search.elsewhere or not any(s.data for s in search.report.strays)):
