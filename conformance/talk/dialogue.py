@@ -25,6 +25,8 @@ from conformance.talk.no_checksum import Bare
 MS = 1_000_000
 #: A pause after which what came is decoded as it stands, although more might have belonged to it.
 PAUSE_NS = 15 * MS
+#: The pause where whole frames have come and nothing else: what is longer than its frame comes on without one.
+_WHOLE_PAUSE_NS = 2 * MS
 #: Requests whose replies are still known for theirs.
 _OPEN_REQUESTS = 256
 #: Spans of the bus that were sent here: what is decoded late may lie in an earlier one.
@@ -186,7 +188,7 @@ class Dialogue:
     def receive(self, until_ns: int) -> Chunk | CanFrame | None:
         """Take what comes next into the exchange; None after a pause, or when the time is over. Raises LineLost."""
         left_ns = max(0, until_ns - self.gate.now_ns())
-        got = self.gate.receive(min(left_ns, self._pause_ns) if self._pending else left_ns)
+        got = self.gate.receive(min(left_ns, self._longest_pause_ns) if self._pending else left_ns)
         if got is not None:
             self._feed(got)
         elif self._pending:
@@ -194,6 +196,11 @@ class Dialogue:
         self._pending = got is not None
         self._take()
         return got
+
+    @property
+    def _longest_pause_ns(self) -> int:
+        """How long a pause may be before what came is decoded as it stands."""
+        return min(self._pause_ns, _WHOLE_PAUSE_NS) if self._pipeline.ports[self._name].framer.between else self._pause_ns
 
     def finish(self) -> Exchange:
         """Decode what came as it stands, and end the exchange."""
