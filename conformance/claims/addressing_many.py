@@ -16,8 +16,8 @@ from conformance.claims.control_reads import ask_first, is_answered, judge_next,
 from conformance.claims.declare import Case, Cases, claim, described_in
 from conformance.claims.stops import expect_standing
 from conformance.motion import effects, motion
-from conformance.motion.effects import Change, Observable
-from conformance.motion.motion import MOVES, MS
+from conformance.motion.effects import STEP_NS, Change, Observable
+from conformance.motion.motion import MOVES
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
 
@@ -239,13 +239,11 @@ def _turns_and_stops(probe: Probe, many: _Many, run: Command, stop: Command) -> 
     motion.prepare(probe, run)
     to = many.join(probe)
     values = motion.values_of(probe.dialect, run, 10 * 360, start=motion.place(probe, run))
-    begun = probe.send(probe.build(run, values, address=to).item())
-    probe.wait(300 * MS)
+    begun = probe.send(probe.build(run, values, address=to).item(), timeout_ns=STEP_NS)
     text = f"{run.name} by {many.what} does not turn the shaft"
     probe.expect(abs(motion.turning(probe).value), at_least=motion.CALM / 2, unit="rpm", refutes=text, exchange=begun)
     how = {"acceleration": motion.QUICK} if motion.of(stop).acceleration else {}
-    ended = probe.send(probe.build(stop, how, address=to).item())
-    probe.wait(300 * MS)
+    ended = probe.send(probe.build(stop, how, address=to).item(), timeout_ns=STEP_NS)
     expect_standing(probe, ended, f"{stop.name} by {many.what} does not stop the shaft")
     for sent in (begun, ended):
         _expect_silence(probe, sent, many.what)

@@ -287,8 +287,7 @@ def _turns_and_stops(probe: Probe, command: Command, run: Command, stop: Command
     seen = []
     for order, data in ((run, values), (stop, {"acceleration": motion.QUICK})):
         slot = {"address": probe.address, "command": order.name, **data}
-        sent = probe.send(_frame(probe, command, [EMPTY] * before + [slot]))
-        probe.wait(300 * motion.MS)
+        sent = probe.send(_frame(probe, command, [EMPTY] * before + [slot]), timeout_ns=STEP_NS)
         seen.append((abs(motion.turning(probe).value), sent))
     (turning, begun), (left, ended) = seen
     text = f"{run.name} in a slot of a package does not turn the shaft"

@@ -86,7 +86,7 @@ def _told_in_time(probe: Probe, command: Command) -> None:
     motion.prepare(probe, command)
     since = len(probe.traffic)
     exchange = motion.begin(probe, command, 90, rpm=120, acceleration=QUICK, quiet_ns=0)
-    seen = motion.sampled(probe, 3 * SECOND_NS, 60 * MS)
+    seen = motion.sampled(probe, 1200 * MS, 50 * MS)
     ends = [a for a in motion.replies(probe.traffic[since:], command) if a.values[command.replies.status] == 2]
     if not ends:
         raise Inconclusive(f"{command.name} did not say that it was complete")
@@ -116,7 +116,7 @@ def _stop_told_in_time(probe: Probe, command: Command, move: Command) -> None:
     acceleration, rpm = 56, 120
     motion.prepare(probe, move)
     motion.begin(probe, move, 5 * 360, rpm=rpm, acceleration=QUICK)
-    probe.wait(500 * MS)
+    probe.wait(250 * MS)
     turning = motion.speed(probe)
     expect_speed(turning, rpm, probe.traffic[-1], f"{move.name} does not turn at its speed before the stop")
     law_ns = ramp.ramp_ns(rpm, 0, acceleration)

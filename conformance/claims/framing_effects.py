@@ -186,7 +186,7 @@ def _not_executed(probe: Probe, damage: _Damage, observable: Observable) -> None
 
 
 #: How long is listened to a damaged request before its effect is looked for.
-_LISTEN_NS = 300_000_000
+_LISTEN_NS = 150_000_000
 
 
 #: What damaged requests could be read as, beside what they were built from.

@@ -272,7 +272,7 @@ def _is_change(probe: Probe, speeds: tuple[int, ...]) -> None:
         if abs(motion.values_of(probe.dialect, run, rpm=rpm)["speed"]) > speed.high:
             continue
         motion.run_at(probe, rpm, QUICK)
-        probe.wait(max(500, round(abs(rpm))) * MS)
+        probe.wait(max(200, round(abs(rpm) * 0.5)) * MS)
         change, spread = motion.mean_speed(probe, 500 * MS)
         seen = motion.speed(probe).value
         exchange = probe.traffic[-1]
@@ -293,7 +293,7 @@ def _speed_at_rest(probe: Probe) -> None:
     motion.run_at(probe, _RPM, QUICK)
     probe.wait(300 * MS)
     motion.stop(probe, QUICK)
-    probe.wait(SECOND_NS)
+    probe.wait(300 * MS)
     before = motion.position(probe)
     seen = motion.speed(probe)
     exchange = probe.traffic[-1]
@@ -313,7 +313,7 @@ def _tells_speed(probe: Probe, command: Command) -> None:
     motion.ready_to_move(probe)
     for rpm in (30, -60):
         motion.run_at(probe, rpm)
-        probe.wait(500 * MS)
+        probe.wait(250 * MS)
         exchange = motion.run_at(probe, rpm)
         seen = probe.reply(exchange).values["speed"]
         motion.stand_still(probe)
@@ -448,7 +448,7 @@ def _not_in_position_while_moving(probe: Probe, command: Command) -> None:
     """PEND is 0 while the shaft is on its way."""
     _give_ports_back(probe)
     motion.begin(probe, motion.any_move(probe.dialect), 720)
-    probe.wait(SECOND_NS)
+    probe.wait(500 * MS)
     seen, exchange = probe.read(command, "pend"), probe.traffic[-1]
     turning = motion.turning(probe)
     motion.stand_still(probe)
@@ -486,7 +486,7 @@ def _while_moving(probe: Probe, command: Command) -> None:
     if probe.ask(command).silent:
         raise Inconclusive(f"{command.name} is not answered at rest either")
     motion.run_at(probe, _RPM, QUICK)
-    probe.wait(300 * MS)
+    probe.wait(150 * MS)
     exchanges = [probe.ask(command) for _ in range(2)]
     answered = any(not all(map(is_exception, e.answers)) for e in exchanges if not e.silent)
     if not answered:

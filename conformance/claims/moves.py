@@ -225,7 +225,7 @@ def _same_place(probe: Probe, command: Command) -> None:
     there = motion.follow(probe, command, _THERE)
     exchange = motion.ask(probe, command, until=Until.DONE if motion.of(command).tells_end else Until.REPLY)
     expect_taken(probe, exchange, f"{command.name} to the same place is refused")
-    probe.wait(SECOND_NS)
+    probe.wait(300 * MS)
     within = motion.near(probe.dialect)
     expect_stays(there.end, motion.wait_standing(probe), exchange, f"{command.name} to the same place turns the shaft", within)
 

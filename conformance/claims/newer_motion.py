@@ -28,8 +28,8 @@ from conformance.motion import motion
 from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS
 from conformance.talk.probe import Probe
 
-#: The older move: two turns at 30 rpm last four seconds; the newer one comes after one.
-_DEGREES, _RPM, _WHEN_NS = 720, 30, SECOND_NS
+#: The older move: one turn at 30 rpm lasts two seconds; the newer one comes after half of one.
+_DEGREES, _RPM, _WHEN_NS = 360, 30, 500 * MS
 #: The move that the MKS manual lets be updated.
 _UPDATED = Verb.MOVE_ABSOLUTE_AXIS
 _moves = motions(*MOVES, where=takes_counts)
@@ -74,9 +74,9 @@ def _newer_speed(probe: Probe, command: Command) -> None:
     """{command} that comes while one is under way gives the shaft its own speed."""
     _under_way(probe, command)
     exchange = motion.begin(probe, command, _DEGREES, acceleration=QUICK)
-    probe.wait(300 * MS)
+    probe.wait(200 * MS)
     seen = motion.speed(probe)
-    motion.wait_standing(probe)
+    motion.stand_still(probe)
     expect_speed(seen, CALM, exchange, f"{command.name}: a newer one does not give the shaft its speed")
 
 
@@ -87,10 +87,10 @@ def _superseded(probe: Probe, command: Command) -> None:
     """{command} that another one supersedes is not told as complete; the newer one is."""
     _under_way(probe, command)
     before = len(probe.traffic)
-    # Two seconds of motion: a reply may be late while the motor turns, and is still the first of the two.
-    exchange = motion.begin(probe, command, 180, rpm=_RPM // 2, acceleration=QUICK)
-    # Listened to, not asked: a request could collide with what is told.
-    probe.wait(5 * SECOND_NS)
+    # A second of motion: a reply may be late while the motor turns, and is still the first of the two.
+    exchange = motion.begin(probe, command, 90, rpm=_RPM // 2, acceleration=QUICK)
+    # Listened to, not asked: a request could collide with what is told. The older one would have ended too by then.
+    probe.wait(2 * SECOND_NS)
     motion.wait_standing(probe)
     text = f"{command.name}: what comes after a newer one is not its two replies"
     probe.expect(motion.statuses(probe.traffic[before:], command), equal=[1, 2], refutes=text, exchange=exchange)
@@ -105,11 +105,11 @@ def _superseded(probe: Probe, command: Command) -> None:
 def _without_stop(probe: Probe, command: Command) -> None:
     """A newer target farther on is taken up without a stop between."""
     motion.prepare(probe, command)
-    motion.begin(probe, command, _DEGREES, acceleration=56)
-    probe.wait(SECOND_NS)
-    exchange = motion.begin(probe, command, _DEGREES, acceleration=56, quiet_ns=0)
+    motion.begin(probe, command, 2 * _DEGREES, acceleration=56)
+    probe.wait(700 * MS)
+    exchange = motion.begin(probe, command, 2 * _DEGREES, acceleration=56, quiet_ns=0)
     seen = motion.speed(probe)
-    motion.wait_standing(probe)
+    motion.stand_still(probe)
     text = f"{command.name}: a newer target slows the shaft down first"
     probe.expect(abs(seen.value), at_least=CALM * 0.8, unit="rpm", refutes=text, exchange=exchange)
 
@@ -199,11 +199,11 @@ def _takes_over_a_move(probe: Probe) -> None:
 def _speed_0(probe: Probe, command: Command) -> None:
     motion.prepare(probe, command)
     motion.run_at(probe, CALM, QUICK)
-    probe.wait(500 * MS)
+    probe.wait(200 * MS)
     # A run with direction 0 as well would be the stop of this command.
     direction = {"direction": 1} if motion.of(command).kind is MotionKind.RUN and has_direction(command) else {}
     exchange = motion.ask(probe, command, 90, rpm=0, acceleration=QUICK, more=direction)
-    probe.wait(3 * SECOND_NS)
+    probe.wait(600 * MS)
     seen = motion.speed(probe)
     motion.stand_still(probe)
     expect_speed(seen, 0, exchange, f"{command.name} with speed 0 does not stop the shaft")

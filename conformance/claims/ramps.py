@@ -33,7 +33,7 @@ _TOO_LATE_NS = 40 * MS
 #: Accelerations as sent, and the speed to which each is tried.
 _RAMPS = ((1, 60), (56, 120), (128, 200), (200, 300), (236, 300), (252, 3000), (255, 3000))
 #: Between two looks at a steady speed.
-_STEADY_NS = SECOND_NS
+_STEADY_NS = 500 * MS
 #: Degrees in a ns at one rpm.
 _DEGREES = 6 / SECOND_NS
 
@@ -112,19 +112,19 @@ def _ramp(probe: Probe, first: int, last: int, acceleration: int) -> tuple[float
     motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
     if first:
         motion.run_at(probe, first, QUICK)
-        probe.wait(int(ramp.ramp_ns(0, first, QUICK)) + 200 * MS)
+        probe.wait(int(ramp.ramp_ns(0, first, QUICK)) + 100 * MS)
     before = _steady(probe, first, last=True)
     exchange = _change(probe, last, acceleration)
     begun_ns, begun_spread = time_of(exchange)
     law_ns = ramp.ramp_ns(first, last, acceleration)
-    probe.wait(int(2.2 * law_ns) + 100 * MS)
+    probe.wait(int(1.5 * law_ns) + 50 * MS)
     last = abs(last)
     after = _steady(probe, last)
     motion.stop(probe, QUICK)
     motion.wait_standing(probe)
     if too_late(probe, before.at.spread_ns, begun_spread, after.at.spread_ns):
         return None
-    text = "the shaft does not have its new speed after more than twice the time of the ramp"
+    text = "the shaft does not have its new speed after one and a half times the time of the ramp"
     within = 1 + last * 0.03 + after.spread
     probe.expect(after.rpm, near=last, within=within, unit="rpm", refutes=text, exchange=exchange, key="ramp")
     change = after.rpm - before.rpm

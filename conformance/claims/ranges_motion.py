@@ -23,7 +23,7 @@ from conformance.claims.ranges import of_ranges
 from conformance.claims.requests import with_reserved
 from conformance.model import limits
 from conformance.motion import motion, ramp
-from conformance.motion.motion import MS, SECOND_NS
+from conformance.motion.motion import MS
 from conformance.talk.acceptance import can_refuse, expect_accepted, expect_refused
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
@@ -31,9 +31,9 @@ from conformance.talk.probe import Probe, Until
 _RUNS = (MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO)
 #: How slow a move is whose distance does not matter, and how steep the ramp of one that is to reach a high speed. (Not 250:
 #: that byte begins a frame, and what follows it would have to be allowed as one.)
-SLOW, STEEP = 10, 248
+SLOW, STEEP = 10, 252
 #: How long a move is watched.
-_WATCH_NS = SECOND_NS
+_WATCH_NS = 300 * MS
 #: A speed that reads so much off (a share) is another one.
 _SPEED_SHARE = 0.015
 #: Turns of a move that is to reach the highest speed and is stopped then.
@@ -69,7 +69,7 @@ def _needs(dialect: Dialect, command: Command, *, stands: bool = False) -> dict[
 def _values(probe: Probe, command: Command, **changed: int) -> dict[str, int]:
     """Return a slow move of a tenth of a turn (a run, a stop) with some values changed."""
     moving = motion.of(command)
-    values: dict[str, int] = dict.fromkeys(command.request_forms[0].layout.named, 0) | {"acceleration": motion.GENTLE}
+    values: dict[str, int] = dict.fromkeys(command.request_forms[0].layout.named, 0) | {"acceleration": motion.QUICK}
     if moving.kind is not MotionKind.STOP:
         values["speed"] = SLOW
     if moving.distance:
@@ -95,7 +95,7 @@ def _end(probe: Probe, command: Command) -> None:
     stops = probe.dialect.stops_of(command)
     if stops:
         # The end of a stop is told unasked: a request that is sent meanwhile would collide with it.
-        probe.ask(stops[0], {"acceleration": motion.GENTLE}, until=Until.DONE)
+        probe.ask(stops[0], {"acceleration": motion.QUICK}, until=Until.DONE)
     motion.wait_standing(probe)
 
 
@@ -131,7 +131,7 @@ def _accepted(probe: Probe, command: Command, field: Field, values: tuple[int, .
     _ready(probe)
     for value in ranges.tried(probe, command, field, values):
         expect_accepted(probe, command, _values(probe, command, **{field.name: value}), ranges.text(field, value))
-        probe.wait(100 * MS)
+        probe.wait(50 * MS)
         _end(probe, command)
 
 
@@ -143,7 +143,7 @@ def _refused(probe: Probe, command: Command, field: Field, values: tuple[int, ..
     for value in values:
         built = probe.build(command, _values(probe, command, **{field.name: value}))
         exchange = expect_refused(probe, built, ranges.text(field, value))
-        probe.wait(100 * MS)
+        probe.wait(50 * MS)
         gone = motion.position(probe).value - start.value
         probe.expect(
             f"{gone:+.1f} deg",
@@ -193,7 +193,7 @@ def _run_up(probe: Probe, command: Command, speed: int) -> tuple[float, Exchange
     """
     values = _values(probe, command, **_far(probe, command), speed=speed, acceleration=STEEP)
     exchange = expect_accepted(probe, command, values, f"speed {speed}")
-    probe.wait(min(speed, 3100) * ramp.step_ns(STEEP) + 200 * MS)
+    probe.wait(min(speed, 3100) * ramp.step_ns(STEEP) + 100 * MS)
     rpm = abs(setting_effects.steady_speed(probe))
     _end(probe, command)
     if rpm < 1 and speed:
@@ -307,7 +307,7 @@ def _distance_width(probe: Probe, command: Command, field: Field, values: tuple[
         if not field.low <= start + distance <= field.high:
             raise Inconclusive(f"from {start} no move by {distance} fits the field")
         before = motion.position(probe)
-        asked = _values(probe, command, speed=60, acceleration=STEEP, **{field.name: start + distance})
+        asked = _values(probe, command, speed=120, acceleration=STEEP, **{field.name: start + distance})
         exchange = expect_accepted(probe, command, asked, f"a distance of {distance}")
         probe.wait(_WATCH_NS)
         gone = (motion.position(probe).value - before.value) / 360 * units
@@ -318,7 +318,7 @@ def _distance_width(probe: Probe, command: Command, field: Field, values: tuple[
             f"{gone:.0f}",
             holds=least * 0.95 <= abs(gone) <= abs(distance) * 1.05 + units * 0.01 and len(ways) == 1,
             expected=f"{least} or more, and the other way for the other sign",
-            refutes=f"{command.name} by {distance} {field.unit} moves the shaft by {gone:.0f} in the first second",
+            refutes=f"{command.name} by {distance} {field.unit} moves the shaft by {gone:.0f} in the first 300 ms",
             exchange=exchange,
             key=f"{command.name} width",
         )

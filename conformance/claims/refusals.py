@@ -15,12 +15,14 @@ from conformance.claim import Inconclusive
 from conformance.claims.declare import Case, motions
 from conformance.claims.motion_claim import command_of, expect_stays, of_motion, risks_by
 from conformance.motion import motion
-from conformance.motion.motion import MOVES, QUICK, SECOND_NS
+from conformance.motion.motion import MOVES, MS, QUICK
 from conformance.talk.probe import Probe
 from conformance.talk.samples import sample
 
 #: Kinds of motion that the manual lets no pulse mode do; of the others it is less sure.
 _SURE = (MotionKind.RUN, *MOVES)
+#: How long is looked whether the shaft turns: at 60 rpm it would go by 70 degrees.
+_LOOKED_AT_NS = 200 * MS
 
 
 def _can_refuse(command: Command) -> bool:
@@ -40,10 +42,10 @@ def expect_refused(probe: Probe, command: Command, why: str, again: Callable[[],
     start = motion.place(probe, command) if command.motion is not None else 0
     exchange = probe.ask(command, _request(probe.dialect, command, start))
     answer = probe.reply(exchange)
-    probe.wait(SECOND_NS)
+    probe.wait(_LOOKED_AT_NS)
     if again is not None:
         again()
-        probe.wait(SECOND_NS)
+        probe.wait(_LOOKED_AT_NS)
     after = motion.position(probe)
     if abs(after.value - before.value) > motion.same(probe):
         motion.stop(probe)
@@ -115,10 +117,10 @@ def _while_off(probe: Probe, command: Command) -> None:
         raise Inconclusive(f"{command.name} was answered only when it was sent again")
     text = f"{command.name} is not answered while the motor is off"
     probe.expect("silence", holds=not exchange.silent, expected="a reply", refutes=text, exchange=exchange)
-    probe.wait(SECOND_NS)
+    probe.wait(_LOOKED_AT_NS)
     expect_stays(before, motion.position(probe), exchange, f"{command.name} turns a motor that is off")
     motion.switch(probe, True)
-    probe.wait(SECOND_NS)
+    probe.wait(_LOOKED_AT_NS)
     after = motion.position(probe)
     motion.stop(probe)
     expect_stays(before, after, exchange, f"{command.name}, given while off, turns the motor when it is on again")

@@ -117,7 +117,7 @@ def put_to_rest(probe: Probe, command: Command) -> None:
 def _rest(probe: Probe) -> None:
     """Stop by a ramp. The end of the stop is told by a reply of its own, which a read at once would run into."""
     motion.stop(probe)
-    probe.wait(SECOND_NS)
+    probe.wait(200 * motion.MS)
     motion.wait_standing(probe)
 
 

@@ -25,7 +25,7 @@ from conformance.claims.declare import Case, claim, commands, described_in
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.known_reads import plain_reads
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
+from conformance.talk.probe import Probe, Until
 
 _SECOND_NS = 1_000_000_000
 _MANY = 100
@@ -304,7 +304,7 @@ def _in_haste(probe: Probe, command: Command, field: Any) -> None:
     values = sorted(field.choice_names)[:2] if field.choices is not None else [field.low, field.low + 1]
     items = [probe.build(command, {field.name: v}).item() for v in (*values, values[0])]
     probe.do(command, {field.name: values[0]})
-    sent = [probe.send(item, timeout_ns=LISTEN_NS) for item in items]
+    sent = [probe.send(item, until=Until.REPLY, timeout_ns=LISTEN_NS) for item in items]
     if not any(exchange.silent for exchange in sent):
         return
     # Alone, behind a pause, each must be answered: else it is not the haste.

@@ -27,6 +27,8 @@ _ANSWERED = (Verb.READ_POSITION, Verb.READ_STATUS, Verb.READ_ENABLED, Verb.READ_
 _TURNS = 0.2
 #: 60 rpm, and 0.6 s from it to a stop.
 _RPM, _RAMP = 60, 56
+#: How long is listened to what must not come: such a move takes 0.2 s, and a reply to it was seen to be 0.7 s late.
+_LISTEN_NS = SECOND_NS
 _settings = commands(Verb.SET_RESPOND)
 
 
@@ -63,10 +65,10 @@ def _move(probe: Probe, command: Command, until: Until) -> tuple[Exchange, list[
     """Ask for a motion and let it happen; return the exchange, the statuses of all replies, and how far the shaft went."""
     since, before = len(probe.traffic), motion.position(probe)
     if _is_run(command):
-        exchange = motion.ask(probe, command, rpm=_RPM, acceleration=QUICK, until=until, timeout_ns=SECOND_NS)
+        exchange = motion.ask(probe, command, rpm=_RPM, acceleration=QUICK, until=until, timeout_ns=_LISTEN_NS)
     else:
         exchange = motion.ask(probe, command, _TURNS * 360, rpm=120, until=until)
-    probe.wait(2 * SECOND_NS)
+    probe.wait(_LISTEN_NS)
     return exchange, _statuses(probe, since, command), motion.position(probe).value - before.value
 
 
@@ -83,7 +85,7 @@ def _set_going(probe: Probe, command: Command) -> None:
 def _stop(probe: Probe, stop: Command) -> tuple[Exchange, list[int]]:
     """Stop by a slow ramp; return what was asked and all statuses that came until the shaft stood."""
     since = len(probe.traffic)
-    exchange = probe.ask(stop, {"acceleration": _RAMP}, until=Until.TIMEOUT, timeout_ns=2 * SECOND_NS)
+    exchange = probe.ask(stop, {"acceleration": _RAMP}, until=Until.TIMEOUT, timeout_ns=600 * MS + _LISTEN_NS)
     motion.wait_standing(probe)
     return exchange, _statuses(probe, since, stop)
 
@@ -144,8 +146,9 @@ def _status_follows(probe: Probe) -> None:
     _set(probe, 0, 0)
     seen = []
     for rpm in (_RPM, 0):
-        motion.ask(probe, run, rpm=rpm, acceleration=QUICK, until=Until.TIMEOUT, timeout_ns=SECOND_NS)
-        probe.wait(2 * SECOND_NS)
+        motion.ask(probe, run, rpm=rpm, acceleration=QUICK, until=Until.TIMEOUT, timeout_ns=_LISTEN_NS)
+        # The status was seen to stay behind a shaft that stands.
+        motion.wait_until(probe, lambda: probe.read(Verb.READ_STATUS, "status") == 1, limit_ns=0 if rpm else 2 * SECOND_NS)
         seen.append(probe.read(Verb.READ_STATUS, "status"))
     _set(probe, 1, 1)
     motion.stand_still(probe)

@@ -52,9 +52,9 @@ def _turns_at(probe: Probe, rpm: float) -> None:
     """Asked for {asked}, the shaft turns at {asked}."""
     motion.ready_to_move(probe, subdivision=SUBDIVISION)
     exchange = motion.run_at(probe, rpm, QUICK)
-    probe.wait(500 * MS)
+    probe.wait(200 * MS)
     # At a low speed the shaft needs a while to go far enough to measure.
-    speed, spread = motion.mean_speed(probe, 2 * SECOND_NS if abs(rpm) < 10 else SECOND_NS)
+    speed, spread = motion.mean_speed(probe, 1500 * MS if abs(rpm) < 10 else 600 * MS)
     motion.stand_still(probe)
     wanted, text = motion.rpm_as_asked(exchange), "the shaft does not turn at the speed that was asked for"
     probe.expect(abs(speed), near=wanted, within=wanted * _SHARE + spread, unit="rpm", refutes=text, exchange=exchange)
@@ -73,7 +73,7 @@ def _way(probe: Probe, rpm: float) -> float:
     """Return how far a short run turns the shaft, in degrees, from rest to rest."""
     before = motion.position(probe)
     motion.run_at(probe, rpm, QUICK)
-    probe.wait(300 * MS)
+    probe.wait(200 * MS)
     return motion.stand_still(probe).value - before.value
 
 
@@ -196,7 +196,7 @@ def _lasts(probe: Probe) -> None:
     """A run goes on until it is told otherwise."""
     motion.ready_to_move(probe, subdivision=SUBDIVISION)
     exchange = motion.run_at(probe, _RPM, QUICK)
-    probe.wait(5 * SECOND_NS)
+    probe.wait(3 * SECOND_NS)
     seen = motion.turning(probe)
     motion.stand_still(probe)
     expect_speed(seen, _RPM, exchange, "a run does not go on")
@@ -217,7 +217,7 @@ def _changes(probe: Probe) -> None:
             seen = motion.turning(probe)  # the ramp from 50 to 25 rpm takes 250 ms at 10 ms for each rpm
             text = "a newer run stops the shaft first"
             probe.expect(abs(seen.value), at_least=rpm - 1, unit="rpm", refutes=text, exchange=exchange)
-        probe.wait(800 * MS)
+        probe.wait(400 * MS)
         expect_speed(motion.turning(probe), rpm, exchange, "a newer run does not take over")
     motion.stand_still(probe)
 
@@ -227,10 +227,10 @@ def _turns_round(probe: Probe) -> None:
     """A run the other way takes over from the one under way."""
     motion.ready_to_move(probe, subdivision=SUBDIVISION)
     motion.run_at(probe, CALM, QUICK)
-    probe.wait(300 * MS)
+    probe.wait(100 * MS)
     before, _ = motion.mean_speed(probe, 200 * MS)
     exchange = motion.run_at(probe, -CALM, QUICK)
-    probe.wait(300 * MS)
+    probe.wait(150 * MS)
     after, spread = motion.mean_speed(probe, 200 * MS)
     motion.stand_still(probe)
     probe.expect(
@@ -247,7 +247,7 @@ def _replies(probe: Probe, command: Command) -> None:
     """A run is answered once, by status 1."""
     motion.ready_to_move(probe)
     exchange = motion.run_at(probe, _RPM, QUICK)
-    probe.wait(2 * SECOND_NS)
+    probe.wait(700 * MS)
     statuses = motion.statuses(probe.traffic, command)
     motion.stand_still(probe)
     probe.expect(statuses, equal=[1], refutes="a run is not answered by status 1 alone", exchange=exchange)

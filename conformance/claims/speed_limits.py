@@ -15,7 +15,7 @@ from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import expect_speed, expect_stays, expect_taken, of_motion
 from conformance.claims.moves import keeps_position, with_max_speed, without_max_speed
 from conformance.motion import motion
-from conformance.motion.motion import MOVES, MS, SECOND_NS, SUBDIVISION
+from conformance.motion.motion import MOVES, MS, SUBDIVISION
 from conformance.talk.probe import Probe
 
 #: The highest speed of any MKS drive, and that of a drive whose manual has no table of modes.
@@ -128,7 +128,7 @@ def _max_speed_0(probe: Probe, command: Command) -> None:
     motion.prepare(probe, command)
     here = motion.position(probe)
     exchange = motion.begin(probe, command, 90, rpm=0)
-    probe.wait(2 * SECOND_NS)
+    probe.wait(500 * MS)
     end = motion.stand_still(probe)
     near = motion.near(probe.dialect)
     if "lk-zero-speed-moves" in probe.claim.quirks and abs(abs(end.value - here.value) - 90) <= near:

@@ -26,16 +26,20 @@ from conformance.talk.probe import Probe, Until
 
 #: 10 ms for each rpm: from 120 rpm the shaft needs 1.2 s.
 _SLOW_RAMP, _RPM, _RAMP_NS = 56, 120, 1200 * MS
+#: How long the shaft is given to come to its speed, and how long it is looked at whether it stands.
+_SET_OFF_NS, _LOOK_NS = 250 * MS, 150 * MS
+#: How long five turns at 120 rpm last. Moves of a few turns at 60 rpm last as many seconds.
+_LEFT_NS, _FEW = 2500 * MS, 2
 _emergency = commands(Verb.EMERGENCY_STOP)
 _lk_stop = commands(Verb.STOP)
 
 
-def set_going(probe: Probe, run: Command, rpm: int = CALM) -> Exchange:
+def set_going(probe: Probe, run: Command, rpm: int = CALM, turns: int = 5) -> Exchange:
     """Begin a run, or a move that is too long to end by itself, and let the shaft come to its speed."""
     motion.prepare(probe, run)
     # Five turns: at 120 rpm 2.5 s, of which a late reply may take 0.7 and the ramp down 1.2.
-    exchange = motion.begin(probe, run, 5 * 360, rpm=rpm, acceleration=QUICK)
-    probe.wait(500 * MS)
+    exchange = motion.begin(probe, run, turns * 360, rpm=rpm, acceleration=QUICK)
+    probe.wait(_SET_OFF_NS)
     return exchange
 
 
@@ -43,12 +47,12 @@ def expect_standing(probe: Probe, exchange: Exchange, refutes: str) -> None:
     """Refute unless the shaft stands now."""
     seen = motion.speed(probe)
     before = motion.position(probe)
-    probe.wait(300 * MS)
+    probe.wait(_LOOK_NS)
     moved = motion.position(probe).value - before.value
     stands = abs(seen.value) < 1 + seen.noise and abs(moved) <= motion.miss(probe)
     if not stands:
         motion.stop(probe, 0)
-    got = f"{seen.value:g} rpm, and {moved:+.2f} degrees in 300 ms"
+    got = f"{seen.value:g} rpm, and {moved:+.2f} degrees in {_LOOK_NS // MS} ms"
     probe.expect(got, holds=stands, expected="a shaft that stands", refutes=refutes, exchange=exchange)
 
 
@@ -61,7 +65,7 @@ def _expect_turning(probe: Probe, least: float) -> None:
 def _expect_halt(probe: Probe, exchange: Exchange, at_once: Sample, refutes: str) -> None:
     """Refute where the shaft went on after it was to stand."""
     later = motion.position(probe)
-    probe.wait(300 * MS)
+    probe.wait(_LOOK_NS)
     end = motion.position(probe)
     went = max(abs(later.value - at_once.value), abs(end.value - at_once.value))
     if went > motion.same(probe):
@@ -120,7 +124,7 @@ def _at_once(probe: Probe, command: Command, run: Command) -> None:
     _expect_turning(probe, CALM / 2)
     exchange = _ask_stop(probe, command, 0)
     at_once = motion.position(probe)
-    probe.wait(500 * MS)
+    probe.wait(_LOOK_NS)
     _expect_halt(probe, exchange, at_once, f"{command.name} with acceleration 0 does not stop the shaft at once")
 
 
@@ -130,7 +134,8 @@ def _stays_stopped(probe: Probe, command: Command, run: Command) -> None:
     set_going(probe, run, _RPM)
     exchange = _ask_stop(probe, command, QUICK)
     stopped = motion.wait_standing(probe)
-    probe.wait(3 * SECOND_NS)
+    # What is left of a move of five turns would take so long.
+    probe.wait(exchange.sent_ns + _LEFT_NS - probe.gate.now_ns())
     expect_stays(stopped, motion.wait_standing(probe), exchange, f"the shaft moves again after {command.name}")
 
 
@@ -147,7 +152,7 @@ def _told(probe: Probe, command: Command, run: Command) -> None:
     before = len(probe.traffic)
     exchange = _ask_stop(probe, command, _SLOW_RAMP, Until.DONE)
     motion.wait_standing(probe)
-    probe.wait(3 * SECOND_NS)
+    probe.wait(exchange.sent_ns + _LEFT_NS - probe.gate.now_ns())
     seen = motion.statuses(probe.traffic[before:], command)
     text = f"{command.name}: other replies than 1 and then 2"
     key = f"{command.name} {seen}"
@@ -217,16 +222,16 @@ def _in_mode(probe: Probe, command: Command, mode: str, emergency: Command) -> N
     """In mode {mode} {command} stops the shaft by its ramp, and {emergency} stops it at once."""
     motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
     motion.run_at(probe, _RPM, QUICK)
-    probe.wait(500 * MS)
+    probe.wait(_SET_OFF_NS)
     exchange = probe.ask(command, {"acceleration": _SLOW_RAMP}, quiet_ns=0)
     probe.wait(exchange.sent_ns + _RAMP_NS // 2 - probe.gate.now_ns())
     seen = motion.speed(probe)
     text = f"in mode {mode} the shaft does not slow down by the ramp of {command.name}"
     probe.expect(abs(seen.value), near=_RPM / 2, within=_RPM / 4, unit="rpm", refutes=text, exchange=exchange)
-    probe.wait(_RAMP_NS)
+    probe.wait(exchange.sent_ns + _RAMP_NS + 200 * MS - probe.gate.now_ns())
     expect_standing(probe, exchange, f"{command.name} does not stop the shaft in mode {mode}")
     motion.run_at(probe, CALM, QUICK)
-    probe.wait(500 * MS)
+    probe.wait(_SET_OFF_NS)
     _expect_turning(probe, CALM / 2)
     exchange = probe.ask(emergency)
     expect_standing(probe, exchange, f"{emergency.name} does not stop the shaft in mode {mode}")
@@ -246,7 +251,7 @@ def _emergencies(dialect: Dialect) -> Iterator[Case]:
 )
 def _emergency_ends(probe: Probe, command: Command, run: Command) -> None:
     """The emergency stop ends {run} at once, and the shaft stays where it is."""
-    set_going(probe, run)
+    set_going(probe, run, turns=_FEW)
     _expect_turning(probe, CALM / 2)
     exchange = probe.ask(command, quiet_ns=0)
     at_once = motion.position(probe)
@@ -255,7 +260,7 @@ def _emergency_ends(probe: Probe, command: Command, run: Command) -> None:
         motion.stop(probe)
     text = "the emergency stop is refused"
     probe.expect("a refusal", holds=not refused, expected="status 1", refutes=text, exchange=exchange)
-    probe.wait(5 * SECOND_NS)
+    probe.wait(_FEW * SECOND_NS)
     _expect_halt(probe, exchange, at_once, "the emergency stop does not stop the shaft at once")
 
 
@@ -268,11 +273,11 @@ def _emergency_ends(probe: Probe, command: Command, run: Command) -> None:
 def _emergency_replies(probe: Probe, command: Command) -> None:
     """The emergency stop is answered by status 1, and a move that it ends is not told as complete."""
     move = probe.command(Verb.MOVE_ABSOLUTE_AXIS)
-    set_going(probe, move)
+    set_going(probe, move, turns=_FEW)
     exchange = probe.ask(command)
     status = probe.reply(exchange).values.get("status")
     probe.expect(status, equal=1, refutes="the emergency stop is not answered by 1", exchange=exchange)
-    probe.wait(5 * SECOND_NS)
+    probe.wait(_FEW * SECOND_NS)
     text = "a move that the emergency stop ended is told as complete"
     probe.expect(motion.statuses(probe.traffic, move), equal=[1], refutes=text, exchange=exchange)
 
@@ -338,7 +343,7 @@ def _stops(probe: Probe, command: Command) -> None:
     """The stop brings a running shaft to rest."""
     set_going(probe, probe.command(Verb.RUN_SPEED))
     exchange = probe.do(command)
-    probe.wait(3 * SECOND_NS)
+    probe.wait(SECOND_NS)
     expect_standing(probe, exchange, "the stop does not bring the shaft to rest")
 
 
@@ -347,10 +352,10 @@ def _ends_a_move(probe: Probe, command: Command) -> None:
     """The stop ends a move before its target."""
     motion.ready_to_move(probe)
     before = motion.position(probe)
-    motion.begin(probe, motion.any_move(probe.dialect, at_speed=True), 360, rpm=15)
-    probe.wait(SECOND_NS)
+    motion.begin(probe, motion.any_move(probe.dialect, at_speed=True), 360, rpm=30)
+    probe.wait(500 * MS)
     exchange = probe.do(command)
-    probe.wait(5 * SECOND_NS)
+    probe.wait(2 * SECOND_NS)
     went = abs(motion.wait_standing(probe).value - before.value)
     text, expected = "the stop does not end a move on its way", "about 90 degrees of 360"
     probe.expect(went, at_least=20, at_most=300, unit="degrees", expected=expected, refutes=text, exchange=exchange)
@@ -361,7 +366,7 @@ def endless(probe: Probe, run: Command) -> Exchange:
     motion.prepare(probe, run)
     lasts = bool(motion.of(run).speed) or motion.of(run).kind is MotionKind.TORQUE
     exchange = motion.begin(probe, run, _way(run), rpm=15)
-    probe.wait(500 * MS if lasts else 100 * MS)
+    probe.wait(_SET_OFF_NS if lasts else 100 * MS)
     return exchange
 
 
@@ -444,7 +449,7 @@ def _then(probe: Probe, command: Command, run: Command) -> None:
 def _stays_on(probe: Probe, command: Command) -> None:
     set_going(probe, probe.command(Verb.RUN_SPEED))
     exchange = probe.do(command)
-    probe.wait(SECOND_NS)
+    probe.wait(500 * MS)
     text = f"{command.name} switches the motor off"
     probe.expect("off", holds=motion.is_on(probe) is not False, expected="on", refutes=text, exchange=exchange)
     before = motion.position(probe)
@@ -452,7 +457,7 @@ def _stays_on(probe: Probe, command: Command) -> None:
     text = f"the next run after {command.name} is refused"
     refused = motion.refused(probe, exchange)
     probe.expect("a refusal", holds=not refused, expected="a run", refutes=text, exchange=exchange)
-    probe.wait(500 * MS)
+    probe.wait(_SET_OFF_NS)
     went = abs(motion.stand_still(probe).value - before.value)
     text = f"the next run after {command.name} does not move the shaft"
     probe.expect(went, at_least=10, unit="degrees", refutes=text, exchange=exchange)

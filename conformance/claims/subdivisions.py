@@ -16,7 +16,7 @@ from analyzer.layout import Effect
 from conformance.claims.declare import Case
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
-from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS
+from conformance.motion.motion import CALM, MS, QUICK
 from conformance.talk.probe import Probe
 
 #: Subdivisions at which the rule of speeds and pulses is tried, as the number that they stand for.
@@ -65,7 +65,7 @@ def _speed(probe: Probe, sent: int, speed: int, rpm: float) -> None:
     exchange = motion.run_at(probe, speed, QUICK)
     # The ramp goes by the real speed, or by the speed as sent: either way it is over then.
     probe.wait(max(300 * MS, speed * MS // 2))
-    seen, spread = motion.mean_speed(probe, 3 * SECOND_NS)
+    seen, spread = motion.mean_speed(probe, 600 * MS)
     motion.stand_still(probe)
     text = "the speed of the shaft does not follow the subdivision as the manual says"
     probe.expect(abs(seen), near=rpm, within=rpm * _SHARE + spread, unit="rpm", refutes=text, exchange=exchange)
@@ -121,14 +121,14 @@ def _moves(dialect: Dialect) -> Iterator[Case]:
     parameters=lambda case: {"subdivision": case["subdivision"]},
 )
 def _speed_of_a_move(probe: Probe, command: Command, subdivision: int, sent: int, rpm: float) -> None:
-    """At {subdivision} subdivisions {command} turns the shaft at {rpm:g} rpm, as asked, and by 1080 degrees."""
+    """At {subdivision} subdivisions {command} turns the shaft at {rpm:g} rpm, as asked, and by 540 degrees."""
     motion.ready_to_move(probe, subdivision=sent)
     before = motion.position(probe)
     how = {"rpm": rpm, "acceleration": QUICK, "subdivision": subdivision}
     exchange = motion.begin(probe, command, _TURNS * 360, **how)
     # The ramp goes by the real speed, or by the speed as sent: either way it is over then.
     probe.wait(500 * MS)
-    seen, spread = motion.mean_speed(probe, SECOND_NS)
+    seen, spread = motion.mean_speed(probe, 500 * MS)
     end = motion.wait_standing(probe)
     text = f"the speed of {command.name} does not follow the subdivision as the manual says"
     probe.expect(abs(seen), near=rpm, within=rpm * _SHARE + spread, unit="rpm", refutes=text, exchange=exchange)
@@ -137,5 +137,5 @@ def _speed_of_a_move(probe: Probe, command: Command, subdivision: int, sent: int
     probe.expect(degrees, near=_TURNS * 360, unit="degrees", refutes=text, exchange=exchange)
 
 
-#: Three seconds at 60 rpm.
-_TURNS = 3
+#: A second and a half at 60 rpm.
+_TURNS = 1.5

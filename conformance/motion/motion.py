@@ -41,7 +41,7 @@ MS = 1_000_000
 SECOND_NS = 1_000_000_000
 #: Degrees in which two positions are one: two counts of the coarsest encoder.
 SAME = 2 * 360 / 16384
-#: The acceleration (as sent) of stops that end a claim: 2.8 ms for one rpm.
+#: The acceleration (as sent) of stops that safety sends, and of ramps that are looked at: 2.8 ms for one rpm.
 GENTLE = 200
 #: The acceleration of motion whose ramps do not matter: 0.4 ms for one rpm. Not 250: FA begins a frame, and a gate would
 #: read one in the middle of a request.
@@ -64,7 +64,7 @@ _GRACE_NS = 3 * SECOND_NS
 #: How long a move without a known ramp has to get going before the shaft is watched.
 _SET_OFF_NS = 500 * MS
 #: Between two looks at a shaft that may still turn.
-_LOOK_NS = 100 * MS
+_LOOK_NS = 50 * MS
 #: How long a shaft may take to come to rest.
 _REST_NS = 30 * SECOND_NS
 #: How often a measurement is taken again whose reply cannot be read.
@@ -229,7 +229,7 @@ def _measure(probe: Probe, reading: _Reading) -> Sample:
         if readable(exchange):
             break
         # What a motion says at its end can collide with a request or its reply.
-        probe.wait(_LOOK_NS // 4)
+        probe.wait(_LOOK_NS // 2)
         exchange = probe.ask(reading.command, quiet_ns=0)
     answer = probe.reply(exchange)
     names = [f.name for f in reading.fields]
@@ -428,7 +428,7 @@ def values_of(
     degrees: float = 0.0,
     *,
     rpm: float = CALM,
-    acceleration: int = GENTLE,
+    acceleration: int = QUICK,
     subdivision: int = SUBDIVISION,
     start: int = 0,
 ) -> dict[str, int]:
@@ -484,7 +484,7 @@ def ask(
     """
     begun = place(probe, command) if start is None else start
     if until is Until.DONE and timeout_ns is None:
-        law_ns = ramp.move_ns(degrees / 360, how.get("rpm", CALM), how.get("acceleration", GENTLE))
+        law_ns = ramp.move_ns(degrees / 360, how.get("rpm", CALM), how.get("acceleration", QUICK))
         timeout_ns = int(law_ns * _PATIENCE) + _GRACE_NS
     values = values_of(probe.dialect, command, degrees, start=begun, **how) | dict(more or {})
     return probe.ask(command, values, until=until, timeout_ns=timeout_ns, quiet_ns=quiet_ns)
@@ -507,13 +507,13 @@ def begin(probe: Probe, command: Command, degrees: float = 0.0, **how: Any) -> E
 # --- running and coming to rest ----------------------------------------------------------------------------------------
 
 
-def run_at(probe: Probe, rpm: float, acceleration: int = GENTLE) -> Exchange:
+def run_at(probe: Probe, rpm: float, acceleration: int = QUICK) -> Exchange:
     """Begin a run at a speed. Raises Inconclusive where the drive refuses or does not answer."""
     command = probe.command(Verb.RUN_SPEED)
     return probe.do(command, values_of(probe.dialect, command, rpm=rpm, acceleration=acceleration))
 
 
-def stop(probe: Probe, acceleration: int = GENTLE) -> Exchange:
+def stop(probe: Probe, acceleration: int = QUICK) -> Exchange:
     """Ask for a stop by a ramp (0: at once) that keeps the torque, and return what came at first. Judges nothing."""
     for verb in (Verb.STOP_SPEED, Verb.STOP):
         if verb in probe.dialect.by_verb:
@@ -532,7 +532,7 @@ def wait_standing(probe: Probe, *, limit_ns: int = _REST_NS) -> Sample:
     before, rpm = position(probe), 0.0
     while True:
         # A fast shaft takes as long as its ramp; there is nothing to see before.
-        probe.wait(max(_LOOK_NS, min(int(rpm * ramp.step_ns(GENTLE)), limit_ns)))
+        probe.wait(max(_LOOK_NS, min(int(rpm * ramp.step_ns(QUICK)), limit_ns)))
         now, rpm = position(probe), abs(speed(probe).value)
         if abs(now.value - before.value) <= same(probe) and rpm < 1 + probe.noise.rpm:
             return now
@@ -583,7 +583,7 @@ def follow(
     degrees: float,
     *,
     rpm: float = CALM,
-    acceleration: int = GENTLE,
+    acceleration: int = QUICK,
     subdivision: int = SUBDIVISION,
     **how: Any,
 ) -> Move:

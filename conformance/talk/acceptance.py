@@ -56,7 +56,7 @@ def plain_read(dialect: Dialect) -> Command:
 def answers(probe: Probe, address: int | None = None) -> bool:
     """Say whether the drive answers a read (at an address), asked three times: one reply may be lost."""
     read = plain_read(probe.dialect)
-    asked = (probe.ask(read, address=address) for _ in range(3))
+    asked = (probe.ask(read, address=address, timeout_ns=probe.rig.silence_ns) for _ in range(3))
     return any(a.message.frame.checksum_ok and a.command is not None for exchange in asked for a in exchange.answers)
 
 

@@ -200,7 +200,8 @@ class Dialogue:
     @property
     def _longest_pause_ns(self) -> int:
         """How long a pause may be before what came is decoded as it stands."""
-        return min(self._pause_ns, _WHOLE_PAUSE_NS) if self._pipeline.ports[self._name].framer.between else self._pause_ns
+        framer = self._pipeline.ports[self._name].framer
+        return min(self._pause_ns, _WHOLE_PAUSE_NS) if framer is not None and framer.between else self._pause_ns
 
     def finish(self) -> Exchange:
         """Decode what came as it stands, and end the exchange."""

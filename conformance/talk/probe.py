@@ -326,7 +326,7 @@ class Probe:
 
         Raises Inconclusive where there is no readable reply.
         """
-        got = self.reply(self.ask(what, values)).values
+        got = self.reply(self.ask(what, values, quiet_ns=0)).values
         if not name and len(got) == 1:
             return int(next(iter(got.values())))
         if name not in got:
