@@ -143,7 +143,8 @@ class Claim:
     the drive and runs only when its id is named. `emulated`: it needs to act on the drive itself (block the shaft, close a
     switch, cut power), which only an emulated one lets it. `settings`: fields of settings that it changes (they are put
     back). `covers`: command and aspect pairs. `quirks`: those that it knows, by name. `parameters`: what tells it
-    from its siblings. `commands`: those that it is about.
+    from its siblings. `commands`: those that it is about. `hasty`: a drive of which it holds takes settings at once behind
+    one another.
     """
 
     id: str
@@ -165,6 +166,7 @@ class Claim:
     quirks: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
     commands: tuple[str, ...] = ()
+    hasty: bool = False
 
     def __post_init__(self) -> None:
         if self.id.split("/", 2)[:2] != [self.dialect, self.theme.value]:

@@ -83,7 +83,7 @@ def answered_by(probe: Probe, sent: Exchange, *commands: Command) -> bool:
 def ask_alone(probe: Probe) -> None:
     """Send a control read alone. Raises Inconclusive unless exactly one good reply answers it."""
     read = plain_read(probe.dialect)
-    sent = probe.send(probe.build(read).item(), timeout_ns=LISTEN_NS)
+    sent = probe.send(probe.build(read).item())
     if not answered_by(probe, sent, read):
         raise Inconclusive(f"a good request by itself is answered {received_text(sent)}, which another claim judges")
 

@@ -86,7 +86,10 @@ def _told_in_time(probe: Probe, command: Command) -> None:
     motion.prepare(probe, command)
     since = len(probe.traffic)
     exchange = motion.begin(probe, command, 90, rpm=120, acceleration=QUICK, quiet_ns=0)
-    seen = motion.sampled(probe, 1200 * MS, 50 * MS)
+    # The move takes a sixth of a second.
+    seen = motion.sampled(probe, 400 * MS, 40 * MS)
+    if 2 not in motion.statuses(probe.traffic[since:], command):
+        probe.listen(3 * SECOND_NS, Until.REPLY)
     ends = [a for a in motion.replies(probe.traffic[since:], command) if a.values[command.replies.status] == 2]
     if not ends:
         raise Inconclusive(f"{command.name} did not say that it was complete")

@@ -18,7 +18,6 @@ from analyzer.catalogue import Certainty, Command, Dialect, Subject
 from analyzer.link import CanLink, ModbusLink
 from conformance.claim import Inconclusive, Observed, Theme
 from conformance.claims.control_reads import (
-    LISTEN_NS,
     PAUSE_NS,
     answered_by,
     ask_alone,
@@ -92,7 +91,7 @@ def _glued_answered(probe: Probe, variants: Variants) -> None:
     """A good request with {what} is answered."""
     read = plain_read(probe.dialect)
     ask_alone(probe)
-    sent = [(what, probe.send(data, timeout_ns=LISTEN_NS)) for what, data in variants(probe)]
+    sent = [(what, probe.send(data)) for what, data in variants(probe)]
     missed = [(what, exchange) for what, exchange in sent if not answered_by(probe, exchange, read)]
     if missed:
         exchange = missed[0][1]
@@ -111,7 +110,7 @@ def _behind_glued(probe: Probe, variants: Variants) -> None:
     """The next good request behind one with {what} is answered."""
     ask_first(probe)
     for what, data in variants(probe):
-        judge_next(probe, f"one with {what}", partial(probe.send, data, timeout_ns=LISTEN_NS))
+        judge_next(probe, f"one with {what}", partial(probe.send, data))
 
 
 def _pair(dialect: Dialect) -> tuple[Command, Command]:
@@ -124,8 +123,8 @@ def _pair(dialect: Dialect) -> tuple[Command, Command]:
 def _send_two(probe: Probe) -> Exchange:
     both = [probe.build(c) for c in _pair(probe.dialect)]
     if not isinstance(probe.dialect.link, CanLink):
-        return probe.send(b"".join(built.frame for built in both), timeout_ns=LISTEN_NS)
-    one, other = (probe.send(built.item(), timeout_ns=0 if n == 0 else LISTEN_NS) for n, built in enumerate(both))
+        return probe.send(b"".join(built.frame for built in both))
+    one, other = (probe.send(built.item(), timeout_ns=0 if n == 0 else None) for n, built in enumerate(both))
     other.answers[:0] = one.answers
     return other
 
@@ -165,7 +164,7 @@ def _cut(probe: Probe, at: int, gap_ns: int) -> Exchange:
     early = probe.send(frame[:at], timeout_ns=gap_ns)
     if not early.silent:
         raise Inconclusive(f"{at} of {len(frame)} bytes were answered, which another claim judges")
-    return probe.send(frame[at:], timeout_ns=LISTEN_NS)
+    return probe.send(frame[at:])
 
 
 def _places(probe: Probe) -> range:

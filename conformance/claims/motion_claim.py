@@ -113,10 +113,18 @@ def expect_taken(probe: Probe, exchange: Exchange, refutes: str) -> None:
 def expect_at_rest(probe: Probe, command: Command, exchange: Exchange, refutes: str) -> None:
     """Refute unless the shaft is at rest where it is when a command has just been told as complete."""
     probe.reply(exchange)
-    if exchange.status(command.replies.status)[-1:] not in ([2], [3]):
-        raise Inconclusive(f"{command.name} did not say that it was complete")
     at_once = motion.position(probe)
-    off = abs(motion.wait_standing(probe).value - at_once.value)
+    told = tuple(exchange.status(command.replies.status)[-1:])
+    expect_rested(probe, command, told, at_once, motion.wait_standing(probe), exchange, refutes)
+
+
+def expect_rested(
+    probe: Probe, command: Command, told: tuple[int, ...], at_once: Sample, rests: Sample, exchange: Exchange, refutes: str
+) -> None:
+    """Refute unless the shaft was where it rests when a command was told as complete (`told`: its last status)."""
+    if told not in ((2,), (3,)):
+        raise Inconclusive(f"{command.name} did not say that it was complete")
+    off = abs(rests.value - at_once.value)
     most = SAME + probe.noise.swing
     if most < off <= _SETTLING + probe.noise.place and "settling" in probe.claim.quirks:
         probe.meets("settling")

@@ -101,6 +101,9 @@ def _expect_way(probe: Probe, move: Move, signed: bool, refutes: str, *, times: 
     """Refute unless a move, or several, went as far as was asked, the way that was asked where it is `signed`."""
     seen, asked = (move.degrees, move.asked) if signed else (abs(move.degrees), abs(move.asked))
     within = times * motion.near(probe.dialect)
+    if _takes_place(move.command) and takes_pulses(move.command):
+        # The shaft may have stood between two pulses, of which the drive read one.
+        within += 180 / motion.units_per_turn(probe.dialect, move.command)
     probe.expect(seen, near=asked, within=within, unit="degrees", refutes=refutes, exchange=move.exchange)
 
 

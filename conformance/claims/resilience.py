@@ -298,7 +298,7 @@ def _harmless_settings(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, case.command, {"field": field}, facts)
 
 
-@_resilience("silence", each=_harmless_settings, at_best=Certainty.LIKELY, quirks=may_meet(_HASTY))
+@_resilience("silence", each=_harmless_settings, at_best=Certainty.LIKELY, quirks=may_meet(_HASTY), hasty=True)
 def _in_haste(probe: Probe, command: Command, field: Any) -> None:
     """Settings at once behind one another are each answered."""
     values = sorted(field.choice_names)[:2] if field.choices is not None else [field.low, field.low + 1]

@@ -13,12 +13,13 @@ Rules kept here:
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion_claim import expect_at_rest, expect_stays, of_motion, risks_by, risks_of, that_tell_their_end
+from conformance.claims.motion_claim import expect_rested, expect_stays, of_motion, risks_by, risks_of, that_tell_their_end
 from conformance.motion import motion
 from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS, Sample
 from conformance.talk.exchange import Exchange
@@ -49,15 +50,22 @@ def expect_standing(probe: Probe, exchange: Exchange, refutes: str) -> None:
     before = motion.position(probe)
     probe.wait(_LOOK_NS)
     moved = motion.position(probe).value - before.value
-    stands = abs(seen.value) < 1 + seen.noise and abs(moved) <= motion.miss(probe)
-    if not stands:
+    if not _stands(probe, seen, moved):
         motion.stop(probe, 0)
+    _expect_stood(probe, seen, moved, exchange, refutes)
+
+
+def _stands(probe: Probe, seen: Sample, moved: float) -> bool:
+    return abs(seen.value) < 1 + seen.noise and abs(moved) <= motion.miss(probe)
+
+
+def _expect_stood(probe: Probe, seen: Sample, moved: float, exchange: Exchange, refutes: str) -> None:
+    stands = _stands(probe, seen, moved)
     got = f"{seen.value:g} rpm, and {moved:+.2f} degrees in {_LOOK_NS // MS} ms"
     probe.expect(got, holds=stands, expected="a shaft that stands", refutes=refutes, exchange=exchange)
 
 
-def _expect_turning(probe: Probe, least: float) -> None:
-    seen = motion.speed(probe)
+def _expect_turning(seen: Sample, least: float) -> None:
     if abs(seen.value) < least:
         raise Inconclusive(f"the shaft does not turn before the stop ({seen.value:g} rpm)")
 
@@ -86,9 +94,55 @@ def _of_motions(dialect: Dialect) -> Iterator[Case]:
             yield Case(dialect, stop, {"run": run})
 
 
-def _ask_stop(probe: Probe, stop: Command, acceleration: int, until: Until = Until.REPLY) -> Exchange:
-    timeout_ns = 2 * _RAMP_NS + 2 * SECOND_NS if until is Until.DONE else None
-    return probe.ask(stop, {"acceleration": acceleration}, until=until, timeout_ns=timeout_ns, quiet_ns=0)
+def _ask_stop(probe: Probe, stop: Command, acceleration: int) -> Exchange:
+    return probe.ask(stop, {"acceleration": acceleration}, quiet_ns=0)
+
+
+@dataclass(frozen=True)
+class StopOnRamp:
+    """A motion that was stopped by the slow ramp.
+
+    `before`, `midway`, `after`: speeds on the way, on the ramp, and behind it. `told`: what the stop had answered when its end
+    was told, `at_once`: where the shaft was then. `turned`: by how many degrees it turned behind the ramp; `rests`: where it
+    came to rest; `later`: where it was when the whole motion would have been over. `statuses`: all that the stop answered.
+    """
+
+    exchange: Exchange
+    before: Sample
+    midway: Sample
+    told: tuple[int, ...]
+    at_once: Sample
+    after: Sample
+    turned: float
+    rests: Sample
+    later: Sample
+    statuses: tuple[int, ...]
+
+
+def stopped_by_ramp(probe: Probe, run: Command, stop: Command) -> StopOnRamp:
+    """Set the shaft going and stop it by the slow ramp; nothing is asked while the end of the stop may be told."""
+    set_going(probe, run, _RPM)
+    before = motion.speed(probe)
+    since = len(probe.traffic)
+    exchange = _ask_stop(probe, stop, _SLOW_RAMP)
+    probe.wait(exchange.sent_ns + _RAMP_NS * 2 // 5 - probe.gate.now_ns())
+    midway, at_once = motion.speed(probe), motion.position(probe)
+    over_ns = exchange.sent_ns + _RAMP_NS + 200 * MS
+    if motion.tells_end(probe.dialect) and len(motion.replies(probe.traffic[since:], stop)) < 2:
+        # Longer than the ramp is to take: whether it comes in time is judged elsewhere.
+        probe.listen(2 * _RAMP_NS, Until.REPLY)
+        at_once = motion.position(probe)
+    told = motion.statuses(probe.traffic[since:], stop)
+    probe.wait(over_ns - probe.gate.now_ns())
+    after, here = motion.speed(probe), motion.position(probe)
+    probe.wait(_LOOK_NS)
+    turned = motion.position(probe).value - here.value
+    rests = motion.wait_standing(probe)
+    # What is left of a move of five turns would take so long.
+    probe.wait(exchange.sent_ns + _LEFT_NS - probe.gate.now_ns())
+    later = motion.position(probe)
+    statuses = tuple(motion.statuses(probe.traffic[since:], stop))
+    return StopOnRamp(exchange, before, midway, tuple(told), at_once, after, turned, rests, later, statuses)
 
 
 @of_motion(
@@ -96,32 +150,29 @@ def _ask_stop(probe: Probe, stop: Command, acceleration: int, until: Until = Unt
 )
 def _by_ramp(probe: Probe, command: Command, run: Command) -> None:
     """{command} with an acceleration slows the shaft down by the ramp and lets it stand."""
-    set_going(probe, run, _RPM)
-    _expect_turning(probe, _RPM / 2)
-    exchange = _ask_stop(probe, command, _SLOW_RAMP)
-    probe.wait(max(0, exchange.sent_ns + _RAMP_NS // 2 - probe.gate.now_ns()))
-    seen = motion.speed(probe)
-    late = (seen.t_ns - exchange.sent_ns) / _RAMP_NS
+    seen = probe.recorded(stopped_by_ramp, run, command)
+    _expect_turning(seen.before, _RPM / 2)
+    late = (seen.midway.t_ns - seen.exchange.sent_ns) / _RAMP_NS
     law = max(0.0, _RPM * (1 - late))
     probe.expect(
-        abs(seen.value),
+        abs(seen.midway.value),
         near=law,
         within=_RPM / 4,
         unit="rpm",
         expected=f"about {law:.0f} rpm {late * _RAMP_NS / MS:.0f} ms after the request",
         refutes=f"{command.name} does not slow the shaft down by its ramp",
-        exchange=exchange,
+        exchange=seen.exchange,
         key=f"{command.name} ramp",
     )
-    probe.wait(exchange.sent_ns + _RAMP_NS + 200 * MS - probe.gate.now_ns())
-    expect_standing(probe, exchange, f"the shaft still turns after the ramp of {command.name}")
+    text = f"the shaft still turns after the ramp of {command.name}"
+    _expect_stood(probe, seen.after, seen.turned, seen.exchange, text)
 
 
 @of_motion(each=_of_motions, refuted_by="a shaft that goes on", risks=risks_of("run"))
 def _at_once(probe: Probe, command: Command, run: Command) -> None:
     """{command} with acceleration 0 stops the shaft at once."""
     set_going(probe, run)
-    _expect_turning(probe, CALM / 2)
+    _expect_turning(motion.speed(probe), CALM / 2)
     exchange = _ask_stop(probe, command, 0)
     at_once = motion.position(probe)
     probe.wait(_LOOK_NS)
@@ -131,12 +182,8 @@ def _at_once(probe: Probe, command: Command, run: Command) -> None:
 @of_motion(each=_of_motions, refuted_by="a shaft that moves again", risks=risks_of("run"))
 def _stays_stopped(probe: Probe, command: Command, run: Command) -> None:
     """After {command} the shaft stays where it stopped; the motion that it ended is not taken up again."""
-    set_going(probe, run, _RPM)
-    exchange = _ask_stop(probe, command, QUICK)
-    stopped = motion.wait_standing(probe)
-    # What is left of a move of five turns would take so long.
-    probe.wait(exchange.sent_ns + _LEFT_NS - probe.gate.now_ns())
-    expect_stays(stopped, motion.wait_standing(probe), exchange, f"the shaft moves again after {command.name}")
+    seen = probe.recorded(stopped_by_ramp, run, command)
+    expect_stays(seen.rests, seen.later, seen.exchange, f"the shaft moves again after {command.name}")
 
 
 @of_motion(
@@ -148,15 +195,11 @@ def _stays_stopped(probe: Probe, command: Command, run: Command) -> None:
 )
 def _told(probe: Probe, command: Command, run: Command) -> None:
     """{command} is answered by 1 when it begins and by 2 when the shaft stands, away from any end limit."""
-    set_going(probe, run, _RPM)
-    before = len(probe.traffic)
-    exchange = _ask_stop(probe, command, _SLOW_RAMP, Until.DONE)
-    motion.wait_standing(probe)
-    probe.wait(exchange.sent_ns + _LEFT_NS - probe.gate.now_ns())
-    seen = motion.statuses(probe.traffic[before:], command)
+    seen = probe.recorded(stopped_by_ramp, run, command)
+    told = list(seen.statuses)
     text = f"{command.name}: other replies than 1 and then 2"
-    key = f"{command.name} {seen}"
-    probe.expect(seen, equal=[1, 2], expected="1, 2", refutes=text, exchange=exchange, key=key)
+    key = f"{command.name} {told}"
+    probe.expect(told, equal=[1, 2], expected="1, 2", refutes=text, exchange=seen.exchange, key=key)
 
 
 @of_motion(
@@ -167,9 +210,9 @@ def _told(probe: Probe, command: Command, run: Command) -> None:
 )
 def _told_when_standing(probe: Probe, command: Command, run: Command) -> None:
     """When {command} says that it is complete, the shaft stands."""
-    set_going(probe, run, _RPM)
-    exchange = _ask_stop(probe, command, _SLOW_RAMP, Until.DONE)
-    expect_at_rest(probe, command, exchange, f"{command.name} is told as complete before the shaft stands")
+    seen = probe.recorded(stopped_by_ramp, run, command)
+    text = f"{command.name} is told as complete before the shaft stands"
+    expect_rested(probe, command, seen.told[-1:], seen.at_once, seen.rests, seen.exchange, text)
 
 
 # --- a stop of all drives ---------------------------------------------------------------------------------------------
@@ -195,7 +238,7 @@ def _stops_of_all(dialect: Dialect) -> Iterator[Case]:
 def _stops_all(probe: Probe, command: Command) -> None:
     """{command} by a broadcast stops the shaft."""
     set_going(probe, probe.command(Verb.RUN_SPEED))
-    _expect_turning(probe, CALM / 2)
+    _expect_turning(motion.speed(probe), CALM / 2)
     values = {"acceleration": 0} if "acceleration" in command.request_forms[0].layout.named else None
     broadcast = probe.dialect.broadcast
     exchange = probe.ask(command, values, address=broadcast, until=Until.TIMEOUT, timeout_ns=500 * MS)
@@ -232,7 +275,7 @@ def _in_mode(probe: Probe, command: Command, mode: str, emergency: Command) -> N
     expect_standing(probe, exchange, f"{command.name} does not stop the shaft in mode {mode}")
     motion.run_at(probe, CALM, QUICK)
     probe.wait(_SET_OFF_NS)
-    _expect_turning(probe, CALM / 2)
+    _expect_turning(motion.speed(probe), CALM / 2)
     exchange = probe.ask(emergency)
     expect_standing(probe, exchange, f"{emergency.name} does not stop the shaft in mode {mode}")
 
@@ -252,7 +295,7 @@ def _emergencies(dialect: Dialect) -> Iterator[Case]:
 def _emergency_ends(probe: Probe, command: Command, run: Command) -> None:
     """The emergency stop ends {run} at once, and the shaft stays where it is."""
     set_going(probe, run, turns=_FEW)
-    _expect_turning(probe, CALM / 2)
+    _expect_turning(motion.speed(probe), CALM / 2)
     exchange = probe.ask(command, quiet_ns=0)
     at_once = motion.position(probe)
     refused = probe.refused(exchange)

@@ -44,7 +44,8 @@ def measure(probe: Probe) -> Noise:
         return QUIET
     if max(map(abs, speeds)) > _RESTS:
         return Noise(stray=stray)
-    return Noise(_half_span(places), max(loop), max(map(abs, speeds)), supply=supply, stray=stray)
+    latency_ns = max((ns for _, ns in probe.latencies), default=0)
+    return Noise(_half_span(places), max(loop), max(map(abs, speeds)), supply=supply, stray=stray, latency_ns=latency_ns)
 
 
 def in_motion(probe: Probe) -> Noise:

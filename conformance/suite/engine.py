@@ -38,6 +38,8 @@ def run_claim(claim: Claim, rig: ClaimRig) -> Verdict:
     verdict = _once(claim, rig)
     if verdict.outcome is Outcome.REFUTED and not rig.emulated:
         return _confirmed(claim, rig, verdict)
+    if claim.hasty and verdict.outcome is Outcome.CONFIRMED:
+        rig.keep_no_distance()
     return verdict
 
 
@@ -121,7 +123,7 @@ def _verdict(claim: Claim, probe: Probe, outcome: Outcome, reason: str, error: R
         tuple(probe.raw),
         tuple(probe.quirks),
         probe.first_ns,
-        probe.gate.now_ns(),
+        probe.last_ns,
         dict(probe.measured),
         {name: tuple(points) for name, points in probe.series.items()},
         tuple(probe.latencies),
@@ -134,6 +136,8 @@ def _verdict(claim: Claim, probe: Probe, outcome: Outcome, reason: str, error: R
 
 def _confirmed(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verdict:
     """Return the verdict of a refuted claim after it was repeated."""
+    # It is done again, not looked at again.
+    rig.recordings.clear()
     again = _once(claim, rig)
     if again.outcome is not Outcome.REFUTED:
         return replace(verdict, reason=f"{verdict.reason} ({ONCE}; the other time {again.outcome}: {again.reason})")

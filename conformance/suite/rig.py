@@ -39,6 +39,9 @@ class ClaimRig(Rig, ABC):
             return f"it needs --allow {','.join(lacking)}"
         return ""
 
+    def keep_no_distance(self) -> None:
+        """Take it that settings at once behind one another are done."""
+
     def let_nothing_move(self, reason: str) -> None:
         """Let nothing pass from now on that may move the drive."""
 

@@ -77,6 +77,10 @@ class EmulatedRig(ClaimRig):
         self.gate = Gate(line, self._allowance)
         return Probe(self, claim, drive)
 
+    def recorder(self, probe: Probe) -> Probe:
+        """Return a probe of a new drive: what a recording shows does not depend on the claim that asked first."""
+        return self.probe(probe.claim)
+
     def settle(self, probe: Probe) -> str:
         """Do nothing: the next claim gets a new drive."""
         probe.gate.close()

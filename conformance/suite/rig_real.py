@@ -139,6 +139,10 @@ class RealRig(ClaimRig):
         unproved = self._unproved if claim.risks & MAY_MOVE else ""
         return super().missing(claim) or unproved or self.keeper.cannot_keep(claim.settings)
 
+    def keep_no_distance(self) -> None:
+        """Let settings follow one another at once from now on."""
+        self.write_gap_ns = 0
+
     def let_nothing_move(self, reason: str) -> None:
         """Let nothing pass from now on that may move the drive: it could not be proved to stand again."""
         self._unproved = f"nothing that moves is sent: {reason}"
@@ -151,7 +155,10 @@ class RealRig(ClaimRig):
 
     @cached_property
     def _at_rest(self) -> Noise:
-        return resting.measure(plain_probe(self.dialect, self.address, self.gate))
+        found = resting.measure(plain_probe(self.dialect, self.address, self.gate))
+        if found.latency_ns:
+            self.silence_ns = min(self.silence_ns, found.silence_ns)
+        return found
 
     def probe(self, claim: Claim) -> Probe:
         """Return a probe of the drive."""

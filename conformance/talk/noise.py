@@ -42,6 +42,8 @@ _STEPS: Mapping[str, float] = {
     "degC": 2,
 }
 _UNIT = re.compile(r"(?:x )?(?:(\d+(?:\.\d+)?) )?([\w/]+)")
+#: A silence is so long at least, and so many times the latency of the slowest reply longer.
+_LEAST_SILENCE_NS, _SILENCE_LATENCIES = 60_000_000, 5
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class Noise:
     """Half spans measured on a resting shaft, its speed as it reads.
 
     `loop`: how far from its target it says that it is. `share`: of a speed, measured while the shaft turns. `supply`: volts,
-    amperes and degrees Celsius by their units. `stray`: bytes of the line.
+    amperes and degrees Celsius by their units. `stray`: bytes of the line. `latency_ns`: of its slowest reply.
     """
 
     degrees: float = 0.0
@@ -58,11 +60,17 @@ class Noise:
     share: float = 0.0
     supply: Mapping[str, float] = field(default_factory=dict)
     stray: bytes = b""
+    latency_ns: int = 0
 
     @property
     def live(self) -> bool:
         """Whether the shaft trembles at all."""
         return max(self.degrees, self.loop, self.rpm) > 0
+
+    @property
+    def silence_ns(self) -> int:
+        """How long nothing must come before it is called silence: several times what the drive's replies took."""
+        return _LEAST_SILENCE_NS + _SILENCE_LATENCIES * self.latency_ns
 
     @property
     def place(self) -> float:
@@ -111,7 +119,7 @@ class Noise:
     def figures(self) -> Mapping[str, float]:
         """What was measured, for the report."""
         found = {"degrees": self.degrees, "loop_degrees": self.loop, "rpm": self.rpm, "speed_%": 100 * self.share}
-        found |= {**self.supply, "stray_bytes": len(self.stray)}
+        found |= {**self.supply, "stray_bytes": len(self.stray), "latency_ms": self.latency_ns / 1e6}
         return {name: round(value, 4) for name, value in found.items() if value}
 
 

@@ -14,8 +14,8 @@ answered and a short quiet has passed (in which a second reply would show). Writ
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Collection, Hashable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from analyzer import encoder
 from analyzer.catalogue import Certainty, Command, Dialect, Form, Risk, Role, Verb
@@ -43,6 +43,20 @@ _PAUSE_NS = 30 * MS
 _KEPT_LATENCIES = 400
 
 
+_Shown = TypeVar("_Shown")
+
+
+class Recording(NamedTuple):
+    """What one motion showed, and what went over the line for it."""
+
+    shown: Any
+    traffic: tuple[Exchange, ...]
+    raw: tuple[Chunk | CanFrame, ...]
+    latencies: tuple[tuple[str, int], ...]
+    first_ns: int
+    last_ns: int
+
+
 class Rig:
     """One drive under test, as a probe needs it: how it is reached, and how long to wait for it.
 
@@ -67,6 +81,8 @@ class Rig:
     def __init__(self, dialect: Dialect, address: int) -> None:
         self.dialect = dialect
         self.address = address
+        #: Motions that several claims judge, by what was done.
+        self.recordings: dict[Hashable, Recording] = {}
 
     @property
     def byte_ns(self) -> int:
@@ -89,6 +105,10 @@ class Rig:
     def probe(self, claim: Claim) -> Probe:
         """Return a probe for one claim; an emulated drive is new."""
         return Probe(self, claim)
+
+    def recorder(self, probe: Probe) -> Probe:
+        """Return the probe that records a motion for a claim: its own, or one of a new emulated drive."""
+        return probe
 
     def before_send(self, item: bytes | CanFrame) -> None:
         """Take note of what is about to leave; a rig that puts things back looks here at what is changed."""
@@ -119,6 +139,7 @@ class Probe:
         #: Command and ns from the end of its request to the beginning of its first reply.
         self.latencies: list[tuple[str, int]] = []
         self.first_ns = self.gate.now_ns()
+        self._last_ns: int | None = None
         self.noise: Noise = rig.noise
         self._dialogue = Dialogue(
             self.gate,
@@ -187,9 +208,9 @@ class Probe:
         """Send bytes as they are (on CAN a frame) and return what came back; by default for the time of a silence."""
         return self._exchange(item, until, timeout_ns, None)
 
-    def listen(self, duration_ns: int) -> Exchange:
-        """Send nothing and return what comes meanwhile."""
-        return self._exchange(None, Until.TIMEOUT, duration_ns, None)
+    def listen(self, duration_ns: int, until: Until = Until.TIMEOUT) -> Exchange:
+        """Send nothing and return what comes meanwhile; with `Until.REPLY` to the first frame that comes."""
+        return self._exchange(None, until, duration_ns, None, 0)
 
     def wait(self, duration_ns: int) -> None:
         """Let time pass; what comes meanwhile is kept in the claim's traffic."""
@@ -202,6 +223,45 @@ class Probe:
         left_ns = 0 if before_ns is None else before_ns + self.rig.write_gap_ns - self.gate.now_ns()
         if left_ns > 0:
             self.raw += self.gate.wait(left_ns)
+
+    # --- one motion, judged by several claims ---------------------------------------------------------------------
+
+    @property
+    def last_ns(self) -> int:
+        """When the claim ended: now, or with the recording that it judges."""
+        return self.gate.now_ns() if self._last_ns is None else self._last_ns
+
+    def recorded(self, record: Callable[..., _Shown], *given: Any) -> _Shown:
+        """Return what `record(probe, *given)` shows: done for the first claim that asks, kept for those after it.
+
+        A claim that judges a recording does nothing besides. What `record` raises is not kept.
+        """
+        key = (record.__module__, record.__qualname__, *(getattr(value, "name", value) for value in given))
+        known = self.rig.recordings.get(key)
+        if known is None:
+            recorder = self.rig.recorder(self)
+            try:
+                shown = record(recorder, *given)
+            finally:
+                if recorder is not self:
+                    self._take_over(recorder.recording())
+            known = self.rig.recordings[key] = recorder.recording(shown)
+        else:
+            self._take_over(known)
+        found: _Shown = known.shown
+        return found
+
+    def recording(self, shown: Any = None) -> Recording:
+        """Return what was sent and received so far, and what it showed."""
+        sent = (tuple(self.traffic), tuple(self.raw), tuple(self.latencies))
+        return Recording(shown, *sent, self.first_ns, self.gate.now_ns())
+
+    def _take_over(self, known: Recording) -> None:
+        """Make what a recording sent and received the claim's own."""
+        self.traffic += known.traffic
+        self.raw += known.raw
+        self.latencies += known.latencies
+        self.first_ns, self._last_ns = known.first_ns, known.last_ns
 
     # --- one exchange ---------------------------------------------------------------------------------------------
 
@@ -216,6 +276,7 @@ class Probe:
         timeout_ns = self.rig.timeout_ns(until) if timeout_ns is None else timeout_ns
         quiet_ns = self.rig.quiet_ns if quiet_ns is None else quiet_ns
         dialogue = self._dialogue
+        self._last_ns = None
         if item is None:
             exchange = dialogue.begin(Exchange(None, self.gate.now_ns()))
         else:
@@ -346,7 +407,8 @@ class Probe:
 
         Raises Inconclusive where the drive does not do it.
         """
-        exchange = self.ask(what, values)
+        # The end of a motion is told unasked: the next request would collide with that of a short one.
+        exchange = self.ask(what, values, quiet_ns=None if self.command(what).motion else 0)
         answer = self.reply(exchange)
         if self.refused(exchange):
             name = self.command(what).name
