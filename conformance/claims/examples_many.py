@@ -20,8 +20,8 @@ from conformance.motion.motion import SECOND_NS
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
 
-#: How long the examples may take: a turn at 300 rpm and less.
-_MOVE_NS = 4 * SECOND_NS
+#: How long the examples are looked at: they turn the shaft at 300 rpm and less.
+_MOVE_NS = 1500 * motion.MS
 #: Degrees after which a move counts as one.
 _MOVED = 90.0
 

@@ -107,9 +107,15 @@ def _expect_way(probe: Probe, move: Move, signed: bool, refutes: str, *, times: 
     probe.expect(seen, near=asked, within=within, unit="degrees", refutes=refutes, exchange=move.exchange)
 
 
-def _there_and_back(probe: Probe, command: Command) -> tuple[Move, Move]:
+def there_and_back(probe: Probe, command: Command) -> tuple[Move, Move, tuple[int, ...]]:
+    """Move there, listen for what comes late, and move back; return both moves and all statuses of the first."""
     motion.prepare(probe, command)
-    return motion.follow(probe, command, _THERE), motion.follow(probe, command, _BACK)
+    since = len(probe.traffic)
+    there = motion.follow(probe, command, _THERE)
+    if motion.of(command).tells_end:
+        probe.wait(700 * MS)
+    statuses = motion.statuses(probe.traffic[since:], command)
+    return there, motion.follow(probe, command, _BACK), tuple(statuses)
 
 
 @of_motion(
@@ -132,7 +138,7 @@ def _there_and_back(probe: Probe, command: Command) -> tuple[Move, Move]:
     settings=keeps_position,
 )
 def _distance(probe: Probe, command: Command, signed: bool) -> None:
-    for move in _there_and_back(probe, command):
+    for move in probe.recorded(there_and_back, command)[:2]:
         _expect_way(probe, move, signed, f"{command.name} does not go as far as it was asked to")
 
 
@@ -145,7 +151,7 @@ def _opposites(dialect: Dialect) -> Iterator[Case]:
 @of_motion(each=_opposites, refuted_by="the same way twice")
 def _opposite(probe: Probe, command: Command) -> None:
     """{command} turns the shaft opposite ways for {both}."""
-    there, back = _there_and_back(probe, command)
+    there, back, _ = probe.recorded(there_and_back, command)
     probe.expect(
         f"{there.degrees:+.2f} and {back.degrees:+.2f} degrees",
         holds=there.degrees * back.degrees < 0 and min(abs(there.degrees), abs(back.degrees)) > motion.same(probe),
@@ -181,6 +187,9 @@ def _where_a_position_can_be_set(dialect: Dialect) -> Iterable[Case]:
 def _wide(probe: Probe, command: Command) -> None:
     """{command} takes positions of more than 32 bits."""
     motion.ready_to_move(probe)
+    read = probe.command(motion.of(command).counted_by)
+    name = next(iter(read.reply_forms[0].layout.named))
+    before = probe.read(read, name)
     for side in (1, -1):
         probe.do("set_position", {"position": side * _EDGE})
         here = motion.position(probe)
@@ -190,6 +199,8 @@ def _wide(probe: Probe, command: Command) -> None:
         # An angle limit of 32 bits would end the way after 36 degrees.
         text = f"{command.name} to a position of more than 32 bits does not go there"
         probe.expect(went, at_least=30, expected="90 degrees that way", unit="degrees", refutes=text, exchange=exchange)
+    # Not at the edge of what 32 bits hold, where other claims could not move.
+    probe.do("set_position", {"position": before})
 
 
 @of_motion(
@@ -431,12 +442,9 @@ def _within(probe: Probe, command: Command, degrees: int, rpm: int, for_ns: int)
 @of_motion(each=that_tell_their_end(_counted), refuted_by="other statuses, another order, more or fewer replies")
 def _replies(probe: Probe, command: Command) -> None:
     """{command} is answered twice: status 1 when it begins, status 2 when it is done."""
-    motion.prepare(probe, command)
-    move = motion.follow(probe, command, _THERE)
-    probe.wait(SECOND_NS)
-    seen = motion.statuses(probe.traffic, command)
-    text = f"{command.name}: other replies than 1 and then 2"
-    probe.expect(seen, equal=[1, 2], refutes=text, exchange=move.exchange, key=f"{command.name} {seen}")
+    there, _, told = probe.recorded(there_and_back, command)
+    text, seen = f"{command.name}: other replies than 1 and then 2", list(told)
+    probe.expect(seen, equal=[1, 2], refutes=text, exchange=there.exchange, key=f"{command.name} {seen}")
 
 
 @of_motion(

@@ -176,7 +176,7 @@ def _takes_over_a_move(probe: Probe) -> None:
     motion.begin(probe, move, 180, rpm=_RPM, acceleration=QUICK)
     probe.wait(300 * MS)
     exchange = motion.run_at(probe, _RPM, QUICK)
-    probe.wait(3 * SECOND_NS)
+    probe.wait(1500 * MS)
     seen = motion.speed(probe)
     motion.stand_still(probe)
     expect_speed(seen, _RPM, exchange, "a run does not take over from a move")

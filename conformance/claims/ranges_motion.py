@@ -17,15 +17,15 @@ from typing import Any
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
 from analyzer.layout import Field, FieldKind
 from conformance.claim import Aspect, Inconclusive
-from conformance.claims import ranges, setting_effects
+from conformance.claims import ranges
 from conformance.claims.declare import Case
 from conformance.claims.ranges import of_ranges
 from conformance.claims.requests import with_reserved
+from conformance.claims.speed_limits import spun
 from conformance.model import limits
-from conformance.motion import motion, ramp
+from conformance.motion import motion
 from conformance.motion.motion import MS
-from conformance.talk.acceptance import can_refuse, expect_accepted, expect_refused
-from conformance.talk.exchange import Exchange
+from conformance.talk.acceptance import Acceptance, acceptance, can_refuse, expect_accepted, expect_refused
 from conformance.talk.probe import Probe, Until
 
 _RUNS = (MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO)
@@ -36,8 +36,6 @@ SLOW, STEEP = 10, 252
 _WATCH_NS = 300 * MS
 #: A speed that reads so much off (a share) is another one.
 _SPEED_SHARE = 0.015
-#: Turns of a move that is to reach the highest speed and is stopped then.
-_FAR_TURNS = 160
 #: A speed both bytes of which are filled.
 _TWO_BYTE_RPM = 257
 
@@ -76,18 +74,6 @@ def _values(probe: Probe, command: Command, **changed: int) -> dict[str, int]:
         tenth = motion.units_per_turn(probe.dialect, command) // 10
         values[moving.distance] = tenth if moving.direction else motion.place(probe, command) + tenth
     return values | changed
-
-
-def _far(probe: Probe, command: Command) -> dict[str, int]:
-    """Return the distance of a move so far that it is stopped before it ends; nothing for a run."""
-    moving = motion.of(command)
-    if not moving.distance:
-        return {}
-    units = _FAR_TURNS * motion.units_per_turn(probe.dialect, command)
-    if moving.direction:
-        return {moving.distance: units}
-    start, field = motion.place(probe, command), command.request_forms[0].layout.named[moving.distance]
-    return {moving.distance: start + units if start + units <= field.high else start - units}
 
 
 def _end(probe: Probe, command: Command) -> None:
@@ -186,23 +172,21 @@ def _reserved(probe: Probe, command: Command, masks: tuple[int, ...]) -> None:
 # --- speeds -----------------------------------------------------------------------------------------------------------
 
 
-def _run_up(probe: Probe, command: Command, speed: int) -> tuple[float, Exchange]:
-    """Begin a run or a far move at a speed by a steep ramp, measure the shaft's speed, and stop; rpm and the exchange.
-
-    Raises Refuted where the drive refuses it.
-    """
-    values = _values(probe, command, **_far(probe, command), speed=speed, acceleration=STEEP)
-    exchange = expect_accepted(probe, command, values, f"speed {speed}")
-    probe.wait(min(speed, 3100) * ramp.step_ns(STEEP) + 100 * MS)
-    rpm = abs(setting_effects.steady_speed(probe))
-    _end(probe, command)
+def _expect_speed(probe: Probe, command: Command, mode: str, speed: int, expected: int, why: str) -> None:
+    seen = probe.recorded(spun, command, speed, mode)
+    exchange = seen.exchange
+    if exchange.silent:
+        _ready(probe, mode)
+        expect_accepted(probe, command, _values(probe, command, speed=speed), f"speed {speed}")
+        raise Inconclusive(f"{command.name} was answered only when it was sent again")
+    taken = acceptance(probe, exchange) is Acceptance.DONE
+    text = f"{command.name}: speed {speed} is refused"
+    probe.expect("a refusal", holds=taken, expected="that it begins", refutes=text, exchange=exchange)
+    rpm = abs(seen.rpm.value)
+    if abs(abs(seen.by_places) - rpm) > seen.unsure + max(2.0, 0.02 * rpm):
+        raise Inconclusive(f"the speed reads {rpm:.0f} rpm, and two positions say {seen.by_places:.0f}")
     if rpm < 1 and speed:
         raise Inconclusive(f"{command.name} at speed {speed} is over already: how far it goes is another claim's")
-    return rpm, exchange
-
-
-def _expect_speed(probe: Probe, command: Command, speed: int, expected: int, why: str) -> None:
-    rpm, exchange = _run_up(probe, command, speed)
     probe.expect(
         rpm,
         near=expected,
@@ -238,9 +222,8 @@ def _too_fast(dialect: Dialect) -> Iterator[Case]:
 )
 def _clipped(probe: Probe, command: Command, field: Field, values: tuple[int, ...]) -> None:
     mode = motion.bus_modes(probe.dialect)[-1]
-    _ready(probe, mode)
     for value in values:
-        _expect_speed(probe, command, value, _highest(probe.dialect, mode, field), f"expected the highest of {mode}")
+        _expect_speed(probe, command, mode, value, _highest(probe.dialect, mode, field), f"expected the highest of {mode}")
 
 
 def _speeds(dialect: Dialect) -> Iterator[Case]:
@@ -251,8 +234,8 @@ def _speeds(dialect: Dialect) -> Iterator[Case]:
 @of_ranges(each=_speeds, refuted_by="the speed of its low byte alone")
 def _speed_width(probe: Probe, command: Command) -> None:
     """All bits of a speed count."""
-    _ready(probe)
-    _expect_speed(probe, command, _TWO_BYTE_RPM, _TWO_BYTE_RPM, "expected the speed that was sent")
+    mode = motion.bus_modes(probe.dialect)[-1]
+    _expect_speed(probe, command, mode, _TWO_BYTE_RPM, _TWO_BYTE_RPM, "expected the speed that was sent")
 
 
 def _modes(dialect: Dialect) -> Iterator[Case]:
@@ -274,9 +257,8 @@ def _highest_of_mode(probe: Probe, command: Command, mode: str, highest: int) ->
     """In {mode} the shaft turns at {highest} rpm at most, and at less as sent."""
     below = highest - 50
     above = min(highest + 100, command.request_forms[0].layout.named["speed"].wire_maximum)
-    _ready(probe, mode)
     for speed, expected in ((below, below), (highest, highest), (above, highest)):
-        _expect_speed(probe, command, speed, expected, f"in {mode}, whose highest speed is {highest}")
+        _expect_speed(probe, command, mode, speed, expected, f"in {mode}, whose highest speed is {highest}")
 
 
 # --- distances --------------------------------------------------------------------------------------------------------

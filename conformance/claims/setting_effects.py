@@ -252,7 +252,7 @@ def near(one: int, other: int) -> bool:
 def _statuses(probe: Probe) -> str:
     """Return the statuses that a small move is answered with, until the shaft stands and half a second longer."""
     values = {"direction": 0, "speed": 60, "acceleration": STEEP, "pulses": PULSES}
-    exchange = probe.ask(Verb.MOVE_RELATIVE_PULSES, values, until=Until.TIMEOUT, timeout_ns=1500 * MS)
+    exchange = probe.ask(Verb.MOVE_RELATIVE_PULSES, values, until=Until.TIMEOUT, timeout_ns=700 * MS)
     motion.wait_standing(probe)
     if exchange.junk or any(not a.message.frame.checksum_ok for a in exchange.answers):
         raise Inconclusive("the replies to a move cannot be read")

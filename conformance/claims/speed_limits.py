@@ -8,6 +8,7 @@ Rules kept here:
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind
 from conformance.claims.declare import Case
@@ -15,7 +16,8 @@ from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import expect_speed, expect_stays, expect_taken, of_motion
 from conformance.claims.moves import keeps_position, with_max_speed, without_max_speed
 from conformance.motion import motion
-from conformance.motion.motion import MOVES, MS, SUBDIVISION
+from conformance.motion.motion import MOVES, MS, SUBDIVISION, Sample
+from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
 #: The highest speed of any MKS drive, and that of a drive whose manual has no table of modes.
@@ -31,15 +33,37 @@ def _limited_runs(dialect: Dialect) -> Iterator[Case]:
             yield Case(dialect, command, {"speed": _HIGHEST, "beyond": (_HIGHEST + 1, widest)})
 
 
-def _expect_highest(probe: Probe, command: Command, speed: int) -> None:
-    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
+class Spun(NamedTuple):
+    """A motion at a speed as sent, in a mode. `rpm`: as the drive reads it; `by_places`: as two positions have it, `unsure`."""
+
+    exchange: Exchange
+    rpm: Sample
+    by_places: float
+    unsure: float
+
+
+def spun(probe: Probe, command: Command, speed: int, mode: str) -> Spun:
+    """Turn the shaft at a speed as sent, by a run or a move of 20 turns, and look when the ramp is over."""
+    motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
     exchange = motion.ask(probe, command, 20 * 360, acceleration=255, quiet_ns=0, more={motion.of(command).speed: speed})
-    expect_taken(probe, exchange, f"{command.name} at speed {speed} is refused")
     # At 50 us for one rpm the shaft has 3000 rpm after 150 ms, and a move of 20 turns keeps it for 250 ms.
-    probe.wait(exchange.sent_ns + 230 * MS - probe.gate.now_ns())
-    seen = motion.speed(probe)
+    probe.wait(exchange.sent_ns + 180 * MS - probe.gate.now_ns())
+    before, seen = motion.position(probe), motion.speed(probe)
+    probe.wait(exchange.sent_ns + 260 * MS - probe.gate.now_ns())
+    by_places, unsure = motion.speed_between(before, motion.position(probe))
     motion.stand_still(probe)
-    expect_speed(seen, _HIGHEST, exchange, f"{command.name} at speed {speed} turns at another speed")
+    return Spun(exchange, seen, by_places, unsure)
+
+
+def _expect_spun(probe: Probe, command: Command, speed: int, mode: str, rpm: int) -> None:
+    seen = probe.recorded(spun, command, speed, mode)
+    expect_taken(probe, seen.exchange, f"{command.name} at speed {speed} is refused in mode {mode}")
+    text = f"{command.name} at speed {speed} in mode {mode} turns at another speed"
+    expect_speed(seen.rpm, rpm, seen.exchange, text)
+
+
+def _expect_highest(probe: Probe, command: Command, speed: int) -> None:
+    _expect_spun(probe, command, speed, motion.bus_modes(probe.dialect)[-1], _HIGHEST)
 
 
 @of_motion(each=_limited_runs, refuted_by="a refusal, or another speed", parameters={"speed": _HIGHEST})
@@ -69,14 +93,8 @@ def _modes(dialect: Dialect) -> Iterator[Case]:
 @of_motion(each=_modes, name="{command}/highest-{mode}", refuted_by="another speed", at_best=Certainty.LIKELY)
 def _highest_of_mode(probe: Probe, command: Command, mode: str, rpm: int) -> None:
     """In mode {mode} the shaft turns at up to {rpm} rpm, and at {rpm} rpm when more is asked for."""
-    motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
     for speed in (rpm, _HIGHEST):
-        exchange = motion.ask(probe, command, rpm=speed, acceleration=255)
-        expect_taken(probe, exchange, f"speed {speed} is refused in mode {mode}")
-        probe.wait(300 * MS)
-        seen = motion.speed(probe)
-        motion.stand_still(probe)
-        expect_speed(seen, rpm, exchange, f"speed {speed} in mode {mode} turns at another speed")
+        _expect_spun(probe, command, speed, mode, rpm)
 
 
 def _moves_by_mode(dialect: Dialect) -> Iterator[Case]:
@@ -92,12 +110,7 @@ def _moves_by_mode(dialect: Dialect) -> Iterator[Case]:
 def _mode_limit(probe: Probe, command: Command, limits: dict[str, int]) -> None:
     """{command} at a greater speed than that of the work mode turns the shaft at the mode's."""
     for mode, rpm in limits.items():
-        motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
-        exchange = motion.begin(probe, command, 20 * 360, rpm=_HIGHEST, acceleration=255, quiet_ns=0)
-        probe.wait(exchange.sent_ns + 230 * MS - probe.gate.now_ns())
-        seen = motion.speed(probe)
-        motion.stand_still(probe)
-        expect_speed(seen, rpm, exchange, f"{command.name} in mode {mode} turns at another speed")
+        _expect_spun(probe, command, _HIGHEST, mode, rpm)
 
 
 # --- the max_speed of a move ------------------------------------------------------------------------------------------

@@ -43,7 +43,7 @@ def _wait_for_answer(probe: Probe) -> None:
     read = plain_read(probe.dialect)
     begun_ns = probe.gate.now_ns()
     while True:
-        exchange = probe.ask(read)
+        exchange = probe.ask(read, timeout_ns=probe.rig.silence_ns, quiet_ns=0)
         if any(a.message.frame.checksum_ok and a.command is not None for a in exchange.answers):
             return
         if probe.gate.now_ns() - begun_ns > LIMIT_NS:
