@@ -183,14 +183,16 @@ def _expect_speed(probe: Probe, command: Command, mode: str, speed: int, expecte
     text = f"{command.name}: speed {speed} is refused"
     probe.expect("a refusal", holds=taken, expected="that it begins", refutes=text, exchange=exchange)
     rpm = abs(seen.rpm.value)
-    if abs(abs(seen.by_places) - rpm) > seen.unsure + max(2.0, 0.02 * rpm):
+    within = max(2.0, expected * _SPEED_SHARE)
+    is_near = abs(abs(seen.by_places) - expected) <= seen.unsure + within
+    if is_near and abs(abs(seen.by_places) - rpm) > seen.unsure + max(2.0, 0.02 * rpm):
         raise Inconclusive(f"the speed reads {rpm:.0f} rpm, and two positions say {seen.by_places:.0f}")
     if rpm < 1 and speed:
         raise Inconclusive(f"{command.name} at speed {speed} is over already: how far it goes is another claim's")
     probe.expect(
         rpm,
         near=expected,
-        within=max(2.0, expected * _SPEED_SHARE),
+        within=within,
         unit="rpm",
         refutes=f"{command.name} at speed {speed} turns the shaft at {rpm:.0f} rpm, {why}",
         exchange=exchange,
