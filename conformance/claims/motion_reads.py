@@ -152,7 +152,7 @@ def _shows_switch(probe: Probe, command: Command) -> None:
 )
 def _wide(probe: Probe) -> None:
     motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
-    for rpm in (3000, -3000):
+    for rpm in (-3000, 3000):
         before = motion.position(probe)
         exchange = motion.run_at(probe, rpm, 255)
         probe.wait(int(_WIDE_TURNS / 3000 * 60 * SECOND_NS))
