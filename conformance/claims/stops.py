@@ -384,7 +384,7 @@ def _when_fast(probe: Probe, command: Command, run: Command) -> None:
     rpm = -_FAST_RPM if motion.of(run).kind is MotionKind.RUN else _FAST_RPM
     motion.begin(probe, run, -20 * 360, rpm=rpm, acceleration=QUICK)
     probe.wait(550 * MS)
-    _expect_turning(probe, _FAST_RPM / 2)
+    _expect_turning(motion.speed(probe), _FAST_RPM / 2)
     _expect_ended(probe, command, "is fast")
 
 
@@ -394,7 +394,7 @@ def _when_rising(probe: Probe, command: Command, run: Command) -> None:
     motion.prepare(probe, run)
     motion.begin(probe, run, 20 * 360, rpm=600, acceleration=_RISING)
     probe.wait(250 * MS)
-    _expect_turning(probe, 5)
+    _expect_turning(motion.speed(probe), 5)
     _expect_ended(probe, command, "speeds up")
 
 
