@@ -37,7 +37,8 @@ if TYPE_CHECKING:
 class Mutant(msgspec.Struct, frozen=True, kw_only=True):
     """What came of one fault in one dialect.
 
-    `refuted`: ids of the claims that refuted it, with their reasons. `seen`: those that observed what they do not observe on
+    `refuted`: ids of the claims that refuted it, with their reasons; `on_hardware`: those of them that need no hands on the
+    emulated drive. `seen`: those that observed what they do not observe on
     a drive without it: the manual leaves open what the fault changes, or real drives were seen to do so.
     """
 
@@ -46,6 +47,7 @@ class Mutant(msgspec.Struct, frozen=True, kw_only=True):
     text: str
     breaks: str
     refuted: tuple[tuple[str, str], ...]
+    on_hardware: tuple[str, ...] = ()
     seen: tuple[tuple[str, str], ...] = ()
     inconclusive: int = 0
     seconds: float = 0.0
@@ -73,12 +75,14 @@ def judge(
     specification = with_fault(target, fault)
     rig = EmulatedRig(specification, seed=seed)
     refuted: list[tuple[str, str]] = []
+    on_hardware: list[str] = []
     observed: list[tuple[Claim, str]] = []
     inconclusive = 0
     for claim in claims if full and most is None else _likely_first(claims, fault)[:most]:
         verdict = engine.run_claim(claim, rig)
         if verdict.outcome is Outcome.REFUTED:
             refuted.append((claim.id, verdict.reason))
+            on_hardware += [claim.id] * (not claim.emulated)
             if not full:
                 break
         elif verdict.outcome is Outcome.OBSERVED:
@@ -91,6 +95,7 @@ def judge(
         text=fault.text,
         breaks=fault.breaks,
         refuted=tuple(refuted),
+        on_hardware=tuple(on_hardware),
         seen=() if refuted else tuple(_news(target, observed, seed)),
         inconclusive=inconclusive,
         seconds=round(time.perf_counter() - started, 3),
@@ -159,6 +164,7 @@ def _together(found: Sequence[Mutant]) -> Mutant:
     return msgspec.structs.replace(
         found[0],
         refuted=tuple(refuted.items()),
+        on_hardware=tuple(dict.fromkeys(claim for mutant in found for claim in mutant.on_hardware)),
         seen=() if refuted else tuple(dict(pair for mutant in found for pair in mutant.seen).items()),
         inconclusive=sum(m.inconclusive for m in found),
         seconds=round(sum(m.seconds for m in found), 3),
@@ -213,28 +219,35 @@ def run_mutants(plan: Plan, *, jobs: int = 1, as_json: bool = False, full: bool 
         elif sys.stderr.isatty():
             print(f"\r{len(found)} of {total} mutants", end="", file=sys.stderr, flush=True)
     if not as_json:
-        _print(found, dialects)
+        _print(found, dialects, full=full)
         if full:
             _print_idle(found, targets)
     return int(any(m.survived for m in found))
 
 
-def _print(found: Sequence[Mutant], dialects: Iterable[str]) -> None:
+def _print(found: Sequence[Mutant], dialects: Iterable[str], *, full: bool) -> None:
     for name in dialects:
         own = sorted((m for m in found if m.dialect == name), key=lambda m: m.fault)
         for mutant in own:
-            print(f"{mutant.dialect}  {mutant.fault}: {_verdict(mutant)}")
+            print(f"{mutant.dialect}  {mutant.fault}: {_verdict(mutant, full=full)}")
         refuted, survived = sum(bool(m.refuted) for m in own), sum(m.survived for m in own)
         percent = 100 * refuted / max(1, len(own))
         seen = len(own) - refuted - survived
         print(f"{name}: {refuted} of {len(own)} faults refuted ({percent:.1f} %), {seen} observed, {survived} survived")
+        if full:
+            twice, on_hardware = sum(len(m.refuted) > 1 for m in own), sum(bool(m.on_hardware) for m in own)
+            print(f"{name}: {twice} refuted by two claims or more, {on_hardware} by one that runs on hardware")
 
 
-def _verdict(mutant: Mutant) -> str:
+def _verdict(mutant: Mutant, *, full: bool) -> str:
+    """Return what came of a fault; with `full` every claim was tried, so that their number says something."""
     noticed = mutant.refuted or mutant.seen
     if not noticed:
         return "SURVIVED"
     (claim, reason), more = noticed[0], len(noticed) - 1
+    if full and mutant.refuted:
+        hands = f"{len(mutant.on_hardware)} on hardware" if mutant.on_hardware else "none on hardware"
+        return f"refuted by {len(mutant.refuted)} claims, {hands}; by {claim}: {reason}"
     word = "refuted" if mutant.refuted else "observed (the manual leaves it open, or real drives were seen so)"
     return f"{word} by {claim}{f' (and {more} more)' if more else ''}: {reason}"
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import pytest
 
 from conformance.drives import make
+from conformance.suite import plan
 from conformance.suite.target import parse
 from conformance.tools import mutants
 
@@ -32,3 +36,13 @@ def test_a_fault_that_nothing_can_see_survives(monkeypatch):
     target = parse("mks-rs485@1,model=42D")
     fault = mutants.faults_of(target.dialect)[0]
     assert mutants.judge(target, fault, []).survived
+
+
+def test_the_table_says_by_how_many_claims_and_whether_on_hardware():
+    target = parse("mks-rs485@1,model=42D")
+    fault = next(f for f in mutants.faults_of(target.dialect) if f.name == "checksum-wrong")
+    claims = [c for c in plan.every_claim(target) if "/shape/read_speed/" in c.id]
+    by_hand = [replace(c, emulated=True) for c in claims]
+    told = mutants._verdict(mutants.judge(target, fault, claims, full=True), full=True)
+    assert re.match(r"refuted by (\d+) claims, \1 on hardware; by mks-rs485/shape/read_speed/", told), told
+    assert ", none on hardware" in mutants._verdict(mutants.judge(target, fault, by_hand, full=True), full=True)
