@@ -136,6 +136,12 @@ def _for_all(dialect: Dialect, package: Command, own: int) -> list[Slot]:
     return [_move(dialect, dialect.broadcast or 0)]
 
 
+def _for_all_last(dialect: Dialect, package: Command, own: int) -> list[Slot]:
+    assert package.slots is not None
+    others = [_move(dialect, a, _OTHER) for a in _others(dialect, own, package.slots.count - 1)]
+    return [*others, _move(dialect, dialect.broadcast or 0)]
+
+
 def _unused(dialect: Dialect, package: Command, own: int) -> list[Slot]:
     return [EMPTY]
 
@@ -164,6 +170,14 @@ _ROWS: tuple[tuple[str, Slots, int, str, str, Certainty], ...] = (
         _for_all,
         0,
         "A slot with the address 0 is not executed: a slot names one drive.",
+        "a move",
+        Certainty.LIKELY,
+    ),
+    (
+        "broadcast_last",
+        _for_all_last,
+        0,
+        "A slot with the address 0 behind those of other drives is not executed.",
         "a move",
         Certainty.LIKELY,
     ),
