@@ -227,13 +227,14 @@ class _Real:
         """Move a position; that of an encoder and its turns together."""
         counts = drive.counts_per_turn
         moved = round(away / float(field.scale)) if field.unit == "deg" else round(away * counts / 360)
-        if field.name == "encoder" and "carry" in values:
-            carry, values["encoder"] = divmod(values["encoder"] + moved, counts)
-            values["carry"] += carry
-        elif field.name in _IN_TURN:
-            values[field.name] = (values[field.name] + moved) % (counts if field.unit != "deg" else round(360 / field.scale))
-        else:
+        turn = round(360 / field.scale) if field.unit == "deg" else counts
+        # What is beyond a turn already is a lie, which noise does not mend.
+        if field.name not in _IN_TURN or not 0 <= values[field.name] < turn:
             values[field.name] += moved
+            return
+        carry, values[field.name] = divmod(values[field.name] + moved, turn)
+        if field.name == "encoder" and "carry" in values:
+            values["carry"] += carry
 
     def error(self, drive: Drive, field: Field, values: Values, away: float) -> None:
         """Move a position error: it grows as the shaft stays back."""

@@ -23,8 +23,9 @@ _SUPPLY = ("voltage", "current", "temperature")
 _IDLE, _MOST_STRAY = b"\x00\xff", 2
 #: A shaft that turns is not at rest, in rpm.
 _RESTS = 5.0
-#: When a move has come to its speed, until when it keeps it, and how far it goes, in degrees.
-_GOING_NS, _STEADY_NS, _WAY = 300 * motion.MS, 1500 * motion.MS, 720.0
+#: When a move has come to its speed, until when it keeps it, how far it goes, in degrees, and how fast: in whole rpm
+#: a slower one shows its rounding alone.
+_GOING_NS, _STEADY_NS, _WAY, _RPM = 300 * motion.MS, 1000 * motion.MS, 1440.0, 180
 #: How long a shaft that stands is watched.
 _CREEPS_NS = 800 * motion.MS
 #: What a speed may tremble by that is told in whole rpm.
@@ -55,7 +56,7 @@ def in_motion(probe: Probe) -> Noise:
     """
     try:
         motion.ready_to_move(probe)
-        motion.begin(probe, _move(probe.dialect), _WAY, rpm=motion.CALM, acceleration=motion.QUICK, quiet_ns=0)
+        motion.begin(probe, _move(probe.dialect), _WAY, rpm=_RPM, acceleration=motion.QUICK, quiet_ns=0)
         begun_ns = probe.gate.now_ns()
         probe.wait(_GOING_NS)
         speeds: list[float] = []
