@@ -28,6 +28,8 @@ PROOFS = 3
 _LOOK_NS = 100_000_000
 #: Between two looks of a proof: a shaft that turns by 1 rpm goes ten counts in it.
 _PROOF_NS = 40_000_000
+#: A shaft that trembles stands where it stays within so many degrees for so long: one that turns by a tenth of a rpm does not.
+_SPOT_DEGREES, _SPOT_NS, _TREMBLE_RPM = 0.3, 600_000_000, 3.0
 #: How long a ramp may take, and how long a stop at once.
 _RAMP_NS = 15_000_000_000
 _AT_ONCE_NS = 3_000_000_000
@@ -99,23 +101,33 @@ def _ask(probe: Probe, command: Command) -> str:
 
 
 def prove_standing(probe: Probe, limit_ns: int) -> str:
-    """Return nothing once three looks in a row show the shaft standing, else what was seen last. Raises LineLost."""
+    """Return nothing once three looks in a row show the shaft standing, or trembling on one spot; else what was seen last.
+
+    Raises LineLost.
+    """
     begun_ns = probe.gate.now_ns()
     until_ns = begun_ns + limit_ns
     first = 0.0
     seen, failure = 0, "nothing was read"
     before: float | None = None
+    spot: list[float] = []
+    spot_ns = begun_ns
     while probe.gate.now_ns() < until_ns:
         try:
             speed = motion.speed(probe).value
             position = motion.position(probe).value
         except (Inconclusive, Refused) as error:
-            seen, before, failure = 0, None, str(error)
+            seen, before, failure, spot = 0, None, str(error), []
             probe.wait(_LOOK_NS)
             continue
         still = before is not None and abs(position - before) <= motion.SAME and abs(speed) < 1
         seen = seen + 1 if still else 0
-        if seen >= PROOFS:
+        spot.append(position)
+        if max(spot) - min(spot) > _SPOT_DEGREES or abs(speed) > _TREMBLE_RPM:
+            spot = []
+        if len(spot) <= 1:
+            spot_ns = probe.gate.now_ns()
+        if seen >= PROOFS or (len(spot) > PROOFS and probe.gate.now_ns() - spot_ns >= _SPOT_NS):
             return ""
         failure = f"speed {speed:.4g} rpm, position {position:.4f} deg" + ("" if before is None else f" after {before:.4f} deg")
         first = first or abs(speed)
