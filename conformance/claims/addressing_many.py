@@ -7,7 +7,7 @@ FA 50 F4 ..    every drive of the group 50h moves, none answers; each still answ
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Doubt, MotionKind, Risk, Subject, Verb
@@ -23,6 +23,7 @@ from conformance.talk.probe import Probe
 
 #: A group address, and another one where the drive itself has it.
 _GROUP, _OTHER_GROUP = 0x50, 0x60
+_HIGH_GROUP = 0xE0
 
 
 def send_to(probe: Probe, address: int, change: Change, listen_ns: int = 0) -> Exchange:
@@ -71,6 +72,11 @@ def _join(probe: Probe) -> int:
     return group
 
 
+def _join_high(probe: Probe) -> int:
+    probe.do(Verb.SET_GROUP_ADDRESS, {"group_address": _HIGH_GROUP})
+    return _HIGH_GROUP
+
+
 def _address_section(case: Case) -> str:
     command = case.dialect.by_verb.get(Verb.SET_ADDRESS)
     return described_in(Subject.ADDRESSING)(case) if command is None else command.section
@@ -86,6 +92,9 @@ _GROUPS = _Many(
     (Doubt.ADDRESSING,),
     Verb.SET_GROUP_ADDRESS,
 )
+
+
+_HIGH_GROUPS = replace(_GROUPS, name="group/high", what="a group address above 7Fh", join=_join_high)
 
 
 def _addresses(dialect: Dialect) -> Iterator[_Many]:
@@ -194,7 +203,16 @@ def _changes(dialect: Dialect) -> Iterator[Case]:
                 yield Case(dialect, given={"many": many, "what": many.what, "kind": name, "shown": shown})
 
 
-@_addressing("no effect of it", _changes, name="{kind}/executed")
+def _changes_and_high_groups(dialect: Dialect) -> Iterator[Case]:
+    yield from _changes(dialect)
+    for case in _group_changes(dialect):
+        if dialect.bus == "serial":
+            yield Case(
+                dialect, given={**case.given, "many": _HIGH_GROUPS, "what": _HIGH_GROUPS.what, "kind": _HIGH_GROUPS.name}
+            )
+
+
+@_addressing("no effect of it", _changes_and_high_groups, name="{kind}/executed")
 def _executed(probe: Probe, many: _Many, shown: Observable) -> None:
     """A command by {what} is executed."""
     shown.prepare(probe)

@@ -208,6 +208,7 @@ def _wrong_in_all_ways(dialect: Dialect, frame: bytes, address: int) -> Iterator
             "another first byte of": bytes((right[0] ^ 0x5A, *right[1:])),
             "another last byte of": bytes((*right[:-1], right[-1] ^ 0x5A)),
             "the reverse of": right[::-1],
+            "the complement of": bytes(b ^ 0xFF for b in right),
             "the top bit flipped in": bytes((*right[:-1], right[-1] ^ 0x80)),
         }
         if size == 1:

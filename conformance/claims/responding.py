@@ -15,12 +15,13 @@ from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive
-from conformance.claims.declare import Case, Cases, commands
+from conformance.claims.declare import Case, Cases, commands, needing
 from conformance.claims.motion_claim import of_motion, risks_by, risks_of
 from conformance.motion import motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
+from conformance.talk.restarts import restart
 
 #: What is read and set to see that a drive is not silent altogether.
 _ANSWERED = (Verb.READ_POSITION, Verb.READ_STATUS, Verb.READ_ENABLED, Verb.READ_SPEED)
@@ -116,7 +117,15 @@ def _silent_stop(probe: Probe, run: Command, stop: Command) -> None:
     _set(probe, 0, 1)
     if abs(motion.speed(probe).value) < _RPM / 2:
         raise Inconclusive("the shaft does not turn before the stop")
-    exchange, statuses = _stop(probe, stop)
+    since = len(probe.traffic)
+    exchange = probe.ask(stop, {"acceleration": _RAMP}, until=Until.TIMEOUT, timeout_ns=2 * SECOND_NS)
+    left, statuses = abs(motion.speed(probe).value), _statuses(probe, since, stop)
+    if left > _RPM / 2:
+        _set(probe, 1, 1)
+        motion.stop(probe, QUICK)
+    text = f"{stop.name} is not carried out with respond 0"
+    probe.expect(left, at_most=_RPM / 2, unit="rpm", refutes=text, exchange=exchange)
+    motion.wait_standing(probe)
     text = f"{stop.name} is answered with respond 0"
     probe.expect(statuses, equal=[], expected="silence", refutes=text, exchange=exchange)
 
@@ -154,6 +163,27 @@ def _status_follows(probe: Probe) -> None:
     motion.stand_still(probe)
     text = "the status of a motor that does not answer is not what it does: first at full speed, then stopped"
     probe.expect(seen, equal=[4, 1], refutes=text)
+
+
+@_of_respond(
+    "an answer",
+    each=needing(Verb.RESTART, _settings),
+    name="{command}/0-after-restart",
+    risks=risks_by(Verb.RUN_SPEED, Verb.RESTART),
+)
+def _silent_after_restart(probe: Probe) -> None:
+    """A restart keeps respond 0: a run is carried out and not answered."""
+    motion.ready_to_move(probe)
+    _set(probe, 0, 1)
+    restart(probe)
+    motion.ready_to_move(probe)
+    since, run = len(probe.traffic), probe.command(Verb.RUN_SPEED)
+    exchange = motion.ask(probe, run, rpm=_RPM, acceleration=QUICK, until=Until.TIMEOUT, timeout_ns=SECOND_NS)
+    statuses = _statuses(probe, since, run)
+    _set(probe, 1, 1)
+    motion.stand_still(probe)
+    text = "a run is answered after a restart, and respond was 0"
+    probe.expect(statuses, equal=[], expected="silence", refutes=text, exchange=exchange)
 
 
 # --- active 0, and both again -----------------------------------------------------------------------------------------
