@@ -103,8 +103,13 @@ _READS = (
     said("8.1.5/reserved", "The high byte and bits 7 to 4 are reserved.", "shape/read_io/reserved"),
     said("8.1.5/remapped", "With the limits remapped, IN_1 is En and IN_2 is Dir.", "read-back/set_limit_remap/effect"),
     read("8.1.6", "read_angle_error", "39h reads the angle error in four signed bytes.", "motion/read_angle_error/*"),
-    said("8.1.6/sign", "The error is the wanted angle minus the real one.", "motion/read_angle_error/held-*"),
-    said("8.1.6/unit", "51200 units are 360 degrees.", "motion/read_angle_error/held-*"),
+    said(
+        "8.1.6/sign",
+        "The error is the wanted angle minus the real one.",
+        "motion/read_angle_error/held-*",
+        "motion/read_angle_error/limp",
+    ),
+    said("8.1.6/unit", "51200 units are 360 degrees.", "motion/read_angle_error/held-*", "motion/read_angle_error/limp"),
     read("8.1.7", "read_enabled", "3Ah reads 1 when the motor is enabled and 0 when not.", "motion/enable/is-read"),
     read("8.1.8", "read_zero_status", "3Bh reads how the way back to zero goes.", "motion/read_zero_status/*"),
     said("8.1.8/going", "0: on its way to zero; 1: back at zero.", "motion/read_zero_status/tells"),
@@ -142,7 +147,7 @@ _WRITES = (
         "8.2.1",
         "release_protection",
         "3Dh with 1 ends the protection of a locked rotor.",
-        said("8.2.1/releases", "The motor moves again.", "motion/release_protection/releases"),
+        said("8.2.1/releases", "The motor moves again.", "motion/release_protection/*"),
     ),
     *_write(
         "8.2.2",
@@ -154,7 +159,9 @@ _WRITES = (
         "8.2.3",
         "restart",
         "41h with 1 starts the drive again.",
-        said("8.2.3/restarts", "The drive starts again.", "motion/restart/ends-motion", "timing/restart/*"),
+        said(
+            "8.2.3/restarts", "The drive starts again.", "motion/restart/ends-motion", "timing/restart/*", "read-back/restart/*"
+        ),
     ),
     *_write(
         "8.2.4",
@@ -213,11 +220,7 @@ _WRITES = (
         "8.2.10",
         "set_direction",
         "86h sets the direction: 0 CW, 1 CCW.",
-        said(
-            "8.2.10/not-the-bus",
-            "The direction of the bus's motion is that of its commands.",
-            "motion/set_direction/and-the-bus",
-        ),
+        said("8.2.10/not-the-bus", "The direction of the bus's motion is that of its commands.", "motion/set_direction/and-*"),
     ),
     *_write(
         "8.2.11",
@@ -231,7 +234,7 @@ _WRITES = (
         "88h switches the rotor's protection off (0) or on (1).",
         said("8.2.12/on", "With 1 a locked rotor is let go.", "motion/set_protection/lets-go"),
         said("8.2.12/off", "With 0 a locked rotor is not let go.", "motion/set_protection/off-holds-on"),
-        said("8.2.12/released", "A command ends the protection.", "motion/release_protection/releases"),
+        said("8.2.12/released", "A command ends the protection.", "motion/release_protection/*"),
         unseen("8.2.12/key", "A key ends the protection.", KEYS),
     ),
     *_write(
@@ -390,6 +393,7 @@ _MOTION = (
             "A kept run begins when power comes on, either way.",
             "motion/save_speed/runs-direction-*",
             "read-back/save_speed/restart",
+            "read-back/save_speed/as-it-was",
         ),
         said("8.3.3.3/clean", "A forgotten run does not.", "motion/save_speed/clean", "read-back/save_speed/clean"),
     ),

@@ -105,12 +105,12 @@ SHARED = (
     said("3.6/en-level", "The motor holds at the set level of En, or always with Hold.", "read-back/set_enable_level/effect"),
     said("3.6/default", "By default En is active at its low level.", "read-back/restore/settings"),
     unseen("3.7/way", "Dir sets which way pulses turn the motor.", "needs pulses at the step port"),
-    said("3.7/not-the-bus", "Dir does not turn motion by the bus.", "motion/set_direction/and-the-bus"),
+    said("3.7/not-the-bus", "Dir does not turn motion by the bus.", "motion/set_direction/and-*"),
     unseen("3.8/dark", "With AutoSDD the display goes dark after 15 seconds.", DISPLAY),
     said("3.9/lets-go", "With the protection on, a locked rotor is let go.", "motion/set_protection/lets-go"),
     said("3.9/off", "With the protection off a locked rotor is not let go.", "motion/set_protection/off-holds-on"),
     said("3.9/default", "By default the protection is off.", "read-back/restore/settings", "motion/read_protection/at-first"),
-    said("3.9/released", "The protection is ended by a key or by the bus.", "motion/release_protection/releases"),
+    said("3.9/released", "The protection is ended by a key or by the bus.", "motion/release_protection/*"),
     unseen("3.10/smooth", "Interpolation to 256 lessens vibration and noise at low speed.", "needs a microphone on the motor"),
     said("3.11/rates", "Seven baud rates from 9600 to 256000 can be set.", "ranges/set_baud_rate/baud_rate/*"),
     said("3.11/default", "The default baud rate is 38400.", "read-back/restore/link"),
@@ -263,14 +263,19 @@ _LONG_READS = (
     said("5.1.5/in-1", "Bit 0 is the level of IN_1.", "motion/read_io/in_1"),
     said("5.1.5/remapped", "With the limits remapped, IN_1 is En and IN_2 is Dir.", "read-back/set_limit_remap/effect"),
     read("5.1.6", "read_angle_error", "39 reads the angle error in four signed bytes.", "motion/read_angle_error/*"),
-    said("5.1.6/sign", "The error is the wanted angle minus the real one.", "motion/read_angle_error/held-*"),
-    said("5.1.6/unit", "51200 units are 360 degrees.", "motion/read_angle_error/held-*"),
+    said(
+        "5.1.6/sign",
+        "The error is the wanted angle minus the real one.",
+        "motion/read_angle_error/held-*",
+        "motion/read_angle_error/limp",
+    ),
+    said("5.1.6/unit", "51200 units are 360 degrees.", "motion/read_angle_error/held-*", "motion/read_angle_error/limp"),
     read("5.1.7", "read_enabled", "3A reads 1 when the motor is enabled and 0 when not.", "motion/enable/is-read"),
     read("5.1.8", "read_zero_status", "3B reads how the way back to zero goes.", "motion/read_zero_status/*"),
     said("5.1.8/going", "0: on its way to zero.", "motion/read_zero_status/tells"),
     said("5.1.8/success", "1: back at zero.", "motion/read_zero_status/tells"),
     unseen("5.1.8/fail", "2: the way back failed.", "the manual does not say when it fails"),
-    said("5.1.9/releases", "3D ends the protection of a locked rotor.", "motion/release_protection/releases"),
+    said("5.1.9/releases", "3D ends the protection of a locked rotor.", "motion/release_protection/*"),
     said("5.1.9/status", "It is answered by 1, or by 0 when that fails.", "shape/release_protection/status"),
     read(
         "5.1.10",
@@ -338,11 +343,7 @@ _SETTINGS = (
         "5.2.7",
         "set_direction",
         "86 sets the direction: 0 CW, 1 CCW.",
-        said(
-            "5.2.7/not-the-bus",
-            "The direction of the bus's motion is that of its commands.",
-            "motion/set_direction/and-the-bus",
-        ),
+        said("5.2.7/not-the-bus", "The direction of the bus's motion is that of its commands.", "motion/set_direction/and-*"),
     ),
     *setting(
         "5.2.8",
@@ -356,7 +357,7 @@ _SETTINGS = (
         "88 switches the rotor's protection off (0) or on (1).",
         said("5.2.9/on", "With 1 a locked rotor is let go.", "motion/set_protection/lets-go"),
         said("5.2.9/off", "With 0 a locked rotor is not let go.", "motion/set_protection/off-holds-on"),
-        said("5.2.9/released", "A command ends the protection.", "motion/release_protection/releases"),
+        said("5.2.9/released", "A command ends the protection.", "motion/release_protection/*"),
         unseen("5.2.9/key", "A key ends the protection.", KEYS),
     ),
     *setting(
@@ -540,7 +541,7 @@ _SETTINGS = (
     said("5.5/reboots", "Then the drive starts again.", "read-back/restore/reboots"),
     unseen("5.5/uncalibrated", "Then the motor needs a calibration.", "no command tells whether the motor is calibrated"),
     unseen("5.5/key", "A key held at power-on restores the defaults.", KEYS),
-    said("5.6/restarts", "41 starts the drive again.", "motion/restart/ends-motion", "timing/restart/*"),
+    said("5.6/restarts", "41 starts the drive again.", "motion/restart/ends-motion", "timing/restart/*", "read-back/restart/*"),
     said("5.6/status", "It is answered by 1, or by 0 when that fails.", "shape/restart/status"),
     # 5.7 Packages
     said(
@@ -605,6 +606,7 @@ _FRAMES = (
         "4/other-motion",
         "Motion for another address is not executed.",
         "addressing/*/other_address",
+        "addressing/other/set_subdivision",
         "addressing/other/not_executed",
         "addressing/group/other",
     ),
@@ -637,7 +639,13 @@ def _move(section: str, name: str, code: str, *more: Statement) -> Iterator[Stat
         f"motion/{name}/within",
     )
     yield from more
-    yield said(f"{section}/fails", "Status 0: it was not executed.", f"motion/{name}/disabled", f"motion/{name}/protected")
+    yield said(
+        f"{section}/fails",
+        "Status 0: it was not executed.",
+        f"motion/{name}/disabled",
+        f"motion/{name}/protected",
+        "motion/release_protection/limp",
+    )
     yield said(f"{section}/starts", "Status 1: it begins.", f"motion/{name}/replies")
     yield said(f"{section}/complete", "Status 2: it is complete.", f"motion/{name}/replies", f"motion/{name}/told-when-there")
     yield said(f"{section}/limit", "Status 3: an end limit stopped it.", f"motion/set_home/end-limit-told-{name}")
@@ -710,7 +718,11 @@ _MOTION = (
     said("6.5.1/silent", "Its answers can be switched off by 8C.", "motion/set_respond/0-silences-run_speed"),
     *_stop("6.5.2", "stop_speed", "F6"),
     said(
-        "6.5.3/save", "FF with C8 keeps the present run.", "motion/save_speed/runs-direction-*", "read-back/save_speed/restart"
+        "6.5.3/save",
+        "FF with C8 keeps the present run.",
+        "motion/save_speed/runs-direction-*",
+        "read-back/save_speed/restart",
+        "read-back/save_speed/as-it-was",
     ),
     said("6.5.3/clean", "FF with CA forgets the kept run.", "motion/save_speed/clean", "read-back/save_speed/clean"),
     said(

@@ -188,15 +188,18 @@ def _motion_of_another(probe: Probe, command: Command) -> None:
     each=needing(Verb.MOVE_RELATIVE_PULSES, commands(Verb.SET_SUBDIVISION)),
     name="other/{command}",
     refuted_by="pulses of another size",
-    risks=risks_by(Verb.MOVE_RELATIVE_PULSES),
+    risks=risks_by(Verb.MOVE_RELATIVE_PULSES, Verb.ENABLE),
     alone=True,
 )
 def _setting_of_another(probe: Probe, command: Command) -> None:
-    """{command} to another address leaves the pulses of the drive as they are; to the drive itself it changes them."""
+    """{command} and disabling to another address leave the drive as it is; to the drive itself it changes the pulses."""
     own, move = probe.address, probe.command(Verb.MOVE_RELATIVE_PULSES)
     motion.prepare(probe, move)
     for address in _chosen(probe.dialect, own, (own + 1, own - 1, own ^ 0x80, own + 16, *_edges(probe.dialect, own)))[:_FEW]:
         probe.ask(command, {"subdivision": _FINER}, address=address, until=Until.TIMEOUT, timeout_ns=_BETWEEN_NS)
+        sent = probe.ask(Verb.ENABLE, {"enabled": 0}, address=address, until=Until.TIMEOUT, timeout_ns=_BETWEEN_NS)
+        text = f"disabling {address} switches the motor of {own} off"
+        probe.expect("off", holds=motion.is_on(probe) is not False, expected="on", refutes=text, exchange=sent)
     went = motion.follow(probe, move, _DEGREES, acceleration=motion.QUICK)
     text = f"{command.name} to other addresses changes the pulses of {own}"
     probe.expect(went.degrees, near=went.asked, unit="degrees", refutes=text, exchange=went.exchange)

@@ -260,26 +260,46 @@ def _sets_subdivision(probe: Probe, command: Command) -> None:
     probe.expect(abs(went.degrees), near=45, unit="degrees", refutes=text, exchange=sent)
 
 
+@_of_packages("a mode that is as it was", name="set_work_mode", each=_switching)
+def _sets_mode(probe: Probe, command: Command) -> None:
+    """Another work mode in a slot of a package is taken: in a pulse mode the motor cannot be enabled."""
+    motion.ready_to_move(probe)
+    choose = probe.command(Verb.SET_WORK_MODE)
+    pulses = next(
+        n for n in motion.field_of(choose, "work_mode").choice_names.values() if n not in motion.bus_modes(probe.dialect)
+    )
+    sent = _in_second_slot(probe, command, choose.name, {"work_mode": motion.choice(choose, "work_mode", pulses)})
+    probe.wait(probe.rig.write_gap_ns)
+    asked = probe.ask(Verb.ENABLE, {"enabled": 1})
+    refused = motion.refused(probe, asked)
+    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1])
+    text = "a work mode in a slot of a package is not set"
+    probe.expect("an enabled motor", holds=refused, expected="a refusal", refutes=text, exchange=sent)
+
+
 def _runs(dialect: Dialect) -> Iterator[Case]:
     for case in _packages(dialect):
-        risks = motion.risks(dialect, *dialect.by_verb[Verb.RUN_SPEED].all_risks)
+        runs = dialect.motions(MotionKind.RUN, *motion.MOVES)
+        risks = motion.risks(dialect, *(risk for run in runs for risk in run.all_risks))
         yield Case(dialect, case.command, facts={"risks": risks})
 
 
 @_of_packages("a speed that comes at once, or never", name="ramp", each=_runs)
 def _by_its_ramp(probe: Probe, command: Command) -> None:
-    """A run in a slot of a package has its acceleration."""
-    motion.ready_to_move(probe)
-    run = probe.command(Verb.RUN_SPEED)
-    # 10 ms for one rpm.
-    values = motion.values_of(probe.dialect, run, rpm=120, acceleration=_SLOW_RAMP)
-    sent = _in_second_slot(probe, command, run.name, values)
-    elapsed_ns = probe.gate.now_ns() - sent.sent_ns
-    seen = abs(motion.speed(probe).value)
-    motion.stand_still(probe)
-    law = min(120.0, elapsed_ns / _RAMP_STEP_NS)
-    text = "a run in a slot of a package does not speed up by its ramp"
-    probe.expect(seen, near=law, within=30, unit="rpm", refutes=text, exchange=sent)
+    """A motion in a slot of a package has its acceleration, whatever motion it is."""
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    for run in probe.dialect.motions(MotionKind.RUN, *motion.MOVES):
+        start = motion.place(probe, run)
+        # 10 ms for one rpm.
+        values = motion.values_of(probe.dialect, run, 5 * 360, rpm=120, acceleration=_SLOW_RAMP, start=start)
+        sent = _in_second_slot(probe, command, run.name, values)
+        elapsed_ns = probe.gate.now_ns() - sent.sent_ns
+        seen = abs(motion.speed(probe).value)
+        motion.stop(probe, motion.QUICK)
+        motion.wait_standing(probe)
+        law = min(120.0, elapsed_ns / _RAMP_STEP_NS)
+        text = f"{run.name} in a slot of a package does not speed up by its ramp"
+        probe.expect(seen, near=law, within=30, unit="rpm", refutes=text, exchange=sent)
 
 
 def _motions(dialect: Dialect) -> Iterator[Case]:

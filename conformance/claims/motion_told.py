@@ -62,9 +62,10 @@ def _leaves_states(probe: Probe) -> None:
     """A run, either way, and its stop change nothing that is read of enabling, protection and the way to zero."""
     motion.ready_to_move(probe)
     before = _states(probe)
-    for rpm, stop in ((_RPM, Verb.STOP_SPEED), (-_RPM, Verb.EMERGENCY_STOP)):
+    # Farther back than there, so that both sides of where it began are looked at.
+    for rpm, stop, for_ns in ((_RPM, Verb.STOP_SPEED, 600 * MS), (-_RPM, Verb.EMERGENCY_STOP, 1_400 * MS)):
         motion.run_at(probe, rpm, QUICK)
-        probe.wait(600 * MS)
+        probe.wait(for_ns)
         _expect_states(probe, before, "while it turns")
         _expect_error(probe, _LAG, "that turns")
         probe.do(stop, {"acceleration": QUICK} if stop is Verb.STOP_SPEED else None)

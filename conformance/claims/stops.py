@@ -379,23 +379,33 @@ def _expect_ended(probe: Probe, stop: Command, how: str) -> None:
 
 @of_motion(each=_fast_stops, name=_name_of_stop, refuted_by="a shaft that goes on", risks=risks_of("run"))
 def _when_fast(probe: Probe, command: Command, run: Command) -> None:
-    """{command} stops {run} at 1200 rpm, the way in which positions of direction 1 or below go."""
+    """{command} stops {run} at 1200 rpm, either way."""
     motion.prepare(probe, run)
-    rpm = -_FAST_RPM if motion.of(run).kind is MotionKind.RUN else _FAST_RPM
-    motion.begin(probe, run, -20 * 360, rpm=rpm, acceleration=QUICK)
-    probe.wait(550 * MS)
-    _expect_turning(motion.speed(probe), _FAST_RPM / 2)
-    _expect_ended(probe, command, "is fast")
+    for way in (-1, 1):
+        rpm = way * _FAST_RPM if motion.of(run).kind is MotionKind.RUN else _FAST_RPM
+        motion.begin(probe, run, way * 20 * 360, rpm=rpm, acceleration=QUICK)
+        probe.wait(550 * MS)
+        _expect_turning(motion.speed(probe), _FAST_RPM / 2)
+        _expect_ended(probe, command, "is fast")
 
 
-@of_motion(each=_rising_stops, name=_name_of_stop, refuted_by="a shaft that goes on", risks=risks_of("run"))
+@of_motion(each=_rising_stops, name=_name_of_stop, refuted_by="a shaft that goes on, or a refusal", risks=risks_of("run"))
 def _when_rising(probe: Probe, command: Command, run: Command) -> None:
-    """{command} stops {run} while the shaft still speeds up."""
+    """{command} stops {run} while the shaft still speeds up, and again while it slows down; {run} is taken after it."""
     motion.prepare(probe, run)
     motion.begin(probe, run, 20 * 360, rpm=600, acceleration=_RISING)
     probe.wait(250 * MS)
     _expect_turning(motion.speed(probe), 5)
     _expect_ended(probe, command, "speeds up")
+    exchange = motion.ask(probe, run, 5 * 360, rpm=_RPM, acceleration=QUICK)
+    refused = motion.refused(probe, exchange)
+    text = f"{run.name} after {command.name} is refused"
+    probe.expect("a refusal", holds=not refused, expected="motion", refutes=text, exchange=exchange)
+    probe.wait(200 * MS)
+    _expect_turning(motion.speed(probe), 5)
+    motion.stop(probe, _SLOW_RAMP)
+    probe.wait(100 * MS)
+    _expect_ended(probe, command, "slows down")
 
 
 #: Speeds that are fast, a ramp of 5 ms for a rpm, and how long a fast shaft takes to stand.
