@@ -124,14 +124,10 @@ def _by_rounds(claims: Sequence[Claim], rate: int) -> list[Claim]:
     return sorted(claims, key=lambda c: keys[c.id])
 
 
-def _hasty(claim: Claim) -> bool:
-    return claim.id.endswith("/hasty_settings")
-
-
 def _distance_first(claims: list[Claim]) -> list[Claim]:
     at = next((number for number, claim in enumerate(claims) if Risk.SETTING in claim.risks), len(claims))
     early, late = claims[:at], claims[at:]
-    return [*early, *(c for c in late if _hasty(c)), *(c for c in late if not _hasty(c))]
+    return [*early, *(c for c in late if c.hasty), *(c for c in late if not c.hasty)]
 
 
 def _together(claims: Sequence[Claim], rate: int) -> list[Claim]:
@@ -142,8 +138,8 @@ def _together(claims: Sequence[Claim], rate: int) -> list[Claim]:
     for number, claim in enumerate(claims):
         some.append(claim)
         passed += seconds(claim, rate)
-        if passed >= _TOGETHER_SECONDS or _hasty(claim) or number == len(claims) - 1:
-            found += sorted(some, key=lambda c: (_hasty(c), c.settings))
+        if passed >= _TOGETHER_SECONDS or claim.hasty or number == len(claims) - 1:
+            found += sorted(some, key=lambda c: (c.hasty, c.settings))
             some, passed = [], 0.0
     return found
 

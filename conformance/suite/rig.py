@@ -16,12 +16,13 @@ from conformance.talk.probe import Probe, Rig
 class ClaimRig(Rig, ABC):
     """One drive under test. `firmware`: as the drive reported it. `alone`: no other drive is on the bus, says the user.
 
-    `named`: claims that the user named.
+    `named`: claims that the user named. `began_ns`: when its line was opened.
     """
 
     name: str
     firmware: str = ""
     alone: bool
+    began_ns: int = 0
     named: frozenset[str] = frozenset()
 
     def missing(self, claim: Claim) -> str:

@@ -77,6 +77,7 @@ class RealRig(ClaimRig):
         except ServotapError:
             self._end_journal(done=True)
             raise
+        self.began_ns = self._line.now_ns()
         self.gate = self._open_gate()
         self.keeper = Keeper(
             self.gate, self.dialect, self.address, known, self._journal, target.endpoint.text, alone=self.alone

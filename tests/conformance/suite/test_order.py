@@ -53,7 +53,7 @@ def test_the_order_is_the_same_again_and_leaves_nothing_out(target: Target) -> N
 @each_target
 def test_settings_are_proved_to_need_no_distance_before_one_is_changed(target: Target) -> None:
     found = order.ordered(suite.every_claim(target), target.rate)
-    hasty = [number for number, claim in enumerate(found) if claim.id.endswith("/hasty_settings")]
+    hasty = [number for number, claim in enumerate(found) if claim.hasty]
     assert all(Risk.SETTING not in claim.risks for claim in found[: min(hasty, default=0)])
 
 

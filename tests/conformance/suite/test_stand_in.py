@@ -84,3 +84,12 @@ def test_a_group_that_ends_the_run_is_put_back_by_its_end() -> None:
     _modes_sent(rig, ["motion/run_speed/speed-60"])
     rig.close()
     assert not rig.keeper.changed
+
+
+def test_a_short_run_on_a_slow_port_ends_in_time() -> None:
+    plan = Plan((_PORT,), short=True)
+    rig = StandInRig(plan, _PORT, make.parse("mks-can@1,latency=200..300ms"))
+    found = list(suite.verdicts(plan, _PORT, plan.selected(_PORT), rig))
+    assert 0 < len(found) < len(plan.selected(_PORT))
+    assert rig.gate.now_ns() < 95e9
+    rig.close()
