@@ -156,7 +156,7 @@ STATEMENTS: tuple[S, ...] = (
     ),
     # --- 1: state 1 and error flags ---
     *_tables("1", "read_state_1", "9Ah", 0, 7),
-    S("1/reads", "It reads and changes nothing.", ("resilience/moving/reads", "resilience/reads/steady")),
+    S("1/reads", "It reads and changes nothing.", ("resilience/reads/run_speed", "resilience/reads/steady")),
     S("1/temperature", "Byte 0 is the motor's temperature, signed, in degC.", ("motion/read_state_1/temperature",)),
     S(
         "1/voltage",
@@ -408,7 +408,7 @@ STATEMENTS: tuple[S, ...] = (
         "The reply has the number and the values of that parameter.",
         ("shape/read_parameter/of/*", "read-back/parameter/*/written"),
     ),
-    S("18/reads", "It reads and changes nothing.", ("read-back/parameter/*/others", "resilience/moving/reads")),
+    S("18/reads", "It reads and changes nothing.", ("read-back/parameter/*/others", "resilience/reads/run_speed")),
     *_tables("19", "write_parameter", "C1h", 7, 7),
     S(
         "19/writes",

@@ -84,6 +84,7 @@ MODULES = (
     "state",
     # resilience
     "resilience",
+    "resilience_reads",
     "resilience_busy",
 )
 Source = Callable[[Dialect], Iterable[Claim]]

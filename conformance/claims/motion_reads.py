@@ -14,10 +14,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 
-from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Verb
 from conformance.claim import Aspect, Inconclusive, NotRun, Theme
 from conformance.claims import bench
-from conformance.claims.control_reads import is_exception, received_text
 from conformance.claims.declare import Case, claim, commands, motions, with_values
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, risks_by
@@ -467,31 +466,3 @@ def _shows_left_switch(probe: Probe, command: Command) -> None:
         seen.append(probe.read(command, port))
     text = f"{port} does not follow the left switch"
     probe.expect(seen, holds=seen[0] != seen[1] and seen[0] == seen[2], expected="two levels", refutes=text)
-
-
-# --- while it turns ---------------------------------------------------------------------------------------------------
-
-
-def _plain_reads(dialect: Dialect) -> Iterator[Case]:
-    """Yield the reads that need no values, where a read is all that tells of motion."""
-    for command in dialect.commands if Verb.READ_SPEED in dialect.by_verb else ():
-        if command.all_risks == {Risk.READ} and not command.request_forms[0].layout.fields:
-            yield Case(dialect, command)
-
-
-@of_motion(each=_plain_reads, refuted_by="silence", risks=risks_by(Verb.RUN_SPEED))
-def _while_moving(probe: Probe, command: Command) -> None:
-    """{command} is answered while the motor turns."""
-    motion.ready_to_move(probe)
-    if probe.ask(command).silent:
-        raise Inconclusive(f"{command.name} is not answered at rest either")
-    motion.run_at(probe, _RPM, QUICK)
-    probe.wait(150 * MS)
-    exchanges = [probe.ask(command) for _ in range(2)]
-    answered = any(not all(map(is_exception, e.answers)) for e in exchanges if not e.silent)
-    if not answered:
-        # Whether it stands cannot be seen where nothing is answered.
-        motion.stop(probe, QUICK)
-    text = f"{command.name} is not answered while the motor turns"
-    probe.expect(received_text(exchanges[0]), holds=answered, expected="a reply", refutes=text, exchange=exchanges[0])
-    motion.stand_still(probe)

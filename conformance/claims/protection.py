@@ -56,7 +56,7 @@ def _is_protected(probe: Probe) -> int:
     return probe.read(Verb.READ_PROTECTION, "status")
 
 
-def _protect(probe: Probe) -> None:
+def protect(probe: Probe) -> None:
     """Bring the drive into protection and let the shaft go. Raises Inconclusive where it is not protected."""
     _prepare(probe, 1)
     _held_move(probe)
@@ -80,7 +80,7 @@ def _stall(probe: Probe, command: Command) -> None:
     _prepare(probe, 1)
     for when, wanted in (("before", 1), ("while", 0), ("after", 1)):
         if when == "while":
-            _protect(probe)
+            protect(probe)
         elif when == "after":
             probe.do(Verb.RELEASE_PROTECTION)
         text = f"OUT_1 is not {wanted} {when} the protection holds"
@@ -123,7 +123,7 @@ def _at_first(probe: Probe) -> None:
 @_of_protection("a motor that stays protected", each=commands(Verb.RELEASE_PROTECTION), more_risks=(Verb.RUN_SPEED,))
 def _releases(probe: Probe, command: Command) -> None:
     """3D ends the protection: 3E reads 0, and the motor moves again."""
-    _protect(probe)
+    protect(probe)
     exchange = probe.do(command)
     _expect(probe, exchange, 0, "3E reads protected after 3D")
     probe.do(Verb.ENABLE, {"enabled": 1})
@@ -141,7 +141,7 @@ def _releases(probe: Probe, command: Command) -> None:
 )
 def _protected(probe: Probe, command: Command) -> None:
     """{command} is refused while the rotor protection holds."""
-    _protect(probe)
+    protect(probe)
     expect_refused(probe, command, "while protected")
 
 

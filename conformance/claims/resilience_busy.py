@@ -1,10 +1,9 @@
-"""Resilience of a busy drive: what arrives while it moves, homes or calibrates is heard and answered.
+"""Resilience of a busy drive: what is said to it while it moves does not disturb it, and settings are answered.
 
 Rules kept here:
-- The shaft turns slowly, and is stopped by a ramp in the end. Homing and calibrating are begun as they are: they risk what
-  the catalogue says.
-- What is asked meanwhile are reads, a setting without an effect on motion, and damaged reads; whether a move goes on under
-  another command is for claims about motion.
+- The shaft turns slowly, and is stopped by a ramp in the end.
+- What is said meanwhile are settings without an effect on motion, and damaged reads; whether a move goes on under another
+  command is for claims about motion. Reads stand in `resilience_reads`.
 """
 
 from __future__ import annotations
@@ -12,12 +11,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import PAUSE_NS, garblers, is_answered, received_text
 from conformance.claims.declare import Case, Cases, claim
 from conformance.claims.known_quirks import known, may_meet
-from conformance.claims.known_reads import plain_reads
 from conformance.motion import motion
 from conformance.talk import samples
 from conformance.talk.exchange import Exchange
@@ -27,7 +25,6 @@ _SECOND_NS = 1_000_000_000
 _RPM = 60.0
 #: How far the speed may differ from the asked one while something else is said to the drive, in rpm.
 _NEAR = 6.0
-_ROUNDS = 3
 #: Moves whose replies are looked at for their sums, and how far off a sum was seen to be at most.
 _MOVES, OFF_SUM = 100, "lk-off-sum"
 _OFF_SUM_MOST, _OFF_SUM_BY = 5, 4
@@ -74,73 +71,6 @@ def _stop(probe: Probe) -> None:
     motion.stop(probe)
     probe.wait(_SECOND_NS)
     motion.wait_standing(probe)
-
-
-def _begin(probe: Probe, task: Command | None) -> None:
-    if task is None:
-        _run(probe)
-    else:
-        motion.ready_to_move(probe)
-        probe.do(task, samples.sample(probe.dialect, task))
-
-
-def _end(probe: Probe, task: Command | None) -> None:
-    if task is None:
-        _stop(probe)
-    elif task.motion is not None and task.motion.kind is MotionKind.HOME:
-        probe.ask(Verb.EMERGENCY_STOP)
-    else:
-        probe.wait(probe.rig.done_ns)
-
-
-# --- reads ------------------------------------------------------------------------------------------------------------
-
-
-def _tasks(dialect: Dialect) -> Iterator[Case]:
-    """Yield what a drive can be busy with: a run (no command), homing, calibrating."""
-    for case in _moving(dialect):
-        reads = tuple(c.name for c in plain_reads(dialect))
-        given: dict[str, Any] = {"task": None, "kind": "moving", "when": "while the shaft turns"}
-        yield Case(case.dialect, given=given, facts={"commands": reads})
-        for task in dialect.motions(MotionKind.HOME, MotionKind.CALIBRATE):
-            calibrates = task.motion is not None and task.motion.kind is MotionKind.CALIBRATE
-            kind = "calibrating" if calibrates else "homing"
-            risks = task.all_risks | motion.risks(dialect)
-            busy = {"task": task, "kind": kind, "when": f"while the drive is {kind}"}
-            yield Case(case.dialect, given=busy, facts={"commands": reads, "risks": risks, "by_name": calibrates})
-
-
-@_of_busy("silence, or another reply", each=_tasks, name="{kind}/reads", at_best=Certainty.LIKELY)
-def _reads(probe: Probe, task: Command | None, when: str) -> None:
-    """Every read is answered by its own reply {when}."""
-    readable = [c for c in plain_reads(probe.dialect) if _tells(probe, probe.ask(c, quiet_ns=0))]
-    if not readable:
-        raise Inconclusive("no read is answered while the shaft stands")
-    _begin(probe, task)
-    try:
-        for _ in range(_ROUNDS):
-            for command in readable:
-                _expect_answer(probe, command, when)
-    finally:
-        _end(probe, task)
-
-
-def _tells(probe: Probe, exchange: Exchange) -> bool:
-    """Say whether a read was answered by what it reads: no other layout, and no refusal."""
-    return is_answered(exchange) and motion.readable(exchange) and not probe.refused(exchange)
-
-
-def _expect_answer(probe: Probe, command: Command, when: str) -> None:
-    if not _tells(probe, probe.ask(command, quiet_ns=0)):
-        again = probe.ask(command, quiet_ns=0)
-        probe.expect(
-            received_text(again),
-            holds=_tells(probe, again),
-            expected=f"a reply to {command.name}",
-            refutes=f"{command.name} is not answered {when}",
-            exchange=again,
-            key=f"reads are not answered {when}",
-        )
 
 
 # --- settings and damaged requests ------------------------------------------------------------------------------------

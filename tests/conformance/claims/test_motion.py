@@ -157,7 +157,6 @@ MKS = (
     ("pulses-frozen", "read_pulses/counts-moves"),
     ("angle-error-in-counts", "read_angle_error/held-+0_25"),
     ("angle-error-half-width", "read_angle_error/held--1_5"),
-    ("unanswered-reads", "read_position/while-moving"),
     # Zero, homing, limits, protection, power
     ("set-zero-ignored", "set_zero/position"),
     ("set-zero-pulses-only", "set_zero/and-move_absolute_axis"),
