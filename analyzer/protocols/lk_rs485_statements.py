@@ -157,7 +157,7 @@ STATEMENTS: tuple[S, ...] = (
     # --- 1: state 1 and error flags ---
     *_tables("1", "read_state_1", "9Ah", 0, 7),
     S("1/reads", "It reads and changes nothing.", ("resilience/reads/run_speed", "resilience/reads/steady")),
-    S("1/temperature", "Byte 0 is the motor's temperature, signed, in degC.", ("motion/read_state_1/temperature",)),
+    S("1/temperature", "Byte 0 is the motor's temperature, signed, in degC.", ("motion/*/follows-temperature",)),
     S(
         "1/voltage",
         "Bytes 1 and 2 are the supply voltage in 0.01 V, low byte first.",

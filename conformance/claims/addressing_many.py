@@ -12,17 +12,22 @@ from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Doubt, MotionKind, Risk, Subject, Verb
 from conformance.claim import Theme
+from conformance.claims import ranges, setting_effects
 from conformance.claims.control_reads import ask_first, is_answered, judge_next, plain_read, received_text
 from conformance.claims.declare import Case, Cases, claim, described_in
+from conformance.claims.setting_effects import differing
 from conformance.claims.stops import expect_standing
 from conformance.motion import effects, motion
 from conformance.motion.effects import STEP_NS, Change, Observable
 from conformance.motion.motion import MOVES
 from conformance.talk.exchange import Exchange, hex_of
-from conformance.talk.probe import Probe
+from conformance.talk.probe import Probe, Until
+from conformance.talk.settings import changes_link
 
+#: Settings that decide whether and to whom a drive answers: what claims about them say.
+_OF_REPLIES = frozenset({Verb.SET_RESPOND, Verb.SET_GROUP_ADDRESS})
 #: A group address, and another one where the drive itself has it.
-_GROUP, _OTHER_GROUP = 0x50, 0x60
+_GROUP, _OTHER_GROUP, _BYTE = 0x50, 0x60, 0xFF
 _HIGH_GROUP = 0xE0
 
 
@@ -61,13 +66,17 @@ def _all_drives(probe: Probe) -> int:
     return probe.dialect.broadcast
 
 
-def group_of(own: int) -> int:
-    """Return a group address that is not a drive's own or near it: its neighbours are sent to as well."""
-    return _OTHER_GROUP if own in range(_GROUP - 2, _GROUP + 3) else _GROUP
+def group_of(dialect: Dialect, own: int) -> int:
+    """Return a group address that is not a drive's own or near it: its neighbours are sent to as well.
+
+    Where an address has more than a byte, one of more than a byte.
+    """
+    high = 0x100 if dialect.addresses[1] > _BYTE else 0
+    return high | (_OTHER_GROUP if own & _BYTE in range(_GROUP - 2, _GROUP + 3) else _GROUP)
 
 
 def _join(probe: Probe) -> int:
-    group = group_of(probe.address)
+    group = group_of(probe.dialect, probe.address)
     probe.do(Verb.SET_GROUP_ADDRESS, {"group_address": group})
     return group
 
@@ -282,7 +291,7 @@ def _other_group(probe: Probe, many: _Many, shown: Observable) -> None:
     shown.prepare(probe)
     group = many.join(probe)
     change = shown.change(probe)
-    for address in (group + 1, group - 1):
+    for address in (group + 1, group - 1, *((group & _BYTE,) if group > _BYTE else ())):
         sent = send_to(probe, address, change, shown.settle_ns)
         probe.expect(
             received_text(sent) if not sent.silent else "it is executed",
@@ -293,3 +302,35 @@ def _other_group(probe: Probe, many: _Many, shown: Observable) -> None:
             key="another group is heard",
         )
     shown.control(probe)
+
+
+# --- settings ---------------------------------------------------------------------------------------------------------
+
+
+def _readable_settings(dialect: Dialect) -> Iterator[Case]:
+    """Yield each address of several drives with settings that can be read: every setting is sent to one of them."""
+    every = [c for c in dialect.commands if c.readable and not changes_link(c) and c.verb not in _OF_REPLIES]
+    several = list(_addresses(dialect))
+    for number, many in enumerate(several):
+        own = every[number :: len(several)]
+        needed = [ranges.needs(dialect, c, [differing(c.request_forms[0])[0]]) for c in own]
+        facts = {
+            "risks": many.risks(dialect).union(*(each["risks"] for each in needed)),
+            "settings": (*many.settings, *(name for each in needed for name in each["settings"])),
+        }
+        if own:
+            yield Case(dialect, given={"many": many, "what": many.what, "chosen": own}, facts=facts)
+
+
+@_addressing("a setting that stays as it was, or an answer", _readable_settings, name="{many}/settings")
+def _settings(probe: Probe, many: _Many, chosen: list[Command]) -> None:
+    """Settings by {what} are stored, and not answered."""
+    to = many.join(probe)
+    for command in chosen:
+        before, _ = setting_effects.stored(probe, command)
+        values = next(v for v in differing(command.request_forms[0]) if v != before)
+        sent = probe.ask(command, values, address=to, until=Until.TIMEOUT)
+        _expect_silence(probe, sent, many.what)
+        after, _ = setting_effects.stored(probe, command)
+        text = f"{command.name} by {many.what} is not stored"
+        probe.expect(after, equal={n: values[n] for n in after}, refutes=text, exchange=sent)

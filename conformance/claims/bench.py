@@ -75,6 +75,11 @@ def press(probe: Probe, pressed: bool = True) -> None:
     drive_of(probe).limit_switch("left", pressed)
 
 
+def enable_pin(probe: Probe, level: int) -> None:
+    """Set the level of the En pin."""
+    drive_of(probe).set_enable_pin(level)
+
+
 def wall(probe: Probe, counts: int | None) -> None:
     """Put an obstacle `counts` from the shaft, on the side of the sign; None: remove all obstacles."""
     drive = drive_of(probe)

@@ -14,7 +14,7 @@ from analyzer.link import CanLink
 from conformance.claims.bench import lk_drive
 from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion_claim import expect_stays, of_motion, risks_by
+from conformance.claims.motion_claim import expect_stays, expect_taken, of_motion, risks_by
 from conformance.claims.stops import expect_standing, set_going
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, SECOND_NS
@@ -45,7 +45,8 @@ def _is_read(probe: Probe) -> None:
 def _switch_off_going(probe: Probe) -> None:
     """Switch the motor off on a run, and refute unless that ends it."""
     set_going(probe, probe.command(Verb.RUN_SPEED))
-    exchange = motion.switch(probe, False)
+    exchange = probe.ask(*motion.switching(probe.dialect, False))
+    expect_taken(probe, exchange, "switching a turning motor off is refused")
     # Without torque the shaft runs out.
     probe.wait(2 * SECOND_NS)
     expect_standing(probe, exchange, "the shaft still turns after the motor was switched off")
@@ -172,6 +173,18 @@ def _at_power_up(probe: Probe) -> None:
     expect_obeys(probe, "the motor does not obey at power-up")
 
 
+def _expect_turns_kept_turning(probe: Probe, command: Command) -> None:
+    """Refute where a command that ends a run drops the turns of it."""
+    set_going(probe, probe.command(Verb.RUN_SPEED))
+    before = motion.position(probe)
+    exchange = probe.do(command)
+    went = motion.wait_standing(probe).value - before.value
+    motion.switch(probe, True)
+    text = f"{command.name} drops the turns of a shaft that turns"
+    # As far as the shaft runs out in a second or two.
+    probe.expect(went, at_least=-1, at_most=1000, unit="degrees", refutes=text, exchange=exchange)
+
+
 @of_motion(
     each=_off,
     statement="Switching the motor off and on leaves the counted turns.",
@@ -198,3 +211,4 @@ def _keeps_turns(probe: Probe, command: Command) -> None:
     else:
         text = f"{command.name} changes the position of a shaft that stands"
         probe.expect(change, near=0, within=1, unit="degrees", refutes=text, exchange=exchange)
+        _expect_turns_kept_turning(probe, command)

@@ -1,4 +1,4 @@
-"""What must not move or switch an LK motor: requests whose sums are wrong, and requests to other addresses.
+"""What must not move, switch or rename a motor: requests whose checks are wrong, and requests to other addresses.
 
 What is executed though it is not answered shows in the shaft and in what is read; so these need no hands on the drive.
 
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Subject, Verb
+from analyzer.link import HeadLink
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import PAUSE_NS
 from conformance.claims.declare import Case, claim, described_in
@@ -54,7 +55,7 @@ def _shaft(probe: Probe) -> float:
 
 
 def _is_on(probe: Probe) -> float:
-    return probe.read(Verb.READ_STATE_1, "state")
+    return float(motion.is_on(probe) is True)
 
 
 def _brake(probe: Probe) -> float:
@@ -80,8 +81,20 @@ def _another_position(probe: Probe, command: Command) -> Mapping[str, int]:
     return {"position": _POSITION_STEP if abs(now - _POSITION_STEP) > _POSITION_STEP // 2 else -_POSITION_STEP}
 
 
+def _away(probe: Probe) -> None:
+    motion.ready_to_move(probe)
+    motion.follow(probe, motion.any_move(probe.dialect), 36)
+
+
+def _halt(probe: Probe) -> object:
+    return probe.ask(Verb.EMERGENCY_STOP)
+
+
 _MOTION = _Guarded(motion.ready_to_move, _motion_values, _shaft, _STILL)
+#: What switches, renames or homes, by the name of the command.
 _SWITCHES: Mapping[str, _Guarded] = {
+    "enable": _Guarded(motion.ready_to_move, lambda probe, command: {"enabled": 0}, _is_on),
+    "home": _Guarded(motion.ready_to_move, _nothing, _shaft, _STILL, after=_halt),
     "motor_off": _Guarded(_switch_on, _nothing, _is_on),
     "motor_on": _Guarded(partial(motion.switch, on=False), _nothing, _is_on),
     "brake": _Guarded(_release, lambda probe, command: {"brake_control": _POWER_OFF}, _brake, after=_release),
@@ -91,18 +104,26 @@ _MOTIONS = (*MOVES, MotionKind.RUN, MotionKind.TORQUE)
 
 
 def _all_guarded(dialect: Dialect) -> Iterator[Case]:
-    """Yield the motions, and what switches or renames, of a dialect that reads whether its motor is on."""
-    if Verb.READ_STATE_1 in dialect.by_verb and motion.can_move(dialect):
-        for command in dialect.motions(*_MOTIONS):
-            yield Case(dialect, command, {"guarded": _MOTION})
-        for name, guarded in _SWITCHES.items():
-            if name in dialect.by_name:
-                yield Case(dialect, dialect.by_name[name], {"guarded": guarded})
+    """Yield what switches, renames or homes, and the motions of the LK drives: those of MKS stand with their frames."""
+    if not motion.can_move(dialect):
+        return
+    for command in dialect.motions(*_MOTIONS) if dialect.family == "lk" else ():
+        yield Case(dialect, command, {"guarded": _MOTION})
+    for name, guarded in _SWITCHES.items():
+        if name in dialect.by_name:
+            yield Case(dialect, dialect.by_name[name], {"guarded": guarded})
+    # Of LK 19h is kept in the flash, which wears.
+    if dialect.family == "mks" and Verb.SET_ZERO in dialect.by_verb:
+        zero = _Guarded(_away, _nothing, _shaft, _STILL, after=motion.ready_to_move)
+        yield Case(dialect, dialect.by_verb[Verb.SET_ZERO], {"guarded": zero})
 
 
 def _risks(case: Case) -> frozenset[Risk]:
     command = command_of(case)
     switching = {Risk.TORQUE} if command.verb is Verb.MOTOR_ON else set[Risk]()
+    # A damaged frame with a head may be read as another one.
+    if isinstance(case.dialect.link, HeadLink):
+        switching.add(Risk.UNKNOWN)
     return motion.risks(case.dialect, *(command.all_risks - {Risk.UNKNOWN}), *switching)
 
 
@@ -160,7 +181,10 @@ def _to_another(probe: Probe, command: Command, guarded: _Guarded) -> None:
     values = guarded.values(probe, command)
     own, (first, last) = probe.address, probe.dialect.addresses
     before = guarded.see(probe)
-    others = [a for a in dict.fromkeys((0, first, own ^ 1, own + 1, last)) if a != own and a <= last]
+    # Where an address has a byte and no broadcast, the drive must not hear those that no drive has either.
+    byte = (own ^ 0x20, own ^ 0x80, 0xFF) if probe.dialect.broadcast is None else ()
+    near = (a for a in (0, first, own ^ 1, own + 1, last) if a <= last)
+    others = [a for a in dict.fromkeys((*near, *byte)) if a not in (own, probe.dialect.broadcast)]
     for address in others:
         sent = probe.send(probe.build(command, values, address=address).item(), timeout_ns=PAUSE_NS)
     text = f"{command.name} to {', '.join(map(str, others))} is executed, and the drive is {own}"

@@ -5,6 +5,7 @@ Most need a hand on the drive: those claims are of emulated ones.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from functools import partial
 
@@ -88,14 +89,6 @@ def _voltage(probe: Probe, command: Command) -> None:
         probe.expect(seen, near=volts, within=0.01, unit="V", refutes="the voltage is another one")
 
 
-@_state(refuted_by="another one", emulated=True)
-def _temperature(probe: Probe, command: Command) -> None:
-    """The temperature is that of the motor in degC, below zero too."""
-    for degrees in (41, -7):
-        lk_drive(probe).hot(degrees)
-        probe.expect(probe.read(command, "temperature"), equal=degrees, refutes="the temperature is another one")
-
-
 @_state(refuted_by="another voltage", at_best=Certainty.LIKELY)
 def _plausible(probe: Probe, command: Command) -> None:
     """The voltage is one that a drive can have: 5 to 60 V."""
@@ -110,7 +103,7 @@ def _plausible(probe: Probe, command: Command) -> None:
     at_best=Certainty.LIKELY,
 )
 def _balance(probe: Probe, command: Command) -> None:
-    """The three phase currents add up to nothing, and are not all alike."""
+    """The three phase currents add up to nothing, and are those of the torque current, in its unit."""
     motion.ready_to_move(probe)
     motion.begin(probe, probe.command(Verb.RUN_TORQUE))
     probe.wait(300 * MS)
@@ -121,6 +114,10 @@ def _balance(probe: Probe, command: Command) -> None:
     largest = max(abs(c) for c in currents)
     if largest < FORCE / 4:
         raise Inconclusive("no current flows")
+    # Three phases of a balanced current, at whatever angle: the sum of their squares is 3/2 of its own.
+    flowing = math.sqrt(sum(c * c for c in currents) / 1.5)
+    text = "the phase currents are not those of the torque current that was asked for"
+    probe.expect(flowing, near=FORCE, within=FORCE / 3, unit="LSB", refutes=text, exchange=exchange)
     probe.expect(
         " + ".join(map(str, currents)),
         holds=abs(sum(currents)) <= max(4, largest / 4),

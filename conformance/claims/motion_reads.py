@@ -466,3 +466,58 @@ def _shows_left_switch(probe: Probe, command: Command) -> None:
         seen.append(probe.read(command, port))
     text = f"{port} does not follow the left switch"
     probe.expect(seen, holds=seen[0] != seen[1] and seen[0] == seen[2], expected="two levels", refutes=text)
+
+
+def _enable_ports(dialect: Dialect) -> Iterator[Case]:
+    """Yield the read of the ports of a 42E, whose in_2 is the En pin."""
+    if dialect.model == "42E":
+        yield from commands(Verb.READ_IO)(dialect)
+
+
+_of_enable_port = partial(of_motion, each=_enable_ports, refuted_by="the other level, or always the same")
+
+
+@_of_enable_port(emulated=True)
+def _shows_enable_pin(probe: Probe, command: Command) -> None:
+    """in_2 of a 42E is the level of the En pin."""
+    for level in (1, 0, 1):
+        bench.enable_pin(probe, level)
+        probe.expect(probe.read(command, "in_2"), equal=level, refutes="in_2 is not the level of the En pin")
+
+
+@_of_enable_port(settings=("enable_level",), risks=risks_by(Verb.SET_ENABLE_LEVEL), at_best=Certainty.LIKELY)
+def _is_enable_pin(probe: Probe, command: Command) -> None:
+    """In a pulse mode in_2 of a 42E is the level at which the motor is enabled."""
+    names = motion.field_of(probe.command(Verb.SET_WORK_MODE), "work_mode").choice_names.values()
+    motion.set_mode(probe, next(name for name in names if name not in motion.bus_modes(probe.dialect)))
+    for level in (0, 1):
+        exchange = probe.do(Verb.SET_ENABLE_LEVEL, {"enable_level": level})
+        enabled = probe.read(Verb.READ_ENABLED)
+        wanted = level if enabled else 1 - level
+        text = "in_2 is not the level of the En pin that enables or disables the motor"
+        probe.expect(probe.read(command, "in_2"), equal=wanted, refutes=text, exchange=exchange)
+
+
+# --- the divided pulses -----------------------------------------------------------------------------------------------
+
+
+@of_motion(
+    each=commands(Verb.SET_PULSE_DIVISION),
+    refuted_by="a port that does not follow the pulses",
+    at_best=Certainty.OPEN,
+    risks=risks_by(Verb.SET_PULSE_DIVISION, Verb.MOVE_RELATIVE_PULSES, Verb.WRITE_IO),
+    settings=("division_level", "division_period"),
+)
+def _divides(probe: Probe, command: Command) -> None:
+    """PEND flips once for every so many pulses, from its starting level; below 100 pulses it does not."""
+    _give_ports_back(probe)
+    motion.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
+    probe.do(Verb.SET_ZERO)
+    for level, period in ((0, 1600), (1, 1600), (0, 50)):
+        probe.do(command, {"division_level": level, "division_period": period})
+        for _ in range(3):
+            _move_by_pulses(probe, 0.3)
+            pulses = abs(probe.read(Verb.READ_PULSES, "pulses"))
+            wanted = level ^ (pulses // period & 1) if period >= 100 else 1
+            text = f"PEND with a period of {period} is not {wanted} after {pulses} pulses"
+            probe.expect(probe.read(Verb.READ_IO, "pend"), equal=wanted, refutes=text)

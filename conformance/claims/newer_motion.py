@@ -17,6 +17,7 @@ from conformance.claims.declare import Case, motions
 from conformance.claims.motion_claim import (
     command_of,
     expect_speed,
+    expect_taken,
     has_direction,
     has_sign,
     of_motion,
@@ -26,6 +27,7 @@ from conformance.claims.motion_claim import (
 from conformance.claims.moves import takes_counts, without_max_speed
 from conformance.motion import motion
 from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS
+from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
 #: The older move: one turn at 30 rpm lasts two seconds; the newer one comes after half of one.
@@ -49,12 +51,19 @@ def _under_way(probe: Probe, command: Command) -> float:
     return start.value
 
 
+def _newer(probe: Probe, command: Command, degrees: float) -> Exchange:
+    """Ask for the newer move, and refute where it is refused."""
+    exchange = motion.ask(probe, command, degrees, acceleration=QUICK)
+    expect_taken(probe, exchange, f"{command.name} is refused while one is under way")
+    return exchange
+
+
 @of_motion(each=_moves, refuted_by="a shaft that ends elsewhere", at_best=_certainty)
 def _newer_target(probe: Probe, command: Command) -> None:
     """{command} that comes while one is under way takes its place: the shaft ends where the newer one says."""
     start = _under_way(probe, command)
     here = motion.position(probe)
-    exchange = motion.begin(probe, command, 90, acceleration=QUICK)
+    exchange = _newer(probe, command, 90)
     end = motion.wait_standing(probe)
     # The shaft went on between the look at it and the newer command: at 30 rpm by 180 degrees a second.
     looked_ns = exchange.sent_ns - here.t_ns + here.spread_ns
@@ -73,7 +82,7 @@ def _newer_target(probe: Probe, command: Command) -> None:
 def _newer_speed(probe: Probe, command: Command) -> None:
     """{command} that comes while one is under way gives the shaft its own speed."""
     _under_way(probe, command)
-    exchange = motion.begin(probe, command, _DEGREES, acceleration=QUICK)
+    exchange = _newer(probe, command, _DEGREES)
     probe.wait(200 * MS)
     seen = motion.speed(probe)
     motion.stand_still(probe)

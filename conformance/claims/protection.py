@@ -11,7 +11,7 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
@@ -69,22 +69,26 @@ def _expect(probe: Probe, exchange: Exchange, wanted: int, text: str) -> None:
     probe.expect(_is_protected(probe), equal=wanted, refutes=text, exchange=exchange)
 
 
-def _stall_outputs(dialect: Dialect) -> Iterable[Case]:
-    """Return the read of the ports, of which only a 57D has the one that tells of a stall."""
-    return commands(Verb.READ_IO)(dialect) if dialect.bus == "serial" and dialect.model.startswith("57") else ()
+def _stall_outputs(dialect: Dialect) -> Iterator[Case]:
+    """Yield the read of the ports with the one that tells of a stall: ALM on CAN, OUT_1 of a 57D elsewhere."""
+    for case in commands(Verb.READ_IO)(dialect):
+        if dialect.bus == "can":
+            yield Case(dialect, case.command, {"port": "alm"})
+        elif dialect.model.startswith("57"):
+            yield Case(dialect, case.command, {"port": "out_1"})
 
 
 @_of_protection("another level", each=_stall_outputs, name="{command}/stall")
-def _stall(probe: Probe, command: Command) -> None:
-    """OUT_1 is 0 while the protection holds, and 1 before and after."""
+def _stall(probe: Probe, command: Command, port: str) -> None:
+    """{port} is 0 while the protection holds, and 1 before and after."""
     _prepare(probe, 1)
     for when, wanted in (("before", 1), ("while", 0), ("after", 1)):
         if when == "while":
             protect(probe)
         elif when == "after":
             probe.do(Verb.RELEASE_PROTECTION)
-        text = f"OUT_1 is not {wanted} {when} the protection holds"
-        probe.expect(probe.read(command, "out_1"), equal=wanted, refutes=text)
+        text = f"{port} is not {wanted} {when} the protection holds"
+        probe.expect(probe.read(command, port), equal=wanted, refutes=text)
 
 
 @_of_protection("3E that reads 0", each=commands(Verb.SET_PROTECTION))

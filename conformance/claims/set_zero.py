@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from analyzer.catalogue import Command, Dialect, MotionKind, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claims.declare import Case, commands, needing
-from conformance.claims.motion_claim import expect_stays, of_motion
+from conformance.claims.motion_claim import expect_stays, of_motion, risks_by
 from conformance.motion import motion
-from conformance.motion.motion import QUICK, SECOND_NS
+from conformance.motion.motion import CALM, QUICK, SECOND_NS
 from conformance.talk.probe import Probe
 
 #: What reads 0 after 92: the quantity in words, the read, and its fields.
@@ -71,6 +71,23 @@ def _stands(probe: Probe, command: Command) -> None:
     move = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 90)
     text = "a move after 92 goes another way than was asked"
     probe.expect(abs(move.degrees), near=90, unit="degrees", refutes=text, exchange=move.exchange)
+
+
+@of_motion(each=_zeros, refuted_by="a position that counts on", risks=risks_by(Verb.RUN_SPEED), at_best=Certainty.LIKELY)
+def _while_turning(probe: Probe, command: Command) -> None:
+    """92 while the shaft turns makes zero of where it is then; it is answered 1, or refused."""
+    _away(probe)
+    motion.run_at(probe, CALM, QUICK)
+    probe.wait(SECOND_NS)
+    exchange = probe.ask(command, quiet_ns=0)
+    taken = not motion.refused(probe, exchange)
+    seen = motion.position(probe)
+    motion.stand_still(probe)
+    late_ns = seen.t_ns + seen.spread_ns - exchange.sent_ns
+    text = "92 while the shaft turns is answered as done, and the position is not counted from there"
+    if taken:
+        most = CALM * 6 * late_ns / SECOND_NS + 5
+        probe.expect(abs(seen.value), at_most=most, unit="degrees", refutes=text, exchange=exchange)
 
 
 def _places(dialect: Dialect) -> Iterator[Case]:

@@ -41,6 +41,7 @@ def set_going(probe: Probe, run: Command, rpm: int = CALM, turns: int = 5) -> Ex
     """Begin a run, or a move that is too long to end by itself, and let the shaft come to its speed."""
     motion.prepare(probe, run)
     # Five turns: at 120 rpm 2.5 s, of which a late reply may take 0.7 and the ramp down 1.2.
+    rpm = -rpm if turns < 0 and motion.of(run).kind is MotionKind.RUN else rpm
     exchange = motion.begin(probe, run, turns * 360, rpm=rpm, acceleration=QUICK)
     probe.wait(_SET_OFF_NS)
     return exchange
@@ -192,7 +193,7 @@ def _by_ramp(probe: Probe, command: Command, run: Command) -> None:
 @of_motion(each=_of_motions, refuted_by="a shaft that goes on", risks=risks_of("run"))
 def _at_once(probe: Probe, command: Command, run: Command) -> None:
     """{command} with acceleration 0 stops the shaft at once."""
-    set_going(probe, run)
+    set_going(probe, run, turns=-5)
     _expect_turning(motion.speed(probe), CALM / 2)
     exchange = _ask_stop(probe, command, 0)
     at_once = motion.position(probe)
@@ -410,6 +411,22 @@ def _when_rising(probe: Probe, command: Command, run: Command) -> None:
 
 #: Speeds that are fast, a ramp of 5 ms for a rpm, and how long a fast shaft takes to stand.
 _FAST_RPM, _RISING, _FAST_DOWN_NS = 1200, 156, 600 * MS
+
+
+def _ended_backwards(dialect: Dialect) -> Iterator[Case]:
+    yield from (*_lk_stop(dialect), *commands(Verb.MOTOR_OFF)(dialect))
+
+
+@of_motion(each=_ended_backwards, refuted_by="a shaft that goes on", risks=risks_by(Verb.RUN_SPEED))
+def _stops_backwards(probe: Probe, command: Command) -> None:
+    """{command} stops a shaft that turns the other way."""
+    set_going(probe, probe.command(Verb.RUN_SPEED), turns=-5)
+    exchange = probe.ask(command)
+    probe.reply(exchange)
+    # A motor that is switched off runs out.
+    probe.wait(3 * SECOND_NS if command.verb is Verb.MOTOR_OFF else SECOND_NS // 2)
+    expect_standing(probe, exchange, f"{command.name} does not stop a shaft that turns the other way")
+    motion.switch(probe, True)
 
 
 @of_motion(each=_lk_stop, refuted_by="a shaft that goes on", risks=risks_by(Verb.RUN_SPEED))

@@ -16,7 +16,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from functools import partial
 
-from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
+from conformance.claims import bench
 from conformance.claims.declare import Case, commands
 from conformance.claims.encoder_zero import named
 from conformance.claims.motion_claim import of_motion, risks_by
@@ -58,6 +59,26 @@ def _temperature(probe: Probe, command: Command) -> None:
     _expect_same_temperature(probe, seen["temperature"], wanted["temperature"], command, exchange)
 
 
+def _tells_temperature(dialect: Dialect) -> Iterable[Case]:
+    return (Case(dialect, c) for c in dialect.commands if c.motion is None and _has_temperature(c))
+
+
+def _has_temperature(command: Command) -> bool:
+    return any("temperature" in form.layout.named for form in command.reply_forms)
+
+
+@_still(
+    each=_tells_temperature, refuted_by="the temperature of another time", name="{command}/follows-temperature", emulated=True
+)
+def _follows_temperature(probe: Probe, command: Command) -> None:
+    """{command} tells the temperature that the motor has then, below zero too."""
+    for degrees in (41, -7):
+        bench.lk_drive(probe).hot(degrees)
+        seen, exchange = _told(probe, command)
+        text = f"{command.name} does not tell the temperature of the motor"
+        probe.expect(seen["temperature"], equal=degrees, refutes=text, exchange=exchange)
+
+
 @_still(each=commands(Verb.READ_STATE_1), refuted_by="a current that no resting motor takes", at_best=Certainty.LIKELY)
 def _current_at_rest(probe: Probe, command: Command) -> None:
     """The supply current of a motor that stands is small."""
@@ -85,15 +106,18 @@ def _on_while_turning(probe: Probe, command: Command) -> None:
         probe.expect(seen[name], equal=at_rest[name], refutes=text, exchange=exchange)
 
 
-@_still(each=commands(Verb.CLEAR_ERRORS), refuted_by="another state", at_best=Certainty.LIKELY)
+@of_motion(each=commands(Verb.CLEAR_ERRORS), refuted_by="another state", at_best=Certainty.LIKELY, risks={Risk.TORQUE})
 def _tells_state(probe: Probe, command: Command) -> None:
-    """{command} is answered with what 9A then tells."""
-    seen, exchange = _told(probe, command)
-    wanted, _ = _told(probe, Verb.READ_STATE_1)
-    for name, value in wanted.items():
-        text, unit = f"{command.name} is answered with another {name} than 9A tells", _unit(command, name)
-        within = probe.within(unit) if unit else 0
-        probe.expect(seen[name], near=value, within=within, refutes=text, exchange=exchange)
+    """{command} is answered with what 9A then tells, of a motor that is on and of one that is off."""
+    for on in (True, False):
+        motion.switch(probe, on)
+        seen, exchange = _told(probe, command)
+        wanted, _ = _told(probe, Verb.READ_STATE_1)
+        for name, value in wanted.items():
+            text, unit = f"{command.name} is answered with another {name} than 9A tells", _unit(command, name)
+            within = probe.within(unit) if unit else 0
+            probe.expect(seen[name], near=value, within=within, refutes=text, exchange=exchange)
+    motion.switch(probe, True)
 
 
 def _of_motions(dialect: Dialect) -> Iterable[Case]:

@@ -177,11 +177,16 @@ def _enabled_now(probe: Probe) -> bool:
 
 def switch(probe: Probe, on: bool) -> Exchange:
     """Switch the motor on or off. Raises Inconclusive where the drive refuses."""
-    verbs = probe.dialect.by_verb
+    return probe.do(*switching(probe.dialect, on))
+
+
+def switching(dialect: Dialect, on: bool) -> tuple[Command, dict[str, int]]:
+    """Return what switches the motor on or off: a command and its values."""
+    verbs = dialect.by_verb
     if not on and Verb.MOTOR_OFF in verbs:
-        return probe.do(Verb.MOTOR_OFF)
+        return verbs[Verb.MOTOR_OFF], {}
     command = verbs.get(Verb.ENABLE) or verbs[Verb.MOTOR_ON]
-    return probe.do(command, dict.fromkeys(command.request_forms[0].layout.named, int(on)))
+    return command, dict.fromkeys(command.request_forms[0].layout.named, int(on))
 
 
 def is_on(probe: Probe) -> bool | None:

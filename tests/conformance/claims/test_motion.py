@@ -222,7 +222,7 @@ LK = (
     ("lk-clear-errors-never", "clear_errors/clears"),
     ("lk-clear-errors-always", "clear_errors/keeps"),
     ("lk-voltage-tenth", "read_state_1/voltage"),
-    ("lk-temperature-unsigned", "read_state_1/temperature"),
+    ("lk-temperature-unsigned", "read_state_1/follows-temperature"),
     ("lk-phases-in-step", "read_state_3/balance"),
     ("lk-encoder-not-offset", "read_encoder/below-offset"),
     ("lk-encoder-coarse", "read_state_2/encoder"),
@@ -279,7 +279,7 @@ def test_a_fault_is_refuted_by_the_claim_about_it(drive, fault, claim):
     ("fault", "claim"),
     [
         ("lk-speed-limit-ignored", "write_parameter/speed-limit"),
-        ("lk-angle-limit-ignored", "write_parameter/angle-limit"),
+        ("lk-angle-limit-ignored", "write_parameter/angle-limit-move_multi_turn"),
         ("lk-torque-limit-ignored", "write_parameter/torque-limit"),
         ("lk-overshoot", "move_increment/within"),
         ("lk-stop-coasts", "stop/brakes"),
