@@ -251,7 +251,6 @@ def declare(
     beside reads.
     """
     if command is not None:
-        check = _of_models(command, check)
         rest.setdefault("models", command.models)
         rest.setdefault("commands", (command.name,))
         if aspect is not None:
@@ -270,15 +269,3 @@ def declare(
         risks=frozenset(risks) - {Risk.READ},
         **rest,
     )
-
-
-def _of_models(command: Command, check: Callable[[Probe], None]) -> Callable[[Probe], None]:
-    if not command.models:
-        return check
-
-    def known(probe: Probe) -> None:
-        if not probe.dialect.model:
-            raise NotRun(f"only {' and '.join(command.models)} have {command.name}, and the model of the drive was not given")
-        check(probe)
-
-    return known

@@ -15,10 +15,10 @@ from conformance.claim import Inconclusive
 from conformance.claims.bench import lk_drive
 from conformance.claims.declare import Case, Cases
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion_claim import expect_stays, of_motion, risks_by
+from conformance.claims.motion_claim import expect_speed, expect_stays, of_motion, risks_by
 from conformance.claims.motion_reads import PLACES, angle, around, turn_by
 from conformance.motion import motion
-from conformance.motion.motion import MS, SECOND_NS
+from conformance.motion.motion import CALM, MS, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import Noise
 from conformance.talk.probe import Probe
@@ -127,6 +127,20 @@ def _drops_turns(probe: Probe, command: Command) -> None:
         exchange = probe.do(command)
         text = "93 does not drop the turns"
         probe.expect(_position(probe), at_least=-36_000, at_most=36_000, refutes=text, exchange=exchange)
+
+
+@_clear_turns(refuted_by="turns that are still counted", risks=risks_by(Verb.RUN_SPEED))
+def _while_turning(probe: Probe, command: Command) -> None:
+    """93 drops the turns of a shaft that turns, and it turns on."""
+    _away(probe)
+    motion.run_at(probe, CALM)
+    probe.wait(500 * MS)
+    exchange = probe.do(command)
+    place, turning = _position(probe), motion.speed(probe)
+    motion.stand_still(probe)
+    text = "93 does not drop the turns of a shaft that turns"
+    probe.expect(place, at_least=-36_000, at_most=2 * 36_000, refutes=text, exchange=exchange)
+    expect_speed(turning, CALM, exchange, "93 changes the speed of the shaft", share=0.1)
 
 
 @_clear_turns(name="{command}/stands", refuted_by="another angle")

@@ -13,16 +13,20 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 
-from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Subject, Verb
-from analyzer.link import HeadLink
+from analyzer.catalogue import Certainty, Command, Dialect, Form, MotionKind, Risk, Role, Subject, Verb
+from analyzer.link import CanLink, HeadLink, LkLink
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import PAUSE_NS
 from conformance.claims.declare import Case, claim, described_in
+from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import command_of
+from conformance.claims.setting_effects import differing, stored
+from conformance.model import lk_parameters
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, SAME
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
+from conformance.talk.settings import changes_link
 
 #: A motion that shows: degrees, and rpm where it can be told.
 _DEGREES, _RPM = 20, 30
@@ -103,6 +107,10 @@ _SWITCHES: Mapping[str, _Guarded] = {
 _MOTIONS = (*MOVES, MotionKind.RUN, MotionKind.TORQUE)
 
 
+#: The most bytes of a CAN frame.
+_CAN_BYTES = 8
+
+
 def _all_guarded(dialect: Dialect) -> Iterator[Case]:
     """Yield what switches, renames or homes, and the motions of the LK drives: those of MKS stand with their frames."""
     if not motion.can_move(dialect):
@@ -172,6 +180,102 @@ def _guarded_by_sums(probe: Probe, command: Command, guarded: _Guarded) -> None:
         text = f"{command.name} is executed with a wrong {check.name}"
         _expect_no_effect(probe, guarded, before, sent, text, text)
     _control(probe, command, guarded, values)
+
+
+def _of_one_length(dialect: Dialect) -> Iterator[Case]:
+    """Yield what a dialect whose frames tell their length guards, and its motions."""
+    if isinstance(dialect.link, CanLink | LkLink):
+        guarded = {command_of(case).name: case for case in _all_guarded(dialect)}
+        moves = (Case(dialect, c, {"guarded": _MOTION}) for c in dialect.motions(*_MOTIONS) if c.name not in guarded)
+        yield from (*guarded.values(), *moves)
+
+
+@claim(
+    Theme.FRAMING,
+    each=_of_one_length,
+    name="{command}/other-length",
+    refuted_by="an effect of it",
+    risks=_risks,
+    section=described_in(Subject.FRAMING),
+    at_best=Certainty.LIKELY,
+    parameters={},
+)
+def _guarded_by_length(probe: Probe, command: Command, guarded: _Guarded) -> None:
+    """{command} with a byte more or less, all else fitting, is not executed."""
+    guarded.ready(probe)
+    values = guarded.values(probe, command)
+    built, link = probe.build(command, values), probe.dialect.link
+    head = link.parse(built.frame, probe.address)
+    data, form = built.frame[head.start : head.stop], command.request_forms[0]
+    before = guarded.see(probe)
+    for other in (data[:-1], data + b"\0"):
+        frame = link.build(command, form, probe.address, other, Role.REQUEST)
+        if other != data and (isinstance(link, LkLink) or len(frame) <= _CAN_BYTES):
+            sent = probe.send(built.item(frame), timeout_ns=PAUSE_NS)
+            text = f"{command.name} with {len(other)} bytes of data in place of {len(data)} is executed"
+            _expect_no_effect(probe, guarded, before, sent, text, f"{command.name}: another length is executed")
+    _control(probe, command, guarded, values)
+
+
+# --- settings ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Stored:
+    """A setting that can be read: what sets it to either of two sets of values, and what reads it."""
+
+    command: Command
+    form: Form
+    values: tuple[Mapping[str, int], Mapping[str, int]]
+    read: Callable[[Probe], Mapping[str, int]]
+
+
+def _every_stored(dialect: Dialect) -> Iterator[_Stored]:
+    for command in dialect.commands:
+        if command.readable and not changes_link(command):
+            form = command.request_forms[0]
+            yield _Stored(command, form, differing(form), partial(_read, command=command))
+        elif command.verb is Verb.WRITE_PARAMETER:
+            for form in lk_parameters.listed(command):
+                values = lk_parameters.moderate(form, 0), lk_parameters.moderate(form, 1)
+                read = partial(lk_parameters.read_parameter, number=lk_parameters.number_of(form))
+                yield _Stored(command, form, values, read)
+
+
+def _read(probe: Probe, command: Command) -> Mapping[str, int]:
+    return stored(probe, command)[0]
+
+
+def _with_settings(dialect: Dialect) -> Iterator[Case]:
+    """Yield the settings of a dialect that can be read, all together."""
+    chosen = list(_every_stored(dialect))
+    if chosen:
+        risks = frozenset().union(*(each.command.risks(values) for each in chosen for values in each.values))
+        names = (n for each in chosen for n in each.form.layout.named if n != "parameter")
+        yield Case(dialect, given={"chosen": chosen}, facts={"risks": risks, "settings": tuple(dict.fromkeys(names))})
+
+
+@claim(
+    Theme.FRAMING,
+    each=_with_settings,
+    name="settings/guarded",
+    refuted_by="a value that is stored",
+    section=described_in(Subject.FRAMING),
+    quirks=may_meet(lk_parameters.OTHER_FIRMWARE),
+    parameters={},
+)
+def _settings_guarded(probe: Probe, chosen: list[_Stored]) -> None:
+    """A setting whose check is wrong is not stored."""
+    for each in chosen:
+        was = each.read(probe)
+        values = next(values for values in each.values if was != values)
+        built = probe.build(each.command, values, form=each.form)
+        for check in probe.dialect.link.checks(built.frame, probe.address):
+            changed = bytearray(built.frame)
+            changed[check.start] ^= 1
+            sent = probe.send(built.item(bytes(changed)), timeout_ns=PAUSE_NS)
+            text = f"{each.command.name} is stored with a wrong {check.name}"
+            probe.expect(each.read(probe), equal=was, refutes=text, exchange=sent, key=text)
 
 
 @_of_guarded(Theme.ADDRESSING, name="other/{command}", section=described_in(Subject.ADDRESSING), alone=True)

@@ -321,6 +321,20 @@ def _clockwise(probe: Probe, command: Command) -> None:
     )
 
 
+@of_motion(each=_in_turn, refuted_by="another way", at_best=Certainty.LIKELY)
+def _across_zero(probe: Probe, command: Command) -> None:
+    """{command} goes on across the zero of the turn, both ways, and no turn more."""
+    motion.ready_to_move(probe)
+    here = motion.place(probe, command)
+    turn = motion.units_per_turn(probe.dialect, command)
+    # To 300 degrees, then to 60 and back: 120 degrees each time.
+    motion.follow(probe, command, (300 - here * 360 / turn) % 360, start=here)
+    for way in (1, -1):
+        start = motion.place(probe, command)
+        move = motion.follow(probe, command, way * 120, start=start)
+        _expect_way(probe, move, True, f"{command.name} goes another way across zero")
+
+
 def _both_ways(probe: Probe, command: Command) -> tuple[float, float, Exchange]:
     """Go to one angle clockwise, back to where that began, and to it again the other way; return both ways (degrees)."""
     motion.ready_to_move(probe)

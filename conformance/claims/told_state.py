@@ -108,7 +108,7 @@ def _on_while_turning(probe: Probe, command: Command) -> None:
 
 @of_motion(each=commands(Verb.CLEAR_ERRORS), refuted_by="another state", at_best=Certainty.LIKELY, risks={Risk.TORQUE})
 def _tells_state(probe: Probe, command: Command) -> None:
-    """{command} is answered with what 9A then tells, of a motor that is on and of one that is off."""
+    """{command} is answered with what 9A then tells, of a motor that is on and of one that is off, and switches nothing."""
     for on in (True, False):
         motion.switch(probe, on)
         seen, exchange = _told(probe, command)
@@ -117,6 +117,8 @@ def _tells_state(probe: Probe, command: Command) -> None:
             text, unit = f"{command.name} is answered with another {name} than 9A tells", _unit(command, name)
             within = probe.within(unit) if unit else 0
             probe.expect(seen[name], near=value, within=within, refutes=text, exchange=exchange)
+        text = f"{command.name} switches the motor on or off"
+        probe.expect(motion.is_on(probe), equal=on, refutes=text, exchange=exchange)
     motion.switch(probe, True)
 
 

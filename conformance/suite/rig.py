@@ -27,8 +27,9 @@ class ClaimRig(Rig, ABC):
 
     def missing(self, claim: Claim) -> str:
         """Return why a claim cannot run here, or nothing."""
-        if claim.models and self.model and self.model not in claim.models:
-            return f"it is about {' and '.join(claim.models)}, and the drive is a {self.model}"
+        if claim.models and self.model not in claim.models:
+            known = f"the drive is a {self.model}" if self.model else "the model of the drive was not given"
+            return f"it is about {' and '.join(claim.models)}, and {known}"
         if claim.emulated and not self.emulated:
             return "it needs to act on the drive itself, which only an emulated one lets it"
         if claim.by_name and claim.id not in self.named and not self.emulated:
