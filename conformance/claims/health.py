@@ -16,7 +16,7 @@ from conformance.claims.bench import lk_drive
 from conformance.claims.declare import Case, commands
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
-from conformance.motion.motion import FORCE, MS
+from conformance.motion.motion import CALM, FORCE, MS, SECOND_NS
 from conformance.talk.probe import Probe
 
 _state = partial(of_motion, each=commands(Verb.READ_STATE_1), still=True)
@@ -56,6 +56,26 @@ def _flag(probe: Probe, flag: str) -> None:
     drive.trip(flag, False)
     probe.do(Verb.CLEAR_ERRORS)
     _expect_flags(probe, set(), f"after {flag} was cleared")
+
+
+@of_motion(
+    each=commands(Verb.READ_STATE_1),
+    refuted_by="no flag, or a flag without a cause",
+    emulated=True,
+    risks=risks_by(Verb.RUN_SPEED, Verb.CLEAR_ERRORS),
+    at_best=Certainty.OPEN,
+)
+def _stalls(probe: Probe, command: Command) -> None:
+    """A motor that is held for seconds while it is to turn sets the flag of a stall."""
+    drive = lk_drive(probe)
+    motion.ready_to_move(probe)
+    motion.run_at(probe, CALM)
+    drive.block()
+    probe.wait(3 * SECOND_NS)
+    _expect_flags(probe, {"stalled"}, "of a motor that is held")
+    drive.block(False)
+    probe.do(Verb.CLEAR_ERRORS)
+    _expect_flags(probe, set(), "of a motor that was let go")
 
 
 @_clear(refuted_by="a flag that stays")

@@ -314,6 +314,38 @@ def _position_kept(hooks: Hooks) -> None:
     together(acting("set_position", remember, after=True), at_power_up(powered))(hooks)
 
 
+def _turns(drive: LkDrive) -> bool:
+    return abs(drive.motor.motion.speed) >= 1
+
+
+def _backwards(drive: LkDrive) -> bool:
+    return drive.motor.motion.speed <= -1
+
+
+def _silent(when: Callable[[LkDrive], bool], *of: Verb) -> Change:
+    return result(lambda drive, command, asked, values: None if when(lk(drive)) else values, of)
+
+
+def _dropping_turns(old: Act) -> Act:
+    def act(drive: LkDrive, request: Request) -> None:
+        if _turns(drive):
+            drive.motor.clear_turns()
+        old(drive, request)
+
+    return act
+
+
+def _past_limit_below(drive: LkDrive, request: Request) -> None:
+    if request.values["position"] < 0:
+        _past_angle_limit(drive, request)
+    else:
+        drive.motor.move_to(request.physical["position"], request.physical.get("max_speed"))
+
+
+def _phases_doubled(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    return {name: 2 * value if name.startswith("phase_") else value for name, value in values.items()}
+
+
 ROWS: Rows = {
     "addressing": (
         # Which requests it takes
@@ -607,6 +639,57 @@ ROWS: Rows = {
     "power": (
         Row("lk-set-position-kept", "what 0x95 set survives the power", Change(_position_kept, LK)),
         Row("lk-parameter-survives", "what 0xC1 wrote survives the power", storing(_kept_parameter)),
+    ),
+    "state": (
+        Row(
+            "lk-reads-silent-while-off",
+            "0x92 and 0x94 are not answered while the motor is off",
+            _silent(lambda drive: not drive.motor.on, Verb.READ_POSITION, Verb.READ_SINGLE_TURN),
+        ),
+        Row(
+            "lk-parameters-silent-while-turning",
+            "0xC0 is not answered while the shaft turns",
+            _silent(_turns, Verb.READ_PARAMETER),
+        ),
+        Row(
+            "lk-reads-silent-in-error",
+            "0x90 is not answered while an error flag is set",
+            _silent(lambda drive: bool(drive.errors), Verb.READ_ENCODER),
+        ),
+        Row(
+            "lk-stop-ignored-backwards",
+            "0x81 is ignored while the shaft turns counter-clockwise",
+            replaced("stop", lambda old: lambda drive, request: None if _backwards(drive) else old(drive, request)),
+        ),
+        Row(
+            "lk-stop-drops-turns-of-a-run",
+            "0x81 drops the counted turns while the shaft turns",
+            replaced("stop", _dropping_turns),
+        ),
+        Row(
+            "lk-off-drops-turns-of-a-run",
+            "0x80 drops the counted turns while the shaft turns",
+            replaced("motor_off", _dropping_turns),
+        ),
+        Row(
+            "lk-turns-kept-while-turning",
+            "0x93 does nothing while the shaft turns",
+            replaced("clear_turns", lambda old: lambda drive, request: None if _turns(drive) else old(drive, request)),
+        ),
+        Row(
+            "lk-clear-errors-turns-off",
+            "0x9B turns the motor off",
+            acting("clear_errors", lambda drive, request: drive.motor.turn_off(), after=True),
+        ),
+        Row(
+            "lk-cleared-state-always-on",
+            "0x9B tells the state 00h of a motor that is off",
+            reply("state", always(MotorState.ON), Verb.CLEAR_ERRORS),
+        ),
+        Row("lk-phases-doubled", "0x9D tells phase currents in half the unit", result(_phases_doubled, Verb.READ_STATE_3)),
+        Row(
+            "lk-angle-limit-above-only", "positions below zero go beyond the angle limit", moving(MULTI_TURN, _past_limit_below)
+        ),
     ),
     "models": (
         Row("lk-ms-runs-torque", "an MS obeys and answers 0xA1", learning("run_torque", CURRENT_MODELS)),

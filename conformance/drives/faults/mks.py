@@ -67,7 +67,7 @@ from conformance.drives.faults.places import (
     together,
     unstored,
 )
-from conformance.drives.mks.core import MOTIONS, STOPS
+from conformance.drives.mks.core import MOTIONS, STOPS, Activity
 from conformance.drives.mks.paths import ramp_step_ns
 from conformance.drives.mks.settings import SETTINGS
 
@@ -561,6 +561,64 @@ COMPLETION: Rows = {
     ),
 }
 
+# --- what it does in one state, and not in others ---------------------------------------------------------------------
+
+STATES: Rows = {
+    "silence": (
+        Row(
+            "reads-silent-while-off",
+            "39 and 3E are not answered while the motor is disabled",
+            unless(lambda drive, command: not drive.enabled, (Verb.READ_ANGLE_ERROR, Verb.READ_PROTECTION)),
+        ),
+        Row(
+            "reads-silent-while-homing",
+            "33 and 3A are not answered while the drive is homing",
+            unless(lambda drive, command: drive.doing(Activity.HOME), (Verb.READ_PULSES, Verb.READ_ENABLED)),
+        ),
+        Row(
+            "parameters-unreadable-while-turning",
+            "no parameter can be read while the shaft turns",
+            read_back(mks.unreadable_while_turning),
+        ),
+    ),
+    "status": (
+        Row(
+            "status-turned-about-clockwise",
+            "F1 tells 2 and 3 in each other's place while the encoder falls",
+            result(mks.turned_about, F1),
+        ),
+    ),
+    "checksum": (
+        Row("homes-on-bad-checksum", "91 with a wrong checksum is executed", mks.take_bad(Verb.HOME)),
+        Row("disables-on-bad-checksum", "F3 with a wrong checksum is executed", mks.take_bad(Verb.ENABLE)),
+        Row("stores-on-bad-checksum", "settings with a wrong checksum are stored", mks.take_bad(*SETTINGS), CAN),
+    ),
+    "group": (
+        Row("group-deaf-to-settings", "settings by the group are not stored", deaf_to(mks.setting_of_group), CAN),
+        Row("group-low-byte-only", "only the low byte of a group address is looked at", hearing(mks.low_byte_of_group), CAN),
+    ),
+    "motion": (
+        Row("newer-target-refused", "F5 is refused while a move is under way", before(F5, mks.refuse_newer)),
+        Row(
+            "pulses-signed",
+            "FD takes the upper half of its pulses as negative",
+            asked("pulses", lambda value, field: value - (1 << field.bit_width) if value >> field.bit_width - 1 else value, FD),
+        ),
+        Row(
+            "off-refused-while-turning",
+            "F3 is refused while the shaft turns",
+            before(Verb.ENABLE, mks.refuse_off_while_turning),
+        ),
+        Row(
+            "zero-ignored-while-turning", "92 does nothing while the shaft turns", before(Verb.SET_ZERO, mks.say_while_turning)
+        ),
+    ),
+    "port": (
+        Row("alarm-never", "ALM tells no alarm, whatever is the matter", reply("alm", always(1))),
+        Row("in-2-dead", "in_2 stays 0", reply("in_2", always(0)), CAN),
+    ),
+}
+
 # --- Modbus ----------------------------------------------------------------------------------------------------------
 
 FUNCTIONS: Rows = {
@@ -664,4 +722,4 @@ FUNCTIONS: Rows = {
     ),
 }
 
-FAULTS = faults(HEARING, REPLIES, SETTING, MOTION, COMPLETION, FUNCTIONS)
+FAULTS = faults(HEARING, REPLIES, SETTING, MOTION, COMPLETION, STATES, FUNCTIONS)

@@ -39,15 +39,18 @@ from conformance.drives.faults.places import (
     rebuilt,
     result,
     taken,
+    together,
 )
 from conformance.drives.mks.core import MOTIONS, STOPS, Activity, Behaviour, MksCore, Script, Task
 from conformance.drives.mks.motion import TARGETS
 from conformance.drives.mks.paths import Number, ramp_step_ns, size
 from conformance.drives.mks.responders import MksResponder
+from conformance.drives.mks.settings import SETTINGS
 
 #: The moves to a position.
 MOVES = MOTIONS - {Verb.RUN_SPEED}
 OK: Values = {"status": int(mks_shared.Success.SUCCESS)}
+FAILED: Values = {"status": int(mks_shared.Success.FAILED)}
 STARTING: Values = {"status": int(mks_shared.RunStatus.STARTING)}
 COMPLETE, LIMIT_STOP = int(mks_shared.RunStatus.COMPLETE), int(mks_shared.RunStatus.LIMIT_STOP)
 COUNTS = mks_shared.COUNTS_PER_TURN
@@ -291,6 +294,21 @@ def moving_by(**laws: Any) -> Change:
     return wrapped(MOVES, wrap)
 
 
+def refuse_newer(drive: MksCore, request: Request) -> Values | None:
+    """Refuse what comes while a move is under way."""
+    return dict(FAILED) if drive.doing(Activity.MOVE) else None
+
+
+def refuse_off_while_turning(drive: MksCore, request: Request) -> Values | None:
+    """Refuse to be disabled while the shaft turns."""
+    return dict(FAILED) if turns(drive) and not request.values["enabled"] else None
+
+
+def say_while_turning(drive: MksCore, request: Request) -> Values | None:
+    """Answer that it is done, and do nothing, while the shaft turns."""
+    return dict(OK) if turns(drive) else None
+
+
 def keep_going(drive: MksCore, request: Request) -> Values | None:
     """Answer a newer move while an older one is under way, and go on with the older one."""
     return dict(STARTING) if drive.doing(Activity.MOVE) else None
@@ -505,6 +523,22 @@ def slow_as_stopped(drive: Drive, command: Command, asked: Values, values: Value
     return values | {"status": int(mks_shared.MotorStatus.STOPPED)} if slow else values
 
 
+def turns(drive: MksCore) -> bool:
+    """Say whether the shaft turns."""
+    return bool(drive.motor.speed(drive.now_ns))
+
+
+def turned_about(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    """Say slowing down for speeding up and the other way round while the encoder falls."""
+    falls = mks(drive).motor.speed(drive.now_ns) < 0
+    return values | {"status": {2: 3, 3: 2}.get(values["status"], values["status"])} if falls else values
+
+
+def unreadable_while_turning(drive: MksCore, code: int, values: Values) -> Values:
+    """Say that a parameter cannot be read while the shaft turns."""
+    return {"unreadable": 0xFFFF} if turns(drive) else values
+
+
 def silent_as_stopped(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
     """Say with respond 0 that the shaft stands."""
     return values if mks(drive).settings["respond"] else values | {"status": int(mks_shared.MotorStatus.STOPPED)}
@@ -657,6 +691,17 @@ def to_group(drive: MksCore, message: Message) -> bool:
     return message.address == group != drive.dialect.broadcast and not own(drive, message)
 
 
+def low_byte_of_group(drive: MksCore, message: Message) -> bool:
+    """Say whether the address of a frame is the low byte of the group's, and not the drive's own."""
+    group = drive.settings.get("group_address", 0)
+    return message.address == group & 0xFF and group > 0xFF and not own(drive, message)
+
+
+def setting_of_group(drive: MksCore, message: Message) -> bool:
+    """Say whether a frame is a setting of the group."""
+    return to_group(drive, message) and message.command is not None and message.command.verb in SETTINGS
+
+
 def grouped(drive: MksCore, message: Message) -> bool:
     """Say whether a frame has the drive's own address while it is in a group."""
     return own(drive, message) and bool(drive.settings["group_address"])
@@ -727,6 +772,17 @@ def take_bad_motion(drive: Drive, frame: Frame, message: Message, wanted: bool) 
     """Take own motions with a wrong checksum."""
     moves = message.command is not None and message.command.verb in MOTIONS
     return wanted or (moves and take_bad_checksum(drive, frame, message, wanted))
+
+
+def take_bad(*verbs: Verb) -> Change:
+    """Take own frames of some commands with a wrong checksum, without an answer."""
+
+    def judge(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        meant = message.command is not None and message.command.verb in verbs
+        return wanted or (meant and take_bad_checksum(drive, frame, message, wanted))
+
+    change = together(taken(judge), silent_to(lambda d, m: not m.frame.checksum_ok))
+    return Change(change.install, tuple(d for d in change.dialects if d in having(verbs)))
 
 
 def take_reply_head(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:

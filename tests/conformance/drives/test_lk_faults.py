@@ -190,6 +190,34 @@ def parameters_and_power(bench: Bench) -> None:
     bench.ask("read_parameter", parameter=32)
 
 
+def states(bench: Bench) -> None:
+    """Look at everything in each state: backwards, stopped, off, with an error flag, beyond a limit."""
+    bench.ask("set_position", position=100_000)
+    bench.ask("stop")
+    look(bench)
+    for ended_by in ("clear_turns", "stop", "motor_off"):
+        bench.ask("run_speed", speed=-50_000)
+        bench.wait(2)
+        look(bench)
+        bench.ask("read_parameter", parameter=32)
+        bench.ask(ended_by)
+        bench.wait(0.5)
+        look(bench)
+    bench.ask("clear_errors")
+    bench.ask("read_state_1")
+    bench.ask("motor_on")
+    bench.drive.trip("motor_hot")
+    bench.ask("read_encoder")
+    bench.drive.trip("motor_hot", False)
+    bench.ask("clear_errors")
+    bench.ask("motor_on")
+    bench.ask("set_position", position=0)
+    bench.ask("write_parameter", parameter=34, angle_limit=4000)
+    bench.ask("move_multi_turn", position=-8000)
+    bench.wait(3)
+    look(bench)
+
+
 def strangers(bench: Bench) -> None:
     for address in (0, 2, 33):
         bench.send(bench.request("read_state_2", address=address))
@@ -262,6 +290,7 @@ SCRIPTS: dict[str, Script] = {
     "torque limit": torque_limit,
     "gains": gains,
     "parameters and power": parameters_and_power,
+    "states": states,
     "strangers": strangers,
     "other models": other_models,
     "speed": asking("run_speed", speed=-30_000),
@@ -407,6 +436,17 @@ SHOWN_BY: dict[str, str] = {
     "lk-speed-ramp-ignored": "limits",
     "lk-torque-limit-ignored": "torque limit",
     "lk-angle-limit-ignored": "limits",
+    "lk-angle-limit-above-only": "states",
+    "lk-reads-silent-while-off": "states",
+    "lk-parameters-silent-while-turning": "states",
+    "lk-reads-silent-in-error": "states",
+    "lk-stop-ignored-backwards": "states",
+    "lk-stop-drops-turns-of-a-run": "states",
+    "lk-off-drops-turns-of-a-run": "states",
+    "lk-turns-kept-while-turning": "states",
+    "lk-clear-errors-turns-off": "states",
+    "lk-cleared-state-always-on": "states",
+    "lk-phases-doubled": "phases",
     "lk-ramp-fast": "multi-turn",
     "lk-ramp-slow": "multi-turn",
     "lk-overshoot": "multi-turn",

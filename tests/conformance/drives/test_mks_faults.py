@@ -414,6 +414,44 @@ def states(open_story):
     yield story
 
 
+def each_state(open_story):
+    """Reads while disabled and homing; damaged commands; the group's settings; far and newer moves; the ports."""
+    story = open_story()
+    story.tell("enable", enabled=0)
+    story.tell("read_angle_error")
+    yield story
+    story = open_story()
+    story.drive.place_switch("left", -20_000)
+    story.tell("home")
+    for command in ("read_pulses", "read_enabled"):
+        story.tell(command)
+    yield story
+    for command, values in (("home", {}), ("enable", {"enabled": 0}), ("set_subdivision", {"subdivision": 8})):
+        story = open_story()
+        bad = bytearray(build(story.dialect, command, 1, values))
+        bad[-1] ^= 1
+        story.send(bytes(bad))
+        story.wait(100 * MS, 1)
+        story.tell("read_enabled")
+        story.tell("read_parameter", parameter=0x84)
+        yield story
+    story = open_story()
+    story.tell("set_group_address", group_address=0x150 if story.dialect.bus == "can" else 80)
+    for address, level in ((0x50, 1), (0x150, 2)) if story.dialect.bus == "can" else ():
+        story.tell("set_enable_level", address, enable_level=level)
+        story.tell("read_parameter", parameter=0x85)
+    yield story
+    story = open_story()
+    widest = story.dialect.by_name["move_relative_pulses"].request_forms[0].layout.named["pulses"].high
+    story.tell("move_relative_pulses", speed=60, acceleration=248, pulses=widest)
+    story.wait(SECOND, 2)
+    yield story
+    story = open_story()
+    story.drive.set_enable_pin(1)
+    story.tell("read_io")
+    yield story
+
+
 def subdivisions(open_story):
     for subdivision in (8, 32, 128, 0):
         story = open_story()
@@ -689,7 +727,7 @@ CHAPTERS = (
     hasty, conditions, bad_checks, links,
     beside, reads, settings, runs, moves, hearing, exceptions, packages, reads_in_motion, read_back, stops, updates,
     respond,
-    states, subdivisions, homing, limits, refused_settings, restarts, saved_runs, zero_modes, calibration,
+    states, each_state, subdivisions, homing, limits, refused_settings, restarts, saved_runs, zero_modes, calibration,
 )  # fmt: skip
 
 
