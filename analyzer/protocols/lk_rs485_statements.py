@@ -218,10 +218,14 @@ STATEMENTS: tuple[S, ...] = (
     # --- 5 and 6: off and on ---
     *_tables("5", "motor_off", "80h", 0, 0),
     S("5/switches-off", "It switches the motor off.", ("motion/motor_off/is-read", "motion/*/while-off")),
-    S("5/ends-motion", "A motor that is switched off performs no action any more.", ("motion/motor_off/ends-*",)),
+    S(
+        "5/ends-motion",
+        "A motor that is switched off performs no action any more.",
+        ("motion/motor_off/ends-*", "motion/motor_off/stops-backwards"),
+    ),
     S("5/on-at-power-up", "A motor is on when power comes.", ("motion/motor_on/at-power-up",)),
     S("5/light", "The light flashes slowly while the motor is off.", unclaimed=_LIGHT),
-    S("5/answers", "A motor that is off answers commands.", ("motion/*/while-off",)),
+    S("5/answers", "A motor that is off answers commands.", ("motion/*/while-off", "resilience/reads/off")),
     S("5/performs-nothing", "A motor that is off performs no motion command.", ("motion/*/while-off", "state/mixed")),
     *_tables("6", "motor_on", "88h", 0, 0),
     S("6/switches-on", "It switches the motor on.", ("motion/motor_off/is-read", "motion/motor_on/obeys")),
@@ -234,7 +238,7 @@ STATEMENTS: tuple[S, ...] = (
     ),
     # --- 7: stop ---
     *_tables("7", "stop", "81h", 0, 0),
-    S("7/stops", "It stops the motor.", ("motion/stop/stops", "motion/stop/ends-*")),
+    S("7/stops", "It stops the motor.", ("motion/stop/stops", "motion/stop/ends-*", "motion/stop/stops-backwards")),
     S("7/stays-on", "It leaves the motor on.", ("motion/stop/stays-on",)),
     S("7/next-command", "The next motion command moves the motor again.", ("motion/stop/stays-on", "motion/stop/then-*")),
     # --- 8: brake ---
@@ -459,7 +463,11 @@ STATEMENTS: tuple[S, ...] = (
     ),
     S("22/unit", "One unit is 0.01 degrees.", ("motion/read_single_turn/is-position", "motion/read_encoder/follows")),
     *_tables("23", "clear_turns", "93h", 0, 0),
-    S("23/clears", "It clears what was counted of turns.", ("motion/clear_turns/drops-turns",)),
+    S(
+        "23/clears",
+        "It clears what was counted of turns.",
+        ("motion/clear_turns/drops-turns", "motion/clear_turns/while-turning"),
+    ),
     S("23/turns-nothing", "It clears information, and moves nothing.", ("motion/clear_turns/stands",)),
     *_tables("24", "read_single_turn", "94h", 0, 4),
     S(

@@ -275,14 +275,16 @@ STATEMENTS: tuple[Statement, ...] = (
         "motion/read_io/not-in-position-while-moving",
     ),
     _said("3.1.5/alm", "ALM is 1 without an alarm.", "motion/read_io/in-position-at-rest"),
-    _unseen("3.1.5/alm-0", "ALM is 0 with an alarm.", "the manual has no command that raises an alarm and names it"),
+    _said("3.1.5/alm-0", "ALM is 0 with an alarm, as that of a locked rotor.", "motion/read_io/stall"),
     _said(
         "3.1.5/inputs",
         "IN_1 and IN_2 are the levels of the switches.",
         "motion/read_io/shows-left-switch",
         "read-back/set_limit_remap/effect",
     ),
-    _unseen("3.1.5/42e-en", "On a 42E, bit 1 is the level of En.", "the suite has no hand on the En pin of a drive"),
+    _said(
+        "3.1.5/42e-en", "On a 42E, bit 1 is the level of En.", "motion/read_io/shows-enable-pin", "motion/read_io/is-enable-pin"
+    ),
     *_tables("3.1.6", "read_angle_error", "39 without data", "an error of 32 bits, signed"),
     _said(
         "3.1.6/wanted-minus-real",
@@ -497,6 +499,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "What is sent to a group ID turns the drives of that group, and no others.",
         "addressing/group/executed",
         "addressing/group/other",
+        "addressing/group/settings",
         "examples/move_relative_pulses/to_group_*",
     ),
     _said(
@@ -652,12 +655,12 @@ STATEMENTS: tuple[Statement, ...] = (
     _unseen(
         "3.5/flips",
         "From a period of 100 on PEND flips once for so many pulses.",
-        "not judged: whether 34 shows the port or the signal of the drive is not said",
+        "observed by motion/set_pulse_division/divides: whether 34 shows the port or the signal of the drive is not said",
     ),
     _unseen(
         "3.5/cancel",
         "A period below 100, or 0, gives PEND back to its signal.",
-        "not judged: whether 34 shows the port or the signal of the drive is not said",
+        "observed by motion/set_pulse_division/divides: whether 34 shows the port or the signal of the drive is not said",
     ),
     *_tables("3.6.1", "restore", "3F without data", "a status of one byte"),
     _said(

@@ -78,7 +78,12 @@ def _stall_outputs(dialect: Dialect) -> Iterator[Case]:
             yield Case(dialect, case.command, {"port": "out_1"})
 
 
-@_of_protection("another level", each=_stall_outputs, name="{command}/stall")
+def _surety(case: Case) -> Certainty:
+    # That a locked rotor is an alarm is said of OUT_1.
+    return Certainty.LIKELY if case["port"] == "alm" else Certainty.CERTAIN
+
+
+@_of_protection("another level", each=_stall_outputs, name="{command}/stall", at_best=_surety)
 def _stall(probe: Probe, command: Command, port: str) -> None:
     """{port} is 0 while the protection holds, and 1 before and after."""
     _prepare(probe, 1)

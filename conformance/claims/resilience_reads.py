@@ -52,6 +52,7 @@ class _State:
     emulated: bool = False
     by_name: bool = False
     stays: bool = True
+    models: tuple[str, ...] = ()
     without: tuple[Verb, ...] = ()
 
 
@@ -117,8 +118,8 @@ def _motions(dialect: Dialect) -> Iterator[_State]:
     for kind in (MotionKind.RUN, *MOVES, MotionKind.TORQUE):
         commands = sorted(dialect.motions(kind), key=lambda c: (bool(c.models), not motion.of(c).speed))
         for command in commands[:1]:
-            enter = partial(endless, run=command)
-            yield _State(command.name, f"while {command.name} turns the shaft", enter, _stop, command.all_risks)
+            enter, when = partial(endless, run=command), f"while {command.name} turns the shaft"
+            yield _State(command.name, when, enter, _stop, command.all_risks, models=command.models)
     if dialect.ramp is not None:
         yield _State("fast", f"while the shaft turns at {_FAST} rpm", _turn_fast, _stop)
     yield _State("stopped", "after a stop", _turn_and_stop, _nothing)
@@ -164,6 +165,7 @@ def _states(dialect: Dialect) -> Iterator[Case]:
             "settings": motion.settings(dialect, *state.settings),
             "emulated": state.emulated,
             "by_name": state.by_name,
+            "models": state.models,
             "commands": reads,
         }
         yield Case(dialect, given={"state": state, "when": state.when}, facts=facts)

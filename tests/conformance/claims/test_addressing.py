@@ -91,6 +91,13 @@ def test_settings_alone_may_be_deaf_to_broadcasts():
     assert refuted(Theme.ADDRESSING, "mks-rs485@1", "broadcast", fault=fault) == {"broadcast/setting/executed"}
 
 
+@pytest.mark.parametrize(
+    ("fault", "names"), [("group-deaf-to-settings", {"group/settings"}), ("group-low-byte-only", {"group/other"})]
+)
+def test_a_group_that_is_not_heard_whole_is_refuted(fault, names):
+    assert refuted(Theme.ADDRESSING, f"mks-can@1,fault={fault}", "group/settings", "group/other", "group/own") == names
+
+
 def test_a_drive_that_executes_nothing_proves_nothing_about_other_addresses():
     verdicts = run(Theme.ADDRESSING, "mks-can@1,fault=user-id-not-stored", "other/not_executed")
     assert verdicts["other/not_executed"].outcome is Outcome.INCONCLUSIVE

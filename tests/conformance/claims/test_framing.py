@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 from analyzer import dialects, encoder
-from analyzer.catalogue import Risk
+from analyzer.catalogue import Risk, Role
+from analyzer.records import Frame, Message
 from conformance.claim import Outcome, Theme
 from conformance.drives import make
+from conformance.drives.drive import Drive, Fault
 from conformance.gate.gate import Allowance
 from conformance.suite import engine
 from conformance.suite.rig_emulated import EmulatedRig
@@ -53,6 +56,39 @@ def test_a_fault_of_hearing_is_refuted_by_the_claims_that_say_so(fault, dialect,
     assert names <= found
     if fault == "deaf-after-bad-frame":
         assert all(name.endswith("/next") for name in found)
+
+
+@pytest.mark.parametrize(
+    ("fault", "drive", "name"),
+    [
+        ("homes-on-bad-checksum", "mks-can@1", "home/guarded"),
+        ("disables-on-bad-checksum", "mks-modbus@1", "enable/guarded"),
+        ("stores-on-bad-checksum", "mks-can@1", "settings/guarded"),
+        ("lk-obeys-wrong-data-sum", "lk-rs485@1,model=MF", "settings/guarded"),
+    ],
+)
+def test_what_is_done_by_a_wrong_check_is_refuted(fault, drive, name):
+    assert refuted(Theme.FRAMING, f"{drive},fault={fault}", name) == {name}
+
+
+def test_a_motion_of_another_length_is_not_to_be_executed():
+    def setup(drive: Drive) -> None:
+        responder, read = drive.responder, drive.responder.read
+
+        def lenient(frame: Frame) -> Message:
+            message = read(frame)
+            if message.command is None or message.form is not None:
+                return message
+            form, link = message.command.request_forms[0], drive.dialect.link
+            size = form.layout.byte_length
+            data = message.data[:size].ljust(size, b"\0")
+            return read(replace(frame, data=link.build(message.command, form, drive.address, data, Role.REQUEST)))
+
+        responder.read = lenient  # type: ignore[method-assign]
+
+    fault = Fault("lenient", ("lk-rs485",), "any length is taken", "length", lambda hooks: hooks.setup.append(setup))
+    names = {"run_speed/other-length", "motor_off/other-length"}
+    assert refuted(Theme.FRAMING, "lk-rs485@1,model=MF", *names, fault=fault) == names
 
 
 @pytest.mark.parametrize("fault", ["lost-reply", "first-reply-only", "flaky-checksum"])

@@ -118,6 +118,14 @@ MKS = (
     ("stop-coasts", "stop_absolute_axis/by-ramp"),
     ("speed-stop-ignored", "stop_speed/at-once"),
     ("move-stop-ignored", "stop_relative_pulses/by-ramp"),
+    ("newer-target-refused", "move_absolute_axis/newer-target"),
+    ("pulses-signed", "move_relative_pulses/widest"),
+    ("off-refused-while-turning", "enable/off-ends-motion"),
+    ("zero-ignored-while-turning", "set_zero/while-turning"),
+    ("status-turned-about-clockwise", "read_status/follows"),
+    ("alarm-never", "read_io/stall"),
+    ("in-2-dead", "read_io/shows-enable-pin"),
+    ("emergency-stop-ignored", "emergency_stop/stops-backwards"),
     ("emergency-stop-ignored", "emergency_stop/ends-run_speed"),
     ("emergency-stop-ramps", "emergency_stop/ends-move_absolute_axis"),
     ("disable-ignored", "enable/is-read"),
@@ -251,6 +259,13 @@ LK = (
     ("lk-whole-turns-ignored", "move_increment/lengths"),
     ("lk-fast-moves-long", "move_multi_turn_limited/lengths"),
     ("lk-clear-turns-upward", "clear_turns/drops-turns"),
+    ("lk-turns-kept-while-turning", "clear_turns/while-turning"),
+    ("lk-stop-ignored-backwards", "stop/stops-backwards"),
+    ("lk-stop-drops-turns-of-a-run", "stop/keeps-turns"),
+    ("lk-off-drops-turns-of-a-run", "motor_off/keeps-turns"),
+    ("lk-clear-errors-turns-off", "clear_errors/tells-state"),
+    ("lk-cleared-state-always-on", "clear_errors/tells-state"),
+    ("lk-phases-doubled", "read_state_3/balance"),
 )
 
 
@@ -280,6 +295,7 @@ def test_a_fault_is_refuted_by_the_claim_about_it(drive, fault, claim):
     [
         ("lk-speed-limit-ignored", "write_parameter/speed-limit"),
         ("lk-angle-limit-ignored", "write_parameter/angle-limit-move_multi_turn"),
+        ("lk-angle-limit-above-only", "write_parameter/angle-limit-move_multi_turn_limited"),
         ("lk-torque-limit-ignored", "write_parameter/torque-limit"),
         ("lk-overshoot", "move_increment/within"),
         ("lk-stop-coasts", "stop/brakes"),

@@ -24,6 +24,12 @@ def test_conforming_drives_confirm_every_claim(drive):
         ("lk-reply-lost", "lk-rs485", "reads/answered"),
         ("flaky-checksum", "mks-modbus", "reads/good"),
         ("unanswered-reads", "mks-can", "reads/run_speed"),
+        ("reads-silent-while-off", "mks-modbus", "reads/off"),
+        ("reads-silent-while-homing", "mks-rs485", "reads/homing"),
+        ("parameters-unreadable-while-turning", "mks-can", "reads/move_relative_pulses"),
+        ("lk-reads-silent-while-off", "lk-rs485", "reads/off"),
+        ("lk-parameters-silent-while-turning", "lk-rs485", "reads/run_speed"),
+        ("lk-reads-silent-in-error", "lk-rs485", "reads/error"),
     ],
 )
 def test_a_fault_is_refuted_by_the_claim_about_it(fault, dialect, name):
