@@ -125,7 +125,6 @@ MKS = (
     ("status-turned-about-clockwise", "read_status/follows"),
     ("alarm-never", "read_io/stall"),
     ("in-2-dead", "read_io/shows-enable-pin"),
-    ("emergency-stop-ignored", "emergency_stop/stops-backwards"),
     ("emergency-stop-ignored", "emergency_stop/ends-run_speed"),
     ("emergency-stop-ramps", "emergency_stop/ends-move_absolute_axis"),
     ("disable-ignored", "enable/is-read"),
