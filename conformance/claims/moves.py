@@ -425,7 +425,7 @@ def _by_nothing(probe: Probe, command: Command) -> None:
     parameters={},
 )
 @of_motion(
-    each=with_values(with_max_speed, tries=((15, 300, 500 * MS), (45, 300, 500 * MS))),
+    each=with_values(with_max_speed, tries=((15, 300, 500 * MS), (45, -300, 500 * MS))),
     name="{command}/max-speed",
     statement="{command} keeps to max_speed, and comes to it where the way is long enough.",
     refuted_by="a speed above it, or far below",
