@@ -189,6 +189,7 @@ def _expect_turns_kept_turning(probe: Probe, command: Command) -> None:
     each=_off,
     statement="Switching the motor off and on leaves the counted turns.",
     refuted_by="another position",
+    risks=risks_by(Verb.RUN_SPEED),
     at_best=Certainty.LIKELY,
     quirks=may_meet("lk-off-clears-turns"),
 )
@@ -196,6 +197,7 @@ def _expect_turns_kept_turning(probe: Probe, command: Command) -> None:
     each=commands(Verb.STOP),
     statement="The stop leaves the counted turns.",
     refuted_by="another position",
+    risks=risks_by(Verb.RUN_SPEED),
     at_best=Certainty.LIKELY,
 )
 def _keeps_turns(probe: Probe, command: Command) -> None:

@@ -26,7 +26,6 @@ from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, SAME
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
-from conformance.talk.settings import changes_link
 
 #: A motion that shows: degrees, and rpm where it can be told.
 _DEGREES, _RPM = 20, 30
@@ -195,7 +194,7 @@ def _of_one_length(dialect: Dialect) -> Iterator[Case]:
     each=_of_one_length,
     name="{command}/other-length",
     refuted_by="an effect of it",
-    risks=_risks,
+    risks=lambda case: _risks(case) | {Risk.UNKNOWN},
     section=described_in(Subject.FRAMING),
     at_best=Certainty.LIKELY,
     parameters={},
@@ -232,7 +231,7 @@ class _Stored:
 
 def _every_stored(dialect: Dialect) -> Iterator[_Stored]:
     for command in dialect.commands:
-        if command.readable and not changes_link(command):
+        if command.readable and Risk.LINK not in command.all_risks:
             form = command.request_forms[0]
             yield _Stored(command, form, differing(form), partial(_read, command=command))
         elif command.verb is Verb.WRITE_PARAMETER:
