@@ -38,6 +38,10 @@ from conformance.talk.probe import ALL_QUIRKS
 if TYPE_CHECKING:
     from multiprocessing.pool import Pool
 
+#: How long a run may take to put back what its last claims left.
+_ENDING_SECONDS = 1.5
+#: How much of a run says how much slower its port is than what was measured.
+_TELLING_SECONDS = 5.0
 #: Claims that a worker takes at once.
 _BATCH = 12
 
@@ -211,10 +215,15 @@ def verdicts(plan: Plan, target: Target, selected: Sequence[Claim], rig: ClaimRi
 
 def _in_time(claims: Iterable[Claim], target: Target, rig: ClaimRig) -> Iterator[Claim]:
     """Yield claims until the time of a short run is over: a port may be slower than what was measured."""
+    planned = 0.0
+    first_ns = rig.gate.now_ns()
     for claim in claims:
-        passed = (rig.gate.now_ns() - rig.began_ns) / 1e9
-        if passed + order.seconds(claim, target.rate) > order.SHORT_SECONDS:
+        now_ns = rig.gate.now_ns()
+        slower = max(1.0, (now_ns - first_ns) / 1e9 / planned) if planned > _TELLING_SECONDS else 1.0
+        own = order.seconds(claim, target.rate)
+        if (now_ns - rig.began_ns) / 1e9 + own * slower + _ENDING_SECONDS > order.SHORT_SECONDS:
             return
+        planned += own
         yield claim
 
 
