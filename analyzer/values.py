@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from fractions import Fraction
+from itertools import zip_longest
+from typing import Any
 
 from analyzer.errors import UsageError
 from analyzer.layout import Field, FieldKind
@@ -24,6 +26,16 @@ _OFF = frozenset({"off", "false", "no", "disabled"})
 #: Names of the value 1 that `on` may stand for; a direction is never on.
 _SWITCH_NAMES = frozenset({"enabled", "on", "high"})
 _DECIMALS = 6
+#: Units as people write them: how many of the first unit of their kind each is.
+_KINDS: tuple[Mapping[str, Fraction], ...] = (
+    {"s": Fraction(1), "ms": Fraction(1, 1000), "us": Fraction(1, 10**6), "ns": Fraction(1, 10**9), "min": Fraction(60)},
+    {"A": Fraction(1), "mA": Fraction(1, 1000)},
+    {"V": Fraction(1), "mV": Fraction(1, 1000)},
+    {"deg": Fraction(1), "turns": Fraction(360)},
+    {"rpm": Fraction(1), "deg/s": Fraction(1, 6)},
+)
+#: Other spellings of a unit.
+_SPELLINGS = {"µs": "us", "μs": "us", "°": "deg", "turn": "turns", "rev": "turns", "dps": "deg/s", "°C": "degC", "C": "degC"}
 
 
 def quote(text: str, longest: int = 60) -> str:
@@ -56,6 +68,14 @@ def decimal(value: Fraction | int) -> str:
     return f"-{text}" if whole < 0 else text
 
 
+def factor(written: str, unit: str) -> Fraction | None:
+    """Return what a number in the unit as written is to be multiplied by to be in `unit`; None where they do not convert."""
+    word = _SPELLINGS.get(written, written)
+    if word.lower() == unit.lower():
+        return Fraction(1)
+    return next((kind[word] / kind[unit] for kind in _KINDS if word in kind and unit in kind), None)
+
+
 def with_unit(field: Field, value: int) -> str:
     """Return an integer as sent as its physical value with the unit."""
     shown = decimal(value * field.scale)
@@ -68,6 +88,22 @@ def value_text(field: Field, value: int | bytes) -> str:
         return value.hex(" ").upper() or "none"
     name = field.choice_names.get(value)
     return f"{decimal(value * field.scale)} {name}" if name is not None else with_unit(field, value)
+
+
+def fields_text(values: Mapping[str, Any], units: Mapping[str, Any]) -> str:
+    """Return the fields of a message as `name=value unit`, choices by their names; of a package one slot behind the other."""
+    if "slots" in values:
+        each: Iterable[Any] = zip_longest(values["slots"], units.get("slots", ()), fillvalue={})
+        return "; ".join(fields_text(slot, of_slot) for slot, of_slot in each)
+    parts = []
+    for name, value in values.items():
+        if name.endswith(("_name", "_text")) and name[:-5] in values:
+            continue
+        shown = values.get(name + "_name", value)
+        parts.append(f"{name}={shown:.9g}" if isinstance(shown, float) else f"{name}={shown}")
+        if name in units and shown is value:
+            parts.append(units[name])
+    return " ".join(parts)
 
 
 def range_text(field: Field, most: int | None = None) -> str:
@@ -126,11 +162,12 @@ def parse_value(field: Field, text: str, *, as_sent: bool = False) -> int | byte
 
 
 def _parse_number(field: Field, text: str) -> Fraction | None:
-    if field.unit and text.lower().endswith(field.unit.lower()):
-        text = text[: -len(field.unit)].rstrip()
     if _HEX.fullmatch(text):
         return Fraction(int(text, 16))
-    return Fraction(text) if _NUMBER.fullmatch(text) else None
+    found = _NUMBER.match(text)
+    unit = text[found.end() :].strip() if found else ""
+    times = factor(unit, field.unit) if unit else Fraction(1)
+    return Fraction(found[0]) * times if found is not None and times is not None else None
 
 
 def _parse_switch(field: Field, word: str) -> int | None:
