@@ -84,7 +84,7 @@ class LineDisplay:
 
     def note(self, bus: str, text: str) -> None:
         """Print a note."""
-        print(printable(f"{bus}: {text}" if bus else text), file=sys.stderr, flush=True)
+        print(printable(f"{bus}: {text}" if bus else text) + "\n", end="", file=sys.stderr, flush=True)
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """Do nothing: the supervisor keeps the newest."""
@@ -141,7 +141,8 @@ class JsonDisplay(LineDisplay):
 
     @staticmethod
     def _print(event: str, **about: Any) -> None:
-        print(msgspec.json.encode({"event": event, **about}).decode(), flush=True)
+        # In one write: two threads that say something at once must not share a line.
+        print(msgspec.json.encode({"event": event, **about}).decode() + "\n", end="", flush=True)
 
     def note(self, bus: str, text: str) -> None:
         """Print a note."""

@@ -69,9 +69,11 @@ class Recorded:
                 raise
 
     def _read(self):
-        for line in self.process.stdout:
-            self._queue.put(json.loads(line))
-        self._queue.put(None)
+        try:
+            for line in self.process.stdout:
+                self._queue.put(json.loads(line))
+        finally:
+            self._queue.put(None)
 
     def wait_line(self, event, seconds=10.0, text="", **about):
         """The next line of a kind with these values, and this in its text."""
