@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 CAPTURE := captures/mks_rs485.log
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test oldest lint bench clean
 
 demo: $(VENV)/.installed
 	@rm -rf demo && mkdir demo
@@ -23,6 +23,14 @@ test: $(VENV)/.test
 	$(BIN)/python -m pytest -n 2 || \
 	  { echo 'once more what failed, by itself: tests with real processes and ports can miss a deadline on a busy machine'; \
 	    $(BIN)/python -m pytest --last-failed --last-failed-no-failures none; }
+
+# The terminal view as the oldest Textual that pyproject.toml allows draws it; `test` takes the newest.
+oldest: $(VENV)/.oldest
+	PYTHONPATH=$(VENV)/oldest $(BIN)/python -m pytest -q tests/view/test_capture_view.py
+
+$(VENV)/.oldest: $(VENV)/.test
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --target $(VENV)/oldest textual==3.0.0
+	@touch $@
 
 lint: $(VENV)/.lint
 	$(BIN)/ruff check .

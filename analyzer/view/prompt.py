@@ -6,6 +6,7 @@ from textual.app import ComposeResult
 from textual.containers import Horizontal
 from textual.message import Message
 from textual.widgets import Input, Static
+from textual.widgets.input import Selection
 
 FILTER, SEARCH, MARK = "filter", "search", "mark"
 _HINTS = {
@@ -21,7 +22,7 @@ class Prompt(Horizontal):
     DEFAULT_CSS = """
     Prompt { height: 1; display: none; }
     Prompt Static { width: auto; }
-    Prompt Input { width: 1fr; border: none; height: 1; padding: 0 1; }
+    Prompt Input { width: 1fr; padding: 0 1; }
     """
 
     class Given(Message):
@@ -37,6 +38,9 @@ class Prompt(Horizontal):
         self.asking = ""
         self._label = Static(markup=False)
         self._input = Input(id="prompt_text")
+        # Set here and not by a rule: the border that Textual gives a focused input would fill its only row.
+        self._input.styles.border = ("none", "transparent")
+        self._input.styles.height = 1
 
     def compose(self) -> ComposeResult:
         """Put the name before the text."""
@@ -51,6 +55,10 @@ class Prompt(Horizontal):
         self._input.value = text
         self.display = True
         self._input.focus()
+
+    def ask_again(self) -> None:
+        """Mark the text that was wrong: what is typed next takes its place, the cursor keys edit it."""
+        self._input.selection = Selection(0, len(self._input.value))
 
     def close(self) -> None:
         """Ask no more."""

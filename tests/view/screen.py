@@ -11,6 +11,8 @@ import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
+from textual.keys import _character_to_key
+
 from analyzer.cli.reading import add_reading_arguments, open_reading
 from analyzer.live.snapshot import Snapshot
 from analyzer.live.snapshot_pipe import SnapshotWriter
@@ -96,7 +98,8 @@ class Driver:
 
     async def type(self, text: str) -> None:
         """Type a text into the line at the foot, and Enter."""
-        self.app.query_one("#prompt_text").value = text
+        await self.press(*(_character_to_key(each) for each in text))
+        assert text in self.text, f"what is typed is not seen:\n{self.text}"
         await self.press("enter")
 
     async def settle(self) -> None:
