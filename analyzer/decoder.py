@@ -311,6 +311,16 @@ def physical(message: Message) -> dict[str, Any]:
     return codec(message.form.layout).physical(message.data)
 
 
+def units_of(message: Message) -> dict[str, Any]:
+    """Return the units of what `physical` returns, by name; of a package a list, under `slots`."""
+    if message.form is None:
+        return {}
+    if message.command is not None and message.command.slots is not None:
+        slots = slots_of(message.frame.dialect, message.command, message.data)
+        return {"slots": [{} if slot.form is None else slot.form.layout.units for slot in slots]}
+    return message.form.layout.units
+
+
 def slot_fields(slot: Slot) -> dict[str, Any]:
     """Return one slot of a package as an object: address, command and the command's fields."""
     shown: dict[str, Any] = {"address": slot.address, "code": slot.code}

@@ -230,6 +230,11 @@ class Layout:
         """Fields by name, reserved bits left out."""
         return {f.name: f for f in self.fields if f.kind is not FieldKind.RESERVED}
 
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """Units of the fields that have one, by name."""
+        return {name: field.unit for name, field in self.named.items() if field.unit}
+
     def __iter__(self) -> Iterator[tuple[int, Field]]:
         """Yield (bit offset, field)."""
         return zip(self.offsets, self.fields, strict=True)

@@ -1,27 +1,29 @@
 """Copy a time range of a log, or some of its buses, into a smaller log: complete by itself, without decoding again.
 
-The setup of the buses (endpoints, dialects) stands at its beginning, so the smaller log can be decoded again.
+The setup of the buses (endpoints, dialects) stands at its beginning, so the smaller log can be decoded again. A cut splits no
+frame and no request from its reply: the range grows until all that it touches is whole.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from operator import itemgetter
 from pathlib import Path
 from typing import IO, Any
 
 import msgspec
 from mcap.records import Channel
 
-from analyzer.cli.log_copy import Copy, Log, Taken, write_or_drop
+from analyzer.cli.log_copy import TAGGED, Copy, Log, Taken, write_or_drop
 from analyzer.cli.reading import showing_progress
 from analyzer.cli.signals import Interrupt
-from analyzer.cli.time_range import add_time_range_arguments
+from analyzer.cli.time_range import WARM_NS, add_time_range_arguments
 from analyzer.errors import UsageError
 from analyzer.events import SETUPS, TOPIC
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.recording_parts import METADATA
-from analyzer.sources.times import iso
+from analyzer.sources.times import ShownTime, iso
 from analyzer.values import counted, printable
 
 EXAMPLES = """\
@@ -69,12 +71,17 @@ class _Cut:
         self._buses = set(arguments.bus)
         start_ns, end_ns = log.bounds()
         since, until = arguments.since, arguments.until
-        self._since_ns = since.resolve(start_ns, end_ns) if since is not None else start_ns
-        self._until_ns = until.resolve(start_ns, end_ns) if until is not None else end_ns
+        shown = ShownTime(log.source.clock, utc=arguments.utc)
+        self._since_ns = since.resolve(start_ns, end_ns, shown) if since is not None else start_ns
+        self._until_ns = until.resolve(start_ns, end_ns, shown) if until is not None else end_ns
         if self._until_ns < self._since_ns:
             raise UsageError(f"--until {iso(self._until_ns)} lies before --since {iso(self._since_ns)}")
         if self._since_ns > end_ns or self._until_ns < start_ns:
             raise UsageError(f"nothing of {log.name} lies there: it goes from {iso(start_ns)} to {iso(end_ns)}")
+        if since is not None:
+            self._since_ns = self._unbroken(self._since_ns, -1)
+        if until is not None:
+            self._until_ns = self._unbroken(self._until_ns, 1)
         self.said = ""
 
     def write(self, stream: IO[bytes]) -> None:
@@ -93,7 +100,7 @@ class _Cut:
             before = self._before(wanted)
             for taken in interrupt.items(log.messages(self._since_ns, self._until_ns, wanted)):
                 if copy is None:
-                    copy = Copy(stream, log.header)
+                    copy = Copy(stream, log.header, log.source.clock)
                     self._begin(copy, before, taken)
                 if self._is_ours(taken):
                     copy.add(copy.declare(taken.schema, taken.channel), taken.message)
@@ -106,6 +113,38 @@ class _Cut:
             raise UsageError(f"nothing of {log.name} lies between {iso(self._since_ns)} and {iso(self._until_ns)}")
         self._describe(copy)
         copy.finish()
+
+    # --- where to cut ---------------------------------------------------------------------------------------------
+
+    def _unbroken(self, at_ns: int, step: int) -> int:
+        """Return the next moment, earlier (-1) or later (1), at which no frame is half and no request waits for its reply.
+
+        A reply that comes later than requests wait is not looked for.
+        """
+        begun: dict[int, int] = {}
+        whole: list[tuple[int, int]] = []
+        for _, _, message in self._log.messages(at_ns - WARM_NS, at_ns + WARM_NS, self._is_traffic):
+            begun[message.sequence] = first_ns = min(message.publish_ns, message.log_ns)
+            if (tagged := TAGGED.search(message.data)) is not None:
+                first_ns = begun.get(int(tagged[1]), first_ns)
+            whole.append((first_ns, message.log_ns))
+        self._log.read = 0
+        if step < 0:
+            for first_ns, last_ns in sorted(whole, key=itemgetter(1), reverse=True):
+                if first_ns < at_ns <= last_ns:
+                    at_ns = first_ns
+        else:
+            for first_ns, last_ns in sorted(whole):
+                if first_ns <= at_ns < last_ns:
+                    at_ns = last_ns
+        return at_ns
+
+    def _is_traffic(self, channel: Channel) -> bool:
+        """Say whether a channel has frames or bytes of a wanted bus."""
+        parts = channel.topic.split("/")
+        if len(parts) < 3 or parts[2] == "stats" or parts[-1] == "state":
+            return False
+        return not self._buses or parts[1] in self._buses
 
     # --- what was said before -------------------------------------------------------------------------------------
 

@@ -102,7 +102,8 @@ class _Sinks:
         options = reading.options
 
         def make() -> tuple[McapLog, Summary]:
-            return McapLog(output.stream, byte_ns=options.byte_ns, bit_ns=options.synthetic_bit_ns), Summary()
+            byte_ns, bit_ns = options.byte_ns, options.synthetic_bit_ns
+            return McapLog(output.stream, byte_ns=byte_ns, bit_ns=bit_ns, clock=reading.source.clock), Summary()
 
         self._process: SinkProcess | None = None
         size = reading.source.size

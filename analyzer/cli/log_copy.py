@@ -6,6 +6,7 @@ Whole logs are read through their index, so only what is wanted is unpacked; oth
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -21,8 +22,12 @@ from analyzer.sources import Source, open_source
 from analyzer.sources import mcap_scan as scan
 from analyzer.sources.mcap_records import bounds, outline, records
 from analyzer.sources.mcap_scan import LogMessage
+from analyzer.sources.recording_parts import CLOCK_METADATA
+from analyzer.sources.times import Clock
 
 CHUNK_SIZE = 1 << 20
+#: What a reply says of its request.
+TAGGED = re.compile(rb'"_request_sequence":(\d+)')
 #: Messages after which it is told how far reading has come, for a person who waits.
 _TELL_EVERY = 4096
 #: Messages of an incomplete log that are skipped in search of its declarations.
@@ -169,12 +174,14 @@ def _message(message: Message) -> LogMessage:
 
 
 class Copy:
-    """A log under construction that takes over messages of others. `stream`: where it goes."""
+    """A log under construction that takes over messages of others. `stream`: where it goes; `clock`: what its times are."""
 
-    def __init__(self, stream: IO[bytes], header: Header) -> None:
+    def __init__(self, stream: IO[bytes], header: Header, clock: Clock) -> None:
         self._writer = Writer(stream, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
         library = header.library if header.profile != "servotap" else f"servotap {__version__}"
         self._writer.start(profile=header.profile, library=library)
+        if clock is not Clock.UTC:
+            self.describe(CLOCK_METADATA, {"clock": clock})
         self._schemas: dict[tuple[str, str, bytes], int] = {}
         self._channels: dict[tuple[str, int, str], int] = {}
         self.messages = 0

@@ -7,8 +7,8 @@ log before it, and sequence numbers go on behind those of the log before, also w
 from __future__ import annotations
 
 import argparse
+import filecmp
 import heapq
-import re
 import sys
 from collections.abc import Iterator
 from operator import itemgetter
@@ -18,14 +18,14 @@ from typing import IO, Any
 import msgspec
 from mcap.records import Channel
 
-from analyzer.cli.log_copy import Copy, Log, Taken, write_or_drop
+from analyzer.cli.log_copy import TAGGED, Copy, Log, Taken, write_or_drop
 from analyzer.cli.reading import showing_progress
 from analyzer.cli.signals import Interrupt
 from analyzer.errors import UsageError
 from analyzer.pipeline import topic_name
 from analyzer.sources.mcap_scan import LogMessage
-from analyzer.sources.recording_parts import METADATA
-from analyzer.sources.times import iso
+from analyzer.sources.recording_parts import METADATA, look
+from analyzer.sources.times import Clock, iso
 from analyzer.values import counted, printable
 
 EXAMPLES = """\
@@ -37,7 +37,6 @@ examples:
 _SHARED = frozenset(("recording", "findings", "comments", "tests"))
 _EVERYTHING = -1, 1 << 64
 _SEQUENCE_LIMIT = 1 << 32
-_TAGGED = re.compile(rb'"_request_sequence":(\d+)')
 _decode = msgspec.json.Decoder(dict[str, Any]).decode
 
 
@@ -55,6 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
         target = Path(arguments.output)
         if target.exists() and any(target.samefile(file) for log in logs for file in log.files):
             raise UsageError(f"{target} is one of the logs; choose another name with -o")
+        _refuse_twice(logs)
         merge = _Merge(logs)
         write_or_drop(target, arguments.force, merge.write)
         print(f"wrote {target}: {merge.said}")
@@ -64,6 +64,21 @@ def run(arguments: argparse.Namespace) -> int:
         for log in logs:
             log.close()
     return 0
+
+
+def _refuse_twice(logs: list[Log]) -> None:
+    """Raise UsageError where two of the logs are one file, a copy of it, or one part of a recording."""
+    parts: dict[tuple[str, int], Path] = {}
+    sizes: dict[int, list[Path]] = {}
+    for file in (file for log in logs for file in log.files):
+        _, recording, number = look(file)
+        alike = sizes.setdefault(file.stat().st_size, [])
+        twin = next((other for other in alike if filecmp.cmp(file, other, shallow=False)), None)
+        twin = twin or (parts.get((recording, number)) if recording else None)
+        if twin is not None:
+            raise UsageError(f"{file} has the same messages as {twin}: name each log once")
+        alike.append(file)
+        parts[recording, number] = file
 
 
 class _Input:
@@ -91,7 +106,7 @@ class _Input:
         if top and top[0] in _SHARED and (shift or self.names):
             return message._replace(data=self._renamed(data))
         if shift and b'"_request_sequence":' in data:
-            return message._replace(data=_TAGGED.sub(lambda m: b'"_request_sequence":%d' % (int(m[1]) + shift), data))
+            return message._replace(data=TAGGED.sub(lambda m: b'"_request_sequence":%d' % (int(m[1]) + shift), data))
         return message
 
     def _renamed(self, data: bytes) -> bytes:
@@ -124,7 +139,8 @@ class _Merge:
         size = sum(log.size for log in self._logs)
         with Interrupt() as interrupt, showing_progress("merging", 2 * size, lambda: sum(log.read for log in self._logs)):
             inputs = self._inputs(interrupt)
-            copy = Copy(stream, self._logs[0].header)
+            clocks = {log.source.clock for log in self._logs}
+            copy = Copy(stream, self._logs[0].header, clocks.pop() if len(clocks) == 1 else Clock.UTC)
             for each in inputs:
                 for schema, channel in each.log.declared():
                     copy.declare(schema, channel, each.topic(channel))

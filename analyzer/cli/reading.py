@@ -64,7 +64,7 @@ class OpenCapture:
         self.source = source
         self._arguments = arguments
         since, until = getattr(arguments, "since", None), getattr(arguments, "until", None)
-        self.time_range = TimeRange(source, since, until)
+        self.time_range = TimeRange(source, since, until, utc=getattr(arguments, "utc", False))
         self._iterator = self.time_range.items(source)
         brief = source.path == "-" or source.follow is not None
         sample = self._sample(PIPE_SAMPLE_BYTES if brief else SAMPLE_BYTES)

@@ -1,7 +1,8 @@
 """Show the decoded frames of a capture or an MCAP log as a table, one line a frame, as they come.
 
-A filter is an expression over a message's fields: address, bus, command, dialect, role, time (s), latency (s),
-checksum_ok, findings, raw, offset, section, sequence, and every field of the commands by name.
+A filter is an expression over a message's fields: address, bus, command, dialect, role, time (s), latency (ms),
+checksum_ok, findings, raw, offset, section, sequence, and every field of the commands by name. Numbers are in the units
+that the table shows, or carry one (latency > 5ms); a choice is named or numbered (status == "complete").
 """
 
 from __future__ import annotations
@@ -9,16 +10,15 @@ from __future__ import annotations
 import argparse
 import contextlib
 import sys
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from analyzer.cli.filter import Filter
+from analyzer.cli.filter import Filter, vocabulary
 from analyzer.cli.reading import add_reading_arguments, open_reading, progress
-from analyzer.decoder import physical
+from analyzer.decoder import physical, units_of
 from analyzer.events import text_of
 from analyzer.live.lock import running
 from analyzer.live.spool import spool_folder
@@ -26,13 +26,14 @@ from analyzer.pipeline import Entry
 from analyzer.records import Comment, Event, Finding, Junk
 from analyzer.sources.recording_parts import base_of
 from analyzer.sources.tail import Follow
-from analyzer.values import printable
+from analyzer.sources.times import ShownTime
+from analyzer.values import fields_text, printable
 
 EXAMPLES = """\
 examples:
   servotap show capture.log
   servotap show capture.log --filter 'address == 1 and command == "read_speed" and speed > 300'
-  servotap show capture.log.mcap --filter '"bad_checksum" in findings'
+  servotap show capture.log --filter 'latency > 5ms or "error" in findings'
   servotap show week.mcap --since +10min --until +11min
   servotap show --follow week.mcap --since -10s
   candump -L can0 | servotap show -
@@ -61,15 +62,15 @@ class _Enough(Exception):
 class Table:
     """A sink that prints a line per frame and per piece of junk, and the findings below theirs."""
 
-    def __init__(self, arguments: argparse.Namespace, wanted: Filter | None) -> None:
+    def __init__(self, arguments: argparse.Namespace, wanted: Filter | None, times: ShownTime) -> None:
         self._wanted = wanted
+        self._times = times
         self._json: bool = arguments.json
         self._bytes: bool = arguments.bytes
         self._left: int | None = arguments.limit
         self._color = sys.stdout.isatty()
         self._flush: bool = self._color or arguments.follow
         self._shown: set[int] = set()
-        self._first_ns: int | None = None
         if not self._json:
             print(f"{'time':>15}  {'bus':<8} {'addr':>4} {'role':<7} {'command':<24} fields")
 
@@ -77,7 +78,7 @@ class Table:
         """Print a frame if it is wanted."""
         fields = physical(entry.message)
         names = names_of(entry, fields)
-        if self._wanted is not None and not self._wanted(names):
+        if self._wanted is not None and not self._wanted(names | _as_shown(entry)):
             return
         self._shown = {entry.sequence}
         message = entry.message
@@ -85,7 +86,7 @@ class Table:
             self._line(msgspec.json.encode({**names, **({"slots": fields["slots"]} if "slots" in fields else {})}).decode())
             return
         role = message.role.value
-        shown = fields_text(fields)
+        shown = fields_text(fields, units_of(message))
         if entry.latency_ns is not None and entry.request_sequence is not None:
             shown += f"  ({entry.latency_ns / 1e6:.3f} ms)"
         if self._bytes or message.form is None:
@@ -139,10 +140,11 @@ class Table:
         print(text, flush=self._flush)
 
     def _time(self, t_ns: int) -> str:
-        """Return a time of day for times since the epoch, seconds for others."""
-        if 86_400 * 10**9 * 365 < t_ns < 7 * 10**18:
-            return time.strftime("%H:%M:%S", time.gmtime(t_ns // 10**9)) + f".{t_ns % 10**9 // 1000:06d}"
-        return f"{t_ns / 1e9:15.6f}"
+        """Return a time as it is shown; where the date changes, a line with it comes before."""
+        dated = self._times.new_date(t_ns)
+        if dated:
+            print(f"{'':>15}  # {dated}")
+        return self._times.text(t_ns)
 
 
 def names_of(entry: Entry, fields: Mapping[str, Any]) -> dict[str, Any]:
@@ -169,23 +171,18 @@ def names_of(entry: Entry, fields: Mapping[str, Any]) -> dict[str, Any]:
     return names
 
 
+def _as_shown(entry: Entry) -> dict[str, Any]:
+    """Return what a filter names otherwise than the JSON does: the latency in ms, findings with their severities."""
+    shown: dict[str, Any] = {"findings": [word for found in entry.findings for word in (found.rule, found.severity)]}
+    if entry.latency_ns is not None and entry.request_sequence is not None:
+        shown["latency"] = entry.latency_ns / 1e6
+    return shown
+
+
 def _bytes_text(entry: Entry) -> str:
     frame = entry.message.frame
     text = frame.data.hex(" ").upper()
     return f"{frame.can.id:02X} {text}".rstrip() if frame.can is not None else text
-
-
-def fields_text(fields: Mapping[str, Any]) -> str:
-    """Return fields, in their units, as one line: a choice by its name."""
-    if "slots" in fields:
-        return "; ".join(fields_text(slot) for slot in fields["slots"])
-    parts = []
-    for name, value in fields.items():
-        if name.endswith("_name") and name[:-5] in fields:
-            continue
-        shown = fields.get(name + "_name", value)
-        parts.append(f"{name}={shown:g}" if isinstance(shown, float) else f"{name}={shown}")
-    return " ".join(parts)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -205,18 +202,8 @@ def _show(arguments: argparse.Namespace) -> int:
     with contextlib.closing(reading.source):
         wanted = None
         if arguments.filter:
-            known = {
-                n
-                for d in reading.possible
-                for c in (*d.commands, *d.fallbacks.values())
-                for f in (*c.request_forms, *c.reply_forms)
-                for name, field in f.layout.named.items()
-                for n in ((name, name + "_name") if field.choices is not None else (name,))
-            }
-            if any(d.exception for d in reading.possible):
-                known |= {"exception", "exception_name"}
-            wanted = Filter(arguments.filter, frozenset(known))
-        pipeline = reading.pipeline((Table(arguments, wanted),))
+            wanted = Filter(arguments.filter, vocabulary(reading.possible))
+        pipeline = reading.pipeline((Table(arguments, wanted, reading.time_range.shown),))
         with contextlib.suppress(_Enough):
             if wanted is not None and not arguments.follow:
                 with progress(reading.source, f"reading {reading.source.name}"):

@@ -15,7 +15,7 @@ from analyzer.errors import UsageError
 from analyzer.events import SETUPS
 from analyzer.pipeline import Entry, EventSink, Sink
 from analyzer.records import CanFrame, Chunk, Comment, Event, Finding, Junk
-from analyzer.sources.times import TimeOption, iso, parse_time
+from analyzer.sources.times import Anchor, ShownTime, TimeOption, iso, parse_time
 
 if TYPE_CHECKING:
     from analyzer.sources import Source
@@ -31,9 +31,10 @@ T = TypeVar("T")
 
 def add_time_range_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of every command that can read a time range."""
-    moment = "2026-11-21T16:22:11Z, +10s (from the start) or -5min (from the end)"
+    moment = "2026-11-21T16:22:11Z, 09:00:05, 5s or +1:30 (from the start), -5min (from the end)"
     parser.add_argument("--since", type=_moment, metavar="T", help=f"only traffic from this time on: {moment}")
     parser.add_argument("--until", type=_moment, metavar="T", help="only traffic up to this time, same notation")
+    parser.add_argument("--utc", action="store_true", help="show times in UTC instead of the local zone, and read them so")
 
 
 def _moment(text: str) -> TimeOption:
@@ -46,14 +47,15 @@ def _moment(text: str) -> TimeOption:
 class TimeRange:
     """The time range of one source. `since_ns`, `until_ns` are known with the first item, or before."""
 
-    def __init__(self, source: Source, since: TimeOption | None, until: TimeOption | None) -> None:
+    def __init__(self, source: Source, since: TimeOption | None, until: TimeOption | None, *, utc: bool = False) -> None:
         self._source = source
+        self._utc = utc
         self._since, self._until = since, until
         self.since_ns, self.until_ns = _BEFORE_ALL_NS, _AFTER_ALL_NS
         #: Bytes that were decoded unseen.
         self.unseen_bytes = 0
         self._resolved = not self.wanted
-        if self.wanted and (source.kind == "log" or "end" in self._anchors()):
+        if self.wanted and (source.kind == "log" or Anchor.END in self._anchors()):
             bounds = _log_bounds(source) if source.kind == "log" else _bounds(source)
             if bounds is not None:
                 self._resolve(*bounds)
@@ -65,15 +67,20 @@ class TimeRange:
         """Whether it is not the whole."""
         return self._since is not None or self._until is not None
 
-    def _anchors(self) -> set[str]:
+    def _anchors(self) -> set[Anchor]:
         return {moment.anchor for moment in (self._since, self._until) if moment is not None}
+
+    @property
+    def shown(self) -> ShownTime:
+        """How its times are shown."""
+        return ShownTime(self._source.clock, utc=self._utc)
 
     def _resolve(self, start_ns: int, end_ns: int) -> None:
         self._resolved = True
         if self._since is not None:
-            self.since_ns = self._since.resolve(start_ns, end_ns)
+            self.since_ns = self._since.resolve(start_ns, end_ns, self.shown)
         if self._until is not None:
-            self.until_ns = self._until.resolve(start_ns, end_ns)
+            self.until_ns = self._until.resolve(start_ns, end_ns, self.shown)
         if self.until_ns < self.since_ns:
             raise UsageError(f"--until {iso(self.until_ns)} lies before --since {iso(self.since_ns)}")
 
@@ -174,4 +181,5 @@ def _bounds(source: Source) -> tuple[int, int] | None:
             if isinstance(record, (Chunk, CanFrame)) and record.t_ns is not None:
                 first = record.t_ns if first is None else first
                 last = max(last, record.t_ns)
+        source.clock = before.clock
     return None if first is None else (first, last)

@@ -12,6 +12,7 @@ import contextlib
 import sys
 from pathlib import Path
 
+from analyzer.cli.filter import Filter, vocabulary
 from analyzer.cli.reading import add_reading_arguments, open_reading
 from analyzer.errors import UsageError
 from analyzer.live.lock import running
@@ -47,10 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     reading = open_reading(arguments.file, arguments, Follow(_alive) if arguments.follow else None)
     with contextlib.closing(reading.source):
         if arguments.filter:
-            from analyzer.cli.filter import Filter
-            from analyzer.view.source import field_names
-
-            Filter(arguments.filter, field_names(reading.possible))
+            Filter(arguments.filter, vocabulary(reading.possible))
         why = run_capture(reading, filter_text=arguments.filter)
         for note in reading.source.notes:
             print(f"note: {printable(note)}", file=sys.stderr)

@@ -24,10 +24,10 @@ class FrameLine(msgspec.Struct, omit_defaults=True, gc=False):
     """A frame, a piece of junk, or something that happened to the recording.
 
     `role`: request, reply, unknown, `junk` or `event`; `who`: the address as text, `all` for a package, empty for junk.
-    `command`: its name, `unknown 0xNN`, the reason of junk, or the kind of event. `values`: fields by name in their units,
-    with name twins (`slots` for a package); `state`: quantities of the derived state that it carries. `raw`: hex with
-    blanks, on CAN without the identifier. `rules`: findings known when it was decoded; `severity`: the worst of them.
-    `text`: of an event. `sequence` 0: it has no message in the log (an event).
+    `command`: its name, `unknown 0xNN`, the reason of junk, or the kind of event. `values`: fields by name, with name
+    twins (`slots` for a package), `units`: of those that have one; `state`: quantities of the derived state that it
+    carries. `raw`: hex with blanks, on CAN without the identifier. `rules`: findings known when it was decoded; `severity`:
+    the worst of them. `text`: of an event. `sequence` 0: it has no message in the log (an event).
     """
 
     sequence: int
@@ -41,6 +41,7 @@ class FrameLine(msgspec.Struct, omit_defaults=True, gc=False):
     section: str = ""
     topic: str = ""
     values: dict[str, Any] = {}
+    units: dict[str, Any] = {}
     state: dict[str, float] = {}
     raw: str = ""
     offset: int = 0

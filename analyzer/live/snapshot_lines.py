@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from analyzer import events
 from analyzer.catalogue import Role
-from analyzer.decoder import physical
+from analyzer.decoder import physical, units_of
 from analyzer.findings import JUNK_RULES, RULES
 from analyzer.live.snapshot import EVENT, JUNK, FindingLine, FrameLine
 from analyzer.pipeline import Entry
@@ -51,6 +51,7 @@ def frame_line(entry: Entry) -> FrameLine:
         section=command.section if command is not None else "",
         topic=entry.topic,
         values=values,
+        units=units_of(message),
         state=state,
         raw=frame.data.hex(" ").upper(),
         offset=frame.offset,

@@ -23,6 +23,8 @@ from analyzer.pipeline import CAN_OVERHEAD_BITS, Entry, topic_name
 from analyzer.records import CanFrame, Comment, Event, Finding, Frame, Junk, Lane, Message, Severity
 from analyzer.sinks import schemas
 from analyzer.sinks.mcap_file import LogFile, McapFile
+from analyzer.sources.recording_parts import CLOCK_METADATA
+from analyzer.sources.times import Clock
 
 PROFILE = "servotap"
 LIBRARY = f"servotap {__version__}"
@@ -66,11 +68,17 @@ class McapLog:
     """A sink that writes the log to a file, or to a stream open for binary writing.
 
     `byte_ns`, `bit_ns`: time of a byte and of a bit for the bus load, 0 where it is not known; `speeds`: by bus, where
-    they differ.
+    they differ. `clock`: what its times are.
     """
 
     def __init__(
-        self, target: IO[bytes] | LogFile, *, byte_ns: int = 0, bit_ns: int = 0, speeds: Mapping[str, Speed] | None = None
+        self,
+        target: IO[bytes] | LogFile,
+        *,
+        byte_ns: int = 0,
+        bit_ns: int = 0,
+        speeds: Mapping[str, Speed] | None = None,
+        clock: Clock = Clock.UTC,
     ) -> None:
         self._file: LogFile
         self._file = target if isinstance(target, LogFile) else McapFile(target, profile=PROFILE, library=LIBRARY)
@@ -82,6 +90,8 @@ class McapLog:
         self._seconds: dict[str, Second] = {}
         self._speed = Speed(byte_ns, bit_ns)
         self._speeds = dict(speeds or {})
+        if clock is not Clock.UTC:
+            self._file.add_metadata(CLOCK_METADATA, {"clock": clock})
 
     @property
     def messages(self) -> int:

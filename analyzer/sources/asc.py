@@ -21,7 +21,7 @@ from analyzer.records import CanFrame
 from analyzer.sources.can_library import Tap, frame, messages
 from analyzer.sources.lines import Lines, head_lines, share
 from analyzer.sources.source import Source
-from analyzer.sources.times import clock_ns, day_ns, number_ns
+from analyzer.sources.times import Clock, clock_ns, day_ns, number_ns
 
 _HEADER = re.compile(r"\s*(date\s+\w+\s|base\s+(hex|dec)\b|//|(no\s+)?internal\s+events\s+logged)", re.IGNORECASE)
 _HEADED = re.compile(r"\s*(date\s+\w+\s+\w+\s+\d+\s+\d+:\d\d:\d\d|base\s+(hex|dec)\b)", re.IGNORECASE)
@@ -50,6 +50,7 @@ def score(head: bytes) -> float:
 def read(source: Source) -> Iterator[CanFrame]:
     """Read the frames; other events of the log are left out."""
     source.time_source = "capture: the date of the header, taken as UTC, and the printed seconds, exact to their digits"
+    source.clock = Clock.PRINTED
     return _records(source)
 
 

@@ -21,7 +21,7 @@ from analyzer.catalogue import Role
 from analyzer.records import CanFrame, Comment
 from analyzer.sources.lines import Lines, cut_note, head_lines, share
 from analyzer.sources.source import SECOND_NS, Source, quote
-from analyzer.sources.times import Deltas, clock_ns, day_ns, falls, number_ns
+from analyzer.sources.times import Clock, Deltas, clock_ns, day_ns, falls, number_ns
 
 _LOG = re.compile(
     r"\s*\((\d{1,18})\.(\d{1,9})\) +(\S+) +([0-9A-Fa-f]{1,8})#([0-9A-Fa-f]*)([#RrXx_][0-9A-Fa-f]*|)(?: +([RTrt]))?\s*$"
@@ -59,6 +59,8 @@ def read(source: Source) -> Iterator[CanFrame | Comment]:
 
 def _screen_time(source: Source, printed: list[str]) -> Callable[[str], int]:
     """Return how to read a time of the screen form: since 1970 or the start, of a calendar, or from line to line."""
+    if any(_DATED.match(text) for text in printed):
+        source.clock = Clock.PRINTED
     numbers = [number_ns(text) for text in printed if re.fullmatch(r"\d{1,18}\.\d{1,9}", text)]
     if falls(numbers) and max(numbers) < 100_000_000 * SECOND_NS:
         source.time_source = "capture: sums of the seconds between frames, as candump -t d printed them"

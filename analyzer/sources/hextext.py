@@ -19,7 +19,7 @@ from analyzer.records import Chunk, Comment
 from analyzer.sources.hexline import HexLine, Shape, take_apart
 from analyzer.sources.lines import Lines, head_lines
 from analyzer.sources.source import Source, quote
-from analyzer.sources.times import UNITS, DayCount, Deltas, clock_ns, day_ns, falls, number_ns, zone_ns
+from analyzer.sources.times import UNITS, Clock, DayCount, Deltas, clock_ns, day_ns, falls, number_ns, zone_ns
 
 #: Lines of a head that are looked at to find the format.
 _SAMPLE_LINES = 400
@@ -80,11 +80,17 @@ def read(source: Source) -> Iterator[Chunk | Comment]:
     timed = next((p.stamp_kind for p in parts if p.stamp_kind and p.shape in (Shape.TRAFFIC, Shape.HEADER)), "")
     if timed:
         source.time_source = f"capture: {_SOURCES[timed]}, exact to their digits"
+        zoned = any((dated := _DATED.match(p.stamp)) is not None and dated[dated.re.groups] for p in parts)
+        source.clock = Clock.UTC if zoned else _CLOCKS.get(timed, Clock.UTC)
     roles = [p.role for p in parts if p.shape in (Shape.TRAFFIC, Shape.HEADER)]
     deaf = roles.count(Role.REPLY) >= _LISTENER_LINES and Role.REQUEST not in roles
     if deaf:
         source.note("every line is marked as received, as a listener's log is: the marks do not tell the sender")
     return _Reader(source, _Clock(parts), deaf).records()
+
+
+#: Kinds of stamps that are no times since the epoch.
+_CLOCKS = {"clock": Clock.DAY, "date": Clock.PRINTED, "dmy": Clock.PRINTED}
 
 
 class _Clock:

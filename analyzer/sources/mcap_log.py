@@ -23,6 +23,7 @@ from analyzer.events import RESUMED, SETUPS, TOPIC
 from analyzer.records import CanFrame, Chunk, Event, Silence
 from analyzer.sources.coverage import GAP_LIMIT, Coverage, Raw, Waiting
 from analyzer.sources.mcap_scan import LogMessage
+from analyzer.sources.recording_parts import clock_of
 from analyzer.sources.source import Record, Source, describe
 from analyzer.values import counted
 
@@ -72,6 +73,8 @@ def read(source: Source) -> Iterator[Record]:
     """Read the messages in the order of the log."""
     if not source.head.startswith(_MAGIC):
         raise UnreadableError(f"{source.name}: expected an MCAP log (89 4D 43 41 50 ...), got another beginning")
+    if source.size is not None:
+        source.clock = clock_of(source.files[0])
     source.time_source = "log: times of the log that was read, exact to 1 ns"
     return _Log(source).records()
 

@@ -10,16 +10,19 @@ the names of its neighbours; that and not the name says what belongs together.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
 from analyzer.errors import UnreadableError
+from analyzer.sources.times import Clock
 from analyzer.values import counted
 
 #: Name of the metadata record.
 METADATA = "servotap.recording"
+#: Name of the metadata record of a log whose times are not of the epoch: `clock` says what they are.
+CLOCK_METADATA = "servotap.clock"
 _NUMBERED = re.compile(r"(?P<stem>.+)-(?P<number>\d{4,})\.mcap")
 _MAGIC = b"\x89MCAP0\r\n"
 #: Records that may stand before the one that is looked for.
@@ -57,23 +60,36 @@ def parts_named(log: Path) -> list[Path]:
     return [path for _, path in sorted(found)]
 
 
-def look(path: Path) -> Part:
-    """Return a log's metadata as a part; any other file is a part of no recording."""
+def described(path: Path) -> dict[str, Mapping[str, str]]:
+    """Return the metadata at the head of a log, by the name of its record; nothing of any other file."""
     from mcap.records import Metadata
     from mcap.stream_reader import StreamReader
 
+    found: dict[str, Mapping[str, str]] = {}
     try:
         with path.open("rb") as stream:
             for count, record in enumerate(StreamReader(stream, emit_chunks=True, record_size_limit=1 << 20).records):
-                if isinstance(record, Metadata) and record.name == METADATA:
-                    number = record.metadata.get("part", "")
-                    return Part(path, record.metadata.get("recording", ""), int(number) if number.isdigit() else 0)
+                if isinstance(record, Metadata):
+                    found[record.name] = record.metadata
                 if count >= _FIRST_FEW:
                     break
     # The library raises many kinds of errors for a file that is not a log.
     except Exception:
-        return Part(path)
-    return Part(path)
+        return found
+    return found
+
+
+def clock_of(log: Path) -> Clock:
+    """Return what the times of a log are."""
+    said = described(log).get(CLOCK_METADATA, {}).get("clock")
+    return next((clock for clock in Clock if clock == said), Clock.UTC)
+
+
+def look(path: Path) -> Part:
+    """Return a log's metadata as a part; any other file is a part of no recording."""
+    values = described(path).get(METADATA, {})
+    number = values.get("part", "")
+    return Part(path, values.get("recording", ""), int(number) if number.isdigit() else 0)
 
 
 def in_folder(folder: Path) -> tuple[list[Part], list[str]]:

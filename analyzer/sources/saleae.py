@@ -23,7 +23,7 @@ from analyzer.records import Chunk
 from analyzer.sources.lines import Lines, head_lines
 from analyzer.sources.marks import ReceivedMarks, role_of_name
 from analyzer.sources.source import SECOND_NS, Source, quote
-from analyzer.sources.times import clock_ns, day_ns, number_ns, zone_ns
+from analyzer.sources.times import Clock, clock_ns, day_ns, number_ns, zone_ns
 from analyzer.values import counted
 
 #: Columns by what they mean, in lower case; the first name that a header has counts.
@@ -104,6 +104,8 @@ def _records(source: Source) -> Iterator[Chunk]:
         source.problem("expected a header with a time and a value column, got another line", line=1)
         return
     sample = [_row(line) for line in head_lines(source.head)[1:]]
+    if any((dated := _ISO.match(table.cell(row, "time"))) is not None and not dated[dated.re.groups] for row in sample):
+        source.clock = Clock.PRINTED
     # A table of characters has digits that are characters too; only the other values show it.
     table.characters = any(_number(table.cell(row, "data")) is None for row in sample)
     heard = ReceivedMarks()

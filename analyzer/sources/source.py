@@ -26,6 +26,7 @@ from analyzer.errors import ServotapError, UnreadableError
 from analyzer.records import CanFrame, Chunk, Comment, Event, Silence
 from analyzer.sources.stream import Stream
 from analyzer.sources.tail import Follow
+from analyzer.sources.times import Clock
 from analyzer.values import counted
 
 Record = Chunk | CanFrame | Comment | Silence | Event
@@ -89,6 +90,8 @@ class Source:
         self.title = ""
         self.kind = "serial"
         self.time_source = "none"
+        #: What the times are, for those who show them; known with the first record.
+        self.clock = Clock.UTC
         #: Of a decoded log: give each frame as one piece with the role it was found to have, and raw bytes only where
         #: they were never decoded. Set before the first record is taken.
         self.framed = False

@@ -3,9 +3,11 @@
 Floats are avoided throughout: a float of today's epoch resolves 238 ns only. Times of day without a date count from
 zero; a date without a zone is taken as UTC, so that a capture reads the same everywhere.
 
-    2026-11-21T16:22:11Z  2026-11-21T16:22:11.5+01:00  2026-11-21     a time; without a zone it is UTC
-    +10s  +1.5min  +2h                                               from the start of the recording
-    -5min                                                            before its end
+    2026-11-21T16:22:11Z  2026-11-21T16:22:11.5+01:00  2026-11-21     a time; without a zone it is as times are shown
+    09:00:05  09:00:05.123                                           a time of day of the recording, as it is shown
+    43384.123                                                        seconds on the recording's own clock
+    5s  +10s  +1.5min  +2h  +1:30                                    from the start of the recording
+    -5min  -1:30                                                     before its end
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import re
 import time
 from datetime import date
 from decimal import Decimal, InvalidOperation
+from enum import StrEnum
 from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
@@ -24,6 +27,8 @@ from analyzer.values import quote
 SECOND = 1_000_000_000
 DAY = 86_400 * SECOND
 _EPOCH_DAY = date(1970, 1, 1).toordinal()
+#: Times between these are of the epoch; others count from a beginning of their own.
+_EPOCH_FROM, _EPOCH_TO = 365 * DAY, 7 * 10**18
 #: Digits of a number that is a time.
 _DIGITS = 24
 _POWERS: tuple[int, ...] = tuple(10**n for n in range(10))
@@ -114,44 +119,144 @@ def falls(values: list[int]) -> bool:
 # --- options ------------------------------------------------------------------------------------------------------------
 
 _OPTION_UNITS = {"ms": 1_000_000, "s": SECOND, "sec": SECOND, "min": 60 * SECOND, "h": 3600 * SECOND, "d": 86_400 * SECOND}
-_RELATIVE = re.compile(r"(?P<sign>[+-])(?P<number>\d{1,12}(?:\.\d{1,9})?)(?P<unit>ms|s|sec|min|h|d)?")
+_NUMBER = r"(?P<number>\d{1,12}(?:\.\d{1,9})?)"
+_RELATIVE = re.compile(rf"(?P<sign>[+-]?){_NUMBER}(?P<unit>ms|s|sec|min|h|d)?")
+_MINUTES = re.compile(r"(?P<sign>[+-])(?:(?P<hour>\d{1,4}):)?(?P<minute>\d{1,4}):(?P<second>\d\d)(?:\.(?P<fraction>\d{1,9}))?")
+_OF_DAY = re.compile(r"(?P<hour>\d\d):(?P<minute>\d\d)(?::(?P<second>\d\d)(?:\.(?P<fraction>\d{1,9}))?)?")
 _ISO = re.compile(
     r"(?P<year>\d{4})-(?P<month>\d\d)-(?P<day>\d\d)"
     r"(?:[T ](?P<hour>\d\d):(?P<minute>\d\d)(?::(?P<second>\d\d)(?:\.(?P<fraction>\d{1,9}))?)?(?P<zone>Z|[+-]\d\d:?\d\d)?)?"
 )
 
 
-class TimeOption(NamedTuple):
-    """A time that a user wrote. `ns` counts from `anchor`: `utc`, `start` or `end`. `text`: as it was written."""
+class Clock(StrEnum):
+    """What the times of a capture are.
 
-    anchor: str
+    `UTC`: since the epoch; those of the first year are seconds since some beginning. `PRINTED`: dates as the capture has them,
+    without a zone. `DAY`: times of day without a date.
+    """
+
+    UTC = "utc"
+    PRINTED = "printed"
+    DAY = "day"
+
+
+class ShownTime:
+    """Shows the times of a recording: in the local zone (TZ), in UTC, or as a capture without a zone printed them."""
+
+    def __init__(self, clock: Clock = Clock.UTC, *, utc: bool = False) -> None:
+        self._clock = clock
+        self._utc = utc
+        self._day = -1
+
+    def zone_ns(self, t_ns: int) -> int:
+        """Return what is added to a time to show it."""
+        if self._utc or self._clock is not Clock.UTC or not _EPOCH_FROM < t_ns < _EPOCH_TO:
+            return 0
+        return time.localtime(t_ns // SECOND).tm_gmtoff * SECOND
+
+    @property
+    def zone(self) -> str:
+        """Which zone it shows, for a heading: `UTC`, `local`, or nothing where the capture has none."""
+        if self._clock is not Clock.UTC:
+            return ""
+        return "UTC" if self._utc or time.localtime().tm_zone == "UTC" else "local"
+
+    def text(self, t_ns: int) -> str:
+        """Return a time in 15 characters: of day to the microsecond, or seconds since some beginning."""
+        if self._clock is not Clock.DAY and not _EPOCH_FROM < t_ns < _EPOCH_TO:
+            return f"{t_ns / SECOND:15.6f}"
+        seconds, rest = divmod(t_ns + self.zone_ns(t_ns), SECOND)
+        minutes, second = divmod(seconds, 60)
+        return f"{minutes // 60 % 24:02d}:{minutes % 60:02d}:{second:02d}.{rest // 1000:06d}"
+
+    def new_date(self, t_ns: int) -> str:
+        """Return the date and the zone where it is another one than at the last call; of a time without a date its number."""
+        if self._clock is not Clock.DAY and not _EPOCH_FROM < t_ns < _EPOCH_TO:
+            return ""
+        zone_ns = self.zone_ns(t_ns)
+        day = (t_ns + zone_ns) // DAY
+        known, self._day = self._day, day
+        if day == known:
+            return ""
+        if self._clock is Clock.DAY:
+            return f"day {day + 1}" if day else ""
+        return f"{date.fromordinal(day + _EPOCH_DAY).isoformat()} {self._zone(t_ns, zone_ns)}".rstrip()
+
+    def _zone(self, t_ns: int, zone_ns: int) -> str:
+        if self._clock is Clock.PRINTED:
+            return ""
+        if not zone_ns:
+            return "UTC"
+        hours, minutes = divmod(abs(zone_ns) // (60 * SECOND), 60)
+        return f"{time.localtime(t_ns // SECOND).tm_zone} (UTC{'-' if zone_ns < 0 else '+'}{hours:02d}:{minutes:02d})"
+
+
+class Anchor(StrEnum):
+    """What a time of a user counts from: the clock itself, the date or the day as shown, the start or the end."""
+
+    CLOCK = "clock"
+    SHOWN = "shown"
+    DAY = "day"
+    START = "start"
+    END = "end"
+
+
+class TimeOption(NamedTuple):
+    """A time that a user wrote. `ns` counts from `anchor`. `text`: as it was written."""
+
+    anchor: Anchor
     ns: int
     text: str
 
-    def resolve(self, start_ns: int, end_ns: int) -> int:
-        """Return it on the clock of a recording that lasts from `start_ns` to `end_ns`."""
-        return self.ns + {"utc": 0, "start": start_ns, "end": end_ns}[self.anchor]
+    def resolve(self, start_ns: int, end_ns: int, shown: ShownTime) -> int:
+        """Return it on the clock of a recording that lasts from `start_ns` to `end_ns`, and is shown so."""
+        if self.anchor is Anchor.SHOWN:
+            return self.ns - shown.zone_ns(self.ns - shown.zone_ns(self.ns))
+        if self.anchor is Anchor.DAY:
+            zone_ns = shown.zone_ns(start_ns)
+            t_ns = (start_ns + zone_ns) // DAY * DAY + self.ns - zone_ns
+            # Half a day before the start is meant as the day after it.
+            return t_ns + DAY if t_ns < start_ns - DAY // 2 else t_ns
+        return self.ns + {Anchor.CLOCK: 0, Anchor.START: start_ns, Anchor.END: end_ns}[self.anchor]
 
 
 def parse_time(text: str) -> TimeOption:
     """Return the time that a text means. Raises UsageError for any other text."""
-    relative = _RELATIVE.fullmatch(text)
-    if relative is not None:
-        ns = number_ns(relative["number"], _OPTION_UNITS[relative["unit"] or "s"])
-        return TimeOption("start", ns, text) if relative["sign"] == "+" else TimeOption("end", -ns, text)
-    match = _ISO.fullmatch(text)
     try:
-        if match is None:
-            raise ValueError
-        ns = day_ns(int(match["year"]), int(match["month"]), int(match["day"]))
-        if match["hour"] is not None:
-            ns += clock_ns(match["hour"], match["minute"], match["second"] or "0", match["fraction"])
-            ns -= zone_ns(match["zone"])
+        found = _relative(text) or _absolute(text)
     except ValueError:
-        raise UsageError(
-            f"{quote(text)} is not a time, expected 2026-11-21T16:22:11Z, +10s (from the start) or -5min (from the end)"
-        ) from None
-    return TimeOption("utc", ns, text)
+        found = None
+    if found is None:
+        known = "2026-11-21T16:22:11Z, 09:00:05, +10s (from the start) or -5min (from the end)"
+        raise UsageError(f"{quote(text)} is not a time, expected {known}")
+    return TimeOption(*found, text)
+
+
+def _relative(text: str) -> tuple[Anchor, int] | None:
+    """Return a time that counts from the start or the end, or is a number of the clock itself."""
+    if (match := _RELATIVE.fullmatch(text)) is not None:
+        if not match["sign"] and not match["unit"]:
+            return Anchor.CLOCK, number_ns(match["number"])
+        ns = number_ns(match["number"], _OPTION_UNITS[match["unit"] or "s"])
+    elif (match := _MINUTES.fullmatch(text)) is not None:
+        seconds = (int(match["hour"] or 0) * 60 + int(match["minute"])) * 60
+        ns = seconds * SECOND + clock_ns("0", "0", match["second"], match["fraction"])
+    else:
+        return None
+    return (Anchor.END, -ns) if match["sign"] == "-" else (Anchor.START, ns)
+
+
+def _absolute(text: str) -> tuple[Anchor, int] | None:
+    if (match := _OF_DAY.fullmatch(text)) is not None:
+        return Anchor.DAY, clock_ns(match["hour"], match["minute"], match["second"] or "0", match["fraction"])
+    match = _ISO.fullmatch(text)
+    if match is None:
+        return None
+    ns = day_ns(int(match["year"]), int(match["month"]), int(match["day"]))
+    if match["hour"] is not None:
+        ns += clock_ns(match["hour"], match["minute"], match["second"] or "0", match["fraction"])
+    return (Anchor.CLOCK, ns - zone_ns(match["zone"])) if match["zone"] else (Anchor.SHOWN, ns)
 
 
 def iso(t_ns: int) -> str:

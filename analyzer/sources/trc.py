@@ -22,7 +22,7 @@ from analyzer.records import CanFrame
 from analyzer.sources.can_library import Tap, frame, messages
 from analyzer.sources.lines import Lines, head_lines, share
 from analyzer.sources.source import Source
-from analyzer.sources.times import DAY, number_ns
+from analyzer.sources.times import DAY, Clock, number_ns
 from analyzer.values import counted
 
 _FIELD = re.compile(r"\s*;\$(FILEVERSION|STARTTIME|COLUMNS)\s*=\s*(\S+)")
@@ -46,6 +46,7 @@ def score(head: bytes) -> float:
 def read(source: Source) -> Iterator[CanFrame]:
     """Read the frames."""
     source.time_source = "capture: the header's start, taken as UTC, and the printed milliseconds, exact to their digits"
+    source.clock = Clock.PRINTED
     fields = {m[1]: m[2] for line in head_lines(source.head) if (m := _FIELD.match(line)) is not None}
     version = fields.get("FILEVERSION", "1.0")
     if version not in _SUPPORTED:

@@ -12,6 +12,7 @@ from textual.app import App, ComposeResult
 from textual.containers import Vertical
 from textual.widgets import ContentSwitcher, Footer, Static
 
+from analyzer.cli.filter import vocabulary
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live.snapshot import FrameLine
 from analyzer.values import counted, printable
@@ -27,7 +28,7 @@ from analyzer.view.prompt import FILTER, MARK, SEARCH, Prompt
 from analyzer.view.rows import Rows
 from analyzer.view.screens import EndQuestion, HelpScreen
 from analyzer.view.search import Seeker
-from analyzer.view.source import ViewSource, field_names
+from analyzer.view.source import ViewSource
 from analyzer.view.terminal import end_on_signals, terminal_watch
 
 #: Seconds between two looks at what is new, and how long one look may take for each thing that is asked for.
@@ -56,7 +57,7 @@ class ViewApp(App[str]):
         self.source = source
         self.frames = FramesPanel(source)
         self.counts = CountsPanel(source.watch)
-        self.findings = FindingsPanel(source.watch, source.live)
+        self.findings = FindingsPanel(source.watch, source.times, source.live)
         self.plot = PlotPanel(source)
         self.details = DetailsPanel()
         # Kept by name: while the help lies over the view, a query would look for them there.
@@ -67,8 +68,8 @@ class ViewApp(App[str]):
         self._focus: dict[str, Rows] = {
             "frames": self.frames, "counts": self.counts, "findings": self.findings.rows, "plot": self.plot.rows,
         }  # fmt: skip
-        self._details = Details(source.dialects)
-        self._known = field_names(source.dialects)
+        self._details = Details(source.dialects, source.times)
+        self._known = vocabulary(source.dialects)
         self._filter_text = filter_text
         self._paused = False
         self._waiting = 0
@@ -331,6 +332,8 @@ class ViewApp(App[str]):
             self._close_prompt()
             if event.what != MARK and self.shown != "frames":
                 self.action_panel("frames")
+        else:
+            self._prompt.ask_again()
         self._stale = True
 
     def _set_mark(self, text: str) -> bool:

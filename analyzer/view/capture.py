@@ -220,6 +220,7 @@ class CaptureSource:
         self.watch = Watch(reading.source.name)
         self.watch.log_bytes = reading.source.size or 0
         self.dialects = reading.possible
+        self.times = reading.time_range.shown
         self.lines = FrameStore()
         self._keeper = _Keeper(self.lines)
         # The speed is known where it was given; a guess would make up a load, and so would made-up times.

@@ -6,13 +6,13 @@ share, one frame answers for the lane.
 
 from __future__ import annotations
 
-import ast
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-from analyzer.cli.filter import Filter
+from analyzer.cli.filter import Filter, Meaning
+from analyzer.findings import RULES
 from analyzer.live.snapshot import FrameLine
-from analyzer.view.lines import SECOND, bytes_text
+from analyzer.view.lines import MS, SECOND, bytes_text
 
 #: Name in a filter -> how it is made of a line; None: the line has no such thing.
 _NAMES: dict[str, Callable[[FrameLine], Any]] = {
@@ -23,12 +23,12 @@ _NAMES: dict[str, Callable[[FrameLine], Any]] = {
     "role": lambda line: line.role,
     "command": lambda line: "unknown" if line.command.startswith("unknown") else line.command,
     "checksum_ok": lambda line: line.checksum_ok,
-    "findings": lambda line: list(line.rules),
+    "findings": lambda line: [*line.rules, line.severity, *(RULES[r].severity for r in line.rules if r in RULES)],
     "raw": bytes_text,
     "offset": lambda line: line.offset,
     "sequence": lambda line: line.sequence,
     "section": lambda line: line.section,
-    "latency": lambda line: None if line.latency_ns is None else line.latency_ns / SECOND,
+    "latency": lambda line: None if line.latency_ns is None else line.latency_ns / MS,
 }
 #: Those that differ from frame to frame of one lane.
 _OWN = frozenset(("time", "findings", "raw", "offset", "sequence", "latency"))
@@ -37,11 +37,11 @@ _OWN = frozenset(("time", "findings", "raw", "offset", "sequence", "latency"))
 class Condition:
     """A filter, to be called with a line. Raises UsageError as `Filter` does."""
 
-    def __init__(self, text: str, known: frozenset[str]) -> None:
+    def __init__(self, text: str, known: Mapping[str, Meaning]) -> None:
         self._filter = Filter(text, known)
         self.text = text
-        tree = ast.parse(text.strip(), mode="eval")
-        self._used = frozenset(node.id for node in ast.walk(tree) if isinstance(node, ast.Name))
+        # A unit is of the dialect and the command; a choice is compared by its name.
+        self._used = self._filter.used | {"dialect", "command"} | {f"{name}_name" for name in self._filter.used}
         self._made = tuple((name, _NAMES[name]) for name in self._used if name in _NAMES)
         self._fields = tuple(name for name in self._used if name not in _NAMES)
 

@@ -16,9 +16,10 @@ from analyzer.live.snapshot import EVENT, JUNK, FindingLine, FrameLine
 from analyzer.reference.explanation import Explainer
 from analyzer.reference.explanation_text import explanation_lines
 from analyzer.reference.hex_frame import Given
-from analyzer.values import counted, printable
+from analyzer.sources.times import ShownTime
+from analyzer.values import counted, fields_text, printable
 from analyzer.view.findings_panel import finding_text
-from analyzer.view.lines import SECOND, SEVERITIES, bytes_text, fields_text, time_text
+from analyzer.view.lines import SECOND, SEVERITIES, bytes_text
 
 _BYTES_A_ROW = 16
 _ROLES = {"request": Role.REQUEST, "reply": Role.REPLY}
@@ -27,7 +28,8 @@ _ROLES = {"request": Role.REQUEST, "reply": Role.REPLY}
 class Details:
     """Explains lines in some dialects; keeps an explainer for each."""
 
-    def __init__(self, dialects: Sequence[Dialect]) -> None:
+    def __init__(self, dialects: Sequence[Dialect], times: ShownTime) -> None:
+        self._times = times
         self._dialects = {d.name: d for d in dialects}
         self._explainers: dict[str, Explainer] = {}
 
@@ -49,9 +51,8 @@ class Details:
         text.append(self._place(line), "dim")
         return text
 
-    @staticmethod
-    def _place(line: FrameLine) -> str:
-        words = [time_text(line.t_ns), printable(line.bus)]
+    def _place(self, line: FrameLine) -> str:
+        words = [self._times.text(line.t_ns), printable(line.bus)]
         if line.sequence:
             words += [f"sequence {line.sequence}", f"offset {line.offset}"]
         if line.topic:
@@ -78,7 +79,7 @@ class Details:
                 _given(line), role=_ROLES.get(line.role, Role.UNKNOWN), request=None if request is None else _given(request)
             )
         except ServotapError as error:
-            text.append(f"{bytes_text(line)}\n{printable(fields_text(line.values))}\n")
+            text.append(f"{bytes_text(line)}\n{printable(fields_text(line.values, line.units))}\n")
             text.append(printable(str(error).split("\n")[-1].strip()), "dim")
             return
         found = replace(found, issues=tuple(issue for issue in found.issues if issue.rule not in told))

@@ -8,8 +8,9 @@ from textual.containers import Vertical
 from textual.widgets import Static
 
 from analyzer.live.snapshot import FindingLine
+from analyzer.sources.times import ShownTime
 from analyzer.values import printable
-from analyzer.view.lines import SEVERITIES, time_text
+from analyzer.view.lines import SEVERITIES
 from analyzer.view.rows import Rows
 from analyzer.view.watch import Watch
 
@@ -19,9 +20,10 @@ class FindingRows(Rows):
 
     follows = True
 
-    def __init__(self, watch: Watch, live: bool) -> None:
+    def __init__(self, watch: Watch, times: ShownTime, live: bool) -> None:
         super().__init__(id="finding_rows")
         self._watch = watch
+        self._times = times
         self.following = self.follows = live
 
     @property
@@ -36,7 +38,7 @@ class FindingRows(Rows):
 
     def heading(self, width: int) -> Text:
         """Return the names of the columns."""
-        return Text(f"  {'time UTC':>15} {'bus':<8} {'addr':>4} finding", style="bold", no_wrap=True)
+        return Text(f"  {f'time {self._times.zone}'.rstrip():>15} {'bus':<8} {'addr':>4} finding", style="bold", no_wrap=True)
 
     def row(self, number: int, width: int) -> Text:
         """Return a finding as a row."""
@@ -45,7 +47,7 @@ class FindingRows(Rows):
         address = "" if found.address < 0 else str(found.address)
         text = Text(no_wrap=True)
         text.append(f"{letter} ", colour)
-        text.append(f"{time_text(found.t_ns):>15} {printable(found.bus)[:8]:<8} {address:>4} ")
+        text.append(f"{self._times.text(found.t_ns):>15} {printable(found.bus)[:8]:<8} {address:>4} ")
         text.append(f"{printable(found.rule)}: ", colour)
         text.append(printable(found.text))
         return text
@@ -66,11 +68,11 @@ def finding_text(found: FindingLine) -> Text:
 class FindingsPanel(Vertical):
     """Counts by rule, the findings, and below them the one under the cursor in full."""
 
-    def __init__(self, watch: Watch, live: bool) -> None:
+    def __init__(self, watch: Watch, times: ShownTime, live: bool) -> None:
         super().__init__(id="findings")
         self._watch = watch
         self._live = live
-        self.rows = FindingRows(watch, live)
+        self.rows = FindingRows(watch, times, live)
         self._counts = Static(id="rules", markup=False)
         self._text = Static(markup=False)
 

@@ -19,7 +19,7 @@ class FramesPanel(Rows):
     def __init__(self, source: ViewSource) -> None:
         super().__init__(id="frames")
         self._source = source
-        self.columns = Columns()
+        self.columns = Columns(source.times)
         self.wanted: Wanted | None = None
         # A capture is read from its beginning, a recording watched at its end.
         self.following = self.follows = source.growing

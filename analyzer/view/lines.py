@@ -6,14 +6,11 @@ Each colour also has a letter: E W i for the severity, > < ? ~ * for the sender.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping
-from typing import Any
-
 from rich.text import Text
 
 from analyzer.live.snapshot import EVENT, JUNK, FrameLine
-from analyzer.values import printable
+from analyzer.sources.times import ShownTime
+from analyzer.values import fields_text, printable
 
 #: Role -> its sign and its colour.
 ROLES = {
@@ -25,42 +22,16 @@ ROLES = {
 }
 #: Severity -> its letter and its colour.
 SEVERITIES = {"error": ("E", "bold red"), "warning": ("W", "bold yellow"), "info": ("i", "cyan"), "": (" ", "")}
-#: How times are shown: of day (UTC), since the first frame, since the line above.
+#: How times are shown: of day, since the first frame, since the line above.
 CLOCK, ELAPSED, STEP = "clock", "elapsed", "step"
 TIMES = (CLOCK, ELAPSED, STEP)
 #: What a row shows of the frame: its fields, its bytes, or both side by side.
 FIELDS, BYTES, BOTH = "fields", "bytes", "both"
 SECOND = 1_000_000_000
-#: Times between these are of the epoch; others count from a beginning of their own.
-_EPOCH_FROM_NS = 86_400 * SECOND * 365
-_EPOCH_TO_NS = 7 * 10**18
+MS = 1_000_000
 _TIME_WIDTH = 15
 _COMMAND_WIDTHS = (18, 22)
 _NARROW = 100
-
-
-def time_text(t_ns: int, mode: str = CLOCK, *, first_ns: int = 0, before_ns: int | None = None) -> str:
-    """Return a time in 15 characters or less: of day, or seconds since the first frame or the line above."""
-    if mode == ELAPSED:
-        return f"{(t_ns - first_ns) / SECOND:.6f}"
-    if mode == STEP:
-        return "" if before_ns is None else f"{(t_ns - before_ns) / SECOND:+.6f}"
-    if _EPOCH_FROM_NS < t_ns < _EPOCH_TO_NS:
-        return time.strftime("%H:%M:%S", time.gmtime(t_ns // SECOND)) + f".{t_ns % SECOND // 1000:06d}"
-    return f"{t_ns / SECOND:.6f}"
-
-
-def fields_text(values: Mapping[str, Any]) -> str:
-    """Return fields as `name=value`, choices by their names."""
-    if "slots" in values:
-        return "; ".join(fields_text(slot) for slot in values["slots"])
-    parts = []
-    for name, value in values.items():
-        if (name.endswith("_name") and name[:-5] in values) or (name.endswith("_text") and name[:-5] in values):
-            continue
-        shown = values.get(name + "_name", value)
-        parts.append(f"{name}={shown:.9g}" if isinstance(shown, float) else f"{name}={shown}")
-    return " ".join(parts)
 
 
 def bytes_text(line: FrameLine) -> str:
@@ -74,7 +45,7 @@ def said_text(line: FrameLine) -> str:
     """Return what a frame says: its fields, and a reply's latency."""
     if line.role == EVENT:
         return printable(line.text)
-    said = printable(fields_text(line.values)) if line.values else ""
+    said = printable(fields_text(line.values, line.units)) if line.values else ""
     if line.latency_ns is not None:
         said += f"  ({line.latency_ns / 1e6:.3f} ms)"
     return said
@@ -89,7 +60,8 @@ def search_text(line: FrameLine) -> str:
 class Columns:
     """How frames stand in columns: which time, fields or bytes, how wide the bus. It makes rows of a given width."""
 
-    def __init__(self) -> None:
+    def __init__(self, times: ShownTime) -> None:
+        self._times = times
         self.time = CLOCK
         #: None: both where there is room for both, else the fields.
         self.shows: str | None = None
@@ -121,10 +93,18 @@ class Columns:
         size = min(left // 2, 36)
         return left - size - 1, size
 
+    def _when(self, t_ns: int, before_ns: int | None) -> str:
+        """Return a time: of day, or seconds since the first frame or the line above."""
+        if self.time == ELAPSED:
+            return f"{(t_ns - self.first_ns) / SECOND:.6f}"
+        if self.time == STEP:
+            return "" if before_ns is None else f"{(t_ns - before_ns) / SECOND:+.6f}"
+        return self._times.text(t_ns)
+
     def heading(self, width: int) -> Text:
         """Return the row above the frames."""
         fields, size = self._room(width)
-        which = {CLOCK: "time UTC", ELAPSED: "seconds", STEP: "since above"}[self.time]
+        which = {CLOCK: f"time {self._times.zone}".rstrip(), ELAPSED: "seconds", STEP: "since above"}[self.time]
         text = f"  {which:>{_TIME_WIDTH}} {'bus':<{self.bus_width}} {'addr':>4}   {'command':<{_command_width(width)}} "
         text += (f"{'fields':<{fields}} " if fields and size else "fields" if fields else "") + ("bytes" if size else "")
         return Text(text[:width].ljust(width), style="bold", no_wrap=True)
@@ -134,7 +114,7 @@ class Columns:
         sign, colour = ROLES.get(line.role, ("?", ""))
         letter, alarm = SEVERITIES.get(line.severity, (" ", ""))
         fields, size = self._room(width)
-        when = time_text(line.t_ns, self.time, first_ns=self.first_ns, before_ns=before_ns)
+        when = self._when(line.t_ns, before_ns)
         if line.t_ns == 0 and line.role == EVENT:
             when = ""
         bus = printable(line.bus)[: self.bus_width]

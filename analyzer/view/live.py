@@ -14,6 +14,7 @@ import msgspec
 from analyzer import dialects as registry
 from analyzer.live.snapshot import FrameLine, Snapshot
 from analyzer.live.snapshot_pipe import SnapshotReader
+from analyzer.sources.times import ShownTime
 from analyzer.view.condition import Condition
 from analyzer.view.kept import KeptLines, Wanted, WantedKept
 from analyzer.view.series import Plotted, Point
@@ -57,6 +58,7 @@ class LiveSource:
         self._mark = mark
         self.watch = Watch(log)
         self.lines = KeptLines(LINES)
+        self.times = ShownTime()
         self.dialects = tuple(registry.for_model(registry.every(), model or None))
         self._plotted = Plotted()
         self._paused = False

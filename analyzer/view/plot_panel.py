@@ -15,7 +15,6 @@ from textual.widgets import Static
 
 from analyzer.values import printable
 from analyzer.view.braille import chart
-from analyzer.view.lines import time_text
 from analyzer.view.rows import Rows
 from analyzer.view.source import Plot, ViewSource
 
@@ -180,9 +179,8 @@ class PlotPanel(Horizontal):
             text.append(row + "\n", colour)
         return text
 
-    @staticmethod
-    def _time_axis(span: tuple[int, int], width: int, done: bool) -> str:
-        left, right = time_text(span[0]), time_text(span[1])
+    def _time_axis(self, span: tuple[int, int], width: int, done: bool) -> str:
+        left, right = self._source.times.text(span[0]), self._source.times.text(span[1])
         middle = f" {(span[1] - span[0]) / SECOND:.6g} s " + ("" if done else "(looking ...) ")
         room = width - _SCALE_WIDTH - 1 - len(left)
         if room < len(right) + 1:

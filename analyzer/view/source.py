@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 from analyzer.catalogue import Dialect
+from analyzer.sources.times import ShownTime
 from analyzer.view.condition import Condition
 from analyzer.view.kept import Lines, Wanted
 from analyzer.view.series import Point
@@ -48,6 +49,10 @@ class ViewSource(Protocol):
     @property
     def dialects(self) -> Sequence[Dialect]:
         """The dialects that frames are explained in."""
+
+    @property
+    def times(self) -> ShownTime:
+        """How times are shown."""
 
     @property
     def broken(self) -> str:
@@ -95,16 +100,3 @@ class ViewSource(Protocol):
 
     def close(self) -> None:
         """End it."""
-
-
-def field_names(dialects: Iterable[Dialect]) -> frozenset[str]:
-    """Return the names of fields that messages of these dialects can have, for filters."""
-    names: set[str] = set()
-    for dialect in dialects:
-        for command in (*dialect.commands, *dialect.fallbacks.values()):
-            for form in (*command.request_forms, *command.reply_forms):
-                for name, field in form.layout.named.items():
-                    names |= {name, name + "_name"} if field.choices is not None else {name}
-        if dialect.exception:
-            names |= {"exception", "exception_name"}
-    return frozenset(names | {"length"})

@@ -17,8 +17,8 @@ from typing import Any
 from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect, Risk
 from analyzer.cli.frame import parse_target, parse_values
-from analyzer.cli.show import fields_text, names_of
-from analyzer.decoder import physical
+from analyzer.cli.show import names_of
+from analyzer.decoder import physical, units_of
 from analyzer.dialects import find_command
 from analyzer.encoder import assemble
 from analyzer.errors import UsageError
@@ -26,7 +26,7 @@ from analyzer.live import endpoint as endpoints
 from analyzer.pipeline import Entry
 from analyzer.records import CanFrame, Message
 from analyzer.reference.hex_frame import read_frame
-from analyzer.values import printable
+from analyzer.values import fields_text, printable
 from conformance.cli.endpoint import add_on_argument, endpoint_of, gate_to
 from conformance.gate.gate import Allowance, Item, Judge, Refused, add_gate_arguments, allowance_from, shown
 from conformance.talk.dialogue import MS, Dialogue, Until
@@ -273,7 +273,7 @@ def _line(answer: Answer) -> str:
 
 def _text(message: Message) -> str:
     name = message.command.name if message.command is not None else "unknown"
-    return f"{name} {fields_text(physical(message))}".rstrip()
+    return f"{name} {fields_text(physical(message), units_of(message))}".rstrip()
 
 
 def _object(request: _Request, exchange: Exchange) -> dict[str, Any]:

@@ -30,14 +30,14 @@ def test_a_line_a_frame_with_findings_below(capsys):
 
 def test_the_filter_of_the_manual_page(capsys):
     assert main(["show", BENCH, "--filter", 'address == 1 and command == "read_speed" and speed > 300']) == 0
-    assert len(lines(capsys)) == 2
+    assert len(lines(capsys)) == 3
 
 
 def test_a_filter_on_findings(capsys):
     main(["show", BENCH, "--filter", '"bad_checksum" in findings'])
     shown = lines(capsys)
-    assert len(shown) == 3
-    assert "read_enabled" in shown[1]
+    assert len(shown) == 4
+    assert "read_enabled" in shown[2]
 
 
 def test_a_filter_that_is_none_is_wrong_use(capsys):
@@ -72,6 +72,7 @@ def test_a_pipe_shows_frames_before_it_ends():
     process.stdin.write(b"".join(rows[:4]))
     process.stdin.flush()
     assert b"command" in process.stdout.readline()
+    assert b"2026-03-02" in process.stdout.readline()
     assert b"read_encoder_carry" in process.stdout.readline()
     out, _ = process.communicate(b"".join(rows[4:]), timeout=20)
     assert out.count(b"\n") >= 20

@@ -6,9 +6,11 @@ import io
 import json
 import os
 import select
+import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -22,6 +24,7 @@ from tests.collect import sum8
 from tests.live.spooled import UTC, Spools, content, metadata, port, raw_of, read
 
 SECOND = 1_000_000_000
+CAPTURES = Path(__file__).parents[2] / "captures"
 #: A stretch that begins and ends between exchanges.
 FIRST, LAST = 9_950_000_000, 11_950_000_000
 LEFT = port("1-left", "left", byte_ns=260_416, speed=38400)
@@ -60,6 +63,11 @@ def decoded(path, *words):
     return out
 
 
+def findings_of(log):
+    """What a log's findings say, and when."""
+    return {(v["name"], v["message"], m.log_time) for t, m, v in read(log) if t == "/findings"}
+
+
 def within(rows, first, last):
     """Frames and findings of a log between two times in seconds from its start."""
     return [
@@ -85,15 +93,18 @@ def bare(rows):
     [
         ("+10s", "start", 10 * SECOND), ("+1.5min", "start", 90 * SECOND), ("-5min", "end", -300 * SECOND),
         ("+250ms", "start", 250_000_000), ("-2h", "end", -7200 * SECOND), ("+3", "start", 3 * SECOND),
-        ("1970-01-01T00:01:00Z", "utc", 60 * SECOND), ("1970-01-01T01:00:00+01:00", "utc", 0),
-        ("1970-01-02", "utc", 86400 * SECOND), ("1970-01-01 00:00:01.000000001", "utc", SECOND + 1),
+        ("1970-01-01T00:01:00Z", "clock", 60 * SECOND), ("1970-01-01T01:00:00+01:00", "clock", 0),
+        ("1970-01-02", "shown", 86400 * SECOND), ("1970-01-01 00:00:01.000000001", "shown", SECOND + 1),
+        ("5s", "start", 5 * SECOND), ("+1:30", "start", 90 * SECOND), ("-1:00:00.5", "end", -3600 * SECOND - SECOND // 2),
+        ("09:00:05", "day", 32405 * SECOND), ("23:59:59.25", "day", 86399 * SECOND + SECOND // 4),
+        ("5.25", "clock", 5250000000),
     ],
 )  # fmt: skip
 def test_moments(text, anchor, ns):
     assert parse_time(text)[:2] == (anchor, ns)
 
 
-@pytest.mark.parametrize("text", ["", "10s", "yesterday", "2026-13-01", "+5y", "2026-11-21T25:00:00Z", "+-3s"])
+@pytest.mark.parametrize("text", ["", "10q", "1:30", "yesterday", "2026-13-01", "+5y", "2026-11-21T25:00:00Z", "+-3s"])
 def test_no_moments(text):
     with pytest.raises(UsageError, match="is not a time"):
         parse_time(text)
@@ -101,6 +112,56 @@ def test_no_moments(text):
 
 def test_a_time_as_text_is_a_moment():
     assert parse_time(iso(UTC + 123)).ns == UTC + 123
+
+
+def zoned(monkeypatch, name):
+    monkeypatch.setenv("TZ", name)
+    time.tzset()
+
+
+@pytest.fixture
+def berlin(monkeypatch):
+    zoned(monkeypatch, "Europe/Berlin")
+    yield
+    monkeypatch.undo()
+    time.tzset()
+
+
+def shown_times(capsys, path, *words):
+    assert main(["show", str(path), *words]) == 0
+    rows = [row for row in capsys.readouterr().out.splitlines()[1:] if row.strip()]
+    return [row.split("  # ")[1] if "  # " in row else row.split()[0] for row in rows if "!" not in row]
+
+
+def test_times_are_shown_in_the_local_zone_or_in_utc_with_the_date_where_it_changes(tmp_path, capsys, berlin):
+    path = tmp_path / "can.log"
+    path.write_text("(1764629990.5) can0 001#3031\n(1764630010.25) can0 001#3031\n")
+    local = ["2025-12-01 CET (UTC+01:00)", "23:59:50.500000", "2025-12-02 CET (UTC+01:00)", "00:00:10.250000"]
+    assert shown_times(capsys, path) == local
+    assert shown_times(capsys, path, "--utc") == ["2025-12-01 UTC", "22:59:50.500000", "23:00:10.250000"]
+    for since in ("00:00:05", "2025-12-02 00:00:05", "2025-12-01T23:00:05Z", "1764630005"):
+        assert shown_times(capsys, path, "--since", since) == local[2:], since
+    assert shown_times(capsys, path, "--utc", "--since", "23:00:05") == ["2025-12-01 UTC", "23:00:10.250000"]
+
+
+def test_times_of_day_are_shown_and_taken_as_the_capture_prints_them(tmp_path, capsys, berlin):
+    path = tmp_path / "term.log"
+    path.write_text("23:59:58.100 FA 01 32 2D\n23:59:58.110 FB 01 32 00 00 2E\n00:00:04.000 FA 01 32 2D\n")
+    assert shown_times(capsys, path) == ["23:59:58.100000", "23:59:58.110000", "day 2", "00:00:04.000000"]
+    assert shown_times(capsys, path, "--since", "00:00:01") == ["day 2", "00:00:04.000000"]
+    out = decoded(path)
+    capsys.readouterr()
+    assert shown_times(capsys, out, "--until", "23:59:58.105") == ["23:59:58.100000"]
+    assert main(["cut", str(out), "--until", "23:59:59", "-o", str(tmp_path / "cut.mcap")]) == 0
+    capsys.readouterr()
+    assert shown_times(capsys, tmp_path / "cut.mcap") == ["23:59:58.100000", "23:59:58.110000"]
+
+
+def test_dates_without_a_zone_are_shown_as_printed(tmp_path, capsys, berlin):
+    path = tmp_path / "term.log"
+    path.write_text("2026-03-02 09:00:00.100 FA 01 32 2D\n2026-03-02 09:00:00.110 FB 01 32 00 00 2E\n")
+    assert shown_times(capsys, path) == ["2026-03-02", "09:00:00.100000", "09:00:00.110000"]
+    assert shown_times(capsys, path, "--since", "09:00:00.105") == ["2026-03-02", "09:00:00.110000"]
 
 
 # --- since and until ------------------------------------------------------------------------------------------------
@@ -238,7 +299,30 @@ def test_wrong_cuts(tmp_path, capsys):
     assert "expected an MCAP log" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("capture", ["mks_rs485.log", "mks_can.asc", "mks_modbus.log"])
+def test_a_cut_makes_no_findings_that_the_whole_has_not(tmp_path, capsys, capture):
+    whole = decoded(shutil.copy(CAPTURES / capture, tmp_path))
+    whole = whole.rename(tmp_path / "whole.mcap")
+    known = findings_of(whole)
+    times = sorted({m.log_time for _, m, _ in read(whole)})
+    for number, at in enumerate(times[1:-1:7]):
+        for option in ("--since", "--until"):
+            out = tmp_path / f"{number}{option}.mcap"
+            assert main(["cut", str(whole), option, f"{at // SECOND}.{at % SECOND:09d}", "-o", str(out)]) == 0
+            assert findings_of(decoded(out)) <= known, (option, at)
+    capsys.readouterr()
+
+
 # --- merge ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_log_is_merged_once(tmp_path, capsys):
+    path = log(tmp_path / "a", "a.mcap", seconds=1)
+    copied = shutil.copy(path, tmp_path / "copy.mcap")
+    for twice in (path, copied):
+        assert main(["merge", str(path), str(twice), "-o", str(tmp_path / "out.mcap")]) == 2
+        assert "has the same messages as" in capsys.readouterr().err
+    assert not (tmp_path / "out.mcap").exists()
 
 
 def test_logs_with_buses_of_one_name(tmp_path, capsys):

@@ -30,8 +30,8 @@ def test_frames_are_shown_decoded():
         text = driver.text
         assert "mks_rs485.log  FILE" in text
         assert "39 frames  3 E" in text
-        assert re.search(r"09:00:01\.040000 serial    1 > run_speed +direction=ccw speed=320", text)
-        assert re.search(r"09:00:01\.143000 serial    1 < read_speed +speed=320  \(3\.000 ms\)", text)
+        assert re.search(r"09:00:01\.040000 serial    1 > run_speed +direction=ccw speed=320 rpm", text)
+        assert re.search(r"09:00:01\.143000 serial    1 < read_speed +speed=320 rpm  \(3\.000 ms\)", text)
 
     drive(capture_of(LOG), steps)
 
@@ -127,7 +127,13 @@ def test_a_filter_shows_what_it_lets_through_and_says_what_it_does_not_know():
         ]  # fmt: skip
         await driver.press("f")
         await driver.type("spede > 100")
-        assert "no field 'spede' in any command; did you mean speed?" in driver.text
+        assert "no field 'spede' in any command; did you mean speed" in driver.text
+        assert "filter: spede > 100" in driver.text
+        await driver.type("speed > 200")
+        assert "frames shown: speed > 200" in driver.text
+        await driver.press("f")
+        await driver.type("speed > 100")
+        await driver.press("f")
         await driver.press("escape")
         assert "4 frames shown" in driver.text
         await driver.press("escape")
@@ -215,7 +221,7 @@ def test_columns_change():
 
 def test_a_wide_terminal_shows_fields_and_bytes():
     async def steps(driver):
-        assert re.search(r"> run_speed +direction=ccw speed=320 acceleration=2 +FA 01 F6 01 40 02 34", driver.text)
+        assert re.search(r"> run_speed +direction=ccw speed=320 rpm acceleration=2 +FA 01 F6 01 40 02 34", driver.text)
 
     drive(capture_of(LOG), steps, size=(140, 30))
 

@@ -7,25 +7,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from analyzer import dialects
+from analyzer.cli.filter import vocabulary
 from analyzer.errors import UsageError
 from analyzer.live.snapshot import FrameLine
 from analyzer.pipeline import Options, Pipeline
 from analyzer.records import Chunk, Comment
+from analyzer.sources.times import ShownTime
 from analyzer.view.braille import Canvas, chart
 from analyzer.view.capture import CapturePlot, WantedNumbers, _Keeper
 from analyzer.view.condition import Condition
 from analyzer.view.kept import KeptLines, WantedKept
-from analyzer.view.lines import Columns, time_text
+from analyzer.view.lines import ELAPSED, STEP, Columns
 from analyzer.view.search import Search
 from analyzer.view.series import POINTS, Series
-from analyzer.view.source import field_names
 from analyzer.view.store import BLOCK, FrameStore
 from tests.collect import Collect, sum8
 
 MS = 1_000_000
 START = 1_700_000_000_000_000_000
 MKS = dialects.get("mks-rs485")
-KNOWN = field_names([MKS])
+KNOWN = vocabulary([MKS])
 
 
 def line(sequence, **about):
@@ -146,7 +147,8 @@ def test_hopping_from_finding_to_finding_leaves_none_out():
     "text",
     [
         'command == "read_speed"', "speed > 300", "address == 2 and role == 'reply'", '"bad_checksum" in findings', "time > 0",
-        "checksum_ok == 0", "latency > 0.0001", 'raw == "00 55 AA"', 'role == "junk"', "sequence % 100 == 0", "speed != 0",
+        "checksum_ok == 0", "latency > 0.1",
+        "latency > 100us", 'raw == "00 55 AA"', 'role == "junk"', "sequence % 100 == 0", "speed != 0",
         "enabled == 1", "not (address == 1)",
     ],
 )  # fmt: skip
@@ -240,7 +242,7 @@ def test_a_chart_of_anything_has_its_size(points, width, height):
 
 @given(st.text(), st.text(), st.integers(10, 200), st.sampled_from(["reply", "junk", "event", "x"]))
 def test_a_row_has_its_width_and_nothing_that_steers(text, command, width, role):
-    row = Columns().row(
+    row = Columns(ShownTime()).row(
         FrameLine(1, START, text, role, command, text, values={text: text}, text=text, rules=(text,), dialect=text), width
     )
     assert row.cell_len == width
@@ -249,7 +251,7 @@ def test_a_row_has_its_width_and_nothing_that_steers(text, command, width, role)
 
 
 def test_severity_and_role_are_told_without_colour():
-    columns = Columns()
+    columns = Columns(ShownTime())
     rows = [
         columns.row(FrameLine(1, START, "left", role, "x", severity=severity), 80).plain
         for role, severity in (("request", "error"), ("reply", "warning"), ("unknown", "info"), ("junk", ""), ("event", ""))
@@ -259,8 +261,11 @@ def test_severity_and_role_are_told_without_colour():
 
 
 def test_times():
-    assert time_text(START + 1_234_567) == "22:13:20.001234"
-    assert time_text(5_000_000_000) == "5.000000"
-    assert time_text(START + 1500 * MS, "elapsed", first_ns=START) == "1.500000"
-    assert time_text(START + MS, "step", before_ns=START) == "+0.001000"
-    assert time_text(START, "step") == ""
+    assert ShownTime().text(START + 1_234_567) == "22:13:20.001234"
+    assert ShownTime().text(5_000_000_000) == "       5.000000"
+    columns = Columns(ShownTime())
+    columns.first_ns = START
+    for mode, before_ns, text in ((ELAPSED, None, "1.500000"), (STEP, START + 1499 * MS, "+0.001000"), (STEP, None, "")):
+        columns.time = mode
+        at = line(1500)
+        assert columns.row(at, 100, before_ns).plain[2:17].strip() == text
