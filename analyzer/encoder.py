@@ -16,7 +16,7 @@ On CAN the result is the data bytes; the link makes the identifier from the addr
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Form, Risk, Role, all_fields
@@ -25,7 +25,7 @@ from analyzer.dialects import find_command
 from analyzer.errors import UsageError
 from analyzer.layout import Field
 from analyzer.records import CanFrame
-from analyzer.values import counted, near, parse_value, quote, refusal
+from analyzer.values import counted, near, parse_value, quote, range_text, refusal, value_text
 
 __all__ = ["Built", "address_refusal", "assemble", "build", "choose_form", "parse_value", "refusals"]
 
@@ -43,7 +43,7 @@ class Built:
     """A frame and what it is made of.
 
     `can_id`: the identifier of a CAN frame, else None. `values`: integers as sent, of all fields. `refusals`: what the manual
-    forbids.
+    forbids. `filled`: fields that were left out and took the default that the manual states, as texts.
     """
 
     frame: bytes
@@ -55,6 +55,7 @@ class Built:
     values: Mapping[str, Any]
     risks: frozenset[Risk]
     refusals: tuple[str, ...]
+    filled: Mapping[str, str] = field(default_factory=dict)
 
     def item(self, frame: bytes | None = None) -> bytes | CanFrame:
         """Return the frame, or other bytes in its place, as a bus carries it: on CAN with the identifier."""
@@ -89,21 +90,27 @@ def assemble(
     form: Form | str | None = None,
     *,
     physical: bool = False,
+    complete: bool = False,
 ) -> Built:
-    """Build as `build` does, and return with the frame what it is made of and what the manual forbids in it."""
+    """Build as `build` does, and return with the frame what it is made of and what the manual forbids in it.
+
+    `complete`: fields without a stated default must be given; UsageError names those that are not.
+    """
     if isinstance(command, str):
         command = find_command(dialect, command)
     forbidden = [*address_refusal(dialect, address)]
     values = {} if values is None else values
     if command.slots is not None and SLOTS in values:
-        form, data, risks = command.request_forms[0], b"", frozenset[Risk]()
+        form = command.request_forms[0]
         if len(values) > 1 or role is not Role.REQUEST:
             raise UsageError(f"{command.name}: expected {SLOTS} alone, in a request")
-        data, slot_risks, told = _package(dialect, command, values[SLOTS], physical)
-        risks, shown = slot_risks, values
+        data, slots, told = _package(dialect, command, values[SLOTS], physical, complete)
+        risks, shown = frozenset[Risk]().union(*(slot.risks for slot in slots)), values
+        filled = {f"slot {n} {name}": text for n, slot in enumerate(slots, 1) for name, text in slot.filled.items()}
         forbidden = told
     else:
         form, sent = choose_form(command, role, values, form, physical=physical)
+        filled = _filled(command, form, sent) if complete else {}
         data = _encode(form, sent)
         shown = codec(form.layout).wire(data)
         forbidden += refusals(command, form, data)
@@ -113,7 +120,7 @@ def assemble(
         raise UsageError(f"address {address} does not fit the frame, expected 0..{head_limit}")
     frame = dialect.link.build(command, form, address, data, role)
     can_id = dialect.link.identifier(command, address)
-    return Built(frame, can_id, command, form, role, address, shown, risks, tuple(forbidden))
+    return Built(frame, can_id, command, form, role, address, shown, risks, tuple(forbidden), filled)
 
 
 # --- what the manual allows -------------------------------------------------------------------------------------------
@@ -180,6 +187,15 @@ def _all_sent(command: Command, form: Form, values: Mapping[str, Value], physica
     return sent
 
 
+def _filled(command: Command, form: Form, sent: Mapping[str, int | bytes]) -> dict[str, str]:
+    """Return the fields that were left out and have a default, with it. Raises UsageError where others were left out."""
+    left = [f for name, f in form.layout.named.items() if f.fixed is None and f.bit_width and name not in sent]
+    missing = [f"{f.name} ({range_text(f, 6)})" for f in left if f.default is None]
+    if missing:
+        raise UsageError(f"{command.name} needs {', '.join(missing)}: the manual states no default")
+    return {f.name: value_text(f, f.default) for f in left if f.default is not None}
+
+
 def _contradicted(form: Form, sent: Mapping[str, int | bytes]) -> bool:
     """Say whether a value differs from that which makes the layout what it is."""
     return any(f.fixed is not None and sent.get(n, f.fixed) != f.fixed for n, f in form.layout.named.items())
@@ -228,14 +244,14 @@ def _encode(form: Form, sent: Mapping[str, int | bytes]) -> bytes:
 
 
 def _package(
-    dialect: Dialect, package: Command, slots: Sequence[Mapping[str, Any]], physical: bool
-) -> tuple[bytes, frozenset[Risk], list[str]]:
-    """Return the data of a package, the risks of what its slots hold, and what the manual forbids in them."""
+    dialect: Dialect, package: Command, slots: Sequence[Mapping[str, Any]], physical: bool, complete: bool
+) -> tuple[bytes, list[Built], list[str]]:
+    """Return the data of a package, what its slots hold, and what the manual forbids in them."""
     assert package.slots is not None
     count, size = package.slots.count, package.slots.size
     if len(slots) > count:
         raise UsageError(f"{package.name}: got {len(slots)} slots, expected at most {count}")
-    data, risks, forbidden = b"", frozenset[Risk](), list[str]()
+    data, made, forbidden = b"", list[Built](), list[str]()
     seen: set[int] = set()
     for number, slot in enumerate(slots, 1):
         command = find_command(dialect, str(slot["command"]))
@@ -244,7 +260,7 @@ def _package(
         address = int(slot["address"])
         values = {n: v for n, v in slot.items() if n not in _SLOT_WORDS}
         try:
-            built = assemble(dialect, command, address, values, physical=physical)
+            built = assemble(dialect, command, address, values, physical=physical, complete=complete)
         except UsageError as error:
             raise UsageError(f"slot {number}: {error}") from None
         body = _encode(built.form, built.values)
@@ -255,6 +271,6 @@ def _package(
         if address in seen:
             forbidden.append(f"slot {number}: address {address} again; of two slots for one only the first is executed")
         seen.add(address)
-        risks |= built.risks
+        made.append(built)
         data += raw.ljust(size, b"\0")
-    return data.ljust(count * size, b"\0"), risks, forbidden
+    return data.ljust(count * size, b"\0"), made, forbidden

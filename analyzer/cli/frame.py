@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import shlex
+import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -24,13 +25,14 @@ EXAMPLES = """\
 exit status: 0 printed; 2 wrong use, or a value that the manual does not allow (see --force).
 
 examples:
-  servotap frame mks-rs485@1 run_speed speed=320 acceleration=2
-  servotap frame mks-can@1 run_speed speed=320 acceleration=2 --candump
+  servotap frame mks-rs485@1 run_speed direction=ccw speed=320 acceleration=2
+  servotap frame mks-can@1 run_speed direction=ccw speed=320 acceleration=2 --candump
   servotap frame mks-modbus@1 set_work_mode work_mode=sr_vfoc
   servotap frame lk-rs485@1 move_multi_turn position=360.5
   servotap frame mks-rs485@1 run_speed status=1 --reply
-  servotap frame mks-rs485@all long_package slot="1 run_speed speed=50" slot="2 run_speed speed=100 direction=cw"
+  servotap frame mks-rs485@all long_package slot="1 run_speed direction=cw speed=50 acceleration=2"
 
+A field without a default in the manual must be given; what is left out takes its default, and that is shown.
 'servotap catalogue NAME' lists the fields of a command.
 """
 
@@ -58,9 +60,11 @@ def run(arguments: argparse.Namespace) -> int:
     command = find_command(dialect, arguments.command)
     role = Role.REPLY if arguments.reply else Role.REQUEST
     values = parse_values(arguments.values)
-    built = assemble(dialect, command, address, values, role, arguments.form, physical=not arguments.wire)
+    built = assemble(dialect, command, address, values, role, arguments.form, physical=not arguments.wire, complete=True)
     if built.refusals and not arguments.force:
         raise UsageError("; ".join(built.refusals))
+    if built.filled and not arguments.json:
+        print(f"left out, so as the manual's default: {filled_text(built)}", file=sys.stderr)
     text = write_frame(built.frame, built.can_id, candump=arguments.candump)
     print(json.dumps(_object(dialect, built, text)) if arguments.json else text)
     return 0
@@ -77,7 +81,13 @@ def _object(dialect: Dialect, built: Built, text: str) -> dict[str, Any]:
         "frame": text,
         "risk": sorted(built.risks),
         "section": command.section,
+        "filled": dict(built.filled),
     }
+
+
+def filled_text(built: Built) -> str:
+    """Return what was left out and took its default, as `field=value` words."""
+    return ", ".join(f"{name}={value}" for name, value in built.filled.items())
 
 
 def parse_target(text: str, model: str | None) -> tuple[Dialect, int]:
