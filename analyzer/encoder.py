@@ -94,7 +94,7 @@ def assemble(
 ) -> Built:
     """Build as `build` does, and return with the frame what it is made of and what the manual forbids in it.
 
-    `complete`: fields without a stated default must be given; UsageError names those that are not.
+    `complete`: that a field of a request was left out for which the manual states no default is forbidden too.
     """
     if isinstance(command, str):
         command = find_command(dialect, command)
@@ -110,10 +110,10 @@ def assemble(
         forbidden = told
     else:
         form, sent = choose_form(command, role, values, form, physical=physical)
-        filled = _filled(command, form, sent) if complete else {}
+        filled, missing = _left_out(command, form, sent) if complete and role is Role.REQUEST else ({}, [])
         data = _encode(form, sent)
         shown = codec(form.layout).wire(data)
-        forbidden += refusals(command, form, data)
+        forbidden += [*refusals(command, form, data), *missing]
         risks = command.risks(shown) if role is Role.REQUEST else frozenset()
     head_limit = max(dialect.addresses[1], 0xFF if dialect.bus == "serial" else 0)
     if not 0 <= address <= head_limit:
@@ -187,13 +187,12 @@ def _all_sent(command: Command, form: Form, values: Mapping[str, Value], physica
     return sent
 
 
-def _filled(command: Command, form: Form, sent: Mapping[str, int | bytes]) -> dict[str, str]:
-    """Return the fields that were left out and have a default, with it. Raises UsageError where others were left out."""
+def _left_out(command: Command, form: Form, sent: Mapping[str, int | bytes]) -> tuple[dict[str, str], list[str]]:
+    """Return the fields that were left out: those that have a default, with it, and why the others must be given."""
     left = [f for name, f in form.layout.named.items() if f.fixed is None and f.bit_width and name not in sent]
     missing = [f"{f.name} ({range_text(f, 6)})" for f in left if f.default is None]
-    if missing:
-        raise UsageError(f"{command.name} needs {', '.join(missing)}: the manual states no default")
-    return {f.name: value_text(f, f.default) for f in left if f.default is not None}
+    told = [f"{command.name} needs {', '.join(missing)}: the manual states no default"] * bool(missing)
+    return {f.name: value_text(f, f.default) for f in left if f.default is not None}, told
 
 
 def _contradicted(form: Form, sent: Mapping[str, int | bytes]) -> bool:

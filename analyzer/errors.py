@@ -4,7 +4,9 @@ from __future__ import annotations
 
 
 class ServotapError(Exception):
-    """Something the user can mend: wrong use, or an input that cannot be read."""
+    """Something the user can mend: wrong use, or an input that cannot be read. `exit_status`: of a command that it ends."""
+
+    exit_status = 2
 
 
 class UsageError(ServotapError):

@@ -141,4 +141,4 @@ def _run(name: str, module: ModuleType, words: Sequence[str]) -> int:
         return int(module.run(parsed))
     except ServotapError as error:
         print(f"servotap {name}: {error}", file=sys.stderr)
-        return 2
+        return error.exit_status

@@ -387,7 +387,7 @@ COMMANDS = (
         code=0xA0,
         section="9",
         summary="Drive an MS motor with a voltage, without feedback.",
-        risk=(always(Risk.UNBOUNDED, Risk.TORQUE),),
+        risk=(always(Risk.MOTION, Risk.UNBOUNDED, Risk.TORQUE),),
         request=Layout(i16le("power", minimum=-850, maximum=850, unit="LSB", printed="powerControl", effect=Effect.CURRENT)),
         reply=POWER_STATE_2,
         motion=_motion(MotionKind.TORQUE),
@@ -407,7 +407,7 @@ COMMANDS = (
         code=0xA1,
         section="10",
         summary="Hold a torque current; MF, MG and MH only.",
-        risk=(always(Risk.UNBOUNDED, Risk.TORQUE),),
+        risk=(always(Risk.MOTION, Risk.UNBOUNDED, Risk.TORQUE),),
         request=Layout(
             i16le(
                 "torque_current",
@@ -451,8 +451,8 @@ COMMANDS = (
         section="11",
         summary="Run at a speed until told otherwise.",
         risk=(
+            always(Risk.MOTION),
             when("speed", -0x8000_0000, -1, Risk.UNBOUNDED),
-            when("speed", 0, None, Risk.MOTION),
             when("speed", 1, 0x7FFF_FFFF, Risk.UNBOUNDED),
         ),
         request=Layout(i32le("speed", unit="deg/s", scale=HUNDREDTH, printed="speedControl")),

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from conformance.bus.open import open_line
+from conformance.bus.open import at_default_rate, open_line
 
-__all__ = ["open_line"]
+__all__ = ["at_default_rate", "open_line"]

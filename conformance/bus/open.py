@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
+from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
 from analyzer.live.endpoint import Endpoint
 from conformance.bus.line import Line
@@ -17,6 +19,14 @@ def open_line(endpoint: Endpoint) -> Line:
     if endpoint.auto:
         raise UsageError(f"{endpoint.text}: the speed is missing, expected baud=N (servotap scan finds it)")
     return _KINDS[endpoint.kind](endpoint)
+
+
+def at_default_rate(endpoint: Endpoint, dialect: Dialect) -> Endpoint:
+    """Return an endpoint at the rate that a dialect's drives are delivered with, where it names no rate; its text says so."""
+    if endpoint.kind == "tcp" or endpoint.speed is not None or endpoint.auto or not dialect.baud_rates:
+        return endpoint
+    rate = dialect.baud_rates[0]
+    return replace(endpoint, speed=rate, text=f"{endpoint.text},{'bitrate' if endpoint.kind == 'can' else 'baud'}={rate}")
 
 
 def _serial(endpoint: Endpoint) -> Line:

@@ -6,6 +6,7 @@ from __future__ import annotations
 HELP: dict[str, str] = {
     "emulate": "emulate drives on a serial port, a TCP port or a CAN bus",
     "send": "send one frame to a drive, and show the reply decoded",
+    "stop": "stop all drives of a bus, or those that are named, and prove that they stand",
     "scan": "find what answers on a bus: rates, dialects, addresses; reads only",
     "replay": "send the requests of a recording again, at their times",
     "tap": "record what a program and its serial adapter say to each other",

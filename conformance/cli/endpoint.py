@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import sys
 from collections.abc import Iterable, Iterator
 
 from analyzer.catalogue import Dialect
@@ -11,7 +12,7 @@ from analyzer.errors import UsageError
 from analyzer.live import endpoint as endpoints
 from analyzer.live.endpoint import Endpoint
 from analyzer.values import quote
-from conformance.bus import open_line
+from conformance.bus import at_default_rate, open_line
 from conformance.bus.line import LineLost
 from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
@@ -29,6 +30,19 @@ def endpoint_of(arguments: argparse.Namespace) -> Endpoint:
     if arguments.on is None:
         raise UsageError("where? expected --on ENDPOINT, as in --on serial:/dev/ttyUSB0,baud=38400 (or --dry-run)")
     return endpoints.parse(arguments.on)
+
+
+def at_own_rate(endpoint: Endpoint, dialect: Dialect) -> Endpoint:
+    """Return an endpoint at a dialect's default rate where it names none, and say which rate that is."""
+    at = at_default_rate(endpoint, dialect)
+    say_rate(at, dialect, endpoint.text)
+    return at
+
+
+def say_rate(endpoint: Endpoint, dialect: Dialect, given: str) -> None:
+    """Say the rate of an endpoint where it was given without one."""
+    if endpoint.text != given:
+        print(f"{endpoint.text}: the default rate of {dialect.name}", file=sys.stderr)
 
 
 @contextlib.contextmanager

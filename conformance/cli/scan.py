@@ -33,14 +33,14 @@ examples:
   servotap scan can:slcan:/dev/ttyACM0 --rates 500000,1000000
   servotap scan can:socketcan:can0 --addresses 1-2047 --json
 """
-_DEFAULT_ADDRESSES = "1-32"
+DEFAULT_ADDRESSES = "1-32"
 _SHOWN = 24
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("endpoint", metavar="ENDPOINT", help="serial:PORT[,baud=N], tcp:HOST:PORT or can:INTERFACE:CHANNEL")
-    parser.add_argument("--addresses", default=_DEFAULT_ADDRESSES, metavar="LIST", help="as 1-32 (default) or 1,2,0x10-0x1F")
+    parser.add_argument("--addresses", default=DEFAULT_ADDRESSES, metavar="LIST", help="as 1-32 (default) or 1,2,0x10-0x1F")
     parser.add_argument("--rates", metavar="LIST", help="bits per second, as 38400,115200, or all")
     parser.add_argument("--dialects", metavar="LIST", help="as mks-rs485,lk-rs485; default: all of the bus")
     parser.add_argument(
@@ -53,14 +53,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Scan; return 0 if a drive was found."""
     endpoint = endpoints.parse(arguments.endpoint)
-    dialects = _dialects(arguments.dialects, endpoint)
+    dialects = dialects_on(endpoint, arguments.dialects)
     addresses = parse_addresses(arguments.addresses, min(dialect.addresses[0] for dialect in dialects))
-    rates = _rates(arguments.rates, endpoint, dialects)
+    rates = rates_of(arguments.rates, endpoint, dialects)
     if not 0 < arguments.timeout <= 60_000:
         raise UsageError(f"--timeout: got {arguments.timeout:g}, expected milliseconds above 0, at most 60000")
     report = Report()
     opened = endpoint.at(rates[0]) if endpoint.auto or endpoint.kind == "serial" else endpoint
-    with gate_to(opened, Allowance()) as gate, _progress(arguments.json) as progress:
+    with gate_to(opened, Allowance()) as gate, showing_progress(quiet=arguments.json) as progress:
         try:
             scan(
                 gate, dialects, addresses=addresses, rates=rates, patience_ns=int(arguments.timeout * 1e6),
@@ -78,7 +78,8 @@ def run(arguments: argparse.Namespace) -> int:
 # --- what is asked for --------------------------------------------------------------------------------------------
 
 
-def _dialects(text: str | None, endpoint: Endpoint) -> list[Dialect]:
+def dialects_on(endpoint: Endpoint, text: str | None = None) -> list[Dialect]:
+    """Return the dialects of a bus, those that are named. Raises UsageError for one of another kind of bus."""
     every = [d for d in registry.every() if d.bus == endpoint.bus_kind]
     if text is None:
         return every
@@ -89,7 +90,7 @@ def _dialects(text: str | None, endpoint: Endpoint) -> list[Dialect]:
     return chosen
 
 
-def _rates(text: str | None, endpoint: Endpoint, dialects: Sequence[Dialect]) -> list[int]:
+def rates_of(text: str | None, endpoint: Endpoint, dialects: Sequence[Dialect]) -> list[int]:
     """Return the rates to try: those asked for; the endpoint's own; those of the manuals, where a line has its own rate."""
     known = list(dict.fromkeys(r for d in dialects for r in d.baud_rates))
     if text is None:
@@ -109,7 +110,8 @@ def _rates(text: str | None, endpoint: Endpoint, dialects: Sequence[Dialect]) ->
 
 
 @contextlib.contextmanager
-def _progress(quiet: bool) -> Iterator[Progress | None]:
+def showing_progress(*, quiet: bool) -> Iterator[Progress | None]:
+    """Show on a terminal how far a scan has come."""
     if quiet or not sys.stderr.isatty():
         yield None
         return

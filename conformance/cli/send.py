@@ -16,7 +16,7 @@ from typing import Any
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect, Risk
-from analyzer.cli.frame import parse_target, parse_values
+from analyzer.cli.frame import filled_text, parse_target, parse_values
 from analyzer.cli.show import names_of
 from analyzer.decoder import physical, units_of
 from analyzer.dialects import find_command
@@ -27,7 +27,7 @@ from analyzer.pipeline import Entry
 from analyzer.records import CanFrame, Message
 from analyzer.reference.hex_frame import read_frame
 from analyzer.values import fields_text, printable
-from conformance.cli.endpoint import add_on_argument, endpoint_of, gate_to
+from conformance.cli.endpoint import add_on_argument, at_own_rate, endpoint_of, gate_to
 from conformance.gate.gate import Allowance, Item, Judge, Refused, add_gate_arguments, allowance_from, shown
 from conformance.talk.dialogue import MS, Dialogue, Until
 from conformance.talk.drive_state import read_drive_state
@@ -39,8 +39,8 @@ exit status: 0 answered (or nothing answers it), 1 no answer or a refusal by the
 examples:
   servotap send mks-rs485@1 read_speed --on serial:/dev/ttyUSB0,baud=38400
   servotap send mks-can@1 read_parameter parameter=current --on can:socketcan:can0
-  servotap send mks-rs485@1 run_speed speed=60 acceleration=200 --on tcp:127.0.0.1:5000 --allow motion,unbounded
-  servotap send mks-rs485@1 stop_speed acceleration=200 --on tcp:127.0.0.1:5000 --allow motion --wait
+  servotap send mks-rs485@1 run_speed direction=cw speed=60 acceleration=200 --on tcp:127.0.0.1:5000 --allow motion,unbounded
+  servotap send mks-rs485@1 stop_speed acceleration=200 --on tcp:127.0.0.1:5000 --wait
   servotap send --hex "FA 01 31 2C" --on serial:/dev/ttyUSB0,baud=38400
   servotap send lk-rs485@1 move_increment position=90 --dry-run
 """
@@ -82,6 +82,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.dry_run:
         return _dry_run(request, allowance, arguments)
     endpoint = endpoint_of(arguments)
+    if request.dialect is not None:
+        endpoint = at_own_rate(endpoint, request.dialect)
     if endpoint.bus_kind != ("can" if isinstance(request.item, CanFrame) else "serial"):
         raise UsageError(f"{shown(request.item)} is a frame of another kind of bus than {endpoint.text}")
     # Risks that are not allowed are refused before a port is opened. Bounds may depend on where the drive is: they come later.
@@ -144,7 +146,9 @@ def _command(arguments: argparse.Namespace) -> _Request:
     dialect, address = parse_target(arguments.target, arguments.model)
     command = find_command(dialect, arguments.command)
     values = parse_values(arguments.values)
-    built = assemble(dialect, command, address, values, form=arguments.form, physical=not arguments.wire)
+    built = assemble(dialect, command, address, values, form=arguments.form, physical=not arguments.wire, complete=True)
+    if built.filled and not arguments.json:
+        print(f"left out, so as the manual's default: {filled_text(built)}", file=sys.stderr)
     if built.refusals and not arguments.force:
         raise UsageError("; ".join(built.refusals))
     others = [d for d in registry.every() if d.bus == dialect.bus and d.name != dialect.name]

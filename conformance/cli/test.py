@@ -22,6 +22,7 @@ from analyzer import __version__
 from analyzer.cli.reading import now_text
 from analyzer.errors import ServotapError
 from conformance.claim import NotStopped, Outcome, RigFault, worst
+from conformance.cli.endpoint import say_rate
 from conformance.gate.permissions import add_gate_arguments
 from conformance.safety.signals import as_interrupt
 from conformance.suite import plan as suite
@@ -88,6 +89,11 @@ def run(arguments: argparse.Namespace) -> int:
         from conformance.tools.mutants import run_mutants
 
         return run_mutants(plan, jobs=arguments.jobs or os.cpu_count() or 1, as_json=arguments.json)
+    if arguments.baseline:
+        from conformance.report import baseline
+
+        # Before the run: a file that cannot be read must not cost the time of one.
+        baseline.load(Path(arguments.baseline))
     if arguments.dry_run:
         from conformance.suite.dry_run import dry_run
 
@@ -98,6 +104,9 @@ def run(arguments: argparse.Namespace) -> int:
 def plan_of(arguments: argparse.Namespace) -> Plan:
     """Return what the command line asks for. Raises UsageError for what does not fit together."""
     targets = target.parse_all(arguments.drives, arguments.on)
+    for each in targets:
+        if each.endpoint is not None and each.endpoint.text not in arguments.on:
+            say_rate(each.endpoint, each.dialect, "")
     return plan_from(
         arguments,
         targets,
@@ -167,7 +176,7 @@ def _test(plan: Plan, arguments: argparse.Namespace) -> int:
 def _status(records: Sequence[VerdictRecord], arguments: argparse.Namespace, trouble: ServotapError | None) -> int:
     found = [REFUTED] if any(r.refuted for r in records) and not arguments.baseline else []
     if trouble is not None:
-        found.append(trouble.exit_status if isinstance(trouble, (NotStopped, RigFault)) else WRONG_USE)
+        found.append(trouble.exit_status)
     judged = (Outcome.CONFIRMED, Outcome.REFUTED, Outcome.OBSERVED)
     doubt = too_inconclusive(records, arguments.max_inconclusive)
     if doubt:

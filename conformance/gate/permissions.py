@@ -3,7 +3,7 @@
     --allow setting,motion --max-speed 300 --max-turns 2 --max-acceleration 200 --max-current 1500 --budget commands=500
 
 Reads are always allowed; everything else has to be allowed by name, each risk of a frame. `motion` includes neither `torque`
-nor `unbounded`. `unbounded` includes `motion`: a run without an end must be stopped.
+nor `unbounded`: a run needs both `motion` and `unbounded`.
 
 Neighbours: where addresses are named, all others need `alone`, and so do a broadcast, a package and a change of the link
 anywhere. An interpretation that only reads and whose checks do not fit has no address: no drive would answer it.
@@ -62,8 +62,7 @@ class Allowance:
     spoken: frozenset[str] | None = None
 
     def __post_init__(self) -> None:
-        more = READS | ({Risk.MOTION} if Risk.UNBOUNDED in self.risks else frozenset())
-        object.__setattr__(self, "risks", frozenset(self.risks) | more)
+        object.__setattr__(self, "risks", frozenset(self.risks) | READS)
 
     @property
     def bounds(self) -> Bounds:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
+from typing import NamedTuple
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk
 from analyzer.encoder import assemble
@@ -50,8 +51,15 @@ def stopping(address: int) -> Allowance:
     return Allowance(frozenset({Risk.READ, Risk.MOTION}), addresses=frozenset({address}))
 
 
-def stop(gate: Gate, dialect: Dialect, address: int) -> str:
-    """Stop a drive by a ramp and prove that it stands; return why there is no proof, or nothing. Raises LineLost.
+class Stopped(NamedTuple):
+    """How a drive was stopped, in words. `failure`: why there is no proof that it stands, or nothing."""
+
+    way: str
+    failure: str
+
+
+def stop(gate: Gate, dialect: Dialect, address: int) -> Stopped:
+    """Stop a drive, by a ramp if that works, and prove that it stands. Raises LineLost.
 
     Where one way of stopping fails, the next is tried until none is left. The address of all drives: they are told to stop, and
     none can be asked whether it does.
@@ -62,22 +70,22 @@ def stop(gate: Gate, dialect: Dialect, address: int) -> str:
     failure = ""
     ramped = ramped_stops(dialect)
     at_once = tuple(c for c in dialect.motions(MotionKind.STOP) if c not in ramped)
-    for sent, limit_ns in ((ramped, _RAMP_NS), (at_once, _AT_ONCE_NS)):
-        refused = [text for command in sent if (text := _ask(probe, command))]
+    for way, sent, limit_ns in (("by a ramp", ramped, _RAMP_NS), ("at once", at_once, _AT_ONCE_NS)):
+        refused = [text for command in sent if (text := ask(probe, command))]
         if sent:
             failure = prove_standing(probe, limit_ns)
             if not failure:
-                return ""
+                return Stopped(way, "")
             failure = "; ".join([failure, *refused])
-    return failure or f"{dialect.name} has no stop"
+    return Stopped("", failure or f"{dialect.name} has no stop")
 
 
-def _stop_all(gate: Gate, dialect: Dialect, address: int) -> str:
+def _stop_all(gate: Gate, dialect: Dialect, address: int) -> Stopped:
     everyone = gate.under(replace(stopping(address), alone=True))
     for command in ramped_stops(dialect):
         everyone.send(assemble(dialect, command, address, _gentle(command)).item())
         everyone.wait(_STOP_GAP_NS)
-    return "a stop was sent to all; whether they stand cannot be asked of all"
+    return Stopped("", "a stop was sent to all; whether they stand cannot be asked of all")
 
 
 def _gentle(command: Command) -> dict[str, int]:
@@ -90,7 +98,7 @@ def ramped_stops(dialect: Dialect) -> tuple[Command, ...]:
     return tuple(c for c in stops if c.motion is not None and c.motion.acceleration) or stops
 
 
-def _ask(probe: Probe, command: Command) -> str:
+def ask(probe: Probe, command: Command) -> str:
     """Send a stop; return why it could not be sent, or nothing. Raises LineLost."""
     try:
         # Whether it is answered says nothing about the shaft: that is looked at.
@@ -166,7 +174,7 @@ def stop_or_cut(gate: Gate, dialect: Dialect, address: int, power: str) -> None:
     Raises NotStopped, after the power command, where there is no proof that the motor stands; GuardLost.
     """
     try:
-        failure = stop(gate.under(stopping(address)), dialect, address)
+        failure = stop(gate.under(stopping(address)), dialect, address).failure
     except (NotStopped, GuardLost):
         raise
     except ServotapError as error:

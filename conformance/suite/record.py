@@ -107,7 +107,8 @@ def record(
         covers=tuple((command, aspect.value) for command, aspect in claim.covers),
         fields=claim.fields,
         commands=claim.commands,
-        parameters=dict(claim.parameters),
+        # As JSON has them: a baseline that was written and read again must match.
+        parameters=msgspec.json.decode(msgspec.json.encode(dict(claim.parameters))),
         measured=dict(verdict.measured),
         series={name: tuple(points) for name, points in verdict.series.items()},
         latencies=verdict.latencies,

@@ -19,6 +19,7 @@ from analyzer.errors import UsageError
 from analyzer.live import endpoint as endpoints
 from analyzer.live.endpoint import DEFAULT_BAUD, DEFAULT_BITRATE, Endpoint
 from analyzer.values import quote
+from conformance.bus import at_default_rate
 from conformance.drives import make
 from conformance.drives.make import Specification
 
@@ -122,7 +123,7 @@ def parse(drive: str, place: str = EMULATED) -> Target:
         raise UsageError(f"{head}: no model {quote(model)}, {known}")
     if dialect.bus != endpoint.bus_kind:
         raise UsageError(f"{head} is a drive on {dialect.bus}, and {place} is a {endpoint.bus_kind} bus")
-    return Target(drive, dialect, address, model, endpoint, None)
+    return Target(drive, dialect, address, model, at_default_rate(endpoint, dialect), None)
 
 
 def _option(drive: str, part: str) -> tuple[str, str]:

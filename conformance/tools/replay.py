@@ -314,12 +314,12 @@ class Replay:
     def _stop(self, dialect: Dialect, address: int) -> str:
         try:
             try:
-                return stop(self.gate, dialect, address)
+                return stop(self.gate, dialect, address).failure
             except GuardLost:
                 if self._reopen is None:
                     raise
                 self.gate = self._reopen()
-                return stop(self.gate, dialect, address)
+                return stop(self.gate, dialect, address).failure
         except ServotapError as error:
             return str(error)
 

@@ -96,27 +96,27 @@ def slot_text(slot):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ("mks-rs485@1 run_speed speed=320 acceleration=2", "FA 01 F6 01 40 02 34"),
-        ("mks-rs485@0x01 run_speed speed=0x140 acceleration=0x2", "FA 01 F6 01 40 02 34"),
+        ("mks-rs485@1 run_speed direction=ccw speed=320 acceleration=2", "FA 01 F6 01 40 02 34"),
+        ("mks-rs485@0x01 run_speed direction=0 speed=0x140 acceleration=0x2", "FA 01 F6 01 40 02 34"),
         ("mks-rs485@1 run_speed speed=320rpm acceleration=2 direction=cw", "FA 01 F6 81 40 02 B4"),
         ("mks-rs485@1 run-speed direction=CW speed=320 acceleration=2", "FA 01 F6 81 40 02 B4"),
-        ("mks-rs485@all stop_speed", "FA 00 F6 00 00 00 F0"),
+        ("mks-rs485@all stop_speed acceleration=0", "FA 00 F6 00 00 00 F0"),
         ("mks-rs485@1 enable enabled=on", "FA 01 F3 01 EF"),
         ("mks-rs485@1 enable enabled=false", "FA 01 F3 00 EE"),
         ("mks-rs485@1 0xF7", "FA 01 F7 F2"),
-        ("mks-rs485@1 set_current", "FA 01 83 00 00 7E"),
+        ("mks-rs485@1 set_current --force", "FA 01 83 00 00 7E"),
         ("mks-rs485@1 set_current --model 42D", "FA 01 83 06 40 C4"),
         ("mks-rs485@1 --reply read_speed speed=-1", "FB 01 32 FF FF 2C"),
         ("mks-rs485@1 read_speed --reply speed=-1", "FB 01 32 FF FF 2C"),
         ("mks-modbus@1 read_speed", "01 04 00 32 00 01 90 05"),
         ("mks-modbus@1 set_work_mode work_mode=sr_vfoc", "01 06 00 82 00 05 E9 E1"),
-        ("mks-modbus@1 set_home", "01 10 00 90 00 03 05 00 00 00 00 00 52 52"),
+        ("mks-modbus@1 set_home home_speed=0", "01 10 00 90 00 03 05 00 00 00 00 00 52 52"),
         ("mks-modbus@1 run_speed --reply", "01 10 00 F6 00 02 A1 FA"),
         ("mks-modbus@1 run_speed --reply quantity=0", "01 10 00 F6 00 00 20 3B"),
         ("mks-modbus@1 run_speed --reply --form refused", "01 10 00 F6 00 00 20 3B"),
-        ("mks-can@1 run_speed speed=320 acceleration=2", "01 F6 01 40 02 3A"),
-        ("mks-can@1 run_speed speed=320 acceleration=2 --candump", "001#F60140023A"),
-        ("mks-can@0x123 run_speed speed=320 acceleration=2", "123 F6 01 40 02 5C"),
+        ("mks-can@1 run_speed direction=ccw speed=320 acceleration=2", "01 F6 01 40 02 3A"),
+        ("mks-can@1 run_speed direction=ccw speed=320 acceleration=2 --candump", "001#F60140023A"),
+        ("mks-can@0x123 run_speed direction=ccw speed=320 acceleration=2", "123 F6 01 40 02 5C"),
         ("mks-can@1 read_parameter parameter=work_mode", "01 00 82 83"),
         ("mks-can@1 read_parameter --reply work_mode=bus_closed", "01 82 05 88"),
         ("mks-can@1 read_parameter --reply parameter=current", "01 83 00 00 84"),
@@ -125,7 +125,7 @@ def slot_text(slot):
         ("lk-rs485@1 move_multi_turn position=-.5", "3E A3 01 08 EA CE FF FF FF FF FF FF FF C7"),
         ("lk-rs485@3 run_torque torque_current=1.5 --model MF", "3E A1 03 02 E4 BA 00 BA"),
         ("lk-rs485@3 write_parameter torque_limit=5", "3E C1 03 07 09 1E 00 00 05 00 00 00 23"),
-        ("lk-rs485@3 write_parameter parameter=speed_pid speed_kp=7", "3E C1 03 07 09 0B 07 00 00 00 00 00 12"),
+        ("lk-rs485@3 write_parameter parameter=speed_pid speed_kp=7 --force", "3E C1 03 07 09 0B 07 00 00 00 00 00 12"),
         ("lk-rs485@3 read_state_2 --reply power=5", "3E 9C 03 07 E4 00 05 00 00 00 00 00 05"),
     ],
 )
@@ -134,14 +134,16 @@ def test_a_frame_from_words(frame, words, expected):
 
 
 def test_a_package(frame):
-    built = frame("mks-rs485@all", "long_package", "slot=1 run_speed speed=50 acceleration=10", "slot=2 read_speed")
+    built = frame(
+        "mks-rs485@all", "long_package", "slot=1 run_speed direction=ccw speed=50 acceleration=10", "slot=2 read_speed"
+    )
     data = bytes.fromhex(built)
     assert len(data) == 52
     assert data[:12] == bytes.fromhex("FC 01 F6 00 32 0A 00 00 00 00 00 02")
 
 
 def test_a_frame_as_json(frame):
-    shown = json.loads(frame("mks-rs485@1", "run_speed", "speed=320", "acceleration=2", "--json"))
+    shown = json.loads(frame("mks-rs485@1", "run_speed", "direction=ccw", "speed=320", "acceleration=2", "--json"))
     assert shown == {
         "dialect": "mks-rs485",
         "address": 1,
@@ -151,11 +153,21 @@ def test_a_frame_as_json(frame):
         "frame": "FA 01 F6 01 40 02 34",
         "risk": ["motion", "unbounded"],
         "section": "6.5.1",
+        "filled": {},
     }
-    assert json.loads(frame("mks-rs485@1", "run_speed", "--json"))["risk"] == ["motion"]
+    assert json.loads(frame("mks-rs485@1", "run_speed", "--force", "--json"))["risk"] == ["motion"]
     assert json.loads(frame("mks-rs485@1", "run_speed", "--reply", "--json"))["risk"] == []
     package = json.loads(frame("mks-rs485@all", "long_package", "slot=1 enable enabled=off", "--json"))
     assert package["risk"] == ["torque"]
+
+
+def test_what_was_left_out_is_told_beside_the_frame(capsys):
+    assert main(["frame", "mks-rs485@1", "set_current", "--model", "42D"]) == 0
+    out, err = capsys.readouterr()
+    assert out.strip() == "FA 01 83 06 40 C4"
+    assert err.strip() == "left out, so as the manual's default: current=1600 mA"
+    assert main(["frame", "mks-rs485@1", "set_current"]) == 2
+    assert "set_current needs current (0..5200 mA): the manual states no default" in capsys.readouterr().err
 
 
 # --- refusals ---------------------------------------------------------------------------------------------------------

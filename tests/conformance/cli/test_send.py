@@ -12,7 +12,7 @@ from analyzer import cli as analyzer_cli
 from conformance.cli import HELP, send
 from conformance.drives.serial_bus import SerialBus
 from conformance.serve.tcp import TcpPort
-from tests.conformance.drives.served import Emulated, drives, on_port
+from tests.conformance.drives.served import Emulated, drives, on_port, on_pty
 
 
 def run(*words: str) -> int:
@@ -42,7 +42,7 @@ def said(place: str, capsys: pytest.CaptureFixture[str]):
 def test_a_read_needs_no_permission(said):
     text = said("mks-rs485@1", "read_position")
     assert "> FA 01 31 2C   read_position" in text
-    assert "< FB 01 31 00 00 00 00 00 00 2D   read_position position=0   after" in text
+    assert "< FB 01 31 00 00 00 00 00 00 2D   read_position position=0 counts   after" in text
 
 
 def test_reads_in_every_dialect(said):
@@ -51,10 +51,10 @@ def test_reads_in_every_dialect(said):
 
 
 def test_a_motion_needs_its_risks(said):
-    err = said("mks-rs485@1", "run_speed", "speed=60", "acceleration=200", status=2)
-    assert "not sent: FA 01 F6 00 3C C8 F5" in err
+    err = said("mks-rs485@1", "run_speed", "direction=cw", "speed=60", "acceleration=200", status=2)
+    assert "not sent: FA 01 F6 80 3C C8 75" in err
     assert "--allow motion,unbounded" in err
-    err = said("mks-rs485@1", "run_speed", "speed=60", "--allow", "motion", status=2)
+    err = said("mks-rs485@1", "run_speed", "direction=ccw", "speed=60", "acceleration=200", "--allow", "motion", status=2)
     assert "needs unbounded" in err
     assert "needs motion" not in err
 
@@ -120,15 +120,28 @@ def test_json(said):
     assert 0 < found["replies"][0]["latency"] < 1
 
 
+def test_what_has_no_default_must_be_given_and_what_has_one_is_told(said, capsys: pytest.CaptureFixture[str]):
+    err = said("mks-rs485@1", "run_speed", "speed=60", "--allow", "motion,unbounded", status=2)
+    assert "run_speed needs direction (0 ccw, 1 cw), acceleration (0..255): the manual states no default" in err
+    assert run("mks-modbus@4", "set_home", "home_speed=60", "--dry-run") == 2
+    assert "left out, so as the manual's default: home_trigger=0 low" in capsys.readouterr().err
+
+
+def test_the_default_rate_of_a_dialect_is_taken_and_told(capsys: pytest.CaptureFixture[str]):
+    with on_pty("lk-rs485@3") as path:
+        assert run("lk-rs485@3", "read_state_1", "--on", f"serial:{path}") == 0
+    assert f"serial:{path},baud=115200: the default rate of lk-rs485" in capsys.readouterr().err
+
+
 def test_a_dry_run_opens_nothing(capsys: pytest.CaptureFixture[str]):
-    assert run("mks-rs485@1", "run_speed", "speed=60", "--dry-run") == 2
+    assert run("mks-rs485@1", "run_speed", "direction=ccw", "speed=60", "acceleration=200", "--dry-run") == 2
     out = capsys.readouterr().out
-    assert "FA 01 F6 00 3C 00 2D" in out
+    assert "FA 01 F6 00 3C C8 F5" in out
     assert "motion, unbounded" in out
     assert "not allowed" in out
     assert run("mks-can@1", "read_speed", "--dry-run", "--on", "can:nothing:0") == 0
     assert "it may be sent" in capsys.readouterr().out
-    assert run("mks-rs485@1", "run_speed", "speed=60", "--dry-run", "--json") == 2
+    assert run("mks-rs485@1", "run_speed", "direction=ccw", "speed=60", "acceleration=200", "--dry-run", "--json") == 2
     assert json.loads(capsys.readouterr().out)["refused"][0]["hint"] == "--allow motion,unbounded"
 
 

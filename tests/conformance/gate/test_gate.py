@@ -174,10 +174,10 @@ def test_motion_brings_neither_torque_nor_unbounded():
     assert judge.objections(build(MKS, "enable", 1, {"enabled": 1})) == []
 
 
-def test_unbounded_brings_motion_for_who_may_run_must_be_able_to_stop():
+def test_unbounded_alone_brings_no_motion():
     judge = Judge(Allowance(frozenset({Risk.UNBOUNDED})))
-    assert judge.objections(build(LK, "run_speed", 1, {"speed": 100})) == []
-    assert judge.objections(build(LK, "stop", 1)) == []
+    assert reasons(judge, RUN) == ["needs motion"]
+    assert reasons(judge, build(LK, "run_speed", 1, {"speed": 100})) == ["needs motion"]
 
 
 # --- neighbours -------------------------------------------------------------------------------------------------------

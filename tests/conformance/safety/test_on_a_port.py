@@ -128,7 +128,7 @@ def test_where_one_way_of_stopping_fails_the_next_is_tried(monkeypatch):
     monkeypatch.setattr(stopping, "_NO_RAMP_NS", 300_000_000)
     with on_logged_pty(f"{TURNS},{IGNORED}") as port, gate_on(port) as gate:
         set_going(port, gate)
-        assert stopping.stop(gate, MKS, 1) == ""
+        assert stopping.stop(gate, MKS, 1).failure == ""
         assert stands(port)
         tried = stop_frames(port.take())
     assert set(tried[:-1]) == {c.name for c in WAYS}

@@ -1,0 +1,121 @@
+"""Stop drives: those that are named, or all that answer on a bus. Each is stopped by a ramp that keeps the torque, where it
+has one; where that does not work, at once. Reads prove that the shaft stands. No motor is disabled.
+
+The stops are sent as drives are found, the proofs come afterwards. Exit status: 0 all stand, 2 wrong use, 20 a drive is not
+seen standing, or none answers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import NamedTuple
+
+from analyzer.catalogue import Dialect
+from analyzer.cli.frame import parse_target
+from analyzer.errors import UsageError
+from analyzer.live import endpoint as endpoints
+from conformance.bus.line import LineLost
+from conformance.claim import Inconclusive, NotStopped
+from conformance.cli.endpoint import at_own_rate, gate_to, parse_addresses
+from conformance.cli.scan import DEFAULT_ADDRESSES, dialects_on, rates_of, showing_progress
+from conformance.gate.gate import Gate
+from conformance.gate.permissions import Allowance
+from conformance.motion import motion
+from conformance.safety import stopping
+from conformance.talk.probe import plain_probe
+from conformance.talk.scan import Found, scan
+
+EXAMPLES = """\
+examples:
+  servotap stop serial:/dev/ttyUSB0,baud=38400                     all that answer at addresses 1 to 32
+  servotap stop serial:/dev/ttyUSB0,baud=38400 mks-rs485@1 lk-rs485@3
+  servotap stop can:socketcan:can0 mks-can@1 --cut-power 'usbrelay OFF_1=1'
+"""
+
+
+class _Drive(NamedTuple):
+    """A drive that is to be stopped, and the rate at which it answers."""
+
+    dialect: Dialect
+    address: int
+    rate: int
+
+    @property
+    def name(self) -> str:
+        return f"{self.dialect.name}@{self.address}"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("endpoint", metavar="ENDPOINT", help="serial:PORT[,baud=N], tcp:HOST:PORT or can:INTERFACE:CHANNEL")
+    parser.add_argument("drives", nargs="*", metavar="DIALECT@ADDRESS", help="the drives; without any, those that answer")
+    parser.add_argument("--addresses", default=DEFAULT_ADDRESSES, metavar="LIST", help="where to look, as 1-32 (default)")
+    parser.add_argument("--cut-power", default="", metavar="COMMAND", help="runs when a drive is not seen standing")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Stop; return 0 if all stand. Raises NotStopped."""
+    endpoint = endpoints.parse(arguments.endpoint)
+    dialects = dialects_on(endpoint)
+    rates = rates_of(None, endpoint, dialects)
+    named = [parse_target(text, None) for text in arguments.drives]
+    for dialect, _ in named:
+        if dialect.bus != endpoint.bus_kind:
+            raise UsageError(f"{dialect.name} is a dialect of {dialect.bus}, and {endpoint.text} is a {endpoint.bus_kind} bus")
+    endpoint = at_own_rate(endpoint, named[0][0]) if named else endpoint.at(rates[0]) if len(rates) > 1 else endpoint
+    failures = []
+    with gate_to(endpoint, Allowance()) as gate:
+        drives = [_Drive(*each, gate.line.endpoint.bits_per_second) for each in named]
+        try:
+            if not drives:
+                addresses = parse_addresses(arguments.addresses, min(dialect.addresses[0] for dialect in dialects))
+                drives = _found(gate, dialects, addresses, rates)
+            for drive in drives if named else ():
+                _ask(gate, drive)
+            failures = [text for drive in drives if (text := _prove(gate, drive))]
+        except LineLost as error:
+            failures.append(str(error))
+    if not drives:
+        failures.append(f"no drive answered on {arguments.endpoint}: name it if it does not answer reads")
+    if failures:
+        raise NotStopped(f"NOT STOPPED: {'; '.join(failures)}; {stopping.cut_power(arguments.cut_power)}")
+    return 0
+
+
+def _found(gate: Gate, dialects: list[Dialect], addresses: list[int], rates: list[int]) -> list[_Drive]:
+    """Look for drives, ask each to stop as it is found, and return them."""
+    drives: list[_Drive] = []
+
+    def take(found: Found) -> bool:
+        drives.append(_Drive(found.dialect, found.address, found.speed))
+        _ask(gate, drives[-1])
+        return False
+
+    with showing_progress(quiet=False) as progress:
+        scan(gate, dialects, addresses=addresses, rates=rates, busy=True, enough=take, progress=progress)
+    return list({drive.name: drive for drive in drives}.values())
+
+
+def _ask(gate: Gate, drive: _Drive) -> None:
+    """Ask a drive to stop by a ramp; whether it does is looked at later."""
+    probe = plain_probe(drive.dialect, drive.address, gate.under(stopping.stopping(drive.address)))
+    for command in stopping.ramped_stops(drive.dialect):
+        refused = stopping.ask(probe, command)
+        if refused:
+            print(f"{drive.name}: {refused}", file=sys.stderr)
+
+
+def _prove(gate: Gate, drive: _Drive) -> str:
+    """Prove that a drive stands, and stop it once more where it does not; return why there is no proof, or nothing."""
+    if drive.rate != gate.line.endpoint.bits_per_second:
+        gate.set_speed(drive.rate)
+    way, failure = stopping.stop(gate.under(stopping.stopping(drive.address)), drive.dialect, drive.address)
+    if failure:
+        return f"{drive.name}: {failure}"
+    try:
+        place = motion.position(plain_probe(drive.dialect, drive.address, gate)).value
+    except Inconclusive as error:
+        return f"{drive.name}: {error}"
+    print(f"{drive.name}: stands at {place:.2f} deg, after a stop {way}")
+    return ""
