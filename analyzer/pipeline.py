@@ -290,9 +290,10 @@ class Pipeline:
                 return False
             asked_by = request.sequence
             if self.options.timed:
+                # Read together with its request, a reply tells nothing of the time between them.
                 latency_ns = frame.first_ns - request.t_ns
-                if latency_ns < 0:
-                    latency_ns = 0
+                if latency_ns <= 0:
+                    latency_ns = None
         self.sequence = sequence
         for plain in self._plain_sinks:
             plain(lane, frame, sequence, latency_ns, asked_by)

@@ -74,6 +74,11 @@ class Transactions:
         self._answers_motion: set[int] = set()
         self._told_silent: set[int] = set()
 
+    def _latency(self, frame: Frame, request: Request) -> int | None:
+        """Return the time from a request to its reply; None where it is not known: both came in one read."""
+        latency_ns = frame.first_ns - request.t_ns
+        return latency_ns if self._timed and latency_ns > 0 else None
+
     def observe(self, message: Message, sequence: int, asked: Request | None, topic: str = "") -> Paired:
         """Take the next message of the port and return what it is; `asked` is what the decoder found it answers."""
         now = message.frame.last_ns
@@ -244,7 +249,7 @@ class Transactions:
             context.echoes += 1
             return Paired(issues=(Issue("host_echo", "the request once more, before its reply"),))
         first = asked.state is State.WAITING
-        latency = max(0, message.frame.first_ns - asked.t_ns) if self._timed else None
+        latency = self._latency(message.frame, asked)
         earlier = self._overtaken(asked)
         issues: list[Issue] = []
         if first and latency is not None and latency > self.late_ns:
@@ -288,14 +293,14 @@ class Transactions:
         for request in reversed(context.superseded):
             if request.address == message.address and answers(request, head.function, head.code, message.data):
                 context.superseded.remove(request)
-                latency = max(0, frame.first_ns - request.t_ns) if self._timed else None
+                latency = self._latency(frame, request)
                 problem = meaning_of(message, request.command)[1]
                 return Paired(request, latency, issues=(problem,) if problem else ())
         # A duplicate is the very bytes of the last reply; a later one must not be taken for the reply to an older request.
         for request in reversed(context.unanswered):
             if request.address == message.address and answers(request, head.function, head.code, message.data):
                 context.unanswered.remove(request)
-                latency = max(0, frame.first_ns - request.t_ns) if self._timed else None
+                latency = self._latency(frame, request)
                 meaning, problem = meaning_of(message, request.command)
                 after = "" if latency is None else f" after {latency / 1e6:.1f} ms"
                 issues = [Issue("late_reply", f"it came{after}, when the request had been given up")]

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Protocol
 
-from analyzer.catalogue import Certainty, Risk
+from analyzer.catalogue import Certainty, Command, Risk
 from analyzer.errors import ServotapError
 from analyzer.records import CanFrame, Chunk
 
@@ -52,7 +52,10 @@ def worst(*statuses: int) -> int:
 
 
 class Evidence(Protocol):
-    """What shows a refutation: an exchange (`conformance.talk.exchange`)."""
+    """What shows a refutation: an exchange (`conformance.talk.exchange`). `command`: what was asked, if it was one."""
+
+    @property
+    def command(self) -> Command | None: ...
 
     def lines(self) -> list[str]:
         """Return it for people, a line a frame."""

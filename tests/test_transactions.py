@@ -251,3 +251,9 @@ def test_a_request_in_the_wrong_dialect_is_named():
     sink = serial("mks-rs485 mks-modbus", *rows)
     assert sink.topics[-1] == "1/read_speed/reply"
     assert sink.rules == ["other_dialect", "unanswered"]
+
+
+def test_a_reply_that_was_read_together_with_its_request_has_no_latency():
+    sink = serial("mks-rs485", (0, ASK_SPEED + " " + sum8("FB 01 32 00 64")), (50, ASK_SPEED), (53, sum8("FB 01 32 00 64")))
+    replies = [entry for entry in sink.entries if entry.request_sequence is not None]
+    assert [entry.latency_ns is None for entry in replies] == [True, False]

@@ -112,5 +112,5 @@ def _hint(interface: str, channel: str, why: str) -> str:
 
         return f"\n  {permission_hint(channel)}"
     if interface == "udp_multicast" and "msgpack" in why:
-        return "\n  it needs msgpack: pip install servotap[multicast]"
+        return "\n  it needs msgpack: pip install msgpack"
     return ""

@@ -22,11 +22,10 @@ def open_line(endpoint: Endpoint) -> Line:
 
 
 def at_default_rate(endpoint: Endpoint, dialect: Dialect) -> Endpoint:
-    """Return an endpoint at the rate that a dialect's drives are delivered with, where it names no rate; its text says so."""
-    if endpoint.kind == "tcp" or endpoint.speed is not None or endpoint.auto or not dialect.baud_rates:
+    """Return a serial port at the rate that a dialect's drives are delivered with, where it names no rate; its text says so."""
+    if endpoint.kind != "serial" or endpoint.speed is not None or endpoint.auto or not dialect.baud_rates:
         return endpoint
-    rate = dialect.baud_rates[0]
-    return replace(endpoint, speed=rate, text=f"{endpoint.text},{'bitrate' if endpoint.kind == 'can' else 'baud'}={rate}")
+    return replace(endpoint, speed=dialect.baud_rates[0], text=f"{endpoint.text},baud={dialect.baud_rates[0]}")
 
 
 def _serial(endpoint: Endpoint) -> Line:

@@ -43,7 +43,7 @@ examples:
   servotap test lk-rs485@1 --on tcp:192.168.0.7:5000 --dry-run
   servotap test --list --theme motion
 """
-REFUTED, WRONG_USE, INTERRUPTED = 1, 2, 130
+REFUTED, INTERRUPTED = 1, 130
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -257,7 +257,9 @@ def _show(records: Sequence[VerdictRecord], run_record: RunRecord, total: int) -
         return
     width = None if sys.stdout.isatty() else 160
     terminal.show(records, run_record, Console(width=width))
-    print(f"{len(records)} of {total} claims in {run_record.seconds:.1f} s")
+    ran = sum(record.outcome != Outcome.NOT_RUN for record in records)
+    left = f", {total - ran} not run" if ran < total else ""
+    print(f"{ran} of {total} claims ran in {run_record.seconds:.1f} s{left}")
 
 
 class _Advance:

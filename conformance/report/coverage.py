@@ -20,8 +20,11 @@ def matrix(records: Sequence[VerdictRecord], target: str) -> dict[str, dict[str,
         return {}
     found: dict[tuple[str, str], list[str]] = {}
     for record in own:
+        blamed = record.asked if record.refuted and record.asked in {command for command, _ in record.covers} else ""
         for command, aspect in record.covers:
-            found.setdefault((command, aspect), []).append(record.outcome)
+            # A claim about many commands is refuted by one of them; of the others it says nothing then.
+            if not blamed or command == blamed:
+                found.setdefault((command, aspect), []).append(record.outcome)
     commands = [c.name for c in dialects.get(own[0].dialect).commands]
     return {c: {a.value: _worst(found.get((c, a.value), [])) for a in Aspect} for c in commands}
 

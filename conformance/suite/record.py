@@ -23,7 +23,8 @@ class Traffic(msgspec.Struct, frozen=True, array_like=True):
 
 
 class VerdictRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """A verdict as data. `target`: the drive as the user named it; `lines`: the exchange that shows it, for people.
+    """A verdict as data. `target`: the drive as the user named it; `lines`: the exchange that shows it, for people;
+    `asked`: its command.
 
     `duration_ns` on the line's clock (virtual for an emulated drive). `traffic` only where it is asked for. `noise`: of the
     resting shaft and the line, as the run measured it, by what it is of.
@@ -43,6 +44,7 @@ class VerdictRecord(msgspec.Struct, frozen=True, kw_only=True):
     expected: str = ""
     got: str = ""
     key: str = ""
+    asked: str = ""
     lines: tuple[str, ...] = ()
     quirks: tuple[str, ...] = ()
     covers: tuple[tuple[str, str], ...] = ()
@@ -102,6 +104,7 @@ def record(
         expected=verdict.expected,
         got=verdict.got,
         key=verdict.key,
+        asked=_asked(verdict),
         lines=tuple(verdict.exchange.lines()) if verdict.exchange is not None else (),
         quirks=verdict.quirks,
         covers=tuple((command, aspect.value) for command, aspect in claim.covers),
@@ -117,6 +120,12 @@ def record(
         last_ns=verdict.last_ns,
         traffic=(tuple(_traffic(verdict.traffic)) or _shown(verdict)) if keep else (),
     )
+
+
+def _asked(verdict: Verdict) -> str:
+    """Return the name of the command whose exchange shows the verdict, empty where there is none."""
+    command = None if verdict.exchange is None else verdict.exchange.command
+    return "" if command is None else command.name
 
 
 def _traffic(items: Iterable[Chunk | CanFrame]) -> Iterable[Traffic]:

@@ -202,7 +202,7 @@ def test_a_motor_that_does_not_stop_ends_the_run_with_20(tmp_path):
     assert process.returncode == 20, err
     assert "NOT STOPPED" in err
     assert cut.read_text().split() == ["cut"], "once"
-    assert "1 of 2 claims" in out, "what was judged before is told"
+    assert "1 of 2 claims ran" in out, "what was judged before is told"
     assert (tmp_path / "r.html").exists()
 
 

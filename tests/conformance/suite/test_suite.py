@@ -13,8 +13,10 @@ from mcap.reader import make_reader
 
 from analyzer.cli import main
 from analyzer.errors import UsageError
+from conformance.report.coverage import matrix
 from conformance.report.log import METADATA
 from conformance.suite import target
+from conformance.suite.record import VerdictRecord
 from tests.conformance.drives.served import on_pty
 
 ROOT = Path(__file__).parents[3]
@@ -149,6 +151,31 @@ def test_a_baseline_accepts_what_is_known_and_nothing_else(tmp_path, capsys):
     assert "fixed: mks-rs485/shape/read_speed/checksum" in capsys.readouterr().err
     assert main([*faulty, "--claim", "*/shape/read_position/answered", "--baseline", str(baseline)]) == 1
     assert "not looked at: mks-rs485/shape/read_speed/checksum" in capsys.readouterr().err
+
+
+def test_a_baseline_with_lists_among_the_parameters_knows_its_claims_again(tmp_path, capsys):
+    baseline = tmp_path / "known.json"
+    words = ["test", "mks-rs485@1,fault=current-unlimited", "--jobs", "1", "--claim", "*/ranges/set_current/*"]
+    assert main([*words, "--write-baseline", str(baseline)]) == 1
+    assert any(isinstance(v, list) for each in json.loads(baseline.read_text()) for v in each["parameters"].values())
+    assert main([*words, "--baseline", str(baseline)]) == 0
+    capsys.readouterr()
+
+
+def test_a_baseline_that_is_missing_is_told_before_the_run(tmp_path, capsys):
+    assert main(["test", "mks-rs485@1", "--baseline", str(tmp_path / "none.json")]) == 2
+    assert "none.json: No such file" in capsys.readouterr().err
+
+
+def test_one_wrong_command_paints_no_other_refuted():
+    covers = (("read_speed", "state"), ("run_speed", "state"))
+    about = {"target": "mks-rs485@1", "theme": "state", "dialect": "mks-rs485", "statement": "x", "section": "x"}
+    about |= {"certainty": "certain", "refuted_by": "x"}
+    wrong = VerdictRecord(id="a", outcome="refuted", asked="run_speed", covers=covers, **about)
+    fine = VerdictRecord(id="b", outcome="confirmed", covers=covers[:1], **about)
+    rows = matrix([wrong, fine], "mks-rs485@1")
+    assert (rows["read_speed"]["state"], rows["run_speed"]["state"]) == ("confirmed", "refuted")
+    assert matrix([wrong], "mks-rs485@1")["read_speed"]["state"] == "never"
 
 
 # --- pytest -----------------------------------------------------------------------------------------------------------
