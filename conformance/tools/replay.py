@@ -230,8 +230,9 @@ class Replay:
                 if advance is not None:
                     advance(sent)
             number += 1
-        last_ns = max((s.reply_ns for s in steps[-8:]), default=0)
-        self._listen(self.gate.now_ns() + last_ns + _TAIL_NS)
+        # What tells the end of a motion may come long after the last request.
+        left_ns = max(s.t_ns + s.reply_ns for s in steps) - steps[-1].t_ns
+        self._listen(self.gate.now_ns() + max(0, left_ns) + _TAIL_NS)
         self._dialogue.finish()
         self._sort()
 

@@ -53,7 +53,7 @@ def reply_of(message: Message) -> Reply:
 
 @dataclass(slots=True)
 class Step:
-    """One request: its time in the recording, what is sent, and the recorded replies."""
+    """One request: its time in the recording, what is sent, and the recorded replies; `reply_ns`: until the last of them."""
 
     t_ns: int
     item: gate.Item
@@ -120,8 +120,7 @@ class _Reader:
             self.plan.left_out["frames of an unknown sender"] += 1
         elif entry.request_sequence is not None and entry.request_sequence in self._open:
             step = self._open[entry.request_sequence]
-            if not step.replies:
-                step.reply_ns = max(0, frame.last_ns - step.t_ns)
+            step.reply_ns = max(0, frame.last_ns - step.t_ns)
             step.replies.append(reply_of(message))
 
     def _request(self, entry: Entry) -> None:

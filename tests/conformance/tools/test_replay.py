@@ -215,6 +215,15 @@ def test_measured_values_may_differ_and_statuses_may_not():
     assert result.examples["run_speed", Match.DIFFERENT].replies[0].data == RUNS
 
 
+def test_a_completion_that_came_after_the_last_request_is_waited_for():
+    move = build(MKS, "move_relative_pulses", 1, {"speed": 60, "acceleration": 250, "pulses": 6400})
+    begun, done = (build(MKS, "move_relative_pulses", 1, {"status": status}, Role.REPLY) for status in (1, 2))
+    rows = [(0, ">", move), (0.003, "<", begun), (0.5, ">", READ), (0.503, "<", REPLY), (2.1, "<", done)]
+    result = Watched().replay.run(plan_of(*rows).steps)
+    assert result.matches["move_relative_pulses", Match.SAME] == 1
+    assert not result.deviations
+
+
 # --- permission -------------------------------------------------------------------------------------------------------
 
 
