@@ -22,6 +22,8 @@ _JOIN_SHARE = 0.01
 _JOIN_FRAMES = 3
 #: Below this share no dialect is believed.
 _LEAST = 0.02
+#: Share of the bytes from which a dialect that was not chosen is told.
+_WORTH_TELLING = 0.05
 #: Share of the frames without a fitting check that a dialect without checks must explain.
 _LEAST_UNCHECKED = 0.5
 
@@ -124,7 +126,9 @@ def choose(candidates: Sequence[Dialect], items: Sequence[Chunk | CanFrame | Com
         gain = sum(together.good_bytes.values()) - sum(before.good_bytes.values())
         if together.frames.get(other.dialect.name, 0) >= _JOIN_FRAMES and gain >= _JOIN_SHARE * total:
             chosen.append(other.dialect)
-    reason = "; ".join(str(e) for e in evidence)
+    # Of dialects that explain next to nothing a person need not know.
+    told = [e for e in evidence if e.dialect in chosen or e.share >= _WORTH_TELLING]
+    reason = "; ".join(str(e) for e in told)
     return Choice(tuple(chosen), tuple(evidence), reason)
 
 

@@ -142,6 +142,23 @@ def find_commands(dialects: Sequence[Dialect], text: str) -> list[tuple[Dialect,
     return _some([], dialects, text)
 
 
+def search_commands(dialects: Sequence[Dialect], text: str) -> tuple[list[tuple[Dialect, Command]], bool]:
+    """Return the commands of a name, a code, a section or a word, and whether they were searched for by the last two.
+
+    Raises UsageError, with the nearest names, where there is none.
+    """
+    try:
+        return find_commands(dialects, text), False
+    except UsageError:
+        word = text.strip().lower().replace("_", " ").replace("-", " ")
+        pairs = [(d, c) for d in dialects for c in d.commands]
+        found = [(d, c) for d, c in pairs if c.section == word or c.section.startswith(f"{word}.")]
+        found = found or [(d, c) for d, c in pairs if word in c.name.replace("_", " ") or word in c.summary.lower()]
+        if not found or not word:
+            raise
+        return found, True
+
+
 def _some(found: list[tuple[Dialect, Command]], dialects: Sequence[Dialect], text: str) -> list[tuple[Dialect, Command]]:
     if found:
         return found

@@ -13,6 +13,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 from types import ModuleType
+from typing import NoReturn
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "record": ("analyzer.cli.record", "record serial ports and CAN buses into one crash-safe, decoded MCAP log"),
@@ -29,13 +30,22 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "catalogue": ("analyzer.cli.catalogue", "show reference pages of the dialects and errata of their manuals"),
 }
 GROUP = "servotap.commands"
+#: Other names of commands.
+_ALIASES = {"catalog": "catalogue"}
+#: What one wants to do -> the commands for it, in the order of the help. Commands that stand nowhere come last.
+_PURPOSES: dict[str, tuple[str, ...]] = {
+    "look": ("decode", "show", "view", "explain", "catalogue"),
+    "record": ("record", "tap", "ports", "recover", "cut", "merge", "export"),
+    "drive": ("scan", "send", "stop", "frame", "replay", "emulate"),
+    "test": ("test", "check", "rerun", "restore"),
+}
 
 _EPILOG = """\
 examples:
   servotap decode capture.log                    write capture.log.mcap and print a summary
   servotap show capture.log --filter 'address == 1'
   servotap explain "FA 01 F6 01 40 02 34"
-  servotap frame mks-rs485@1 run_speed speed=320 acceleration=2
+  servotap frame mks-rs485@1 run_speed direction=cw speed=320 acceleration=2
   servotap catalogue --dialect mks-can run_speed
 
 'servotap COMMAND --help' describes a command.
@@ -52,11 +62,17 @@ def _added() -> dict[str, tuple[str, str]]:
 
 def _overview(commands: dict[str, tuple[str, str]]) -> str:
     width = max(len(name) for name in commands)
-    rows = "\n".join(f"  {name:<{width}}  {text}" for name, (_, text) in commands.items())
+    listed = {name for names in _PURPOSES.values() for name in names}
+    groups = {**_PURPOSES, "more": tuple(name for name in commands if name not in listed)}
+    rows = "\n".join(
+        "\n".join([f"{purpose}:", *(f"  {name:<{width}}  {commands[name][1]}" for name in names if name in commands)])
+        for purpose, names in groups.items()
+        if any(name in commands for name in names)
+    )
     return (
         "usage: servotap COMMAND ...\n\n"
         "Analyze servo-drive buses (RS485, CAN), log them, and test drives against their manuals.\n\n"
-        f"commands:\n{rows}\n\n{_EPILOG}"
+        f"{rows}\n\n{_EPILOG}"
     )
 
 
@@ -95,7 +111,7 @@ def _main(words: list[str]) -> int:
 
         print(f"servotap {__version__}")
         return 0
-    name, rest = words[0], words[1:]
+    name, rest = _ALIASES.get(words[0], words[0]), words[1:]
     entry = COMMANDS.get(name) or _added().get(name)
     if entry is None:
         near = difflib.get_close_matches(name, [*COMMANDS, *_added()], 1, 0.4)
@@ -125,10 +141,17 @@ def _help_of(name: str) -> str:
     return HELP.get(name, "")
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line: the usage stands in the help."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
 def _run(name: str, module: ModuleType, words: Sequence[str]) -> int:
     from analyzer.errors import ServotapError
 
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog=f"servotap {name}",
         description=(module.__doc__ or "").split("\n\n")[0],
         formatter_class=argparse.RawDescriptionHelpFormatter,

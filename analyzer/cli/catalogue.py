@@ -14,9 +14,9 @@ import msgspec
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect
-from analyzer.dialects import find_commands
+from analyzer.dialects import search_commands
 from analyzer.reference.objects import concerns, reference
-from analyzer.reference.pages import errata, overview, page, statements
+from analyzer.reference.pages import errata, listing, overview, page, statements
 
 EXAMPLES = """\
 --json prints one object. In it every number of a field (minimum, maximum, default, fixed, values, the keys of choices) is
@@ -26,6 +26,8 @@ own data, the most significant first. Keys that do not apply are left out.
 examples:
   servotap catalogue
   servotap catalogue run_speed
+  servotap catalogue speed                       commands with this word in their name or summary
+  servotap catalogue 6.5.1                       commands of a section of the manual
   servotap catalogue --dialect mks-modbus 04:0030
   servotap catalogue --dialect lk-rs485 --model MF run_torque
   servotap catalogue --errata --dialect mks-can
@@ -36,7 +38,9 @@ examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("command", nargs="?", metavar="NAME|CODE", help="show this command's reference page")
+    parser.add_argument(
+        "command", nargs="?", metavar="NAME|CODE", help="this command's page; or a word, a section: what has it"
+    )
     parser.add_argument("--dialect", metavar="D", help="only this dialect")
     parser.add_argument("--model", metavar="M", help="limits and units of a model: 42D 57D 28D 35D 42E 57E MF MG MH MS")
     parser.add_argument("--errata", action="store_true", help="the errata of the manuals, or of one command")
@@ -49,9 +53,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Print what is asked for; return 0."""
     dialects = _dialects(arguments)
     chosen: dict[str, list[Command]] | None = None
+    several = False
     if arguments.command is not None:
+        found, several = search_commands(dialects, arguments.command)
         chosen = {}
-        for dialect, command in find_commands(dialects, arguments.command):
+        for dialect, command in found:
             chosen.setdefault(dialect.name, []).append(command)
         dialects = [d for d in dialects if d.name in chosen]
     if arguments.statements and arguments.json:
@@ -60,6 +66,12 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     if arguments.json:
         print(json.dumps(reference(dialects, chosen, errata_only=arguments.errata), indent=1))
+        return 0
+    if several and chosen is not None and not (arguments.errata or arguments.statements or arguments.pages):
+        for dialect in dialects:
+            print(dialect.name)
+            for line in listing(chosen[dialect.name]):
+                print(line)
         return 0
     for index, lines in enumerate(_texts(dialects, chosen, arguments)):
         if index:

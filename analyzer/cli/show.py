@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import shutil
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -69,6 +70,8 @@ class Table:
         self._bytes: bool = arguments.bytes
         self._left: int | None = arguments.limit
         self._color = sys.stdout.isatty()
+        # On a terminal a line is cut at its edge: the next one stands below it, whole.
+        self._width = shutil.get_terminal_size().columns if self._color else 0
         self._flush: bool = self._color or arguments.follow
         self._shown: set[int] = set()
         if not self._json:
@@ -95,7 +98,7 @@ class Table:
         who = "all" if message.command is not None and message.command.slots is not None else str(message.address)
         time_text = self._time(message.frame.last_ns)
         text = f"{time_text}  {printable(message.frame.port):<8} {who:>4} {role:<7} {command:<24} {shown}"
-        self._line(f"\x1b[{_COLORS[role]}m{text}\x1b[0m" if self._color else text)
+        self._line(self._shown_as(text, _COLORS[role]))
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
         """Print a piece of junk if no filter is set."""
@@ -108,7 +111,7 @@ class Table:
             return
         data = junk.data[:24].hex(" ").upper() + (" ..." if len(junk.data) > 24 else "")
         text = f"{self._time(junk.last_ns)}  {printable(junk.port):<8} {'':>4} {'junk':<7} {junk.reason.value:<24} [{data}]"
-        self._line(f"\x1b[35m{text}\x1b[0m" if self._color else text)
+        self._line(self._shown_as(text, "35"))
 
     def finding(self, found: Finding) -> None:
         """Print a finding below its message."""
@@ -117,7 +120,7 @@ class Table:
         about = "" if found.sequence in self._shown else f" (frame {found.sequence}, {found.topic})"
         section = f", section {found.section}" if found.section else ""
         text = f"{'':>15}  ! {found.severity.value} {found.rule}: {printable(found.text)}{section}{about}"
-        print(f"\x1b[31m{text}\x1b[0m" if self._color else text)
+        print(self._shown_as(text, "31"))
 
     def happened(self, event: Event, sequence: int) -> None:
         """Print what happened to the recording."""
@@ -125,12 +128,19 @@ class Table:
             return
         who = f"{printable(event.port)}: " if event.port else ""
         text = f"{self._time(event.t_ns)}  # {who}{event.name}: {printable(text_of(event))}"
-        print(f"\x1b[2m{text}\x1b[0m" if self._color else text, flush=self._flush)
+        print(self._shown_as(text, "2"), flush=self._flush)
 
     def comment(self, comment: Comment) -> None:
         """Print a comment of the capture."""
         if self._wanted is None and not self._json:
             print(f"{'':>15}  # {printable(comment.text).lstrip('# ')}")
+
+    def _shown_as(self, text: str, color: str) -> str:
+        """Return a line as it is shown: on a terminal in a colour, and cut at the edge."""
+        if not self._color:
+            return text
+        cut = text if len(text) <= self._width else text[: self._width - 1] + "…"
+        return f"\x1b[{color}m{cut}\x1b[0m"
 
     def _line(self, text: str) -> None:
         if self._left is not None:

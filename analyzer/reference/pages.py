@@ -43,8 +43,13 @@ def overview(dialect: Dialect) -> Iterator[str]:
     ]
     yield from columns([(n, v) for n, v in facts if v.strip()], indent=_INDENT)
     yield ""
+    yield from listing(dialect.commands)
+
+
+def listing(commands: Iterable[Command]) -> Iterator[str]:
+    """Yield a line for each command: code, name, section, risk, summary."""
     rows = [("code", "name", "section", "risk", "summary")]
-    for command in dialect.commands:
+    for command in commands:
         risks = sorted(command.all_risks)
         shown = ", ".join(risks) if len(risks) <= _RISKS_LISTED else "by its content"
         rows.append((_code(command), command.name, command.section, shown, command.summary))

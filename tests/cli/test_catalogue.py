@@ -340,3 +340,24 @@ def test_every_layout_has_its_codec():
         for form in (*command.request_forms, *command.reply_forms):
             named = [f for f in form.layout.fields if f.kind is not FieldKind.RESERVED]
             assert len(codec(form.layout).wire(bytes(form.layout.byte_length))) == len(named)
+
+
+# --- searching --------------------------------------------------------------------------------------------------------
+
+
+def test_a_word_or_a_section_finds_commands(catalogue):
+    shown = catalogue("speed", "--dialect", "mks-rs485").splitlines()
+    assert shown[0] == "mks-rs485"
+    assert any("run_speed" in row for row in shown)
+    assert not any("set_current" in row for row in shown)
+    assert [row.split()[1] for row in catalogue("6.5.1", "--dialect", "mks-rs485").splitlines()[2:]] == ["run_speed"]
+    assert {row.split()[1] for row in catalogue("6.5", "--dialect", "mks-rs485").splitlines()[2:]} >= {
+        "stop_speed",
+        "run_speed",
+    }
+
+
+def test_a_name_shows_its_page_and_catalog_is_catalogue(catalogue, capsys):
+    page = catalogue("run_speed", "--dialect", "mks-rs485")
+    assert main(["catalog", "run_speed", "--dialect", "mks-rs485"]) == 0
+    assert capsys.readouterr().out == page
