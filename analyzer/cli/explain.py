@@ -58,26 +58,34 @@ def run(arguments: argparse.Namespace) -> int:
     role = Role(arguments.role) if arguments.role else Role.UNKNOWN
     request = read_frame(arguments.request) if arguments.request else None
 
-    def explain(given: Given) -> Explanation:
-        return explainer.explain(given, role=role, no_checksum=arguments.no_checksum, request=request)
+    def explain(given: Given) -> Iterator[Explanation]:
+        asked = request
+        for part in explainer.apart(given):
+            found = explainer.explain(part, role=role, no_checksum=arguments.no_checksum, request=asked)
+            # Of two frames the second may answer the first.
+            asked = part if found.message.role is Role.REQUEST else asked
+            yield found
 
     if arguments.frame != ["-"]:
-        _show(explain(read_frame(" ".join(arguments.frame))), arguments.json)
+        for number, found in enumerate(explain(read_frame(" ".join(arguments.frame)))):
+            print("\n" * bool(number and not arguments.json), end="")
+            _show(found, arguments.json)
         return 0
     status = 0
     for number, line in _lines():
         try:
-            found = explain(read_frame(line))
+            several = list(explain(read_frame(line)))
         except (UnreadableError, UsageError) as error:
             sys.stdout.flush()
             print(f"servotap explain: line {number}: {error}", file=sys.stderr)
             status = 2
             continue
-        if not arguments.json:
-            print(f"line {number}: {write_frame(found.sent, found.can_id)}")
-        _show(found, arguments.json)
-        if not arguments.json:
-            print()
+        for found in several:
+            if not arguments.json:
+                print(f"line {number}: {write_frame(found.sent, found.can_id)}")
+            _show(found, arguments.json)
+            if not arguments.json:
+                print()
     return status
 
 

@@ -24,7 +24,8 @@ from analyzer.decoder import Decoder
 from analyzer.errors import UnreadableError
 from analyzer.findings import Issue, of_message
 from analyzer.link import Check, Head, Link
-from analyzer.records import CanFrame, Frame, Message
+from analyzer.pipeline import Entry, Options, Pipeline
+from analyzer.records import CanFrame, Chunk, Comment, Finding, Frame, Junk, Message
 from analyzer.reference.hex_frame import CAN_DATA_LIMIT, CAN_ID_LIMIT, Given, write_frame
 
 #: A frame told by its head alone has this many bytes at least.
@@ -78,6 +79,25 @@ class _Bytes(NamedTuple):
     absent: tuple[Check, ...]
 
 
+class _Frames:
+    """A sink that keeps the messages."""
+
+    def __init__(self) -> None:
+        self.messages: list[Message] = []
+
+    def entry(self, entry: Entry) -> None:
+        self.messages.append(entry.message)
+
+    def junk(self, junk: Junk, sequence: int, topic: str) -> None:
+        pass
+
+    def finding(self, found: Finding) -> None:
+        pass
+
+    def comment(self, comment: Comment) -> None:
+        pass
+
+
 class Explainer:
     """Explains frames in the dialects given; keeps a decoder for each."""
 
@@ -109,6 +129,16 @@ class Explainer:
         also = dict.fromkeys(e.dialect.name for e in found if e.score == best.score and e.dialect is not best.dialect)
         doubt = bool(best.score[0] and any(e.score[2] for e in unchecked))
         return replace(best, also=tuple(also), maybe_unchecked=doubt)
+
+    def apart(self, given: Given) -> list[Given]:
+        """Return the sound frames that stand behind each other in some bytes; the bytes as they are if that is not all."""
+        dialects = [d for d in self._dialects if d.name in self._slicers]
+        if given.can_id is not None or not dialects:
+            return [given]
+        seen = _Frames()
+        Pipeline(dialects, [seen], Options()).run([Chunk(None, "", given.data)])
+        sound = [m.frame.data for m in seen.messages if m.frame.checksum_ok and m.form is not None]
+        return [Given(data, None) for data in sound] if len(sound) > 1 and b"".join(sound) == given.data else [given]
 
     # --- readings -------------------------------------------------------------------------------------------------
 
@@ -217,6 +247,9 @@ class Explainer:
     def _reason(self, dialect: Dialect, given: Given, role: Role, stated: bool) -> str:
         link = dialect.link
         if link.kind == "can":
+            whole = self._with_identifier(dialect, given)
+            if whole:
+                return f"these are the data of a frame without its identifier: {whole} would fit"
             if given.can_id is None and len(given.data) > CAN_DATA_LIMIT + 1:
                 return f"expected an identifier and at most {CAN_DATA_LIMIT} bytes, got {len(given.data)} bytes"
             return self._reason_of_bytes(dialect, *next(_split(link, given), (b"", 0)), stated)
@@ -229,6 +262,15 @@ class Explainer:
         if slicer.strong_head and re.match(slicer.starts, given.data, re.DOTALL) is None:
             return f"no frame begins with {_hex(given.data[:1])}"
         return self._reason_of_bytes(dialect, given.data, None, stated)
+
+    def _with_identifier(self, dialect: Dialect, given: Given) -> str:
+        """Return bytes with the identifier that makes their checksum fit, if they are a known frame then; else nothing."""
+        if given.can_id is not None or not 2 <= len(given.data) <= CAN_DATA_LIMIT:
+            return ""
+        can_id = (given.data[-1] - sum(given.data[:-1])) & 0xFF
+        found = self._explanation(_Bytes(dialect, given.data, given.data, can_id, ()), Role.UNKNOWN, False, None)
+        good = found is not None and found.score[0] and found.score[2] and found.score[3]
+        return write_frame(given.data, can_id, candump=True) if good else ""
 
     def _reason_of_bytes(self, dialect: Dialect, data: bytes, can_id: int | None, stated: bool) -> str:
         if len(data) < _shortest(dialect.link, can_id):
