@@ -19,7 +19,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from analyzer.catalogue import Command, Dialect, Form, Risk, Role, all_fields
+from analyzer.catalogue import Command, Dialect, Form, MotionKind, Risk, Role, all_fields
 from analyzer.codec import codec
 from analyzer.dialects import find_command
 from analyzer.errors import UsageError
@@ -190,6 +190,9 @@ def _all_sent(command: Command, form: Form, values: Mapping[str, Value], physica
 def _left_out(command: Command, form: Form, sent: Mapping[str, int | bytes]) -> tuple[dict[str, str], list[str]]:
     """Return the fields that were left out: those that have a default, with it, and why the others must be given."""
     left = [f for name, f in form.layout.named.items() if f.fixed is None and f.bit_width and name not in sent]
+    if command.motion is not None and command.motion.kind is MotionKind.STOP:
+        # A stop must not wait for words: 0 stops at once.
+        return {f.name: value_text(f, f.default or 0) for f in left}, []
     missing = [f"{f.name} ({range_text(f, 6)})" for f in left if f.default is None]
     told = [f"{command.name} needs {', '.join(missing)}: the manual states no default"] * bool(missing)
     return {f.name: value_text(f, f.default) for f in left if f.default is not None}, told

@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     if built.refusals and not arguments.force:
         raise UsageError("; ".join(built.refusals))
     if built.filled and not arguments.json:
-        print(f"left out, so as the manual's default: {filled_text(built)}", file=sys.stderr)
+        print(filled_text(built), file=sys.stderr)
     text = write_frame(built.frame, built.can_id, candump=arguments.candump)
     print(json.dumps(_object(dialect, built, text)) if arguments.json else text)
     return 0
@@ -86,8 +86,8 @@ def _object(dialect: Dialect, built: Built, text: str) -> dict[str, Any]:
 
 
 def filled_text(built: Built) -> str:
-    """Return what was left out and took its default, as `field=value` words."""
-    return ", ".join(f"{name}={value}" for name, value in built.filled.items())
+    """Say what was left out: fields took the manual's default, those of a stop without one 0."""
+    return "left out and taken so: " + ", ".join(f"{name}={value}" for name, value in built.filled.items())
 
 
 def parse_target(text: str, model: str | None) -> tuple[Dialect, int]:

@@ -148,7 +148,7 @@ def _command(arguments: argparse.Namespace) -> _Request:
     values = parse_values(arguments.values)
     built = assemble(dialect, command, address, values, form=arguments.form, physical=not arguments.wire, complete=True)
     if built.filled and not arguments.json:
-        print(f"left out, so as the manual's default: {filled_text(built)}", file=sys.stderr)
+        print(filled_text(built), file=sys.stderr)
     if built.refusals and not arguments.force:
         raise UsageError("; ".join(built.refusals))
     others = [d for d in registry.every() if d.bus == dialect.bus and d.name != dialect.name]

@@ -100,7 +100,7 @@ def slot_text(slot):
         ("mks-rs485@0x01 run_speed direction=0 speed=0x140 acceleration=0x2", "FA 01 F6 01 40 02 34"),
         ("mks-rs485@1 run_speed speed=320rpm acceleration=2 direction=cw", "FA 01 F6 81 40 02 B4"),
         ("mks-rs485@1 run-speed direction=CW speed=320 acceleration=2", "FA 01 F6 81 40 02 B4"),
-        ("mks-rs485@all stop_speed acceleration=0", "FA 00 F6 00 00 00 F0"),
+        ("mks-rs485@all stop_speed", "FA 00 F6 00 00 00 F0"),
         ("mks-rs485@1 enable enabled=on", "FA 01 F3 01 EF"),
         ("mks-rs485@1 enable enabled=false", "FA 01 F3 00 EE"),
         ("mks-rs485@1 0xF7", "FA 01 F7 F2"),
@@ -165,7 +165,7 @@ def test_what_was_left_out_is_told_beside_the_frame(capsys):
     assert main(["frame", "mks-rs485@1", "set_current", "--model", "42D"]) == 0
     out, err = capsys.readouterr()
     assert out.strip() == "FA 01 83 06 40 C4"
-    assert err.strip() == "left out, so as the manual's default: current=1600 mA"
+    assert err.strip() == "left out and taken so: current=1600 mA"
     assert main(["frame", "mks-rs485@1", "set_current"]) == 2
     assert "set_current needs current (0..5200 mA): the manual states no default" in capsys.readouterr().err
 

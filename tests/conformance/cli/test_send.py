@@ -124,7 +124,7 @@ def test_what_has_no_default_must_be_given_and_what_has_one_is_told(said, capsys
     err = said("mks-rs485@1", "run_speed", "speed=60", "--allow", "motion,unbounded", status=2)
     assert "run_speed needs direction (0 ccw, 1 cw), acceleration (0..255): the manual states no default" in err
     assert run("mks-modbus@4", "set_home", "home_speed=60", "--dry-run") == 2
-    assert "left out, so as the manual's default: home_trigger=0 low" in capsys.readouterr().err
+    assert "left out and taken so: home_trigger=0 low" in capsys.readouterr().err
 
 
 def test_the_default_rate_of_a_dialect_is_taken_and_told(capsys: pytest.CaptureFixture[str]):
