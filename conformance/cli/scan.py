@@ -59,19 +59,26 @@ def run(arguments: argparse.Namespace) -> int:
     if not 0 < arguments.timeout <= 60_000:
         raise UsageError(f"--timeout: got {arguments.timeout:g}, expected milliseconds above 0, at most 60000")
     report = Report()
+
+    def tell(found: Found) -> bool:
+        """Show a drive as it is found, and go on looking."""
+        if not arguments.json:
+            print(_found_line(found), flush=True)
+        return False
+
     opened = endpoint.at(rates[0]) if endpoint.auto or endpoint.kind == "serial" else endpoint
     with gate_to(opened, Allowance()) as gate, showing_progress(quiet=arguments.json) as progress:
         try:
             scan(
                 gate, dialects, addresses=addresses, rates=rates, patience_ns=int(arguments.timeout * 1e6),
-                busy=arguments.busy, progress=progress, report=report,
+                busy=arguments.busy, enough=tell, progress=progress, report=report,
             )  # fmt: skip
         except KeyboardInterrupt:
             report.stopped = "stopped by Ctrl-C"
     if arguments.json:
         print(json.dumps(_object(report)))
     else:
-        _show(report, arguments.endpoint)
+        _show(report, endpoint)
     return 0 if report.found else 1
 
 
@@ -129,12 +136,13 @@ def showing_progress(*, quiet: bool) -> Iterator[Progress | None]:
         yield show
 
 
-def _show(report: Report, place: str) -> None:
-    for found in report.found:
-        print(_found_line(found))
+def _show(report: Report, endpoint: Endpoint) -> None:
+    """Show what else came, what to check, and what to type next."""
     if not report.found:
         rates = ", ".join(str(r) for r in report.rates)
-        print(f"no drive answered on {place}: {report.asked} questions ({', '.join(report.dialects)}; at {rates} bit/s)")
+        print(
+            f"no drive answered on {endpoint.text}: {report.asked} questions ({', '.join(report.dialects)}; at {rates} bit/s)"
+        )
     for stray in report.strays[:_SHOWN]:
         print(_stray_line(stray))
     if len(report.strays) > _SHOWN:
@@ -143,6 +151,23 @@ def _show(report: Report, place: str) -> None:
         print(f"not looked everywhere: {report.stopped}")
     for hint in report.hints:
         print(f"  - {hint}")
+    for line in _next_lines(report, endpoint):
+        print(line)
+
+
+def _next_lines(report: Report, endpoint: Endpoint) -> Iterator[str]:
+    """Yield commands to copy: one that records the bus, and a test of each drive that was found."""
+    if not report.found:
+        return
+    bare = endpoint.text.split(",baud=")[0].split(",bitrate=")[0]
+    rates = dict.fromkeys(found.speed for found in report.found)
+    places = {rate: f"{bare},{'bitrate' if endpoint.kind == 'can' else 'baud'}={rate}" for rate in rates}
+    if endpoint.kind == "tcp":
+        places = dict.fromkeys(rates, endpoint.text)
+    yield "to go on:"
+    yield from (f"  servotap record {place} -o week.mcap" for place in dict.fromkeys(places.values()))
+    for found in report.found[:_SHOWN]:
+        yield f"  servotap test {found.name} --on {places[found.speed]} --short"
 
 
 def _found_line(found: Found) -> str:

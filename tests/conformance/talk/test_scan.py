@@ -227,6 +227,25 @@ def test_a_port_without_a_rate(path: str, capsys: pytest.CaptureFixture[str]):
     assert "mks-rs485@1" in out
     assert "19200 bit/s" in out
     assert "lk-rs485@3" in out
+    # What to type next stands at the end, at the rate that was found.
+    assert out.splitlines()[-2:] == [
+        f"  servotap test {name} --on serial:{path},baud=19200 --short" for name in ("mks-rs485@1", "lk-rs485@3")
+    ]
+    assert f"  servotap record serial:{path},baud=19200 -o week.mcap" in out
+
+
+def test_hits_are_told_as_they_come(path: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    told: list[str] = []
+
+    def watched(*arguments: Any, **options: Any) -> Report:
+        def progress(done: int, total: int, where: str) -> None:
+            told.append(capsys.readouterr().out)
+
+        return scan(*arguments, **options | {"progress": progress})
+
+    monkeypatch.setattr(command, "scan", watched)
+    assert run(f"serial:{path},baud=19200", "--dialects", "mks-rs485", "--addresses", "1-3") == 0
+    assert "mks-rs485@1" in told[1], "before the next address is asked"
 
 
 def test_json(path: str, capsys: pytest.CaptureFixture[str]):
