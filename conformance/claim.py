@@ -90,6 +90,11 @@ class Outcome(StrEnum):
     OBSERVED = "observed"
     NOT_RUN = "not run"
 
+    @property
+    def word(self) -> str:
+        """The outcome as summaries name it, in the words of pytest."""
+        return {Outcome.CONFIRMED: "passed", Outcome.REFUTED: "failed"}.get(self, self.value)
+
 
 class Aspect(StrEnum):
     """What of a command a claim covers: a column of the coverage matrix."""

@@ -52,7 +52,7 @@ function filter() {
 for (const each of [...boxes, search]) each.addEventListener('input', filter);
 """
 _MARKS = {
-    "confirmed": "confirmed", "refuted": "REFUTED", "observed": "observed", "inconclusive": "inconclusive", "never": "never",
+    "confirmed": "✓", "refuted": "✗", "observed": "o", "inconclusive": "?", "never": "–",
 }  # fmt: skip
 
 
@@ -84,7 +84,7 @@ def _about(records: Sequence[VerdictRecord], run: RunRecord) -> str:
     facts = {
         "on": ", ".join(dict.fromkeys(run.on)),
         "started": f"{run.started_at}, {run.seconds:.1f} s",
-        "claims": ", ".join(f"{n} {o}" for o, n in Counter(r.outcome for r in records).items()),
+        "claims": ", ".join(f"{n} {Outcome(o).word}" for o, n in Counter(r.outcome for r in records).items()),
         "allowed": ", ".join(run.allowed) or "everything (emulated drives)",
         "bounds": ", ".join(f"{n} {v}" for n, v in run.bounds.items()),
         "firmware": ", ".join(f"{t}: {v}" for t, v in firmware_of(records).items()),
@@ -105,7 +105,7 @@ def _totals(records: Sequence[VerdictRecord]) -> str:
     rows = [
         [target, theme, *(_count(counted[o.value], o.value) for o, _ in COLUMNS)] for (target, theme), counted in counts.items()
     ]
-    head = ["drive", "theme", *(o.value for o, _ in COLUMNS)]
+    head = ["drive", "theme", *(o.word for o, _ in COLUMNS)]
     return "<h2>Verdicts</h2>" + _table(head, rows, numbers_from=2)
 
 
@@ -179,7 +179,7 @@ def _curves(records: Sequence[VerdictRecord]) -> str:
 
 
 def _claims(records: Sequence[VerdictRecord]) -> str:
-    boxes = "".join(f'<label><input type="checkbox" value="{_kind(o.value)}" checked> {o.value}</label>' for o in Outcome)
+    boxes = "".join(f'<label><input type="checkbox" value="{_kind(o.value)}" checked> {o.word}</label>' for o in Outcome)
     rows = "".join(
         f'<tr data-outcome="{_kind(r.outcome)}"><td class="{_kind(r.outcome)}">{escape(r.outcome)}</td>'
         f"<td><code>{escape(r.id)}</code><br>{escape(r.statement)}</td><td>{escape(r.section)}</td>"

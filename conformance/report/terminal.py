@@ -45,7 +45,7 @@ def show(records: Sequence[VerdictRecord], run: RunRecord, console: Console) -> 
         if number < SHOWN:
             show_refuted(record, run, console)
     if len(refuted) > SHOWN:
-        console.print(f"[bold red]and {len(refuted) - SHOWN} more refuted claims:[/]")
+        console.print(f"[bold red]and {len(refuted) - SHOWN} more failed claims:[/]")
         for record in refuted[SHOWN:]:
             console.print(f"  {record.id}: {record.reason}", markup=False, highlight=False)
     show_counts(records, console)
@@ -65,7 +65,7 @@ def show_refuted(record: VerdictRecord, run: RunRecord, console: Console) -> Non
     def line(text: str, style: str = "") -> None:
         console.print(text, style=style or None, markup=False, highlight=False, soft_wrap=True)
 
-    line(f"REFUTED  {record.id}  ({record.target})", "bold red")
+    line(f"FAILED  {record.id}  ({record.target})", "bold red")
     line(f"  {record.statement}  [manual {record.section}, {record.certainty}]")
     line(f"  {record.reason}")
     if record.expected:
@@ -85,7 +85,7 @@ def _table(records: Sequence[VerdictRecord]) -> Table:
     table.add_column("drive")
     table.add_column("theme")
     for outcome, style in COLUMNS:
-        table.add_column(outcome.value, justify="right", style=style)
+        table.add_column(outcome.word, justify="right", style=style)
     counts: dict[tuple[str, str], Counter[str]] = {}
     for record in records:
         counts.setdefault((record.target, record.theme), Counter())[record.outcome] += 1

@@ -48,7 +48,7 @@ def test_a_drive_whose_replies_cannot_be_read_is_refuted_and_not_moved(tmp_path,
     out, err = capsys.readouterr()
     assert status == 1, err
     assert "NOT STOPPED" not in err
-    assert "REFUTED  mks-rs485/shape/read_speed/checksum" in out
+    assert "FAILED  mks-rs485/shape/read_speed/checksum" in out
     assert "nothing that moves is sent" in out
 
 
