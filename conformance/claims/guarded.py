@@ -285,7 +285,8 @@ def _to_another(probe: Probe, command: Command, guarded: _Guarded) -> None:
     own, (first, last) = probe.address, probe.dialect.addresses
     before = guarded.see(probe)
     # Where an address has a byte and no broadcast, the drive must not hear those that no drive has either.
-    byte = (own ^ 0x20, own ^ 0x80, 0xFF) if probe.dialect.broadcast is None else ()
+    bare = probe.dialect.bus == "serial" and probe.dialect.broadcast is None
+    byte = (own ^ 0x20, own ^ 0x80, 0xFF) if bare else ()
     near = (a for a in (0, first, own ^ 1, own + 1, last) if a <= last)
     others = [a for a in dict.fromkeys((*near, *byte)) if a not in (own, probe.dialect.broadcast)]
     for address in others:

@@ -50,8 +50,7 @@ def test_every_dialect_is_explained_byte_by_byte(name):
         for _ in range(6):
             await driver.press("down")
         await driver.press("enter")
-        text = driver.text
-        assert re.search(r"^offset +hex", text, re.MULTILINE), text
+        await driver.until(lambda: re.search(r"^offset +hex", driver.text, re.MULTILINE))
         await driver.press("enter")
         assert "offset  hex" not in driver.text
 
