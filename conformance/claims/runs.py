@@ -25,10 +25,9 @@ from conformance.claims.motion_claim import (
 )
 from conformance.motion import motion
 from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, SUBDIVISION
+from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import Probe
 
-#: Speeds that differ by less are one.
-_SHARE = 0.005
 #: The speed of runs that last, and that of runs whose direction alone matters: 16 bits hold them in every unit.
 _RPM, _SLOW = 54, 30
 _runs = motions(MotionKind.RUN)
@@ -57,7 +56,7 @@ def _turns_at(probe: Probe, rpm: float) -> None:
     speed, spread = motion.mean_speed(probe, 1500 * MS if abs(rpm) < 10 else 600 * MS)
     motion.stand_still(probe)
     wanted, text = motion.rpm_as_asked(exchange), "the shaft does not turn at the speed that was asked for"
-    probe.expect(abs(speed), near=wanted, within=wanted * _SHARE + spread, unit="rpm", refutes=text, exchange=exchange)
+    probe.expect(abs(speed), near=wanted, within=wanted * CLOCK_SHARE + spread, unit="rpm", refutes=text, exchange=exchange)
     if spread > wanted / 10:
         if "slow-replies-in-motion" not in probe.claim.quirks:
             raise Inconclusive(f"the replies came too late to measure a speed ({spread:.1f} rpm uncertain)")

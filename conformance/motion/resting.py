@@ -9,7 +9,7 @@ from analyzer.catalogue import Command, Dialect, MotionKind, Verb
 from conformance.claim import Claim, Inconclusive
 from conformance.gate.gate import Refused
 from conformance.motion import motion
-from conformance.talk.noise import QUIET, Noise
+from conformance.talk.noise import LOOP_DEGREES, QUIET, Noise
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
@@ -56,6 +56,7 @@ def in_motion(probe: Probe) -> Noise:
     """
     try:
         motion.ready_to_move(probe)
+        before = motion.position(probe).value
         motion.begin(probe, _move(probe.dialect), _WAY, rpm=_RPM, acceleration=motion.QUICK, quiet_ns=0)
         begun_ns = probe.gate.now_ns()
         probe.wait(_GOING_NS)
@@ -67,7 +68,10 @@ def in_motion(probe: Probe) -> Noise:
         after = [sample.value for sample in motion.sampled(probe, _CREEPS_NS, _CREEPS_NS // _TIMES)]
     except (Inconclusive, Refused):
         return probe.noise
-    noise = replace(probe.noise, degrees=max(probe.noise.degrees, _half_span(after)))
+    # A loop that stands still may rest beside its target all the same, and no read of a resting shaft shows that.
+    missed = abs(abs(after[-1] - before) - _WAY) / 2
+    loop = max(probe.noise.loop, missed if missed <= LOOP_DEGREES else 0.0)
+    noise = replace(probe.noise, degrees=max(probe.noise.degrees, _half_span(after)), loop=loop)
     if min(speeds, default=0.0) < _RESTS:
         return noise
     mean, trembling = sum(speeds) / len(speeds), _half_span(speeds)

@@ -22,9 +22,13 @@ COUNT = 360 / 16384
 #: The most that two rests of a shaft may differ from what was asked, in degrees: less than three pulses at 16 subdivisions.
 _MOST_DEGREES = 0.3
 #: How far from its target a loop that trembles rests at least, in degrees.
-_LOOP_DEGREES = 4 * COUNT
-#: What a shaft swings by when it arrives, in degrees.
-_SWING_DEGREES = 16 * COUNT
+LOOP_DEGREES = 4 * COUNT
+#: What a shaft swings by when it arrives, in degrees: one that trembles, and one that rests quietly.
+_SWING_DEGREES, _QUIET_SWING_DEGREES = 16 * COUNT, 8 * COUNT
+#: A drive reckons speeds and times by its own clock, often a ceramic resonator: off by 1 %, and what it rounds.
+CLOCK_SHARE = 0.0125
+#: By how much the end of a motion may be told later than it came: drives look at their shaft from time to time.
+TOLD_LATE_NS = 40_000_000
 #: The most that readings may tremble: a share of a speed, and other quantities by their units.
 _MOST_SHARE, _MOST_RPM = 0.025, 3.0
 _MOST: Mapping[str, float] = {"V": 1.0, "A": 0.5, "degC": 3.0}
@@ -75,12 +79,12 @@ class Noise:
     @property
     def place(self) -> float:
         """By how many degrees two places may differ from what was asked."""
-        return min(_MOST_DEGREES, 2 * self.degrees + 2 * max(self.loop, _LOOP_DEGREES)) if self.live else 0.0
+        return min(_MOST_DEGREES, 2 * self.degrees + 2 * max(self.loop, LOOP_DEGREES)) if self.live else 0.0
 
     @property
     def swing(self) -> float:
         """By how many degrees a shaft may be off when it has just arrived."""
-        return self.place + _SWING_DEGREES if self.live else 0.0
+        return self.place + _SWING_DEGREES if self.live else _QUIET_SWING_DEGREES
 
     @property
     def counts(self) -> int:

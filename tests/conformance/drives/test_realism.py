@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 
 import pytest
 
@@ -33,8 +34,17 @@ def readings(text: str, name: str = "read_position", count: int = 40) -> set[tup
 
 @pytest.mark.parametrize("drive", DRIVES)
 def test_an_ideal_drive_has_no_noise(drive):
-    assert rig(drive).noise == QUIET
+    assert replace(rig(drive).noise, latency_ns=0) == QUIET
     assert len(readings(drive)) == 1
+
+
+@pytest.mark.parametrize(("counts", "live"), [(0, False), (3, True)])
+def test_a_loop_that_rests_still_beside_its_target_shows_after_a_move(counts, live):
+    each = rig(f"lk-rs485@1,loop-error={counts}")
+    probe = each.probe(next(c for c in registry.every(each.dialect) if resting.can_turn(each.dialect, c)))
+    assert probe.noise.live is live
+    assert probe.noise.loop <= 4 * 360 / 16384
+    assert not resting.measure(probe).live
 
 
 @pytest.mark.parametrize("drive", DRIVES)
@@ -117,7 +127,7 @@ def test_a_filtered_speed_stays_behind():
     motion.ready_to_move(probe)
     motion.speed(probe)
     motion.run_at(probe, 300, 0)
-    seen = [motion.speed(probe).value for _ in range(40)]
+    seen = [motion.speed(probe).value for _ in range(300)]
     assert 0 < abs(seen[0]) < 290
     assert abs(seen[-1]) == 300
 

@@ -43,3 +43,7 @@ def test_a_unit_without_a_resolution_has_to_be_told_one():
 def test_noise_is_bounded_by_what_a_manual_can_allow():
     wild = Noise(degrees=90, loop=90, rpm=500, share=0.9, supply={"V": 20.0})
     assert (wild.place, wild.of("V"), wild.speed(100)) == (0.3, 1.0, 5.5)
+
+
+def test_a_shaft_that_has_just_arrived_may_swing_less_than_one_that_is_known_to_settle():
+    assert 8 * COUNT <= QUIET.swing < 12 * COUNT < LIVE.swing
