@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import replace
+from fractions import Fraction
 
 import pytest
 
@@ -12,6 +13,7 @@ from conformance import claims as registry
 from conformance.claim import Inconclusive, Outcome
 from conformance.cli import emulate
 from conformance.drives import make, realism
+from conformance.drives.drive import Fault
 from conformance.motion import motion, resting
 from conformance.suite import engine
 from conformance.suite.rig_emulated import EmulatedRig
@@ -188,3 +190,15 @@ def test_a_read_whose_reply_is_damaged_is_asked_again_and_counted():
             probe.read("read_speed")
     assert probe.measured["damaged replies"] >= 2
     assert len(probe.traffic) == 20 + probe.measured["damaged replies"]
+
+
+@pytest.mark.parametrize("clock", [Fraction(99, 100), Fraction(101, 100)])
+def test_a_drive_whose_clock_is_off_by_1_percent_is_not_accused(clock):
+    def setup(drive):
+        run = drive.motor.run
+        drive.motor.run = lambda t, rpm, step_ns: run(t, rpm * clock, round(step_ns / clock))
+
+    off = Fault("clock", ("mks-can",), "", "", lambda hooks: hooks.setup.append(setup))
+    each = EmulatedRig(replace(make.parse("mks-can@1"), faults=(off,)))
+    wanted = [c for c in registry.every(each.dialect) if c.id.endswith(("run_speed/speed-300", "set_subdivision/speed-at-128"))]
+    assert [verdict.outcome for verdict in engine.run(wanted, each)] == [Outcome.CONFIRMED] * 2
