@@ -74,6 +74,9 @@ def _homed(probe: Probe, end_limit: int = 1, side: int = -1) -> None:
     # Homing may have let the shaft go.
     probe.do(Verb.ENABLE, {"enabled": 1})
     move = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), -side * _degrees(probe, _HALF))
+    if end_limit:
+        text = "a move away from the end limit that homing found is not carried out"
+        probe.expect(abs(move.degrees), at_least=1, unit="degrees", refutes=text, exchange=move.exchange)
     if abs(move.degrees + side * _degrees(probe, _HALF)) > motion.same(probe):
         raise Inconclusive(f"a move by {_HALF} counts between the end stops went {move.degrees:+.2f} degrees")
 

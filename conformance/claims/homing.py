@@ -169,7 +169,7 @@ def _zero(probe: Probe) -> None:
 def _without_switch(dialect: Dialect) -> Iterator[Case]:
     modes = [v for v in _WITH_WAY_BACK if (c := dialect.by_verb.get(v)) and _has_mode(c)]
     for way in _DIRECTIONS if modes else ():
-        for angle in (0x1000, 0x3000, 0x12000):
+        for angle in (0x1000, 0x3000, 0x12000, 0x25000):
             yield from (Case(dialect, case.command, {"way": way, "angle": angle}) for case in _homings(dialect))
 
 

@@ -25,7 +25,7 @@ from analyzer.protocols.modbus import ModbusException
 from conformance.claim import Theme
 from conformance.claims.control_reads import ask_alone, plain_read, received_text
 from conformance.claims.declare import Case, claim, described_in
-from conformance.claims.modbus_frames import ask, exception, expect_answer, on_modbus, request
+from conformance.claims.modbus_frames import expect_exceptions, on_modbus, request
 from conformance.talk.exchange import hex_of
 from conformance.talk.garbling import harmless
 from conformance.talk.probe import Probe
@@ -166,17 +166,16 @@ def _kinds(dialect: Dialect) -> Iterator[Case]:
     Theme.MODBUS,
     each=_kinds,
     name="{kind}",
-    refuted_by="silence, another exception, or an answer that is none",
+    refuted_by="another exception, or an answer that is none",
     section=_with_standard,
     parameters={},
 )
 def _refused(probe: Probe, kind: _Denied) -> None:
     ask_alone(probe)
     following = probe.build(plain_read(probe.dialect)).frame
-    for what, function, frame in kind.make(probe):
-        # Bytes that begin a frame of another dialect are left to drives that are alone.
-        if harmless(frame, probe.address, following, beside=kind.risks):
-            expect_answer(probe, ask(probe, frame), exception(probe, function, kind.code), what)
+    # Bytes that begin a frame of another dialect are left to drives that are alone.
+    asked = [each for each in kind.make(probe) if harmless(each[-1], probe.address, following, beside=kind.risks)]
+    expect_exceptions(probe, [(what, function, frame, kind.code) for what, function, frame in asked])
 
 
 # --- addresses --------------------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 
 from analyzer.catalogue import Dialect
 from analyzer.link import ModbusLink, modbus_crc
+from conformance.claim import Observed
 from conformance.claims.control_reads import received_text
 from conformance.claims.declare import Case, once
 from conformance.talk.exchange import Exchange, hex_of
@@ -54,6 +55,26 @@ def expect_answer(probe: Probe, sent: Exchange, expected: bytes, what: str) -> N
             exchange=again,
             key=what,
         )
+
+
+#: A request that calls for an exception: what it is in words, its function, its bytes, the exception.
+Denied = tuple[str, int, bytes, int]
+
+
+def expect_exceptions(probe: Probe, denied: Iterable[Denied]) -> None:
+    """Refute a drive that answers one of several requests by anything but its exception.
+
+    Raises Observed where no more is wrong than that some are not answered: exceptions are the standard's, and not the manual's.
+    """
+    silent = []
+    for what, function, frame, code in denied:
+        sent = ask(probe, frame)
+        if sent.silent and ask(probe, frame).silent:
+            silent.append(what)
+        else:
+            expect_answer(probe, sent, exception(probe, function, code), what)
+    if silent:
+        raise Observed(f"silence, and no exception, to {silent[0]}" + f" and {len(silent) - 1} more" * (len(silent) > 1))
 
 
 def on_modbus(dialect: Dialect) -> Iterable[Case]:

@@ -13,7 +13,7 @@ from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import ask_alone, received_text
 from conformance.claims.declare import Case, Cases, claim
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.modbus_frames import ask, exception, expect_answer, on_modbus, request, unambiguous
+from conformance.claims.modbus_frames import Denied, ask, expect_answer, expect_exceptions, on_modbus, request, unambiguous
 from conformance.claims.motion_claim import expect_stays, of_motion
 from conformance.motion import motion
 from conformance.motion.effects import STEP_NS
@@ -141,7 +141,7 @@ def _refused(probe: Probe, settings: tuple[Command, ...], end: bytes) -> None:
 
 
 @_of_writes(
-    "silence, an echo, or another exception",
+    "an echo, or another exception",
     each=_none,
     name="register/unknown_write",
     section=_STANDARD,
@@ -153,22 +153,21 @@ def _unknown_registers(probe: Probe) -> None:
     """A write of a register that no command has is refused by exception 02."""
     ask_alone(probe)
     known = {c.code for c in probe.dialect.commands}
+    writes: list[Denied] = []
     for register in sorted({0x0000, 0x00A0, 0x0182, 0x7FFF} - known):
         for function, frame in (
             (0x06, unambiguous(partial(request, probe, 0x06, register))),
             (0x10, unambiguous(partial(_one_register, probe, register))),
         ):
             if frame is not None:
-                refusal = exception(probe, function, _ADDRESS)
-                expect_answer(probe, ask(probe, frame), refusal, f"a write of register {register:04X}h")
-    if _HOME_94 in known:
-        return
-    frame = request(probe, 0x10, _HOME_94, 4, data=b"\x08" + _HOME_94_DATA)
-    sent = ask(probe, frame)
-    if sent.received[:4] == frame[:4]:
-        probe.meets(REGISTER_94)
-    else:
-        expect_answer(probe, sent, exception(probe, 0x10, _ADDRESS), "a write of register 0094h")
+                writes.append((f"a write of register {register:04X}h", function, frame, _ADDRESS))
+    if _HOME_94 not in known:
+        frame = request(probe, 0x10, _HOME_94, 4, data=b"\x08" + _HOME_94_DATA)
+        if ask(probe, frame).received[:4] == frame[:4]:
+            probe.meets(REGISTER_94)
+        else:
+            writes.append(("a write of register 0094h", 0x10, frame, _ADDRESS))
+    expect_exceptions(probe, writes)
 
 
 def _one_register(probe: Probe, register: int, value: int) -> bytes:
@@ -179,14 +178,14 @@ def _one_register(probe: Probe, register: int, value: int) -> bytes:
 def _other_function(probe: Probe, settings: tuple[Command, ...]) -> None:
     """A register is written by its own function, 06h or 10h, and not by the other."""
     ask_alone(probe)
+    writes: list[Denied] = []
     for command in [c for c in settings if c.function in WRITE_ONE][:2]:
         frame = request(probe, 0x10, command.code, 1, data=b"\x02" + _plain(probe, command)[4:-2])
-        refusal = exception(probe, 0x10, _ADDRESS)
-        expect_answer(probe, ask(probe, frame), refusal, f"{command.code:04X}h by function 10h")
+        writes.append((f"{command.code:04X}h by function 10h", 0x10, frame, _ADDRESS))
     for command in [c for c in settings if c.function in WRITE_MANY][:2]:
         frame = request(probe, 0x06, command.code, 0)
-        refusal = exception(probe, 0x06, _ADDRESS)
-        expect_answer(probe, ask(probe, frame), refusal, f"{command.code:04X}h by function 06h")
+        writes.append((f"{command.code:04X}h by function 06h", 0x06, frame, _ADDRESS))
+    expect_exceptions(probe, writes)
 
 
 # --- motion by what is no write of it ---------------------------------------------------------------------------------
@@ -275,7 +274,7 @@ def _odd(dialect: Dialect) -> Iterator[Case]:
 
 
 @_of_writes(
-    "a refusal of the printed count, or anything but exception 03 to another",
+    "a refusal of the printed count, or another answer than exception 03 to another",
     each=_odd,
     name="byte_count/odd",
     section="8.2.20",
@@ -292,12 +291,11 @@ def _odd_byte_count(probe: Probe, settings: tuple[Command, ...]) -> None:
             echo = probe.dialect.link.completed(frame[:6])
             expect_answer(probe, ask(probe, frame), echo, f"register {register:04X}h with {count} bytes")
             frame = request(probe, 0x10, register, command.quantity, data=bytes((even,)) + data.ljust(even, b"\0"))
-            refusal = exception(probe, 0x10, _VALUE)
-            expect_answer(probe, ask(probe, frame), refusal, f"register {register:04X}h with {even} bytes")
+            expect_exceptions(probe, [(f"register {register:04X}h with {even} bytes", 0x10, frame, _VALUE)])
 
 
 @_of_writes(
-    "an echo, silence, or another exception",
+    "an echo, or another exception",
     each=_several,
     name="byte_count/others",
     section=_STANDARD,
@@ -307,6 +305,7 @@ def _odd_byte_count(probe: Probe, settings: tuple[Command, ...]) -> None:
 def _other_byte_counts(probe: Probe, settings: tuple[Command, ...]) -> None:
     """A write by 10h with another quantity or byte count than its register's is refused by exception 03."""
     ask_alone(probe)
+    writes: list[Denied] = []
     for command in settings:
         data, own = _plain(probe, command)[7:-2], command.quantity
         for quantity, wrong in ((own, data[:-1]), (own, data + b"\0"), (own + 1, data + b"\0\0"), (own - 1, data[:-2])):
@@ -314,7 +313,8 @@ def _other_byte_counts(probe: Probe, settings: tuple[Command, ...]) -> None:
                 continue
             frame = request(probe, 0x10, command.code, quantity, data=bytes((len(wrong),)) + wrong)
             what = f"{quantity} registers in {len(wrong)} bytes to {command.code:04X}h, which has {own}"
-            expect_answer(probe, ask(probe, frame), exception(probe, 0x10, _VALUE), what)
+            writes.append((what, 0x10, frame, _VALUE))
+    expect_exceptions(probe, writes)
 
 
 # --- moves ------------------------------------------------------------------------------------------------------------

@@ -117,6 +117,7 @@ def _at_the_carry(probe: Probe, command: Command) -> None:
 def _while_disabled(probe: Probe) -> None:
     """The position follows the shaft while the motor is disabled."""
     motion.ready_to_move(probe)
+    _counts(probe)
     motion.switch(probe, False)
     for turned in (3000, -20_000):
         before = _counts(probe)

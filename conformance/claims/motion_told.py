@@ -27,8 +27,8 @@ _STATES = ((Verb.READ_ENABLED, "enabled"), (Verb.READ_PROTECTION, "status"), (Ve
 #: Degrees that a loop may lag behind while it turns, and when it stands.
 _LAG, _REST = 45.0, 1.0
 _RPM = 120
-#: Slow one way and fast the other.
-_SPEEDS = (60, -1000)
+#: Slow, and fast either way.
+_SPEEDS = (60, -1300, 1300)
 
 
 def _runs(dialect: Dialect) -> Iterator[Case]:
@@ -92,7 +92,7 @@ def _places_agree(probe: Probe) -> None:
     for rpm in _SPEEDS:
         begin, offsets = probe.read(position), [_counts(probe, read) for read in reads]
         motion.run_at(probe, rpm, QUICK)
-        probe.wait(max(500, abs(rpm)) * MS)
+        probe.wait(max(500, abs(rpm) * 2 // 3) * MS)
         seen = []
         for read in reads:
             first = probe.read(position)

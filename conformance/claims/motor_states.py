@@ -171,3 +171,40 @@ def _in_a_move(probe: Probe) -> None:
     _expect(probe, _status(probe), _FULL, "turns at full speed on a move")
     motion.wait_standing(probe)
     _expect_soon_stopped(probe, "has ended a move")
+
+
+def _expect_turning_at_full_speed(probe: Probe, rpm: float, wait_ns: int, what: str) -> None:
+    motion.run_at(probe, rpm, QUICK)
+    probe.wait(wait_ns)
+    _expect(probe, _status(probe), _FULL, f"turns at {rpm:+g} rpm {what}")
+
+
+@_of_a_run(name="{command}/each-mode")
+def _each_mode(probe: Probe) -> None:
+    """In each bus mode the status at full speed is 4 and at rest 1, fast and slow, either way."""
+    for number, mode in enumerate(motion.bus_modes(probe.dialect)):
+        motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
+        _expect(probe, _status(probe), _STOPPED, f"stands in {mode}")
+        # An open mode goes no faster than 400 rpm.
+        way, fast = (-1) ** number, 350 if "open" in mode else 1000
+        for rpm in (-way * 100, way * fast):
+            _expect_turning_at_full_speed(probe, rpm, max(300, abs(rpm) // 2) * MS, f"in {mode}")
+        motion.stand_still(probe)
+
+
+@_of_a_run(name="{command}/other-speeds")
+def _other_speeds(probe: Probe) -> None:
+    """A run that goes over to a higher speed is told as 2 until it is there, one that goes over to a lower one as 3."""
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
+    _expect_turning_at_full_speed(probe, -60, 300 * MS, "")
+    for rpm, wanted, what in ((-240, _UP, "speeds up"), (-60, _DOWN, "slows down")):
+        exchange = motion.run_at(probe, rpm, _BRISK)
+        _wait_until(probe, exchange, 400 * MS)
+        _expect(probe, _status(probe), wanted, f"{what} to another speed")
+        _wait_until(probe, exchange, _BRISK_NS + 300 * MS)
+        _expect(probe, _status(probe), _FULL, f"turns at {rpm} rpm after another speed")
+    motion.stand_still(probe)
+
+
+#: An acceleration by which 180 rpm more or less take 0.9 s: 5 ms for each.
+_BRISK, _BRISK_NS = 156, 900 * MS

@@ -12,10 +12,12 @@ from collections.abc import Callable, Iterator
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
 from conformance.claim import Inconclusive
+from conformance.claims.control_reads import judge_next
 from conformance.claims.declare import Case, motions
 from conformance.claims.motion_claim import command_of, expect_stays, of_motion, risks_by
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, QUICK
+from conformance.talk.acceptance import need_reliable_replies
 from conformance.talk.probe import Probe
 from conformance.talk.samples import sample
 
@@ -41,6 +43,12 @@ def expect_refused(probe: Probe, command: Command, why: str, again: Callable[[],
     before = motion.position(probe)
     start = motion.place(probe, command) if command.motion is not None else 0
     exchange = probe.ask(command, _request(probe.dialect, command, start))
+    if exchange.silent and command.replies.failed:
+        # A reply can be lost; a drive that never refuses is another matter.
+        need_reliable_replies(probe)
+        again_asked = probe.ask(command, _request(probe.dialect, command, start))
+        text = f"{command.name} {why} is not answered at all"
+        probe.expect("silence", holds=not again_asked.silent, expected="a refusal", refutes=text, exchange=exchange)
     answer = probe.reply(exchange)
     probe.wait(_LOOKED_AT_NS)
     if again is not None:
@@ -65,6 +73,39 @@ def _disabled(probe: Probe, command: Command) -> None:
     motion.ready_to_move(probe)
     motion.switch(probe, False)
     expect_refused(probe, command, "while disabled", lambda: motion.switch(probe, True))
+
+
+@of_motion(
+    each=lambda dialect: list(motions(MotionKind.MOVE_BY, where=_can_refuse)(dialect))[:1],
+    name="{command}/behind-refusals",
+    refuted_by="silence, or a command that is not carried out",
+)
+def _behind_refusals(probe: Probe, command: Command) -> None:
+    """What comes behind a refused motion is answered and carried out: a read, enabling, and a move."""
+    # Without a look whether it has a bus mode: that may be refused, and what is behind it would not be looked at.
+    motion.set_mode(probe, motion.bus_modes(probe.dialect)[-1])
+    motion.switch(probe, False)
+    values = _request(probe.dialect, command)
+    judge_next(probe, "a refused motion", lambda: probe.ask(command, values, quiet_ns=0))
+    before = motion.position(probe)
+    on = motion.switching(probe.dialect, True)
+    for _ in range(_TRIES):
+        refusal = probe.ask(command, values, quiet_ns=0)
+        if not probe.ask(*on, quiet_ns=0).silent:
+            break
+    is_on, exchange = motion.is_on(probe), probe.traffic[-1]
+    text = "a motor is not enabled at once behind a refused motion"
+    probe.expect(is_on, equal=True, refutes=text, exchange=exchange)
+    probe.expect("a motion", holds=probe.refused(refusal), expected="a refusal", refutes=f"{command.name} is not refused")
+    exchange = probe.ask(command, values, quiet_ns=0)
+    probe.wait(2 * motion.SECOND_NS)
+    moved = abs(motion.position(probe).value - before.value)
+    text = f"{command.name} behind a refused one is not carried out"
+    probe.expect(moved, near=90, within=motion.miss(probe), unit="degrees", refutes=text, exchange=exchange)
+
+
+#: How often enabling is asked for behind a refusal: a reply may be lost.
+_TRIES = 2
 
 
 def _needing_modes(dialect: Dialect) -> Iterator[Case]:

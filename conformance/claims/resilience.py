@@ -29,6 +29,8 @@ from conformance.talk.probe import Probe, Until
 
 _SECOND_NS = 1_000_000_000
 _MANY = 100
+#: Reads in a row: more than two hundred, for what comes at every so many-th.
+_IN_A_ROW = 220
 _TRIES = 3
 _FLOOD = 40
 #: Counts of position in which reads of a shaft that stands may differ, in the smallest step of the read.
@@ -36,9 +38,9 @@ _SHIVER = 16
 #: Bytes of noise at a time, and in all.
 _PIECE, _PIECES = 64, 32
 _SEED = 20_241
-_IDLE_NS = 10 * _SECOND_NS
-#: Pauses after which the first request is looked at, each of them twice at most.
+#: Pauses after which the first request is looked at, each of them twice at most: those that every run has time for, and others.
 _PAUSES_NS = (1 * _SECOND_NS, 5 * _SECOND_NS)
+_LONG_PAUSES_NS = (31 * _SECOND_NS, 61 * _SECOND_NS)
 _LONG_IDLE_NS = 24 * 3600 * _SECOND_NS
 #: How long a drive may take from power-on until it answers; real ones take two seconds.
 _POWER_NS = 4 * _SECOND_NS
@@ -53,16 +55,16 @@ def _resilience(refuted_by: str, **facts: Any) -> Callable[[Callable[..., None]]
 # --- many reads -------------------------------------------------------------------------------------------------------
 
 
-@_resilience("a reply that does not come", name="reads/answered", statement=f"{_MANY} reads in a row are all answered.")
+@_resilience("a reply that does not come", name="reads/answered", statement=f"{_IN_A_ROW} reads in a row are all answered.")
 def _reads_answered(probe: Probe) -> None:
     read = plain_read(probe.dialect)
-    exchanges = [probe.ask(read, quiet_ns=0, timeout_ns=probe.rig.late_ns) for _ in range(_MANY)]
+    exchanges = [probe.ask(read, quiet_ns=0, timeout_ns=probe.rig.late_ns) for _ in range(_IN_A_ROW)]
     lost = [e for e in exchanges if e.silent]
     probe.expect(
-        f"{_MANY - len(lost)} replies",
+        f"{_IN_A_ROW - len(lost)} replies",
         holds=not lost,
-        expected=f"{_MANY} replies",
-        refutes=f"{len(lost)} of {_MANY} reads in a row are not answered",
+        expected=f"{_IN_A_ROW} replies",
+        refutes=f"{len(lost)} of {_IN_A_ROW} reads in a row are not answered",
         exchange=next(iter(lost), None),
         key="reads in a row are lost",
     )
@@ -92,11 +94,15 @@ def _reads_mixed(probe: Probe) -> None:
     readable = [c for c in plain_reads(probe.dialect) if _answered_alone(probe, c)]
     if not readable:
         raise Inconclusive("no read by itself is answered by one good reply")
-    chance = random.Random(_SEED)
+    chance, foreign = random.Random(_SEED), 0
     for _ in range(_MANY):
         command = chance.choice(readable)
         exchange = probe.ask(command, quiet_ns=0)
         if not exchange.silent and not is_answered(exchange):
+            # A line that damages replies makes none of another read.
+            foreign += any(a.message.frame.checksum_ok and a.command is not None for a in exchange.answers)
+            text = f"{foreign} reads among others are answered by sound replies to other reads"
+            probe.expect(foreign, at_most=1, refutes=text, exchange=exchange, key="reads are mixed up")
             again = probe.ask(command, quiet_ns=0)
             probe.expect(
                 received_text(again),
@@ -226,10 +232,6 @@ def _power_cycle_in_frame(probe: Probe) -> Exchange:
     return _power_cycle(probe)
 
 
-def _idle(probe: Probe) -> Exchange:
-    return probe.listen(_IDLE_NS)
-
-
 def _long_idle(probe: Probe) -> Exchange:
     return probe.listen(_LONG_IDLE_NS)
 
@@ -237,7 +239,6 @@ def _long_idle(probe: Probe) -> Exchange:
 def _events(dialect: Dialect) -> Iterator[Case]:
     """Yield what a drive must answer after: name, in words, what does it, whether it needs an emulated drive."""
     rows: list[tuple[str, str, Sends, bool]] = [
-        ("idle/seconds", "ten seconds of silence", _idle, False),
         ("idle/day", "a day of silence", _long_idle, True),
         ("power/back", "power off and on", _power_cycle, True),
     ]
@@ -263,12 +264,24 @@ def _after(probe: Probe, what: str, happen: Sends) -> None:
     )
 
 
-@_resilience("silence, pause after pause", name="idle/first", at_best=Certainty.LIKELY)
-def _first_after_idle(probe: Probe) -> None:
-    """The first request after seconds of silence is answered."""
+def _pauses(dialect: Dialect) -> Iterator[Case]:
+    for name, pauses, words in (
+        ("first", _PAUSES_NS, "seconds"),
+        ("first-long", _LONG_PAUSES_NS, "a minute, and half of one,"),
+    ):
+        yield Case(
+            dialect,
+            given={"pauses": pauses, "words": words},
+            facts={"name": f"idle/{name}", "by_name": pauses is _LONG_PAUSES_NS},
+        )
+
+
+@_resilience("silence, pause after pause", each=_pauses, at_best=Certainty.LIKELY)
+def _first_after_idle(probe: Probe, pauses: tuple[int, ...]) -> None:
+    """The first request after {words} of silence is answered."""
     ask_first(probe)
     read = plain_read(probe.dialect)
-    for pause_ns in _PAUSES_NS:
+    for pause_ns in pauses:
         # Twice: a line loses a reply now and then, and not after each pause.
         exchanges = []
         for _ in range(2):

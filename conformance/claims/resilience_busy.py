@@ -130,6 +130,37 @@ def _damaged_requests(probe: Probe) -> None:
         _stop(probe)
 
 
+# --- many moves in a row ----------------------------------------------------------------------------------------------
+
+#: Short moves one after the other, and how long each of them is given.
+_SHORT_MOVES, _SHORT_DEGREES, _SHORT_NS = 16, 9, 80_000_000
+
+
+def _moves_that_add(dialect: Dialect) -> Iterator[Case]:
+    """Yield the dialect where a move goes on from where the one before ends, and not from where the shaft is."""
+    if dialect.family == "mks":
+        yield from _moving(dialect)
+
+
+@_of_busy("a move that is refused or not carried out", each=_moves_that_add, name="moves/in-a-row", at_best=Certainty.LIKELY)
+def _in_a_row(probe: Probe) -> None:
+    """The last of many short moves is taken as the first one was, and all of them are carried out."""
+    move = motion.any_move(probe.dialect)
+    motion.prepare(probe, move)
+    before = motion.wait_standing(probe)
+    for number in range(_SHORT_MOVES):
+        exchange = motion.ask(probe, move, _SHORT_DEGREES, rpm=180, acceleration=motion.QUICK, quiet_ns=0)
+        if not exchange.silent:
+            text = f"the last of {number + 1} moves in a row is refused"
+            taken = not motion.refused(probe, exchange)
+            probe.expect("a refusal", holds=taken, expected="no refusal", refutes=text, exchange=exchange, key="moves in a row")
+        probe.wait(_SHORT_NS)
+    moved = motion.wait_standing(probe).value - before.value
+    text = f"{_SHORT_MOVES} moves in a row are not all carried out"
+    wanted, within = _SHORT_MOVES * _SHORT_DEGREES, motion.miss(probe) * 2
+    probe.expect(abs(moved), near=wanted, within=within, unit="degrees", refutes=text, exchange=exchange)
+
+
 # --- replies to many moves: real drives were seen to miss a sum now and then ------------------------------------------
 
 

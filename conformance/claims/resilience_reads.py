@@ -33,6 +33,9 @@ from conformance.talk.probe import Probe
 _ROUNDS = 2
 #: The speed of the fast run, in rpm.
 _FAST = 1200
+#: Runs by a ramp of 2.8 s, in which all reads are asked for; a place that is turns below zero; a while in which a shaft
+#: that was stopped comes to rest.
+_RAMPED, _LONG_RAMP, _BELOW, _SOON_NS = 240, 24, 2.4, 400 * MS
 _Step = Callable[[Probe], object]
 
 
@@ -70,8 +73,26 @@ def _turn_fast(probe: Probe) -> None:
 
 
 def _turn_and_stop(probe: Probe) -> None:
+    # Nothing is asked before the reads: a drive that is deaf then is what is looked for.
     endless(probe, probe.command(Verb.RUN_SPEED))
-    _stop(probe)
+    motion.stop(probe, QUICK)
+    probe.wait(_SOON_NS)
+
+
+def _speed_up(probe: Probe) -> None:
+    motion.run_at(probe, _RAMPED, _LONG_RAMP)
+
+
+def _slow_down(probe: Probe) -> None:
+    motion.run_at(probe, -_RAMPED, QUICK)
+    probe.wait(_SOON_NS)
+    motion.stop(probe, _LONG_RAMP)
+
+
+def _go_below_zero(probe: Probe) -> None:
+    probe.do(Verb.SET_ZERO)
+    motion.begin(probe, motion.any_move(probe.dialect), -_BELOW * 360, rpm=180, acceleration=QUICK)
+    probe.wait(round(_BELOW / 3 * 1000) * MS + _SOON_NS)
 
 
 def _emergency_stop(probe: Probe) -> None:
@@ -122,6 +143,8 @@ def _motions(dialect: Dialect) -> Iterator[_State]:
             yield _State(command.name, when, enter, _stop, command.all_risks, models=command.models)
     if dialect.ramp is not None:
         yield _State("fast", f"while the shaft turns at {_FAST} rpm", _turn_fast, _stop)
+        yield _State("speeding-up", "while the shaft speeds up", _speed_up, _stop)
+        yield _State("slowing-down", "while the shaft slows down", _slow_down, _nothing)
     yield _State("stopped", "after a stop", _turn_and_stop, _nothing)
 
 
@@ -138,6 +161,10 @@ def _others(dialect: Dialect) -> Iterator[_State]:
     verbs = dialect.by_verb
     off = frozenset({Risk.TORQUE})
     yield _State("off", "while the motor is off", partial(motion.switch, on=False), partial(motion.switch, on=True), off)
+    if Verb.SET_ZERO in verbs and dialect.counts_per_turn:
+        yield _State(
+            "below-zero", f"{_BELOW} turns below zero, after a move", _go_below_zero, _nothing, verbs[Verb.SET_ZERO].all_risks
+        )
     if Verb.SET_RESPOND in verbs:
         silent, loud = (_set(Verb.SET_RESPOND, respond=on, active=on) for on in (0, 1))
         risks = verbs[Verb.SET_RESPOND].all_risks
@@ -220,6 +247,10 @@ def _expect_answer(probe: Probe, command: Command, values: Mapping[str, Any], st
         exchange=exchange,
         key=f"reads are not answered {state.when}",
     )
+    told = [v.rule for v in probe.reply(exchange).message.violations]
+    if told and not probe.reply(before).message.violations:
+        text = f"{command.name} is answered {state.when} by what its reply cannot be"
+        probe.expect(received_text(exchange), holds=False, expected=f"no {told[0]}", refutes=text, exchange=exchange)
     if state.stays and is_stored(command):
         stored = probe.reply(before).values
         text = f"{command.name} reads something else {state.when} than at rest"

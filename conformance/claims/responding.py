@@ -15,6 +15,7 @@ from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive
+from conformance.claims import bench
 from conformance.claims.declare import Case, Cases, commands, needing
 from conformance.claims.motion_claim import of_motion, risks_by, risks_of
 from conformance.motion import motion
@@ -208,6 +209,22 @@ def _inactive_stop(probe: Probe, run: Command, stop: Command) -> None:
     exchange, statuses = _stop(probe, stop)
     text = f"{stop.name} with active 0 is not answered at its begin alone"
     probe.expect(statuses, equal=[1], refutes=text, exchange=exchange)
+
+
+@_of_respond(
+    "a completion", each=needing(Verb.HOME, _settings), name="{command}/inactive-home", emulated=True, risks=risks_by(Verb.HOME)
+)
+def _inactive_home(probe: Probe) -> None:
+    """With active 0 homing is answered when it begins and not when it is done."""
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    home = probe.command(Verb.HOME)
+    _set(probe, 1, 0)
+    bench.left_switch(probe, -2000)
+    since = len(probe.traffic)
+    exchange = probe.ask(home, until=Until.TIMEOUT, timeout_ns=3 * SECOND_NS)
+    motion.wait_standing(probe)
+    text = "homing with active 0 is not answered at its begin alone"
+    probe.expect(_statuses(probe, since, home), equal=[1], refutes=text, exchange=exchange)
 
 
 @_of_respond("other replies", each=_settings, name="{command}/1-answers-again")

@@ -18,8 +18,9 @@ from analyzer import dialects as registry
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, MotionKind, Risk, Verb
 from analyzer.layout import Effect
 from conformance.claim import Inconclusive, NotRun, Refuted
-from conformance.claims import ranges, setting_effects
+from conformance.claims import kept_effects, ranges, setting_effects
 from conformance.claims.declare import Case, Cases, commands
+from conformance.claims.kept_effects import Kept
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.link_changes import (
     NEW_ADDRESS_ANSWERS,
@@ -111,6 +112,36 @@ def _kept(probe: Probe, command: Command, effect: SettingEffect, end: str, how: 
         exchange=exchange,
         key=f"{command.name} lost",
     )
+
+
+def _kept_fields(dialect: Dialect) -> Iterator[Case]:
+    if Verb.RESTART in dialect.by_verb:
+        for command, row in kept_effects.rows(dialect):
+            facts = row.effect.needed(
+                dialect, ranges.needs(dialect, command, [row.values]), *_restarting(dialect), *motion.risks(dialect)
+            )
+            # They take long, and the whole command is looked at by a claim that every run makes.
+            facts |= {"parameters": {"field": row.name}, "emulated": row.hands, "by_name": not row.hands}
+            yield Case(dialect, command, {"row": row}, facts)
+
+
+def _restarting(dialect: Dialect) -> frozenset[Risk]:
+    return dialect.by_verb[Verb.RESTART].all_risks
+
+
+@of_read_back(each=_kept_fields, name="{command}/restart-{row}", refuted_by="another setting", fields=fields_of)
+def _kept_field(probe: Probe, command: Command, row: Kept) -> None:
+    """A restart keeps {row}, as {command} set it."""
+    motion.ready_to_move(probe)
+    row.effect.ready(probe)
+    exchange = probe.do(command, ranges.plain(probe, command, command.request_forms[0], **row.values))
+    before = row.effect.see(probe)
+    restart(probe)
+    row.effect.ready(probe)
+    after = row.effect.see(probe)
+    text = f"a restart loses {row.name}"
+    holds, expected = row.effect.same(before, after), row.effect.words(before)
+    probe.expect(row.effect.words(after), holds=holds, expected=expected, refutes=text, exchange=exchange)
 
 
 @of_read_back(
@@ -373,6 +404,29 @@ def _returns_to_zero(probe: Probe, command: Command) -> None:
         exchange=exchange,
         key="zero mode",
     )
+
+
+@of_read_back(each=_zero_modes, name="{command}/clean", refuted_by="a shaft that goes back", at_best=Certainty.LIKELY)
+def _returns_to_none(probe: Probe, command: Command) -> None:
+    """With its zero cleaned the shaft stays where it is after a restart."""
+    turn = probe.dialect.counts_per_turn
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    values = {"zero_mode": 2, "zero_speed": 2, "zero_direction": 0}
+    probe.do(command, {**values, "set_zero": 1})
+    setting_effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 60, "acceleration": STEEP, "position": turn // 4})
+    probe.do(command, {**values, "set_zero": 0})
+    before = probe.read(Verb.READ_ENCODER_CARRY, "encoder")
+    exchange = restart(probe)
+    probe.wait(800 * MS)
+    motion.wait_standing(probe)
+    now = probe.read(Verb.READ_ENCODER_CARRY, "encoder")
+    probe.do(command, {"zero_mode": 0, "set_zero": 0, "zero_speed": 0, "zero_direction": 0})
+    text = "the shaft goes back after a restart to a zero that was cleaned"
+    probe.expect((now - before) % turn, holds=_apart(now, before, turn) <= _PLAY, expected="0", refutes=text, exchange=exchange)
+
+
+def _apart(one: int, other: int, turn: int) -> int:
+    return min((one - other) % turn, (other - one) % turn)
 
 
 # --- motion after a restart ---------------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """Restore (MKS): 3F puts every setting back to its default, address, speed and dialect too.
 
-    restore/settings    each setting that can be seen is the default
+    restore/settings    each setting that can be read, or whose effect is known, is the default
+    restore/FIELD       a field that shows in what the drive does, some with hands, is the default
     restore/link        the drive answers at the default address, in the default dialect
 
 Rules kept here:
@@ -16,8 +17,9 @@ from analyzer import dialects as registry
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.layout import Effect, Field
 from conformance.claim import Inconclusive
-from conformance.claims import ranges, read_back
+from conformance.claims import kept_effects, ranges, read_back
 from conformance.claims.declare import Case
+from conformance.claims.kept_effects import Kept
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.link_changes import (
     NEW_ADDRESS_ANSWERS,
@@ -36,6 +38,7 @@ from conformance.motion import motion
 from conformance.talk.acceptance import answers
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
+from conformance.talk.restarts import restart
 
 _DEFAULT_ADDRESS = 1
 
@@ -149,6 +152,90 @@ def _expect_default_seen(probe: Probe, command: Command, effect: SettingEffect, 
         exchange=exchange,
         key=f"{command.name} restore",
     )
+
+
+# --- field by field ---------------------------------------------------------------------------------------------------
+
+
+def _restored_fields(dialect: Dialect) -> Iterator[Case]:
+    command = dialect.by_verb.get(Verb.RESTORE)
+    if command is not None:
+        for setter, row in kept_effects.rows(dialect):
+            needs = ranges.needs(dialect, setter, [row.values])
+            facts = row.effect.needed(dialect, needs, *command.all_risks, *motion.risks(dialect))
+            facts |= {"parameters": {"field": row.name}, "emulated": row.hands, "by_name": True, "alone": True}
+            yield Case(dialect, command, {"setter": setter, "row": row}, facts)
+
+
+@of_read_back(each=_restored_fields, name="{command}/{row}", refuted_by="a setting that is as it was")
+def _restored_field(probe: Probe, command: Command, setter: Command, row: Kept) -> None:
+    """A restore puts {row} back to its default."""
+    _restore(probe, command)
+    row.effect.ready(probe)
+    default = row.effect.see(probe)
+    probe.do(setter, ranges.plain(probe, setter, setter.request_forms[0], **row.values))
+    kept_effects.need_difference(row, row.effect.see(probe), default)
+    exchange = _restore(probe, command)
+    row.effect.ready(probe)
+    seen = row.effect.see(probe)
+    text = f"{row.name} is not the default after a restore"
+    holds, expected = row.effect.same(default, seen), row.effect.words(default)
+    probe.expect(row.effect.words(seen), holds=holds, expected=expected, refutes=text, exchange=exchange)
+
+
+def _restore(probe: Probe, command: Command) -> Exchange:
+    """Restore the drive and lead it back. Raises Inconclusive where it cannot be reached then."""
+    exchange = probe.do(command)
+    _lead_back(probe)
+    if not answers(probe, probe.address):
+        raise Inconclusive("the restored drive cannot be reached as it is said to be by default")
+    return exchange
+
+
+def _kept_for_power_on(dialect: Dialect) -> Iterator[Case]:
+    command = dialect.by_verb.get(Verb.RESTORE)
+    for verb, values in ((Verb.SAVE_SPEED, _KEEP_RUN), (Verb.SET_ZERO_MODE, _KEEP_ZERO)):
+        keeper = dialect.by_verb.get(verb)
+        if command is not None and keeper is not None:
+            risks = motion.risks(dialect, Risk.UNBOUNDED, *command.all_risks, *keeper.risks(values))
+            yield Case(dialect, command, {"keeper": keeper, "values": values}, {"risks": risks, "parameters": {}})
+
+
+#: What makes a drive keep its run, and its zero, for power-on.
+_KEEP_RUN = {"save_state": 0xC8}
+_KEEP_ZERO = {"zero_mode": 2, "set_zero": 1, "zero_speed": 2, "zero_direction": 0}
+
+
+@of_read_back(each=_kept_for_power_on, name="{command}/{keeper}", refuted_by="a shaft that turns", by_name=True, alone=True)
+def _restored_power_on(probe: Probe, command: Command, keeper: Command, values: dict[str, int]) -> None:
+    """A restored drive has forgotten what {keeper} kept: its shaft stands, then and after a restart."""
+    _restore(probe, command)
+    known = Verb.READ_ZERO_STATUS in probe.dialect.by_verb
+    status = probe.read(Verb.READ_ZERO_STATUS, "status") if known else 0
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    if keeper.verb is Verb.SAVE_SPEED:
+        motion.run_at(probe, -60)
+    probe.do(keeper, values)
+    motion.stand_still(probe)
+    motion.follow(probe, motion.any_move(probe.dialect), 75)
+    before = motion.position(probe)
+    exchange = _restore(probe, command)
+    for when in ("after a restore", "after a restart behind a restore"):
+        probe.wait(SETTLE_NS)
+        at = motion.position(probe)
+        probe.wait(SETTLE_NS)
+        moved, turning = motion.position(probe).value - at.value, motion.turning(probe)
+        # What was kept may have been carried out before the shaft could be looked at; whole turns are not kept.
+        away = (at.value - before.value + 180) % 360 - 180
+        motion.ready_to_move(probe)
+        motion.stand_still(probe)
+        text = f"the shaft turns {when}, as {keeper.name} had it kept"
+        for value, unit in ((turning.value, "rpm"), (moved, "degrees"), (away, "degrees")):
+            probe.expect(value, near=0, within=1, unit=unit, refutes=text, exchange=exchange)
+        if known:
+            text = f"3B reads something else {when} than before"
+            probe.expect(probe.read(Verb.READ_ZERO_STATUS, "status"), equal=status, refutes=text, exchange=exchange)
+        restart(probe)
 
 
 # --- starting again ---------------------------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from typing import Any
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
 from analyzer.link import ModbusLink
 from conformance.claim import Aspect, Inconclusive, Observed, Theme
+from conformance.claims import setting_effects
 from conformance.claims.declare import Case, Cases, claim, commands, once
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, risks_by
@@ -298,21 +299,24 @@ def _restarts_soon(probe: Probe) -> None:
     Theme.TIMING,
     each=commands(Verb.SET_SUBDIVISION),
     name="settings/in-a-row",
-    refuted_by="no reply to the second one",
-    risks=risks_by(Verb.SET_SUBDIVISION),
-    settings=("subdivision",),
+    refuted_by="no reply to the second one, or one that is not stored",
+    risks=lambda case: risks_by(Verb.SET_SUBDIVISION, Verb.MOVE_RELATIVE_PULSES)(case) | motion.risks(case.dialect),
+    settings=lambda case: motion.settings(case.dialect),
     quirks=may_meet(_HASTY),
 )
 def _in_a_row(probe: Probe, command: Command) -> None:
     """A setting that follows another at once is done as well."""
+    effect = setting_effects.of(probe.dialect, command)
+    if effect is not None:
+        effect.ready(probe)
     for _ in range(3):
         probe.do(command, {"subdivision": motion.SUBDIVISION})
     probe.wait(probe.rig.write_gap_ns)
     exchanges = []
-    for subdivision in (32, 16, 32, 16):
+    for subdivision in (32, 16, 32, 8):
         built = probe.build(command, {"subdivision": subdivision})
         # `ask` would keep the distance that real drives need.
-        exchanges.append(probe.send(built.item(), until=Until.REPLY, timeout_ns=probe.rig.late_ns))
+        exchanges.append(probe.send(built.item(), until=Until.REPLY, timeout_ns=probe.rig.late_ns, quiet_ns=0))
     if exchanges[0].silent:
         raise Inconclusive("a setting is not answered")
     if any(e.silent for e in exchanges) and _HASTY in probe.claim.quirks:
@@ -321,6 +325,14 @@ def _in_a_row(probe: Probe, command: Command) -> None:
         probe.meets(_HASTY)
     else:
         _expect_answers(probe, exchanges, "a setting that follows another at once is not answered")
+        if effect is not None and effect.expected is not None:
+            seen, should = effect.see(probe), effect.expected(probe.dialect, {"subdivision": 8})
+            text, holds, expected = (
+                "of settings at once the last is not stored",
+                effect.same(should, seen),
+                effect.words(should),
+            )
+            probe.expect(effect.words(seen), holds=holds, expected=expected, refutes=text, exchange=exchanges[-1])
 
 
 # --- Modbus: rules of silence -----------------------------------------------------------------------------------------

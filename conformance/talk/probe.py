@@ -204,9 +204,16 @@ class Probe:
             self.gate.line.setting_ns = self.gate.now_ns()
         return exchange
 
-    def send(self, item: bytes | CanFrame, *, until: Until = Until.TIMEOUT, timeout_ns: int | None = None) -> Exchange:
+    def send(
+        self,
+        item: bytes | CanFrame,
+        *,
+        until: Until = Until.TIMEOUT,
+        timeout_ns: int | None = None,
+        quiet_ns: int | None = None,
+    ) -> Exchange:
         """Send bytes as they are (on CAN a frame) and return what came back; by default for the time of a silence."""
-        return self._exchange(item, until, timeout_ns, None)
+        return self._exchange(item, until, timeout_ns, None, quiet_ns)
 
     def listen(self, duration_ns: int, until: Until = Until.TIMEOUT) -> Exchange:
         """Send nothing and return what comes meanwhile; with `Until.REPLY` to the first frame that comes."""

@@ -10,9 +10,10 @@ from collections.abc import Callable
 
 from analyzer.catalogue import Command, Verb
 from analyzer.link import WRITE_ONE
+from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Outgoing, Request, Values
-from conformance.drives.faults.mks_behaviour import OK, before, forgetful, mks, own, tuned
+from conformance.drives.faults.mks_behaviour import OK, before, clinging, forgetful, mks, own, tuned
 from conformance.drives.faults.places import (
     MODBUS,
     NATIVE,
@@ -22,6 +23,7 @@ from conformance.drives.faults.places import (
     Row,
     Rows,
     answered,
+    every,
     faults,
     frames,
     having,
@@ -30,11 +32,13 @@ from conformance.drives.faults.places import (
     storing,
     taken,
 )
-from conformance.drives.mks.core import MOTIONS, STOPS, MksCore
+from conformance.drives.mks.core import MOTIONS, STOPS, Behaviour, MksCore
 from conformance.drives.mks.motion import begin_run
 from conformance.drives.mks.paths import Phase
 
 Condition = Callable[[MksCore], bool]
+#: How long a drive is deaf after motion, and the pause after which it loses a request.
+_DEAF_NS, _PAUSE_NS = 3_000_000_000, 20_000_000_000
 #: Speeds beyond which a fault of a fast shaft holds (rpm).
 _FAST, _VERY_FAST = 500, 1000
 _ENDS = STOPS | {Verb.EMERGENCY_STOP}
@@ -55,6 +59,26 @@ def _rises(drive: MksCore) -> bool:
 
 def _faster(rpm: float) -> Condition:
     return lambda drive: abs(_rpm(drive)) > rpm
+
+
+def _off(drive: MksCore) -> bool:
+    return not drive.enabled
+
+
+def _below_zero(drive: MksCore) -> bool:
+    return drive.axis < -2 * drive.counts_per_turn
+
+
+def _full_and_fast(drive: MksCore) -> bool:
+    return abs(_rpm(drive)) > _FAST and drive.motor.phase(drive.now_ns) is Phase.FULL_SPEED
+
+
+def _turns_open(drive: MksCore) -> bool:
+    return "open" in drive.mode and _turns(drive)
+
+
+def _slows_to_a_speed(drive: MksCore) -> bool:
+    return drive.memory.run is not None and drive.motor.phase(drive.now_ns) is Phase.SLOWING_DOWN
 
 
 def told_when(when: Condition, of: Verb, **values: int) -> Change:
@@ -136,7 +160,68 @@ def _answers_group(drive: Drive, message: Message, wanted: bool) -> bool:
     return wanted or (motion and message.address == drive.settings.get("group_address"))
 
 
+def _deaf_after_motion(drive: MksCore) -> None:
+    """Hear nothing for a while after the shaft has turned."""
+    turned_ns: int | None = None
+
+    def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        nonlocal turned_ns
+        if _turns(drive):
+            turned_ns = drive.now_ns
+            return wanted
+        return wanted and (turned_ns is None or drive.now_ns - turned_ns > _DEAF_NS)
+
+    drive.hooks.accept.append(accept)
+
+
+def _deaf_after_refusal(drive: MksCore) -> None:
+    """Ignore what comes behind a refusal."""
+    refuse, deaf = drive.refused, False
+
+    def refused(request: Request) -> Values:
+        nonlocal deaf
+        deaf = True
+        return refuse(request)
+
+    def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        nonlocal deaf
+        was, deaf = deaf, False
+        return wanted and not was
+
+    drive.refused = refused  # type: ignore[method-assign]
+    drive.hooks.accept.append(accept)
+
+
+def _deaf_after_a_pause(drive: MksCore) -> None:
+    """Lose the first request after a long pause."""
+    last_ns = 0
+
+    def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        nonlocal last_ns
+        before_ns, last_ns = last_ns, drive.now_ns
+        return wanted and drive.now_ns - before_ns <= _PAUSE_NS
+
+    drive.hooks.accept.append(accept)
+
+
+def _silent_when(when: Condition, of: Of) -> Change:
+    """Do not answer some commands in a condition."""
+
+    def change(drive: Drive, command: Command, outgoing: Outgoing) -> tuple[Outgoing, ...]:
+        return () if when(mks(drive)) else (outgoing,)
+
+    return frames(change, of)
+
+
 HEARING: Rows = {
+    "deaf": (
+        Row("deaf-after-motion", "after a motion nothing is heard for three seconds", tuned(_deaf_after_motion)),
+        Row("deaf-after-refusal", "the request behind a refused one is ignored", tuned(_deaf_after_refusal)),
+        Row("deaf-after-long-pause", "the first request after 20 s of silence is lost", tuned(_deaf_after_a_pause)),
+        Row("silent-below-zero", "31 is not answered below -2 turns", _silent_when(_below_zero, Verb.READ_POSITION)),
+        Row("silent-disabled", "motion is not answered while the motor is off", _silent_when(_off, MOTIONS), NATIVE),
+        Row("every-150th-lost", "every 150th reply is lost", every(150, lambda d, c, o: ())),
+    ),
     "checksum": (
         Row("check-ff-passes", "a checksum of FF passes with any frame", _take(lambda got, right: set(got) == {0xFF})),
         Row("check-0-passes", "a checksum of 0 passes with any frame", _take(lambda got, right: not any(got))),
@@ -171,6 +256,17 @@ TOLD: Rows = {
         Row("pulses-counted-at-rest", "33 counts when the motion is over", stale_when(_turns, Verb.READ_PULSES)),
     ),
     "status": (
+        Row("fast-status-2", "F1 reads 2 at full speed above 500 rpm", told_when(_full_and_fast, Verb.READ_STATUS, status=2)),
+        Row(
+            "open-status-0",
+            "F1 reads 0 while the shaft turns in an open mode",
+            told_when(_turns_open, Verb.READ_STATUS, status=0),
+        ),
+        Row(
+            "slower-status-2",
+            "F1 reads 2 while a run goes over to a lower speed",
+            told_when(_slows_to_a_speed, Verb.READ_STATUS, status=2),
+        ),
         Row("off-while-turning", "3A reads 0 while the shaft turns", told_when(_turns, Verb.READ_ENABLED, enabled=0)),
         Row("protected-while-turning", "3E reads 1 while the shaft turns", told_when(_turns, Verb.READ_PROTECTION, status=1)),
     ),
@@ -309,7 +405,89 @@ def _left_elsewhere(drive: MksCore) -> None:
     drive.side_way = lambda side: way(side) if drive.task is not None else (-1 if side == "left" else 1)  # type: ignore[method-assign]
 
 
+def _tired(drive: MksCore) -> None:
+    """Refuse motion when there were many."""
+    begun = 0
+
+    def tire(obey: Behaviour) -> Behaviour:
+        def behave(core: MksCore, request: Request) -> Values | None:
+            nonlocal begun
+            begun += 1
+            return core.refused(request) if begun > _MANY else obey(core, request)
+
+        return behave
+
+    for verb in MOTIONS & drive.behaviours.keys():
+        drive.behaviours[verb] = tire(drive.behaviours[verb])
+
+
+def _hasty_lost(drive: MksCore) -> None:
+    """Lose a setting that comes at once behind another."""
+    last_ns = -_HASTE_NS
+
+    def store(_: Drive, name: str, value: int) -> tuple[str, int] | None:
+        nonlocal last_ns
+        before_ns, last_ns = last_ns, drive.now_ns
+        return None if 0 < last_ns - before_ns < _HASTE_NS else (name, value)
+
+    drive.hooks.stored.append(store)
+
+
+def _zero_not_cleaned(drive: MksCore, request: Request) -> Values | None:
+    return dict(OK) if request.values["set_zero"] == mks_shared.ZeroPoint.CLEAN else None
+
+
+def _home_told(drive: MksCore) -> None:
+    """Tell the end of homing whatever `active` says."""
+    complete = drive.complete
+
+    def tell(request: Request, values: Values) -> None:
+        active = drive.settings.get("active", 1)
+        drive.settings["active"] = active or request.command.verb is Verb.HOME
+        complete(request, values)
+        drive.settings["active"] = active
+
+    drive.complete = tell  # type: ignore[method-assign]
+
+
+#: What wears out: so many motions. Settings within so long are hasty.
+_MANY, _HASTE_NS = 14, 12_000_000
+_OF_RUN = ("saved_run", "saved_direction", "saved_speed", "saved_acceleration")
+_OF_ZERO = ("zero_mode", "zero_kept", "zero_point", "zero_speed")
+#: What a restart can lose and a restore can leave, and what shows it: name in the fault, settings.
+_STORED: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("home-trigger", ("home_trigger",)),
+    ("home-direction", ("home_direction",)),
+    ("end-limit", ("end_limit",)),
+    ("limit-remap", ("limit_remap",)),
+    ("no-limit-home", ("home_mode", "return_angle")),
+    ("protection", ("protection",)),
+)
+_RESTORED = (
+    ("respond", ("respond",)),
+    ("active", ("active",)),
+    ("group-address", ("group_address",)),
+    ("home-speed", ("home_speed",)),
+    ("saved-run", _OF_RUN),
+    ("zero-mode", _OF_ZERO),
+)
+
 DOING: Rows = {
+    "restored": tuple(
+        Row(f"{name}-kept", f"a restore leaves {name}", clinging(*names), SERIAL)
+        for name, names in (*_STORED[:4], _STORED[5], *_RESTORED)
+    ),
+    "restarted": tuple(
+        Row(f"{name}-forgotten", f"a restart forgets {name}", forgetful(*names), SERIAL) for name, names in _STORED
+    ),
+    "many": (
+        Row("tired-of-motion", f"motion is refused when there were {_MANY}", tuned(_tired)),
+        Row("hasty-setting-lost", "a setting at once behind another is answered and lost", tuned(_hasty_lost), SERIAL),
+    ),
+    "power-on": (
+        Row("zero-not-cleaned", "9A does not clean the zero", before(Verb.SET_ZERO_MODE, _zero_not_cleaned)),
+        Row("homing-always-told", "the end of homing is told with active 0 too", tuned(_home_told), NATIVE),
+    ),
     "stop": (
         Row("fast-stop-ignored", "stops are ignored above 1000 rpm", undone_when(_faster(_VERY_FAST), _ENDS)),
         Row("rising-stop-ignored", "stops are ignored while the shaft speeds up", undone_when(_rises, _ENDS)),
