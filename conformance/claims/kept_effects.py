@@ -61,6 +61,8 @@ def _went(probe: Probe, turns: float) -> int:
     motion.ask(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), turns * 360, rpm=120, acceleration=QUICK)
     probe.wait(round(abs(turns) * SECOND_NS))
     motion.wait_standing(probe)
+    # Drives were seen to ignore the command that follows a limit stop.
+    motion.stop(probe)
     return round(bench.shaft(probe) - before)
 
 

@@ -181,10 +181,9 @@ def _expect_turning_at_full_speed(probe: Probe, rpm: float, wait_ns: int, what: 
 
 @_of_a_run(name="{command}/each-mode")
 def _each_mode(probe: Probe) -> None:
-    """In each bus mode the status at full speed is 4 and at rest 1, fast and slow, either way."""
+    """In each bus mode the status at full speed is 4, fast and slow, either way."""
     for number, mode in enumerate(motion.bus_modes(probe.dialect)):
         motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
-        _expect(probe, _status(probe), _STOPPED, f"stands in {mode}")
         # An open mode goes no faster than 400 rpm.
         way, fast = (-1) ** number, 350 if "open" in mode else 1000
         for rpm in (-way * 100, way * fast):
@@ -192,7 +191,7 @@ def _each_mode(probe: Probe) -> None:
         motion.stand_still(probe)
 
 
-@_of_a_run(name="{command}/other-speeds")
+@_of_a_run(name="{command}/other-speeds", quirks=may_meet("status-stops-early"))
 def _other_speeds(probe: Probe) -> None:
     """A run that goes over to a higher speed is told as 2 until it is there, one that goes over to a lower one as 3."""
     motion.ready_to_move(probe, subdivision=SUBDIVISION)
@@ -200,7 +199,11 @@ def _other_speeds(probe: Probe) -> None:
     for rpm, wanted, what in ((-240, _UP, "speeds up"), (-60, _DOWN, "slows down")):
         exchange = motion.run_at(probe, rpm, _BRISK)
         _wait_until(probe, exchange, 400 * MS)
-        _expect(probe, _status(probe), wanted, f"{what} to another speed")
+        seen = _status(probe)
+        if (seen, wanted) == (_STOPPED, _DOWN) and "status-stops-early" in probe.claim.quirks:
+            probe.meets("status-stops-early")
+        else:
+            _expect(probe, seen, wanted, f"{what} to another speed")
         _wait_until(probe, exchange, _BRISK_NS + 300 * MS)
         _expect(probe, _status(probe), _FULL, f"turns at {rpm} rpm after another speed")
     motion.stand_still(probe)
