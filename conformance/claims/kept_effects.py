@@ -58,10 +58,13 @@ def _protected(probe: Probe) -> int:
 def _went(probe: Probe, turns: float) -> int:
     """Return how far a move goes, in counts; what ends or refuses it is not asked."""
     before = bench.shaft(probe)
-    motion.ask(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), turns * 360, rpm=120, acceleration=QUICK)
+    for _ in range(2):
+        # Drives were seen to ignore the command that follows a limit stop: it is sent again.
+        move = probe.command(Verb.MOVE_RELATIVE_AXIS)
+        if not motion.ask(probe, move, turns * 360, rpm=120, acceleration=QUICK).silent:
+            break
     probe.wait(round(abs(turns) * SECOND_NS))
     motion.wait_standing(probe)
-    # Drives were seen to ignore the command that follows a limit stop.
     motion.stop(probe)
     return round(bench.shaft(probe) - before)
 

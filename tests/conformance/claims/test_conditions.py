@@ -1,4 +1,4 @@
-"""Faults of the MKS drives that show in one condition alone, and the claim that refutes each without hands on the drive."""
+"""Faults of the MKS drives that show in one condition alone, and a claim that refutes each."""
 
 from __future__ import annotations
 
@@ -48,6 +48,36 @@ REFUTED_BY = {
     "package-without-ramp": "addressing/package/ramp",
     "package-never-disables": "addressing/package/enable",
     "left-is-clockwise": "motion/set_home/end-limit-stops-run_speed-ccw",
+    "deaf-after-motion": "resilience/reads/stopped",
+    "deaf-after-refusal": "motion/move_relative_pulses/behind-refusals",
+    "deaf-after-long-pause": "resilience/idle/first-long",
+    "silent-below-zero": "resilience/reads/below-zero",
+    "silent-disabled": "motion/run_speed/disabled",
+    "every-150th-lost": "resilience/reads/answered",
+    "fast-status-2": "motion/read_status/each-mode",
+    "open-status-0": "motion/read_status/each-mode",
+    "slower-status-2": "motion/read_status/other-speeds",
+    "home-trigger-kept": "read-back/restore/home-trigger",
+    "home-direction-kept": "read-back/restore/home-direction",
+    "end-limit-kept": "read-back/restore/end-limit",
+    "limit-remap-kept": "read-back/restore/limit-remap",
+    "protection-kept": "read-back/restore/protection",
+    "respond-kept": "read-back/restore/respond",
+    "active-kept": "read-back/restore/active",
+    "group-address-kept": "read-back/restore/group",
+    "home-speed-kept": "read-back/restore/home-speed",
+    "saved-run-kept": "read-back/restore/save_speed",
+    "zero-mode-kept": "read-back/restore/set_zero_mode",
+    "home-trigger-forgotten": "read-back/set_home/restart-home-trigger",
+    "home-direction-forgotten": "read-back/set_home/restart-home-direction",
+    "end-limit-forgotten": "read-back/set_home/restart-end-limit",
+    "limit-remap-forgotten": "read-back/set_limit_remap/restart-limit-remap",
+    "no-limit-home-forgotten": "read-back/set_no_limit_home/restart-home-mode",
+    "protection-forgotten": "read-back/set_protection/restart-protection",
+    "tired-of-motion": "resilience/moves/in-a-row",
+    "hasty-setting-lost": "timing/settings/in-a-row",
+    "zero-not-cleaned": "read-back/set_zero_mode/clean",
+    "homing-always-told": "motion/set_respond/inactive-home",
 }
 #: What a fault of the protection and of the angle error is seen by without a hand that holds the shaft.
 LIMP = (

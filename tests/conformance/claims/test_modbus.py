@@ -23,7 +23,6 @@ def test_other_dialects_have_no_such_claims(dialect):
 @pytest.mark.parametrize(
     ("fault", "names"),
     [
-        ("modbus-no-exceptions", {"function/unknown", "register/between", "quantity/others"}),
         ("exception-always-04", {"function/other_reads", "register/between"}),
         ("exceptions-mixed-up", {"register/between", "quantity/others"}),
         ("exception-without-bit", {"function/other_reads", "register/between"}),
@@ -41,6 +40,13 @@ def test_other_dialects_have_no_such_claims(dialect):
 )
 def test_a_fault_is_refuted_by_the_claims_that_say_so(fault, names):
     assert names <= refuted(Theme.MODBUS, f"mks-modbus@1,fault={fault}")
+
+
+def test_silence_in_the_place_of_an_exception_is_observed():
+    verdicts = run(Theme.MODBUS, "mks-modbus@1,fault=modbus-no-exceptions", "function", "register", "quantity")
+    assert Outcome.REFUTED not in {verdict.outcome for verdict in verdicts.values()}
+    for name in ("function/unknown", "register/between", "quantity/others"):
+        assert verdicts[name].outcome is Outcome.OBSERVED
 
 
 @pytest.mark.parametrize("fault", ["doubled-reply", "checksum-wrong", "spurious-bytes", "lost-reply"])
