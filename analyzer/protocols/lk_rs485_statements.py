@@ -127,7 +127,7 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "Single motor command/head-sum-guards",
         "A command whose head sum is wrong is not executed.",
-        ("framing/*/guarded", "framing/checksum_bit/not_executed"),
+        ("framing/*/guarded", "framing/reads/guarded", "framing/checksum_bit/not_executed"),
     ),
     S(
         "Single motor command/data",
@@ -168,6 +168,11 @@ STATEMENTS: tuple[S, ...] = (
         "Bytes 3 and 4 are the supply current, signed, in 0.01 A, low byte first.",
         ("motion/read_state_1/current-at-rest",),
     ),
+    S(
+        "1/load",
+        "The supply current is that of a motor under load too.",
+        unclaimed="how much current a load takes is not printed; nothing loads the motors here",
+    ),
     S("1/state-byte", "Byte 5 is the motor state.", ("shape/read_state_1/values", "motion/motor_off/is-read")),
     S("1/state-on", "State 00h is a motor that is on.", ("motion/motor_off/is-read", "motion/stop/stays-on")),
     S("1/state-off", "State 10h is a motor that is off.", ("motion/motor_off/is-read",)),
@@ -183,6 +188,11 @@ STATEMENTS: tuple[S, ...] = (
     # --- 2: clearing errors ---
     *_tables("2", "clear_errors", "9Bh", 0, 7),
     S("2/clears", "It clears the error flags.", ("motion/clear_errors/clears", "motion/read_state_1/flag-*")),
+    S(
+        "2/alone",
+        "Clearing is what this command is for.",
+        unclaimed="observed by motion/clear_errors/alone-not-*: whether others clear too is not said",
+    ),
     S("2/same-reply", "The reply tells what 9A tells.", ("motion/clear_errors/tells-state",)),
     S("2/cause-lasts", "A flag whose cause lasts is not cleared.", ("motion/clear_errors/keeps",)),
     # --- 3: state 2 ---
@@ -245,6 +255,11 @@ STATEMENTS: tuple[S, ...] = (
     *_tables("8", "brake", "8Ch", 1, 1),
     S("8/power-off", "00h takes the brake's power away, and the brake holds.", ("motion/brake/holds", "motion/brake/is-read")),
     S("8/release", "01h powers the brake, and it lets go.", ("motion/brake/holds", "motion/brake/is-read")),
+    S(
+        "8/stays",
+        "It alone switches the brake.",
+        unclaimed="observed by motion/brake/stays: what 80h, 81h and 88h do to the brake is not said",
+    ),
     S("8/read", "10h reads the brake and leaves it as it is.", ("motion/brake/read-only", "motion/brake/is-read")),
     S("8/unlisted", "Other values are none of its commands.", ("ranges/brake/brake_control/unlisted",)),
     S("8/state", "The reply is 00h where the brake holds, 01h where it is released.", ("motion/brake/is-read",)),
@@ -468,6 +483,7 @@ STATEMENTS: tuple[S, ...] = (
         "It clears what was counted of turns.",
         ("motion/clear_turns/drops-turns", "motion/clear_turns/while-turning"),
     ),
+    S("23/angle", "It drops turns: the angle within the turn stays.", ("motion/clear_turns/keeps-angle",)),
     S("23/turns-nothing", "It clears information, and moves nothing.", ("motion/clear_turns/stands",)),
     *_tables("24", "read_single_turn", "94h", 0, 4),
     S(
@@ -494,6 +510,11 @@ STATEMENTS: tuple[S, ...] = (
         ("motion/set_position/reads", "motion/set_position/and-moves"),
     ),
     S("25/turns-nothing", "It gives a name, and moves nothing.", ("motion/set_position/stands",)),
+    S(
+        "25/under-way",
+        "A motion under way goes on.",
+        unclaimed="observed by motion/set_position/under-way: what 95h does to its end is not said",
+    ),
     S("25/ram", "The name is gone when power was off.", ("motion/set_position/lost",)),
     S(
         "25/type",

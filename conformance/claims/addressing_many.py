@@ -12,7 +12,7 @@ from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Doubt, MotionKind, Risk, Subject, Verb
 from conformance.claim import Theme
-from conformance.claims import ranges, setting_effects
+from conformance.claims import guarded, ranges, setting_effects
 from conformance.claims.control_reads import ask_first, is_answered, judge_next, plain_read, received_text
 from conformance.claims.declare import Case, Cases, claim, described_in
 from conformance.claims.setting_effects import differing
@@ -29,6 +29,8 @@ _OF_REPLIES = frozenset({Verb.SET_RESPOND, Verb.SET_GROUP_ADDRESS})
 #: A group address, and another one where the drive itself has it.
 _GROUP, _OTHER_GROUP, _BYTE = 0x50, 0x60, 0xFF
 _HIGH_GROUP = 0xE0
+#: How long a setting is listened to; that a setting by several addresses is silent shows with the first of them too.
+_SETTING_NS = 60_000_000
 
 
 def send_to(probe: Probe, address: int, change: Change, listen_ns: int = 0) -> Exchange:
@@ -82,8 +84,11 @@ def _join(probe: Probe) -> int:
 
 
 def _join_high(probe: Probe) -> int:
-    probe.do(Verb.SET_GROUP_ADDRESS, {"group_address": _HIGH_GROUP})
-    return _HIGH_GROUP
+    last = probe.dialect.addresses[1]
+    # A byte's highest values begin frames. Of identifiers the highest is like any other.
+    group = _HIGH_GROUP if last <= _BYTE else last - (probe.address == last)
+    probe.do(Verb.SET_GROUP_ADDRESS, {"group_address": group})
+    return group
 
 
 def _address_section(case: Case) -> str:
@@ -103,7 +108,7 @@ _GROUPS = _Many(
 )
 
 
-_HIGH_GROUPS = replace(_GROUPS, name="group/high", what="a group address above 7Fh", join=_join_high)
+_HIGH_GROUPS = replace(_GROUPS, name="group/high", what="a high group address", join=_join_high)
 
 
 def _addresses(dialect: Dialect) -> Iterator[_Many]:
@@ -215,10 +220,7 @@ def _changes(dialect: Dialect) -> Iterator[Case]:
 def _changes_and_high_groups(dialect: Dialect) -> Iterator[Case]:
     yield from _changes(dialect)
     for case in _group_changes(dialect):
-        if dialect.bus == "serial":
-            yield Case(
-                dialect, given={**case.given, "many": _HIGH_GROUPS, "what": _HIGH_GROUPS.what, "kind": _HIGH_GROUPS.name}
-            )
+        yield Case(dialect, given={**case.given, "many": _HIGH_GROUPS, "what": _HIGH_GROUPS.what, "kind": _HIGH_GROUPS.name})
 
 
 @_addressing("no effect of it", _changes_and_high_groups, name="{kind}/executed")
@@ -304,15 +306,39 @@ def _other_group(probe: Probe, many: _Many, shown: Observable) -> None:
     shown.control(probe)
 
 
+def _switches(dialect: Dialect) -> Iterator[Case]:
+    """Yield each address of several drives with what switches, homes and sets the zero."""
+    for many in _addresses(dialect):
+        for case in guarded.switches(dialect):
+            risks = many.risks(dialect) | guarded.risks(case)
+            facts = {"risks": risks, "settings": motion.settings(dialect, *many.settings)}
+            given = {"many": many, "what": many.what, "switch": case.command, "shown": case["guarded"]}
+            yield Case(dialect, given=given, facts=facts)
+
+
+@_addressing("no effect of it, or an answer", _switches, name="{many}/{switch}")
+def _switched(probe: Probe, many: _Many, switch: Command, shown: guarded.Guarded) -> None:
+    """{switch} by {what} is executed, and not answered."""
+    shown.ready(probe)
+    to = many.join(probe)
+    values = shown.values(probe, switch)
+    before = shown.see(probe)
+    sent = probe.send(probe.build(switch, values, address=to).item(), timeout_ns=STEP_NS)
+    after = shown.see(probe)
+    guarded.leave(probe, shown)
+    text = f"{switch.name} by {many.what} is not executed"
+    holds = abs(after - before) > shown.within
+    probe.expect(f"{after:g}", holds=holds, expected=f"another value than {before:g}", refutes=text, exchange=sent)
+    _expect_silence(probe, sent, many.what)
+
+
 # --- settings ---------------------------------------------------------------------------------------------------------
 
 
 def _readable_settings(dialect: Dialect) -> Iterator[Case]:
-    """Yield each address of several drives with settings that can be read: every setting is sent to one of them."""
-    every = [c for c in dialect.commands if c.readable and not changes_link(c) and c.verb not in _OF_REPLIES]
-    several = list(_addresses(dialect))
-    for number, many in enumerate(several):
-        own = every[number :: len(several)]
+    """Yield each address of several drives with the settings that can be read."""
+    own = [c for c in dialect.commands if c.readable and not changes_link(c) and c.verb not in _OF_REPLIES]
+    for many in _addresses(dialect):
         needed = [ranges.needs(dialect, c, [differing(c.request_forms[0])[0]]) for c in own]
         facts = {
             "risks": many.risks(dialect).union(*(each["risks"] for each in needed)),
@@ -329,7 +355,7 @@ def _settings(probe: Probe, many: _Many, chosen: list[Command]) -> None:
     for command in chosen:
         before, _ = setting_effects.stored(probe, command)
         values = next(v for v in differing(command.request_forms[0]) if v != before)
-        sent = probe.ask(command, values, address=to, until=Until.TIMEOUT)
+        sent = probe.ask(command, values, address=to, until=Until.TIMEOUT, timeout_ns=_SETTING_NS)
         _expect_silence(probe, sent, many.what)
         after, _ = setting_effects.stored(probe, command)
         text = f"{command.name} by {many.what} is not stored"

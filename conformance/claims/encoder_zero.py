@@ -99,6 +99,18 @@ def _and_moves(probe: Probe, command: Command) -> None:
     _expect_angle(probe, before, 45, "a move does not go by the position that 95 set", exchange)
 
 
+@_set_position(refuted_by="another end", at_best=Certainty.OPEN)
+def _under_way(probe: Probe, command: Command) -> None:
+    """95 while an increment is under way leaves its end where it was."""
+    motion.ready_to_move(probe)
+    before = angle(probe)
+    motion.begin(probe, probe.command("move_increment_limited"), 300, rpm=30)
+    probe.wait(500 * MS)
+    exchange = probe.do(command, {"position": 5_000})
+    motion.wait_standing(probe)
+    _expect_angle(probe, before + 300, 0, "95 during a move shifts its end", exchange)
+
+
 @of_motion(each=named("set_position"), refuted_by="the position that was set", emulated=True)
 def _lost(probe: Probe, command: Command) -> None:
     """What 95 set is gone when power was off."""
@@ -127,6 +139,23 @@ def _drops_turns(probe: Probe, command: Command) -> None:
         exchange = probe.do(command)
         text = "93 does not drop the turns"
         probe.expect(_position(probe), at_least=-36_000, at_most=36_000, refutes=text, exchange=exchange)
+
+
+@_clear_turns(name="{command}/keeps-angle", refuted_by="another angle within the turn", at_best=Certainty.LIKELY)
+def _keeps_angle(probe: Probe, command: Command) -> None:
+    """93 drops whole turns alone: what is left is where the shaft stands within the turn, by 92 of before or by 94."""
+    for degrees in (470, -830):
+        _away(probe, degrees)
+        before = _position(probe)
+        exchange = probe.do(command)
+        after, wanted = _position(probe), (before, round(angle(probe) * 100))
+        probe.expect(
+            f"{after / 100:.2f}",
+            holds=any(abs(around((after - one) / 100)) <= motion.miss(probe) for one in wanted),
+            expected=" or ".join(f"{one / 100 % 360:.2f}" for one in dict.fromkeys(wanted)) + ", but for whole turns",
+            refutes="93 drops more than the turns",
+            exchange=exchange,
+        )
 
 
 @_clear_turns(refuted_by="turns that are still counted", risks=risks_by(Verb.RUN_SPEED))

@@ -12,18 +12,24 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Form, MotionKind, Risk, Role, Subject, Verb
 from analyzer.link import CanLink, HeadLink, LkLink
+from analyzer.protocols.lk_rs485 import ERROR_BITS
 from conformance.claim import Inconclusive, Theme
-from conformance.claims.control_reads import PAUSE_NS
+from conformance.claims import bench
+from conformance.claims.control_reads import PAUSE_NS, received_text
 from conformance.claims.declare import Case, claim, described_in
 from conformance.claims.known_quirks import may_meet
+from conformance.claims.known_reads import every_read, is_stored, plain_reads
 from conformance.claims.motion_claim import command_of
+from conformance.claims.protection import protect
 from conformance.claims.setting_effects import differing, stored
 from conformance.model import lk_parameters
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, SAME
+from conformance.talk import restarts
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
 
@@ -33,6 +39,8 @@ _DEGREES, _RPM = 20, 30
 _WATCH_NS, _STILL = 150 * MS, 4 * SAME
 _POWER_OFF, _RELEASED, _READ_BRAKE = 0x00, 0x01, 0x10
 _POSITION_STEP = 4_321
+#: A position beyond three turns, the status of a calibration, and what lets a port be written.
+_TURNS_AWAY, _CALIBRATING, _WRITE = 123_400, 6, 1
 
 
 def _switch_on(probe: Probe) -> object:
@@ -40,10 +48,11 @@ def _switch_on(probe: Probe) -> object:
 
 
 @dataclass(frozen=True)
-class _Guarded:
+class Guarded:
     """A command that must not be executed. `ready`: makes it tell; `values`: what is sent; `see`: what it would change.
 
-    `within`: by how much that differs by itself. `after`: puts back what it changed.
+    `within`: by how much that differs by itself. `after`: puts back what it changed. `again`: sent whole, it shows; what ends a
+    connection or takes long is sent whole by other claims alone.
     """
 
     ready: Callable[[Probe], object]
@@ -51,6 +60,7 @@ class _Guarded:
     see: Callable[[Probe], float]
     within: float = 0.0
     after: Callable[[Probe], object] = _switch_on
+    again: bool = True
 
 
 def _shaft(probe: Probe) -> float:
@@ -89,19 +99,89 @@ def _away(probe: Probe) -> None:
     motion.follow(probe, motion.any_move(probe.dialect), 36)
 
 
+def _turn(probe: Probe) -> None:
+    motion.ready_to_move(probe)
+    motion.run_at(probe, -_RPM)
+    probe.wait(_WATCH_NS)
+
+
+def _turns(probe: Probe) -> float:
+    return float(abs(motion.speed(probe).value) > _RPM / 2)
+
+
+def _turns_still(probe: Probe) -> float:
+    """Say whether the shaft turns, of a drive that may just have begun anew."""
+    restarts.wait_for_answer(probe)
+    return _turns(probe)
+
+
+def _count_turns(probe: Probe) -> None:
+    motion.ready_to_move(probe)
+    probe.do("set_position", {"position": _TURNS_AWAY})
+
+
+def _calibrates(probe: Probe) -> float:
+    return float(probe.read(Verb.READ_STATUS, "status") == _CALIBRATING)
+
+
+def _has_flag(probe: Probe) -> float:
+    return float(any(probe.read(Verb.READ_STATE_1, field.name) for field in ERROR_BITS))
+
+
+def _set_flag(probe: Probe) -> None:
+    for present in (True, False):
+        bench.lk_drive(probe).trip("overcurrent", present)
+
+
+def _clear_flag(probe: Probe) -> object:
+    return probe.do(Verb.CLEAR_ERRORS)
+
+
+def _protected(probe: Probe) -> float:
+    return probe.read(Verb.READ_PROTECTION, "status")
+
+
+def _ports(probe: Probe) -> float:
+    return 2 * probe.read(Verb.READ_IO, "alm") + probe.read(Verb.READ_IO, "pend")
+
+
+def _other_ports(probe: Probe, command: Command) -> Mapping[str, int]:
+    now = int(_ports(probe))
+    return {"alm_mask": _WRITE, "pend_mask": _WRITE, "alm": 1 - now // 2, "pend": 1 - now % 2}
+
+
+def _own_ports(probe: Probe) -> object:
+    return probe.do(Verb.WRITE_IO, {"alm_mask": 0, "pend_mask": 0, "alm": 0, "pend": 0})
+
+
 def _halt(probe: Probe) -> object:
     return probe.ask(Verb.EMERGENCY_STOP)
 
 
-_MOTION = _Guarded(motion.ready_to_move, _motion_values, _shaft, _STILL)
+_MOTION = Guarded(motion.ready_to_move, _motion_values, _shaft, _STILL)
 #: What switches, renames or homes, by the name of the command.
-_SWITCHES: Mapping[str, _Guarded] = {
-    "enable": _Guarded(motion.ready_to_move, lambda probe, command: {"enabled": 0}, _is_on),
-    "home": _Guarded(motion.ready_to_move, _nothing, _shaft, _STILL, after=_halt),
-    "motor_off": _Guarded(_switch_on, _nothing, _is_on),
-    "motor_on": _Guarded(partial(motion.switch, on=False), _nothing, _is_on),
-    "brake": _Guarded(_release, lambda probe, command: {"brake_control": _POWER_OFF}, _brake, after=_release),
-    "set_position": _Guarded(motion.ready_to_move, _another_position, _shaft, _STILL),
+_SWITCHES: Mapping[str, Guarded] = {
+    "enable": Guarded(motion.ready_to_move, lambda probe, command: {"enabled": 0}, _is_on),
+    "home": Guarded(motion.ready_to_move, _nothing, _shaft, _STILL, after=_halt),
+    "motor_off": Guarded(_switch_on, _nothing, _is_on),
+    "motor_on": Guarded(partial(motion.switch, on=False), _nothing, _is_on),
+    "brake": Guarded(_release, lambda probe, command: {"brake_control": _POWER_OFF}, _brake, after=_release),
+    "set_position": Guarded(motion.ready_to_move, _another_position, _shaft, _STILL),
+}
+_STOP = Guarded(_turn, lambda probe, command: {"acceleration": motion.QUICK} if motion.of(command).acceleration else {}, _turns)
+_NEW_BEGINNING = Guarded(_turn, _nothing, _turns_still, after=motion.ready_to_move, again=False)
+#: What stops a shaft, and what shows beside: on buses alone whose frames tell their length. `facts` of their claims.
+_MORE: Mapping[str, tuple[Guarded, Mapping[str, Any]]] = {
+    "emergency_stop": (_STOP, {}),
+    "stop_speed": (_STOP, {}),
+    "stop": (_STOP, {}),
+    "restart": (_NEW_BEGINNING, {}),
+    "restore": (_NEW_BEGINNING, {"alone": True}),
+    "calibrate": (Guarded(motion.ready_to_move, _nothing, _calibrates, after=_halt, again=False), {"by_name": True}),
+    "write_io": (Guarded(motion.ready_to_move, _other_ports, _ports, after=_own_ports), {}),
+    "release_protection": (Guarded(protect, _nothing, _protected), {"emulated": True, "settings": ("protection",)}),
+    "clear_errors": (Guarded(_set_flag, _nothing, _has_flag, after=_clear_flag), {"emulated": True}),
+    "clear_turns": (Guarded(_count_turns, _nothing, _shaft, _STILL), {}),
 }
 _MOTIONS = (*MOVES, MotionKind.RUN, MotionKind.TORQUE)
 
@@ -121,51 +201,78 @@ def _all_guarded(dialect: Dialect) -> Iterator[Case]:
             yield Case(dialect, dialect.by_name[name], {"guarded": guarded})
     # Of LK 19h is kept in the flash, which wears.
     if dialect.family == "mks" and Verb.SET_ZERO in dialect.by_verb:
-        zero = _Guarded(_away, _nothing, _shaft, _STILL, after=motion.ready_to_move)
+        zero = Guarded(_away, _nothing, _shaft, _STILL, after=motion.ready_to_move)
         yield Case(dialect, dialect.by_verb[Verb.SET_ZERO], {"guarded": zero})
 
 
-def _risks(case: Case) -> frozenset[Risk]:
+def risks(case: Case) -> frozenset[Risk]:
+    """Return what a claim about a guarded command may do."""
     command = command_of(case)
     switching = {Risk.TORQUE} if command.verb is Verb.MOTOR_ON else set[Risk]()
+    run = case.dialect.by_verb.get(Verb.RUN_SPEED)
+    if run is not None and case["guarded"].ready is _turn:
+        switching |= run.all_risks - {Risk.UNKNOWN}
     # A damaged frame with a head may be read as another one.
     if isinstance(case.dialect.link, HeadLink):
         switching.add(Risk.UNKNOWN)
     return motion.risks(case.dialect, *(command.all_risks - {Risk.UNKNOWN}), *switching)
 
 
-_of_guarded = partial(claim, each=_all_guarded, refuted_by="an effect of it", risks=_risks, parameters={})
+def switches(dialect: Dialect) -> Iterator[Case]:
+    """Yield what switches, homes and sets the zero of the drives that hear several addresses."""
+    return (case for case in _all_guarded(dialect) if dialect.broadcast is not None and case["guarded"] is not _MOTION)
 
 
-def _expect_no_effect(probe: Probe, guarded: _Guarded, before: float, sent: Exchange, refutes: str, key: str) -> None:
+def _more_guarded(dialect: Dialect) -> Iterator[Case]:
+    """Yield what stops, clears or begins anew, on buses whose frames tell their length."""
+    if motion.can_move(dialect) and isinstance(dialect.link, CanLink | LkLink):
+        for name, (guarded, facts) in _MORE.items():
+            if name in dialect.by_name:
+                settings = motion.settings(dialect, *facts.get("settings", ()))
+                yield Case(dialect, dialect.by_name[name], {"guarded": guarded}, {**facts, "settings": settings})
+
+
+def _every_guarded(dialect: Dialect) -> Iterator[Case]:
+    yield from _all_guarded(dialect)
+    yield from _more_guarded(dialect)
+
+
+def _repeatable(dialect: Dialect) -> Iterator[Case]:
+    return (case for case in _every_guarded(dialect) if case["guarded"].again)
+
+
+_of_guarded = partial(claim, refuted_by="an effect of it", risks=risks, parameters={})
+
+
+def _expect_no_effect(probe: Probe, guarded: Guarded, before: float, sent: Exchange, refutes: str, key: str) -> None:
     probe.wait(_WATCH_NS)
     after = guarded.see(probe)
     if abs(after - before) > guarded.within:
-        _leave(probe, guarded)
+        leave(probe, guarded)
     expected = f"{before:g} still, after {hex_of(sent.sent or b'')}"
     holds = abs(after - before) <= guarded.within
     probe.expect(f"{after:g}", holds=holds, expected=expected, refutes=refutes, exchange=sent, key=key)
 
 
-def _control(probe: Probe, command: Command, guarded: _Guarded, values: Mapping[str, int]) -> None:
+def _control(probe: Probe, command: Command, guarded: Guarded, values: Mapping[str, int]) -> None:
     """Send the request whole. Raises Inconclusive where it shows no effect."""
     before = guarded.see(probe)
     probe.do(command, values)
     probe.wait(_WATCH_NS)
     after = guarded.see(probe)
-    _leave(probe, guarded)
+    leave(probe, guarded)
     if abs(after - before) <= guarded.within:
         raise Inconclusive(f"{command.name} shows no effect when it is sent whole either")
 
 
-def _leave(probe: Probe, guarded: _Guarded) -> None:
+def leave(probe: Probe, guarded: Guarded) -> None:
     """Leave the motor on and the shaft at rest."""
     guarded.after(probe)
     motion.stand_still(probe)
 
 
-@_of_guarded(Theme.FRAMING, name="{command}/guarded", section=described_in(Subject.FRAMING))
-def _guarded_by_sums(probe: Probe, command: Command, guarded: _Guarded) -> None:
+@_of_guarded(Theme.FRAMING, each=_every_guarded, name="{command}/guarded", section=described_in(Subject.FRAMING))
+def _guarded_by_sums(probe: Probe, command: Command, guarded: Guarded) -> None:
     """{command} is not executed where a sum of it is wrong."""
     guarded.ready(probe)
     values = guarded.values(probe, command)
@@ -178,7 +285,36 @@ def _guarded_by_sums(probe: Probe, command: Command, guarded: _Guarded) -> None:
             sent = probe.send(built.item(bytes(changed)), timeout_ns=PAUSE_NS)
         text = f"{command.name} is executed with a wrong {check.name}"
         _expect_no_effect(probe, guarded, before, sent, text, text)
-    _control(probe, command, guarded, values)
+    if guarded.again:
+        _control(probe, command, guarded, values)
+    else:
+        leave(probe, guarded)
+
+
+def _with_reads(dialect: Dialect) -> Iterator[Case]:
+    if isinstance(dialect.link, CanLink | LkLink):
+        yield Case(dialect, facts={"commands": tuple(c.name for c in plain_reads(dialect))})
+
+
+@claim(
+    Theme.FRAMING,
+    each=_with_reads,
+    name="reads/guarded",
+    refuted_by="an answer",
+    section=described_in(Subject.FRAMING),
+    parameters={},
+)
+def _reads_guarded(probe: Probe) -> None:
+    """No read whose check is wrong is answered."""
+    for command in plain_reads(probe.dialect):
+        built = probe.build(command)
+        for check in probe.dialect.link.checks(built.frame, probe.address):
+            changed = bytearray(built.frame)
+            changed[check.start] ^= 1
+            sent = probe.send(built.item(bytes(changed)), timeout_ns=PAUSE_NS)
+            text = f"{command.name} is answered with a wrong {check.name}"
+            expected = f"silence after {hex_of(sent.sent or b'')}"
+            probe.expect(received_text(sent), holds=sent.silent, expected=expected, refutes=text, exchange=sent, key=text)
 
 
 def _of_one_length(dialect: Dialect) -> Iterator[Case]:
@@ -194,12 +330,12 @@ def _of_one_length(dialect: Dialect) -> Iterator[Case]:
     each=_of_one_length,
     name="{command}/other-length",
     refuted_by="an effect of it",
-    risks=lambda case: _risks(case) | {Risk.UNKNOWN},
+    risks=lambda case: risks(case) | {Risk.UNKNOWN},
     section=described_in(Subject.FRAMING),
     at_best=Certainty.LIKELY,
     parameters={},
 )
-def _guarded_by_length(probe: Probe, command: Command, guarded: _Guarded) -> None:
+def _guarded_by_length(probe: Probe, command: Command, guarded: Guarded) -> None:
     """{command} with a byte more or less, all else fitting, is not executed."""
     guarded.ready(probe)
     values = guarded.values(probe, command)
@@ -234,11 +370,18 @@ def _every_stored(dialect: Dialect) -> Iterator[_Stored]:
         if command.readable and Risk.LINK not in command.all_risks:
             form = command.request_forms[0]
             yield _Stored(command, form, differing(form), partial(_read, command=command))
+        elif command.verb is Verb.WRITE_USER_ID:
+            read_id = partial(_read_one, verb=Verb.READ_USER_ID, field="user_id")
+            yield _Stored(command, command.request_forms[0], ({"user_id": 0x1234_5678}, {"user_id": 0x2143_6587}), read_id)
         elif command.verb is Verb.WRITE_PARAMETER:
             for form in lk_parameters.listed(command):
                 values = lk_parameters.moderate(form, 0), lk_parameters.moderate(form, 1)
                 read = partial(lk_parameters.read_parameter, number=lk_parameters.number_of(form))
                 yield _Stored(command, form, values, read)
+
+
+def _read_one(probe: Probe, verb: Verb, field: str) -> Mapping[str, int]:
+    return {field: probe.read(verb, field)}
 
 
 def _read(probe: Probe, command: Command) -> Mapping[str, int]:
@@ -277,8 +420,79 @@ def _settings_guarded(probe: Probe, chosen: list[_Stored]) -> None:
             probe.expect(each.read(probe), equal=was, refutes=text, exchange=sent, key=text)
 
 
-@_of_guarded(Theme.ADDRESSING, name="other/{command}", section=described_in(Subject.ADDRESSING), alone=True)
-def _to_another(probe: Probe, command: Command, guarded: _Guarded) -> None:
+#: The work mode in which the suite moves, as sent.
+_FULL_CONTROL = 5
+#: What switches, stops and turns a drive, in turn; none of it stores anything else than it says.
+_DEEDS: tuple[tuple[str, Mapping[str, int]], ...] = (
+    ("stop", {}),
+    ("motor_off", {}),
+    ("motor_on", {}),
+    ("clear_errors", {}),
+    ("clear_turns", {}),
+    ("set_position", {"position": 0}),
+    ("emergency_stop", {}),
+    ("enable", {"enabled": 0}),
+    ("enable", {"enabled": 1}),
+    ("set_zero", {}),
+    ("release_protection", {}),
+    ("set_work_mode", {"work_mode": _FULL_CONTROL}),
+)
+#: Settings in which a drive would not move or not answer.
+_NEEDED = frozenset({Verb.SET_WORK_MODE, Verb.SET_RESPOND})
+
+
+def _that_stay(dialect: Dialect) -> Iterator[Case]:
+    chosen = [each for each in _every_stored(dialect) if each.command.verb not in _NEEDED]
+    # Of LK 19h is kept in the flash; the zero of MKS is where the shaft stands.
+    deeds = [(n, v) for n, v in _DEEDS if n in dialect.by_name and Risk.WEAR not in dialect.by_name[n].all_risks]
+    if chosen and motion.can_move(dialect):
+        commands = [
+            *(each.command for each in chosen),
+            *(dialect.by_name[n] for n, _ in deeds),
+            dialect.by_verb[Verb.RUN_SPEED],
+        ]
+        risks = frozenset[Risk]().union(*(c.all_risks for c in commands)) - {Risk.UNKNOWN}
+        names = (n for each in chosen for n in each.form.layout.named if n != "parameter")
+        facts = {"risks": motion.risks(dialect, *risks), "settings": motion.settings(dialect, *names)}
+        yield Case(dialect, given={"chosen": chosen, "deeds": deeds}, facts=facts)
+
+
+@claim(
+    Theme.READ_BACK,
+    each=_that_stay,
+    name="settings/stay",
+    refuted_by="a value that is another one",
+    section=described_in(Subject.FRAMING),
+    at_best=Certainty.LIKELY,
+    quirks=may_meet(lk_parameters.OTHER_FIRMWARE),
+    parameters={},
+)
+def _stay(probe: Probe, chosen: list[_Stored], deeds: list[tuple[str, Mapping[str, int]]]) -> None:
+    """What is stored stays while the motor runs, stops, is switched off and on, and its errors, turns and zero are set."""
+    motion.ready_to_move(probe)
+    for each in chosen:
+        was = each.read(probe)
+        probe.do(each.command, next(values for values in each.values if any(was.get(n) != v for n, v in values.items())))
+    kept = _all_stored(probe)
+    _expect_kept(probe, kept, "a run", motion.run_at(probe, _RPM))
+    for name, values in deeds:
+        _expect_kept(probe, kept, name, probe.ask(name, values))
+    motion.stand_still(probe)
+
+
+def _all_stored(probe: Probe) -> list[tuple[Command, Mapping[str, Any]]]:
+    reads = [(c, values) for c, values in every_read(probe.dialect) if is_stored(c)]
+    return [(c, probe.reply(probe.ask(c, values, quiet_ns=0)).values) for c, values in reads]
+
+
+def _expect_kept(probe: Probe, kept: list[tuple[Command, Mapping[str, Any]]], after: str, exchange: Exchange) -> None:
+    for (command, was), (_, now) in zip(kept, _all_stored(probe), strict=True):
+        text = f"{command.name} reads another stored value after {after}"
+        probe.expect(now, equal=was, refutes=text, exchange=exchange, key=f"another value after {after}")
+
+
+@_of_guarded(Theme.ADDRESSING, each=_repeatable, name="other/{command}", section=described_in(Subject.ADDRESSING), alone=True)
+def _to_another(probe: Probe, command: Command, guarded: Guarded) -> None:
     """{command} to another address is not executed."""
     guarded.ready(probe)
     values = guarded.values(probe, command)

@@ -14,6 +14,7 @@ from analyzer.protocols.lk_rs485 import ERROR_BITS
 from conformance.claim import Inconclusive
 from conformance.claims.bench import lk_drive
 from conformance.claims.declare import Case, commands
+from conformance.claims.known_reads import every_read
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
 from conformance.motion.motion import CALM, FORCE, MS, SECOND_NS
@@ -78,15 +79,46 @@ def _stalls(probe: Probe, command: Command) -> None:
     _expect_flags(probe, set(), "of a motor that was let go")
 
 
-@_clear(refuted_by="a flag that stays")
-def _clears(probe: Probe, command: Command) -> None:
-    """9B clears a flag whose cause is gone."""
+def _flag_without_cause(probe: Probe) -> None:
     drive = lk_drive(probe)
     drive.trip("overcurrent")
     drive.trip("overcurrent", False)
     _expect_flags(probe, {"overcurrent"}, "before 9B")
+
+
+@_clear(refuted_by="a flag that stays, or one that a read clears")
+def _clears(probe: Probe, command: Command) -> None:
+    """9B clears a flag whose cause is gone; no read clears it."""
+    _flag_without_cause(probe)
+    for read, values in every_read(probe.dialect):
+        probe.ask(read, values, quiet_ns=0)
+    _expect_flags(probe, {"overcurrent"}, "after each read, before 9B,")
     probe.do(command)
     _expect_flags(probe, set(), "after 9B, the cause being gone,")
+
+
+def _others(dialect: Dialect) -> Iterator[Case]:
+    for case in commands(Verb.CLEAR_ERRORS)(dialect):
+        for name in ("motor_on", "motor_off", "stop"):
+            yield Case(dialect, case.command, {"other": dialect.by_name[name]})
+
+
+@of_motion(
+    each=_others,
+    name="{command}/alone-not-{other}",
+    refuted_by="a flag that is cleared",
+    risks={Risk.TORQUE},
+    at_best=Certainty.OPEN,
+    emulated=True,
+    still=True,
+)
+def _alone(probe: Probe, command: Command, other: Command) -> None:
+    """{other} clears no flag: that is what {command} is for."""
+    _flag_without_cause(probe)
+    probe.do(other)
+    _expect_flags(probe, {"overcurrent"}, f"after {other.name}")
+    probe.do(command)
+    motion.switch(probe, True)
 
 
 @_clear(refuted_by="a flag that is cleared")
@@ -103,7 +135,7 @@ def _keeps(probe: Probe, command: Command) -> None:
 @_state(refuted_by="another voltage", emulated=True)
 def _voltage(probe: Probe, command: Command) -> None:
     """The voltage is that of the supply, in 0.01 V."""
-    for volts in (23.45, 18.02):
+    for volts in (23.45, 6.5, 51.9, 60.0, 24.0):
         lk_drive(probe).supply(volts)
         seen = probe.read(command, "voltage") / 100
         probe.expect(seen, near=volts, within=0.01, unit="V", refutes="the voltage is another one")

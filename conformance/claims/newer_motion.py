@@ -1,7 +1,7 @@
 """Newer motion: a command that comes while another one is carried out takes its place.
 
 The MKS manual promises it for moves to a place by the encoder (mode 4: new speeds and new targets on the way). For the other
-moves it says nothing: what they do is observed.
+moves it says nothing: what they do is observed. LK motors have one goal: each command of motion sets it.
 
 Rules kept here:
 - What was superseded is not told as complete: the newer command's two replies are all that comes.
@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
+from conformance.claim import Inconclusive
 from conformance.claims.declare import Case, motions
 from conformance.claims.motion_claim import (
     command_of,
@@ -24,9 +25,9 @@ from conformance.claims.motion_claim import (
     risks_by,
     that_tell_their_end,
 )
-from conformance.claims.moves import takes_counts, without_max_speed
+from conformance.claims.moves import takes_angle, takes_counts, without_max_speed
 from conformance.motion import motion
-from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS
+from conformance.motion.motion import CALM, FORCE, MOVES, MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
@@ -35,6 +36,8 @@ _DEGREES, _RPM, _WHEN_NS = 360, 30, 500 * MS
 #: The move that the MKS manual lets be updated.
 _UPDATED = Verb.MOVE_ABSOLUTE_AXIS
 _moves = motions(*MOVES, where=takes_counts)
+#: Increments with a speed: an angle counts from where the shaft is.
+_increments = motions(MotionKind.MOVE_BY, where=lambda c: takes_angle(c) and bool(motion.of(c).speed))
 _update = motions(MotionKind.MOVE_TO, where=lambda c: c.verb is _UPDATED and takes_counts(c))
 
 
@@ -58,7 +61,9 @@ def _newer(probe: Probe, command: Command, degrees: float) -> Exchange:
     return exchange
 
 
-@of_motion(each=_moves, refuted_by="a shaft that ends elsewhere", at_best=_certainty)
+@of_motion(
+    each=lambda dialect: (*_moves(dialect), *_increments(dialect)), refuted_by="a shaft that ends elsewhere", at_best=_certainty
+)
 def _newer_target(probe: Probe, command: Command) -> None:
     """{command} that comes while one is under way takes its place: the shaft ends where the newer one says."""
     start = _under_way(probe, command)
@@ -216,3 +221,84 @@ def _speed_0(probe: Probe, command: Command) -> None:
     seen = motion.speed(probe)
     motion.stand_still(probe)
     expect_speed(seen, 0, exchange, f"{command.name} with speed 0 does not stop the shaft")
+
+
+# --- every motion over every other one ----------------------------------------------------------------------------------
+
+#: How far each motion is asked to go (degrees): longer than it is looked at, within a turn where it must be.
+_FAR, _IN_TURN = 720, 300
+#: The least speed that has a direction (rpm); how often and how long it is looked for.
+_LEAST, _EVERY_NS, _WITHIN_NS = 3, 30 * MS, 2 * SECOND_NS
+
+
+def _every_motion(dialect: Dialect) -> list[Command]:
+    every = dialect.motions(MotionKind.RUN, *MOVES, MotionKind.TORQUE)
+    return [c for c in every if dialect.model or not c.models]
+
+
+def _over_others(dialect: Dialect) -> Iterator[Case]:
+    every = dialect.motions(MotionKind.RUN, *MOVES, MotionKind.TORQUE) if motion.can_move(dialect) else ()
+    risks = frozenset[Risk]().union(*(c.all_risks for c in every))
+    for command in every:
+        # MKS promises it of moves to a place by the encoder, and of runs.
+        open_ = takes_counts(command) and command.verb is not _UPDATED if motion.of(command).distance else False
+        certainty = Certainty.OPEN if open_ else Certainty.LIKELY
+        yield Case(dialect, command, facts={"risks": motion.risks(dialect, *risks), "at_best": certainty})
+
+
+def _begin_way(probe: Probe, command: Command, way: int, rpm: float = CALM) -> Exchange:
+    """Ask for a long motion of a direction, whatever is under way."""
+    kind = motion.of(command).kind
+    degrees = way * (_IN_TURN if kind is MotionKind.MOVE_IN_TURN else _FAR)
+    force = motion.values_of(probe.dialect, command) if kind is MotionKind.TORQUE else {}
+    more = dict.fromkeys(force, way * FORCE)
+    rpm = way * rpm if kind is MotionKind.RUN else rpm
+    return motion.ask(probe, command, degrees, rpm=rpm, acceleration=QUICK, more=more, quiet_ns=0)
+
+
+def _direction(probe: Probe, wanted: int = 0) -> int:
+    """Return which way the shaft turns, once it does (the `wanted` way, if there is one), 0 where it does not."""
+    seen = [0]
+
+    def turns() -> bool:
+        rpm = motion.speed(probe).value
+        seen.append((rpm > 0) - (rpm < 0) if abs(rpm) >= _LEAST else 0)
+        return seen[-1] == wanted if wanted else bool(seen[-1])
+
+    motion.wait_until(probe, turns, every_ns=_EVERY_NS, limit_ns=_WITHIN_NS)
+    return seen[-1]
+
+
+@of_motion(each=_over_others, name="{command}/takes-over", refuted_by="a shaft that turns on as before, or a refusal")
+def _takes_over(probe: Probe, command: Command) -> None:
+    """{command} takes over from each other motion, whichever way that turns the shaft, and turns it the other way."""
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    _begin_way(probe, command, 1)
+    sense = _direction(probe)
+    motion.stand_still(probe)
+    if not sense:
+        raise Inconclusive(f"{command.name} does not turn the shaft")
+    for older in _every_motion(probe.dialect):
+        for way in (1, -1) if older.name != command.name else ():
+            _begin_way(probe, older, way, _RPM)
+            probe.wait(_EVERY_NS)
+            before = _direction(probe)
+            if not before:
+                raise Inconclusive(f"{older.name} does not turn the shaft")
+            fast = abs(motion.speed(probe).value)
+            exchange = _begin_way(probe, command, -before * sense)
+            after = _direction(probe, -before)
+            if after == before and abs(motion.speed(probe).value) < fast / 2:
+                raise Inconclusive(f"the shaft slows down too slowly to see whether {command.name} takes over")
+            taken = not motion.refused(probe, exchange)
+            if after != -before:
+                motion.stop(probe)
+            probe.expect(
+                "a refusal" if not taken else "the way of before" if after == before else "another way or none",
+                holds=taken and after == -before,
+                expected="the other way",
+                refutes=f"{command.name} does not take over from {older.name}",
+                exchange=exchange,
+                key=f"{command.name} does not take over from another motion",
+            )
+    motion.stand_still(probe)

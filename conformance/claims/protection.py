@@ -129,6 +129,15 @@ def _at_first(probe: Probe) -> None:
 # --- while protected, and after ---------------------------------------------------------------------------------------
 
 
+@_of_protection("another state", each=commands(Verb.RELEASE_PROTECTION), at_best=Certainty.OPEN)
+def _leaves_enabled(probe: Probe, command: Command) -> None:
+    """3D leaves the motor enabled or disabled as it was while the protection held."""
+    protect(probe)
+    before = motion.is_on(probe)
+    exchange = probe.do(command)
+    probe.expect(motion.is_on(probe), equal=before, refutes="3D enables or disables the motor", exchange=exchange)
+
+
 @_of_protection("a motor that stays protected", each=commands(Verb.RELEASE_PROTECTION), more_risks=(Verb.RUN_SPEED,))
 def _releases(probe: Probe, command: Command) -> None:
     """3D ends the protection: 3E reads 0, and the motor moves again."""

@@ -288,6 +288,10 @@ def _saved_runs(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, command, {}, facts)
 
 
+#: How long what is damaged is listened to.
+_DAMAGED_NS = 60 * MS
+
+
 def _turning(probe: Probe, rpm: int) -> float:
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     motion.run_at(probe, rpm)
@@ -358,10 +362,15 @@ def _saved_as_it_was(probe: Probe, command: Command) -> None:
 
 @of_read_back(each=_saved_runs, refuted_by="a shaft that turns", rests_on=(Doubt.VALUES,))
 def _clean(probe: Probe, command: Command) -> None:
-    """A run that was forgotten does not begin after a restart."""
+    """A run that was forgotten does not begin after a restart, nor one that was kept with a wrong check alone."""
     _turning(probe, _RPM)
     probe.do(command, _KEEP)
     probe.do(command, _FORGET)
+    built = probe.build(command, _KEEP)
+    for check in probe.dialect.link.checks(built.frame, probe.address):
+        changed = bytearray(built.frame)
+        changed[check.start] ^= 1
+        probe.send(built.item(bytes(changed)), timeout_ns=_DAMAGED_NS)
     after, exchange = _after_restart(probe)
     if abs(after) > 1:
         _forget(probe, command)

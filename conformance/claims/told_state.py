@@ -24,7 +24,7 @@ from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.claims.motion_reads import PLACES, turn_by
 from conformance.claims.stops import endless
 from conformance.motion import motion
-from conformance.motion.motion import MOVES
+from conformance.motion.motion import MOVES, MS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
@@ -72,7 +72,7 @@ def _has_temperature(command: Command) -> bool:
 )
 def _follows_temperature(probe: Probe, command: Command) -> None:
     """{command} tells the temperature that the motor has then, below zero too."""
-    for degrees in (41, -7):
+    for degrees in (41, -7, -40, 125, 30):
         bench.lk_drive(probe).hot(degrees)
         seen, exchange = _told(probe, command)
         text = f"{command.name} does not tell the temperature of the motor"
@@ -188,3 +188,68 @@ def _angle_is_encoder(probe: Probe, command: Command) -> None:
             refutes="the angle within the turn is not that of the encoder",
             exchange=exchange,
         )
+
+
+# --- where the shaft is, while it turns -------------------------------------------------------------------------------
+
+#: Slow and fast, either way (rpm); how often a read is looked at, and how long after the one before.
+_SPEEDS, _ROUNDS, _BETWEEN_NS = (15, -15, 60, -60), 3, 37 * MS
+#: Degrees by which a reading may be off beside the way of the shaft, and how old it may be.
+_OFF, _OLD_S = 2.0, 0.02
+#: What is read of the place within the turn, and how many units a turn may have.
+_WITHIN_TURN = {
+    Verb.READ_ENCODER: ("encoder", (1 << 14, 1 << 15, 1 << 16)),
+    Verb.READ_STATE_2: ("encoder", (1 << 14, 1 << 15, 1 << 16)),
+    Verb.READ_SINGLE_TURN: ("angle", (36_000,)),
+}
+#: A speed, where the shaft was before a reading (degrees), what was read, and where the shaft was behind it.
+_Seen = tuple[float, float, int, float]
+
+
+def _look(probe: Probe, verb: Verb, rpm: float) -> _Seen:
+    before = motion.position(probe).value
+    told = probe.read(verb, _WITHIN_TURN[verb][0])
+    return rpm, before, told, motion.position(probe).value
+
+
+def _turned_both_ways(probe: Probe) -> dict[Verb, list[_Seen]]:
+    """Turn the shaft and return what each read told of its place, at rest first."""
+    motion.ready_to_move(probe)
+    motion.wait_standing(probe)
+    seen = {verb: [_look(probe, verb, 0)] for verb in _WITHIN_TURN}
+    for rpm in _SPEEDS:
+        motion.run_at(probe, rpm)
+        probe.wait(300 * MS)
+        for _ in range(_ROUNDS):
+            for verb, looks in seen.items():
+                looks.append(_look(probe, verb, rpm))
+            probe.wait(_BETWEEN_NS)
+        motion.stand_still(probe)
+    return seen
+
+
+def _off(look: _Seen, rest: _Seen, turn: int, noise: float) -> float:
+    """Return by how many degrees a reading is beside the way of the shaft, if a turn has so many units."""
+    rpm, before, told, after = look
+    low, high = sorted((before - rest[1], after - rest[1]))
+    beside = _OFF + noise + abs(rpm) * 6 * _OLD_S
+    past = ((told - rest[2]) * 360 / turn - (low - beside)) % 360
+    return max(0.0, past - (high - low + 2 * beside))
+
+
+@of_motion(
+    each=commands(*_WITHIN_TURN),
+    name="{command}/turning",
+    refuted_by="a place that is not kept up",
+    at_best=Certainty.LIKELY,
+    risks=risks_by(Verb.RUN_SPEED),
+)
+def _kept_up(probe: Probe, command: Command) -> None:
+    """The place within the turn that {command} tells goes on as the position does while the shaft turns, either way."""
+    rest, *looks = probe.recorded(_turned_both_ways)[command.verb]
+    widths = _WITHIN_TURN[command.verb][1]
+    turn = min(widths, key=lambda units: max(_off(look, rest, units, probe.noise.place) for look in looks))
+    for look in looks:
+        off = _off(look, rest, turn, probe.noise.place)
+        text = f"{command.name} does not keep up with a shaft that turns at {look[0]:g} rpm"
+        probe.expect(off, at_most=0, unit="degrees beside the position", refutes=text, key=f"{command.name} turning")

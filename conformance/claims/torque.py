@@ -182,6 +182,20 @@ def _read_only(probe: Probe) -> None:
     probe.expect(held, at_most=1, unit="degrees", refutes="reading the brake releases it")
 
 
+@_of_brake(
+    name="{command}/stays", refuted_by="another state", at_best=Certainty.OPEN, risks=risks_by(Verb.MOTOR_OFF, Verb.STOP)
+)
+def _brake_stays(probe: Probe) -> None:
+    """Switching the motor off and on, and a stop, leave the brake as it is."""
+    motion.ready_to_move(probe)
+    for control in (_POWER_OFF, _RELEASE):
+        _brake(probe, control)
+        for verb in (Verb.MOTOR_OFF, Verb.MOTOR_ON, Verb.STOP):
+            exchange = probe.do(verb)
+            text = f"{probe.command(verb).name} switches the brake"
+            probe.expect(_brake(probe, _READ_BRAKE), equal=control, refutes=text, exchange=exchange)
+
+
 @_of_brake(refuted_by="the state before", rests_on=(Doubt.REPLY_VALUES,))
 def _answers_new(probe: Probe) -> None:
     """Switching the brake is answered with the state after it."""

@@ -27,7 +27,7 @@ def restart(probe: Probe) -> Exchange:
     """Restart the drive and wait until it answers. Raises Inconclusive where it refuses or does not come back."""
     exchange = probe.do(Verb.RESTART)
     probe.wait(DEAF_NS)
-    _wait_for_answer(probe)
+    wait_for_answer(probe)
     return exchange
 
 
@@ -36,10 +36,11 @@ def power_cycle(probe: Probe) -> None:
     if probe.drive is None:
         raise Inconclusive("only an emulated drive's power can be cut from here")
     probe.drive.power_cycle(probe.gate.now_ns())
-    _wait_for_answer(probe)
+    wait_for_answer(probe)
 
 
-def _wait_for_answer(probe: Probe) -> None:
+def wait_for_answer(probe: Probe) -> None:
+    """Wait until the drive answers a read. Raises Inconclusive where it does not."""
     read = plain_read(probe.dialect)
     begun_ns = probe.gate.now_ns()
     while True:

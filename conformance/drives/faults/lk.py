@@ -51,7 +51,7 @@ from conformance.drives.faults.places import (
     unstored,
 )
 from conformance.drives.lk.drive import MOVES, Act, LkDrive
-from conformance.drives.lk.motor import Goal, Position, Torque
+from conformance.drives.lk.motor import Goal, Position, Speed, Torque
 
 STATE_1 = (Verb.READ_STATE_1, Verb.CLEAR_ERRORS)
 PARAMETERS = (Verb.READ_PARAMETER, Verb.WRITE_PARAMETER)
@@ -342,6 +342,59 @@ def _past_limit_below(drive: LkDrive, request: Request) -> None:
         drive.motor.move_to(request.physical["position"], request.physical.get("max_speed"))
 
 
+def _unchecked(number: int, *names: str) -> Change:
+    """Take some commands of which one sum is wrong, and answer nothing."""
+
+    def also(drive: Drive, frame: Frame, message: Message) -> bool:
+        wrong = [n for n, check in enumerate(frame.dialect.link.checks(frame.data)) if not check.ok]
+        known = message.command is not None and message.command.name in names
+        return message.form is not None and known and _own(drive, message) and wrong == [number]
+
+    return _unanswered(_hearing(also))
+
+
+def _lost_during(names: Iterable[str], goal: type[Goal], when: Callable[[LkDrive], bool]) -> Change:
+    """Answer motion commands that come during a motion of one kind, and do nothing."""
+
+    def lose(old: Act) -> Act:
+        def act(drive: LkDrive, request: Request) -> None:
+            if not (isinstance(drive.motor.goal, goal) and when(drive)):
+                old(drive, request)
+
+        return act
+
+    return together(*(replaced(name, lose) for name in names))
+
+
+def _stale(verb: Verb, when: Callable[[LkDrive], bool]) -> Change:
+    """Tell in a condition what was told before it."""
+
+    def install(hooks: Hooks) -> None:
+        kept: dict[str, int] = {}
+
+        def tell(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+            if not when(lk(drive)) or not kept:
+                kept.update(values)
+            return dict(kept)
+
+        result(tell, verb)(hooks)
+
+    return Change(install, LK)
+
+
+def _forgetting(name: str, **values: int) -> Change:
+    return acting(name, lambda drive, request: drive.parameters.update(values), after=True)
+
+
+def _capped(name: str, most: int, *of: Verb) -> Change:
+    return result(lambda drive, command, asked, values: values | {name: min(most, values[name])}, of)
+
+
+def _flags_read_away(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    lk(drive).clear_errors()
+    return values
+
+
 def _phases_doubled(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
     return {name: 2 * value if name.startswith("phase_") else value for name, value in values.items()}
 
@@ -382,6 +435,11 @@ ROWS: Rows = {
             "requests are obeyed, and not answered, although the sum of their head is wrong",
             _unanswered(_broken(0)),
         ),
+    ),
+    "checksum of one": (
+        Row("lk-stop-unchecked", "0x81 is obeyed although the sum of its head is wrong", _unchecked(0, "stop")),
+        Row("lk-clear-turns-unchecked", "0x93 is obeyed although the sum of its head is wrong", _unchecked(0, "clear_turns")),
+        Row("lk-clear-errors-unchecked", "0x9B is obeyed although the sum of its head is wrong", _unchecked(0, "clear_errors")),
     ),
     "unknown code": (
         Row(
@@ -685,6 +743,39 @@ ROWS: Rows = {
             "lk-cleared-state-always-on",
             "0x9B tells the state 00h of a motor that is off",
             reply("state", always(MotorState.ON), Verb.CLEAR_ERRORS),
+        ),
+        Row(
+            "lk-increment-lost-in-a-run",
+            "0xA7 and 0xA8 are answered and lost while the shaft runs",
+            _lost_during(INCREMENTS, Speed, _turns),
+        ),
+        Row("lk-run-lost-in-a-move", "0xA2 is answered and lost during a move", _lost_during(("run_speed",), Position, _turns)),
+        Row(
+            "lk-move-lost-in-a-torque",
+            "0xA3 and 0xA4 are answered and lost while a torque turns the shaft",
+            _lost_during(MULTI_TURN, Torque, _turns),
+        ),
+        Row(
+            "lk-single-turn-lost-backwards",
+            "0xA5 and 0xA6 are answered and lost while the shaft turns counter-clockwise",
+            _lost_during(SINGLE_TURN, Speed, _backwards),
+        ),
+        Row(
+            "lk-single-turn-frozen-backwards",
+            "0x94 stays while the shaft turns counter-clockwise",
+            _stale(Verb.READ_SINGLE_TURN, _backwards),
+        ),
+        Row("lk-encoder-frozen-turning", "0x90 stays while the shaft turns", _stale(Verb.READ_ENCODER, _turns)),
+        Row("lk-gains-lost-by-stop", "0x81 sets the speed gains back", _forgetting("stop", speed_kp=50, speed_ki=20)),
+        Row("lk-gains-lost-by-off", "0x80 sets the angle gains back", _forgetting("motor_off", angle_kp=100, angle_ki=20)),
+        Row("lk-limit-lost-by-clearing", "0x9B sets the speed limit back", _forgetting("clear_errors", speed_limit=72_000)),
+        Row("lk-voltage-capped", "0x9A tells 25 V at most", _capped("voltage", 2_500, Verb.READ_STATE_1)),
+        Row("lk-temperature-capped", "0x9C tells 63 degrees at most", _capped("temperature", 63, Verb.READ_STATE_2)),
+        Row("lk-flags-read-away", "0x9A clears the flags that it tells", result(_flags_read_away, Verb.READ_STATE_1)),
+        Row(
+            "lk-clear-turns-to-zero",
+            "0x93 sets the position to 0",
+            acting("clear_turns", lambda drive, request: drive.motor.set_position(0.0)),
         ),
         Row("lk-phases-doubled", "0x9D tells phase currents in half the unit", result(_phases_doubled, Verb.READ_STATE_3)),
         Row(

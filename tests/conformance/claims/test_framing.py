@@ -65,6 +65,8 @@ def test_a_fault_of_hearing_is_refuted_by_the_claims_that_say_so(fault, dialect,
         ("disables-on-bad-checksum", "mks-modbus@1", "enable/guarded"),
         ("stores-on-bad-checksum", "mks-can@1", "settings/guarded"),
         ("lk-obeys-wrong-data-sum", "lk-rs485@1,model=MF", "settings/guarded"),
+        ("lk-stop-unchecked", "lk-rs485@1,model=MF", "stop/guarded"),
+        ("lk-clear-errors-unchecked", "lk-rs485@1,model=MF", "clear_errors/guarded"),
     ],
 )
 def test_what_is_done_by_a_wrong_check_is_refuted(fault, drive, name):

@@ -292,6 +292,25 @@ def test_a_fault_is_refuted_by_the_claim_about_it(drive, fault, claim):
 @pytest.mark.parametrize(
     ("fault", "claim"),
     [
+        ("lk-increment-lost-in-a-run", "move_increment/takes-over"),
+        ("lk-run-lost-in-a-move", "run_speed/takes-over"),
+        ("lk-move-lost-in-a-torque", "move_multi_turn/takes-over"),
+        ("lk-single-turn-lost-backwards", "move_single_turn/takes-over"),
+        ("lk-single-turn-frozen-backwards", "read_single_turn/turning"),
+        ("lk-encoder-frozen-turning", "read_encoder/turning"),
+        ("lk-voltage-capped", "read_state_1/voltage"),
+        ("lk-temperature-capped", "read_state_2/follows-temperature"),
+        ("lk-flags-read-away", "clear_errors/clears"),
+        ("lk-clear-turns-to-zero", "clear_turns/keeps-angle"),
+    ],
+)
+def test_what_an_lk_drive_does_and_tells_in_motion_is_judged(fault, claim):
+    assert judge(f"lk-rs485@1,model=MF,fault={fault}", claim).outcome is Outcome.REFUTED
+
+
+@pytest.mark.parametrize(
+    ("fault", "claim"),
+    [
         ("lk-speed-limit-ignored", "write_parameter/speed-limit"),
         ("lk-angle-limit-ignored", "write_parameter/angle-limit-move_multi_turn"),
         ("lk-angle-limit-above-only", "write_parameter/angle-limit-move_multi_turn_limited"),

@@ -80,6 +80,70 @@ def off(bench: Bench) -> None:
     look(bench)
 
 
+def over_others(bench: Bench) -> None:
+    """Let motion of one kind take over from another, and look."""
+    bench.drive.turn_shaft(50.0)
+    for older, newer in (
+        (("run_speed", {"speed": 18_000}), ("move_increment", {"position": -9_000})),
+        (("move_multi_turn_limited", {"position": 72_000, "max_speed": 18_000}), ("run_speed", {"speed": -18_000})),
+        (("run_speed", {"speed": -18_000}), ("move_single_turn", {"angle": 9_000, "direction": 0})),
+        (("run_torque", {"torque_current": 200}), ("move_multi_turn", {"position": 0})),
+    ):
+        bench.ask(older[0], **older[1])
+        for _ in range(2):
+            bench.wait(0.3)
+            look(bench)
+            bench.ask("read_encoder")
+        bench.ask(newer[0], **newer[1])
+        bench.wait(0.3)
+        look(bench)
+        bench.ask("stop")
+        bench.wait(1)
+
+
+def kept(bench: Bench) -> None:
+    """Look at what is stored and told after each command that stores nothing."""
+    bench.ask("write_parameter", parameter=11, speed_kp=7, speed_ki=8, speed_kd=9)
+    bench.ask("write_parameter", parameter=10, angle_kp=7, angle_ki=8, angle_kd=9)
+    bench.ask("write_parameter", parameter=32, speed_limit=50_000)
+    bench.drive.supply(30)
+    bench.drive.hot(70)
+    bench.drive.turn_shaft(500.0)
+    for present in (True, False):
+        bench.drive.trip("overcurrent", present)
+    for name in (
+        "read_state_1",
+        "read_state_1",
+        "read_state_2",
+        "stop",
+        "motor_off",
+        "motor_on",
+        "clear_errors",
+        "clear_turns",
+    ):
+        bench.ask(name)
+        bench.ask("read_position")
+        for number in (10, 11, 32):
+            bench.ask("read_parameter", parameter=number)
+
+
+def wrong_heads(bench: Bench) -> None:
+    """Send what stops and clears with a head whose sum is wrong, and look."""
+    bench.drive.turn_shaft(500.0)
+    bench.ask("run_speed", speed=18_000)
+    bench.wait(0.5)
+    for name in ("stop", "clear_turns", "clear_errors"):
+        if name == "clear_errors":
+            for present in (True, False):
+                bench.drive.trip("overcurrent", present)
+        request = bytearray(bench.request(name))
+        request[4] ^= 1
+        bench.send(bytes(request))
+        bench.wait(0.5)
+        look(bench)
+        bench.ask("read_state_1")
+
+
 def stop(bench: Bench) -> None:
     bench.ask("run_speed", speed=50_000)
     bench.wait(2)
@@ -275,6 +339,9 @@ def other_models(bench: Bench) -> None:
 
 
 SCRIPTS: dict[str, Script] = {
+    "over others": over_others,
+    "kept": kept,
+    "wrong heads": wrong_heads,
     "echoes": echoes,
     "readings": readings,
     "phases": phases,
@@ -446,6 +513,22 @@ SHOWN_BY: dict[str, str] = {
     "lk-turns-kept-while-turning": "states",
     "lk-clear-errors-turns-off": "states",
     "lk-cleared-state-always-on": "states",
+    "lk-increment-lost-in-a-run": "over others",
+    "lk-run-lost-in-a-move": "over others",
+    "lk-move-lost-in-a-torque": "over others",
+    "lk-single-turn-lost-backwards": "over others",
+    "lk-single-turn-frozen-backwards": "over others",
+    "lk-encoder-frozen-turning": "over others",
+    "lk-gains-lost-by-stop": "kept",
+    "lk-gains-lost-by-off": "kept",
+    "lk-limit-lost-by-clearing": "kept",
+    "lk-voltage-capped": "kept",
+    "lk-temperature-capped": "kept",
+    "lk-flags-read-away": "kept",
+    "lk-clear-turns-to-zero": "kept",
+    "lk-stop-unchecked": "wrong heads",
+    "lk-clear-turns-unchecked": "wrong heads",
+    "lk-clear-errors-unchecked": "wrong heads",
     "lk-phases-doubled": "phases",
     "lk-ramp-fast": "multi-turn",
     "lk-ramp-slow": "multi-turn",
