@@ -74,7 +74,7 @@ def test_a_suite_whose_own_gate_is_wide_open_sends_no_more_than_was_allowed(tmp_
             assert verdict.outcome is Outcome.NOT_RUN
             assert "needs motion" in verdict.reason
             # A stop always passes.
-            assert stop(rig.gate.under(stopping(1)), rig.dialect, 1) == ""
+            assert stop(rig.gate.under(stopping(1)), rig.dialect, 1).failure == ""
         finally:
             rig.close()
 
