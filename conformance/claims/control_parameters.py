@@ -158,9 +158,10 @@ def _acceleration(probe: Probe, ramp: int, how: Command) -> tuple[float, Exchang
     # A move has no speed of its own: the limit is its speed, which it keeps for more turns than it is looked at.
     _set(probe, "speed_limit", 18_000)
     exchange = motion.ask(probe, how, 20 * 360, rpm=30, quiet_ns=0)
-    probe.wait(3 * SECOND_NS)
+    # The ramp takes a second.
+    probe.wait(1500 * MS)
     first = motion.position(probe)
-    rpm, _ = motion.mean_speed(probe, SECOND_NS)
+    rpm, _ = motion.mean_speed(probe, 500 * MS)
     motion.stand_still(probe)
     _set(probe, "speed_limit", kept)
     speed = rpm * 6

@@ -156,7 +156,7 @@ def _wide(probe: Probe) -> None:
         before = motion.position(probe)
         exchange = motion.run_at(probe, rpm, 255)
         probe.wait(int(_WIDE_TURNS / 3000 * 60 * SECOND_NS))
-        motion.stop(probe, QUICK)
+        motion.stop(probe, 255)
         turns = abs(motion.wait_standing(probe).value - before.value) / 360
         least, most = _WIDE_TURNS * 0.97, _WIDE_TURNS * 1.2
         text = "the position does not count on"
@@ -200,7 +200,7 @@ def _wide_pulses(probe: Probe, command: Command) -> None:
 
 def turn_by(probe: Probe, degrees: float) -> None:
     """Turn the shaft by an angle and wait until it stands."""
-    motion.follow(probe, probe.command("move_increment_limited"), degrees)
+    motion.follow(probe, probe.command("move_increment_limited"), degrees, rpm=180)
 
 
 def angle(probe: Probe) -> float:

@@ -281,7 +281,7 @@ def _reads_as_asked(probe: Probe, command: Command) -> None:
 
 
 #: Moves of other lengths and speeds than the rest: (degrees, rpm).
-_LENGTHS = ((0.0, CALM), (0.5, 10), (-360.0, CALM), (2520.0, 110), (-1800.0, 150))
+_LENGTHS = ((0.0, CALM), (0.5, 10), (-360.0, 120), (1440.0, 110), (-1080.0, 150))
 
 
 @of_motion(

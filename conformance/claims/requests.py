@@ -26,13 +26,12 @@ from conformance.model.limits import with_bits
 from conformance.motion import motion
 from conformance.talk import samples
 from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Until
+from conformance.talk.restarts import wait_for_answer
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
 
-SECOND_NS = 1_000_000_000
-#: How long a restarted drive may take until it hears again; real ones take two seconds.
-RESTART_NS = 4 * SECOND_NS
 _BITS = 10
 
 #: Moves to a place, and the read that tells where in its own unit the shaft is: verb -> (read, field, field of the move).
@@ -117,12 +116,9 @@ def put_to_rest(probe: Probe, command: Command) -> None:
 def _rest(probe: Probe) -> None:
     """Stop by a ramp. The end of the stop is told by a reply of its own, which a read at once would run into."""
     motion.stop(probe)
-    probe.wait(200 * motion.MS)
+    if motion.tells_end(probe.dialect):
+        probe.listen(200 * motion.MS, Until.REPLY)
     motion.wait_standing(probe)
-
-
-def _wait_for_restart(probe: Probe) -> None:
-    probe.wait(RESTART_NS)
 
 
 def _end_homing(probe: Probe) -> None:
@@ -135,8 +131,8 @@ def _wait_for_calibration(probe: Probe) -> None:
 
 
 _AFTER: Mapping[Verb, Callable[[Probe], None]] = {
-    Verb.RESTART: _wait_for_restart,
-    Verb.RESTORE: _wait_for_restart,
+    Verb.RESTART: wait_for_answer,
+    Verb.RESTORE: wait_for_answer,
     Verb.HOME: _end_homing,
     Verb.CALIBRATE: _wait_for_calibration,
 }

@@ -28,9 +28,9 @@ from conformance.talk.restarts import restart
 _ANSWERED = (Verb.READ_POSITION, Verb.READ_STATUS, Verb.READ_ENABLED, Verb.READ_SPEED)
 _TURNS = 0.2
 #: 60 rpm, and 0.6 s from it to a stop.
-_RPM, _RAMP = 60, 56
+_RPM, _RAMP, _RAMP_NS = 60, 56, 600 * MS
 #: How long is listened to what must not come: such a move takes 0.2 s, and a reply to it was seen to be 0.7 s late.
-_LISTEN_NS = SECOND_NS
+_LISTEN_NS = 750 * MS
 _settings = commands(Verb.SET_RESPOND)
 
 
@@ -87,7 +87,7 @@ def _set_going(probe: Probe, command: Command) -> None:
 def _stop(probe: Probe, stop: Command) -> tuple[Exchange, list[int]]:
     """Stop by a slow ramp; return what was asked and all statuses that came until the shaft stood."""
     since = len(probe.traffic)
-    exchange = probe.ask(stop, {"acceleration": _RAMP}, until=Until.TIMEOUT, timeout_ns=600 * MS + _LISTEN_NS)
+    exchange = probe.ask(stop, {"acceleration": _RAMP}, until=Until.TIMEOUT, timeout_ns=_RAMP_NS + _LISTEN_NS)
     motion.wait_standing(probe)
     return exchange, _statuses(probe, since, stop)
 
@@ -119,7 +119,7 @@ def _silent_stop(probe: Probe, run: Command, stop: Command) -> None:
     if abs(motion.speed(probe).value) < _RPM / 2:
         raise Inconclusive("the shaft does not turn before the stop")
     since = len(probe.traffic)
-    exchange = probe.ask(stop, {"acceleration": _RAMP}, until=Until.TIMEOUT, timeout_ns=2 * SECOND_NS)
+    exchange = probe.ask(stop, {"acceleration": _RAMP}, until=Until.TIMEOUT, timeout_ns=_RAMP_NS + _LISTEN_NS)
     left, statuses = abs(motion.speed(probe).value), _statuses(probe, since, stop)
     if left > _RPM / 2:
         _set(probe, 1, 1)

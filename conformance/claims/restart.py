@@ -12,6 +12,7 @@ Rules kept here:
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 
 from analyzer import dialects as registry
@@ -42,7 +43,7 @@ from conformance.talk import settings
 from conformance.talk.acceptance import answers, need_reliable_replies
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
-from conformance.talk.restarts import power_cycle, restart
+from conformance.talk.restarts import DEAF_NS, power_cycle, restart, wait_for_answer
 
 #: How long a drive that cannot be asked meanwhile may take to come back.
 RESTORED_NS = 4_000 * MS
@@ -180,7 +181,8 @@ def _address(probe: Probe, command: Command) -> None:
     before = probe.address
     move_away(probe, command)
     exchange = probe.ask(Verb.RESTART, address=OTHER_ADDRESS)
-    probe.wait(RESTORED_NS)
+    with contextlib.suppress(Inconclusive):
+        wait_for_answer(probe, before, OTHER_ADDRESS, limit_ns=RESTORED_NS)
     here, there = answers(probe, before), answers(probe, OTHER_ADDRESS)
     if there:
         change_address(probe, command, before, at=OTHER_ADDRESS)
@@ -233,7 +235,8 @@ def _speed_of_the_line(probe: Probe, command: Command, field: str) -> None:
         if not answers(probe, probe.address):
             raise Inconclusive(f"the drive does not answer at {other} bits per second")
         probe.ask(Verb.RESTART)
-        probe.wait(RESTORED_NS)
+        with contextlib.suppress(Inconclusive):
+            wait_for_answer(probe, limit_ns=RESTORED_NS)
         kept = answers(probe, probe.address)
         if kept:
             probe.ask(command, {field: codes[before]})
@@ -263,7 +266,10 @@ def _dialect_of_the_line(probe: Probe, command: Command, field: str) -> None:
     exchange = probe.ask(command, {field: sibling.chosen_by})
     probe.wait(SETTLE_NS)
     ask_in(probe, sibling, sibling.by_verb[Verb.RESTART].name)
-    probe.wait(RESTORED_NS)
+    probe.wait(DEAF_NS)
+    motion.wait_until(
+        probe, lambda: is_reply(sibling, probe.address, ask_in(probe, sibling, "read_speed")), limit_ns=RESTORED_NS
+    )
     answer = ask_in(probe, sibling, "read_speed")
     ask_in(probe, sibling, command.name, {field: own.chosen_by})
     probe.wait(SETTLE_NS)

@@ -51,7 +51,8 @@ def spun(probe: Probe, command: Command, speed: int, mode: str) -> Spun:
     before, seen = motion.position(probe), motion.speed(probe)
     probe.wait(exchange.sent_ns + 260 * MS - probe.gate.now_ns())
     by_places, unsure = motion.speed_between(before, motion.position(probe))
-    motion.stand_still(probe)
+    motion.stop(probe, 255)
+    motion.wait_standing(probe)
     return Spun(exchange, seen, by_places, unsure)
 
 

@@ -20,7 +20,7 @@ from conformance.claim import Inconclusive, Theme
 from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import expect_rested, expect_stays, of_motion, risks_by, risks_of, that_tell_their_end
-from conformance.motion import motion
+from conformance.motion import motion, ramp
 from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
@@ -29,6 +29,8 @@ from conformance.talk.probe import Probe, Until
 _SLOW_RAMP, _RPM, _RAMP_NS = 56, 120, 1200 * MS
 #: How long the shaft is given to come to its speed, and how long it is looked at whether it stands.
 _SET_OFF_NS, _LOOK_NS = 250 * MS, 150 * MS
+#: How long a shaft that was stopped has to come to rest.
+_RESTS_NS = 500 * MS
 #: How long five turns at 120 rpm last. Moves of a few turns at 60 rpm last as many seconds.
 _LEFT_NS, _FEW = 2500 * MS, 2
 #: The replies to a stop: when it begins, and when the shaft stands.
@@ -373,8 +375,9 @@ def _rising_stops(dialect: Dialect) -> Iterator[Case]:
 
 def _expect_ended(probe: Probe, stop: Command, how: str) -> None:
     named = stop.request_forms[0].layout.named
+    rpm = abs(motion.speed(probe).value)
     exchange = probe.ask(stop, {"acceleration": QUICK} if "acceleration" in named else None)
-    probe.wait(_FAST_DOWN_NS)
+    probe.wait(int(ramp.ramp_ns(0, rpm, QUICK)) + _DOWN_NS)
     expect_standing(probe, exchange, f"{stop.name} does not stop a shaft that {how}")
 
 
@@ -409,8 +412,8 @@ def _when_rising(probe: Probe, command: Command, run: Command) -> None:
     _expect_ended(probe, command, "slows down")
 
 
-#: Speeds that are fast, a ramp of 5 ms for a rpm, and how long a fast shaft takes to stand.
-_FAST_RPM, _RISING, _FAST_DOWN_NS = 1200, 156, 600 * MS
+#: Speeds that are fast, a ramp of 5 ms for a rpm, and how long a shaft may take to stand when its ramp is over.
+_FAST_RPM, _RISING, _DOWN_NS = 1200, 156, 120 * MS
 
 
 def _ended_backwards(dialect: Dialect) -> Iterator[Case]:
@@ -496,8 +499,10 @@ def _ends(probe: Probe, command: Command, run: Command) -> None:
     if motion.of(run).distance and turned > _way(run) - 20:
         raise Inconclusive(f"{run.name} was at its target before {command.name} could be sent")
     exchange = probe.do(command)
-    # Without torque the shaft runs out.
-    probe.wait((3 if command.verb is Verb.MOTOR_OFF else 1) * SECOND_NS)
+    if command.verb is Verb.MOTOR_OFF:
+        # Without torque the shaft runs out.
+        motion.wait_until(probe, lambda: abs(motion.speed(probe).value) < 1, limit_ns=3 * SECOND_NS)
+    probe.wait(_RESTS_NS)
     went = abs(motion.position(probe).value - before.value)
     expect_standing(probe, exchange, f"{command.name} does not end {run.name}")
     if command.verb is Verb.MOTOR_OFF:

@@ -58,8 +58,10 @@ class Stopped(NamedTuple):
     failure: str
 
 
-def stop(gate: Gate, dialect: Dialect, address: int) -> Stopped:
+def stop(gate: Gate, dialect: Dialect, address: int, stands_at: float | None = None) -> Stopped:
     """Stop a drive, by a ramp if that works, and prove that it stands. Raises LineLost.
+
+    `stands_at`: where it was seen standing, if nothing was sent since then that may move it.
 
     Where one way of stopping fails, the next is tried until none is left. The address of all drives: they are told to stop, and
     none can be asked whether it does.
@@ -73,7 +75,7 @@ def stop(gate: Gate, dialect: Dialect, address: int) -> Stopped:
     for way, sent, limit_ns in (("by a ramp", ramped, _RAMP_NS), ("at once", at_once, _AT_ONCE_NS)):
         refused = [text for command in sent if (text := ask(probe, command))]
         if sent:
-            failure = prove_standing(probe, limit_ns)
+            failure = prove_standing(probe, limit_ns, stands_at)
             if not failure:
                 return Stopped(way, "")
             failure = "; ".join([failure, *refused])
@@ -108,16 +110,17 @@ def ask(probe: Probe, command: Command) -> str:
     return ""
 
 
-def prove_standing(probe: Probe, limit_ns: int) -> str:
+def prove_standing(probe: Probe, limit_ns: int, stands_at: float | None = None) -> str:
     """Return nothing once three looks in a row show the shaft standing, or trembling on one spot; else what was seen last.
 
+    `stands_at`: where it was seen standing already: then one look that shows it there is the last of the three.
     Raises LineLost.
     """
     begun_ns = probe.gate.now_ns()
     until_ns = begun_ns + limit_ns
     first = 0.0
-    seen, failure = 0, "nothing was read"
-    before: float | None = None
+    seen, failure = 0 if stands_at is None else PROOFS - 1, "nothing was read"
+    before = stands_at
     spot: list[float] = []
     spot_ns = begun_ns
     while probe.gate.now_ns() < until_ns:
@@ -168,13 +171,14 @@ def cut_power(command: str) -> str:
     return f"--cut-power {command!r} was run"
 
 
-def stop_or_cut(gate: Gate, dialect: Dialect, address: int, power: str) -> None:
+def stop_or_cut(gate: Gate, dialect: Dialect, address: int, power: str, stands_at: float | None = None) -> None:
     """Stop a drive by a gate of its own, through which nothing but that passes.
 
+    `stands_at`: as `stop` takes it.
     Raises NotStopped, after the power command, where there is no proof that the motor stands; GuardLost.
     """
     try:
-        failure = stop(gate.under(stopping(address)), dialect, address).failure
+        failure = stop(gate.under(stopping(address)), dialect, address, stands_at).failure
     except (NotStopped, GuardLost):
         raise
     except ServotapError as error:

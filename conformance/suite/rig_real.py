@@ -84,6 +84,8 @@ class RealRig(ClaimRig):
         )
         self._ready = motion.ready_settings(self.dialect)
         self._in_motion: Noise | None = None
+        #: Where a claim saw the shaft stand, until something is sent that may move it.
+        self._stands_at: float | None = None
         #: Why nothing that moves may be sent, or nothing.
         self._unproved = ""
         self._closed = False
@@ -159,6 +161,7 @@ class RealRig(ClaimRig):
         found = resting.measure(plain_probe(self.dialect, self.address, self.gate))
         if found.latency_ns:
             self.silence_ns = min(self.silence_ns, found.silence_ns)
+            self.quiet_ns = min(self.quiet_ns, found.quiet_ns)
         return found
 
     def probe(self, claim: Claim) -> Probe:
@@ -185,7 +188,11 @@ class RealRig(ClaimRig):
             return
         self.keeper.keep_before(readings)
         if any(reading.risks & MAY_MOVE for reading in readings):
-            self._moved = True
+            self._moved, self._stands_at = True, None
+
+    def stands_at(self, degrees: float) -> None:
+        """Take note that a claim saw the shaft stand here."""
+        self._stands_at = degrees
 
     def _names_what_is_left(self, claim: Claim) -> bool:
         """Say whether a claim makes the drive ready as the one before left it: it names all settings that were left."""
@@ -224,7 +231,7 @@ class RealRig(ClaimRig):
             earlier = getattr(self._line, "not_stopped", None)
             if earlier is not None:
                 raise earlier
-            stop_or_cut(self.gate, self.dialect, self.address, self._plan.cut_power)
+            stop_or_cut(self.gate, self.dialect, self.address, self._plan.cut_power, stands_at=self._stands_at)
         except NotStopped as error:
             self._not_stopped = True
             if isinstance(self._line, GuardedLine):

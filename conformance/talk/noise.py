@@ -48,6 +48,8 @@ _STEPS: Mapping[str, float] = {
 _UNIT = re.compile(r"(?:x )?(?:(\d+(?:\.\d+)?) )?([\w/]+)")
 #: A silence is so long at least, and so many times the latency of the slowest reply longer.
 _LEAST_SILENCE_NS, _SILENCE_LATENCIES = 60_000_000, 5
+#: A second reply follows the first one within so long, and so many times the latency.
+_LEAST_QUIET_NS, _QUIET_LATENCIES = 8_000_000, 2
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,11 @@ class Noise:
     def silence_ns(self) -> int:
         """How long nothing must come before it is called silence: several times what the drive's replies took."""
         return _LEAST_SILENCE_NS + _SILENCE_LATENCIES * self.latency_ns
+
+    @property
+    def quiet_ns(self) -> int:
+        """How long to listen for a second reply."""
+        return _LEAST_QUIET_NS + _QUIET_LATENCIES * self.latency_ns
 
     @property
     def place(self) -> float:

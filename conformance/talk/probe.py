@@ -113,6 +113,9 @@ class Rig:
     def before_send(self, item: bytes | CanFrame) -> None:
         """Take note of what is about to leave; a rig that puts things back looks here at what is changed."""
 
+    def stands_at(self, degrees: float) -> None:
+        """Take note that a claim saw the shaft stand here, by its position and its speed."""
+
     def settle(self, probe: Probe) -> str:
         """End a claim: stop what moves, put back what it changed. Return what could not be done, or nothing."""
         return ""

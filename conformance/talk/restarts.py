@@ -26,7 +26,6 @@ LIMIT_NS = 10 * _SECOND_NS
 def restart(probe: Probe) -> Exchange:
     """Restart the drive and wait until it answers. Raises Inconclusive where it refuses or does not come back."""
     exchange = probe.do(Verb.RESTART)
-    probe.wait(DEAF_NS)
     wait_for_answer(probe)
     return exchange
 
@@ -36,16 +35,17 @@ def power_cycle(probe: Probe) -> None:
     if probe.drive is None:
         raise Inconclusive("only an emulated drive's power can be cut from here")
     probe.drive.power_cycle(probe.gate.now_ns())
-    wait_for_answer(probe)
+    wait_for_answer(probe, deaf_ns=0)
 
 
-def wait_for_answer(probe: Probe) -> None:
-    """Wait until the drive answers a read. Raises Inconclusive where it does not."""
+def wait_for_answer(probe: Probe, *addresses: int, deaf_ns: int = DEAF_NS, limit_ns: int = LIMIT_NS) -> None:
+    """Wait until a drive that restarts answers, at its own address or at one of these. Raises Inconclusive where it does not."""
     read = plain_read(probe.dialect)
     begun_ns = probe.gate.now_ns()
-    while True:
-        exchange = probe.ask(read, timeout_ns=probe.rig.silence_ns, quiet_ns=0)
-        if any(a.message.frame.checksum_ok and a.command is not None for a in exchange.answers):
-            return
-        if probe.gate.now_ns() - begun_ns > LIMIT_NS:
-            raise Inconclusive("the drive does not answer within ten seconds of a restart")
+    probe.wait(deaf_ns)
+    while probe.gate.now_ns() - begun_ns <= limit_ns:
+        for address in addresses or (probe.address,):
+            exchange = probe.ask(read, address=address, timeout_ns=probe.rig.silence_ns, quiet_ns=0)
+            if any(a.message.frame.checksum_ok and a.command is not None for a in exchange.answers):
+                return
+    raise Inconclusive(f"the drive does not answer within {limit_ns // _SECOND_NS} s of a restart")
