@@ -136,7 +136,7 @@ def _quirks(dialect: Dialect, example: Example) -> tuple[str, ...]:
 @claim(Theme.EXAMPLES, each=_cases, refuted_by="another reply, or none", aspect=Aspect.EXAMPLE, rests_on=(Doubt.EXAMPLE,))
 def _example(probe: Probe, command: Command, example: Example) -> None:
     """{what} ({printed})"""
-    _prepare(probe, command)
+    _prepare(probe, command, len(example.replies))
     values = example.values if example.request is not None else values_for(probe, command)
     exchange = probe.ask(command, values, until=Until.DONE if len(example.replies) > 1 else Until.REPLY)
     try:
@@ -173,10 +173,13 @@ def _run_of(dialect: Dialect, command: Command) -> Command | None:
     return next((c for c in dialect.commands if c.motion is not None and c.motion.stops[:1] == (command.name,)), None)
 
 
-def _prepare(probe: Probe, command: Command) -> None:
+def _prepare(probe: Probe, command: Command, replies: int) -> None:
     if not needs_motion(command):
         return
-    motion.ready_to_move(probe)
+    law = probe.dialect.subdivision
+    # A move whose end is waited for: of the subdivisions at which its speed is that as sent, the one that makes it shortest.
+    short = law is not None and replies > 1 and command.motion is not None and bool(command.motion.distance)
+    motion.ready_to_move(probe, subdivision=max(law.plain) if law is not None and short else None)
     run = _run_of(probe.dialect, command)
     if run is not None:
         probe.do(run, values_for(probe, run))

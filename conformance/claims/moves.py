@@ -173,7 +173,7 @@ def _far(probe: Probe, command: Command) -> None:
     motion.ready_to_move(probe, subdivision=motion.finest(probe) if takes_pulses(command) else None)
     degrees = _FAR * 360 / motion.units_per_turn(probe.dialect, command, subdivision)
     for way in (degrees, -degrees):
-        move = motion.follow(probe, command, way, rpm=180, acceleration=QUICK, subdivision=subdivision)
+        move = motion.follow(probe, command, way, rpm=240, acceleration=QUICK, subdivision=subdivision)
         _expect_way(probe, move, False, f"{command.name} does not go by {_FAR} units")
 
 
@@ -188,7 +188,7 @@ def _widest(probe: Probe, command: Command) -> None:
         before = motion.position(probe)
         exchange = motion.ask(probe, command, 36, acceleration=QUICK, more={field.name: value})
         expect_taken(probe, exchange, f"{command.name} by {value} is refused")
-        probe.wait(SECOND_NS)
+        probe.wait(SECOND_NS * 7 // 10)
         went = (motion.stand_still(probe).value - before.value) * math.copysign(1, short.degrees) * (-1) ** side
         text = f"{command.name} with {field.name} {value} does not begin that way"
         probe.expect(went, at_least=180, unit="degrees", refutes=text, exchange=exchange)
@@ -443,14 +443,14 @@ def _speed(probe: Probe, command: Command, tries: tuple[tuple[int, int, int], ..
 
 
 @of_motion(
-    each=with_values(_counted, degrees=360, rpm=300, for_ns=SECOND_NS),
+    each=with_values(_counted, degrees=360, rpm=300, for_ns=700 * MS),
     statement="{command} slows the shaft down by its ramp, so that it does not go beyond the target.",
     refuted_by=f"a shaft more than {_OVERSHOOT:g} degrees beyond the target on the way",
     at_best=Certainty.LIKELY,
     parameters={},
 )
 @of_motion(
-    each=with_values(_angled, degrees=200, rpm=45, for_ns=2 * SECOND_NS),
+    each=with_values(_angled, degrees=200, rpm=45, for_ns=1300 * MS),
     statement="{command} does not go beyond its target.",
     refuted_by="a shaft that was beyond the target on the way",
     at_best=Certainty.OPEN,

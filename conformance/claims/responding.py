@@ -127,6 +127,7 @@ def _silent_stop(probe: Probe, run: Command, stop: Command) -> None:
     text = f"{stop.name} is not carried out with respond 0"
     probe.expect(left, at_most=_RPM / 2, unit="rpm", refutes=text, exchange=exchange)
     motion.wait_standing(probe)
+    _set(probe, 1, 1)
     text = f"{stop.name} is answered with respond 0"
     probe.expect(statuses, equal=[], expected="silence", refutes=text, exchange=exchange)
 

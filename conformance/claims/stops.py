@@ -31,8 +31,8 @@ _SLOW_RAMP, _RPM, _RAMP_NS = 56, 120, 1200 * MS
 _SET_OFF_NS, _LOOK_NS = 250 * MS, 150 * MS
 #: How long a shaft that was stopped has to come to rest.
 _RESTS_NS = 500 * MS
-#: How long five turns at 120 rpm last. Moves of a few turns at 60 rpm last as many seconds.
-_LEFT_NS, _FEW = 2500 * MS, 2
+#: How long five turns at 120 rpm last. A move of a few turns at 60 rpm, here of one, lasts as many seconds.
+_LEFT_NS, _FEW = 2500 * MS, 1
 #: The replies to a stop: when it begins, and when the shaft stands.
 _BOTH = 2
 _emergency = commands(Verb.EMERGENCY_STOP)
@@ -54,8 +54,11 @@ def expect_standing(probe: Probe, exchange: Exchange, refutes: str) -> None:
     seen = motion.speed(probe)
     before = motion.position(probe)
     probe.wait(_LOOK_NS)
-    moved = motion.position(probe).value - before.value
-    if not _stands(probe, seen, moved):
+    now = motion.position(probe).value
+    moved = now - before.value
+    if _stands(probe, seen, moved):
+        probe.rig.stands_at(now)
+    else:
         motion.stop(probe, 0)
     _expect_stood(probe, seen, moved, exchange, refutes)
 

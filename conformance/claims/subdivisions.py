@@ -64,7 +64,7 @@ def _speed(probe: Probe, sent: int, speed: int, rpm: float) -> None:
     exchange = motion.run_at(probe, speed, QUICK)
     # The ramp goes by the real speed, or by the speed as sent: either way it is over then.
     probe.wait(max(300 * MS, speed * MS // 2))
-    seen, spread = motion.mean_speed(probe, 600 * MS)
+    seen, spread = motion.mean_speed(probe, 400 * MS)
     motion.stand_still(probe)
     text = "the speed of the shaft does not follow the subdivision as the manual says"
     probe.expect(abs(seen), near=rpm, within=rpm * CLOCK_SHARE + spread, unit="rpm", refutes=text, exchange=exchange)
@@ -128,7 +128,7 @@ def _speed_of_a_move(probe: Probe, command: Command, subdivision: int, sent: int
         exchange = motion.begin(probe, command, turns * 360, **how)
         # The ramp goes by the real speed, or by the speed as sent: either way it is over then.
         probe.wait(500 * MS)
-        seen, spread = motion.mean_speed(probe, 500 * MS)
+        seen, spread = motion.mean_speed(probe, 400 * MS)
         end = motion.wait_standing(probe)
         # Replies may come so late that the shaft stood by then.
         if spread <= rpm * _LATE:

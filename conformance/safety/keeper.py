@@ -72,9 +72,10 @@ class Keeper:
 
     `known`: values that the user gave; `journal` None: nothing is written down. `alone`: no other drive is on the bus.
     `named`: its name in the journal, where it is another one than the dialect's. `write_gap_ns`: between settings.
+    `quiet_ns`: how long a second reply is listened for.
     """
 
-    write_gap_ns = Rig.write_gap_ns
+    write_gap_ns, quiet_ns = Rig.write_gap_ns, Rig.quiet_ns
 
     def __init__(
         self,
@@ -202,7 +203,7 @@ class Keeper:
 
     def _probe(self, gate: Gate | None = None) -> Probe:
         probe = plain_probe(self._dialect, self._address, gate or self._gate)
-        probe.rig.write_gap_ns = self.write_gap_ns
+        probe.rig.write_gap_ns, probe.rig.quiet_ns = self.write_gap_ns, self.quiet_ns
         return probe
 
     # --- putting back -------------------------------------------------------------------------------------------------

@@ -61,7 +61,8 @@ class Stopped(NamedTuple):
 def stop(gate: Gate, dialect: Dialect, address: int, stands_at: float | None = None) -> Stopped:
     """Stop a drive, by a ramp if that works, and prove that it stands. Raises LineLost.
 
-    `stands_at`: where it was seen standing, if nothing was sent since then that may move it.
+    `stands_at`: where it was seen standing, if nothing was sent since then that may move it: one stop and one look are enough
+    if it still stands there.
 
     Where one way of stopping fails, the next is tried until none is left. The address of all drives: they are told to stop, and
     none can be asked whether it does.
@@ -72,10 +73,12 @@ def stop(gate: Gate, dialect: Dialect, address: int, stands_at: float | None = N
     failure = ""
     ramped = ramped_stops(dialect)
     at_once = tuple(c for c in dialect.motions(MotionKind.STOP) if c not in ramped)
+    if stands_at is not None and ramped and not ask(probe, ramped[0]) and not prove_standing(probe, _LOOK_NS, stands_at):
+        return Stopped("by a ramp", "")
     for way, sent, limit_ns in (("by a ramp", ramped, _RAMP_NS), ("at once", at_once, _AT_ONCE_NS)):
         refused = [text for command in sent if (text := ask(probe, command))]
         if sent:
-            failure = prove_standing(probe, limit_ns, stands_at)
+            failure = prove_standing(probe, limit_ns)
             if not failure:
                 return Stopped(way, "")
             failure = "; ".join([failure, *refused])

@@ -161,7 +161,7 @@ class RealRig(ClaimRig):
         found = resting.measure(plain_probe(self.dialect, self.address, self.gate))
         if found.latency_ns:
             self.silence_ns = min(self.silence_ns, found.silence_ns)
-            self.quiet_ns = min(self.quiet_ns, found.quiet_ns)
+            self.quiet_ns = self.keeper.quiet_ns = min(self.quiet_ns, found.quiet_ns)
         return found
 
     def probe(self, claim: Claim) -> Probe:

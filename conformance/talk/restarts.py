@@ -39,7 +39,7 @@ def power_cycle(probe: Probe) -> None:
 
 
 def wait_for_answer(probe: Probe, *addresses: int, deaf_ns: int = DEAF_NS, limit_ns: int = LIMIT_NS) -> None:
-    """Wait until a drive that restarts answers, at its own address or at one of these. Raises Inconclusive where it does not."""
+    """Wait until a drive that restarts answers, at its address or one of these. Raises Inconclusive where it does not."""
     read = plain_read(probe.dialect)
     begun_ns = probe.gate.now_ns()
     probe.wait(deaf_ns)
