@@ -11,7 +11,6 @@ Rules kept here:
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 
@@ -26,8 +25,8 @@ from conformance.motion.motion import MS, QUICK, SECOND_NS, SUBDIVISION
 from conformance.talk.probe import Probe
 
 _RPM = 120
-#: How many turns of counts 24 bits hold, how far the shaft goes beyond, and how fast.
-_TURNS_24_BITS, _BEYOND_TURNS, _FASTEST = 1024, 10, 3000
+#: More counts than 24 signed bits hold, in turns.
+_WIDE_TURNS = 600
 #: The angle error of a loop that holds its place, at most, in degrees.
 _LAG = 1.0
 #: What the version tells of the bare encoder.
@@ -147,30 +146,21 @@ def _shows_switch(probe: Probe, command: Command) -> None:
 
 @of_motion(
     each=_counted_positions,
-    statement="The position counts on where 24 bits of it would begin anew.",
+    statement=f"The position counts on over {_WIDE_TURNS} turns: more than 24 bits hold.",
     refuted_by="a position that begins anew",
     risks=risks_by(Verb.RUN_SPEED),
 )
 def _wide(probe: Probe) -> None:
     motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
     before = motion.position(probe)
-    turns = before.value / 360
-    # 24 bits with a sign begin anew at half of their turns, and there every so many turns again.
-    way = (math.floor(turns / _TURNS_24_BITS) + 0.5) * _TURNS_24_BITS - turns
-    way += math.copysign(_BEYOND_TURNS, way)
-    rpm = math.copysign(_FASTEST, way)
-    exchange = motion.run_at(probe, rpm, 255)
-    probe.wait(200 * MS)
-    if (motion.position(probe).value - before.value) * way < 0:
-        # Which way a direction turns the shaft is judged elsewhere.
-        exchange = motion.run_at(probe, -rpm, 255)
-        probe.wait(400 * MS)
-    probe.wait(int(abs(way) / _FASTEST * 60 * SECOND_NS))
+    # Downwards: a shaft that begins near zero passes it, and the end of 24 bits with a sign.
+    exchange = motion.run_at(probe, -3000, 255)
+    probe.wait(int(_WIDE_TURNS / 3000 * 60 * SECOND_NS))
     motion.stop(probe, 255)
-    went = abs(motion.wait_standing(probe).value - before.value) / 360
-    least, most = abs(way) * 0.97 - 1, abs(way) * 1.2 + _BEYOND_TURNS
+    turns = (before.value - motion.wait_standing(probe).value) / 360
+    least, most = _WIDE_TURNS * 0.97, _WIDE_TURNS * 1.2
     text = "the position does not count on"
-    probe.expect(went, at_least=least, at_most=most, unit="turns", refutes=text, exchange=exchange)
+    probe.expect(abs(turns), at_least=least, at_most=most, unit="turns", refutes=text, exchange=exchange)
 
 
 @of_motion(each=commands(Verb.READ_PULSES), refuted_by="another number, or the same way for both", risks=_by_pulses)

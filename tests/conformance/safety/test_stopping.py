@@ -1,4 +1,4 @@
-"""A claim's own proof that the shaft stands: then one stop and one look are enough, and a shaft that turns is stopped all the same."""
+"""Where a claim saw the shaft stand, one stop and one look are enough; a shaft that turns is stopped all the same."""
 
 from __future__ import annotations
 
