@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from analyzer.catalogue import Command, Dialect, Verb
-from conformance.claim import Inconclusive
+from conformance.claim import Inconclusive, NotRun
 from conformance.claims import bench, homing
 from conformance.claims.setting_effects import BY_VERB, GROUP, SettingEffect, by_action
 from conformance.motion import motion
@@ -29,13 +29,17 @@ _HOMING = 5
 
 @dataclass(frozen=True)
 class Kept:
-    """A stored field: what sets it, to what, and how it shows. `hands`: on an emulated drive alone."""
+    """A stored field: what sets it, to what, and how it shows.
+
+    `hands`: on an emulated drive alone. `not_on`: models that begin so do not show it.
+    """
 
     name: str
     verb: Verb
     values: Mapping[str, int]
     effect: SettingEffect
     hands: bool = False
+    not_on: str = ""
 
 
 # --- with hands -------------------------------------------------------------------------------------------------------
@@ -129,7 +133,8 @@ _ROWS = (
     # With an open switch for a closed one homing begins the other way.
     Kept("home-trigger", Verb.SET_HOME, _HOME | {"home_trigger": 1}, _HOMING_SHOWN),
     Kept("end-limit", Verb.SET_HOME, _HOME | {"end_limit": 1}, _DISTANCE, hands=True),
-    Kept("limit-remap", Verb.SET_LIMIT_REMAP, {"limit_remap": 1}, _BEYOND_RIGHT, hands=True),
+    # A 57 has a port for each switch.
+    Kept("limit-remap", Verb.SET_LIMIT_REMAP, {"limit_remap": 1}, _BEYOND_RIGHT, hands=True, not_on="57"),
     Kept("home-mode", Verb.SET_NO_LIMIT_HOME, {"home_mode": 1, "return_angle": 0x1000}, _WALL, hands=True),
     Kept("protection", Verb.SET_PROTECTION, {"protection": 1}, _PROTECTION, hands=True),
 )
@@ -146,7 +151,9 @@ def rows(dialect: Dialect) -> Iterator[tuple[Command, Kept]]:
         yield command, row
 
 
-def need_difference(row: Kept, one: object, other: object) -> None:
-    """Raise Inconclusive where what is seen of a field is what is seen of its default."""
+def need_difference(probe: Probe, row: Kept, one: object, other: object) -> None:
+    """Raise Inconclusive where what is seen of a field is what is seen of its default; NotRun where the model shows neither."""
+    if row.not_on and probe.dialect.model.startswith(row.not_on):
+        raise NotRun(f"a {probe.dialect.model} does not show {row.name}")
     if row.effect.same(one, other):
         raise Inconclusive(f"{row.name} shows no difference: {row.effect.words(one)}")

@@ -13,7 +13,10 @@ from conformance.suite.rig_emulated import EmulatedRig
 from tests.conformance import theme_runs
 
 #: Drives beside those of every theme, with the claims that are not about them: another protocol's address, another model.
-_OTHERS = {"mks-rs485@255,model=57D": {"set_modbus/restart"}, "mks-rs485@3,baud=115200": {"set_limit_remap/effect"}}
+_OTHERS = {
+    "mks-rs485@255,model=57D": {"set_modbus/restart", "restore/limit-remap"},
+    "mks-rs485@3,baud=115200": {"set_limit_remap/effect"},
+}
 
 
 @pytest.mark.parametrize("drive", [*theme_runs.DRIVES, *_OTHERS])

@@ -9,6 +9,7 @@ from analyzer import dialects
 from analyzer.encoder import build
 from conformance.cli import stop
 from conformance.drives.serial_bus import SerialBus
+from conformance.safety import stopping
 from tests.conformance.drives.served import LoggedPty, drives, on_port
 
 MKS, LK = dialects.get("mks-rs485"), dialects.get("lk-rs485")
@@ -60,7 +61,9 @@ def test_those_that_are_named_are_asked_to_stop_before_anything_else(port, capsy
     assert build(LK, "stop", 3) not in pty.heard
 
 
-def test_a_drive_that_does_not_answer_is_not_stopped(port, capsys, tmp_path):
+def test_a_drive_that_does_not_answer_is_not_stopped(port, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(stopping, "_RAMP_NS", 400_000_000)
+    monkeypatch.setattr(stopping, "_AT_ONCE_NS", 400_000_000)
     place, _ = port
     assert run(place, "mks-rs485@9", "--cut-power", f"touch {tmp_path / 'cut'}") == 20
     assert "NOT STOPPED: mks-rs485@9" in capsys.readouterr().err

@@ -261,7 +261,7 @@ def states(bench: Bench) -> None:
     look(bench)
     for ended_by in ("clear_turns", "stop", "motor_off"):
         bench.ask("run_speed", speed=-50_000)
-        bench.wait(2)
+        bench.wait(1)
         look(bench)
         bench.ask("read_parameter", parameter=32)
         bench.ask(ended_by)

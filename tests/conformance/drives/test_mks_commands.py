@@ -70,8 +70,9 @@ def test_a_whole_session_without_a_finding(name):
         if command.verb in link:
             rig = Rig(name)
         else:
-            # A stop needs nothing but a drive; a run needs it in its work mode.
-            rig.drive.settings["work_mode"] = 5
+            # A stop needs nothing but a drive; a run needs it in its work mode, and with a current that turns the shaft.
+            rig.drive.settings.update(work_mode=5, current=1600)
+            rig.drive.tune()
         rig.send(build(rig.drive.dialect, command.name, 1, nominal(command)))
         rig.wait(MINUTE)
         assert rig.judged().rules == [], command.name
