@@ -20,7 +20,7 @@ from tests.conformance.drives.lk_bench import Bench
 
 ADDRESS = 3
 READ = bytes.fromhex("3E 9C 03 00 DD")
-EXAMPLES = settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
+EXAMPLES = settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
 
 
 @st.composite

@@ -89,7 +89,7 @@ def forbidden(dialect, data, address, can_id):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_random_requests(name, data):
     model = data.draw(st.sampled_from(["", *dialects.get(name).models]))

@@ -13,7 +13,7 @@ from conformance.suite.target import parse
 from conformance.tools import mutants
 
 #: Every so many of a dialect's faults, another one for each dialect.
-STEP = 29
+STEP = 59
 
 
 @pytest.mark.parametrize("dialect", make.KINDS)
