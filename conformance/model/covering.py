@@ -1,0 +1,92 @@
+"""Covering arrays: few rows in which any two levels of two factors that are allowed together meet at least once.
+
+    rows({"mode": (0, 1, 2), "way": (1, -1), "speed": (10, 3000)}, lambda mode, speed: mode or speed < 400)
+        ({"mode": 0, "way": 1, "speed": 10}, {"mode": 1, "way": -1, "speed": 3000}, ...)
+
+A bug that needs two conditions at once shows in one of the rows. What needs three is asked for by `together`.
+
+Rules kept here:
+- A rule names the factors that it is about by its parameters, and says whether their levels are allowed together.
+- Every row keeps all rules. A pair that no whole row can have is left out.
+- The same factors and rules make the same rows. Of levels that serve as well the first one is taken: the cheapest first.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import combinations, product
+from typing import Any
+
+Row = dict[str, Any]
+Rule = Callable[..., object]
+#: A factor and the place of one of its levels.
+_Level = tuple[str, int]
+
+
+def rows(
+    factors: Mapping[str, Sequence[Any]], *rules: Rule, together: Iterable[Sequence[str]] = (), strength: int = 2
+) -> tuple[Row, ...]:
+    """Return rows with a level of each factor, so that all that is allowed together meets.
+
+    `together`: groups of factors all of whose levels meet, beside any `strength` factors.
+    """
+    return _Table(factors, rules).rows({*combinations(factors, min(strength, len(factors))), *map(tuple, together)})
+
+
+class _Table:
+    def __init__(self, factors: Mapping[str, Sequence[Any]], rules: Iterable[Rule]) -> None:
+        self._factors = factors
+        self._places = {name: place for place, name in enumerate(factors)}
+        self._rules = [(frozenset(inspect.signature(rule).parameters), rule) for rule in rules]
+        for names, rule in self._rules:
+            if not names <= factors.keys():
+                raise ValueError(
+                    f"a rule about {', '.join(sorted(names - factors.keys()))}, expected {', '.join(factors)}: {rule}"
+                )
+
+    def rows(self, groups: Iterable[Sequence[str]]) -> tuple[Row, ...]:
+        # Those that more factors meet in come first: their rows have most of the others.
+        ordered = sorted(groups, key=lambda group: (-len(group), [self._places[name] for name in group]))
+        missing = dict.fromkeys(
+            frozenset(zip(group, places, strict=True))
+            for group in ordered
+            for places in product(*(range(len(self._factors[name])) for name in group))
+        )
+        found = []
+        while missing:
+            wanted = next(iter(missing))
+            row = self._filled(dict(wanted), missing) if self._kept(dict(wanted)) else None
+            if row is None:
+                del missing[wanted]
+                continue
+            levels = frozenset(row.items())
+            missing = dict.fromkeys(met for met in missing if not met <= levels)
+            found.append({name: self._factors[name][row[name]] for name in self._factors})
+        return tuple(found)
+
+    def _filled(self, row: dict[str, int], missing: Iterable[frozenset[_Level]]) -> dict[str, int] | None:
+        """Return a whole row that keeps all rules and has most of what is missing, None where there is none."""
+        name = next((name for name in self._factors if name not in row), None)
+        if name is None:
+            return row
+        levels = frozenset(row.items())
+        # What can still meet in this row: each level of a factor counts by what it would add.
+        gains = [0] * len(self._factors[name])
+        for met in missing:
+            left = met - levels
+            if len(left) == 1 and (added := next(iter(left)))[0] == name:
+                gains[added[1]] += 1
+        for place in sorted(range(len(gains)), key=lambda place: -gains[place]):
+            tried = {**row, name: place}
+            if self._kept(tried, name) and (whole := self._filled(tried, missing)) is not None:
+                return whole
+        return None
+
+    def _kept(self, row: Mapping[str, int], newest: str = "") -> bool:
+        """Say whether a row, or a part of one, keeps the rules; with `newest` those that are about this factor."""
+        return all(
+            rule(**{name: self._factors[name][row[name]] for name in names})
+            for names, rule in self._rules
+            if names <= row.keys() and (not newest or newest in names)
+        )
