@@ -20,7 +20,7 @@ Rules:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Protocol
@@ -184,6 +184,15 @@ class Claim:
 
 
 @dataclass(frozen=True)
+class Curve:
+    """Points (s, value) of something that was followed, and where the manual has it."""
+
+    unit: str
+    points: tuple[tuple[float, float], ...]
+    expected: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
 class Verdict:
     """The result of a claim on a drive.
 
@@ -205,6 +214,6 @@ class Verdict:
     first_ns: int = 0
     last_ns: int = 0
     measured: Mapping[str, float] = field(default_factory=dict)
-    series: Mapping[str, Sequence[tuple[float, float]]] = field(default_factory=dict)
+    series: Mapping[str, Curve] = field(default_factory=dict)
     latencies: tuple[tuple[str, int], ...] = ()
     steps: tuple[Any, ...] = ()

@@ -28,7 +28,7 @@ LAYERS = (
     ("analyzer.port",),
     ("analyzer.pipeline",),
     ("analyzer.detect",),
-    ("analyzer.sources", "analyzer.sinks", "analyzer.reference", "analyzer.export"),
+    ("analyzer.sources", "analyzer.sinks", "analyzer.reference", "analyzer.export", "analyzer.page"),
     ("analyzer.live",),
     ("analyzer.cli", "analyzer.view", "analyzer.__main__"),
     ("conformance.claim", "conformance"),
@@ -163,6 +163,6 @@ def test_help_needs_nothing_heavy():
     code = "import sys; from analyzer.cli import main; main(['--help']); print(sorted(sys.modules), file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert "decode" in done.stdout
-    packages = ("can", "rich", "textual", "foxglove", "mcap", "numpy", "serial", "msgspec", "fastcrc", "hypothesis")
+    packages = ("can", "rich", "textual", "foxglove", "mcap", "numpy", "serial", "msgspec", "fastcrc", "hypothesis", "jinja2")
     for heavy in (*packages, "analyzer.catalogue"):
         assert f"'{heavy}'" not in done.stderr, heavy

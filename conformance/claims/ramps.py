@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
-from conformance.claim import Inconclusive, Theme
+from conformance.claim import Curve, Inconclusive, Theme
 from conformance.claims.declare import Case, Cases
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion
@@ -229,6 +229,7 @@ def _ramp_is_even(probe: Probe, command: Command) -> None:
     begun_ns, begun_spread = time_of(exchange)
     step_ns = ramp.step_ns(acceleration)
     points: list[tuple[float, float]] = []
+    law: list[tuple[float, float]] = [(0.0, 0.0)]
     spreads = [begun_spread]
     wrong = ""
     for eighth in range(1, 8):
@@ -237,9 +238,10 @@ def _ramp_is_even(probe: Probe, command: Command) -> None:
         spreads.append(seen.spread_ns)
         expected = min(rpm, (seen.t_ns - begun_ns) / step_ns)
         points.append(((seen.t_ns - begun_ns) / 1e9, abs(seen.value)))
+        law.append((points[-1][0], expected))
         if abs(abs(seen.value) - expected) > 2 + 0.06 * rpm + (seen.spread_ns + begun_spread) / step_ns:
             wrong = wrong or f"{abs(seen.value):g} rpm after {points[-1][0] * 1000:.0f} ms, where the law has {expected:.0f}"
-    probe.series["speed"] = points
+    probe.series["speed"] = Curve("rpm", tuple(points), tuple(law))
     motion.stand_still(probe)
     if not too_late(probe, *spreads):
         probe.expect(

@@ -125,7 +125,7 @@ def _verdict(claim: Claim, probe: Probe, outcome: Outcome, reason: str, error: R
         probe.first_ns,
         probe.last_ns,
         dict(probe.measured),
-        {name: tuple(points) for name, points in probe.series.items()},
+        dict(probe.series),
         tuple(probe.latencies),
         error.steps if error is not None else (),
     )

@@ -9,7 +9,7 @@ import msgspec
 
 from analyzer.catalogue import Role
 from analyzer.records import CanFrame, Chunk
-from conformance.claim import Outcome, Verdict
+from conformance.claim import Curve, Outcome, Verdict
 
 
 class Traffic(msgspec.Struct, frozen=True, array_like=True):
@@ -52,12 +52,17 @@ class VerdictRecord(msgspec.Struct, frozen=True, kw_only=True):
     commands: tuple[str, ...] = ()
     parameters: dict[str, Any] = {}
     measured: dict[str, float] = {}
-    series: dict[str, tuple[tuple[float, float], ...]] = {}
+    series: dict[str, Curve] = {}
     latencies: tuple[tuple[str, int], ...] = ()
     noise: dict[str, float] = {}
     first_ns: int = 0
     last_ns: int = 0
     traffic: tuple[Traffic, ...] = ()
+
+    @property
+    def word(self) -> str:
+        """The outcome as summaries name it."""
+        return Outcome(self.outcome).word
 
     @property
     def refuted(self) -> bool:
@@ -113,7 +118,7 @@ def record(
         # As JSON has them: a baseline that was written and read again must match.
         parameters=msgspec.json.decode(msgspec.json.encode(dict(claim.parameters))),
         measured=dict(verdict.measured),
-        series={name: tuple(points) for name, points in verdict.series.items()},
+        series=dict(verdict.series),
         latencies=verdict.latencies,
         noise=dict(noise or {}),
         first_ns=verdict.first_ns,

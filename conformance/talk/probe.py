@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from analyzer import encoder
 from analyzer.catalogue import Certainty, Command, Dialect, Form, Risk, Role, Verb
 from analyzer.records import CanFrame, Chunk
-from conformance.claim import Claim, Inconclusive, Refuted, Theme
+from conformance.claim import Claim, Curve, Inconclusive, Refuted, Theme
 from conformance.gate.gate import Gate
 from conformance.talk.dialogue import MS, Dialogue, Ended, Until
 from conformance.talk.exchange import Answer, Exchange
@@ -138,7 +138,7 @@ class Probe:
         self.quirks: list[str] = []
         self.measured: dict[str, float] = {}
         #: Curves by name, as (x, y) points: `speed` in rpm over seconds.
-        self.series: dict[str, list[tuple[float, float]]] = {}
+        self.series: dict[str, Curve] = {}
         #: Command and ns from the end of its request to the beginning of its first reply.
         self.latencies: list[tuple[str, int]] = []
         self.first_ns = self.gate.now_ns()
