@@ -425,6 +425,8 @@ def _returns_to_zero(probe: Probe, command: Command) -> None:
 def _returns_to_none(probe: Probe, command: Command) -> None:
     """With its zero cleaned the shaft stays where it is after a restart."""
     turn = probe.dialect.counts_per_turn
+    # A zero that was set by a command is forgotten: the angle of before is to count from where that of after does.
+    restart(probe)
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     values = {"zero_mode": 2, "zero_speed": 2, "zero_direction": 0}
     probe.do(command, {**values, "set_zero": 1})

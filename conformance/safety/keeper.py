@@ -310,7 +310,7 @@ def put_back(probe: Probe, command: Command, values: Mapping[str, int]) -> str:
             continue
         if probe.refused(exchange):
             return f"{command.name} {values_text(values)}: refused"
-        if not settings.readable(probe.dialect, command):
+        if not settings.readable(probe.dialect, command) or command.name == settings.SET_POSITION:
             return ""
         now = settings.read(probe, command, values)
         if now is None or all(now.get(n) == v for n, v in values.items()):

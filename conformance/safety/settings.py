@@ -70,12 +70,13 @@ def known(dialect: Dialect, drive: str, given: Mapping[str, Given]) -> dict[str,
     return values
 
 
+#: It counts the turns anew. They are counted from about where they were afterwards, for a drive may keep within limits of
+#: its position; the shaft moves meanwhile, so that it is not compared.
+SET_POSITION = "set_position"
 #: They move the zero or end a protection: what they change has no value that could be sent again.
 _WITHOUT_VALUE = frozenset({Verb.SET_ZERO, Verb.RELEASE_PROTECTION, Verb.CLEAR_ERRORS})
-#: Likewise: the position is counted from elsewhere afterwards.
-_COUNTS_ANEW = frozenset({"set_position"})
-#: What has a read of its own.
-_OWN_READS = {Verb.WRITE_USER_ID: Verb.READ_USER_ID}
+#: What has a read of its own, by the command's name.
+_OWN_READS = {"write_user_id": Verb.READ_USER_ID, SET_POSITION: Verb.READ_POSITION}
 #: Switches that a command sets and, by another value, reads: the field, the name of that value, the field of the reply.
 _SWITCHES = {Verb.BRAKE: ("brake_control", "read", "brake_state")}
 
@@ -84,7 +85,7 @@ def changes(command: Command) -> bool:
     """Say whether a command changes a setting that has a value: one that can be put back."""
     if command.verb in _SWITCHES:
         return True
-    if command.verb in _WITHOUT_VALUE or command.name in _COUNTS_ANEW or command.slots is not None:
+    if command.verb in _WITHOUT_VALUE or command.slots is not None:
         return False
     return Risk.SETTING in command.all_risks and any(
         f.fixed is None for form in command.request_forms for f in form.layout.named.values()
@@ -93,7 +94,7 @@ def changes(command: Command) -> bool:
 
 def readable(dialect: Dialect, command: Command) -> bool:
     """Say whether the drive tells what a command sets."""
-    if command.verb in _SWITCHES or _OWN_READS.get(command.verb) in dialect.by_verb:
+    if command.verb in _SWITCHES or _OWN_READS.get(command.name) in dialect.by_verb:
         return True
     return Verb.READ_PARAMETER in dialect.by_verb and (command.readable or command.verb is Verb.WRITE_PARAMETER)
 
@@ -115,13 +116,15 @@ def read(probe: Probe, command: Command, values: Mapping[str, int]) -> dict[str,
     """Return what a command sets, as it is now, all fields of its request; None where the drive does not tell."""
     if command.verb in _SWITCHES:
         return _switch(probe, command)
-    own = _OWN_READS.get(command.verb)
+    own = _OWN_READS.get(command.name)
     exchange = probe.ask(own) if own else probe.ask(Verb.READ_PARAMETER, {"parameter": selector(command, values)})
     answer = exchange.reply
     if answer is None or not answer.message.frame.checksum_ok or probe.refused(exchange):
         return None
     names = all_fields(command.request_forms).keys()
     found = {name: int(value) for name, value in answer.values.items() if name in names}
+    if command.name == SET_POSITION and refusal(all_fields(command.request_forms)["position"], found["position"]):
+        return {"position": 0}
     if command.verb is Verb.WRITE_PARAMETER:
         return found if len(found) > 1 else None
     whole = {name for form in command.request_forms for name in form.layout.named}

@@ -1,15 +1,21 @@
 """Stopping a motor with proof: a stop by a ramp that keeps the torque, and reads that show the shaft standing.
 
-The proof: three times in a row the speed reads 0 and the position has not moved. Where the ramped stops do not bring that,
-the stop at once is tried (it keeps the torque too); a motor is never disabled, for what hangs on it would fall. Where
-nothing helps, the user's command to cut the power is run, and the run says NOT STOPPED.
+The proof: three times in a row the speed reads 0 and the position is that of the first look. Where the ramped stops do not
+bring that, the stop at once is tried (it keeps the torque too); a motor is never disabled, for what hangs on it would fall.
+Where nothing helps, the user's command to cut the power is run, and the run says NOT STOPPED.
+
+What is still let pass as standing: behind a claim, a shaft that creeps by less than 0.1 rpm (two counts of the encoder in a
+tenth of a second). At the end of a run, and where a shaft trembles, its mean place is looked at for longer: there a creep
+of 0.03 rpm (0.15 degrees in a second) is none. A speed is read in whole rpm, so that it tells nothing of either.
 """
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
+from statistics import mean
 from typing import NamedTuple
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk
@@ -20,6 +26,7 @@ from conformance.claim import Inconclusive, NotStopped
 from conformance.gate.gate import Gate, Refused
 from conformance.gate.permissions import Allowance
 from conformance.motion import motion
+from conformance.talk.noise import QUIET, Noise
 from conformance.talk.probe import Probe, plain_probe
 
 #: What may set a shaft in motion: an unknown code may be anything.
@@ -29,7 +36,7 @@ PROOFS = 3
 _LOOK_NS = 100_000_000
 #: Between two looks of a proof: a shaft that turns by 1 rpm goes ten counts in it.
 _PROOF_NS = 40_000_000
-#: A shaft that trembles stands where it stays within so many degrees for so long: one that turns by a tenth of a rpm does not.
+#: A shaft that trembles stands where it stays within so many degrees for so long, and its mean place stays too.
 _SPOT_DEGREES, _SPOT_NS, _TREMBLE_RPM = 0.3, 600_000_000, 3.0
 #: How long a ramp may take, and how long a stop at once.
 _RAMP_NS = 15_000_000_000
@@ -58,11 +65,19 @@ class Stopped(NamedTuple):
     failure: str
 
 
-def stop(gate: Gate, dialect: Dialect, address: int, stands_at: float | None = None) -> Stopped:
+def stop(
+    gate: Gate,
+    dialect: Dialect,
+    address: int,
+    stands_at: float | None = None,
+    noise: Noise = QUIET,
+    *,
+    thoroughly: bool = False,
+) -> Stopped:
     """Stop a drive, by a ramp if that works, and prove that it stands. Raises LineLost.
 
     `stands_at`: where it was seen standing, if nothing was sent since then that may move it: one stop and one look are enough
-    if it still stands there.
+    if it still stands there. `noise`: of a shaft at rest. `thoroughly`: as `prove_standing` takes it.
 
     Where one way of stopping fails, the next is tried until none is left. The address of all drives: they are told to stop, and
     none can be asked whether it does.
@@ -70,6 +85,7 @@ def stop(gate: Gate, dialect: Dialect, address: int, stands_at: float | None = N
     if address == dialect.broadcast:
         return _stop_all(gate, dialect, address)
     probe = plain_probe(dialect, address, gate)
+    probe.noise = noise
     failure = ""
     ramped = ramped_stops(dialect)
     at_once = tuple(c for c in dialect.motions(MotionKind.STOP) if c not in ramped)
@@ -78,7 +94,7 @@ def stop(gate: Gate, dialect: Dialect, address: int, stands_at: float | None = N
     for way, sent, limit_ns in (("by a ramp", ramped, _RAMP_NS), ("at once", at_once, _AT_ONCE_NS)):
         refused = [text for command in sent if (text := ask(probe, command))]
         if sent:
-            failure = prove_standing(probe, limit_ns)
+            failure = prove_standing(probe, limit_ns, thoroughly=thoroughly)
             if not failure:
                 return Stopped(way, "")
             failure = "; ".join([failure, *refused])
@@ -113,43 +129,56 @@ def ask(probe: Probe, command: Command) -> str:
     return ""
 
 
-def prove_standing(probe: Probe, limit_ns: int, stands_at: float | None = None) -> str:
-    """Return nothing once three looks in a row show the shaft standing, or trembling on one spot; else what was seen last.
+def prove_standing(probe: Probe, limit_ns: int, stands_at: float | None = None, *, thoroughly: bool = False) -> str:
+    """Return nothing once the shaft is proved to stand; else what was seen last.
 
-    `stands_at`: where it was seen standing already: then one look that shows it there is the last of the three.
+    Three looks in a row are a proof: each reads speed 0, and none is off the place of the first, its noise aside. A shaft that
+    trembles by more than the probe knows is watched for as long as its mean place needs to tell a creep; with `thoroughly`
+    each is. `stands_at`: where it was seen standing already: then one look that shows it there is the last of the three.
     Raises LineLost.
     """
     begun_ns = probe.gate.now_ns()
     until_ns = begun_ns + limit_ns
-    first = 0.0
-    seen, failure = 0 if stands_at is None else PROOFS - 1, "nothing was read"
-    before = stands_at
-    spot: list[float] = []
-    spot_ns = begun_ns
-    while probe.gate.now_ns() < until_ns:
+    within = motion.SAME + min(_SPOT_DEGREES, 2 * probe.noise.degrees)
+    slowest = 1 + min(_TREMBLE_RPM, probe.noise.rpm)
+    first, failure = 0.0, "nothing was read"
+    row = [] if stands_at is None else [stands_at] * (PROOFS - 1)
+    spot: list[tuple[int, float]] = []
+    while (now_ns := probe.gate.now_ns()) < until_ns:
         try:
             speed = motion.speed(probe).value
             position = motion.position(probe).value
         except (Inconclusive, Refused) as error:
-            seen, before, failure, spot = 0, None, str(error), []
+            failure, row, spot = str(error), [], []
             probe.wait(_LOOK_NS)
             continue
-        still = before is not None and abs(position - before) <= motion.SAME and abs(speed) < 1
-        seen = seen + 1 if still else 0
-        spot.append(position)
-        if max(spot) - min(spot) > _SPOT_DEGREES or abs(speed) > _TREMBLE_RPM:
+        before = row[-1:]
+        if abs(speed) >= slowest:
+            row = []
+        else:
+            row = [*row, position] if row and abs(position - row[0]) <= within else [position]
+        spot.append((now_ns, position))
+        while len(spot) > PROOFS + 1 and now_ns - spot[1][0] >= _SPOT_NS:
+            spot.pop(0)
+        places = [place for _, place in spot]
+        if max(places) - min(places) > _SPOT_DEGREES or abs(speed) > _TREMBLE_RPM:
             spot = []
-        if len(spot) <= 1:
-            spot_ns = probe.gate.now_ns()
-        if seen >= PROOFS or (len(spot) > PROOFS and probe.gate.now_ns() - spot_ns >= _SPOT_NS):
+        if (len(row) >= PROOFS and not thoroughly) or _stays(spot):
             return ""
-        failure = f"speed {speed:.4g} rpm, position {position:.4f} deg" + ("" if before is None else f" after {before:.4f} deg")
+        failure = f"speed {speed:.4g} rpm, position {position:.4f} deg" + "".join(f" after {b:.4f} deg" for b in before)
         first = first or abs(speed)
         if abs(speed) >= max(1.0, _AS_FAST * first) and probe.gate.now_ns() > begun_ns + _NO_RAMP_NS:
             return failure
-        before = position
         probe.wait(_PROOF_NS)
     return failure
+
+
+def _stays(spot: Sequence[tuple[int, float]]) -> bool:
+    """Say whether a shaft was looked at for long enough, and its mean place in the second half is that of the first."""
+    if len(spot) <= PROOFS or spot[-1][0] - spot[0][0] < _SPOT_NS:
+        return False
+    places, half = [place for _, place in spot], len(spot) // 2
+    return abs(mean(places[:half]) - mean(places[-half:])) <= motion.SAME
 
 
 def standing_failure(gate: Gate, dialect: Dialect, address: int) -> str:
@@ -174,14 +203,24 @@ def cut_power(command: str) -> str:
     return f"--cut-power {command!r} was run"
 
 
-def stop_or_cut(gate: Gate, dialect: Dialect, address: int, power: str, stands_at: float | None = None) -> None:
+def stop_or_cut(
+    gate: Gate,
+    dialect: Dialect,
+    address: int,
+    power: str,
+    stands_at: float | None = None,
+    noise: Noise = QUIET,
+    *,
+    thoroughly: bool = False,
+) -> None:
     """Stop a drive by a gate of its own, through which nothing but that passes.
 
-    `stands_at`: as `stop` takes it.
+    `stands_at`, `noise`, `thoroughly`: as `stop` takes them.
     Raises NotStopped, after the power command, where there is no proof that the motor stands; GuardLost.
     """
     try:
-        failure = stop(gate.under(stopping(address)), dialect, address, stands_at).failure
+        own = gate.under(stopping(address))
+        failure = stop(own, dialect, address, stands_at, noise, thoroughly=thoroughly).failure
     except (NotStopped, GuardLost):
         raise
     except ServotapError as error:

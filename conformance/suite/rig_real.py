@@ -40,7 +40,7 @@ from conformance.suite.rig import ClaimRig
 from conformance.suite.target import Target
 from conformance.talk.dialogue import Dialogue
 from conformance.talk.drive_state import read_drive_state
-from conformance.talk.noise import Noise
+from conformance.talk.noise import QUIET, Noise
 from conformance.talk.probe import SECOND_NS, Probe, plain_probe
 
 if TYPE_CHECKING:
@@ -70,7 +70,8 @@ class RealRig(ClaimRig):
         if self._allowance.subdivision is None and "subdivision" in known:
             # What the user says the drive is set to also says how fast a speed is.
             self._allowance = replace(self._allowance, subdivision=known["subdivision"] or 256)
-        self._moved = False
+        #: Whether something was sent that may have set the drive going, since it was last stopped, and at all.
+        self._moved = self._ever_moved = False
         self._journal = self._open_journal() if Risk.SETTING in self.allowed else None
         try:
             self._line = self._open_line()
@@ -188,7 +189,7 @@ class RealRig(ClaimRig):
             return
         self.keeper.keep_before(readings)
         if any(reading.risks & MAY_MOVE for reading in readings):
-            self._moved, self._stands_at = True, None
+            self._moved, self._ever_moved, self._stands_at = True, True, None
 
     def stands_at(self, degrees: float) -> None:
         """Take note that a claim saw the shaft stand here."""
@@ -207,8 +208,8 @@ class RealRig(ClaimRig):
         if self._not_stopped:
             return "not put back: nothing more was sent to a drive that could not be stopped" * self.keeper.changed
         failure = self.keeper.put_back(link_only=True) if self.keeper.link_changed else ""
-        if self._may_move:
-            self._stop()
+        if self._may_move or (last and self._ever_moved):
+            self._stop(last=last)
         if self.keeper.untried or (last and self.keeper.changed):
             failure = self._put_back(again=last, but=() if last else self.keeper.left_at(self._ready))
         return f"not put back: {failure}" if failure else ""
@@ -226,12 +227,14 @@ class RealRig(ClaimRig):
         """Whether something was sent that may have set the drive going: the guard knows, whoever sent it."""
         return self._moved or getattr(self._line, "moving", False)
 
-    def _stop(self) -> None:
+    def _stop(self, *, last: bool) -> None:
         try:
             earlier = getattr(self._line, "not_stopped", None)
             if earlier is not None:
                 raise earlier
-            stop_or_cut(self.gate, self.dialect, self.address, self._plan.cut_power, stands_at=self._stands_at)
+            stood = None if last else self._stands_at
+            noise = self.__dict__.get("_at_rest", QUIET) if self._in_motion is None else self._in_motion
+            stop_or_cut(self.gate, self.dialect, self.address, self._plan.cut_power, stood, noise, thoroughly=last)
         except NotStopped as error:
             self._not_stopped = True
             if isinstance(self._line, GuardedLine):

@@ -148,7 +148,7 @@ def test_where_no_way_of_stopping_is_left_all_were_tried_and_the_power_is_cut(tm
 def test_a_stop_that_breaks_down_cuts_the_power_too(tmp_path, monkeypatch, capfd):
     """Whatever a drive answers and however the stop fails: the motor may turn."""
 
-    def broken(*_):
+    def broken(*given, **how):
         raise ZeroDivisionError("a reply that it was not written for")
 
     monkeypatch.setattr(stopping, "prove_standing", broken)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from analyzer.catalogue import Risk
+from analyzer.catalogue import Risk, Verb
 from analyzer.records import CanFrame
 from conformance.claim import Outcome, Verdict
 from conformance.drives import make
 from conformance.gate.permissions import Allowance
+from conformance.motion import motion
 from conformance.suite import engine, target
 from conformance.suite import plan as suite
 from conformance.suite.plan import Plan
 from conformance.suite.rig_stand_in import StandInRig
+from conformance.talk.probe import plain_probe
 
 _PORT = target.parse("mks-can@1", "can:virtual:none,bitrate=500000")
 _MOVES = frozenset({Risk.READ, Risk.SETTING, Risk.TORQUE, Risk.MOTION, Risk.UNBOUNDED})
@@ -92,4 +94,33 @@ def test_a_short_run_on_a_slow_port_ends_in_time() -> None:
     found = list(suite.verdicts(plan, _PORT, plan.selected(_PORT), rig))
     assert 0 < len(found) < len(plan.selected(_PORT))
     assert rig.gate.now_ns() < 95e9
+    rig.close()
+
+
+def test_a_zero_that_a_restart_forgets_is_no_way_back_to_it() -> None:
+    port = target.parse("mks-rs485@1", "serial:none,baud=38400")
+    held = dict.fromkeys(("zero_mode", "set_zero", "zero_speed", "zero_direction"), "0") | {
+        "work_mode": "5",
+        "subdivision": "16",
+    }
+    plan = Plan((port,), Allowance(frozenset(Risk), alone=True), settings={"": held})
+    rig = StandInRig(plan, port, make.parse("mks-rs485@1"))
+    claim = next(c for c in suite.every_claim(port) if c.id.endswith("read-back/set_zero_mode/clean"))
+    probe = rig.probe(claim)
+    motion.ready_to_move(probe, subdivision=16)
+    motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 40)
+    probe.do(Verb.SET_ZERO)
+    rig.settle(probe)
+    verdict = engine.run_claim(claim, rig)
+    rig.close()
+    assert (verdict.outcome, verdict.reason) == (Outcome.CONFIRMED, "")
+
+
+def test_a_position_that_a_claim_set_far_away_is_none_for_the_next() -> None:
+    port = target.parse("lk-rs485@1,model=MF", "serial:none,baud=115200")
+    rig = StandInRig(Plan((port,), Allowance(frozenset(Risk), alone=True)), port, make.parse("lk-rs485@1,model=MF"))
+    by_id = {claim.id: claim for claim in suite.every_claim(port)}
+    for name in ("ranges/set_position/position/lowest", "motion/move_multi_turn/lengths"):
+        assert engine.run_claim(by_id[f"lk-rs485/{name}"], rig).outcome is Outcome.CONFIRMED
+    assert abs(motion.position(plain_probe(rig.dialect, 1, rig.gate)).value) < 3600
     rig.close()
