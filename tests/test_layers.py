@@ -28,7 +28,7 @@ LAYERS = (
     ("analyzer.port",),
     ("analyzer.pipeline",),
     ("analyzer.detect",),
-    ("analyzer.sources", "analyzer.sinks", "analyzer.reference", "analyzer.export", "analyzer.page"),
+    ("analyzer.sources", "analyzer.sinks", "analyzer.reference", "analyzer.export", "analyzer.page", "analyzer.table"),
     ("analyzer.live",),
     ("analyzer.cli", "analyzer.view", "analyzer.__main__"),
     ("conformance.claim", "conformance"),

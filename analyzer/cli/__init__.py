@@ -26,7 +26,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "explain": ("analyzer.cli.explain", "explain a frame byte by byte"),
     "frame": ("analyzer.cli.frame", "print the bytes of a frame"),
     "ports": ("analyzer.cli.ports", "list serial ports and CAN interfaces, with the endpoints to record them"),
-    "export": ("analyzer.cli.export", "export the raw bytes of a capture or log as candump, pcapng or hex text"),
+    "export": (
+        "analyzer.cli.export",
+        "export a capture or log as a table (CSV, Parquet, Excel), or its raw bytes (candump, pcapng, hex)",
+    ),
     "catalogue": ("analyzer.cli.catalogue", "show reference pages of the dialects and errata of their manuals"),
 }
 GROUP = "servotap.commands"

@@ -1,7 +1,8 @@
-"""Export the raw bytes of a capture or a log for other programs: candump, pcapng for Wireshark, plain hex text.
+"""Export a capture or a log for other programs: decoded as a table (CSV, Parquet, Excel), or its raw bytes (candump, pcapng
+for Wireshark, hex text). The end of the file's name says which, or --to.
 
-Nothing is decoded. A decoded log gives one piece for each frame, with the role it was found to have; --chunks gives its
-bytes as they came. The file stands beside the capture unless -o says otherwise, and is whole or not there.
+A table has a row a message; with --wide a column for each field of each topic, the last value held. Raw bytes are not decoded:
+a decoded log gives one piece for each frame, --chunks gives its bytes as they came. The file is whole or not there.
 """
 
 from __future__ import annotations
@@ -10,23 +11,29 @@ import argparse
 import contextlib
 import sys
 from collections.abc import Iterator, Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import IO
 
-from analyzer.cli.option_types import positive
+from analyzer.cli.export_table import export_table
 from analyzer.cli.output import Output
-from analyzer.cli.reading import progress
+from analyzer.cli.reading import add_reading_arguments, progress
 from analyzer.cli.signals import Interrupt
-from analyzer.cli.time_range import TimeRange, add_time_range_arguments
+from analyzer.cli.time_range import TimeRange
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.export import CAN, FORMATS, SERIAL, Choices, Count, Export, ExportResult, writer
 from analyzer.live.endpoint import DEFAULT_BAUD, DEFAULT_BITRATE
 from analyzer.records import CanFrame, Chunk, Comment
 from analyzer.sources import Source, open_source
+from analyzer.table.files import KINDS
+from analyzer.table.tables import parse_rate
 from analyzer.values import counted, printable
 
 EXAMPLES = """\
 examples:
+  servotap export week.mcap -o week.csv                     a row a message, units in the header
+  servotap export week.mcap -o week.parquet --fields speed,position
+  servotap export week.mcap -o week.xlsx --wide --rate 10Hz --topics state,'read_*'
   servotap export week.mcap --to pcapng                     writes week.pcapng
   servotap export week.mcap --to pcapng --serial-as rtac    with who sent in Wireshark's event column
   servotap export week.mcap --to candump -o - | canplayer
@@ -46,28 +53,64 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("file", metavar="FILE", help="a capture or log of any format, a folder of parts; - is standard input")
     titles = "; ".join(f"{name}: {entry.summary}" for name, entry in FORMATS.items())
-    parser.add_argument("--to", required=True, choices=tuple(FORMATS), metavar="FORMAT", help=titles)
+    tables = ", ".join(KINDS)
+    parser.add_argument("--to", choices=(*KINDS, *FORMATS), metavar="FORMAT", help=f"{tables}: decoded as a table; {titles}")
     parser.add_argument("-o", "--output", metavar="OUT", help="the file, or a folder; - is standard output")
-    parser.add_argument("--serial-as", choices=("user", "rtac"), default="user", help="link type of serial bytes in pcapng")
-    parser.add_argument("--chunks", action="store_true", help="bytes of a log as they were received, not one piece per frame")
-    parser.add_argument("--nanoseconds", action="store_true", help="nine digits in candump, which canplayer may misread")
-    parser.add_argument("--baud", type=positive, metavar="N", help="line speed or bit rate, for a capture without times")
-    parser.add_argument("--format", metavar="F", help="capture format, if detection by content fails")
     parser.add_argument("--force", action="store_true", help="replace a file that exists")
-    add_time_range_arguments(parser)
+    add_reading_arguments(parser)
+    table = parser.add_argument_group("tables")
+    table.add_argument("--wide", action="store_true", help="a column for each field of each topic, a row at each change")
+    table.add_argument("--rate", type=_rate, metavar="R", help="rows at even steps, as 100Hz or 10ms; implies --wide")
+    table.add_argument(
+        "--topics", action="append", default=[], metavar="LIST",
+        help="only these: parts of a topic (read_*,1,reply,state) or whole ones (/left/1/read_speed/*)",
+    )  # fmt: skip
+    table.add_argument("--fields", action="append", default=[], metavar="LIST", help="only these, as speed,pos*")
+    raw = parser.add_argument_group("raw bytes")
+    raw.add_argument("--serial-as", choices=("user", "rtac"), default="user", help="link type of serial bytes in pcapng")
+    raw.add_argument("--chunks", action="store_true", help="bytes of a log as they were received, not one piece per frame")
+    raw.add_argument("--nanoseconds", action="store_true", help="nine digits in candump, which canplayer may misread")
+
+
+def _rate(text: str) -> Fraction:
+    try:
+        return parse_rate(text)
+    except UsageError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+#: Options that tables alone have, and those of raw bytes: their values where they are not given.
+_OF_TABLES: dict[str, object] = {
+    "wide": False,
+    "rate": None,
+    "topics": [],
+    "fields": [],
+    "dialect": "auto",
+    "model": None,
+    "group": [],
+    "late": None,
+}
+_OF_RAW: dict[str, object] = {"serial_as": "user", "chunks": False, "nanoseconds": False}
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Export one capture; return 0."""
+    arguments.to = arguments.to or _format_of(arguments.output)
+    strange = _OF_RAW if arguments.to in KINDS else _OF_TABLES
+    for name, usual in strange.items():
+        if getattr(arguments, name) != usual:
+            others = " and ".join(FORMATS if arguments.to in KINDS else KINDS)
+            raise UsageError(f"--{name.replace('_', '-')} is for {others}, and this is {arguments.to}")
     target = _target(arguments)
-    with contextlib.closing(_open(arguments)) as source, Interrupt() as interrupt:
+    export = export_table if arguments.to in KINDS else _export_raw
+    with Interrupt() as interrupt:
         if target is None:
-            outcome, broken = _write(source, sys.stdout.buffer, arguments, interrupt)
+            told = export(arguments, sys.stdout.buffer, interrupt, "standard output")
             sys.stdout.buffer.flush()
         else:
             output = Output(target, arguments.force)
             try:
-                outcome, broken = _write(source, output.stream, arguments, interrupt)
+                told = export(arguments, output.stream, interrupt, str(target))
                 if interrupt.asked:
                     raise KeyboardInterrupt
                 output.stream.flush()
@@ -80,21 +123,28 @@ def run(arguments: argparse.Namespace) -> int:
                 raise
         if interrupt.asked:
             raise KeyboardInterrupt
-    _report(source, outcome, broken, target, arguments)
+    # Beside data on standard output, on standard error.
+    for row in told:
+        print(printable(row), file=sys.stderr if target is None else sys.stdout)
     return 0
 
 
-def _open(arguments: argparse.Namespace) -> Source:
-    source = open_source(arguments.file, format=arguments.format, baud=arguments.baud)
-    source.framed = not arguments.chunks
-    return source
+def _format_of(output: str | None) -> str:
+    """Return the format that the end of a file's name says. Raises UsageError where it says none."""
+    ends = {**{f".{kind}": kind for kind in KINDS}, **{entry.ending: name for name, entry in FORMATS.items()}}
+    found = next((name for end, name in ends.items() if output is not None and output.lower().endswith(end)), None)
+    if found is None:
+        raise UsageError(f"which format? expected --to, or -o with a name that ends in {', '.join(ends)}")
+    return found
 
 
 def _target(arguments: argparse.Namespace) -> Path | None:
     """Return the file to write, None for standard output."""
-    ending = FORMATS[arguments.to].ending
+    table = KINDS.get(arguments.to)
+    ending = FORMATS[arguments.to].ending if table is None else f".{arguments.to}"
     if arguments.output == "-":
-        if FORMATS[arguments.to].binary and sys.stdout.isatty():
+        binary = FORMATS[arguments.to].binary if table is None else bool(table.package)
+        if binary and sys.stdout.isatty():
             raise UsageError(f"{arguments.to} is binary and not for a terminal: name a file with -o, or use a pipe")
         return None
     if arguments.output is None:
@@ -115,6 +165,17 @@ def _target(arguments: argparse.Namespace) -> Path | None:
     if target.exists() and not arguments.force:
         raise UsageError(f"{target} exists; --force replaces it")
     return target
+
+
+# --- raw bytes --------------------------------------------------------------------------------------------------------
+
+
+def _export_raw(arguments: argparse.Namespace, stream: IO[bytes], interrupt: Interrupt, place: str) -> list[str]:
+    """Export all bytes; return what is to be said of it."""
+    with contextlib.closing(open_source(arguments.file, format=arguments.format, baud=arguments.baud)) as source:
+        source.framed = not arguments.chunks
+        outcome, broken = _write(source, stream, arguments, interrupt)
+        return _report(source, outcome, broken, place, arguments)
 
 
 def _write(source: Source, stream: IO[bytes], arguments: argparse.Namespace, interrupt: Interrupt) -> tuple[ExportResult, str]:
@@ -164,9 +225,9 @@ def _counted(name: str, count: Count) -> str:
     return f"{count.pieces} {what} of {name} ({_KINDS[count.kind]}, {counted(count.bytes, 'byte')})"
 
 
-def _report(source: Source, outcome: ExportResult, broken: str, target: Path | None, arguments: argparse.Namespace) -> None:
-    """Say what was exported and what was not; beside data on standard output, on standard error."""
-    rows = [f"{source.name} ({source.title}) -> {target or 'standard output'}"]
+def _report(source: Source, outcome: ExportResult, broken: str, place: str, arguments: argparse.Namespace) -> list[str]:
+    """Return what was exported and what was not."""
+    rows = [f"{source.name} ({source.title}) -> {place}"]
     rows += [f"  {_counted(name, count)}" for name, count in outcome.written]
     if outcome.left_out:
         left = ", ".join(_counted(name, count) for name, count in outcome.left_out)
@@ -174,10 +235,7 @@ def _report(source: Source, outcome: ExportResult, broken: str, target: Path | N
         rows.append(f"left out: {left}: {arguments.to} holds {held} alone")
     if outcome.lost_comments:
         rows.append(f"left out: {counted(outcome.lost_comments, 'comment')}: {arguments.to} has no place for them")
-    rows += [f"note: {text}" for text in _notes(source, outcome, broken, arguments)]
-    stream = sys.stderr if target is None else sys.stdout
-    for row in rows:
-        print(printable(row), file=stream)
+    return rows + [f"note: {text}" for text in _notes(source, outcome, broken, arguments)]
 
 
 def _notes(source: Source, outcome: ExportResult, broken: str, arguments: argparse.Namespace) -> Sequence[str]:

@@ -141,6 +141,11 @@ class Clock(StrEnum):
     DAY = "day"
 
 
+def is_dated(t_ns: int) -> bool:
+    """Say whether a time is of the epoch, and not since some beginning."""
+    return _EPOCH_FROM < t_ns < _EPOCH_TO
+
+
 class ShownTime:
     """Shows the times of a recording: in the local zone (TZ), in UTC, or as a capture without a zone printed them."""
 
@@ -151,7 +156,7 @@ class ShownTime:
 
     def zone_ns(self, t_ns: int) -> int:
         """Return what is added to a time to show it."""
-        if self._utc or self._clock is not Clock.UTC or not _EPOCH_FROM < t_ns < _EPOCH_TO:
+        if self._utc or self._clock is not Clock.UTC or not is_dated(t_ns):
             return 0
         return time.localtime(t_ns // SECOND).tm_gmtoff * SECOND
 
@@ -164,15 +169,24 @@ class ShownTime:
 
     def text(self, t_ns: int) -> str:
         """Return a time in 15 characters: of day to the microsecond, or seconds since some beginning."""
-        if self._clock is not Clock.DAY and not _EPOCH_FROM < t_ns < _EPOCH_TO:
+        if self._clock is not Clock.DAY and not is_dated(t_ns):
             return f"{t_ns / SECOND:15.6f}"
         seconds, rest = divmod(t_ns + self.zone_ns(t_ns), SECOND)
         minutes, second = divmod(seconds, 60)
         return f"{minutes // 60 % 24:02d}:{minutes % 60:02d}:{second:02d}.{rest // 1000:06d}"
 
+    def iso(self, t_ns: int) -> str:
+        """Return a time that has a date as ISO 8601, exact to the nanosecond, with the zone where there is one."""
+        zone_ns = self.zone_ns(t_ns)
+        text = iso(t_ns + zone_ns).removesuffix("Z")
+        if self._clock is Clock.PRINTED:
+            return text
+        minutes = abs(zone_ns) // (60 * SECOND)
+        return text + (f"{'-' if zone_ns < 0 else '+'}{minutes // 60:02d}:{minutes % 60:02d}" if zone_ns else "Z")
+
     def new_date(self, t_ns: int) -> str:
         """Return the date and the zone where it is another one than at the last call; of a time without a date its number."""
-        if self._clock is not Clock.DAY and not _EPOCH_FROM < t_ns < _EPOCH_TO:
+        if self._clock is not Clock.DAY and not is_dated(t_ns):
             return ""
         zone_ns = self.zone_ns(t_ns)
         day = (t_ns + zone_ns) // DAY
