@@ -88,7 +88,7 @@ def main() -> None:
         log = recorded(Path(folder) / "axis.mcap")
         pictures = {
             "view.svg": (ROOT / "captures" / "mks_rs485.log", ("e", "enter"), (100, 28)),
-            "view-plot.svg": (log, ("4",), (100, 24)),
+            "view-plot.svg": (log, ("4", "right", "shift+right"), (100, 24)),
         }
         for name, (path, keys, size) in pictures.items():
             (ROOT / "docs" / name).write_text(asyncio.run(picture(path, keys, size)), encoding="utf-8")

@@ -207,6 +207,8 @@ class ViewApp(App[str]):
                 text += f" and address == {row.who}"
             if self._set_filter(text):
                 self.action_panel("frames")
+        elif event.rows is self.counts:
+            self.counts.toggle()
 
     def action_details(self) -> None:
         """Show the frame under the cursor byte by byte, or no longer."""
@@ -284,6 +286,8 @@ class ViewApp(App[str]):
             self._close_prompt()
         elif self._seeker.search is not None:
             self._seeker.search = None
+        elif self.shown == "plot" and self.plot.no_cursor():
+            pass
         elif self.details.display:
             self.details.display = False
         elif self.frames.wanted is not None:

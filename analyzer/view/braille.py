@@ -68,9 +68,10 @@ def chart(
         if previous is not None and x > previous[0] + 1:
             _line(canvas, previous, (x, y))
         elif previous is not None and x == previous[0] + 1:
-            # Step half way in each of two columns that touch, so that an edge has no hole.
-            lows[x] = min(lows.get(x, y), previous[1], y)
-            highs[x] = max(highs.get(x, y), previous[1], y)
+            # From beside the dot before it, so that an edge has no hole and a line is thin.
+            near = previous[1] + (y > previous[1]) - (y < previous[1])
+            lows[x] = min(lows.get(x, y), near, y)
+            highs[x] = max(highs.get(x, y), near, y)
         lows[x] = min(lows.get(x, y), y)
         highs[x] = max(highs.get(x, y), y)
         previous = (x, y)
@@ -88,5 +89,7 @@ def _line(canvas: Canvas, start: tuple[int, int], stop: tuple[int, int]) -> None
     last = y0
     for x in range(x0 + 1, x1 + 1):
         y = y0 + round((y1 - y0) * (x - x0) / (x1 - x0))
-        canvas.column(x, min(last, y), max(last, y))
+        # The dot beside the one before it is drawn only where the line is level: a thin line is easier to follow.
+        near = last + (y > last) - (y < last)
+        canvas.column(x, min(near, y), max(near, y))
         last = y

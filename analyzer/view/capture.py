@@ -39,7 +39,7 @@ class _Keeper:
     def __init__(self, store: FrameStore) -> None:
         self._store = store
         self.findings: list[FindingLine] = []
-        self.series: dict[str, None] = {}
+        self.series: dict[str, str] = {}
         self._seen: set[tuple[str, int]] = set()
         self.first_ns: int | None = None
         self.last_ns = 0
@@ -69,9 +69,9 @@ class _Keeper:
         self._seen.add((line.topic, form))
         if self.first_ns is None:
             self.first_ns = line.t_ns
-        for name, _ in series_of(line):
+        for name, _, unit in series_of(line):
             if len(self.series) < SERIES:
-                self.series[name] = None
+                self.series[name] = unit
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
         """Store a piece of junk."""
@@ -191,7 +191,7 @@ class CapturePlot:
 
     def _take(self, line: FrameLine) -> None:
         if self._low_ns <= line.t_ns <= self._high_ns:
-            for name, value in series_of(line):
+            for name, value, _ in series_of(line):
                 series = self._series.get(name)
                 if series is not None:
                     series.add(line.t_ns, value)
@@ -323,9 +323,9 @@ class CaptureSource:
         """Return the next number from here on that may have findings."""
         return self.lines.hop(number, step)
 
-    def series(self) -> list[str]:
-        """Return the names of the series that frames so far have points of."""
-        return list(self._keeper.series)
+    def series(self) -> dict[str, str]:
+        """Return the series that frames so far have points of, and their units."""
+        return self._keeper.series.copy()
 
     def span(self) -> tuple[int, int]:
         """Return the times of the first and the last frame so far."""

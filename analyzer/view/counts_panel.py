@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rich.text import Text
 
 from analyzer.values import printable
+from analyzer.view import tree
 from analyzer.view.lines import cut
 from analyzer.view.rows import Rows
 from analyzer.view.watch import CommandRow, Watch
 
+_NAME_WIDTH = 30
 #: Orders of the rows, by name.
 _ORDERS: dict[str, Callable[[CommandRow], Any]] = {
     "address": lambda r: (r.bus, int(r.who) if r.who.isdigit() else -1, r.command),
@@ -22,14 +24,14 @@ _ORDERS: dict[str, Callable[[CommandRow], Any]] = {
 
 
 class CountsPanel(Rows):
-    """Rows of commands, in an order that can be changed."""
+    """Rows of commands: by address below their buses and drives, or in another order one below the other."""
 
     def __init__(self, watch: Watch) -> None:
         super().__init__(id="counts")
         self._watch = watch
-        self._rows: list[CommandRow] = []
+        self._rows: list[tree.TreeRow[CommandRow]] = []
+        self._folded: set[tree.Path] = set()
         self.order = "address"
-        self._bus_width = 3
 
     def next_order(self) -> str:
         """Take the next order; return its name."""
@@ -40,12 +42,20 @@ class CountsPanel(Rows):
 
     @property
     def chosen(self) -> CommandRow | None:
-        """The row under the cursor."""
-        return self._rows[self.cursor] if self.cursor < len(self._rows) else None
+        """The command under the cursor."""
+        return self._rows[self.cursor].leaf if self.cursor < len(self._rows) else None
+
+    def toggle(self) -> None:
+        """Open or close the branch under the cursor."""
+        if self.cursor < len(self._rows):
+            self._folded ^= {self._rows[self.cursor].path}
+            self.sync()
 
     def sync(self) -> None:
         """Take over what has changed."""
-        self._rows = sorted(self._watch.rows.values(), key=_ORDERS[self.order])
+        ordered = sorted(self._watch.rows.values(), key=_ORDERS[self.order])
+        below = self.order == "address"
+        self._rows = tree.rows([((r.bus, r.who) if below else (), r) for r in ordered], lambda path: path not in self._folded)
         super().sync()
 
     def bounds(self) -> tuple[int, int]:
@@ -54,24 +64,29 @@ class CountsPanel(Rows):
 
     def heading(self, width: int) -> Text:
         """Return the names of the columns."""
-        self._bus_width = min(10, max([3, *(len(name) for name in self._watch.buses)]))
-        text = f"{'bus':<{self._bus_width}} {'addr':>4} {'command':<20}{'requests':>9}{'replies':>8}{'per s':>8}"
-        text += f"{'last ms':>8}{'mean':>7}{'max':>7}"
+        where = "bus, drive, command" if self.order == "address" else "bus, drive: command"
+        text = f"{where:<{_NAME_WIDTH}}{'requests':>9}{'replies':>8}{'per s':>8}{'last ms':>8}{'mean':>8}{'max':>8}"
         return Text(text, style="bold", no_wrap=True)
 
     def row(self, number: int, width: int) -> Text:
-        """Return a command as a row."""
+        """Return a command as a row, or a branch with the sums of its commands."""
         row = self._rows[number]
-        text = Text(no_wrap=True)
-        text.append(f"{printable(row.bus)[: self._bus_width]:<{self._bus_width}} {row.who:>4} ")
-        text.append(f"{cut(printable(row.command), 20):<20}", "cyan")
-        text.append(f"{row.count('request'):>9}{row.count('reply'):>8}{rate_text(row.rate):>8}")
-        last, mean, most = ("", "", "") if row.latencies is None else (rate_text(ns / 1e6) for ns in row.latencies)
-        text.append(f"{last:>8}{mean:>7}{most:>7}")
-        unknown = row.count("unknown")
-        if unknown:
-            text.append(f"  {unknown} of unknown role", "yellow")
-        return text
+        if row.leaf is None:
+            below = [r for r in self._watch.rows.values() if (r.bus, r.who)[: len(row.path)] == row.path]
+            label = row.label(f"drive {row.path[1]}" if len(row.path) == 2 and row.path[1].isdigit() else "")
+            return self._counted(label, below, Text(no_wrap=True, style="bold"))
+        label = row.label(row.leaf.command) if row.path else f"{row.leaf.bus} {row.leaf.who}: {row.leaf.command}"
+        text = self._counted(label, [row.leaf], Text(no_wrap=True))
+        times = ("", "", "") if row.leaf.latencies is None else (rate_text(ns / 1e6) for ns in row.leaf.latencies)
+        text.append("".join(f"{each:>8}" for each in times))
+        unknown = row.leaf.count("unknown")
+        return text.append(f"  {unknown} of unknown role", "yellow") if unknown else text
+
+    @staticmethod
+    def _counted(label: str, rows: Sequence[CommandRow], text: Text) -> Text:
+        text.append(f"{cut(printable(label), _NAME_WIDTH - 1):<{_NAME_WIDTH}}", "cyan" if len(rows) == 1 else "")
+        requests, replies = sum(r.count("request") for r in rows), sum(r.count("reply") for r in rows)
+        return text.append(f"{requests:>9}{replies:>8}{rate_text(sum(r.rate for r in rows)):>8}")
 
 
 def rate_text(rate: float) -> str:

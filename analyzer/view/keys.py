@@ -51,6 +51,7 @@ _MOVING = (
     ("arrows j k", "one row up or down"),
     ("PgUp PgDn", "a page"),
     ("Home End g G", "the first, the last; at the last the view follows new frames"),
+    ("← →", "in the plot: a cursor that reads out; with Shift by ten columns, Esc takes it away"),
 )
 
 

@@ -127,7 +127,12 @@ class Columns:
             start = row.cell_len
             if line.rules:
                 row.append("!" + printable(",".join(line.rules)) + " ", alarm)
-            row.append(said_text(line) or ("" if size else bytes_text(line)), colour)
+            # A frame without fields says nothing; bytes that are no frame are shown as they are.
+            row.append(
+                said_text(line)
+                or (bytes_text(line) if not size and (line.role == JUNK or line.command.startswith("unknown")) else ""),
+                colour,
+            )
             if size:
                 row.truncate(start + fields, pad=True)
                 row.append(" ")

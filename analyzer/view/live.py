@@ -129,9 +129,9 @@ class LiveSource:
         """Return the number itself: any line may have findings."""
         return number
 
-    def series(self) -> list[str]:
-        """Return the names of the series so far."""
-        return list(self._plotted.series)
+    def series(self) -> dict[str, str]:
+        """Return the series so far, and their units."""
+        return {name: series.unit for name, series in self._plotted.series.items()}
 
     def span(self) -> tuple[int, int]:
         """Return the times of the first frame that was shown, and of now."""

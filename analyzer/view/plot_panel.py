@@ -1,21 +1,26 @@
-"""A plot of chosen fields: on the left the list of fields, on the right a chart for each chosen field.
+"""A plot of chosen fields: on the left the tree of buses, drives and fields, on the right a chart for each chosen field.
 
-Each chart has its own scale, with the least and the greatest value; all share the time. Reading needs no colour.
+Each chart has its own scale with round ticks and a unit; all share the time. A cursor reads out their values. Reading needs
+no colour.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from rich.text import Text
+from textual import events
 from textual.app import ComposeResult
-from textual.binding import Binding
+from textual.binding import Binding, BindingType
 from textual.containers import Horizontal
 from textual.widgets import Static
 
 from analyzer.values import printable
+from analyzer.view import tree
 from analyzer.view.braille import chart
 from analyzer.view.rows import Rows
+from analyzer.view.scale import round_ticks, time_ticks
+from analyzer.view.series import Point
 from analyzer.view.source import Plot, ViewSource
 
 #: Charts that are shown at once.
@@ -24,64 +29,88 @@ CHARTS = 4
 WINDOWS = (None, 600, 60, 10, 1, 0.1)
 SECOND = 1_000_000_000
 _COLOURS = ("cyan", "green", "yellow", "magenta")
-_SCALE_WIDTH = 11
+_SCALE_WIDTH = 8
+#: Columns that a time takes on the axis, with the room beside it.
+_TIME_ROOM = 11
 _PREFERRED = ("state.position", "state.speed")
 
 
 class SeriesRows(Rows):
-    """The series, those that are plotted marked with their place."""
+    """The series below their buses and drives, those that are plotted marked with their place."""
 
-    DEFAULT_CSS = "SeriesRows { width: 40%; max-width: 48; }"
-    BINDINGS = [Binding("space", "choose", "Plot or not", show=False)]  # noqa: RUF012 (as textual has it)
+    DEFAULT_CSS = "SeriesRows { width: 40%; max-width: 40; }"
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("space", "choose", "Plot or not", show=False)]
 
     def __init__(self, source: ViewSource) -> None:
         super().__init__(id="series")
         self._source = source
-        self._names: list[str] = []
+        self.units: dict[str, str] = {}
+        self._rows: list[tree.TreeRow[str]] = []
+        #: Branches that are not as they were at first.
+        self._turned: set[tree.Path] = set()
         self.plotted: list[str] = []
 
     def sync(self) -> None:
         """Take over what has changed."""
-        names = self._source.series()
-        if len(names) != len(self._names):
-            chosen = self.chosen
-            self._names = sorted(names, key=_order)
-            if chosen is not None:
-                self.cursor = self._names.index(chosen)
-            if not self.plotted:
-                self.plotted = [n for n in self._names if n.endswith(_PREFERRED)][:2]
+        units = self._source.series()
+        if len(units) != len(self.units):
+            self.units = units
+            first = not self.plotted
+            if first:
+                self.plotted = [n for n in sorted(units, key=_order) if n.endswith(_PREFERRED)][:2]
+            self._fill()
+            if first and self.plotted:
+                self.cursor = next(at for at, row in enumerate(self._rows) if row.leaf == self.plotted[0])
         super().sync()
+
+    def _fill(self) -> None:
+        """Make the rows; the cursor stays on its own."""
+        under = self._rows[self.cursor].path if self.cursor < len(self._rows) else None
+        leaf = self.chosen
+        self._rows = tree.rows([(_path(name), name) for name in sorted(self.units, key=_order)], self._is_open)
+        for at, row in enumerate(self._rows):
+            if (row.path, row.leaf) == (under, leaf):
+                self.cursor = at
+
+    def _is_open(self, path: tree.Path) -> bool:
+        """Say whether a branch is open: at first buses, drives and states are."""
+        return (len(path) < 3 or path[-1] == "state") != (path in self._turned)
 
     @property
     def chosen(self) -> str | None:
         """The series under the cursor."""
-        return self._names[self.cursor] if self.cursor < len(self._names) else None
+        return self._rows[self.cursor].leaf if self.cursor < len(self._rows) else None
 
     def toggle(self) -> None:
-        """Plot the series under the cursor, or plot it no more; of too many the oldest goes."""
+        """Plot the series under the cursor, or plot it no more; of too many the oldest goes. Open or close a branch."""
         name = self.chosen
-        if name is None:
-            return
-        if name in self.plotted:
-            self.plotted.remove(name)
-        else:
-            self.plotted = [*self.plotted, name][-CHARTS:]
+        if name is not None:
+            if name in self.plotted:
+                self.plotted.remove(name)
+            else:
+                self.plotted = [*self.plotted, name][-CHARTS:]
+        elif self._rows:
+            self._turned ^= {self._rows[self.cursor].path}
+            self._fill()
 
     def bounds(self) -> tuple[int, int]:
-        """Return the numbers of the series."""
-        return 0, len(self._names)
+        """Return the numbers of the rows."""
+        return 0, len(self._rows)
 
     def heading(self, width: int) -> Text:
         """Say what can be done."""
-        return Text("Enter plots; + - time", style="bold", no_wrap=True)
+        return Text("Enter plots; ← → read out; + - time", style="bold", no_wrap=True)
 
     def row(self, number: int, width: int) -> Text:
-        """Return a series as a row; of a long name the end is seen."""
-        name = printable(self._names[number])
-        at = self.plotted.index(self._names[number]) + 1 if self._names[number] in self.plotted else 0
-        room = width - 4
-        shown = name if len(name) <= room else "…" + name[len(name) - room + 1 :]
-        return Text(f"{f'[{at}]' if at else '   '} {shown}", style=_COLOURS[at - 1] if at else "", no_wrap=True)
+        """Return a series or a branch as a row."""
+        row = self._rows[number]
+        if row.leaf is None:
+            named = f"drive {row.path[1]}" if len(row.path) == 2 and row.path[1].isdigit() else ""
+            return Text("    " + printable(row.label(named)), style="bold" if len(row.path) < 3 else "", no_wrap=True)
+        at = self.plotted.index(row.leaf) + 1 if row.leaf in self.plotted else 0
+        label = row.label(row.leaf.rsplit(".", 1)[-1].removeprefix("_"))
+        text = Text(f"{f'[{at}]' if at else '   '} {printable(label)}", style=_COLOURS[at - 1] if at else "", no_wrap=True)
+        return text.append(f" {self.units[row.leaf]}", "dim") if self.units[row.leaf] else text
 
 
 class _Asked(NamedTuple):
@@ -90,11 +119,18 @@ class _Asked(NamedTuple):
     names: tuple[str, ...]
     span: tuple[int, int]
     plot: Plot
-    window: int = 0
+    view: tuple[int, int | None] = (0, None)
 
 
 class PlotPanel(Horizontal):
-    """The series and their charts. `moment`: says around which time a window lies; None: it ends now."""
+    """The series and their charts. `moment_ns`: around which time a window lies; None: it ends now."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("left", "cursor(-1)", "Read out", show=False),
+        Binding("right", "cursor(1)", "Read out", show=False),
+        Binding("shift+left", "cursor(-10)", "Read out", show=False),
+        Binding("shift+right", "cursor(10)", "Read out", show=False),
+    ]
 
     def __init__(self, source: ViewSource) -> None:
         super().__init__(id="plot")
@@ -106,15 +142,21 @@ class PlotPanel(Horizontal):
         self._drawn: _Asked | None = None
         self._next: _Asked | None = None
         self.moment_ns: int | None = None
+        #: The time that is read out, and the one that a window was put around to see it.
+        self.cursor_ns: int | None = None
+        self._centre_ns: int | None = None
 
     def compose(self) -> ComposeResult:
         """Put the series to the left of the charts."""
         yield self.rows
         yield self._chart
 
+    # --- moving ---------------------------------------------------------------------------------------------------
+
     def zoom(self, step: int) -> str:
-        """Show a shorter or a longer time; return it in words."""
+        """Show a shorter or a longer time, around the cursor if there is one; return it in words."""
         self._window = min(max(self._window + step, 0), len(WINDOWS) - 1)
+        self._centre_ns = self.cursor_ns
         window = WINDOWS[self._window]
         return "all of the time" if window is None else f"{window:g} s"
 
@@ -125,19 +167,55 @@ class PlotPanel(Horizontal):
         if window is None:
             return first, last
         width = int(window * SECOND)
-        end = last if self.moment_ns is None else min(max(self.moment_ns + width // 2, first + width), last)
+        middle = self.moment_ns if self._centre_ns is None else self._centre_ns
+        end = last if middle is None else min(max(middle + width // 2, first + width), last)
         return max(first, end - width), end
+
+    def action_cursor(self, columns: int) -> None:
+        """Move the time that is read out by some columns; at first it stands in the middle."""
+        first, last = self.span()
+        step = max(1, (last - first) // max(1, self._columns))
+        place = (first + last) // 2 if self.cursor_ns is None else self.cursor_ns + columns * step
+        self._read_out(place)
+
+    def _read_out(self, t_ns: int) -> None:
+        whole = self._source.span()
+        self.cursor_ns = min(max(t_ns, whole[0]), whole[1])
+        if not self.span()[0] <= self.cursor_ns <= self.span()[1]:
+            self._centre_ns = self.cursor_ns
+        self.sync()
+
+    def no_cursor(self) -> bool:
+        """Read out no more; say whether it did."""
+        had = self.cursor_ns is not None
+        self.cursor_ns = self._centre_ns = None
+        return had
+
+    def on_click(self, event: events.Click) -> None:
+        """Read out the time that was clicked."""
+        column = event.screen_x - self._chart.region.x - _SCALE_WIDTH - 1
+        if 0 <= column < self._columns:
+            first, last = self.span()
+            self._read_out(first + (last - first) * (2 * column + 1) // (2 * self._columns))
+
+    @property
+    def _columns(self) -> int:
+        """How wide the charts are, without their scales."""
+        return self._chart.size.width - _SCALE_WIDTH - 1
+
+    # --- drawing --------------------------------------------------------------------------------------------------
 
     def sync(self, seconds: float = 0.02) -> None:
         """Take over what has changed, looking for points for about this long."""
         self.rows.sync()
         names, span = tuple(self.rows.plotted), self.span()
+        view = (self._window, self._centre_ns)
         known = self._next or self._drawn
-        changed = known is None or (known.names, known.window) != (names, self._window)
+        changed = known is None or (known.names, known.view) != (names, view)
         # While a capture is read its time grows; what is being looked for is finished before it is looked for again.
         grown = self._next is None and known is not None and (known.span != span or self._source.live)
         if changed or grown:
-            self._next = _Asked(names, span, self._source.plot(names, *span), self._window)
+            self._next = _Asked(names, span, self._source.plot(names, *span), view)
         if self._next is not None:
             self._next.plot.look(seconds)
             # What was drawn stays until the next is whole, unless it is of other series.
@@ -150,52 +228,100 @@ class PlotPanel(Horizontal):
         width, height = self._chart.size
         if asked is None or not asked.names:
             return Text("no series is selected: arrow keys move, Enter adds or removes a series")
-        if width < 20 or height < 4:
+        if width < 20 or height < 5:
             return Text("too small for a chart")
-        each = max(3, (height - 1) // len(asked.names))
+        each = max(3, (height - 2) // len(asked.names))
         text = Text(no_wrap=True)
         for number, name in enumerate(asked.names):
-            text.append_text(self._one(number, name, asked.plot, asked.span, (width, each)))
+            text.append_text(self._one(number, name, asked.plot.points(name), asked.span, (width, each)))
         text.append(self._time_axis(asked.span, width, self._next is None), "dim")
         return text
 
-    def _one(self, number: int, name: str, plot: Plot, span: tuple[int, int], size: tuple[int, int]) -> Text:
+    def _one(self, number: int, name: str, points: list[Point], span: tuple[int, int], size: tuple[int, int]) -> Text:
         colour = _COLOURS[number % len(_COLOURS)]
-        points = plot.points(name)
         width, height = size
         text = Text(no_wrap=True)
         if not points:
-            text.append(f"[{number + 1}] {printable(name)}: no points in this time".ljust(width)[:width] + "\n", colour)
+            text.append(f"[{number + 1}] {printable(_short(name))}: no points in this time".ljust(width)[:width] + "\n", colour)
             text.append("\n" * (height - 1))
             return text
-        least = min(v for _, v in points)
-        greatest = max(v for _, v in points)
-        title = f"[{number + 1}] {printable(name)}  last {_number(points[-1][1])}"
-        text.append(title[:width] + "\n", f"bold {colour}")
-        drawn = chart(points, span, (least, greatest), (width - _SCALE_WIDTH - 1, height - 1))
+        unit = self.rows.units.get(name, "")
+        # The label of the axis stands above it.
+        text.append(f"{unit[:_SCALE_WIDTH]:>{_SCALE_WIDTH}} ")
+        title = f"[{number + 1}] {printable(_short(name))}  {self._said(points, span, unit)}"
+        text.append(title[: width - _SCALE_WIDTH - 1] + "\n", f"bold {colour}")
+        values = [value for _, value in points]
+        rows = height - 1
+        ticks = round_ticks(min(values), max(values), max(2, (rows + 1) // 2))
+        drawn = chart(points, span, (ticks[0], ticks[-1]), (width - _SCALE_WIDTH - 1, rows))
+        labels = {round((rows - 1) * (ticks[-1] - t) / (ticks[-1] - ticks[0])): _number(t) for t in ticks}
+        cursor = self._column(span)
         for at, row in enumerate(drawn):
-            label = _number(greatest) if at == 0 else _number(least) if at == len(drawn) - 1 and greatest > least else ""
-            text.append(f"{label:>{_SCALE_WIDTH}}┤")
-            text.append(row + "\n", colour)
+            text.append(f"{labels.get(at, ''):>{_SCALE_WIDTH}}{'┤' if at in labels else '│'}")
+            if cursor is None:
+                text.append(row + "\n", colour)
+            else:
+                text.append(row[:cursor], colour)
+                text.append("│" if row[cursor] == " " else row[cursor], "bold" if row[cursor] == " " else f"bold {colour}")
+                text.append(row[cursor + 1 :] + "\n", colour)
         return text
 
+    def _column(self, span: tuple[int, int]) -> int | None:
+        """Return the column of the cursor, None where it is not seen."""
+        if self.cursor_ns is None or not span[0] <= self.cursor_ns <= span[1] or self._columns < 1:
+            return None
+        return min(self._columns - 1, (self.cursor_ns - span[0]) * self._columns // max(1, span[1] - span[0]))
+
+    def _said(self, points: list[Point], span: tuple[int, int], unit: str) -> str:
+        """Return what a series says at the cursor: the last value until then, and its time. Without a cursor the newest."""
+        column = self._column(span)
+        if column is None:
+            return f"last {_number(points[-1][1])} {unit}".rstrip()
+        # A point in the column of the cursor is what one points at.
+        end_ns = span[0] + (span[1] - span[0]) * (column + 1) // self._columns
+        before = [point for point in points if point[0] <= end_ns]
+        if not before:
+            return "nothing yet at the cursor"
+        t_ns, value = before[-1]
+        return f"{_number(value)} {unit}".rstrip() + f" at {self._source.times.text(t_ns)[:-3].strip()}"
+
     def _time_axis(self, span: tuple[int, int], width: int, done: bool) -> str:
-        left, right = self._source.times.text(span[0]), self._source.times.text(span[1])
-        middle = f" {(span[1] - span[0]) / SECOND:.6g} s " + ("" if done else "(looking ...) ")
-        room = width - _SCALE_WIDTH - 1 - len(left)
-        if room < len(right) + 1:
-            right = ""
-        room = max(0, room - len(right))
-        return " " * (_SCALE_WIDTH + 1) + left + (middle if len(middle) <= room else "").center(room) + right
+        """Return the axis below the charts: round times, what they are, and how much time it is."""
+        inner = width - _SCALE_WIDTH - 1
+        line, labels = list("─" * inner), " " * inner
+        for t_ns, label in time_ticks(*span, self._source.times, max(2, inner // _TIME_ROOM)):
+            at = min(inner - 1, (t_ns - span[0]) * inner // max(1, span[1] - span[0]))
+            line[at] = "┬"
+            place = max(0, min(at - len(label) // 2, inner - len(label)))
+            if not labels[max(0, place - 1) : place + len(label) + 1].strip():
+                labels = labels[:place] + label + labels[place + len(label) :]
+        zone = self._source.times.zone or "s"
+        length = f"{(span[1] - span[0]) / SECOND:.4g} s"
+        left = zone if done else "looking"
+        line_text = "".join(line)
+        return f"{length[:_SCALE_WIDTH]:>{_SCALE_WIDTH}}└{line_text}\n{left:>{_SCALE_WIDTH}} {labels}"
 
 
-def _order(name: str) -> tuple[int, str]:
-    """Put what is plotted most first: states, replies, requests, latencies."""
-    kinds = ("/state." in name, ".reply." in name and not name.endswith("._latency"), ".request." in name)
-    return next((at for at, kind in enumerate(kinds) if kind), len(kinds)), name
+def _path(name: str) -> tree.Path:
+    """Return the branches above a series: its bus, its drive, and the state or the frame that it is of."""
+    bus, who, rest = name.rsplit("/", 2)
+    return bus, who, rest.rsplit(".", 1)[0].replace(".", " ")
+
+
+def _short(name: str) -> str:
+    """Return a series as its chart names it: a quantity of the state by its name alone."""
+    bus, who, kind = _path(name)
+    field = name.rsplit(".", 1)[-1].removeprefix("_")
+    return f"{bus}/{who} {field if kind == 'state' else f'{kind} {field}'}"
+
+
+def _order(name: str) -> tuple[str, tuple[int, str], int, str]:
+    """Put together what is of one drive, what is plotted most first: states, replies, requests."""
+    bus, who, kind = _path(name)
+    rank = next((at for at, end in enumerate(("state", " reply", " request")) if kind.endswith(end)), 3)
+    return bus, (int(who) if who.isdigit() else -1, who), rank, f"{kind}.{'~' * name.endswith('._latency')}{name}"
 
 
 def _number(value: float) -> str:
-    """Return a number in at most ten characters."""
-    text = f"{value:.6g}"
-    return text if len(text) <= 10 else f"{value:.3g}"
+    """Return a number in at most eight characters."""
+    return next(text for digits in (6, 4, 3, 2, 1) if len(text := f"{value:.{digits}g}") <= _SCALE_WIDTH or digits == 1)

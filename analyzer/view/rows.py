@@ -18,7 +18,8 @@ from textual.message import Message
 from textual.strip import Strip
 from textual.widget import Widget
 
-_CURSOR = Style(reverse=True)
+#: The row under the cursor: its colours stay, the ground behind them is lifted.
+_CURSOR = Style(bgcolor="#2d3f58", bold=True)
 
 
 class _AbstractWidget(type(Widget), ABCMeta):  # type: ignore[misc]  # textual gives its widgets a metaclass of their own
@@ -188,6 +189,7 @@ class Rows(Widget, can_focus=True, metaclass=_AbstractWidget):  # type: ignore[m
         text = self.row(number, width - 1)
         if number == self.cursor:
             text = text.copy()
+            text.truncate(width - 1, pad=True)
             text.stylize(_CURSOR)
         return self._strip(text, width, style, mark)
 

@@ -10,6 +10,7 @@ import math
 from array import array
 from collections.abc import Iterable, Iterator
 
+from analyzer.layout import STATE_UNITS
 from analyzer.live.snapshot import FrameLine
 
 #: Points of a series, two for each stretch once stretches were joined.
@@ -22,7 +23,8 @@ Point = tuple[int, float]
 class Series:
     """Points of one field: all of them, joined where they are many, and the newest as they came."""
 
-    def __init__(self) -> None:
+    def __init__(self, unit: str = "") -> None:
+        self.unit = unit
         self._times, self._values = array("q"), array("d")
         self._newest_times, self._newest_values = array("q"), array("d")
         #: Points that come for one that is kept, and those of the stretch that is under way.
@@ -77,18 +79,18 @@ def _extremes(points: list[Point]) -> list[Point]:
     return [low] if low is high else sorted((low, high))
 
 
-def series_of(line: FrameLine) -> Iterator[tuple[str, float]]:
-    """Yield the series that a frame has points of, and the values."""
+def series_of(line: FrameLine) -> Iterator[tuple[str, float, str]]:
+    """Yield the series that a frame has points of, the values, and their units."""
     if not line.checksum_ok or not line.dialect:
         return
     state, own = series_prefixes(line)
     for name, value in line.state.items():
-        yield state + name, value
+        yield state + name, value, STATE_UNITS.get(name, "")
     if line.latency_ns is not None:
-        yield own + "_latency", line.latency_ns / 1e9
+        yield own + "_latency", line.latency_ns / 1e6, "ms"
     for name, value in line.values.items():
         if isinstance(value, (int, float)):
-            yield own + name, value
+            yield own + name, value, line.units.get(name, "")
 
 
 def series_prefixes(line: FrameLine) -> tuple[str, str]:
@@ -107,12 +109,12 @@ class Plotted:
 
     def add(self, line: FrameLine) -> None:
         """Take a frame's values."""
-        for name, value in series_of(line):
+        for name, value, unit in series_of(line):
             series = self.series.get(name)
             if series is None:
                 if len(self.series) >= SERIES:
                     continue
-                series = self.series[name] = Series()
+                series = self.series[name] = Series(unit)
             series.add(line.t_ns, value)
         if line.dialect:
             self.first_ns = self.first_ns or line.t_ns

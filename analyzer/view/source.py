@@ -86,8 +86,8 @@ class ViewSource(Protocol):
     def hop(self, number: int, step: int) -> int:
         """Return the next number from here on, this one included, that may have findings."""
 
-    def series(self) -> list[str]:
-        """Return the names of the series that can be plotted."""
+    def series(self) -> dict[str, str]:
+        """Return the series that can be plotted, by name, and their units."""
 
     def span(self) -> tuple[int, int]:
         """Return the times of the first and the last frame."""

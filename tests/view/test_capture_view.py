@@ -165,12 +165,13 @@ def test_counts_lead_to_the_frames_of_a_command():
     async def steps(driver):
         await driver.press("2")
         text = driver.text
-        assert re.search(r"^serial +1 set_current +2 +2 +0\.40 +4\.00 +4\.06 +4\.12", text, re.MULTILINE), text
+        assert re.search(r"^    set_current +2 +2 +0\.40 +4\.00 +4\.06 +4\.12", text, re.MULTILINE), text
+        assert re.search(r"^▾ serial +19 +20 +3\.90\b", text, re.MULTILINE), text
         assert "by address" in text
         await driver.press("o")
         assert "by count" in driver.text
         rows = [row for row in driver.rows if row.startswith("serial ") and "frames/s" not in row]
-        assert "set_current" in rows[0]
+        assert rows[0].startswith("serial 1: set_current")
         await driver.press("enter")
         assert driver.app.shown == "frames"
         assert "4 frames shown" in driver.text
@@ -193,17 +194,110 @@ def test_findings_are_listed_with_their_counts():
 def test_fields_are_plotted():
     async def steps(driver):
         await driver.press("4")
-        await driver.until(lambda: "last 719.648" in driver.text)
+        await driver.until(lambda: "last 719.648 deg" in driver.text)
         text = driver.text
-        assert "[1] serial/1/state.position" in text
+        assert "deg [1] serial/1 position  last 719.648 deg" in text
+        assert re.search(r"^ .* 500┤", text, re.MULTILINE)
+        assert re.search(r"UTC 09:00:00 +09:00:05", text)
         assert any(0x2800 < ord(c) < 0x2900 for c in text)
         await driver.press("enter")
-        assert "state.position  last" not in driver.text
+        assert "serial/1 position  last" not in driver.text
         for _ in range(3):
             await driver.press("plus")
         assert "plot: 10 s" in driver.text
 
     drive(capture_of(LOG), steps)
+
+
+def test_a_cursor_reads_out_what_was_last_said_until_there():
+    async def steps(driver):
+        await driver.press("4")
+        await driver.until(lambda: "last 719.648 deg" in driver.text)
+        assert " at 09:00" not in driver.text
+        await driver.press("right")
+        await driver.until(lambda: "serial/1 speed  320 rpm at 09:00:01.143" in driver.text)
+        before = driver.app.plot.cursor_ns
+        await driver.press("shift+left")
+        await driver.press("left")
+        assert driver.app.plot.cursor_ns < before
+        for _ in range(12):
+            await driver.press("shift+left")
+        assert driver.app.plot.cursor_ns == driver.app.source.span()[0]
+        assert "speed  nothing yet at the cursor" in driver.text
+        await driver.press("escape")
+        assert "last 320 rpm" in driver.text
+
+    drive(capture_of(LOG), steps, size=(100, 28))
+
+
+def test_a_window_is_put_around_the_cursor_and_follows_it():
+    async def steps(driver):
+        await driver.press("4", "right")
+        plot = driver.app.plot
+        for _ in range(4):
+            await driver.press("plus")
+        assert "plot: 1 s" in driver.text
+        low, high = plot.span()
+        assert low <= plot.cursor_ns <= high
+        assert high - low == 1_000_000_000
+        for _ in range(12):
+            await driver.press("shift+right")
+        assert plot.span()[0] > low
+        assert plot.span()[0] <= plot.cursor_ns <= plot.span()[1]
+
+    drive(capture_of(LOG), steps, size=(100, 28))
+
+
+def test_a_click_on_a_chart_reads_out():
+    async def steps(driver):
+        await driver.press("4")
+        await driver.until(lambda: "last 719.648 deg" in driver.text)
+        await driver.pilot.click("#chart", offset=(30, 5))
+        await driver.settle()
+        assert "deg at 09:00:0" in driver.text
+        assert any("│" in row.rpartition("┤")[2] for row in driver.rows)
+
+    drive(capture_of(LOG), steps, size=(100, 28))
+
+
+def test_the_fields_stand_below_their_bus_and_drive():
+    async def steps(driver):
+        await driver.press("4")
+        assert re.search(r"▾ serial +█?\n.*\n.*\n.*▾ drive 1 ", re.sub(r"(?m)^(.{39}).*$", r"\1", driver.text))
+        assert "▸ read_speed reply" in driver.text
+        while "read_speed" not in driver.app.plot.rows._rows[driver.app.plot.rows.cursor].path[-1]:
+            await driver.press("down")
+        await driver.press("enter")
+        assert "▾ read_speed reply" in driver.text
+        await driver.press("down", "enter")
+        await driver.until(lambda: "[3] serial/1 read_speed reply speed  last 320 rpm" in driver.text)
+        assert "latency ms" in driver.text
+        await driver.press("up", "enter")
+        assert "▸ read_speed reply" in driver.text
+
+    drive(capture_of(LOG), steps, size=(110, 50))
+
+
+def test_a_branch_of_the_counts_closes():
+    async def steps(driver):
+        await driver.press("2")
+        assert "read_speed" in driver.text
+        await driver.press("enter")
+        assert "▸ serial" in driver.text
+        assert "read_speed" not in driver.text
+
+    drive(capture_of(LOG), steps)
+
+
+def test_a_request_shows_fields_or_nothing_and_the_cursor_row_keeps_its_colours():
+    async def steps(driver):
+        assert re.search(r"> read_speed +[█│]?$", driver.text, re.MULTILINE)
+        await driver.press("down")
+        strip = driver.app.frames.render_line(2)
+        assert not any(segment.style and segment.style.reverse for segment in strip)
+        assert all(segment.style.bgcolor for segment in strip if segment.text.strip() not in ("", "█", "│"))
+
+    drive(capture_of(LOG), steps, size=(110, 40))
 
 
 def test_columns_change():

@@ -231,7 +231,7 @@ def test_a_plot_follows(live, bus):
         for n in range(10):
             live.put(bus.poll(3, speed=n * 10).snapshot())
             await driver.settle()
-        assert "[1] left/1/state.speed  last 90" in driver.text
+        assert "[1] left/1 speed  last 90" in driver.text
         await driver.press("minus", "plus", "plus", "plus")
         assert "plot: 10 s" in driver.text
 

@@ -18,6 +18,7 @@ from analyzer.view.capture import CapturePlot, WantedNumbers, _Keeper
 from analyzer.view.condition import Condition
 from analyzer.view.kept import KeptLines, WantedKept
 from analyzer.view.lines import ELAPSED, STEP, Columns
+from analyzer.view.scale import SECOND, round_ticks, time_ticks
 from analyzer.view.search import Search
 from analyzer.view.series import POINTS, Series
 from analyzer.view.store import BLOCK, FrameStore
@@ -235,6 +236,48 @@ def test_a_chart_of_anything_has_its_size(points, width, height):
     rows = chart(points, (times[0], times[-1]), (min(values), max(values)), (width, height))
     assert [len(row) for row in rows] == [width] * height
     assert any(row.strip() for row in rows) == bool(points)
+
+
+_ANY = st.floats(-1e200, 1e200).filter(lambda value: value == 0 or abs(value) > 1e-80)
+
+
+@pytest.mark.parametrize(
+    ("least", "greatest", "most", "ticks"),
+    [
+        (0, 240, 4, [0, 100, 200, 300]),
+        (-150, 240, 5, [-200, 0, 200, 400]),
+        (320, 320, 3, [200, 300, 400]),
+        (0.0013, 0.0041, 4, [0, 0.002, 0.004, 0.006]),
+        (0, 0, 3, [-1, 0, 1]),
+    ],
+)
+def test_ticks_are_round_and_lie_around_the_values(least, greatest, most, ticks):
+    assert round_ticks(least, greatest, most) == pytest.approx(ticks)
+
+
+@given(_ANY, _ANY, st.integers(2, 12))
+def test_ticks_of_anything(one, other, most):
+    least, greatest = sorted((one, other))
+    ticks = round_ticks(least, greatest, most)
+    assert 2 <= len(ticks) <= most
+    assert ticks[0] <= least
+    assert greatest <= ticks[-1]
+    assert ticks == sorted(ticks)
+
+
+def test_times_on_an_axis_are_round():
+    utc = ShownTime(utc=True)
+    assert [label for _, label in time_ticks(START, START + 9 * SECOND, utc, 4)] == [
+        "22:13:20", "22:13:22", "22:13:24", "22:13:26", "22:13:28",
+    ]  # fmt: skip
+    assert [label for _, label in time_ticks(START, START + 50 * MS, utc, 3)] == ["22:13:20.00", "22:13:20.02", "22:13:20.04"]
+    assert [label for _, label in time_ticks(0, 3 * SECOND, utc, 3)] == ["0", "1", "2", "3"]
+    assert [label for _, label in time_ticks(START, START + 3600 * SECOND, utc, 4)] == [
+        "22:15:00",
+        "22:30:00",
+        "22:45:00",
+        "23:00:00",
+    ]
 
 
 # --- rows -------------------------------------------------------------------------------------------------------------
