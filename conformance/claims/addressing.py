@@ -244,8 +244,8 @@ def _moves(probe: Probe, command: Command) -> None:
 
 def _judge_place(probe: Probe, here: int, gone: int, told: Exchange) -> None:
     """Refute a drive that is not heard here, or is heard where it should be gone."""
-    for address, wanted in ((here, True), (gone, False)):
-        tries = [probe.ask(plain_read(probe.dialect), address=address, timeout_ns=probe.rig.late_ns) for _ in range(2)]
+    for address, wanted, late_ns in ((here, True, probe.rig.late_ns), (gone, False, probe.rig.silence_ns)):
+        tries = [probe.ask(plain_read(probe.dialect), address=address, timeout_ns=late_ns) for _ in range(2)]
         exchange = tries[-1]
         heard = [any(a.message.address == address and a.message.frame.checksum_ok for a in t.answers) for t in tries]
         what = "is not heard there" if wanted else "is still heard at the old one"

@@ -38,6 +38,18 @@ def plain_read(dialect: Dialect) -> Command:
     return next(c for c in dialect.commands if c.all_risks == {Risk.READ} and not c.request_forms[0].layout.fields)
 
 
+#: Pauses that a host makes now and then.
+PAUSES_NS = (1_000_000_000, 5_000_000_000)
+
+
+def around_silence(probe: Probe, pause_ns: int) -> tuple[Exchange, Exchange]:
+    """Ask, listen for a pause and ask again; return what came in the pause, and behind it."""
+    read = plain_read(probe.dialect)
+    probe.ask(read)
+    silence = probe.listen(pause_ns)
+    return silence, probe.ask(read)
+
+
 def garblers(probe: Probe) -> list[Garbler]:
     """Return the garblers of a read without data, and of each kind of read with data in the dialect."""
     dialect = probe.dialect

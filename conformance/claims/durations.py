@@ -29,7 +29,7 @@ _HALF_SECOND_NS = 500 * MS
 #: Moves by their form: turns, rpm, acceleration, and what they show.
 _FORMS = (
     ("trapezoid", 1.0, 120, 200, "up, along and down"),
-    ("triangle", -1.0, 300, 56, "up and down again, for the way is too short for its speed"),
+    ("triangle", -0.5, 300, 56, "up and down again, for the way is too short for its speed"),
     ("no-ramp", 0.5, 60, 0, "along at its speed, without ramps"),
 )
 

@@ -92,8 +92,8 @@ def _speeding_up(probe: Probe) -> None:
 @_of_a_run()
 def _full_speed(probe: Probe) -> None:
     """The status at the speed that was asked for is 4."""
-    _wait_until(probe, _run(probe), _RAMP_NS + 500 * MS)
-    _expect(probe, _status(probe), _FULL, "turns at full speed")
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
+    _expect_turning_at_full_speed(probe, _RPM, 500 * MS, "")
     motion.stand_still(probe)
 
 
@@ -118,7 +118,9 @@ def _slow(probe: Probe, rpm: int) -> None:
 @_of_a_run(quirks=may_meet("status-stops-early"))
 def _slowing_down(probe: Probe) -> None:
     """The status on the ramp down is 3, to the last few rpm."""
-    _wait_until(probe, _run(probe), _RAMP_NS + 500 * MS)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
+    motion.run_at(probe, _RPM, QUICK)
+    probe.wait(300 * MS)
     motion.stop(probe, _RAMP)
     if abs(motion.speed(probe).value) < 2:
         raise Inconclusive("the shaft stood too soon to see it slow down")

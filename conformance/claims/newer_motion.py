@@ -31,8 +31,8 @@ from conformance.motion.motion import CALM, FORCE, MOVES, MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
-#: The older move: one turn at 30 rpm lasts two seconds; the newer one comes after half of one.
-_DEGREES, _RPM, _WHEN_NS = 360, 30, 500 * MS
+#: The older move: 270 degrees at 30 rpm last a second and a half; the newer one comes after 0.3 of one.
+_DEGREES, _RPM, _WHEN_NS = 270, 30, 300 * MS
 #: The move that the MKS manual lets be updated.
 _UPDATED = Verb.MOVE_ABSOLUTE_AXIS
 _moves = motions(*MOVES, where=takes_counts)
@@ -104,7 +104,7 @@ def _superseded(probe: Probe, command: Command) -> None:
     # A second of motion: a reply may be late while the motor turns, and is still the first of the two.
     exchange = motion.begin(probe, command, 90, rpm=_RPM // 2, acceleration=QUICK)
     # Listened to, not asked: a request could collide with what is told. The older one would have ended too by then.
-    probe.wait(2 * SECOND_NS)
+    probe.wait(1500 * MS)
     motion.wait_standing(probe)
     text = f"{command.name}: what comes after a newer one is not its two replies"
     probe.expect(motion.statuses(probe.traffic[before:], command), equal=[1, 2], refutes=text, exchange=exchange)

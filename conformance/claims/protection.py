@@ -21,8 +21,8 @@ from conformance.claims.control_reads import received_text
 from conformance.claims.declare import Case, Cases, commands, motions, needing
 from conformance.claims.motion_claim import of_motion, risks_by, that_tell_their_end
 from conformance.claims.refusals import expect_refused
-from conformance.motion import motion
-from conformance.motion.motion import QUICK, SECOND_NS
+from conformance.motion import motion, ramp
+from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
@@ -219,12 +219,17 @@ def _current(probe: Probe, on: bool) -> Exchange:
     return probe.do(command, {"current": (default or _WEAK) if on else 0})
 
 
+#: How fast a motor without current is asked to turn.
+_LIMP_RPM = 240
+
+
 def _limp_move(probe: Probe, degrees: float) -> tuple[Exchange, float]:
     """Ask a motor without current for a move; return by how many degrees it went all the same."""
     before = motion.position(probe)
     _current(probe, False)
-    exchange = motion.begin(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), degrees, rpm=120, acceleration=QUICK)
-    probe.wait(2 * SECOND_NS)
+    exchange = motion.begin(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), degrees, rpm=_LIMP_RPM, acceleration=QUICK)
+    # The drive is to see that the shaft lags, which is so before the move would have ended.
+    probe.wait(int(ramp.move_ns(degrees / 360, _LIMP_RPM, QUICK)) + 500 * MS)
     return exchange, motion.position(probe).value - before.value
 
 

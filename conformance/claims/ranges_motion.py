@@ -34,6 +34,8 @@ _RUNS = (MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO)
 SLOW, STEEP = 10, 252
 #: How long a move is watched.
 _WATCH_NS = 300 * MS
+#: How long a move at 240 rpm is watched that is to go half a turn.
+_WAY_NS = 200 * MS
 #: A speed that reads so much off (a share) is another one.
 _SPEED_SHARE = 0.015
 #: A speed both bytes of which are filled.
@@ -291,9 +293,9 @@ def _distance_width(probe: Probe, command: Command, field: Field, values: tuple[
         if not field.low <= start + distance <= field.high:
             raise Inconclusive(f"from {start} no move by {distance} fits the field")
         before = motion.position(probe)
-        asked = _values(probe, command, speed=120, acceleration=STEEP, **{field.name: start + distance})
+        asked = _values(probe, command, speed=240, acceleration=STEEP, **{field.name: start + distance})
         exchange = expect_accepted(probe, command, asked, f"a distance of {distance}")
-        probe.wait(_WATCH_NS)
+        probe.wait(_WAY_NS)
         gone = (motion.position(probe).value - before.value) / 360 * units
         _end(probe, command)
         least = min(abs(distance), units // 2)
@@ -302,7 +304,7 @@ def _distance_width(probe: Probe, command: Command, field: Field, values: tuple[
             f"{gone:.0f}",
             holds=least * 0.95 <= abs(gone) <= abs(distance) * 1.05 + units * 0.01 and len(ways) == 1,
             expected=f"{least} or more, and the other way for the other sign",
-            refutes=f"{command.name} by {distance} {field.unit} moves the shaft by {gone:.0f} in the first 300 ms",
+            refutes=f"{command.name} by {distance} {field.unit} moves the shaft by {gone:.0f} in the first {_WAY_NS // MS} ms",
             exchange=exchange,
             key=f"{command.name} width",
         )

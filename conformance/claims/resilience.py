@@ -20,7 +20,17 @@ from analyzer.link import CanLink
 from analyzer.records import CanFrame
 from analyzer.reference.hex_frame import CAN_ID_LIMIT
 from conformance.claim import Inconclusive, Theme
-from conformance.claims.control_reads import LISTEN_NS, PAUSE_NS, ask_first, is_answered, judge_next, plain_read, received_text
+from conformance.claims.control_reads import (
+    LISTEN_NS,
+    PAUSE_NS,
+    PAUSES_NS,
+    around_silence,
+    ask_first,
+    is_answered,
+    judge_next,
+    plain_read,
+    received_text,
+)
 from conformance.claims.declare import Case, claim, commands, described_in
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.known_reads import plain_reads
@@ -39,7 +49,6 @@ _SHIVER = 16
 _PIECE, _PIECES = 64, 32
 _SEED = 20_241
 #: Pauses after which the first request is looked at, each of them twice at most: those that every run has time for, and others.
-_PAUSES_NS = (1 * _SECOND_NS, 5 * _SECOND_NS)
 _LONG_PAUSES_NS = (31 * _SECOND_NS, 61 * _SECOND_NS)
 _LONG_IDLE_NS = 24 * 3600 * _SECOND_NS
 #: How long a drive may take from power-on until it answers; real ones take two seconds.
@@ -265,10 +274,7 @@ def _after(probe: Probe, what: str, happen: Sends) -> None:
 
 
 def _pauses(dialect: Dialect) -> Iterator[Case]:
-    for name, pauses, words in (
-        ("first", _PAUSES_NS, "seconds"),
-        ("first-long", _LONG_PAUSES_NS, "a minute, and half of one,"),
-    ):
+    for name, pauses, words in (("first", PAUSES_NS, "seconds"), ("first-long", _LONG_PAUSES_NS, "a minute, and half of one,")):
         yield Case(
             dialect,
             given={"pauses": pauses, "words": words},
@@ -282,19 +288,16 @@ def _first_after_idle(probe: Probe, pauses: tuple[int, ...]) -> None:
     ask_first(probe)
     read = plain_read(probe.dialect)
     for pause_ns in pauses:
-        # Twice: a line loses a reply now and then, and not after each pause.
-        exchanges = []
-        for _ in range(2):
-            probe.wait(pause_ns)
-            exchanges.append(probe.ask(read))
-            if is_answered(exchanges[-1]):
-                break
+        _, exchange = probe.recorded(around_silence, pause_ns)
+        if not is_answered(exchange):
+            # A line loses a reply now and then, and not after each pause.
+            _, exchange = around_silence(probe, pause_ns)
         probe.expect(
-            received_text(exchanges[-1]),
-            holds=is_answered(exchanges[-1]),
+            received_text(exchange),
+            holds=is_answered(exchange),
             expected=f"a reply to {read.name}",
             refutes=f"the first request after {pause_ns / _SECOND_NS:g} s of silence is not answered",
-            exchange=exchanges[-1],
+            exchange=exchange,
             key="the first request after a pause is lost",
         )
 

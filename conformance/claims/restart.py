@@ -495,7 +495,7 @@ def _each_motion(probe: Probe) -> dict[str, float]:
         if command.motion is not None and command.motion.kind is MotionKind.RUN:
             # Beyond 400 rpm as sent, so that the limit of the mode shows too.
             motion.begin(probe, command, rpm=_BEYOND, **how)
-            probe.wait(1_200 * MS)
+            probe.wait(700 * MS)
             found[command.name] = motion.speed(probe).value
             motion.stand_still(probe)
         else:

@@ -21,6 +21,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, Subject
 from analyzer.codec import codec
 from analyzer.layout import Field, FieldKind
 from conformance.claim import Aspect, Inconclusive, Theme
+from conformance.claims.control_reads import PAUSES_NS, around_silence
 from conformance.claims.declare import Case, Cases, claim, described_in
 from conformance.claims.known_quirks import known
 from conformance.claims.known_reads import plain_reads
@@ -30,8 +31,6 @@ from conformance.talk.probe import Probe
 from conformance.talk.reply_match import COUNTS, MatchedReply, Replies, replies, templates
 
 SECOND_REPLY, NO_CHECKSUM, OTHER_FIRMWARE = "second-reply", "no-checksum", "lk-firmware-235"
-#: How long nothing may come unasked.
-_LISTEN_NS = 5_000_000_000
 #: Settings as the drives know them: what a second reply was seen after.
 _SETTING = ("set_", "write_user_id")
 #: Two replies of the quirk "second-reply" are so far apart at least; a doubled reply follows at once.
@@ -458,6 +457,6 @@ def _one_piece(probe: Probe) -> None:
 @claim(Theme.SHAPE, refuted_by="anything at all", section=described_in(Subject.SILENCE))
 def _unasked(probe: Probe) -> None:
     """A drive that stands sends nothing that was not asked for."""
-    exchange = probe.listen(_LISTEN_NS)
+    exchange, _ = probe.recorded(around_silence, PAUSES_NS[-1])
     got = _hex(exchange.received)
     probe.expect(got, holds=exchange.silent, expected="silence", refutes="the drive sends unasked", exchange=exchange)

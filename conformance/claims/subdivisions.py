@@ -120,7 +120,7 @@ def _moves(dialect: Dialect) -> Iterator[Case]:
     parameters=lambda case: {"subdivision": case["subdivision"]},
 )
 def _speed_of_a_move(probe: Probe, command: Command, subdivision: int, sent: int, rpm: float) -> None:
-    """At {subdivision} subdivisions {command} turns the shaft at {rpm:g} rpm, as asked, and by 540 degrees."""
+    """At {subdivision} subdivisions {command} turns the shaft at {rpm:g} rpm, as asked, and by 450 degrees."""
     motion.ready_to_move(probe, subdivision=sent)
     how = {"rpm": rpm, "acceleration": QUICK, "subdivision": subdivision}
     for turns in (_TURNS, _MORE_TURNS):
@@ -140,7 +140,7 @@ def _speed_of_a_move(probe: Probe, command: Command, subdivision: int, sent: int
     probe.expect(degrees, near=turns * 360, unit="degrees", refutes=text, exchange=exchange)
 
 
-#: A second and a half at 60 rpm, and what is long enough for a drive that is slow to reply while it turns.
-_TURNS, _MORE_TURNS = 1.5, 4.5
+#: A second and a quarter at 60 rpm, and what is long enough for a drive that is slow to reply while it turns.
+_TURNS, _MORE_TURNS = 1.25, 4.5
 #: The share of a speed by which late replies leave it uncertain.
 _LATE = 0.05

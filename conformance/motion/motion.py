@@ -63,8 +63,8 @@ _PATIENCE = 1.5
 _GRACE_NS = 3 * SECOND_NS
 #: How long a move without a known ramp has to get going before the shaft is watched.
 _SET_OFF_NS = 500 * MS
-#: Between two looks at a shaft that may still turn.
-_LOOK_NS, _FAST_LOOK_NS = 50 * MS, 150 * MS
+#: Between two looks at a shaft that may still turn; one that does not tremble shows each count.
+_LOOK_NS, _FAST_LOOK_NS, _QUIET_LOOK_NS = 50 * MS, 150 * MS, 25 * MS
 #: How long a shaft may take to come to rest.
 _REST_NS = 30 * SECOND_NS
 #: How often a measurement is taken again whose reply cannot be read.
@@ -535,9 +535,10 @@ def wait_standing(probe: Probe, *, limit_ns: int = _REST_NS) -> Sample:
     """
     until_ns = probe.gate.now_ns() + limit_ns
     before, rpm = position(probe), 0.0
+    least_ns = _LOOK_NS if probe.noise.live else _QUIET_LOOK_NS
     while True:
         # A fast shaft takes as long as its ramp, which may be steep: there is little to see before.
-        probe.wait(max(_LOOK_NS, min(int(rpm * ramp.step_ns(QUICK)), _FAST_LOOK_NS, limit_ns)))
+        probe.wait(max(least_ns, min(int(rpm * ramp.step_ns(QUICK)), _FAST_LOOK_NS, limit_ns)))
         now, rpm = position(probe), abs(speed(probe).value)
         if abs(now.value - before.value) <= same(probe) and rpm < 1 + probe.noise.rpm:
             probe.rig.stands_at(now.value)
