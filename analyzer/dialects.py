@@ -83,6 +83,11 @@ def drive(text: str) -> tuple[Dialect, int]:
     return dialect, address
 
 
+def drive_name(dialect: Dialect, address: int) -> str:
+    """Return the name of a drive, as `drive` takes it: on CAN its identifier in hexadecimal."""
+    return f"{dialect.name}@{address:#x}" if dialect.bus == "can" and address > 9 else f"{dialect.name}@{address}"
+
+
 def every() -> list[Dialect]:
     """Return all dialects."""
     return [get(name) for name in names()]

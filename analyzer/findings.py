@@ -59,7 +59,7 @@ RULES: dict[str, Rule] = {
         Rule("other_dialect", _E, "a frame to a drive that speaks another dialect"),
         Rule("host_echo", _I, "an echo of the host's own bytes, by the adapter or the wiring"),
         Rule("can_error_frame", _E, "a CAN error frame"),
-        Rule("foreign_can_frame", _W, "a CAN frame whose identifier, type or length the dialect does not use"),
+        Rule("foreign_can_frame", _W, "a CAN frame of a drive's identifier, of a type or length that the dialect does not use"),
         Rule("port_lost", _W, "a port was lost during recording: traffic from here on is missing"),
         Rule("port_back", _W, "a port reconnected after a gap"),
         Rule("overrun", _W, "the serial driver counted lost or damaged bytes"),
@@ -103,7 +103,7 @@ def _exception(message: Message, context: Context) -> Iterator[Issue]:
 def _dialect(message: Message, context: Context) -> Iterator[Issue]:
     spoken = context.speaks.get(message.address)
     if spoken is not None and spoken != message.frame.dialect.name and message.role == "request":
-        yield Issue("other_dialect", f"address {message.address} speaks {spoken}, got a {message.frame.dialect.name} request")
+        yield Issue("other_dialect", f"address {message.who} speaks {spoken}, got a {message.frame.dialect.name} request")
 
 
 #: What is looked at in every message, each a small generator.
@@ -142,7 +142,8 @@ def finding(
     offset: int,
     topic: str,
     sequence: int,
+    who: str = "",
 ) -> Finding:
     """Tie an issue to a place."""
     severity = issue.severity or RULES[issue.rule].severity
-    return Finding(issue.rule, severity, port, address, first_ns, last_ns, issue.text, section, offset, topic, sequence)
+    return Finding(issue.rule, severity, port, address, first_ns, last_ns, issue.text, section, offset, topic, sequence, who)

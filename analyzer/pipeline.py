@@ -21,9 +21,11 @@ from analyzer import events
 from analyzer.catalogue import Dialect, Role
 from analyzer.errors import UsageError
 from analyzer.findings import Issue, finding, is_plain, of_junk, of_message
+from analyzer.foreign import CAN_ID_LIMIT
 from analyzer.port import Options, Port, PortSetup, topic_name, usual_setup
 from analyzer.records import CanFrame, Chunk, Comment, Event, Finding, Frame, Junk, Lane, Message, Silence
 from analyzer.transactions import Late
+from analyzer.values import counted
 
 __all__ = [
     "CAN_ID_LIMIT", "CAN_OVERHEAD_BITS", "Entry", "EventSink", "Item", "Options", "Pipeline", "PlainSink", "Port",
@@ -35,8 +37,6 @@ Item = Chunk | CanFrame | Comment | Silence | Event
 
 #: Data bits of a CAN frame besides its payload, for made-up times: standard frame with its gap.
 CAN_OVERHEAD_BITS = 47
-#: A CAN identifier of the standard format has 11 bits.
-CAN_ID_LIMIT = 0x7FF
 
 
 class Entry(msgspec.Struct, frozen=True, gc=False):
@@ -235,19 +235,28 @@ class Pipeline:
         dialect = port.can_dialect(can)
         shortest = dialect.link.shortest
         usual = not (can.error or can.fd or can.extended or can.remote) and can.id <= CAN_ID_LIMIT and len(can.data) >= shortest
-        foreign = None if usual else _foreign(can, shortest)
-        if foreign is not None:
-            frame = Frame(port.name, t_ns, t_ns, offset, can.data, dialect, can.direction, True, can)
-            message = Message(frame, Role.UNKNOWN, can.id, None, None, can.data)
-            self._write(port, message, [foreign])
-            return
-        good = dialect.link.fits(can.data, can.id)
-        self._frame(port, Frame(port.name, t_ns, t_ns, offset, can.data, dialect, can.direction, good, can))
+        good = not usual or dialect.link.fits(can.data, can.id)
+        frame = Frame(port.name, t_ns, t_ns, offset, can.data, dialect, can.direction, good, can)
+        if not can.error and (can.extended or can.id not in port.nodes.drives) and not port.from_drive(frame, can, usual=usual):
+            self._foreign(port, frame, can.id)
+        elif usual:
+            self._frame(port, frame)
+        else:
+            self._write(port, Message(frame, Role.UNKNOWN, can.id, None, None, can.data), [_unusual(can)])
 
     # --- what both share ------------------------------------------------------------------------------------------
 
+    def _foreign(self, port: Port, frame: Frame, address: int) -> None:
+        """Keep a frame of another node: it is for no drive and from none."""
+        self._write(port, Message(frame, Role.FOREIGN, address, None, None, frame.data), ())
+
     def _frame(self, port: Port, frame: Frame) -> None:
         context = port.context
+        if port.nodes.listed is not None and frame.can is None:
+            address = frame.dialect.link.parse(frame.data).address
+            if port.serves(address, frame.dialect) is False:
+                self._foreign(port, frame, address)
+                return
         decoder = port.decoders[frame.dialect.name]
         if frame.checksum_ok and not context.borrowed:
             lane = decoder.lane(frame, context)
@@ -337,6 +346,7 @@ class Pipeline:
             offset=frame.offset,
             topic=topic,
             sequence=sequence,
+            who=message.who,
         )
 
     def _late(self, port: Port, late: Late) -> None:
@@ -364,16 +374,12 @@ class Pipeline:
             sink.finding(found)
 
 
-def _foreign(can: CanFrame, shortest: int) -> Issue | None:
-    """Return why a CAN frame cannot be of a dialect with standard identifiers, or None."""
+def _unusual(can: CanFrame) -> Issue:
+    """Return what is wrong with a CAN frame of a drive's identifier that is of no dialect."""
     if can.error:
         return Issue("can_error_frame", f"error frame, class 0x{can.id:X}, data {can.data.hex(' ').upper() or 'none'}")
     if can.fd:
         return Issue("foreign_can_frame", "a CAN FD frame, expected CAN 2.0A")
-    if can.extended or can.id > CAN_ID_LIMIT:
-        return Issue("foreign_can_frame", f"identifier 0x{can.id:X} has 29 bits, expected 11")
     if can.remote:
         return Issue("foreign_can_frame", "a remote frame, expected a data frame")
-    if len(can.data) < shortest:
-        return Issue("foreign_can_frame", f"{len(can.data)} data bytes, expected a code and a checksum at least")
-    return None
+    return Issue("foreign_can_frame", f"{counted(len(can.data), 'data byte')}, expected a code and a checksum at least")

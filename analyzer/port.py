@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from analyzer import dialects as registry
-from analyzer.catalogue import Command, Dialect, Role
+from analyzer.catalogue import Dialect, Role
 from analyzer.context import Context
 from analyzer.decoder import Decoder
+from analyzer.foreign import CAN_ID_LIMIT, Likeness, Nodes
 from analyzer.framer import SILENCE_NS, Framer
-from analyzer.link.interface import data_lengths
 from analyzer.records import CanFrame, Event, Frame, Junk, Message
 from analyzer.transactions import Transactions
 
@@ -25,7 +25,8 @@ class Options:
     """What a user can choose.
 
     `byte_ns`: time of one byte on the line, 0 if unknown; `synthetic_byte_ns` and `synthetic_bit_ns` estimate the times of a
-    capture that has none (serial bytes, CAN bits). With `timed` False they tell no latency.
+    capture that has none (serial bytes, CAN bits). With `timed` False they tell no latency. `listed`: who is a drive, None: the
+    frames tell.
     """
 
     byte_ns: int = 0
@@ -35,19 +36,21 @@ class Options:
     late_ns: int = 1_000_000_000
     silence_ns: int = SILENCE_NS
     groups: frozenset[int] = field(default_factory=frozenset)
+    listed: frozenset[int] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class PortSetup:
     """What differs from bus to bus.
 
-    `dialects`: all that may be on it. `byte_ns`: None: as `Options` has it. `offset`: bytes of the bus that came before the
-    first one here; it counts only for a bus that is new.
+    `dialects`: all that may be on it. `byte_ns`, `listed`: None: as `Options` has it. `offset`: bytes of the bus that came
+    before the first one here; it counts only for a bus that is new.
     """
 
     dialects: tuple[Dialect, ...]
     byte_ns: int | None = None
     offset: int = 0
+    listed: frozenset[int] | None = None
 
 
 def topic_name(text: str) -> str:
@@ -69,7 +72,8 @@ class Port:
         self.framer: Framer | None = None
         self.can: list[Dialect] = []
         self._by_evidence: list[Dialect] = []
-        self._lengths: dict[str, dict[int, set[int]]] = {}
+        self._alike: dict[str, Likeness] = {}
+        self.nodes = Nodes(options.listed)
         self.clock_ns = 0
         #: Place of the first byte here, and of the next one.
         self.start = self.bytes_in = setup.offset
@@ -91,7 +95,8 @@ class Port:
         self.can = [d for d in setup.dialects if d.bus == "can"]
         # What no check speaks for comes last.
         self._by_evidence = sorted(self.can, key=lambda d: not d.link.checked)
-        self._lengths = {d.name: frame_lengths(d.commands) for d in self.can if not d.link.checked}
+        self._alike = {d.name: Likeness(d) for d in self.can}
+        self.nodes.listed = self._options.listed if setup.listed is None else setup.listed
         byte_ns = self._options.byte_ns if setup.byte_ns is None else setup.byte_ns
         self.framer = (
             Framer(self.name, serial, self.context, byte_ns=byte_ns, silence_ns=self._options.silence_ns, offset=self.bytes_in)
@@ -126,12 +131,30 @@ class Port:
     def _evident(self, dialect: Dialect, can: CanFrame) -> bool:
         if dialect.link.checked:
             return dialect.link.fits(can.data, can.id)
-        head = dialect.link.parse(can.data, can.id)
-        return head.stop - head.start in self._lengths[dialect.name].get(head.code or 0, ())
+        return self._alike[dialect.name].fits(can)
+
+    def serves(self, address: int, dialect: Dialect) -> bool | None:
+        """Say whether an address is a drive's, None where the frame has to tell: what is for several drives is not listed."""
+        known = self.nodes.knows(address)
+        return None if known is False and (address == dialect.broadcast or address in self.context.groups) else known
+
+    def from_drive(self, frame: Frame, can: CanFrame, *, usual: bool) -> bool:
+        """Say whether a CAN frame is a drive's, or for one. `usual`: its identifier, type and length are of the dialect."""
+        dialect = frame.dialect
+        if can.extended or can.id > CAN_ID_LIMIT:
+            return False
+        known = self.serves(can.id, dialect)
+        if known is not None:
+            return known
+        message = self.decoders[dialect.name].decode(frame, self.context)[0] if usual else None
+        near = self._alike[dialect.name].is_near(can, checks=usual and frame.checksum_ok)
+        return self.nodes.tells(can, message, near)
 
     def topic(self, message: Message) -> str:
         """Return the topic of a message."""
         command, role = message.command, message.role
+        if role is Role.FOREIGN:
+            return f"/{self.bus}/foreign"
         if command is None or role is Role.UNKNOWN:
             return f"/{self.bus}/unknown"
         topics = self._request_topics if role is Role.REQUEST else self._reply_topics
@@ -151,6 +174,7 @@ class Port:
             "framer": None if self.framer is None else self.framer.state(),
             "context": vars(self.context),
             "transactions": {name: getattr(self.transactions, name) for name in Transactions.STATE},
+            "nodes": {name: getattr(self.nodes, name) for name in Nodes.STATE},
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -159,14 +183,10 @@ class Port:
         vars(self.context).update(state["context"])
         for name in Transactions.STATE:
             setattr(self.transactions, name, state["transactions"][name])
+        for name in Nodes.STATE:
+            setattr(self.nodes, name, state["nodes"][name])
         if self.framer is not None and state["framer"] is not None:
             self.framer.restore(state["framer"])
-
-
-def frame_lengths(commands: Sequence[Command]) -> dict[int, set[int]]:
-    """Return the data lengths of each code, of requests and replies."""
-    asked, told = data_lengths(commands, Role.REQUEST), data_lengths(commands, Role.REPLY)
-    return {code: asked.get(code, set()) | told.get(code, set()) for code in asked | told}
 
 
 def usual_setup(dialects: Sequence[Dialect]) -> PortSetup:
@@ -190,4 +210,15 @@ class Setups:
             return None
         chosen = tuple(self.dialects.get(name) or registry.get(name) for name in names)
         byte_ns, offset = event.values.get("byte_ns"), event.values.get("offset", 0)
-        return PortSetup(chosen, byte_ns if isinstance(byte_ns, int) else None, offset if isinstance(offset, int) else 0)
+        return PortSetup(
+            chosen,
+            byte_ns if isinstance(byte_ns, int) else None,
+            offset if isinstance(offset, int) else 0,
+            listed_in(event.values),
+        )
+
+
+def listed_in(values: Mapping[str, Any]) -> frozenset[int] | None:
+    """Return who is a drive, as the values of an event say; None where they do not."""
+    ids = values.get("ids")
+    return frozenset(n for n in ids if isinstance(n, int)) if isinstance(ids, (list, tuple)) else None

@@ -13,6 +13,7 @@ import msgspec
 
 from analyzer.catalogue import Command, Dialect, Form, Role
 from analyzer.codec import Violation, codec
+from analyzer.values import identifier
 
 
 class Severity(StrEnum):
@@ -139,6 +140,14 @@ class Message(msgspec.Struct, frozen=True, gc=False):
         """Return the integers as sent, by field name; empty where no form fits."""
         return codec(self.form.layout).wire(self.data) if self.form is not None else {}
 
+    @property
+    def who(self) -> str:
+        """Return the address as people read it: on CAN the identifier in hexadecimal; `all` for a package."""
+        if self.command is not None and self.command.slots is not None:
+            return "all"
+        can = self.frame.can
+        return str(self.address) if can is None else identifier(self.address, extended=can.extended)
+
 
 class Lane:
     """What all frames of one head and length share: who, what, and how their data are read.
@@ -194,7 +203,7 @@ class Finding(msgspec.Struct, frozen=True, gc=False):
     """Something that is wrong, or that one should know.
 
     `evidence`: sequence numbers of the messages it rests on, the first being the one it is about; `offset` and `data`
-    lead to the bytes.
+    lead to the bytes. `who`: the address as people read it.
     """
 
     rule: str
@@ -208,3 +217,4 @@ class Finding(msgspec.Struct, frozen=True, gc=False):
     offset: int = 0
     topic: str = ""
     sequence: int = 0
+    who: str = ""

@@ -309,7 +309,7 @@ class Transactions:
         for request in reversed(context.broadcasts):
             near = frame.first_ns - request.t_ns <= self.late_ns
             if near and answers(request, head.function, head.code, message.data):
-                kind = "the broadcast" if request.address == frame.dialect.broadcast else f"group {request.address}"
+                kind = "the broadcast" if request.address == frame.dialect.broadcast else f"group {request.message.who}"
                 return Paired(request, issues=(Issue("answered_broadcast", f"a reply to {kind}"),))
         if self._last_reply.get(message.address) == frame.data:
             return Paired(issues=(Issue("duplicate_reply", "a repeated reply"),))
@@ -354,7 +354,7 @@ class Transactions:
             if address in self._told_silent:
                 return []
             self._told_silent.add(address)
-            text = f"address {address} does not answer motion commands: respond = 0 or a group address"
+            text = f"address {request.message.who} does not answer motion commands: respond = 0 or a group address"
             return [Late(request, Issue("silent_address", text))]
         name = command.name if command is not None else "an unknown command"
         return [Late(request, Issue("unanswered", f"{name}: {why}", severity))]

@@ -26,6 +26,8 @@ _OFF = frozenset({"off", "false", "no", "disabled"})
 #: Names of the value 1 that `on` may stand for; a direction is never on.
 _SWITCH_NAMES = frozenset({"enabled", "on", "high"})
 _DECIMALS = 6
+#: The highest CAN identifier of 11 bits.
+_STANDARD = 0x7FF
 #: Units as people write them: how many of the first unit of their kind each is.
 _KINDS: tuple[Mapping[str, Fraction], ...] = (
     {"s": Fraction(1), "ms": Fraction(1, 1000), "us": Fraction(1, 10**6), "ns": Fraction(1, 10**9), "min": Fraction(60)},
@@ -52,6 +54,11 @@ def printable(text: str) -> str:
 def counted(count: int, noun: str) -> str:
     """Return a count with its noun: 1 frame, 2 frames."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def identifier(number: int, *, extended: bool = False) -> str:
+    """Return a CAN identifier in hexadecimal: three digits, eight where it has 29 bits."""
+    return f"0x{number:08X}" if extended or number > _STANDARD else f"0x{number:03X}"
 
 
 def near(word: str, known: Iterable[str]) -> str:

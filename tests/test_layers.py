@@ -21,7 +21,7 @@ LAYERS = (
     ("analyzer.catalogue",),
     ("analyzer.protocols",),
     ("analyzer.dialects", "analyzer.records"),
-    ("analyzer.context",),
+    ("analyzer.context", "analyzer.foreign"),
     ("analyzer.framer", "analyzer.decoder", "analyzer.encoder"),
     ("analyzer.findings",),
     ("analyzer.transactions", "analyzer.events"),

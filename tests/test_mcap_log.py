@@ -207,9 +207,13 @@ def test_can_frames_keep_id_and_flags():
     data, collect = write(items, "mks-can")
     values = [(c.topic, v) for _, c, _, v in read(data)]
     assert ("/can0/1/run_speed/request", 1) in [(t, v.get("_can_id")) for t, v in values]
-    flags = [v["_can_flags"] for t, v in values if t == "/can0/unknown"]
-    assert flags == [["extended"], ["error"]]
-    assert collect.rules == ["foreign_can_frame", "can_error_frame"]
+    assert [v["_can_flags"] for t, v in values if t == "/can0/unknown"] == [["error"]]
+    foreign = next(v for t, v in values if t == "/can0/foreign")
+    assert foreign == {
+        "address": 0x18DAF110, "who": "0x18DAF110", "length": 2, "_raw": "01 02", "_offset": 8, "_can_id": 0x18DAF110,
+        "_can_flags": ["extended"],
+    }  # fmt: skip
+    assert collect.rules == ["can_error_frame"]
 
 
 def test_large_logs_have_chunks_with_indexes():

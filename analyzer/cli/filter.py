@@ -87,7 +87,7 @@ def vocabulary(dialects: Iterable[Dialect]) -> dict[str, Meaning]:
     known = {
         "address": _of(Kind.NUMBER),
         "bus": _of(Kind.TEXT),
-        "command": _of(Kind.TEXT, words=(*named, "unknown")),
+        "command": _of(Kind.TEXT, words=(*named, "unknown", "foreign")),
         "dialect": _of(Kind.TEXT, words=(dialect.name for dialect in chosen)),
         "role": _of(Kind.TEXT, words=(*Role, "junk", "event")),
         "time": _of(Kind.NUMBER, "s"),
@@ -112,8 +112,8 @@ def vocabulary(dialects: Iterable[Dialect]) -> dict[str, Meaning]:
 
 
 def _highest(dialect: Dialect) -> int:
-    """Return the highest address that a frame of a dialect can name: all that its bits hold."""
-    return 0x7FF if dialect.bus == "can" else 0xFF
+    """Return the highest address that a frame on the bus of a dialect can name: all that its bits hold."""
+    return 0x1FFF_FFFF if dialect.bus == "can" else 0xFF
 
 
 @dataclass(frozen=True)
@@ -332,7 +332,7 @@ def _possible(meaning: Meaning, sign: str, value: float) -> bool:
 
 def _span(meaning: Meaning) -> str:
     unit = " or ".join(sorted({unit for unit in meaning.units.values() if unit}))
-    return f"{meaning.low:g}..{meaning.high:g} {unit}".rstrip()
+    return f"{meaning.low:.10g}..{meaning.high:.10g} {unit}".rstrip()
 
 
 def _number(value: Any) -> Any:

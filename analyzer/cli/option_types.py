@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
+from typing import NamedTuple
 
 from analyzer.errors import UsageError
 from analyzer.values import quote
@@ -27,6 +29,7 @@ SIZES = {
     "kB": 1000, "MB": 1000**2, "GB": 1000**3, "TB": 1000**4,
     "KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30, "TiB": 1 << 40,
 }  # fmt: skip
+_EXTENDED = 0x1FFF_FFFF
 _ANY_CASE = {name.lower(): size for name, size in SIZES.items()}
 _AMOUNT = re.compile(r"(\d+(?:\.\d+)?)\s*([A-Za-z]+)")
 
@@ -45,6 +48,60 @@ def address(text: str) -> int:
     if not 0 <= value <= 0x7FF:
         raise argparse.ArgumentTypeError(f"expected an address 0..0x7FF, got {text}")
     return value
+
+
+#: The highest identifier of a drive on CAN.
+HIGHEST_ADDRESS = 0x7FF
+
+
+def addresses(text: str, lowest: int = 0) -> list[int]:
+    """Return the addresses of `1-32` or `1,2,0x123-0x12F`, each once, in order; none is below `lowest`. Raises UsageError."""
+    found: dict[int, None] = {}
+    for part in text.split(","):
+        first, dash, last = part.strip().partition("-")
+        try:
+            low = int(first, 0)
+            high = int(last, 0) if dash else low
+        except ValueError:
+            low = high = -1
+        if low > HIGHEST_ADDRESS and low <= high <= _EXTENDED:
+            raise UsageError(f"got {quote(part)}, an identifier of 29 bits: drives have 11, up to 0x{HIGHEST_ADDRESS:X}")
+        if not lowest <= low <= high <= HIGHEST_ADDRESS:
+            wanted = f"addresses from {lowest} to {HIGHEST_ADDRESS} (0x{HIGHEST_ADDRESS:X})"
+            raise UsageError(f"got {quote(part)}, expected {wanted}, as 1-32 or 1,2,0x123-0x12F")
+        found |= dict.fromkeys(range(low, high + 1))
+    return list(found)
+
+
+class Ids(NamedTuple):
+    """Who is a drive, as the user says: on all buses, or by bus."""
+
+    everywhere: frozenset[int] | None = None
+    by_bus: Mapping[str, frozenset[int]] = {}
+
+    def of(self, bus: str) -> frozenset[int] | None:
+        """Return who is a drive on a bus, None where it was not said."""
+        return self.by_bus.get(bus, self.everywhere)
+
+
+def ids_of(texts: Sequence[str]) -> Ids:
+    """Return who is a drive: texts as `1,2,0x123-0x12F`, or `BUS=1,2` for one bus. Raises UsageError."""
+    found: dict[str, frozenset[int]] = {}
+    for text in texts:
+        bus, _, listed = text.rpartition("=")
+        try:
+            found[bus] = found.get(bus, frozenset()) | frozenset(addresses(listed))
+        except UsageError as error:
+            raise UsageError(f"--ids: {error}") from None
+    return Ids(found.pop("", None), found)
+
+
+def add_ids_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the option --ids."""
+    parser.add_argument(
+        "--ids", action="append", default=[], metavar="[BUS=]LIST",
+        help="who is a drive, as 1,2,0x123-0x12F: frames of others are kept, and nothing is found wrong with them",
+    )  # fmt: skip
 
 
 def milliseconds(text: str) -> float:

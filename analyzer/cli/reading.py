@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
-from analyzer.cli.option_types import address, milliseconds, positive
+from analyzer.cli.option_types import add_ids_argument, address, ids_of, milliseconds, positive
 from analyzer.cli.time_range import TimeRange, add_time_range_arguments
 from analyzer.detect import Choice, choose
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.events import SETUPS
 from analyzer.framer import SILENCE_NS
 from analyzer.pipeline import Item, Options, Pipeline, PortSetup, Sink
-from analyzer.port import Setups
+from analyzer.port import Setups, listed_in
 from analyzer.records import CanFrame, Chunk, Event
 
 if TYPE_CHECKING:
@@ -49,6 +49,7 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
         "--group", action="append", type=address, default=[], metavar="ADDRESS",
         help="a group address: several drives listen, none answers; may be repeated",
     )  # fmt: skip
+    add_ids_argument(parser)
     parser.add_argument("--late", type=milliseconds, metavar="MS", help="report replies later than this (default 1000)")
     add_time_range_arguments(parser)
 
@@ -63,6 +64,7 @@ class OpenCapture:
     def __init__(self, source: Source, arguments: argparse.Namespace) -> None:
         self.source = source
         self._arguments = arguments
+        self._ids = ids_of(arguments.ids)
         since, until = getattr(arguments, "since", None), getattr(arguments, "until", None)
         self.time_range = TimeRange(source, since, until, utc=getattr(arguments, "utc", False))
         self._iterator = self.time_range.items(source)
@@ -84,6 +86,9 @@ class OpenCapture:
         else:
             self.choice = Choice(self._given, (), "as given") if self._given else choose(registry.every(), traffic)
             self.dialects = tuple(registry.for_model(self.choice.dialects, self.model or None))
+            self.ports = {bus: PortSetup(self.dialects, listed=ids) for bus, ids in self._ids.by_bus.items()}
+        #: Characters that an address takes: on CAN it is shown in hexadecimal.
+        self.who_width = 5 if any(isinstance(item, CanFrame) for item in traffic) else 4
         self.options = self._options()
 
     def __iter__(self) -> Iterator[Item]:
@@ -148,7 +153,8 @@ class OpenCapture:
                 own = [item for item in traffic if item.port == bus]
                 choice = choose(list(known.values()), own) if own else Choice(_of_kind(known, kind), (), "no traffic yet")
                 chosen, self._reasons[bus] = choice.dialects, choice.reason
-            self.ports[bus] = PortSetup(chosen, self._byte_ns(self._said.values.get(bus, {})))
+            values = self._said.values.get(bus, {})
+            self.ports[bus] = PortSetup(chosen, self._byte_ns(values), listed=self._listed(bus, values))
         return self._all_chosen()
 
     def _all_chosen(self) -> Choice:
@@ -168,13 +174,19 @@ class OpenCapture:
         dialects = given or (said.dialects if said is not None else ())
         dialects = dialects or (before.dialects if before is not None else _of_kind(self._known, kind))
         offset = event.values.get("offset", 0)
-        setup = PortSetup(dialects, self._byte_ns(event.values), offset if isinstance(offset, int) else 0)
+        listed = self._listed(event.port, event.values)
+        setup = PortSetup(dialects, self._byte_ns(event.values), offset if isinstance(offset, int) else 0, listed)
         if not given and said is not None:
             self._reasons[event.port] = _RECORDED
         self.ports[event.port] = setup
         self.choice = self._all_chosen()
         self.dialects = self.choice.dialects
         return setup
+
+    def _listed(self, bus: str, values: dict[str, Any]) -> frozenset[int] | None:
+        """Return who is a drive on a bus: as the user says, else as the recording does."""
+        given = self._ids.of(bus)
+        return listed_in(values) if given is None else given
 
     def _byte_ns(self, values: dict[str, Any]) -> int | None:
         said = values.get("byte_ns")
@@ -196,6 +208,7 @@ class OpenCapture:
             late_ns=int(late_ms * 1e6),
             silence_ns=SILENCE_NS,
             groups=frozenset((*arguments.group, *self._said.groups)),
+            listed=self._ids.everywhere,
         )
 
     @property

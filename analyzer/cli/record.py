@@ -21,10 +21,21 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from analyzer import dialects as registry
-from analyzer.cli.option_types import address, duration_ns, is_size, milliseconds, positive, size_bytes
+from analyzer.cli.option_types import (
+    Ids,
+    add_ids_argument,
+    address,
+    duration_ns,
+    ids_of,
+    is_size,
+    milliseconds,
+    positive,
+    size_bytes,
+)
 from analyzer.cli.signals import ENDING, handled
 from analyzer.errors import UsageError
 from analyzer.live.endpoint import Endpoint, parse, parse_all
+from analyzer.values import near, quote
 
 if TYPE_CHECKING:
     from analyzer.catalogue import Dialect
@@ -71,6 +82,7 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
         "--group", action="append", type=address, default=[], metavar="ADDRESS",
         help="a group address: several drives listen, none answers; may be repeated",
     )  # fmt: skip
+    add_ids_argument(parser)
     parser.add_argument("--late", type=milliseconds, default=1000.0, metavar="MS", help="late replies: after MS (default 1000)")
     parser.add_argument("--duration", metavar="TIME", help="stop after 10s, 5min, 2h")
     parser.add_argument("--rotate", metavar="SIZE|TIME", help="a new file every 100MB or 10min, or both: 100MB,10min")
@@ -254,11 +266,12 @@ def configure(
     dialects = _dialects(arguments.dialect, endpoints)
     if arguments.model:
         registry.for_model(dialects or registry.every(), arguments.model)
+    ids = _ids(arguments.ids, endpoints)
     rotate_bytes, rotate_ns = _rotation(arguments)
     anchor = now()
     return RecordingConfig(
         log=str(target.absolute()),
-        ports=tuple(_port(number, e, dialects) for number, e in enumerate(endpoints, 1)),
+        ports=tuple(_port(number, e, dialects, ids) for number, e in enumerate(endpoints, 1)),
         anchor_monotonic_ns=anchor.monotonic_ns,
         anchor_utc_ns=anchor.wall_ns,
         model=arguments.model,
@@ -275,11 +288,20 @@ def configure(
     )
 
 
-def _port(number: int, endpoint: Endpoint, dialects: Sequence[Dialect]) -> PortConfig:
+def _ids(texts: Sequence[str], endpoints: Sequence[Endpoint]) -> Ids:
+    ids, names = ids_of(texts), [endpoint.name for endpoint in endpoints]
+    for bus in ids.by_bus:
+        if bus not in names:
+            raise UsageError(f"--ids: no bus {quote(bus)}{near(bus, names)}, expected {' or '.join(dict.fromkeys(names))}")
+    return ids
+
+
+def _port(number: int, endpoint: Endpoint, dialects: Sequence[Dialect], ids: Ids) -> PortConfig:
     from analyzer.live.can_listen_only import NO_BITRATE
     from analyzer.live.config import PortConfig
 
     direction = endpoint.direction.value
+    listed = ids.of(endpoint.name)
     speed: int | None = endpoint.bits_per_second
     if endpoint.kind == "tcp" or (endpoint.kind == "can" and endpoint.interface[0] in NO_BITRATE):
         speed = endpoint.speed
@@ -292,6 +314,7 @@ def _port(number: int, endpoint: Endpoint, dialects: Sequence[Dialect]) -> PortC
         speed=speed,
         byte_ns=endpoint.byte_ns,
         dialects=tuple(d.name for d in dialects if d.bus == endpoint.bus_kind),
+        ids=None if listed is None else tuple(sorted(listed)),
     )
 
 

@@ -10,12 +10,15 @@ import msgspec
 
 from analyzer.cli.option_types import duration_text, size_text
 from analyzer.live.port_status import LOSING, PortStatus
+from analyzer.live.snapshot import FOREIGN, Snapshot
 from analyzer.live.supervisor import Supervisor
 from analyzer.reference.columns import columns
 from analyzer.values import counted, printable
 
 #: Gaps of a port that the text names; the object has them all.
 _GAPS_NAMED = 10
+#: Nodes that the text names of those that are no drives; the object has them all.
+_OTHERS_NAMED = 12
 
 
 class Summary(msgspec.Struct, kw_only=True):
@@ -26,6 +29,8 @@ class Summary(msgspec.Struct, kw_only=True):
     ports: list[PortStatus]
     buses: dict[str, dict[str, Any]]
     rules: dict[str, int]
+    #: Who else spoke: frames by bus and identifier or address, those with the most first.
+    others: dict[str, dict[str, int]]
     files: list[str]
     bytes: int
     decoder_restarts: int
@@ -46,6 +51,7 @@ def summarize(supervisor: Supervisor) -> Summary:
         ports=ports,
         buses={} if snapshot is None else {b.bus: msgspec.to_builtins(b) for b in snapshot.buses},
         rules={} if snapshot is None else dict(sorted(snapshot.rules.items(), key=lambda item: -item[1])),
+        others=_others_of(snapshot),
         files=files,
         bytes=sum(Path(name).stat().st_size for name in files),
         decoder_restarts=supervisor.decoder_restarts,
@@ -69,6 +75,7 @@ def as_text(summary: Summary) -> list[str]:
             )
         )  # fmt: skip
     lines += [printable(line) for line in columns(rows)]
+    lines += [printable(_others(bus, counts)) for bus, counts in summary.others.items()]
     for port in summary.ports:
         lines += _gaps(port, summary.utc_ns)
     if summary.rules:
@@ -82,6 +89,20 @@ def as_text(summary: Summary) -> list[str]:
     if summary.unfinished:
         lines.append(summary.unfinished)
     return lines
+
+
+def _others_of(snapshot: Snapshot | None) -> dict[str, dict[str, int]]:
+    others: dict[str, dict[str, int]] = {}
+    for row in sorted(() if snapshot is None else snapshot.rows, key=lambda row: -row.count):
+        if row.role == FOREIGN:
+            others.setdefault(row.bus, {})[row.who] = row.count
+    return others
+
+
+def _others(bus: str, counts: dict[str, int]) -> str:
+    named = [f"{who} {counted(count, 'frame')}" for who, count in counts.items()]
+    more = f" and {len(named) - _OTHERS_NAMED} more" if len(named) > _OTHERS_NAMED else ""
+    return f"{bus}: not of this dialect: {', '.join(named[:_OTHERS_NAMED])}{more}"
 
 
 def _lost(port: PortStatus) -> str:

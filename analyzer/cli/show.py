@@ -17,6 +17,7 @@ from typing import Any
 
 import msgspec
 
+from analyzer.catalogue import Role
 from analyzer.cli.filter import Filter, vocabulary
 from analyzer.cli.reading import add_reading_arguments, open_reading, progress
 from analyzer.decoder import physical, units_of
@@ -24,7 +25,7 @@ from analyzer.events import text_of
 from analyzer.live.lock import running
 from analyzer.live.spool import spool_folder
 from analyzer.pipeline import Entry
-from analyzer.records import Comment, Event, Finding, Junk
+from analyzer.records import Comment, Event, Finding, Junk, Message
 from analyzer.sources.recording_parts import base_of
 from analyzer.sources.tail import Follow
 from analyzer.sources.times import ShownTime
@@ -42,7 +43,7 @@ examples:
 
 #: Events that do not matter to a reader of the traffic.
 _UNSHOWN = frozenset(("part", "resumed", "clock_drift"))
-_COLORS = {"request": "36", "reply": "32", "unknown": "33"}
+_COLORS = {"request": "36", "reply": "32", "unknown": "33", "foreign": "2"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +64,7 @@ class _Enough(Exception):
 class Table:
     """A sink that prints a line per frame and per piece of junk, and the findings below theirs."""
 
-    def __init__(self, arguments: argparse.Namespace, wanted: Filter | None, times: ShownTime) -> None:
+    def __init__(self, arguments: argparse.Namespace, wanted: Filter | None, times: ShownTime, who_width: int = 4) -> None:
         self._wanted = wanted
         self._times = times
         self._json: bool = arguments.json
@@ -73,9 +74,10 @@ class Table:
         # On a terminal a line is cut at its edge: the next one stands below it, whole.
         self._width = shutil.get_terminal_size().columns if self._color else 0
         self._flush: bool = self._color or arguments.follow
+        self._who = who_width
         self._shown: set[int] = set()
         if not self._json:
-            print(f"{'time':>15}  {'bus':<8} {'addr':>4} {'role':<7} {'command':<24} fields")
+            print(f"{'time':>15}  {'bus':<8} {'addr':>{self._who}} {'role':<7} {'command':<24} fields")
 
     def entry(self, entry: Entry) -> None:
         """Print a frame if it is wanted."""
@@ -94,10 +96,11 @@ class Table:
             shown += f"  ({entry.latency_ns / 1e6:.3f} ms)"
         if self._bytes or message.form is None:
             shown += f"  [{_bytes_text(entry)}]"
-        command = message.command.name if message.command is not None else "unknown"
-        who = "all" if message.command is not None and message.command.slots is not None else str(message.address)
+        command = "" if message.role is Role.FOREIGN else command_name(message)
+        # An identifier of 29 bits is wider than the others; from here on there is room for it.
+        self._who = max(self._who, len(message.who))
         time_text = self._time(message.frame.last_ns)
-        text = f"{time_text}  {printable(message.frame.port):<8} {who:>4} {role:<7} {command:<24} {shown}"
+        text = f"{time_text}  {printable(message.frame.port):<8} {message.who:>{self._who}} {role:<7} {command:<24} {shown}"
         self._line(self._shown_as(text, _COLORS[role]))
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
@@ -110,7 +113,8 @@ class Table:
             self._line(msgspec.json.encode({**shown, "raw": junk.data.hex(" ").upper()}).decode())
             return
         data = junk.data[:24].hex(" ").upper() + (" ..." if len(junk.data) > 24 else "")
-        text = f"{self._time(junk.last_ns)}  {printable(junk.port):<8} {'':>4} {'junk':<7} {junk.reason.value:<24} [{data}]"
+        place = f"{self._time(junk.last_ns)}  {printable(junk.port):<8} {'':>{self._who}}"
+        text = f"{place} {'junk':<7} {junk.reason.value:<24} [{data}]"
         self._line(self._shown_as(text, "35"))
 
     def finding(self, found: Finding) -> None:
@@ -165,10 +169,10 @@ def names_of(entry: Entry, fields: Mapping[str, Any]) -> dict[str, Any]:
     names.update(
         time=frame.last_ns / 1e9,
         bus=frame.port,
-        dialect=frame.dialect.name,
+        dialect=frame.dialect.name if message.role is not Role.FOREIGN else "",
         address=message.address,
         role=message.role.value,
-        command=message.command.name if message.command is not None else "unknown",
+        command=command_name(message),
         checksum_ok=frame.checksum_ok,
         findings=[f.rule for f in entry.findings],
         raw=_bytes_text(entry),
@@ -179,6 +183,13 @@ def names_of(entry: Entry, fields: Mapping[str, Any]) -> dict[str, Any]:
     if entry.latency_ns is not None and entry.request_sequence is not None:
         names["latency"] = entry.latency_ns / 1e9
     return names
+
+
+def command_name(message: Message) -> str:
+    """Return the name of a message's command, `unknown` or, of what is no drive's, `foreign`."""
+    if message.command is not None:
+        return message.command.name
+    return "foreign" if message.role is Role.FOREIGN else "unknown"
 
 
 def _as_shown(entry: Entry) -> dict[str, Any]:
@@ -192,7 +203,9 @@ def _as_shown(entry: Entry) -> dict[str, Any]:
 def _bytes_text(entry: Entry) -> str:
     frame = entry.message.frame
     text = frame.data.hex(" ").upper()
-    return f"{frame.can.id:02X} {text}".rstrip() if frame.can is not None else text
+    if frame.can is None:
+        return text
+    return f"{frame.can.id:08X} {text}".rstrip() if frame.can.extended else f"{frame.can.id:02X} {text}".rstrip()
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -213,7 +226,7 @@ def _show(arguments: argparse.Namespace) -> int:
         wanted = None
         if arguments.filter:
             wanted = Filter(arguments.filter, vocabulary(reading.possible))
-        pipeline = reading.pipeline((Table(arguments, wanted, reading.time_range.shown),))
+        pipeline = reading.pipeline((Table(arguments, wanted, reading.time_range.shown, reading.who_width),))
         with contextlib.suppress(_Enough):
             if wanted is not None and not arguments.follow:
                 with progress(reading.source, f"reading {reading.source.name}"):

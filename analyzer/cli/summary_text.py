@@ -10,10 +10,12 @@ from rich.table import Table
 from rich.text import Text
 
 from analyzer.cli.reading import OpenCapture
-from analyzer.records import Severity
+from analyzer.records import Finding, Severity
 from analyzer.sinks.summary import Summary
-from analyzer.values import counted, printable
+from analyzer.values import counted, identifier, printable
 
+#: Nodes that are named of those that are no drives.
+_OTHERS_NAMED = 12
 _STYLES = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}
 
 
@@ -43,6 +45,8 @@ def print_summary(reading: OpenCapture, summary: Summary, target: Path, stopped:
         f"{counted(total, 'byte')}: {summary.frame_bytes} in {counted(summary.frames, 'frame')}, {junk} junk"
         + (f" ({reasons})" if junk else "")
     )
+    if summary.others:
+        console.print(_others(summary))
     if summary.findings:
         console.print(_findings(summary))
     else:
@@ -66,13 +70,43 @@ def _commands(summary: Summary) -> Table:
         times = [milliseconds(lat.quantile(0.5)), milliseconds(lat.quantile(0.99)), milliseconds(lat.greatest)]
         table.add_row(
             Text(printable(bus)),
-            address,
+            who_text(summary, bus, address),
             name,
             str(row.requests + row.unknown),
             str(row.replies),
             *(times if lat.count else ("", "", "")),
         )
     return table
+
+
+def who_text(summary: Summary, bus: str, address: str) -> str:
+    """Return an address as people read it: on CAN the identifier in hexadecimal."""
+    return identifier(int(address)) if bus in summary.can and address.isdigit() else address
+
+
+def _others(summary: Summary) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("bus", "not of this dialect"):
+        table.add_column(name, no_wrap=True)
+    for name in ("frames", "share", "per s", "bytes"):
+        table.add_column(name, justify="right")
+    seconds = (summary.last_ns - (summary.first_ns or 0)) / 1e9
+    listed = summary.by_frames()
+    more = listed[_OTHERS_NAMED:]
+    rows = [(bus, who, counts[0], counts[1]) for (bus, who), counts in listed[:_OTHERS_NAMED]]
+    if more:
+        rows.append(("", f"and {len(more)} more", sum(c[0] for _, c in more), sum(c[1] for _, c in more)))
+    for bus, who, frames, size in rows:
+        rate = f"{frames / seconds:.1f}" if seconds > 0 else ""
+        share = f"{100 * frames / summary.frames:.1f} %"
+        table.add_row(Text(printable(bus)), who, str(frames), share, rate, str(size))
+    return table
+
+
+def _place(found: Finding) -> str:
+    """Return where a finding is; topics have addresses in decimal, so a CAN identifier is told besides."""
+    of_can = f", {found.who}" if found.who.startswith("0x") else ""
+    return f"{found.topic} #{found.sequence} byte {found.offset}{of_can}: "
 
 
 def _findings(summary: Summary) -> Table:
@@ -83,6 +117,6 @@ def _findings(summary: Summary) -> Table:
     table.add_column("the first few", overflow="fold")
     for rule, count in summary.findings.most_common():
         severity = summary.worst[rule]
-        first = "\n".join(f"{f.topic} #{f.sequence} byte {f.offset}: {printable(f.text)}" for f in summary.first[rule])
+        first = "\n".join(_place(found) + printable(found.text) for found in summary.first[rule])
         table.add_row(rule, Text(severity.value, style=_STYLES[severity]), str(count), Text(first))
     return table

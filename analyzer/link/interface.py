@@ -35,11 +35,12 @@ def sum8(data: bytes) -> int:
 
 
 class Role(StrEnum):
-    """Who sent a frame."""
+    """Who sent a frame. `foreign`: a node that is no drive, nor a host that speaks to one."""
 
     REQUEST = "request"
     REPLY = "reply"
     UNKNOWN = "unknown"
+    FOREIGN = "foreign"
 
 
 class FormShape(Protocol):

@@ -49,6 +49,8 @@ class Bus:
         self.dialects = tuple(known[name] for name in first.dialects if name in known and known[name].bus == first.kind)
         self.reason = "as given" if self.dialects else ""
         self.detection = None if self.dialects else Detection(first.kind, list(known.values()))
+        #: Who is a drive, None: the frames tell.
+        self.ids = first.ids
         self.notes: list[str] = []
         #: What was lost, by unit.
         self.lost: dict[str, int] = {}
@@ -84,6 +86,8 @@ class Bus:
             values["direction"] = " and ".join(directions)
         if self.dialects:
             values["dialects"] = [d.name for d in self.dialects]
+        if self.ids is not None:
+            values["ids"] = list(self.ids)
         return values
 
     def state(self) -> BusState:

@@ -21,7 +21,8 @@ class PortConfig(msgspec.Struct, frozen=True, kw_only=True):
 
     `stem`: its name in the folder; `bus`: the bus in the topics; `endpoint`: as the user gave it; `kind`: `serial` or
     `can`; `direction`: `request`, `reply` or `unknown`: who is heard; `speed`: bits per second, None where no line has
-    one; `byte_ns`: time of one byte on the line, 0 unknown; `dialects`: names, empty: to be found out from the traffic.
+    one; `byte_ns`: time of one byte on the line, 0 unknown; `dialects`: names, empty: to be found out from the traffic; `ids`:
+    who is a drive, None: the frames tell.
     """
 
     stem: str
@@ -32,6 +33,7 @@ class PortConfig(msgspec.Struct, frozen=True, kw_only=True):
     speed: int | None = None
     byte_ns: int = 0
     dialects: tuple[str, ...] = ()
+    ids: tuple[int, ...] | None = None
 
 
 class RecordingConfig(msgspec.Struct, frozen=True, kw_only=True):

@@ -300,7 +300,7 @@ class Recording:
             if state is None:
                 continue
             begin = state.offset - len(state.pending)
-            pipeline.set_up(name, PortSetup(setup.dialects, setup.byte_ns, begin))
+            pipeline.set_up(name, PortSetup(setup.dialects, setup.byte_ns, begin, setup.listed))
             if state.pending:
                 self.decode(self.buses[name], Chunk(state.pending_ns, name, state.pending))
         self.happened("note", text="another version of servotap resumed this recording: open requests were given up")

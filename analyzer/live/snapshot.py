@@ -18,12 +18,15 @@ import msgspec
 #: Roles of a line that is neither a request nor a reply.
 JUNK = "junk"
 EVENT = "event"
+#: The command of frames that are no drive's.
+FOREIGN = "foreign"
 
 
 class FrameLine(msgspec.Struct, omit_defaults=True, gc=False):
     """A frame, a piece of junk, or something that happened to the recording.
 
-    `role`: request, reply, unknown, `junk` or `event`; `who`: the address as text, `all` for a package, empty for junk.
+    `role`: request, reply, unknown, foreign, `junk` or `event`; `who`: the address as text, on CAN the identifier in
+    hexadecimal, `all` for a package, empty for junk.
     `command`: its name, `unknown 0xNN`, the reason of junk, or the kind of event. `values`: fields by name, with name
     twins (`slots` for a package), `units`: of those that have one; `state`: quantities of the derived state that it
     carries. `raw`: hex with blanks, on CAN without the identifier. `rules`: findings known when it was decoded; `severity`:
@@ -46,6 +49,7 @@ class FrameLine(msgspec.Struct, omit_defaults=True, gc=False):
     raw: str = ""
     offset: int = 0
     can_id: int | None = None
+    extended: bool = False
     latency_ns: int | None = None
     request_sequence: int | None = None
     checksum_ok: bool = True
@@ -64,6 +68,7 @@ class FindingLine(msgspec.Struct, omit_defaults=True, gc=False):
     text: str
     section: str = ""
     address: int = -1
+    who: str = ""
     topic: str = ""
     sequence: int = 0
     offset: int = 0
@@ -72,7 +77,8 @@ class FindingLine(msgspec.Struct, omit_defaults=True, gc=False):
 class BusCounts(msgspec.Struct, omit_defaults=True, gc=False):
     """Counts of one bus since the beginning, and rates over about the last second.
 
-    `bytes`: in frames; `load`: share 0..1 of the time in which the line was busy, None where its speed is not known.
+    `foreign`: of its frames, those of nodes that are no drives; `bytes`: in frames; `load`: share 0..1 of the time in
+    which the line was busy, None where its speed is not known.
     """
 
     bus: str
@@ -83,6 +89,7 @@ class BusCounts(msgspec.Struct, omit_defaults=True, gc=False):
     errors: int = 0
     warnings: int = 0
     infos: int = 0
+    foreign: int = 0
     frame_rate: float = 0.0
     byte_rate: float = 0.0
     load: float | None = None

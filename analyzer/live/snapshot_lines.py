@@ -9,7 +9,7 @@ from analyzer import events
 from analyzer.catalogue import Role
 from analyzer.decoder import physical, units_of
 from analyzer.findings import JUNK_RULES, RULES
-from analyzer.live.snapshot import EVENT, JUNK, FindingLine, FrameLine
+from analyzer.live.snapshot import EVENT, FOREIGN, JUNK, FindingLine, FrameLine
 from analyzer.pipeline import Entry
 from analyzer.records import Event, Finding, Junk, Message, Severity
 
@@ -19,9 +19,11 @@ _GRAVITY = {Severity.INFO: 0, Severity.WARNING: 1, Severity.ERROR: 2}
 
 
 def command_name(message: Message) -> str:
-    """Return the name of a message's command, or `unknown` with its code."""
+    """Return the name of a message's command, or `unknown` with its code; of a foreign frame nothing is known."""
     if message.command is not None:
         return message.command.name
+    if message.role is Role.FOREIGN:
+        return FOREIGN
     frame = message.frame
     head = frame.dialect.link.parse(frame.data, frame.can.id if frame.can else None)
     return "unknown" if head.code is None else f"unknown 0x{head.code:02X}"
@@ -45,7 +47,7 @@ def frame_line(entry: Entry) -> FrameLine:
         bus=frame.port,
         role=message.role.value,
         command=command_name(message),
-        who="all" if command is not None and command.slots is not None else str(message.address),
+        who=message.who,
         address=message.address,
         dialect=frame.dialect.name,
         section=command.section if command is not None else "",
@@ -56,6 +58,7 @@ def frame_line(entry: Entry) -> FrameLine:
         raw=frame.data.hex(" ").upper(),
         offset=frame.offset,
         can_id=None if frame.can is None else frame.can.id,
+        extended=frame.can is not None and frame.can.extended,
         latency_ns=entry.latency_ns,
         request_sequence=entry.request_sequence,
         checksum_ok=frame.checksum_ok,
@@ -108,6 +111,7 @@ def finding_line(found: Finding) -> FindingLine:
         text=found.text,
         section=found.section,
         address=-1 if found.address is None else found.address,
+        who=found.who,
         topic=found.topic,
         sequence=found.sequence,
         offset=found.offset,

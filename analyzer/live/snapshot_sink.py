@@ -67,13 +67,13 @@ class _Row:
 class _Bus:
     """Counts of a bus beside those of its rows, and what they were when the rates were last told."""
 
-    __slots__ = ("bytes", "frames", "is_can", "junk", "junk_bytes", "rates", "severities", "wire_ns")
+    __slots__ = ("bytes", "foreign", "frames", "is_can", "junk", "junk_bytes", "rates", "severities", "wire_ns")
 
     def __init__(self, is_can: bool) -> None:
         self.is_can = is_can
         self.junk = self.junk_bytes = 0
         self.severities = {Severity.INFO: 0, Severity.WARNING: 0, Severity.ERROR: 0}
-        self.frames = self.bytes = self.wire_ns = 0
+        self.frames = self.bytes = self.foreign = self.wire_ns = 0
         self.rates: tuple[float, float, float | None] = (0.0, 0.0, None)
 
 
@@ -186,7 +186,7 @@ class SnapshotSink:
         command, frame, role = message.command, message.frame, message.role
         known = command is not None and role is not Role.UNKNOWN
         name = command_name(message)
-        key: object = topic if known else (topic, message.address, name)
+        key: object = topic if known else (topic, message.who, name)
         row = self._rows.get(key)
         if row is not None:
             return row
@@ -196,8 +196,7 @@ class SnapshotSink:
             if other is None:
                 other = self._others[frame.port] = _Row(frame.port, "", "others", "", "")
             return other
-        who = "all" if command is not None and command.slots is not None else str(message.address)
-        row = self._rows[key] = _Row(frame.port, who, name, role.value, frame.dialect.name)
+        row = self._rows[key] = _Row(frame.port, message.who, name, role.value, frame.dialect.name)
         return row
 
     # --- snapshots ------------------------------------------------------------------------------------------------
@@ -238,7 +237,7 @@ class SnapshotSink:
             findings=findings,
             findings_left_out=missed,
             buses=[self._bus_counts(name, bus) for name, bus in self._buses.items()],
-            rows=self._row_counts(rows, len(rows) if ended or whole else ROWS_SENT),
+            rows=self._row_counts(rows, every=ended or whole),
             rules=dict(self._rules),
             log=self.log,
             log_bytes=self.log_bytes,
@@ -266,9 +265,10 @@ class SnapshotSink:
 
     def _total(self, rows: list[_Row]) -> None:
         for bus in self._buses.values():
-            bus.frames = bus.bytes = 0
+            bus.frames = bus.bytes = bus.foreign = 0
         for row in rows:
             bus = self._buses[row.port]
+            bus.foreign += row.count if row.role == Role.FOREIGN else 0
             bus.frames += row.count
             bus.bytes += row.bytes
         for name, bus in self._buses.items():
@@ -298,10 +298,10 @@ class SnapshotSink:
             row.counted = row.count
         self._before = {n: (b.frames, b.bytes + b.junk_bytes, b.wire_ns) for n, b in self._buses.items()}
 
-    def _row_counts(self, rows: list[_Row], most: int) -> list[RowCounts]:
+    def _row_counts(self, rows: list[_Row], *, every: bool) -> list[RowCounts]:
         """Return the rows that have changed, and some of the others in turn: what a lost snapshot held comes again."""
-        changed = [row for row in rows if row.count != row.sent][:most]
-        room = min(most - len(changed), max(ROWS_AGAIN, most - ROWS_SENT), len(rows))
+        changed = rows if every else [row for row in rows if row.count != row.sent][:ROWS_SENT]
+        room = 0 if every else min(ROWS_SENT - len(changed), ROWS_AGAIN, len(rows))
         again = [rows[(self._turn + n) % len(rows)] for n in range(room)]
         self._turn += room
         result = []
@@ -328,6 +328,7 @@ class SnapshotSink:
             errors=severities[Severity.ERROR],
             warnings=severities[Severity.WARNING],
             infos=severities[Severity.INFO],
+            foreign=bus.foreign,
             frame_rate=round(frame_rate, 2),
             byte_rate=round(byte_rate, 2),
             load=None if load is None else round(load, 4),

@@ -76,7 +76,7 @@ def _title(found: Explanation) -> str:
     words = [dialect.name + (f" ({dialect.model})" if dialect.model else "")]
     words.append("request" if message.role is Role.REQUEST else "reply" if message.role is Role.REPLY else "role unknown")
     everyone = " (all)" if message.address == dialect.broadcast else ""
-    words.append(f"address {message.address}{everyone}")
+    words.append(f"address {message.address if everyone else message.who}{everyone}")
     words.append(message.command.name if message.command is not None else "unknown command")
     if found.head.code is not None:
         words.append(code_text(found.head.code, found.head.function))
@@ -116,7 +116,7 @@ def rows(found: Explanation) -> Iterator[Row]:
     if found.can_id is not None:
         coded = not any(part.name == "code" for part in found.dialect.link.parts(data, found.can_id))
         code = f", code 0x{found.head.code:02X}" if coded and found.head.code is not None else ""
-        yield Row("ID", f"{found.can_id:03X}", "", f"address {found.message.address}{code}")
+        yield Row("ID", f"{found.can_id:03X}", "", f"address {found.message.who}{code}")
     middle: list[tuple[int, Row]] = []
     for part in found.dialect.link.parts(data, found.can_id):
         if part.start < start:

@@ -2,7 +2,7 @@
 
     /<bus>/<address>/<command>/<request|reply>   the decoded fields, flat, with reserved keys that begin with _
     /<bus>/<address>/state                       position, speed, current ... from any reply that carries them
-    /<bus>/unknown  /<bus>/junk  /<bus>/stats    /findings  /comments  /recording
+    /<bus>/unknown  /<bus>/foreign  /<bus>/junk  /<bus>/stats    /findings  /comments  /recording
 
 `log_time` is the time of the last byte and never decreases; `publish_time` is the estimated start on the wire.
 """
@@ -202,14 +202,17 @@ class McapLog:
         message = entry.message
         frame = message.frame
         shown = physical(message)
-        if lane.odd and (message.command is None or message.role is Role.UNKNOWN):
+        if message.role is Role.FOREIGN:
+            shown |= {"address": message.address, "who": message.who, "length": len(frame.data)}
+        elif lane.odd and (message.command is None or message.role is Role.UNKNOWN):
             shown["address"] = message.address
             shown["dialect"] = frame.dialect.name
             shown["role"] = message.role.value
             if message.command is not None:
                 shown["command"] = message.command.name
         shown["_raw"] = frame.data.hex(" ").upper()
-        shown["_checksum_ok"] = frame.checksum_ok
+        if message.role is not Role.FOREIGN:
+            shown["_checksum_ok"] = frame.checksum_ok
         shown["_offset"] = frame.offset
         if entry.findings:
             shown["_findings"] = [f.rule for f in entry.findings]
@@ -321,6 +324,10 @@ class McapLog:
 
     def _open_lane(self, topic: str, message: Message) -> _Topic:
         dialect, command = message.frame.dialect, message.command
+        if message.role is Role.FOREIGN:
+            lane = self._add_lane(topic, "servotap.foreign", schemas.foreign_schema, {"bus_kind": dialect.bus})
+            lane.odd = True
+            return lane
         about = {"dialect": dialect.name, "manual": dialect.manual, "bus_kind": dialect.bus}
         if command is None or message.role is Role.UNKNOWN:
             lane = self._add_lane(topic, "servotap.unknown", schemas.unknown_schema, {"bus_kind": dialect.bus})

@@ -111,6 +111,16 @@ def unknown_schema() -> bytes:
     return _object("Frames without a command", {"address": {"type": "integer"}, **words, **_RESERVED, **_CAN})
 
 
+def foreign_schema() -> bytes:
+    """Return the schema of frames of nodes that are no drives."""
+    who = {"type": "string", "description": "on CAN the identifier in hexadecimal, else the address"}
+    size = {"type": "integer", "description": "data bytes"}
+    own = {name: _RESERVED[name] for name in ("_raw", "_offset")}
+    return _object(
+        "Frames that are not of this dialect", {"address": {"type": "integer"}, "who": who, "length": size, **own, **_CAN}
+    )
+
+
 def junk_schema() -> bytes:
     """Return the schema of bytes that belong to no frame."""
     return _object(
@@ -149,7 +159,7 @@ _NAMED: tuple[tuple[dict[str, Any], str], ...] = (
     (_SECONDS, "gap step drift late"),
     (_UTC, "from to"),
     (_TEXTS, "dialects notes"),
-    ({"type": "array", "items": {"type": "integer"}}, "groups"),
+    ({"type": "array", "items": {"type": "integer"}}, "groups ids"),
 )
 #: What an event can hold beside its name, bus and text. Counters of a driver are those that rose.
 _EVENT: dict[str, dict[str, Any]] = {name: kind for kind, names in _NAMED for name in names.split()}

@@ -81,6 +81,10 @@ class Summary:
         #: The worst severity that a rule's findings had: it can be milder than the rule's own.
         self.worst: dict[str, Severity] = {}
         self.first: dict[str, list[Finding]] = {}
+        #: CAN buses.
+        self.can: set[str] = set()
+        #: Who else spoke: frames and bytes by bus and identifier or address.
+        self.others: dict[tuple[str, str], list[int]] = {}
         self.comments = 0
         self.first_ns: int | None = None
         self.last_ns = 0
@@ -115,6 +119,11 @@ class Summary:
         if frame.last_ns > self.last_ns:
             self.last_ns = frame.last_ns
         role = message.role
+        if role is Role.FOREIGN:
+            counts = self.others.setdefault((frame.port, message.who), [0, 0])
+            counts[0] += 1
+            counts[1] += len(frame.data)
+            return
         # The topic names bus, address and command already; unknown ones share a topic and are told apart here.
         row = self._known.get(entry.topic) if message.command is not None and role is not Role.UNKNOWN else None
         if row is None:
@@ -137,6 +146,8 @@ class Summary:
             head = message.frame.dialect.link.parse(message.frame.data, message.frame.can.id if message.frame.can else None)
             name = "unknown" if head.code is None else f"unknown 0x{head.code:02X}"
         who = "all" if command is not None and command.slots is not None else str(message.address)
+        if message.frame.can is not None:
+            self.can.add(message.frame.port)
         key = (message.frame.port, who, message.frame.dialect.name, name)
         row = self.rows.setdefault(key, Row())
         if command is not None and message.role is not Role.UNKNOWN:
@@ -166,6 +177,10 @@ class Summary:
         """Count a comment."""
         self.comments += 1
 
+    def by_frames(self) -> list[tuple[tuple[str, str], list[int]]]:
+        """Return who else spoke with frames and bytes, those with the most frames first."""
+        return sorted(self.others.items(), key=lambda item: (-item[1][0], item[0]))
+
     def as_object(self) -> dict[str, Any]:
         """Return the summary as an object for JSON; times in seconds."""
         commands = []
@@ -189,6 +204,9 @@ class Summary:
                 "total": self.frame_bytes + sum(self.junk_bytes.values()),
             },
             "commands": commands,
+            "others": [
+                {"bus": bus, "who": who, "frames": frames, "bytes": size} for (bus, who), (frames, size) in self.by_frames()
+            ],
             "findings": [
                 {
                     "rule": rule,

@@ -30,6 +30,7 @@ from analyzer.view.screens import EndQuestion, HelpScreen
 from analyzer.view.search import Seeker
 from analyzer.view.source import ViewSource
 from analyzer.view.terminal import end_on_signals, terminal_watch
+from analyzer.view.watch import number_of
 
 #: Seconds between two looks at what is new, and how long one look may take for each thing that is asked for.
 PERIOD = 0.1
@@ -203,7 +204,7 @@ class ViewApp(App[str]):
             row = self.counts.chosen
             name = "unknown" if row.command.startswith("unknown") else row.command
             text = f'bus == "{row.bus}" and command == "{name}"'
-            if row.who.isdigit():
+            if number_of(row.who) >= 0:
                 text += f" and address == {row.who}"
             if self._set_filter(text):
                 self.action_panel("frames")

@@ -11,14 +11,14 @@ from typing import Any
 
 from analyzer.cli.filter import Filter, Meaning
 from analyzer.findings import RULES
-from analyzer.live.snapshot import FrameLine
+from analyzer.live.snapshot import FOREIGN, FrameLine
 from analyzer.view.lines import MS, SECOND, bytes_text
 
 #: Name in a filter -> how it is made of a line; None: the line has no such thing.
 _NAMES: dict[str, Callable[[FrameLine], Any]] = {
     "time": lambda line: line.t_ns / SECOND,
     "bus": lambda line: line.bus,
-    "dialect": lambda line: line.dialect,
+    "dialect": lambda line: line.dialect if line.role != FOREIGN else "",
     "address": lambda line: line.address,
     "role": lambda line: line.role,
     "command": lambda line: "unknown" if line.command.startswith("unknown") else line.command,

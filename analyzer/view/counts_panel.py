@@ -7,16 +7,17 @@ from typing import Any
 
 from rich.text import Text
 
+from analyzer.live.snapshot import FOREIGN
 from analyzer.values import printable
 from analyzer.view import tree
 from analyzer.view.lines import cut
 from analyzer.view.rows import Rows
-from analyzer.view.watch import CommandRow, Watch
+from analyzer.view.watch import CommandRow, Watch, number_of
 
 _NAME_WIDTH = 30
 #: Orders of the rows, by name.
 _ORDERS: dict[str, Callable[[CommandRow], Any]] = {
-    "address": lambda r: (r.bus, int(r.who) if r.who.isdigit() else -1, r.command),
+    "address": lambda r: (r.bus, number_of(r.who), r.command),
     "count": lambda r: -r.total,
     "rate": lambda r: -r.rate,
     "latency": lambda r: -(r.latencies or (0, 0, -1))[2],
@@ -73,12 +74,15 @@ class CountsPanel(Rows):
         row = self._rows[number]
         if row.leaf is None:
             below = [r for r in self._watch.rows.values() if (r.bus, r.who)[: len(row.path)] == row.path]
-            label = row.label(f"drive {row.path[1]}" if len(row.path) == 2 and row.path[1].isdigit() else "")
+            label = row.label(f"drive {row.path[1]}" if len(row.path) == 2 and number_of(row.path[1]) >= 0 else "")
             return self._counted(label, below, Text(no_wrap=True, style="bold"))
         label = row.label(row.leaf.command) if row.path else f"{row.leaf.bus} {row.leaf.who}: {row.leaf.command}"
         text = self._counted(label, [row.leaf], Text(no_wrap=True))
         times = ("", "", "") if row.leaf.latencies is None else (rate_text(ns / 1e6) for ns in row.leaf.latencies)
         text.append("".join(f"{each:>8}" for each in times))
+        foreign = row.leaf.count(FOREIGN)
+        if foreign:
+            text.append(f"  {foreign} not of this dialect", "dim")
         unknown = row.leaf.count("unknown")
         return text.append(f"  {unknown} of unknown role", "yellow") if unknown else text
 

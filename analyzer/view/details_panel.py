@@ -12,7 +12,7 @@ from textual.widgets import Static
 
 from analyzer.catalogue import Dialect, Role
 from analyzer.errors import ServotapError
-from analyzer.live.snapshot import EVENT, JUNK, FindingLine, FrameLine
+from analyzer.live.snapshot import EVENT, FOREIGN, JUNK, FindingLine, FrameLine
 from analyzer.reference.explanation import Explainer
 from analyzer.reference.explanation_text import explanation_lines
 from analyzer.reference.hex_frame import Given
@@ -44,7 +44,7 @@ class Details:
             text.append(f"! {', '.join(missing)}\n", SEVERITIES.get(line.severity, ("", ""))[1])
         if line.role == EVENT:
             text.append(f"{printable(line.command)}: {printable(line.text)}\n")
-        elif line.role == JUNK or line.dialect not in self._dialects:
+        elif line.role in (JUNK, FOREIGN) or line.dialect not in self._dialects:
             self._bytes(text, line)
         else:
             self._explained(text, line, request, {f.rule for f in findings})

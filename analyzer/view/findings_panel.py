@@ -38,16 +38,15 @@ class FindingRows(Rows):
 
     def heading(self, width: int) -> Text:
         """Return the names of the columns."""
-        return Text(f"  {f'time {self._times.zone}'.rstrip():>15} {'bus':<8} {'addr':>4} finding", style="bold", no_wrap=True)
+        return Text(f"  {f'time {self._times.zone}'.rstrip():>15} {'bus':<8} {'addr':>5} finding", style="bold", no_wrap=True)
 
     def row(self, number: int, width: int) -> Text:
         """Return a finding as a row."""
         found = self._watch.findings.item(number)
         letter, colour = SEVERITIES.get(found.severity, (" ", ""))
-        address = "" if found.address < 0 else str(found.address)
         text = Text(no_wrap=True)
         text.append(f"{letter} ", colour)
-        text.append(f"{self._times.text(found.t_ns):>15} {printable(found.bus)[:8]:<8} {address:>4} ")
+        text.append(f"{self._times.text(found.t_ns):>15} {printable(found.bus)[:8]:<8} {printable(found.who):>5} ")
         text.append(f"{printable(found.rule)}: ", colour)
         text.append(printable(found.text))
         return text

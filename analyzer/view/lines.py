@@ -17,6 +17,7 @@ ROLES = {
     "request": (">", "cyan"),
     "reply": ("<", "green"),
     "unknown": ("?", "yellow"),
+    "foreign": ("·", "dim"),
     JUNK: ("~", "magenta"),
     EVENT: ("*", "bold blue"),
 }
@@ -38,7 +39,7 @@ def bytes_text(line: FrameLine) -> str:
     """Return a frame's bytes as hex; on CAN its identifier first."""
     if line.can_id is None:
         return line.raw
-    return f"{line.can_id:02X} {line.raw}".rstrip()
+    return f"{line.can_id:08X} {line.raw}".rstrip() if line.extended else f"{line.can_id:02X} {line.raw}".rstrip()
 
 
 def said_text(line: FrameLine) -> str:
@@ -66,6 +67,8 @@ class Columns:
         #: None: both where there is room for both, else the fields.
         self.shows: str | None = None
         self.bus_width = 3
+        #: Of an address; of identifiers of 29 bits as soon as one is shown.
+        self.who_width = 4
         self.first_ns = 0
 
     def next_time(self) -> str:
@@ -84,7 +87,7 @@ class Columns:
 
     def _room(self, width: int) -> tuple[int, int]:
         """Return the columns for fields and for bytes."""
-        left = max(10, width - (2 + _TIME_WIDTH + 1 + self.bus_width + 1 + 4 + 3 + _command_width(width) + 1))
+        left = max(10, width - (2 + _TIME_WIDTH + 1 + self.bus_width + 1 + self.who_width + 3 + _command_width(width) + 1))
         shows = self._shows(width)
         if shows == FIELDS:
             return left, 0
@@ -105,7 +108,8 @@ class Columns:
         """Return the row above the frames."""
         fields, size = self._room(width)
         which = {CLOCK: f"time {self._times.zone}".rstrip(), ELAPSED: "seconds", STEP: "since above"}[self.time]
-        text = f"  {which:>{_TIME_WIDTH}} {'bus':<{self.bus_width}} {'addr':>4}   {'command':<{_command_width(width)}} "
+        text = f"  {which:>{_TIME_WIDTH}} {'bus':<{self.bus_width}} {'addr':>{self.who_width}}   "
+        text += f"{'command':<{_command_width(width)}} "
         text += (f"{'fields':<{fields}} " if fields and size else "fields" if fields else "") + ("bytes" if size else "")
         return Text(text[:width].ljust(width), style="bold", no_wrap=True)
 
@@ -113,6 +117,7 @@ class Columns:
         """Return a frame as a row; `before_ns`: time of the line above it."""
         sign, colour = ROLES.get(line.role, ("?", ""))
         letter, alarm = SEVERITIES.get(line.severity, (" ", ""))
+        self.who_width = max(self.who_width, len(line.who))
         fields, size = self._room(width)
         when = self._when(line.t_ns, before_ns)
         if line.t_ns == 0 and line.role == EVENT:
@@ -120,7 +125,7 @@ class Columns:
         bus = printable(line.bus)[: self.bus_width]
         row = Text(no_wrap=True)
         row.append(letter + " ", alarm)
-        row.append(f"{when:>{_TIME_WIDTH}} {bus:<{self.bus_width}} {printable(line.who):>4} ", "")
+        row.append(f"{when:>{_TIME_WIDTH}} {bus:<{self.bus_width}} {printable(line.who):>{self.who_width}} ", "")
         room = _command_width(width)
         row.append(f"{sign} {cut(printable(line.command), room):<{room}} ", colour)
         if fields:

@@ -9,7 +9,6 @@ from analyzer.view.kept import Kept
 
 #: Findings that are listed; all are counted.
 FINDINGS = 20_000
-_ROLE_FIELDS = ("request", "reply", "unknown")
 
 
 @dataclass
@@ -44,6 +43,14 @@ class CommandRow:
         if row is None or not row.latencies:
             return None
         return row.latency_last_ns, row.latency_sum_ns // row.latencies, row.latency_max_ns
+
+
+def number_of(who: str) -> int:
+    """Return the address that a text of `who` means, -1 where it is none."""
+    try:
+        return int(who, 0)
+    except ValueError:
+        return -1
 
 
 class Watch:

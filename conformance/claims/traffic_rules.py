@@ -197,6 +197,8 @@ class Judge:
         """Count a frame."""
         message = entry.message
         frame = message.frame
+        if message.role is Role.FOREIGN:
+            return
         name = frame.dialect.name
         self._spoken[frame.port, message.address] = self._spoken[frame.port, None] = name
         self._last = entry

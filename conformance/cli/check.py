@@ -149,7 +149,7 @@ def _colored(outcome: str) -> str:
 
 def _example(example: Example, judge: Judge) -> str:
     found = example.finding
-    who = f"address {found.address}, " if found.address is not None else ""
+    who = f"address {found.who}, " if found.address is not None else ""
     data = example.data[:_SHOWN_BYTES].hex(" ").upper() + (" ..." if len(example.data) > _SHOWN_BYTES else "")
     at_s = (found.last_ns - judge.first_ns) / 1e9
     return printable(f"{at_s:12.6f} s  {found.port}: {who}{found.text}" + (f"  {data}" if data else ""))

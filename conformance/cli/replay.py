@@ -19,6 +19,7 @@ import msgspec
 
 from analyzer.catalogue import Dialect
 from analyzer.cli.reading import OpenCapture, add_reading_arguments, open_reading, progress
+from analyzer.dialects import drive_name
 from analyzer.errors import UsageError
 from analyzer.live.endpoint import Endpoint
 from analyzer.values import printable
@@ -256,7 +257,7 @@ def _show_plan(plan: Plan, rehearsal: Rehearsal, reading: OpenCapture, arguments
 
 
 def _counts(steps: Sequence[Step]) -> Counter[str]:
-    return Counter(f"{s.dialect.name}@{s.address} {s.name}" for s in steps)
+    return Counter(f"{drive_name(s.dialect, s.address)} {s.name}" for s in steps)
 
 
 def _show(result: Result, plan: Plan, rehearsal: Rehearsal) -> None:

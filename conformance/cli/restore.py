@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 from analyzer.catalogue import Dialect
+from analyzer.dialects import drive_name
 from analyzer.errors import UnreadableError
 from analyzer.live import endpoint as endpoints
 from conformance.bus.line import LineLost
@@ -73,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _stand(gate: Gate, dialect: Dialect, address: int, power: str) -> None:
     """Look at the shaft, stop it where it does not stand, and say what was found. Raises NotStopped."""
-    name = f"{dialect.name}@{address}"
+    name = drive_name(dialect, address)
     found = standing_failure(gate, dialect, address)
     if not found:
         print(f"{name}: the shaft stands")

@@ -18,7 +18,7 @@ from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
 from analyzer.live import endpoint as endpoints
 from analyzer.live.endpoint import Endpoint
-from analyzer.values import quote
+from analyzer.values import counted, quote
 from conformance.cli.endpoint import gate_to, parse_addresses
 from conformance.gate.permissions import Allowance
 from conformance.talk.scan import PATIENCE_NS, Found, Progress, Report, Stray, scan
@@ -147,6 +147,8 @@ def _show(report: Report, endpoint: Endpoint) -> None:
         print(_stray_line(stray))
     if len(report.strays) > _SHOWN:
         print(f"  and {len(report.strays) - _SHOWN} times more")
+    if report.others:
+        print(_others_line(report))
     if report.stopped:
         print(f"not looked everywhere: {report.stopped}")
     for hint in report.hints:
@@ -182,6 +184,13 @@ def _stray_line(stray: Stray) -> str:
     return f"heard at {stray.speed} bit/s {when}: {data}  ({stray.kind.value})"
 
 
+def _others_line(report: Report) -> str:
+    """Return who else spoke, those with the most frames first."""
+    listed = [f"{who} ({counted(count, 'frame')})" for who, count in report.others.most_common(_SHOWN)]
+    more = len(report.others) - len(listed)
+    return f"not of this dialect: {', '.join(listed)}" + (f" and {more} more" if more else "")
+
+
 def _object(report: Report) -> dict[str, Any]:
     def of(found: Found) -> dict[str, Any]:
         shown: dict[str, Any] = {
@@ -199,6 +208,7 @@ def _object(report: Report) -> dict[str, Any]:
         "heard": [
             {"speed": s.speed, "asked": s.asked, "raw": s.data.hex(" ").upper(), "look": s.kind.value} for s in report.strays
         ],
+        "others": dict(report.others),
         "asked": report.asked,
         "rates": report.rates,
         "dialects": list(report.dialects),

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from analyzer.catalogue import Dialect
 from analyzer.cli.frame import parse_target
+from analyzer.dialects import drive_name
 from analyzer.errors import UsageError
 from analyzer.live import endpoint as endpoints
 from conformance.bus.line import LineLost
@@ -43,7 +44,7 @@ class _Drive(NamedTuple):
 
     @property
     def name(self) -> str:
-        return f"{self.dialect.name}@{self.address}"
+        return drive_name(self.dialect, self.address)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -38,7 +38,7 @@ from typing import NamedTuple
 
 from analyzer.catalogue import Command, Dialect, Form, Risk
 from analyzer.codec import codec
-from analyzer.dialects import code_text
+from analyzer.dialects import code_text, drive_name
 from analyzer.layout import FieldKind
 from analyzer.link import Candidate
 from analyzer.records import CanFrame
@@ -86,7 +86,8 @@ class Interpretation:
 
     def __str__(self) -> str:
         """Return it for people: which drive, what, and why it is doubtful."""
-        who = "all" if self.address is None or self.to_many else str(self.address)
+        many = self.address is None or self.to_many
+        who = f"{self.dialect.name}@all" if many or self.address is None else drive_name(self.dialect, self.address)
         wide = self.dialect.link.kind == "serial" and bool(self.dialect.fallbacks)
         name = self.command.name if self.command is not None else f"code {code_text(self.code, 0 if wide else None)}"
         shown = [f"{n}={_shown(self.form, n, v)}" for n, v in self.values.items()]
@@ -94,7 +95,7 @@ class Interpretation:
         told += [] if self.offset == 0 else [f"from byte {self.offset}" if self.offset > 0 else "begun in an earlier sending"]
         told += ["cut off"] if not self.complete else ["its check is wrong"] if not self.fits else []
         told += [self.note] * bool(self.note)
-        return " ".join([f"{self.dialect.name}@{who} {name}", *shown]) + (f" ({', '.join(told)})" if told else "")
+        return " ".join([f"{who} {name}", *shown]) + (f" ({', '.join(told)})" if told else "")
 
 
 _READ = frozenset({Risk.READ})

@@ -19,6 +19,7 @@ from statistics import mean
 from typing import NamedTuple
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk
+from analyzer.dialects import drive_name
 from analyzer.encoder import assemble
 from analyzer.errors import ServotapError, UsageError
 from conformance.bus.line import LineLost
@@ -229,6 +230,6 @@ def stop_or_cut(
     except Exception as error:
         failure = f"{type(error).__name__}: {error}"
     if failure:
-        text = f"NOT STOPPED: {dialect.name}@{address}: {failure}; {cut_power(power)}"
+        text = f"NOT STOPPED: {drive_name(dialect, address)}: {failure}; {cut_power(power)}"
         print(text, file=sys.stderr, flush=True)
         raise NotStopped(text)

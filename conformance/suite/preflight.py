@@ -115,7 +115,7 @@ def _on_can(gate: Gate, dialect: Dialect, addresses: Sequence[int]) -> Neighbour
         built = assemble(dialect, command, address)
         # A question that a drive of another dialect could take for a command is not asked.
         if gate.objections(built.item()):
-            unasked.append(f"{dialect.name}@{address}")
+            unasked.append(registry.drive_name(dialect, address))
             continue
         asked[built.can_id] = address, command.code
         gate.send(built.item())
@@ -124,7 +124,7 @@ def _on_can(gate: Gate, dialect: Dialect, addresses: Sequence[int]) -> Neighbour
     heard += gate.wait(_LATE_NS)
     frames = [f for f in heard if isinstance(f, CanFrame) and f.id in asked]
     found = {asked[f.id][0] for f in frames if dialect.link.parse(f.data, f.id).code == asked[f.id][1]}
-    return Neighbours(tuple(f"{dialect.name}@{address}" for address in sorted(found)), tuple(unasked))
+    return Neighbours(tuple(registry.drive_name(dialect, address) for address in sorted(found)), tuple(unasked))
 
 
 def find_drive(gate: Gate, dialect: Dialect, address: int, *, widely: bool = True) -> Search:
@@ -167,7 +167,7 @@ def _elsewhere(gate: Gate, dialect: Dialect, address: int, report: Report) -> li
 
 def _text(gate: Gate, dialect: Dialect, address: int, elsewhere: Sequence[Found], received: bytes, report: Report) -> str:
     place = gate.line.endpoint
-    asked = f"{dialect.name}@{address} does not answer on {place.text} at {place.bits_per_second} bit/s"
+    asked = f"{registry.drive_name(dialect, address)} does not answer on {place.text} at {place.bits_per_second} bit/s"
     for found in elsewhere:
         if found.dialect.name != dialect.name:
             return f"{asked}, but {found.name} does at {found.speed} bit/s: it speaks another dialect"

@@ -17,7 +17,8 @@ from msgspec.structs import replace
 from analyzer.catalogue import Dialect, Role
 from analyzer.encoder import Built
 from analyzer.pipeline import Entry, Options, Pipeline
-from analyzer.records import CanFrame, Chunk, Comment, Finding, Junk
+from analyzer.port import usual_setup
+from analyzer.records import CanFrame, Chunk, Comment, Finding, Junk, Message
 from conformance.gate.gate import Gate, Item
 from conformance.talk.exchange import Answer, Completion, Exchange, sent_record
 from conformance.talk.no_checksum import Bare
@@ -58,6 +59,8 @@ class _Sorter:
         self.entries: list[Entry] = []
         self.junk_pieces: list[Junk] = []
         self.findings: list[Finding] = []
+        #: Frames of other nodes.
+        self.foreign: list[Message] = []
         self.own: list[tuple[range, Exchange]] = []
         #: What a CAN frame is sent in, while it is decoded: it may have no data, and so no place in the stream of bytes.
         self.sending: Exchange | None = None
@@ -74,8 +77,11 @@ class _Sorter:
     def entry(self, entry: Entry) -> None:
         """Keep a frame."""
         owner = self._owner(entry.message.frame.offset)
-        if owner is None:
+        if owner is None and entry.message.role is Role.FOREIGN:
+            self.foreign.append(entry.message)
+        elif owner is None:
             self.entries.append(entry)
+        if owner is None:
             return
         owner.requests.append(entry)
         self.asked[entry.sequence] = None
@@ -129,6 +135,7 @@ class Dialogue:
         self._held: Chunk | None = None
         self._sorter = _Sorter()
         self._pipeline = Pipeline(self.dialects, (self._sorter,), Options(byte_ns=line.byte_ns, late_ns=late_ns))
+        self._pipeline.set_up(self._name, usual_setup(self.dialects))
         self._exchange = Exchange(None, 0)
         self._pending = False
 
@@ -157,8 +164,11 @@ class Dialogue:
         if self._log is not None:
             self._log(record)
         if shown:
-            port = self._pipeline.ports.get(self._name)
-            self._sorter.sends(port.bytes_in if port is not None else 0, len(record.data), exchange)
+            port = self._pipeline.ports[self._name]
+            self._sorter.sends(port.bytes_in, len(record.data), exchange)
+            if isinstance(record, CanFrame) and not record.extended:
+                # What is spoken to is a drive, whatever it answers.
+                port.nodes.drives.add(record.id)
             self._sorter.sending = exchange if isinstance(record, CanFrame) else None
             self._pipeline.feed(record)
             self._sorter.sending = None
@@ -221,11 +231,14 @@ class Dialogue:
         self._take_in(got)
 
     def _take_in(self, got: Chunk | CanFrame) -> None:
-        self._exchange.received += got.data
         direction = got.direction if self._direction is None else self._direction
         if isinstance(got, CanFrame):
+            known = len(self._sorter.foreign)
             self._pipeline.feed(replace(got, port=self._name, direction=direction))
+            if len(self._sorter.foreign) == known:
+                self._exchange.received += got.data
             return
+        self._exchange.received += got.data
         chunk = replace(got, port=self._name, direction=direction)
         self._pipeline.feed(chunk if self._bare is None else self._bare.completed(chunk))
 
@@ -267,4 +280,5 @@ class Dialogue:
             else:
                 exchange.answers.append(Answer(whole, max(0, junk.first_ns - exchange.sent_ns), True))
         exchange.findings += sorter.findings
-        sorter.entries, sorter.junk_pieces, sorter.findings = [], [], []
+        exchange.foreign += sorter.foreign
+        sorter.entries, sorter.junk_pieces, sorter.findings, sorter.foreign = [], [], [], []

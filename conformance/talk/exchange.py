@@ -94,8 +94,8 @@ class Exchange:
 
     `sent`: bytes or the CAN frame, None where only was listened. `sent_ns`: when its last bit was on the wire. `command`
     and `values` (integers as sent): what was asked, where it was built from a command. `requests`: the frames in what was
-    sent; `answers`: all frames that came; `received`: every byte that came (on CAN the data of the frames). `until_ns`: how
-    long was listened.
+    sent; `answers`: all frames that came, but for `foreign`: those of CAN nodes that are no drives; `received`: every byte
+    that came (on CAN the data of the frames of drives). `until_ns`: how long was listened.
     """
 
     sent: bytes | CanFrame | None
@@ -104,6 +104,7 @@ class Exchange:
     address: int | None = None
     values: Mapping[str, Any] = field(default_factory=dict)
     answers: list[Answer] = field(default_factory=list)
+    foreign: list[Message] = field(default_factory=list)
     junk: list[Junk] = field(default_factory=list)
     findings: list[Finding] = field(default_factory=list)
     until_ns: int = 0

@@ -20,6 +20,7 @@ from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Risk, Role, Verb
 from analyzer.decoder import physical
+from analyzer.dialects import drive_name
 from analyzer.encoder import assemble
 from analyzer.errors import UsageError
 from conformance.gate.gate import Gate, Refused
@@ -64,7 +65,7 @@ class Found:
     @property
     def name(self) -> str:
         """DIALECT@ADDRESS."""
-        return f"{self.dialect.name}@{self.address}"
+        return drive_name(self.dialect, self.address)
 
     @property
     def identity(self) -> str:
@@ -105,6 +106,8 @@ class Report:
     echoes: bool = False
     stopped: str = ""
     kind: str = "serial"
+    #: Frames of nodes that are no drives, by identifier.
+    others: Counter[str] = field(default_factory=Counter)
 
     @property
     def hints(self) -> list[str]:
@@ -261,6 +264,7 @@ def _scan_rate(
     """Ask all addresses at one rate; return whether to go on with the next one."""
     report.rates.append(rate)
     before = finder.dialogue.listen(LISTEN_NS)
+    report.others.update(message.who for message in before.foreign)
     if before.received:
         report.strays.append(Stray(rate, "", before.received, _stray_kind(before, None, None)))
         if any(a.message.role is not Role.UNKNOWN for a in before.others) and not busy:
@@ -273,8 +277,9 @@ def _scan_rate(
             try:
                 found, exchange = finder.find(dialect, address)
             except Refused:
-                report.refused.append(f"{dialect.name}@{address}")
+                report.refused.append(drive_name(dialect, address))
                 continue
+            report.others.update(message.who for message in exchange.foreign)
             if found is not None:
                 known = {(f.dialect.name, f.address, f.speed) for f in report.found}
                 if (found.dialect.name, found.address, found.speed) not in known:
@@ -283,7 +288,7 @@ def _scan_rate(
                     return False
             elif exchange.received:
                 kind = _stray_kind(exchange, dialect, address)
-                report.strays.append(Stray(rate, f"{dialect.name}@{address}", exchange.received, kind))
+                report.strays.append(Stray(rate, drive_name(dialect, address), exchange.received, kind))
     return True
 
 
@@ -305,7 +310,7 @@ class Finder:
         message = answer.message
         wrong = "" if message.frame.checksum_ok else "its checksum is wrong"
         if message.address != address:
-            wrong = f"it answered for {message.address} when {address} was asked"
+            wrong = f"it answered for {message.who} when {drive_name(dialect, address)} was asked"
         values = dict(physical(message)) | self._more(dialect, message.address, command)
         speed = self.dialogue.gate.line.endpoint.bits_per_second
         return Found(dialect, message.address, speed, answer.latency_ns, answer.data, values, wrong), exchange

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk
 from analyzer.codec import codec
 from analyzer.decoder import slots_of
+from analyzer.dialects import drive_name
 from analyzer.errors import ServotapError
 from conformance.gate.gate import Gate, Judge, Objection, Refused
 from conformance.safety.signals import undisturbed
@@ -59,7 +60,7 @@ class Rehearsal:
         counts: Counter[str] = Counter()
         first: dict[str, Objection] = {}
         for step, objection in self.refused:
-            name = f"{step.dialect.name}@{step.address} {step.name}"
+            name = f"{drive_name(step.dialect, step.address)} {step.name}"
             counts[name] += 1
             first.setdefault(name, objection)
         return [(name, count, first[name]) for name, count in counts.most_common()]
@@ -310,7 +311,7 @@ class Replay:
             del self.moving[name, address]
             said = self._stop(moving.dialect, address)
             if said:
-                self.result.left_moving.append(f"{name}@{address}: {said}")
+                self.result.left_moving.append(f"{drive_name(moving.dialect, address)}: {said}")
 
     def _stop(self, dialect: Dialect, address: int) -> str:
         try:

@@ -116,6 +116,8 @@ class _Reader:
             return
         if message.role is Role.REQUEST:
             self._request(entry)
+        elif message.role is Role.FOREIGN:
+            self.plan.left_out["frames that are not of this dialect"] += 1
         elif message.role is Role.UNKNOWN:
             self.plan.left_out["frames of an unknown sender"] += 1
         elif entry.request_sequence is not None and entry.request_sequence in self._open:

@@ -200,3 +200,12 @@ def test_amounts_for_reading():
     ]
     times = [option_types.duration_text(int(s * 1e9)) for s in (0.25, 59.9, 247, 3753)]
     assert times == ["0.2 s", "59.9 s", "4:07 min", "1:02:33 h"]
+
+
+def test_who_is_a_drive_is_said_for_all_buses_or_by_bus(tmp_path):
+    endpoints = ("left=can:socketcan:can0", "arm=can:socketcan:can1")
+    config = configured(tmp_path, *endpoints, "--ids", "1,0x123-0x124", "--ids", "arm=7")
+    assert [port.ids for port in config.ports] == [(1, 0x123, 0x124), (7,)]
+    assert [port.ids for port in configured(tmp_path, *endpoints).ports] == [None, None]
+    with pytest.raises(UsageError, match="--ids: no bus 'amr'; did you mean arm"):
+        configured(tmp_path, *endpoints, "--ids", "amr=7")

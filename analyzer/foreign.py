@@ -1,0 +1,88 @@
+"""Who on a bus is no drive: frames of other nodes are kept, told apart, and nothing is found wrong with them.
+
+Who is a drive is said by the user (`--ids`), else, on CAN, by the frames:
+
+    good      the check fits, and the data are a request or reply of the catalogue      from here on the node is a drive
+    near      a command of the catalogue, with a wrong check, none, or wrong values     a finding, unless the node was odd
+    odd       anything else                                                             a foreign frame
+    29 bits   no dialect here has such identifiers                                      a foreign frame
+
+So a program that forgets the checksum is told so, and a CANopen node beside the drives is left alone. What a drive sent before
+its first good frame may be foreign, too. Of a node that was odd for long, one good frame can be chance: it needs two in a row.
+
+On serial lines only the user's word counts: who speaks something else there makes junk or frames with errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from analyzer.catalogue import Dialect, Role
+from analyzer.link.interface import data_lengths
+from analyzer.records import CanFrame, Message
+
+#: A CAN identifier of the standard format has 11 bits.
+CAN_ID_LIMIT = 0x7FF
+#: So many odd frames of a node make a good one doubtful: one frame in 256 has a fitting check by chance.
+_ODD_FOR_LONG = 32
+
+
+class Nodes:
+    """Who is a drive on one bus. `listed`: identifiers or addresses of drives, as the user says; None: the frames tell."""
+
+    STATE = ("drives", "odd")
+
+    def __init__(self, listed: Collection[int] | None) -> None:
+        self.listed = listed
+        #: Identifiers that are known to be drives.
+        self.drives: set[int] = set()
+        #: Odd frames by identifier, of those that are not.
+        self.odd: dict[int, int] = {}
+
+    def knows(self, address: int) -> bool | None:
+        """Say whether an address is a drive's; None where frames have to tell."""
+        if self.listed is not None:
+            return address in self.listed
+        return True if address in self.drives else None
+
+    def tells(self, can: CanFrame, message: Message | None, near: bool) -> bool:
+        """Say whether a CAN frame is a drive's, by itself and by those before it. `message` None: it is of no dialect."""
+        good = message is not None and _is_good(message)
+        odd = self.odd.get(can.id, 0)
+        if good and odd < _ODD_FOR_LONG:
+            self.drives.add(can.id)
+            self.odd.pop(can.id, None)
+            return True
+        if good:
+            self.odd[can.id] = _ODD_FOR_LONG - 1
+        elif odd or not near:
+            self.odd[can.id] = odd + 1
+        return near and not odd
+
+
+def _is_good(message: Message) -> bool:
+    return message.frame.checksum_ok and message.form is not None and not message.violations
+
+
+class Likeness:
+    """What frames of a CAN dialect look like, but for their check."""
+
+    def __init__(self, dialect: Dialect) -> None:
+        self._link = dialect.link
+        asked, told = (data_lengths(dialect.commands, role) for role in (Role.REQUEST, Role.REPLY))
+        self._lengths = {code: asked.get(code, set()) | told.get(code, set()) for code in asked | told}
+
+    def fits(self, can: CanFrame) -> bool:
+        """Say whether a frame has a code of the dialect, and one of its lengths."""
+        head = self._link.parse(can.data, can.id)
+        return len(can.data) >= self._link.shortest and head.stop - head.start in self._lengths.get(head.code or 0, ())
+
+    def is_near(self, can: CanFrame, *, checks: bool) -> bool:
+        """Say whether a frame may be one of the dialect whose check is wrong or forgotten. `checks`: its check fits."""
+        if can.remote or can.fd:
+            return False
+        head = self._link.parse(can.data, can.id)
+        lengths = self._lengths.get(-1 if head.code is None else head.code)
+        return lengths is not None and (
+            checks or self.fits(can) or (self._link.checked and len(can.data) - head.start in lengths)
+        )
