@@ -85,7 +85,7 @@ def drive(text: str) -> tuple[Dialect, int]:
 
 def drive_name(dialect: Dialect, address: int) -> str:
     """Return the name of a drive, as `drive` takes it: on CAN its identifier in hexadecimal."""
-    return f"{dialect.name}@{address:#x}" if dialect.bus == "can" and address > 9 else f"{dialect.name}@{address}"
+    return f"{dialect.name}@0x{address:X}" if dialect.bus == "can" and address > 9 else f"{dialect.name}@{address}"
 
 
 def every() -> list[Dialect]:

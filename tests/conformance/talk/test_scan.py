@@ -63,7 +63,7 @@ def test_drives_of_all_dialects_at_all_rates():
 
 def test_can_drives_tell_their_type():
     report = scan(gate("mks-can@1", "mks-can@0x7FF,model=57E", speed=500_000), [CAN], addresses=[1, 2, 0x7FF])
-    assert names(report) == ["mks-can@1 500000", "mks-can@2047 500000"]
+    assert names(report) == ["mks-can@1 500000", "mks-can@0x7FF 500000"]
     assert report.found[0].identity == "s42e_can, firmware 1.0.1"
     assert report.found[1].identity.startswith("s57e_can")
 
@@ -311,8 +311,8 @@ def test_a_drive_at_any_address_is_a_neighbour(other: str):
 
 
 def test_a_drive_at_any_identifier_is_a_neighbour():
-    both = gate("mks-can@1", "mks-can@1999", speed=None)
-    assert neighbours(both, [dialects.get("mks-can")], own=(1,)) == Neighbours(("mks-can@1999",))
+    both = gate("mks-can@1", "mks-can@0x7CF", speed=None)
+    assert neighbours(both, [dialects.get("mks-can")], own=(1,)) == Neighbours(("mks-can@0x7CF",))
 
 
 def test_all_addresses_are_looked_at_within_seconds():

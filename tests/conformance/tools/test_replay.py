@@ -119,7 +119,7 @@ def test_what_nobody_can_tell_is_left_out():
     frames = [CanFrame(1, "can0", 1, b"\x31\x32", extended=True), CanFrame(2, "can0", 1, b"\x31\x32")]
     plan = make_plan(frames, partial(Pipeline, (CAN,)))
     assert [s.item for s in plan.steps] == [on_can(1, b"\x31\x32")]
-    assert plan.left_out == {"frames of an unknown sender": 1}
+    assert plan.left_out == {"frames that are not of this dialect": 1}
 
 
 # --- comparing --------------------------------------------------------------------------------------------------------
