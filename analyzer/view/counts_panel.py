@@ -74,7 +74,8 @@ class CountsPanel(Rows):
         row = self._rows[number]
         if row.leaf is None:
             below = [r for r in self._watch.rows.values() if (r.bus, r.who)[: len(row.path)] == row.path]
-            label = row.label(f"drive {row.path[1]}" if len(row.path) == 2 and number_of(row.path[1]) >= 0 else "")
+            what = "node" if all(r.command == FOREIGN for r in below) else "drive"
+            label = row.label(f"{what} {row.path[1]}" if len(row.path) == 2 and number_of(row.path[1]) >= 0 else "")
             return self._counted(label, below, Text(no_wrap=True, style="bold"))
         label = row.label(row.leaf.command) if row.path else f"{row.leaf.bus} {row.leaf.who}: {row.leaf.command}"
         text = self._counted(label, [row.leaf], Text(no_wrap=True))

@@ -22,6 +22,7 @@ from analyzer.view.rows import Rows
 from analyzer.view.scale import round_ticks, time_ticks
 from analyzer.view.series import Point
 from analyzer.view.source import Plot, ViewSource
+from analyzer.view.watch import number_of
 
 #: Charts that are shown at once.
 CHARTS = 4
@@ -105,7 +106,7 @@ class SeriesRows(Rows):
         """Return a series or a branch as a row."""
         row = self._rows[number]
         if row.leaf is None:
-            named = f"drive {row.path[1]}" if len(row.path) == 2 and row.path[1].isdigit() else ""
+            named = f"drive {row.path[1]}" if len(row.path) == 2 and number_of(row.path[1]) >= 0 else ""
             return Text("    " + printable(row.label(named)), style="bold" if len(row.path) < 3 else "", no_wrap=True)
         at = self.plotted.index(row.leaf) + 1 if row.leaf in self.plotted else 0
         label = row.label(row.leaf.rsplit(".", 1)[-1].removeprefix("_"))
@@ -319,7 +320,7 @@ def _order(name: str) -> tuple[str, tuple[int, str], int, str]:
     """Put together what is of one drive, what is plotted most first: states, replies, requests."""
     bus, who, kind = _path(name)
     rank = next((at for at, end in enumerate(("state", " reply", " request")) if kind.endswith(end)), 3)
-    return bus, (int(who) if who.isdigit() else -1, who), rank, f"{kind}.{'~' * name.endswith('._latency')}{name}"
+    return bus, (number_of(who), who), rank, f"{kind}.{'~' * name.endswith('._latency')}{name}"
 
 
 def _number(value: float) -> str:
