@@ -427,18 +427,14 @@ STATEMENTS: tuple[S, ...] = (
         "The reply has the number and the values of that parameter.",
         ("shape/read_parameter/of/*", "read-back/parameter/*/written"),
     ),
-    S("18/reads", "It reads and changes nothing.", ("read-back/parameter/*/others", "resilience/reads/run_speed")),
+    S("18/reads", "It reads and changes nothing.", ("resilience/settings/*", "resilience/reads/run_speed")),
     *_tables("19", "write_parameter", "C1h", 7, 7),
     S(
         "19/writes",
         "It writes the values of the parameter whose number it has.",
         ("read-back/parameter/*/written", "state/settings"),
     ),
-    S(
-        "19/others",
-        "It writes no other parameter.",
-        ("read-back/parameter/*/others", "ranges/write_parameter/parameter/unlisted"),
-    ),
+    S("19/others", "It writes no other parameter.", ("resilience/settings/*", "ranges/write_parameter/parameter/unlisted")),
     S(
         "19/at-once",
         "It takes effect at once.",

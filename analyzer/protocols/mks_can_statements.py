@@ -45,11 +45,11 @@ def _setting(section: str, command: str, sent: str, *fields: str) -> Iterator[St
         *(f"ranges/{command}/{f}/[hil]*" for f in fields),
     )
     yield _said(f"{section}/status-0", "Status 0 says that it is not set.", *_refusals(command, *fields))
-    yield _said(f"{section}/alone", "It sets this and nothing else.", f"read-back/{command}/others")
+    yield _said(f"{section}/alone", "It sets this and nothing else.", "resilience/settings/*")
     yield _said(
         f"{section}/kept",
         "What was set is a stored parameter: a restart and a loss of power leave it.",
-        f"read-back/{command}/restart",
+        "read-back/settings/restart",
         f"read-back/{command}/power",
     )
 
@@ -631,7 +631,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "ranges/set_no_limit_home/*/highest",
         "ranges/set_no_limit_home/home_current/above",
     ),
-    _said("3.4.5/kept", "What was set is there after a restart.", "read-back/set_no_limit_home/restart"),
+    _said("3.4.5/kept", "What was set is there after a restart.", "read-back/settings/restart"),
     _unseen(
         "3.4.5/en-pulse", "In pulse modes 200 ms of the disabling level at En begin homing; 150 to 250 ms are seen.", _PULSES
     ),

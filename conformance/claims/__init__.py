@@ -85,6 +85,7 @@ MODULES = (
     # resilience
     "resilience",
     "resilience_reads",
+    "resilience_settings",
     "resilience_busy",
 )
 Source = Callable[[Dialect], Iterable[Claim]]

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Form, MotionKind, Risk, Role, Subject, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Role, Subject, Verb
 from analyzer.link import CanLink, HeadLink, LkLink
 from analyzer.protocols.lk_rs485 import ERROR_BITS
 from conformance.claim import Inconclusive, Theme
@@ -23,9 +23,9 @@ from conformance.claims.control_reads import PAUSE_NS, received_text
 from conformance.claims.declare import Case, claim, described_in
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.known_reads import every_read, is_stored, plain_reads
+from conformance.claims.known_settings import ReadableSetting, needs, readable_settings
 from conformance.claims.motion_claim import command_of
 from conformance.claims.protection import protect
-from conformance.claims.setting_effects import differing, stored
 from conformance.model import lk_parameters
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, SAME
@@ -355,46 +355,12 @@ def _guarded_by_length(probe: Probe, command: Command, guarded: Guarded) -> None
 # --- settings ---------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Stored:
-    """A setting that can be read: what sets it to either of two sets of values, and what reads it."""
-
-    command: Command
-    form: Form
-    values: tuple[Mapping[str, int], Mapping[str, int]]
-    read: Callable[[Probe], Mapping[str, int]]
-
-
-def _every_stored(dialect: Dialect) -> Iterator[_Stored]:
-    for command in dialect.commands:
-        if command.readable and Risk.LINK not in command.all_risks:
-            form = command.request_forms[0]
-            yield _Stored(command, form, differing(form), partial(_read, command=command))
-        elif command.verb is Verb.WRITE_USER_ID:
-            read_id = partial(_read_one, verb=Verb.READ_USER_ID, field="user_id")
-            yield _Stored(command, command.request_forms[0], ({"user_id": 0x1234_5678}, {"user_id": 0x2143_6587}), read_id)
-        elif command.verb is Verb.WRITE_PARAMETER:
-            for form in lk_parameters.listed(command):
-                values = lk_parameters.moderate(form, 0), lk_parameters.moderate(form, 1)
-                read = partial(lk_parameters.read_parameter, number=lk_parameters.number_of(form))
-                yield _Stored(command, form, values, read)
-
-
-def _read_one(probe: Probe, verb: Verb, field: str) -> Mapping[str, int]:
-    return {field: probe.read(verb, field)}
-
-
-def _read(probe: Probe, command: Command) -> Mapping[str, int]:
-    return stored(probe, command)[0]
-
-
 def _with_settings(dialect: Dialect) -> Iterator[Case]:
     """Yield the settings of a dialect that can be read, all together."""
-    chosen = list(_every_stored(dialect))
+    chosen = readable_settings(dialect)
     if chosen:
-        risks = frozenset().union(*(each.command.risks(values) for each in chosen for values in each.values))
-        names = (n for each in chosen for n in each.form.layout.named if n != "parameter")
-        yield Case(dialect, given={"chosen": chosen}, facts={"risks": risks, "settings": tuple(dict.fromkeys(names))})
+        risks, names = needs(chosen)
+        yield Case(dialect, given={"chosen": chosen}, facts={"risks": risks, "settings": names})
 
 
 @claim(
@@ -406,11 +372,11 @@ def _with_settings(dialect: Dialect) -> Iterator[Case]:
     quirks=may_meet(lk_parameters.OTHER_FIRMWARE),
     parameters={},
 )
-def _settings_guarded(probe: Probe, chosen: list[_Stored]) -> None:
+def _settings_guarded(probe: Probe, chosen: list[ReadableSetting]) -> None:
     """A setting whose check is wrong is not stored."""
     for each in chosen:
         was = each.read(probe)
-        values = next(values for values in each.values if was != values)
+        values = each.other(was)
         built = probe.build(each.command, values, form=each.form)
         for check in probe.dialect.link.checks(built.frame, probe.address):
             changed = bytearray(built.frame)
@@ -442,7 +408,7 @@ _NEEDED = frozenset({Verb.SET_WORK_MODE, Verb.SET_RESPOND})
 
 
 def _that_stay(dialect: Dialect) -> Iterator[Case]:
-    chosen = [each for each in _every_stored(dialect) if each.command.verb not in _NEEDED]
+    chosen = [each for each in readable_settings(dialect) if each.command.verb not in _NEEDED]
     # Of LK 19h is kept in the flash; the zero of MKS is where the shaft stands.
     deeds = [(n, v) for n, v in _DEEDS if n in dialect.by_name and Risk.WEAR not in dialect.by_name[n].all_risks]
     if chosen and motion.can_move(dialect):
@@ -452,7 +418,7 @@ def _that_stay(dialect: Dialect) -> Iterator[Case]:
             dialect.by_verb[Verb.RUN_SPEED],
         ]
         risks = frozenset[Risk]().union(*(c.all_risks for c in commands)) - {Risk.UNKNOWN}
-        names = (n for each in chosen for n in each.form.layout.named if n != "parameter")
+        _, names = needs(chosen)
         facts = {"risks": motion.risks(dialect, *risks), "settings": motion.settings(dialect, *names)}
         yield Case(dialect, given={"chosen": chosen, "deeds": deeds}, facts=facts)
 
@@ -467,12 +433,12 @@ def _that_stay(dialect: Dialect) -> Iterator[Case]:
     quirks=may_meet(lk_parameters.OTHER_FIRMWARE),
     parameters={},
 )
-def _stay(probe: Probe, chosen: list[_Stored], deeds: list[tuple[str, Mapping[str, int]]]) -> None:
+def _stay(probe: Probe, chosen: list[ReadableSetting], deeds: list[tuple[str, Mapping[str, int]]]) -> None:
     """What is stored stays while the motor runs, stops, is switched off and on, and its errors, turns and zero are set."""
     motion.ready_to_move(probe)
     for each in chosen:
         was = each.read(probe)
-        probe.do(each.command, next(values for values in each.values if any(was.get(n) != v for n, v in values.items())))
+        probe.do(each.command, each.other(was))
     kept = _all_stored(probe)
     _expect_kept(probe, kept, "a run", motion.run_at(probe, _RPM))
     for name, values in deeds:

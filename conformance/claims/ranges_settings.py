@@ -18,6 +18,7 @@ from analyzer.layout import Field
 from conformance.claim import Aspect, Inconclusive
 from conformance.claims import ranges, ranges_motion, setting_effects
 from conformance.claims.declare import Case
+from conformance.claims.known_settings import every_setting
 from conformance.claims.ranges import of_ranges
 from conformance.claims.requests import with_reserved
 from conformance.claims.setting_effects import SettingEffect
@@ -142,9 +143,10 @@ def _keep_enabled(probe: Probe, command: Command) -> None:
 
 
 def _visible(dialect: Dialect) -> Iterator[Case]:
-    """Yield the fields of settings that show, with two values that are forbidden."""
+    """Yield the fields of commands that show, with two values that are forbidden; settings stand in `resilience_settings`."""
+    others = {each.command.name for each in every_setting(dialect)}
     for command in _judged(dialect):
-        effect = setting_effects.of(dialect, command)
+        effect = setting_effects.of(dialect, command) if command.name not in others else None
         for field in ranges.fields(command) if effect is not None else ():
             wrong = limits.beyond(field)
             if effect is not None and wrong:

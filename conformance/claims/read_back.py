@@ -1,9 +1,9 @@
 """Read-back: what is set is what is read, stored in its own place. For settings that can be read.
 
     read       what is set is what the parameter read answers (CAN 00, LK 0xC0)
-    others     setting one changes no other
 
-What settings do stands in `read_back_effects`, what a restart or a restore leaves of them in `restart` and `restore`.
+That setting one changes no other stands in `resilience_settings`, what settings do in `read_back_effects`, what a restart or a
+restore leaves of them in `restart` and `restore`.
 
 Rules kept here:
 - Which settings of a CAN drive can be read is open (the manual names two): one that cannot be read is observed. One that
@@ -85,33 +85,6 @@ def _read(probe: Probe, command: Command) -> None:
         expect_values(probe, command, values, got, exchange, "is read as")
 
 
-@of_read_back(each=_readable, refuted_by="another setting that reads differently")
-def _others(probe: Probe, command: Command) -> None:
-    """{command} changes no other setting."""
-    ranges.prepare(probe, command)
-    before = _stored_others(probe, command)
-    for values in differing(command.request_forms[0]):
-        exchange = probe.do(command, values)
-        after = _stored_others(probe, command)
-        for name, was in before.items():
-            text = f"{command.name} changes {name}"
-            probe.expect(after.get(name), equal=was, refutes=text, exchange=exchange, key=text)
-
-
-def _stored_others(probe: Probe, command: Command) -> dict[str, dict[str, int]]:
-    """Return what the other settings read, those that cannot be read left out."""
-    own = command.request_forms[0].layout.named
-    found = {}
-    for other in probe.dialect.commands:
-        if other.readable and other.name != command.name:
-            exchange = probe.ask(Verb.READ_PARAMETER, {"parameter": other.code})
-            answer = probe.reply(exchange)
-            if not probe.refused(exchange):
-                # A field that both have is one setting: 93 and 94 of the CAN drives.
-                found[other.name] = {n: int(v) for n, v in answer.values.items() if n not in own}
-    return found
-
-
 def _link_settings(dialect: Dialect) -> Iterator[Case]:
     for effect in settings.LINK_EFFECTS:
         for command, field in dialect.effects(effect):
@@ -182,26 +155,6 @@ def _written(probe: Probe, command: Command, form: Form) -> None:
             refutes=f"{form.name} written {text(wanted)}: {got}",
             exchange=exchange,
             key=f"{form.name} written",
-        )
-
-
-@of_read_back(each=parameters, name="parameter/{form}/others", refuted_by="another parameter that reads differently")
-def _other_parameters(probe: Probe, command: Command, form: Form) -> None:
-    """Writing {form} changes no other parameter."""
-    rest = [number_of(f) for f in lk_parameters.listed(command) if f.name != form.name]
-    before = read_parameter(probe, number_of(form))
-    was = {n: read_parameter(probe, n) for n in rest}
-    exchange = probe.do(command, lk_parameters.moderate(form, 0))
-    now = {n: read_parameter(probe, n) for n in rest}
-    probe.do(command, before)
-    for number in rest:
-        probe.expect(
-            text(now[number]),
-            holds=now[number] == was[number],
-            expected=text(was[number]),
-            refutes=f"writing {form.name} changes parameter {number}",
-            exchange=exchange,
-            key="parameter elsewhere",
         )
 
 

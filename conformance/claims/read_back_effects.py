@@ -1,6 +1,6 @@
 """What is set is what the drive does: for settings that cannot be read, and besides for those that can (MKS).
 
-    effect          a setting shows as it was set (`setting_effects`): work mode, subdivision, respond, group, enabled
+    effect          a setting shows as it was set (`setting_effects`): work mode, subdivision, group, enabled
     home            speed and direction of homing          enable level   whether the motor holds in a pulse mode
     axis lock       whether it holds when a bus mode begins       ports   what was written is read
 
@@ -33,7 +33,7 @@ _SPEED_SHARE = 0.06
 def _effects(dialect: Dialect) -> Iterator[Case]:
     for command in dialect.commands:
         effect = setting_effects.by_action(dialect, command)
-        if effect is not None and effect.expected is not None:
+        if effect is not None and effect.expected is not None and command.verb is not Verb.SET_RESPOND:
             facts = effect.needed(dialect, ranges.needs(dialect, command, effect.values))
             yield Case(dialect, command, {"effect": effect}, facts | {"parameters": {}})
 

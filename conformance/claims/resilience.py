@@ -34,6 +34,8 @@ from conformance.claims.control_reads import (
 from conformance.claims.declare import Case, claim, commands, described_in
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.known_reads import plain_reads
+from conformance.claims.known_settings import Setting, every_setting, needs
+from conformance.model.lk_parameters import OTHER_FIRMWARE
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
@@ -305,21 +307,27 @@ def _first_after_idle(probe: Probe, pauses: tuple[int, ...]) -> None:
 # --- settings in haste ------------------------------------------------------------------------------------------------
 
 
+#: Settings that risk nothing and move nothing.
+_HARMLESS = (Verb.SET_SCREEN_OFF, Verb.SET_PULSE_DELAY, Verb.WRITE_USER_ID, Verb.WRITE_PARAMETER)
+
+
 def _harmless_settings(dialect: Dialect) -> Iterator[Case]:
-    """Yield a setting that risks nothing and moves nothing, and its field."""
-    for case in list(commands(Verb.SET_SCREEN_OFF, Verb.SET_PULSE_DELAY, Verb.WRITE_USER_ID)(dialect))[:1]:
-        assert case.command is not None
-        field = next(iter(case.command.request_forms[0].layout.named.values()))
-        facts = {"name": "hasty_settings", "settings": (field.name,), "risks": case.command.all_risks}
-        yield Case(dialect, case.command, {"field": field}, facts)
+    for setting in [each for each in every_setting(dialect) if each.command.verb in _HARMLESS][:1]:
+        risks, names = needs([setting])
+        facts = {"name": "hasty_settings", "settings": names, "risks": risks, "parameters": {}}
+        yield Case(dialect, setting.command, {"setting": setting}, facts)
 
 
-@_resilience("silence", each=_harmless_settings, at_best=Certainty.LIKELY, quirks=may_meet(_HASTY), hasty=True)
-def _in_haste(probe: Probe, command: Command, field: Any) -> None:
+@_resilience("silence", each=_harmless_settings, at_best=Certainty.LIKELY, quirks=may_meet(_HASTY, OTHER_FIRMWARE), hasty=True)
+def _in_haste(probe: Probe, command: Command, setting: Setting) -> None:
     """Settings at once behind one another are each answered."""
-    values = sorted(field.choice_names)[:2] if field.choices is not None else [field.low, field.low + 1]
-    items = [probe.build(command, {field.name: v}).item() for v in (*values, values[0])]
-    probe.do(command, {field.name: values[0]})
+    one, other = setting.values
+    items = [probe.build(command, values, form=setting.form).item() for values in (one, other, one)]
+    first = probe.ask(command, one, form=setting.form)
+    if first.silent and OTHER_FIRMWARE in probe.claim.quirks:
+        probe.meets(OTHER_FIRMWARE)
+        return
+    probe.reply(first)
     sent = [probe.send(item, until=Until.REPLY, timeout_ns=LISTEN_NS) for item in items]
     if not any(exchange.silent for exchange in sent):
         return
@@ -329,7 +337,7 @@ def _in_haste(probe: Probe, command: Command, field: Any) -> None:
         later = probe.send(item, timeout_ns=LISTEN_NS)
         if later.silent:
             raise Inconclusive(f"{command.name} is not always answered, in haste or not")
-    if probe.claim.quirks:
+    if _HASTY in probe.claim.quirks:
         probe.meets(_HASTY)
         return
     got = "silence, and a reply when it was sent again behind a pause"

@@ -1,9 +1,8 @@
-"""Resilience of a busy drive: what is said to it while it moves does not disturb it, and settings are answered.
+"""Resilience of a busy drive: damaged requests and many moves do not disturb it.
 
 Rules kept here:
 - The shaft turns slowly, and is stopped by a ramp in the end.
-- What is said meanwhile are settings without an effect on motion, and damaged reads; whether a move goes on under another
-  command is for claims about motion. Reads stand in `resilience_reads`.
+- Whether a move goes on under another command is for claims about motion. Reads and settings stand in modules of their own.
 """
 
 from __future__ import annotations
@@ -15,9 +14,8 @@ from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import PAUSE_NS, garblers, is_answered, received_text
 from conformance.claims.declare import Case, Cases, claim
-from conformance.claims.known_quirks import known, may_meet
+from conformance.claims.known_quirks import may_meet
 from conformance.motion import motion
-from conformance.talk import samples
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
@@ -28,9 +26,6 @@ _NEAR = 6.0
 #: Moves whose replies are looked at for their sums, and how far off a sum was seen to be at most.
 _MOVES, OFF_SUM = 100, "lk-off-sum"
 _OFF_SUM_MOST, _OFF_SUM_BY = 5, 4
-#: Settings without an effect on a shaft that turns, with what they risk no more than a setting does.
-_HARMLESS = (Verb.SET_SCREEN_OFF, Verb.SET_KEY_LOCK, Verb.SET_PULSE_DELAY, Verb.WRITE_USER_ID)
-_OTHER_FIRMWARE = "lk-firmware-235"
 
 
 def _moving(dialect: Dialect) -> Iterator[Case]:
@@ -73,46 +68,7 @@ def _stop(probe: Probe) -> None:
     motion.wait_standing(probe)
 
 
-# --- settings and damaged requests ------------------------------------------------------------------------------------
-
-
-def _with_settings(dialect: Dialect) -> Iterator[Case]:
-    """Yield settings that have nothing to do with motion; a dialect without any has its speed limit."""
-    for case in _moving(dialect):
-        found = [dialect.by_verb[v] for v in _HARMLESS if v in dialect.by_verb]
-        limit = dialect.by_verb.get(Verb.WRITE_PARAMETER)
-        chosen = found or ([limit] if limit is not None else [])
-        risks = {r for c in chosen for r in c.risks(samples.sample(dialect, c))}
-        fields = tuple(dict.fromkeys(n for c in chosen for n in samples.sample(dialect, c)))
-        facts = {
-            "risks": {*risks, *motion.risks(dialect, Risk.UNBOUNDED)},
-            "settings": motion.settings(dialect, *fields),
-            "commands": tuple(c.name for c in chosen),
-            "quirks": known(dialect, _OTHER_FIRMWARE) if limit in chosen else (),
-        }
-        yield Case(case.dialect, given={"chosen": chosen}, facts=facts)
-
-
-@_of_busy("silence, or another speed", each=_with_settings, name="moving/settings", at_best=Certainty.LIKELY)
-def _settings(probe: Probe, chosen: list[Command]) -> None:
-    """A setting that has nothing to do with motion is answered while the shaft turns, and the shaft turns on."""
-    before = _running(probe)
-    try:
-        for command in chosen:
-            exchange = probe.ask(command, samples.sample(probe.dialect, command))
-            if exchange.silent and probe.claim.quirks:
-                probe.meets(probe.claim.quirks[0])
-                continue
-            now = motion.speed(probe).value
-            probe.expect(
-                f"{received_text(exchange)}, and {now:.0f} rpm",
-                holds=not exchange.silent and abs(now - before) <= _NEAR,
-                expected=f"an answer, and {before:.0f} rpm",
-                refutes=f"{command.name} is not answered, or stops the shaft",
-                exchange=exchange,
-            )
-    finally:
-        _stop(probe)
+# --- damaged requests ---------------------------------------------------------------------------------------------------
 
 
 @_of_busy("another speed", name="moving/noise")

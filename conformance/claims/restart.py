@@ -1,6 +1,7 @@
 """Restart and power: a drive keeps what it stores, and loses what it holds only while it runs.
 
-    NAME/restart, NAME/power              a setting that is not the default is there after a restart, or after its power was cut
+    settings/restart                      what was set is there after a restart, all settings at once
+    NAME/power                            a setting that is not the default is there after the power was cut
     save_speed/restart, clean             a kept run begins again, a forgotten one does not
     set_zero_mode/restart                 the shaft goes back to the kept zero
     parameter/NAME/power                  a control parameter (LK) is as before when power comes on
@@ -13,7 +14,7 @@ Rules kept here:
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, MotionKind, Risk, Verb
@@ -23,6 +24,7 @@ from conformance.claims import kept_effects, ranges, setting_effects
 from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.kept_effects import Kept
 from conformance.claims.known_quirks import may_meet
+from conformance.claims.known_settings import ReadableSetting, Setting, every_setting, needs
 from conformance.claims.link_changes import (
     NEW_ADDRESS_ANSWERS,
     OTHER_ADDRESS,
@@ -34,6 +36,7 @@ from conformance.claims.link_changes import (
     need_reply_or_silence,
 )
 from conformance.claims.read_back import expect_values, fields_of, of_read_back, parameters, text
+from conformance.claims.resilience_settings import expect_effects
 from conformance.claims.setting_effects import STEEP, SettingEffect
 from conformance.model import lk_parameters
 from conformance.model.lk_parameters import number_of, read_parameter
@@ -78,12 +81,15 @@ def _restart_risks(case: Case) -> frozenset[Risk]:
 
 
 def _kept_settings(dialect: Dialect) -> Iterator[Case]:
+    together = {each.command.name for each in every_setting(dialect)}
     for command in dialect.commands:
         effect = stored_effect(dialect, command)
         if effect is not None:
             one, _ = effect.pair(command.request_forms[0])
             needs = ranges.needs(dialect, command, [one])
             for end, how in (("restart", "a restart"), ("power", "the power was cut")):
+                if end == "restart" and command.name in together:
+                    continue
                 more = dialect.by_verb[Verb.RESTART].all_risks if end == "restart" else ()
                 facts = effect.needed(dialect, needs, *more) | {"parameters": {}, "emulated": end == "power"}
                 yield Case(dialect, command, {"effect": effect, "end": end, "how": how}, facts)
@@ -113,6 +119,40 @@ def _kept(probe: Probe, command: Command, effect: SettingEffect, end: str, how: 
         exchange=exchange,
         key=f"{command.name} lost",
     )
+
+
+def _all_together(dialect: Dialect) -> Iterator[Case]:
+    chosen = [each for each in every_setting(dialect) if each.command.verb is not Verb.SET_ENABLE_LEVEL]
+    if Verb.RESTART in dialect.by_verb and motion.can_move(dialect):
+        risks, names = needs(chosen)
+        facts = {
+            "section": dialect.by_verb[Verb.RESTART].section,
+            "risks": motion.risks(dialect, Risk.UNBOUNDED, *risks, *dialect.by_verb[Verb.RESTART].all_risks),
+            "settings": tuple(dict.fromkeys(motion.settings(dialect, *names))),
+            "commands": tuple(each.command.name for each in chosen),
+            "parameters": {},
+        }
+        yield Case(dialect, given={"chosen": chosen}, facts=facts)
+
+
+@of_read_back(each=_all_together, name="settings/restart", refuted_by="another setting", aspect=None)
+def _all_kept(probe: Probe, chosen: list[Setting]) -> None:
+    """A restart keeps every setting, whatever the others are set to."""
+    motion.ready_to_move(probe)
+    held: dict[str, Mapping[str, int]] = {}
+    # What some modes refuse is set before the mode.
+    for each in sorted(chosen, key=lambda each: each.command.verb is Verb.SET_WORK_MODE):
+        values = each.other(each.read(probe)) if isinstance(each, ReadableSetting) else each.values[0]
+        exchange = probe.do(each.command, values)
+        held[each.name] = values
+    restart(probe)
+    for each in chosen:
+        if isinstance(each, ReadableSetting):
+            got = each.read(probe)
+            text = f"{each.name} is another one after a restart"
+            wanted = {n: held[each.name][n] for n in got if n in held[each.name]}
+            probe.expect({n: got[n] for n in wanted}, equal=wanted, refutes=text, exchange=exchange, key=f"{each.name} lost")
+    expect_effects(probe, chosen, held, "before a restart")
 
 
 def _kept_fields(dialect: Dialect) -> Iterator[Case]:

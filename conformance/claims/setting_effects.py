@@ -344,7 +344,7 @@ BY_VERB: Mapping[Verb, SettingEffect] = {
         expected=_expected_counts,
         sends=(_MOVE,),
         moves=True,
-        values=tuple({"subdivision": n} for n in (32, 8, 1, 64, 128, 200)),
+        values=tuple({"subdivision": n} for n in (32, 64, 8, 1, 128, 200)),
         words=lambda seen: f"{PULSES} pulses turn the shaft by {abs(seen)} counts",
     ),
     Verb.SET_RESPOND: SettingEffect(

@@ -30,10 +30,15 @@ def test_conforming_drives_confirm_every_claim(drive):
         ("lk-reads-silent-while-off", "lk-rs485", "reads/off"),
         ("lk-parameters-silent-while-turning", "lk-rs485", "reads/run_speed"),
         ("lk-reads-silent-in-error", "lk-rs485", "reads/error"),
+        ("current-stored-as-home-current", "mks-can", "settings/at-rest"),
+        ("lk-parameter-elsewhere", "lk-rs485", "settings/off"),
+        ("respond-stored-as-active", "mks-rs485", "settings/off"),
+        ("stored-before-judged", "mks-can", "settings/stopped"),
+        ("stored-before-judged", "mks-rs485", "settings/pulse-mode"),
     ],
 )
 def test_a_fault_is_refuted_by_the_claim_about_it(fault, dialect, name):
-    assert name in refuted(Theme.RESILIENCE, f"{dialect}@1,fault={fault}", "reads")
+    assert name in refuted(Theme.RESILIENCE, f"{dialect}@1,fault={fault}", name)
 
 
 @pytest.mark.parametrize(
@@ -41,7 +46,7 @@ def test_a_fault_is_refuted_by_the_claim_about_it(fault, dialect, name):
     [
         ("hasty-writes-dropped", "mks-rs485@1", "hasty_settings"),
         ("lk-off-sum", "lk-rs485@1", "moves/good"),
-        ("lk-firmware-235", "lk-rs485@1", "moving/settings"),
+        ("lk-firmware-235", "lk-rs485@1", "hasty_settings"),
     ],
 )
 def test_a_quirk_is_refuted_and_named(quirk, drive, name):
@@ -56,7 +61,7 @@ def test_a_drive_that_lets_a_setting_stop_it_is_refuted():
         return name, value
 
     fault = Fault("halts", ("mks-can",), "settings stop the shaft", "stop", lambda hooks: hooks.stored.append(stored))
-    assert refuted(Theme.RESILIENCE, "mks-can@1", "moving", fault=fault) == {"moving/settings"}
+    assert refuted(Theme.RESILIENCE, "mks-can@1", "settings/run_speed", "moving", fault=fault) == {"settings/run_speed"}
 
 
 def test_a_drive_that_is_deaf_after_power_comes_back_is_refuted():

@@ -1,0 +1,398 @@
+"""Settings and switches in every condition: what is set at rest is set while the shaft turns, is off, was stopped or protected.
+
+A covering array tells what is tried: every setting in every condition, and each with every kind of value and of address in
+some of them. What is stored is read at once and again behind all the others; where no read shows it, a move and a homing do.
+
+Rules kept here:
+- While the shaft turns nothing is set that may change how it turns.
+- What is refused leaves what was set before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from conformance.claim import Theme
+from conformance.claims import conditions, setting_effects
+from conformance.claims.conditions import AT_REST, Condition
+from conformance.claims.control_reads import is_answered, received_text
+from conformance.claims.declare import Case, claim
+from conformance.claims.known_quirks import may_meet
+from conformance.claims.known_settings import ReadableSetting, Setting, every_setting, needs
+from conformance.claims.setting_effects import STEEP, by_action
+from conformance.model import covering, lk_parameters
+from conformance.motion import motion
+from conformance.motion.motion import MS, SUBDIVISION
+from conformance.talk.acceptance import Acceptance, acceptance, can_refuse, without_repeats
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe, Until
+
+#: What is sent: either of two sets of values, or from the third on those that the manual forbids; and to whom.
+_ONE, _OTHER = 0, 1
+_OWN, _ALL = "own", "all"
+#: What may change how a turning shaft turns, or whether it is told.
+_AT_REST_ALONE = frozenset(
+    {Verb.SET_WORK_MODE, Verb.SET_RESPOND, Verb.SET_DIRECTION, Verb.SET_ENABLE_LEVEL, Verb.SET_CURRENT, Verb.SET_HOME}
+)
+#: How long a setting that is not answered is given, and a move of `setting_effects.PULSES` at 16 subdivisions and more.
+_SILENT_NS, _MOVE_NS = 60 * MS, 450 * MS
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A setting, which of its values is sent, and to whom."""
+
+    setting: Setting
+    value: int
+    to: str
+
+    @property
+    def values(self) -> Mapping[str, int]:
+        every: tuple[Mapping[str, int], ...] = (*self.setting.values, *self.setting.wrong)
+        return every[self.value]
+
+    @property
+    def is_wrong(self) -> bool:
+        return self.value > _OTHER
+
+
+# --- what is tried ------------------------------------------------------------------------------------------------------
+
+
+def _conditions(dialect: Dialect) -> list[Condition]:
+    """Return the conditions that a drive of a dialect can be in, but for those that change it for good."""
+    return [AT_REST, *(each for each in conditions.every(dialect) if not each.by_name)] if motion.can_move(dialect) else []
+
+
+def _rows(dialect: Dialect) -> Iterator[tuple[Condition, list[_Row]]]:
+    every = {each.name: each for each in _conditions(dialect)}
+    chosen = {each.name: each for each in every_setting(dialect)}
+
+    def is_allowed(condition: str, setting: str) -> bool:
+        own = every[condition].settings
+        command = chosen[setting].command
+        if any(name in own for name in chosen[setting].names) or (command.modes and "work_mode" in own):
+            return False
+        return every[condition].stands or command.verb not in _AT_REST_ALONE
+
+    def can_be_wrong(setting: str, value: int, to: str) -> bool:
+        return value <= _OTHER or (to == _OWN and value < 2 + wrong[setting])
+
+    def shows(setting: str, to: str) -> bool:
+        return to == _OWN or isinstance(chosen[setting], ReadableSetting) or _effect(dialect, chosen[setting]) is not None
+
+    places = {name: place for place, name in enumerate(chosen)}
+    wrong = {name: len(each.wrong) for name, each in chosen.items()}
+    factors = {
+        "condition": list(every),
+        "setting": list(chosen),
+        "value": range(2 + max(wrong.values(), default=0)),
+        "to": (_OWN, *((_ALL,) if dialect.broadcast is not None else ())),
+    }
+    array = covering.rows(factors, is_allowed, can_be_wrong, shows) if every and chosen else ()
+    for number, condition in enumerate(every.values()):
+        of_condition = [row for row in array if row["condition"] == condition.name]
+        # In the manual's order and against it, so that what changes another setting shows. Some settings need a work mode.
+        way = (-1) ** number
+        of_condition.sort(
+            key=lambda row: (chosen[row["setting"]].command.verb is Verb.SET_WORK_MODE, way * places[row["setting"]])
+        )
+        yield condition, [_Row(chosen[row["setting"]], row["value"], row["to"]) for row in of_condition]
+
+
+def _effect(dialect: Dialect, setting: Setting) -> setting_effects.SettingEffect | None:
+    return by_action(dialect, setting.command)
+
+
+def _settings_cases(dialect: Dialect) -> Iterator[Case]:
+    for condition, rows in _rows(dialect):
+        risks, names = needs(row.setting for row in rows)
+        facts = condition.facts(dialect, *risks, settings=names)
+        facts |= {
+            "alone": dialect.broadcast is not None,
+            "commands": tuple(dict.fromkeys(r.setting.command.name for r in rows)),
+        }
+        yield Case(dialect, given={"condition": condition, "when": condition.when, "rows": rows}, facts=facts)
+
+
+_in_conditions = partial(
+    claim,
+    Theme.RESILIENCE,
+    section=lambda case: case.dialect.by_verb[Verb.RUN_SPEED].section,
+    at_best=Certainty.LIKELY,
+    parameters={},
+)
+
+# --- settings -----------------------------------------------------------------------------------------------------------
+
+
+@_in_conditions(
+    each=_settings_cases,
+    name="settings/{condition}",
+    refuted_by="a refusal, silence, or another stored value",
+    quirks=may_meet(lk_parameters.OTHER_FIRMWARE),
+)
+def _settings(probe: Probe, condition: Condition, rows: list[_Row]) -> None:
+    """Every setting is taken {when} and holds; a forbidden value is refused and changes nothing."""
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
+    held: dict[str, Mapping[str, int]] = {}
+    homing = None
+    for row in rows:
+        if isinstance(row.setting, ReadableSetting):
+            held[row.setting.name] = row.setting.read(probe)
+        elif row.is_wrong and _effect(probe.dialect, row.setting) is not None:
+            # What a refusal leaves is to be seen.
+            held[row.setting.name] = row.setting.values[_ONE]
+            probe.do(row.setting.command, held[row.setting.name])
+            if row.setting.command.verb is Verb.SET_HOME:
+                homing = setting_effects.homing(probe)
+    motion.ready_to_move(probe)
+    condition.enter(probe)
+    turning = motion.speed(probe) if condition.steady else None
+    for row in rows:
+        _set(probe, row, condition.when, held)
+        if row.setting.command.verb is Verb.SET_HOME and not row.is_wrong:
+            homing = None
+    if turning is not None:
+        text, within = f"settings change the speed of the shaft {condition.when}", 6 + abs(turning.value) * _SPEED_SHARE
+        probe.expect(motion.speed(probe).value, near=turning.value, within=within, unit="rpm", refutes=text)
+    condition.leave(probe)
+    motion.wait_standing(probe)
+    for row in rows:
+        if isinstance(row.setting, ReadableSetting):
+            _expect_stored(probe, row.setting, held, f"{condition.when}, and other settings behind it")
+    expect_effects(probe, [row.setting for row in rows], held, condition.when, homing)
+
+
+def _set(probe: Probe, row: _Row, when: str, held: dict[str, Mapping[str, int]]) -> None:
+    """Send a setting, judge its reply, and note what is to hold then."""
+    setting, command = row.setting, row.setting.command
+    values = row.values
+    if isinstance(setting, ReadableSetting) and not row.is_wrong:
+        values = setting.other(held[setting.name], row.value)
+    if row.to == _ALL:
+        built = probe.build(command, values, address=probe.dialect.broadcast, form=setting.form)
+        probe.send(built.item(), timeout_ns=_SILENT_NS)
+    else:
+        _expect_reply(probe, setting, values, Acceptance.REFUSED if row.is_wrong else Acceptance.DONE, when)
+    if not row.is_wrong:
+        held[setting.name] = values
+    if isinstance(setting, ReadableSetting):
+        _expect_stored(probe, setting, held, when)
+
+
+def _expect_reply(probe: Probe, setting: Setting, values: Mapping[str, int], wanted: Acceptance, when: str) -> None:
+    command = setting.command
+    exchange = _asked(probe, command, values, when, setting=setting)
+    text = f"{setting.name} {_text(values)} is not {wanted.value} {when}"
+    if can_refuse(command):
+        got = acceptance(probe, exchange)
+        probe.expect(received_text(exchange), holds=got is wanted, expected=wanted.value, refutes=text, exchange=exchange)
+    else:
+        answered = {name: value for name, value in probe.reply(exchange).values.items() if name in values}
+        probe.expect(answered, equal=dict(values), refutes=text, exchange=exchange)
+
+
+def _asked(probe: Probe, command: Command, values: Mapping[str, int], when: str, setting: Setting | None = None) -> Exchange:
+    """Ask for something that must be answered; one reply may be lost."""
+    form = setting.form if setting is not None else None
+    for _ in range(2):
+        exchange = probe.ask(command, values, form=form, quiet_ns=0)
+        if not exchange.silent:
+            break
+    text = f"{command.name} is not answered {when}"
+    answered = is_answered(exchange) or bool(exchange.answers)
+    probe.expect(received_text(exchange), holds=answered, expected="a reply", refutes=text, exchange=exchange)
+    return exchange
+
+
+def _expect_stored(probe: Probe, setting: ReadableSetting, held: Mapping[str, Mapping[str, int]], when: str) -> None:
+    wanted = held[setting.name]
+    got = setting.read(probe)
+    text = f"{setting.name} set {when} does not read as it was set"
+    probe.expect(
+        {n: got[n] for n in got if n in wanted}, equal={n: wanted[n] for n in got if n in wanted}, refutes=text, key=text
+    )
+
+
+def _text(values: Mapping[str, int]) -> str:
+    return " ".join(f"{name} {value}" for name, value in values.items() if name != "parameter")
+
+
+# --- what is seen of settings that no read shows ------------------------------------------------------------------------
+
+
+def expect_effects(
+    probe: Probe,
+    chosen: list[Setting],
+    held: Mapping[str, Mapping[str, int]],
+    when: str,
+    before: setting_effects.Homing | None = None,
+) -> None:
+    """Refute unless the drive does what it was set to. `before`: how it homed before a setting of that was refused."""
+    unread = {each.command.verb: each for each in chosen if not isinstance(each, ReadableSetting) and each.name in held}
+    shown = {verb: held[each.name] for verb, each in unread.items() if _effect(probe.dialect, each) is not None}
+    if Verb.SET_WORK_MODE in shown:
+        effect = setting_effects.BY_VERB[Verb.SET_WORK_MODE]
+        assert effect.expected is not None  # a work mode decides whether the bus moves the motor
+        _expect_shown(
+            probe, effect.see(probe), effect.expected(probe.dialect, shown[Verb.SET_WORK_MODE]), "the work mode", when
+        )
+        motion.set_mode(probe, motion.bus_modes(probe.dialect)[-1])
+    motion.ready_to_move(probe)
+    if Verb.SET_SUBDIVISION in shown or Verb.SET_RESPOND in shown:
+        _expect_move(probe, shown, when)
+    if Verb.SET_HOME in shown:
+        seen, wanted = setting_effects.homing(probe), shown[Verb.SET_HOME]["home_speed"]
+        text = f"set_home set {when} is another homing"
+        probe.expect(seen.rpm, near=wanted, within=max(2.0, wanted * _SPEED_SHARE), unit="rpm", refutes=text)
+        if before is not None:
+            probe.expect(seen.way, equal=before.way, refutes=f"a refused set_home {when} turns homing round")
+
+
+#: Speeds that are one.
+_SPEED_SHARE = 0.06
+
+
+def _expect_move(probe: Probe, shown: Mapping[Verb, Mapping[str, int]], when: str) -> None:
+    """Refute unless a move goes as far as the subdivision says, and is answered as `respond` says."""
+    command, pulses = probe.command(Verb.MOVE_RELATIVE_PULSES), setting_effects.PULSES
+    start = setting_effects.counts(probe)
+    values = {"direction": 0, "speed": 18, "acceleration": STEEP, "pulses": pulses}
+    exchange = probe.ask(command, values, until=Until.TIMEOUT, timeout_ns=_MOVE_NS)
+    motion.wait_standing(probe)
+    went = abs(setting_effects.counts(probe) - start)
+    subdivision = shown.get(Verb.SET_SUBDIVISION, {"subdivision": SUBDIVISION})["subdivision"]
+    wanted = motion.counts_of(probe.dialect, command, pulses, subdivision)
+    text = f"{pulses} pulses go another way after settings {when}"
+    probe.expect(went, near=wanted, within=max(3, wanted // 8), unit="counts", refutes=text, exchange=exchange)
+    if Verb.SET_RESPOND in shown:
+        effect = setting_effects.BY_VERB[Verb.SET_RESPOND]
+        assert effect.expected is not None  # it decides what a motion is answered with
+        statuses = without_repeats(motion.statuses((exchange,), command))
+        seen = " then ".join(map(str, statuses)) or "silence"
+        _expect_shown(probe, seen, effect.expected(probe.dialect, shown[Verb.SET_RESPOND]), "what a move is answered", when)
+
+
+def _expect_shown(probe: Probe, seen: Any, wanted: Any, what: str, when: str) -> None:
+    probe.expect(str(seen), equal=str(wanted), refutes=f"{what} is not what was set {when}")
+
+
+# --- switches -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Deed:
+    """Something that a drive is told to do, and what is read then. `but_in`: conditions in which it does something else."""
+
+    name: str
+    values: Mapping[str, int]
+    expect: Callable[[Probe, Exchange, str], None]
+    but_in: tuple[str, ...] = ()
+
+
+def _is_zero(probe: Probe, exchange: Exchange, when: str) -> None:
+    turn = probe.dialect.counts_per_turn
+    parts = probe.reply(probe.ask(Verb.READ_ENCODER_CARRY)).values
+    seen = {
+        "the position": probe.read(Verb.READ_POSITION, "position"),
+        "carry and value": parts["carry"] * turn + parts["encoder"],
+    }
+    for what, counts in seen.items():
+        text = f"{what} is not zero after {exchange.command.name if exchange.command else ''} {when}"
+        probe.expect(counts, near=0, unit="counts", refutes=text, exchange=exchange)
+
+
+def _is(on: bool) -> Callable[[Probe, Exchange, str], None]:
+    def expect(probe: Probe, exchange: Exchange, when: str) -> None:
+        text = f"a motor that is switched {'on' if on else 'off'} {when} reads otherwise"
+        probe.expect(motion.is_on(probe), equal=on, refutes=text, exchange=exchange)
+
+    return expect
+
+
+def _stands(probe: Probe, exchange: Exchange, when: str) -> None:
+    motion.wait_standing(probe)
+
+
+def _reads_position(position: int) -> Callable[[Probe, Exchange, str], None]:
+    def expect(probe: Probe, exchange: Exchange, when: str) -> None:
+        text = f"the position is not what is set {when}"
+        seen = motion.position(probe)
+        probe.expect(seen.value, near=position / 100, within=motion.miss(probe), refutes=text, exchange=exchange)
+
+    return expect
+
+
+def _within_a_turn(probe: Probe, exchange: Exchange, when: str) -> None:
+    text = f"93 does not drop the turns {when}"
+    probe.expect(abs(motion.position(probe).value), at_most=360, unit="degrees", refutes=text, exchange=exchange)
+
+
+def _reads_ports(alm: int, pend: int) -> Callable[[Probe, Exchange, str], None]:
+    def expect(probe: Probe, exchange: Exchange, when: str) -> None:
+        got = {port: probe.read(Verb.READ_IO, port) for port in ("alm", "pend")}
+        text = f"ports that are written {when} read otherwise"
+        probe.expect(got, equal={"alm": alm, "pend": pend}, refutes=text, exchange=exchange)
+
+    return expect
+
+
+def _ports(alm: int, pend: int) -> Mapping[str, int]:
+    return {"alm_mask": 1, "pend_mask": 1, "alm": alm, "pend": pend}
+
+
+_NO_SWITCH = ("pulse-mode", "protected", "error")
+_DEEDS = (
+    _Deed("set_zero", {}, _is_zero),
+    _Deed("set_position", {"position": 12_345}, _reads_position(12_345)),
+    _Deed("set_position", {"position": -123_456_789}, _reads_position(-123_456_789)),
+    _Deed("clear_turns", {}, _within_a_turn),
+    _Deed("enable", {"enabled": 0}, _is(False), _NO_SWITCH),
+    _Deed("enable", {"enabled": 1}, _is(True), _NO_SWITCH),
+    _Deed("motor_off", {}, _is(False), _NO_SWITCH),
+    _Deed("motor_on", {}, _is(True), _NO_SWITCH),
+    _Deed("emergency_stop", {}, _stands, ("pulse-mode",)),
+    _Deed("stop", {}, _stands),
+)
+#: What is written to the ports cannot be read, and so not be put back: it runs where it is told what to put back.
+_PORTS = (
+    _Deed("write_io", _ports(0, 1), _reads_ports(0, 1)),
+    _Deed("write_io", _ports(1, 0), _reads_ports(1, 0)),
+    _Deed("write_io", {"alm_mask": 0, "pend_mask": 0, "alm": 0, "pend": 0}, lambda probe, exchange, when: None),
+)
+
+
+def _switches_cases(dialect: Dialect) -> Iterator[Case]:
+    known = dialect.by_name
+    for condition in _conditions(dialect):
+        every = [d for d in _DEEDS if d.name in known and Risk.WEAR not in known[d.name].all_risks]
+        every = [d for d in every if condition.stands and condition.name not in d.but_in]
+        for kind, deeds in (("switches", every), ("ports", [d for d in _PORTS if d.name in known and condition.stands])):
+            if not deeds:
+                continue
+            risks = frozenset[Risk]().union(*(known[d.name].risks(d.values) for d in deeds))
+            facts = condition.facts(dialect, *risks) | {"commands": tuple(dict.fromkeys(d.name for d in deeds))}
+            given = {"condition": condition, "when": condition.when, "deeds": deeds, "kind": kind}
+            yield Case(dialect, given=given, facts=facts)
+
+
+@_in_conditions(each=_switches_cases, name="{kind}/{condition}", refuted_by="a refusal, silence, or no effect of it")
+def _switches(probe: Probe, condition: Condition, deeds: list[_Deed]) -> None:
+    """What switches a drive, sets its zero or writes its ports does so {when}."""
+    motion.ready_to_move(probe)
+    motion.follow(probe, motion.any_move(probe.dialect, at_speed=True), 100, rpm=120)
+    condition.enter(probe)
+    for deed in deeds:
+        command = probe.command(deed.name)
+        exchange = _asked(probe, command, deed.values, condition.when)
+        if can_refuse(command):
+            text = f"{deed.name} {_text(deed.values)} is refused {condition.when}"
+            holds = not probe.refused(exchange)
+            probe.expect(received_text(exchange), holds=holds, expected="no refusal", refutes=text, exchange=exchange)
+        deed.expect(probe, exchange, condition.when)
+    condition.leave(probe)
