@@ -30,8 +30,8 @@ _FLAGS = (Verb.READ_ENABLED, Verb.READ_ZERO_STATUS, Verb.READ_PROTECTION)
 
 
 def _conditions(dialect: Dialect) -> Iterator[Case]:
-    reads = tuple(dict.fromkeys(c.name for c, _ in every_read(dialect)))
     for each in conditions.every(dialect):
+        reads = tuple(dict.fromkeys(c.name for c, _ in every_read(dialect)))
         yield Case(dialect, given={"state": each, "when": each.when}, facts={**each.facts(dialect), "commands": reads})
 
 
