@@ -165,6 +165,8 @@ def _acceleration(probe: Probe, ramp: int, how: Command) -> tuple[float, Exchang
     motion.stand_still(probe)
     _set(probe, "speed_limit", kept)
     speed = rpm * 6
+    if not speed:
+        raise Inconclusive(f"{how.name} does not turn the shaft")
     missing_s = (first.t_ns - exchange.sent_ns) / SECOND_NS - (first.value - here.value) / speed
     return speed / (2 * missing_s) if missing_s > 1e-4 else float("inf"), exchange
 

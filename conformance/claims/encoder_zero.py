@@ -319,7 +319,7 @@ def _answers_raw(probe: Probe, command: Command) -> None:
         _power_cycle(probe)
 
 
-@_zero(refuted_by="another angle")
+@_zero(refuted_by="another angle", at_best=Certainty.OPEN)
 def _not_at_once(probe: Probe, command: Command) -> None:
     """19 leaves the angle as it is until power comes on again."""
     motion.ready_to_move(probe)

@@ -271,6 +271,8 @@ def _stopped(probe: Probe, command: Command) -> None:
     since = len(probe.traffic)
     exchange = probe.do(command)
     probe.wait(SECOND_NS)
+    if set(_statuses(probe, since, command)) - {1}:
+        raise Inconclusive("homing ends before it can be stopped: the end stop is closed already")
     _halt(probe)
     _expect_still(probe, exchange, 3 * SECOND_NS, "an emergency stop does not end homing")
     if motion.tells_end(probe.dialect):

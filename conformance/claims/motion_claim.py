@@ -19,6 +19,7 @@ from conformance.claims.declare import Case, Cases, claim
 from conformance.motion import motion
 from conformance.motion.motion import SAME, Sample
 from conformance.talk.exchange import Exchange
+from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import Probe
 
 #: How far a shaft that is settling was seen to be from where it comes to rest, in degrees, and a little more.
@@ -99,7 +100,7 @@ def expect_stays(before: Sample, after: Sample, exchange: Exchange | None, text:
         raise Refuted(text, expected="no motion", got=f"the shaft moved by {moved:+.2f} degrees", exchange=exchange)
 
 
-def expect_speed(seen: Sample | float, rpm: float, exchange: Exchange | None, text: str, share: float = 0.01) -> None:
+def expect_speed(seen: Sample | float, rpm: float, exchange: Exchange | None, text: str, share: float = CLOCK_SHARE) -> None:
     """Refute unless a speed is near `rpm`, whichever way the shaft turns."""
     value, noise = (abs(seen), 0.0) if isinstance(seen, float) else (abs(seen.value), seen.noise)
     if abs(value - abs(rpm)) > 1 + abs(rpm) * share + noise:

@@ -22,6 +22,7 @@ from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS, SUBDIVISION
+from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import Probe
 
 _RPM = 120
@@ -281,7 +282,7 @@ def _is_change(probe: Probe, speeds: tuple[int, ...]) -> None:
             if "slow-replies-in-motion" not in probe.claim.quirks:
                 raise Inconclusive("the replies came too late to measure a speed")
             probe.meets("slow-replies-in-motion")
-        within = 1 + abs(change) / 100 + spread
+        within = 1 + abs(change) * CLOCK_SHARE + spread
         text = "the speed that is read is not that at which the position changes"
         probe.expect(seen, near=change, within=within, unit="rpm", refutes=text, exchange=exchange)
 

@@ -30,7 +30,7 @@ _of_a_run = partial(_of_status, refuted_by="another status", risks=risks_by(Verb
 
 
 def _status(probe: Probe) -> int:
-    return int(probe.reply(probe.ask(Verb.READ_STATUS, quiet_ns=0)).values["status"])
+    return probe.read(Verb.READ_STATUS, "status")
 
 
 def _expect(probe: Probe, seen: int, wanted: int, what: str) -> None:

@@ -98,7 +98,14 @@ class _Answer:
     def whole(self) -> bool:
         """Whether each part of the reply fits, and nothing else came."""
         first = self.found.first
-        return first is not None and first.fitting == first.template.count and not self.found.leftover
+        return first is not None and first.fitting == first.template.count and not self.leftover
+
+    @property
+    def leftover(self) -> list[bytes]:
+        """Bytes beside the replies, but for those that the line shows around each of them."""
+        noise = self.probe.noise
+        of_line = (noise.stray, noise.trailing, noise.trailing + noise.stray)
+        return [piece for piece in self.found.leftover if piece not in of_line]
 
     @property
     def meets_no_checksum(self) -> bool:
@@ -245,7 +252,7 @@ def _clean(answer: _Answer) -> None:
     """{command} is answered by one frame, with nothing before or behind it."""
     reply, exchange = answer.reply, answer.exchange
     expected = f"{_hex(reply.data)} alone"
-    answer.expect(not answer.found.leftover, "bytes beside the reply", expected, _hex(exchange.received))
+    answer.expect(not answer.leftover, "bytes beside the reply", expected, _hex(exchange.received))
 
 
 # --- its head, length and checks --------------------------------------------------------------------------------------

@@ -51,10 +51,9 @@ def set_going(probe: Probe, run: Command, rpm: int = CALM, turns: int = 5) -> Ex
 
 def expect_standing(probe: Probe, exchange: Exchange, refutes: str) -> None:
     """Refute unless the shaft stands now."""
-    seen = motion.speed(probe)
     before = motion.position(probe)
     probe.wait(_LOOK_NS)
-    now = motion.position(probe).value
+    now, seen = motion.position(probe).value, motion.speed(probe)
     moved = now - before.value
     if _stands(probe, seen, moved):
         probe.rig.stands_at(now)
@@ -84,11 +83,12 @@ def _expect_halt(probe: Probe, exchange: Exchange, at_once: Sample, refutes: str
     probe.wait(_LOOK_NS)
     end = motion.position(probe)
     went = max(abs(later.value - at_once.value), abs(end.value - at_once.value))
-    if went > motion.same(probe):
+    most = motion.SAME + probe.noise.swing
+    if went > most:
         motion.stop(probe)
     got = f"{went:.2f} degrees in {(end.t_ns - at_once.t_ns) / 1e6:.0f} ms"
     expected = "no motion after the reply"
-    probe.expect(got, holds=went <= motion.same(probe), expected=expected, refutes=refutes, exchange=exchange)
+    probe.expect(got, holds=went <= most, expected=expected, refutes=refutes, exchange=exchange)
 
 
 # --- the stop of a motion ---------------------------------------------------------------------------------------------

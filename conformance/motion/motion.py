@@ -150,7 +150,8 @@ def ready_to_move(probe: Probe, mode: str = "", *, subdivision: int | None = Non
     """Bring a drive into a state in which the bus moves it.
 
     `mode`: the work mode by name; without one, the mode that the drive has is kept if the bus moves the motor in it.
-    `subdivision`: set it to this (as sent); None: leave it. Raises Inconclusive where the drive refuses.
+    `subdivision`: set it to this (as sent); None: leave it, where speeds are what is sent. Raises Inconclusive where the drive
+    refuses.
     """
     verbs = probe.dialect.by_verb
     if Verb.MOTOR_ON in verbs:
@@ -159,6 +160,8 @@ def ready_to_move(probe: Probe, mode: str = "", *, subdivision: int | None = Non
         if mode or not _enabled_now(probe):
             set_mode(probe, mode or bus_modes(probe.dialect)[-1])
             probe.do(Verb.ENABLE, {"enabled": 1})
+        if subdivision is None and probe.noise.rescaled:
+            subdivision = SUBDIVISION
         if subdivision is not None and Verb.SET_SUBDIVISION in verbs:
             probe.do(Verb.SET_SUBDIVISION, {"subdivision": subdivision})
 
@@ -290,7 +293,7 @@ def speed_between(first: Sample, second: Sample) -> tuple[float, float]:
         raise Inconclusive("two positions of one moment tell no speed")
     rpm = degrees / 6 / (elapsed_ns / SECOND_NS)
     spread_ns = first.spread_ns + second.spread_ns
-    uncertain = abs(rpm) * spread_ns / elapsed_ns + second.step / 6 / (elapsed_ns / SECOND_NS)
+    uncertain = abs(rpm) * spread_ns / elapsed_ns + (second.step + second.noise) / 6 / (elapsed_ns / SECOND_NS)
     return rpm, uncertain
 
 
@@ -299,7 +302,7 @@ def turning(probe: Probe) -> Sample:
     if Verb.READ_SPEED in probe.dialect.by_verb:
         return speed(probe)
     rpm, spread = mean_speed(probe, 300 * MS)
-    return Sample(probe.gate.now_ns(), 0.0, rpm, spread)
+    return Sample(probe.gate.now_ns(), 0.0, rpm, spread, spread)
 
 
 def mean_speed(probe: Probe, over_ns: int = SECOND_NS) -> tuple[float, float]:

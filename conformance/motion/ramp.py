@@ -25,10 +25,9 @@ from enum import Enum
 from math import sqrt
 
 from analyzer.protocols.mks_shared import RAMP
+from conformance.talk.noise import CLOCK_SHARE
 
 MINUTE_NS = 60_000_000_000
-#: A drive may differ from the law by so much before it counts: clocks of drive and host are not one.
-TOLERANCE = 0.01
 #: What real drives were seen to lag behind the law at most (quirk ramp-4-percent-slow).
 SLOW_QUIRK = 0.05
 
@@ -104,15 +103,15 @@ class Judgement:
 
     @property
     def fit(self) -> Fit:
-        """How the two compare: within 1 % and the uncertainty they agree."""
+        """How the two compare: within what a clock may be off and the uncertainty they agree."""
         excess, spread = self.ratio - 1, self.spread
         if excess > SLOW_QUIRK + spread:
             return Fit.SLOW
-        if excess < -TOLERANCE - spread:
+        if excess < -CLOCK_SHARE - spread:
             return Fit.FAST
         if spread > self.blind:
             return Fit.BLIND
-        return Fit.GOOD if excess <= TOLERANCE + spread else Fit.SLOW_AS_SEEN
+        return Fit.GOOD if excess <= CLOCK_SHARE + spread else Fit.SLOW_AS_SEEN
 
     def __str__(self) -> str:
         """Return both times for people."""

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Verb
+from analyzer.protocols.lk_rs485 import ERROR_BITS, BrakeControl, BrakeState
 from conformance.claim import Claim, Inconclusive
 from conformance.gate.gate import Refused
 from conformance.motion import motion
@@ -28,6 +29,13 @@ _RESTS = 5.0
 _GOING_NS, _STEADY_NS, _WAY, _RPM = 300 * motion.MS, 1000 * motion.MS, 1440.0, 180
 #: How long a shaft that stands is watched.
 _CREEPS_NS = 800 * motion.MS
+#: The share by which a speed is another one than was asked for, the degrees by which a shaft is held back, and those that
+#: a move may miss of its way.
+_ANOTHER, _HELD, _SHORT = 0.1, 10.0, 90.0
+#: What a drive's own limits must leave to the suite, as they are sent; 0 is no limit.
+_LEAST = {"speed_limit": 72_000, "speed_ramp": 180_000}
+#: Reading the brake and nothing else.
+_ASK_BRAKE = {"brake_control": int(BrakeControl.READ)}
 #: What a speed may tremble by that is told in whole rpm.
 _HIDDEN_RPM = 0.5
 
@@ -35,8 +43,8 @@ _HIDDEN_RPM = 0.5
 def measure(probe: Probe) -> Noise:
     """Return the noise of a drive that rests; none where it turns or its reads do not work."""
     try:
-        stray = _stray(probe)
-        probe.noise = Noise(stray=stray)
+        stray, trailing = _stray(probe)
+        probe.noise = Noise(stray=stray, trailing=trailing)
         places = [motion.position(probe).value for _ in range(_TIMES)]
         speeds = [motion.speed(probe).value for _ in range(_FEWER)]
         loop = [_angle_error(probe) for _ in range(_FEWER)]
@@ -44,17 +52,21 @@ def measure(probe: Probe) -> Noise:
     except Inconclusive:
         return QUIET
     if max(map(abs, speeds)) > _RESTS:
-        return Noise(stray=stray)
+        return probe.noise
     latency_ns = max((ns for _, ns in probe.latencies), default=0)
-    return Noise(_half_span(places), max(loop), max(map(abs, speeds)), supply=supply, stray=stray, latency_ns=latency_ns)
+    degrees, rpm = _half_span(places), max(map(abs, speeds))
+    return replace(probe.noise, degrees=degrees, loop=max(loop), rpm=rpm, supply=supply, latency_ns=latency_ns)
 
 
 def in_motion(probe: Probe) -> Noise:
     """Turn the shaft for a moment; return the noise with that of the speed and of a shaft that has just come to rest.
 
-    Where the drive does not run, the noise is that at rest.
+    Where the drive does not run, the noise is that at rest, and the hindrance what the drive says of it.
     """
     try:
+        hindrance = _limits(probe)
+        if hindrance:
+            return replace(probe.noise, hindrance=hindrance)
         motion.ready_to_move(probe)
         before = motion.position(probe).value
         motion.begin(probe, _move(probe.dialect), _WAY, rpm=_RPM, acceleration=motion.QUICK, quiet_ns=0)
@@ -63,21 +75,81 @@ def in_motion(probe: Probe) -> Noise:
         speeds: list[float] = []
         while len(speeds) < _TIMES and probe.gate.now_ns() - begun_ns < _STEADY_NS:
             speeds.append(abs(motion.speed(probe).value))
+        mean = sum(speeds) / len(speeds) if speeds else 0.0
+        another = mean > _RESTS and abs(mean - _RPM) > _RPM * _ANOTHER
+        if another and probe.dialect.subdivision is not None and not probe.noise.rescaled:
+            motion.stand_still(probe)
+            probe.noise = replace(probe.noise, rescaled=True)
+            return in_motion(probe)
         motion.wait_standing(probe)
         # A loop goes on towards its target when the shaft seems to stand.
         after = [sample.value for sample in motion.sampled(probe, _CREEPS_NS, _CREEPS_NS // _TIMES)]
-    except (Inconclusive, Refused):
+        if abs(abs(after[-1] - before) - _WAY) > _SHORT:
+            return replace(probe.noise, hindrance=_hindrance(probe))
+        lag = _lag(probe)
+    except Inconclusive:
+        return replace(probe.noise, hindrance=_hindrance(probe))
+    except Refused:
         return probe.noise
     # A loop that stands still may rest beside its target all the same, and no read of a resting shaft shows that.
     missed = abs(abs(after[-1] - before) - _WAY) / 2
     loop = max(probe.noise.loop, missed if missed <= LOOP_DEGREES else 0.0)
-    noise = replace(probe.noise, degrees=max(probe.noise.degrees, _half_span(after)), loop=loop)
+    noise = replace(probe.noise, degrees=max(probe.noise.degrees, _half_span(after)), loop=loop, lag=lag)
     if min(speeds, default=0.0) < _RESTS:
         return noise
-    mean, trembling = sum(speeds) / len(speeds), _half_span(speeds)
+    trembling = _half_span(speeds)
     # A tremble that a whole rpm hides shows at higher speeds.
     least = _HIDDEN_RPM if noise.live or trembling else 0.0
     return replace(noise, share=max(trembling, least) / mean)
+
+
+def _lag(probe: Probe) -> float:
+    """Return how many degrees the shaft goes on after a stop at once has been answered."""
+    if probe.dialect.ramp is None:
+        return 0.0
+    motion.run_at(probe, motion.CALM)
+    probe.wait(_GOING_NS)
+    motion.stop(probe, 0)
+    at_once = motion.position(probe).value
+    return abs(motion.wait_standing(probe).value - at_once)
+
+
+# --- why a shaft does not turn ----------------------------------------------------------------------------------------
+
+
+def _limits(probe: Probe) -> str:
+    """Return the limit of the drive's own parameters that leaves too little to see anything, or nothing."""
+    command = probe.dialect.by_verb.get(Verb.READ_PARAMETER)
+    forms = () if command is None else command.reply_forms
+    for form in forms:
+        for name, least in _LEAST.items():
+            if name in form.layout.named:
+                answer = probe.ask(Verb.READ_PARAMETER, {"parameter": form.layout.named["parameter"].fixed}).reply
+                held = answer.values.get(name, 0) if answer is not None else 0
+                if 0 < abs(held) < least:
+                    return f"the drive's own {name} is {held}: set it to {least} or more"
+    return ""
+
+
+def _hindrance(probe: Probe) -> str:
+    """Return why the drive cannot turn the shaft, as it says itself, or nothing."""
+    verbs = probe.dialect.by_verb
+    try:
+        if Verb.READ_PROTECTION in verbs and probe.read(Verb.READ_PROTECTION):
+            return "the drive protects itself and has let the shaft go: see what held it, and release the protection"
+        if Verb.READ_STATE_1 in verbs:
+            told = probe.reply(probe.ask(Verb.READ_STATE_1)).values
+            flags = [field.name for field in ERROR_BITS if told.get(field.name)]
+            if flags:
+                return f"the drive turns nothing while its error flags are set: {', '.join(flags)}"
+        if Verb.BRAKE in verbs and probe.read(Verb.BRAKE, "brake_state", _ASK_BRAKE) == BrakeState.POWER_OFF:
+            return "the brake holds the shaft"
+        missing = _angle_error(probe)
+        if missing > _HELD:
+            return f"the shaft is held: it is {missing:.0f} degrees from where the drive wants it"
+    except Inconclusive:
+        pass
+    return ""
 
 
 def can_turn(dialect: Dialect, claim: Claim) -> bool:
@@ -115,16 +187,24 @@ def _supply(probe: Probe) -> dict[str, float]:
     return {unit: span for unit, span in spans.items() if span}
 
 
-def _stray(probe: Probe) -> bytes:
-    """Return the bytes of an idle line that come before every reply."""
+def _stray(probe: Probe) -> tuple[bytes, bytes]:
+    """Return the bytes of an idle line that come before every reply, and those behind it."""
     if probe.dialect.bus == "can":
-        return b""
-    found: set[bytes] = set()
+        return b"", b""
+    before: set[bytes] = set()
+    behind: set[bytes] = set()
     for _ in range(_FEWER):
         exchange = probe.ask(motion.reads_position(probe.dialect), quiet_ns=0)
         answer = exchange.reply
         if answer is None:
-            return b""
-        found.add(exchange.received[: max(0, exchange.received.find(answer.data))])
-    stray = found.pop() if len(found) == 1 else b""
-    return stray if 0 < len(stray) <= _MOST_STRAY and not stray.strip(_IDLE) else b""
+            return b"", b""
+        first, _, last = exchange.received.partition(answer.data)
+        before.add(first)
+        behind.add(last)
+    return _of_line(before), _of_line(behind)
+
+
+def _of_line(found: set[bytes]) -> bytes:
+    """Return bytes that are the same each time and no more than those of an idle line."""
+    (stray, *others) = found
+    return stray if not others and len(stray) <= _MOST_STRAY and not stray.strip(_IDLE) else b""

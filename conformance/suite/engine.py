@@ -18,6 +18,7 @@ from analyzer.catalogue import Certainty
 from conformance.claim import Claim, Inconclusive, NotRun, NotStopped, Observed, Outcome, Refuted, RigFault, Verdict
 from conformance.drives import make
 from conformance.gate.gate import Refused
+from conformance.safety.stopping import MAY_MOVE
 from conformance.suite.rig import ClaimRig
 from conformance.talk.probe import Probe
 
@@ -76,6 +77,8 @@ def prove_reads(claims: Iterable[Claim], rig: ClaimRig) -> Iterator[Verdict]:
 
 
 def _judge(claim: Claim, probe: Probe) -> Verdict:
+    if probe.noise.hindrance and claim.risks & MAY_MOVE:
+        return _verdict(claim, probe, Outcome.INCONCLUSIVE, probe.noise.hindrance)
     try:
         claim.check(probe)
     except Refuted as error:

@@ -13,7 +13,8 @@ from conformance.drives.make import Specification
 from conformance.gate.budget import Budget
 from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
-from conformance.motion import resting
+from conformance.motion import motion, resting
+from conformance.safety.stopping import MAY_MOVE
 from conformance.suite.rig import ClaimRig
 from conformance.talk.noise import Noise
 from conformance.talk.probe import MS, SECOND_NS, Probe, plain_probe
@@ -67,8 +68,8 @@ class EmulatedRig(ClaimRig):
 
     def probe(self, claim: Claim) -> Probe:
         """Return a probe of a new drive."""
-        real = self.specification.realism is not None
-        if real and self._in_motion is None and resting.can_turn(self.dialect, claim):
+        ideal = not (self.specification.realism or self.specification.faults or self.specification.quirks)
+        if not ideal and self._in_motion is None and claim.risks & MAY_MOVE and motion.can_move(self.dialect):
             measuring = self._plain_probe()
             measuring.noise = self._at_rest
             self._in_motion = resting.in_motion(measuring)

@@ -25,8 +25,11 @@ _MOST_DEGREES = 0.3
 LOOP_DEGREES = 4 * COUNT
 #: What a shaft swings by when it arrives, in degrees: one that trembles, and one that rests quietly.
 _SWING_DEGREES, _QUIET_SWING_DEGREES = 16 * COUNT, 8 * COUNT
-#: A drive reckons speeds and times by its own clock, often a ceramic resonator: off by 1 %, and what it rounds.
-CLOCK_SHARE = 0.0125
+#: The most that a rotor may be behind its field: a full step of the motors that have 200 of them.
+_MOST_LAG_DEGREES = 1.8
+#: A drive reckons speeds and times by its own clock, often a ceramic resonator or an RC oscillator: off by 2 %, with which a
+#: UART still works, and what it rounds.
+CLOCK_SHARE = 0.0225
 #: By how much the end of a motion may be told later than it came: drives look at their shaft from time to time.
 TOLD_LATE_NS = 40_000_000
 #: The most that readings may tremble: a share of a speed, and other quantities by their units.
@@ -56,17 +59,24 @@ _LEAST_QUIET_NS, _QUIET_LATENCIES = 8_000_000, 2
 class Noise:
     """Half spans measured on a resting shaft, its speed as it reads.
 
-    `loop`: how far from its target it says that it is. `share`: of a speed, measured while the shaft turns. `supply`: volts,
-    amperes and degrees Celsius by their units. `stray`: bytes of the line. `latency_ns`: of its slowest reply.
+    `loop`: how far from its target it says that it is. `share`: of a speed, measured while the shaft turns. `lag`: how many
+    degrees it went on after a stop at once. `supply`: volts, amperes and degrees Celsius by their units. `stray`, `trailing`:
+    bytes of the line before and behind each reply. `latency_ns`: of its slowest reply. `rescaled`: whether the shaft turns at
+    another speed than is sent, as it does at some subdivisions. `hindrance`: why the drive cannot turn the shaft, by its own
+    word; empty where it can.
     """
 
     degrees: float = 0.0
     loop: float = 0.0
     rpm: float = 0.0
     share: float = 0.0
+    lag: float = 0.0
     supply: Mapping[str, float] = field(default_factory=dict)
     stray: bytes = b""
+    trailing: bytes = b""
     latency_ns: int = 0
+    rescaled: bool = False
+    hindrance: str = ""
 
     @property
     def live(self) -> bool:
@@ -91,7 +101,8 @@ class Noise:
     @property
     def swing(self) -> float:
         """By how many degrees a shaft may be off when it has just arrived."""
-        return self.place + _SWING_DEGREES if self.live else _QUIET_SWING_DEGREES
+        most = _SWING_DEGREES if self.live else _QUIET_SWING_DEGREES
+        return self.place + max(most, min(_MOST_LAG_DEGREES, 2 * self.lag))
 
     @property
     def counts(self) -> int:
@@ -130,7 +141,8 @@ class Noise:
     def figures(self) -> Mapping[str, float]:
         """What was measured, for the report."""
         found = {"degrees": self.degrees, "loop_degrees": self.loop, "rpm": self.rpm, "speed_%": 100 * self.share}
-        found |= {**self.supply, "stray_bytes": len(self.stray), "latency_ms": self.latency_ns / 1e6}
+        found |= {"lag_degrees": self.lag, **self.supply, "stray_bytes": len(self.stray + self.trailing)}
+        found |= {"latency_ms": self.latency_ns / 1e6}
         return {name: round(value, 4) for name, value in found.items() if value}
 
 
