@@ -1,7 +1,8 @@
 """Zero: what 92 makes of the place where the shaft stands.
 
 Rules kept here:
-- Zero is zero for everything that counts: position, carry and value, pulses, and the targets of absolute moves.
+- Zero is zero for everything that counts the encoder: position, carry and value, and the targets of absolute moves.
+- Whether 92 makes the count of pulses zero too is not printed: it is observed.
 - 92 turns nothing.
 """
 
@@ -35,9 +36,14 @@ def _away(probe: Probe, degrees: float = 468) -> None:
 _zeros = needing(Verb.READ_ENCODER_CARRY, commands(Verb.SET_ZERO))
 
 
+def _surety(of_pulses: bool) -> dict[str, Certainty]:
+    return {"at_best": Certainty.OPEN} if of_pulses else {}
+
+
 def _quantities(dialect: Dialect) -> Iterator[Case]:
     for what in _ZEROED:
-        yield from (Case(dialect, case.command, {"what": what}) for case in _zeros(dialect))
+        for case in _zeros(dialect):
+            yield Case(dialect, case.command, {"what": what}, _surety(what == "pulses"))
 
 
 @of_motion(each=_quantities, name="{command}/{what}", refuted_by="another number")
@@ -92,7 +98,8 @@ def _while_turning(probe: Probe, command: Command) -> None:
 
 def _places(dialect: Dialect) -> Iterator[Case]:
     for move in reversed(dialect.motions(MotionKind.MOVE_TO)):
-        yield from (Case(dialect, case.command, {"move": move}) for case in _zeros(dialect))
+        for case in _zeros(dialect):
+            yield Case(dialect, case.command, {"move": move}, _surety(motion.takes_pulses(move)))
 
 
 @of_motion(each=_places, name="{command}/and-{move}", refuted_by="another place")
