@@ -17,6 +17,7 @@ Rules kept here:
 - A request whose values the manual does not allow is refused and changes nothing.
 - Replies are ready `reply_delay_ns` after the request. They carry the address that the drive had when it was asked.
 - Everything happens at its exact time (the next whole ns), in whatever steps the owner lets time pass.
+- A drive reckons in the time of its own clock (`now_ns`), and its owner in that of the line: `clock_ppm` lies between them.
 
 Quirks and faults change a drive through its `Hooks`.
 """
@@ -40,6 +41,7 @@ Values = dict[str, Any]
 
 #: The speed of a drive whose setting stands for none, and the lowest that a setting can hold as a number.
 _ANY_SPEED, _LOWEST_SPEED = 115_200, 300
+_MILLION = 1_000_000
 #: A frame has a code and a check at least.
 _SHORTEST = 2
 
@@ -276,6 +278,8 @@ class Drive(ABC):
         self.settings: dict[str, int] = dict(settings or {})
         self.seed = seed
         self.now_ns = 0
+        #: By how many parts of a million its clock is faster than the line's.
+        self.clock_ppm = 0
         self.reply_delay_ns = 1_000_000
         self.hooks = Hooks()
         changes: list[Change | None] = [*quirks, *faults, realism]
@@ -312,7 +316,7 @@ class Drive(ABC):
 
     def receive(self, frame: Frame, t_ns: int) -> list[Outgoing]:
         """Take a frame that is complete at `t_ns`, also one that is damaged or not for this drive; return replies."""
-        self._pass(t_ns)
+        self._pass(self._own(t_ns))
         if self.listening and len(frame.data) >= _SHORTEST:
             self._take(frame)
             self.changed()
@@ -436,6 +440,8 @@ class Drive(ABC):
 
     def _sent(self) -> list[Outgoing]:
         sent, self._outbox = self._outbox, []
+        if self.clock_ppm:
+            sent = [msgspec.structs.replace(each, at_ns=self._of_line(each.at_ns)) for each in sent]
         return sent
 
     # --- settings -------------------------------------------------------------------------------------------------
@@ -456,15 +462,23 @@ class Drive(ABC):
 
     def advance(self, t_ns: int) -> list[Outgoing]:
         """Let time pass until `t_ns`; return what the drive sends by itself (completion replies)."""
-        self._pass(t_ns)
+        self._pass(self._own(t_ns))
         return self._sent()
 
     def next_ns(self) -> int | None:
         """Return when the drive will do something by itself, or None while nothing is under way."""
         if self._outbox:
-            return self.now_ns
+            return self._of_line(self.now_ns)
         due = self._next()
-        return None if due is None else due[0]
+        return None if due is None else self._of_line(due[0])
+
+    def _own(self, t_ns: int) -> int:
+        """Return a time of the line as the drive's clock has it."""
+        return t_ns * (_MILLION + self.clock_ppm) // _MILLION
+
+    def _of_line(self, own_ns: int) -> int:
+        """Return the first time of the line at which the drive's clock shows a time."""
+        return -(-own_ns * _MILLION // (_MILLION + self.clock_ppm))
 
     def changed(self) -> None:
         """Say that something changed, so that what comes next must be found anew."""

@@ -48,6 +48,8 @@ _STALLED = 40
 #: How long a shaft creeps.
 _CREEP_NS = 1000 * MS
 _WARM = 62.0
+#: Parts of a million in a per cent.
+_PPM = 10_000
 #: What a drive tells of the zero that it keeps.
 _ZERO = "encoder_zero"
 
@@ -55,7 +57,7 @@ Span = tuple[float, float]
 
 
 class Trait(NamedTuple):
-    """One trait. `unit`: of its numbers, empty for a flag; `span`: it takes two numbers, as in 0.3..8ms."""
+    """One trait. `unit`: of its numbers, empty for a flag; `span`: it takes two numbers, as in 0.3..8ms; `signed`: a sign."""
 
     name: str
     unit: str
@@ -64,6 +66,7 @@ class Trait(NamedTuple):
     example: str
     serial: bool = False
     span: bool = False
+    signed: bool = False
 
 
 TRAITS: tuple[Trait, ...] = (
@@ -76,6 +79,7 @@ TRAITS: tuple[Trait, ...] = (
     Trait("creep", "counts", "how far the shaft goes on in the second after it rests", "integral parts of closed loops", "2"),
     Trait("settle", "ms", "how long the shaft swings after a motion", "TRazDev/servo42es-esp32-can-controller", "50ms"),
     Trait("overshoot", "counts", "how far beyond its target the shaft swings first", "the same: 4082 of 4096 at done", "5"),
+    Trait("clock", "%", "all speeds and times of the drive", "ceramic resonators and RC oscillators", "+1%", signed=True),
     Trait("latency", "ms", "how long a reply takes", "MKS drives answer in 0.3 to 8 ms", "0.3..8ms", span=True),
     Trait("latency-timer", "ms", "replies come at whole multiples of it", "FTDI adapters (pyserial PR 290)", "16ms"),
     Trait("stall", "ms", "one of forty replies is that late", "USB hubs, and hosts that do something else", "30ms"),
@@ -137,7 +141,7 @@ def _values(trait: Trait, text: str) -> Span:
         return (1.0, 1.0)
     if trait.unit == "byte" and re.fullmatch("[0-9A-Fa-f]{2}", text):
         return (float(int(text, 16)),) * 2
-    number = r"(\d+(?:\.\d+)?)"
+    number = rf"({'[+-]?' * trait.signed}\d+(?:\.\d+)?)"
     found = re.fullmatch(rf"{number}(?:\.\.{number})?\s*(?:{re.escape(trait.unit)})?", text)
     if found is None or trait.unit == "byte" or (found[2] is not None and not trait.span):
         raise UsageError(f"{trait.name}: got {quote(text)}, expected a value as in {trait.name}={trait.example}")
@@ -186,6 +190,7 @@ class _Real:
     def _setup(self, drive: Drive) -> None:
         self._seed = drive.seed
         self._chance = random.Random(f"{drive.seed} realism")
+        drive.clock_ppm = round(self._most("clock") * _PPM)
         if self._most("warm"):
             drive.hot(_WARM)
 

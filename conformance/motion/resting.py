@@ -137,13 +137,13 @@ def _hindrance(probe: Probe) -> str:
     try:
         if Verb.READ_PROTECTION in verbs and probe.read(Verb.READ_PROTECTION):
             return "the drive protects itself and has let the shaft go: see what held it, and release the protection"
+        if Verb.BRAKE in verbs and probe.read(Verb.BRAKE, "brake_state", _ASK_BRAKE) == BrakeState.POWER_OFF:
+            return "the brake holds the shaft"
         if Verb.READ_STATE_1 in verbs:
             told = probe.reply(probe.ask(Verb.READ_STATE_1)).values
             flags = [field.name for field in ERROR_BITS if told.get(field.name)]
             if flags:
                 return f"the drive turns nothing while its error flags are set: {', '.join(flags)}"
-        if Verb.BRAKE in verbs and probe.read(Verb.BRAKE, "brake_state", _ASK_BRAKE) == BrakeState.POWER_OFF:
-            return "the brake holds the shaft"
         missing = _angle_error(probe)
         if missing > _HELD:
             return f"the shaft is held: it is {missing:.0f} degrees from where the drive wants it"

@@ -43,6 +43,9 @@ class EmulatedRig(ClaimRig):
         self.model = specification.model
         self.seed = seed
         self._in_motion: Noise | None = None
+        given = specification
+        #: Whether it is as the manual has it in everything, so that a motion shows no noise.
+        self._ideal = not (given.realism or given.faults or given.quirks or given.settings)
         self._allowance = allowance or Allowance(EVERYTHING, alone=True, budget=Budget(wear=UNLIMITED))
         self.allowed = self._allowance.risks
         self.alone = self._allowance.alone
@@ -68,8 +71,7 @@ class EmulatedRig(ClaimRig):
 
     def probe(self, claim: Claim) -> Probe:
         """Return a probe of a new drive."""
-        ideal = not (self.specification.realism or self.specification.faults or self.specification.quirks)
-        if not ideal and self._in_motion is None and claim.risks & MAY_MOVE and motion.can_move(self.dialect):
+        if not self._ideal and self._in_motion is None and claim.risks & MAY_MOVE and motion.can_move(self.dialect):
             measuring = self._plain_probe()
             measuring.noise = self._at_rest
             self._in_motion = resting.in_motion(measuring)

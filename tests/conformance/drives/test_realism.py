@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import replace
-from fractions import Fraction
 
+import msgspec
 import pytest
 
+from analyzer.catalogue import Verb
 from analyzer.errors import UsageError
 from conformance import claims as registry
 from conformance.claim import Inconclusive, Outcome
@@ -15,6 +16,7 @@ from conformance.cli import emulate
 from conformance.drives import make, realism
 from conformance.drives.drive import Fault
 from conformance.motion import motion, resting
+from conformance.safety.stopping import MAY_MOVE
 from conformance.suite import engine
 from conformance.suite.rig_emulated import EmulatedRig
 from conformance.talk.noise import QUIET, Noise
@@ -192,13 +194,92 @@ def test_a_read_whose_reply_is_damaged_is_asked_again_and_counted():
     assert len(probe.traffic) == 20 + probe.measured["damaged replies"]
 
 
-@pytest.mark.parametrize("clock", [Fraction(99, 100), Fraction(101, 100)])
-def test_a_drive_whose_clock_is_off_by_1_percent_is_not_accused(clock):
-    def setup(drive):
-        run = drive.motor.run
-        drive.motor.run = lambda t, rpm, step_ns: run(t, rpm * clock, round(step_ns / clock))
+#: Claims about times and speeds by the clock of the line, by the end of their ids.
+_OF_CLOCKS = ("/ramp-236", "/ramp-60-to-240", "/run_speed/speed-300", "/run_speed/speed-360", "/speed-at-128", "is-change")
 
-    off = Fault("clock", ("mks-can",), "", "", lambda hooks: hooks.setup.append(setup))
-    each = EmulatedRig(replace(make.parse("mks-can@1"), faults=(off,)))
-    wanted = [c for c in registry.every(each.dialect) if c.id.endswith(("run_speed/speed-300", "set_subdivision/speed-at-128"))]
-    assert [verdict.outcome for verdict in engine.run(wanted, each)] == [Outcome.CONFIRMED] * 2
+
+@pytest.mark.parametrize("clock", ["-2%", "+2%"])
+@pytest.mark.parametrize("drive", DRIVES)
+def test_a_drive_whose_clock_is_off_by_2_percent_is_not_accused(drive, clock):
+    each = rig(f"{drive},clock={clock}")
+    wanted = [c for c in registry.every(each.dialect) if c.id.endswith(_OF_CLOCKS)]
+    assert {v.outcome for v in engine.run(wanted, each)} == {Outcome.CONFIRMED}
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+def test_a_fast_clock_makes_a_fast_shaft_that_reads_as_it_should(drive):
+    each = rig(f"{drive},clock=+2%")
+    probe = each.probe(next(c for c in registry.every(each.dialect) if resting.can_turn(each.dialect, c)))
+    motion.ready_to_move(probe)
+    motion.run_at(probe, 60, motion.QUICK)
+    probe.wait(300 * motion.MS)
+    assert motion.mean_speed(probe)[0] == pytest.approx(61.2, abs=0.05)
+    assert motion.speed(probe).value == 60
+
+
+def test_a_reply_that_stalls_leaves_a_ramp_uncertain():
+    text = "mks-modbus@3,encoder-noise=1,loop-error=3,creep=2,stall=30ms,settle=50ms,latency=0.3..1ms"
+    for seed in range(8):
+        each = EmulatedRig(make.parse(text), seed=seed)
+        wanted = [c for c in registry.every(each.dialect) if c.id.endswith("stop_speed/ramp-236")]
+        assert [v.reason for v in engine.run(wanted, each) if v.outcome is Outcome.REFUTED] == []
+
+
+def changed(text: str, change) -> EmulatedRig:
+    """Return a rig with a drive to which something was done before."""
+    specification = make.parse(text)
+    before = Fault("before", (specification.dialect.name,), "", "", lambda hooks: hooks.setup.append(change))
+    return EmulatedRig(replace(specification, faults=(before,)))
+
+
+def protected(drive):
+    drive.memory.protected = True
+    drive.grip()
+
+
+@pytest.mark.parametrize(
+    ("text", "change", "why"),
+    [
+        ("mks-rs485@1", protected, "protects itself"),
+        ("mks-can@1", protected, "protects itself"),
+        ("mks-rs485@1", lambda drive: drive.block(), "is held"),
+        ("mks-modbus@1", lambda drive: drive.block(), "is held"),
+        ("lk-rs485@1", lambda drive: drive.block(), "stalled"),
+        ("lk-rs485@1", lambda drive: drive.supply(9.0), "low_voltage"),
+        ("lk-rs485@1", lambda drive: drive.motor.hold(braked=True), "brake"),
+        ("lk-rs485@1,speed_limit=10000", lambda drive: None, "speed_limit is 10000"),
+        ("lk-rs485@1,speed_ramp=5000", lambda drive: None, "speed_ramp is 5000"),
+    ],
+)
+def test_what_hinders_a_drive_by_its_own_word_refutes_nothing(text, change, why):
+    each = changed(text, change)
+    moving = [c for c in registry.every(each.dialect) if c.risks & MAY_MOVE and "/motion/" in c.id][::20]
+    still = [c for c in registry.every(each.dialect) if c.id.endswith("/shape/read_position/clean")]
+    assert {why in v.reason for v in engine.run(moving, each) if v.outcome is not Outcome.NOT_RUN} == {True}
+    assert {v.outcome for v in engine.run(still, each)} == {Outcome.CONFIRMED}
+
+
+def test_a_drive_that_refuses_to_move_without_a_reason_is_refuted():
+    each = changed("mks-rs485@1", lambda drive: drive.behaviours.update({Verb.MOVE_RELATIVE_AXIS: type(drive).refused}))
+    wanted = [c for c in registry.every(each.dialect) if c.id.endswith("ranges/move_relative_axis/speed/inside")]
+    assert {v.outcome for v in engine.run(wanted, each)} == {Outcome.REFUTED}
+
+
+@pytest.mark.parametrize("subdivision", [0, 8, 128])
+def test_speeds_of_a_drive_at_another_subdivision_are_not_accused(subdivision):
+    each = rig(f"mks-rs485@1,subdivision={subdivision}")
+    ends = ("move_absolute_axis/speed", "update-without-stop", "emergency_stop/keeps-torque")
+    wanted = [c for c in registry.every(each.dialect) if c.id.endswith(ends)]
+    assert {v.outcome for v in engine.run(wanted, each)} == {Outcome.CONFIRMED}
+    assert each.noise.rescaled
+
+
+@pytest.mark.parametrize("drive", ["mks-rs485@1", "mks-modbus@1", "lk-rs485@1"])
+def test_a_byte_of_the_line_behind_each_reply_is_no_part_of_it(drive):
+    def change(each):
+        each.hooks.reply.append(lambda _, command, out: [msgspec.structs.replace(out, data=out.data + b"\xff")])
+
+    each = changed(drive, change)
+    assert each.noise.trailing == b"\xff"
+    wanted = [c for c in registry.every(each.dialect) if c.id.endswith("/clean")]
+    assert {v.outcome for v in engine.run(wanted, each)} <= {Outcome.CONFIRMED, Outcome.NOT_RUN, Outcome.INCONCLUSIVE}
