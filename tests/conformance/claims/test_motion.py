@@ -237,7 +237,6 @@ LK = (
     ("lk-position-single-turn", "set_position/reads"),
     ("lk-clear-turns-ignored", "clear_turns/drops-turns"),
     ("lk-set-position-kept", "set_position/lost"),
-    ("lk-zero-at-once", "set_zero/not-at-once"),
     ("lk-zero-lost", "set_zero/at-power-up"),
     ("lk-runs-open-loop", "run_open_loop/other-models"),
     ("lk-stop-keeps-torque", "stop/ends-run_torque"),
@@ -317,6 +316,7 @@ def test_what_an_lk_drive_does_and_tells_in_motion_is_judged(fault, claim):
         ("lk-torque-limit-ignored", "write_parameter/torque-limit"),
         ("lk-overshoot", "move_increment/within"),
         ("lk-stop-coasts", "stop/brakes"),
+        ("lk-zero-at-once", "set_zero/not-at-once"),
     ],
 )
 def test_what_the_lk_manual_leaves_open_is_observed(fault, claim):
