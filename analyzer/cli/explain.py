@@ -59,12 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     request = read_frame(arguments.request) if arguments.request else None
 
     def explain(given: Given) -> Iterator[Explanation]:
-        asked = request
-        for part in explainer.apart(given):
-            found = explainer.explain(part, role=role, no_checksum=arguments.no_checksum, request=asked)
-            # Of two frames the second may answer the first.
-            asked = part if found.message.role is Role.REQUEST else asked
-            yield found
+        return explainer.each(given, role=role, no_checksum=arguments.no_checksum, request=request)
 
     if arguments.frame != ["-"]:
         for number, found in enumerate(explain(read_frame(" ".join(arguments.frame)))):

@@ -140,6 +140,17 @@ class Explainer:
         sound = [m.frame.data for m in seen.messages if m.frame.checksum_ok and m.form is not None]
         return [Given(data, None) for data in sound] if len(sound) > 1 and b"".join(sound) == given.data else [given]
 
+    def each(
+        self, given: Given, *, role: Role = Role.UNKNOWN, no_checksum: bool = False, request: Given | None = None
+    ) -> Iterator[Explanation]:
+        """Yield the best reading of each frame in some bytes. Raises UnreadableError."""
+        asked = request
+        for part in self.apart(given):
+            found = self.explain(part, role=role, no_checksum=no_checksum, request=asked)
+            # Of two frames the second may answer the first.
+            asked = part if found.message.role is Role.REQUEST else asked
+            yield found
+
     # --- readings -------------------------------------------------------------------------------------------------
 
     def _read(

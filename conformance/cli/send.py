@@ -10,12 +10,11 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 from analyzer import dialects as registry
-from analyzer.catalogue import Command, Dialect, Risk
+from analyzer.catalogue import Command, Dialect
 from analyzer.cli.frame import filled_text, parse_target, parse_values
 from analyzer.cli.show import names_of
 from analyzer.decoder import physical, units_of
@@ -28,10 +27,11 @@ from analyzer.records import CanFrame, Message
 from analyzer.reference.hex_frame import read_frame
 from analyzer.values import fields_text, printable
 from conformance.cli.endpoint import add_on_argument, at_own_rate, endpoint_of, gate_to
-from conformance.gate.gate import Allowance, Item, Judge, Refused, add_gate_arguments, allowance_from, shown
+from conformance.gate.gate import Allowance, Item, Judge, add_gate_arguments, allowance_from, shown
 from conformance.talk.dialogue import MS, Dialogue, Until
 from conformance.talk.drive_state import read_drive_state
 from conformance.talk.exchange import Answer, Completion, Exchange
+from conformance.talk.request import Request
 
 EXAMPLES = """\
 exit status: 0 answered (or nothing answers it), 1 no answer or a refusal by the drive, 2 wrong use or not allowed.
@@ -87,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
     if endpoint.bus_kind != ("can" if isinstance(request.item, CanFrame) else "serial"):
         raise UsageError(f"{shown(request.item)} is a frame of another kind of bus than {endpoint.text}")
     # Risks that are not allowed are refused before a port is opened. Bounds may depend on where the drive is: they come later.
-    _check_risks(request, allowance, _known_dialects(arguments))
+    request.check(allowance, _known_dialects(arguments))
     with gate_to(endpoint, allowance, _known_dialects(arguments)) as gate:
         dialogue = Dialogue(gate, request.dialects)
         if request.dialect is not None and request.address is not None and request.acts:
@@ -102,45 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if _succeeded(request, exchange, arguments.wait) else 1
 
 
-class _Request:
-    """What is to be sent. `addresses` None: any; `dialect` and `command` None: bytes as they are."""
-
-    def __init__(
-        self,
-        item: Item,
-        dialects: Sequence[Dialect],
-        addresses: frozenset[int] | None,
-        command: Command | None = None,
-        address: int | None = None,
-    ) -> None:
-        self.item = item
-        self.dialects = tuple(dialects)
-        self.addresses = addresses
-        self.command = command
-        self.address = address
-        self.dialect = self.dialects[0] if command is not None else None
-        judge = Judge(Allowance(), registry.every())
-        readings = judge.interpret(item)
-        #: Whether anything but a read can be meant.
-        self.acts = any(not r.reads_only for r in readings)
-        #: What the next sending could complete.
-        self.left_open = judge.left_open(item)
-        #: Bytes of no frame: they could complete what another program has begun.
-        self.loose = (
-            bytes(b for n, b in enumerate(item) if not any(r.covers(n) for r in readings)) if isinstance(item, bytes) else b""
-        )
-        #: The drives that it is for.
-        self.meant = [(r.dialect, r.address) for r in readings if r.fits and not r.to_many and r.address is not None]
-        many = self.dialect is not None and address == self.dialect.broadcast
-        self.answered = command is None or (bool(command.reply_forms) and not many and command.slots is None)
-
-    def allowance(self, given: Allowance) -> Allowance:
-        """Return what may be sent: a stop that is named needs no permission."""
-        stopping = replace(given, risks=given.risks | {Risk.MOTION})
-        return stopping if Judge(stopping).is_stop(self.item) else given
-
-
-def _command(arguments: argparse.Namespace) -> _Request:
+def _command(arguments: argparse.Namespace) -> Request:
     if arguments.target is None or arguments.command is None:
         raise UsageError('what? expected DIALECT@ADDRESS COMMAND FIELD=VALUE..., or --hex "FA 01 31 2C"')
     dialect, address = parse_target(arguments.target, arguments.model)
@@ -152,10 +114,10 @@ def _command(arguments: argparse.Namespace) -> _Request:
     if built.refusals and not arguments.force:
         raise UsageError("; ".join(built.refusals))
     others = [d for d in registry.every() if d.bus == dialect.bus and d.name != dialect.name]
-    return _Request(built.item(), [dialect, *others], frozenset({address}), command, address)
+    return Request(built.item(), [dialect, *others], frozenset({address}), command, address)
 
 
-def _hex(arguments: argparse.Namespace) -> _Request:
+def _hex(arguments: argparse.Namespace) -> Request:
     if arguments.target is not None:
         raise UsageError(f"--hex: expected the bytes alone, got {arguments.target} beside them")
     frame = read_frame(arguments.hex)
@@ -168,7 +130,7 @@ def _hex(arguments: argparse.Namespace) -> _Request:
     item: Item = data if can_id is None else CanFrame(None, "host", can_id, data)
     kind = "serial" if can_id is None else "can"
     dialects = registry.for_model([d for d in registry.every() if d.bus == kind], arguments.model)
-    return _Request(item, dialects, None)
+    return Request(item, dialects, None)
 
 
 def _known_dialects(arguments: argparse.Namespace) -> list[Dialect]:
@@ -176,31 +138,10 @@ def _known_dialects(arguments: argparse.Namespace) -> list[Dialect]:
     return registry.for_model(registry.every(), arguments.model)
 
 
-def _check_risks(request: _Request, allowance: Allowance, dialects: Sequence[Dialect]) -> None:
-    """Raise Refused for what is not allowed whatever the drive answers, UsageError for bytes that do not stand alone."""
-    found = Judge(replace(allowance, turns=None, speed=None), dialects).objections(request.item)
-    if found:
-        raise Refused(request.item, found)
-    beside = _beside(request, allowance)
-    if beside:
-        raise UsageError(f"not sent: {shown(request.item)}: {beside}")
-
-
-def _beside(request: _Request, allowance: Allowance) -> str:
-    """Return what makes an item part of what was sent before or will be, or nothing."""
-    begun = [head for head in request.left_open if head.bare or not request.meant]
-    if begun:
-        text = f"it ends in {shown(begun[0].data)}, the beginning of a frame of {begun[0].dialect.name}"
-        return f"{text} that the next sending could complete"
-    if request.loose and Risk.UNKNOWN not in allowance.risks:
-        return f"{shown(request.loose)} is no frame, and could complete one that another program has begun (--allow unknown)"
-    return ""
-
-
-def _dry_run(request: _Request, allowance: Allowance, arguments: argparse.Namespace) -> int:
+def _dry_run(request: Request, allowance: Allowance, arguments: argparse.Namespace) -> int:
     judge = Judge(replace(allowance, budget=allowance.budget.rehearsal()), _known_dialects(arguments))
     readings, objections = judge.interpret(request.item), judge.objections(request.item)
-    beside = _beside(request, allowance)
+    beside = request.beside(allowance)
     if arguments.json:
         listed = [{"reading": str(r), "risk": sorted(r.risks)} for r in readings]
         refused = [{"reading": str(o.interpretation), "reasons": list(o.reasons), "hint": o.hint} for o in objections]
@@ -217,7 +158,7 @@ def _dry_run(request: _Request, allowance: Allowance, arguments: argparse.Namesp
     return 2 if objections or beside else 0
 
 
-def _ask(dialogue: Dialogue, request: _Request, arguments: argparse.Namespace) -> Exchange:
+def _ask(dialogue: Dialogue, request: Request, arguments: argparse.Namespace) -> Exchange:
     timeout_ns = int(arguments.timeout * MS)
     if not request.answered:
         return dialogue.ask(request.item, _QUIET_NS, quiet_ns=_QUIET_NS)
@@ -230,7 +171,7 @@ def _ask(dialogue: Dialogue, request: _Request, arguments: argparse.Namespace) -
         raise
 
 
-def _succeeded(request: _Request, exchange: Exchange, wait: bool) -> bool:
+def _succeeded(request: Request, exchange: Exchange, wait: bool) -> bool:
     if not request.answered:
         return not exchange.received
     if request.command is None and not exchange.replies:
@@ -243,7 +184,7 @@ def _succeeded(request: _Request, exchange: Exchange, wait: bool) -> bool:
 # --- what is shown ------------------------------------------------------------------------------------------------
 
 
-def _show(request: _Request, exchange: Exchange, echoed: bool) -> None:
+def _show(request: Request, exchange: Exchange, echoed: bool) -> None:
     requests = [e.message for e in exchange.requests]
     texts = [_text(m) for m in requests] or ["bytes that are no frame"]
     print(f"> {shown(request.item)}   {'; '.join(texts)}")
@@ -280,7 +221,7 @@ def _text(message: Message) -> str:
     return f"{name} {fields_text(physical(message), units_of(message))}".rstrip()
 
 
-def _object(request: _Request, exchange: Exchange) -> dict[str, Any]:
+def _object(request: Request, exchange: Exchange) -> dict[str, Any]:
     def named(entry: Entry) -> dict[str, Any]:
         return names_of(entry, physical(entry.message))
 
