@@ -266,6 +266,20 @@ class Wide(Table):
             step += 1
             at_ns = begin_ns + int(step * SECOND / rate)
 
+    def points(self, names: Iterable[str]) -> dict[str, tuple[list[float], list[Any]]]:
+        """Return by column when its values came, in seconds from the first message, and what they were."""
+        places = {column.name: place for place, column in enumerate(self.columns)}
+        found: dict[str, tuple[list[float], list[Any]]] = {name: ([], []) for name in names}
+        wanted = [(places[name], *lists) for name, lists in found.items()]
+        for t_ns, row in self._values():
+            line: list[Any] = [None] * len(self.columns)
+            self._take(line, row)
+            for place, times, values in wanted:
+                if line[place] is not None:
+                    times.append(self._elapsed(t_ns))
+                    values.append(line[place])
+        return found
+
     def _values(self) -> Iterator[tuple[int, Row]]:
         """Yield the rows that change a column, with times that do not decrease."""
         last_ns: int | None = None

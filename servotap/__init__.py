@@ -1,0 +1,159 @@
+"""Servotap from Python: captures as records and data frames, frames explained, drives emulated or real.
+
+    import servotap
+
+    capture = servotap.open("bench.log")
+    capture.to_pandas(fields="speed")
+    capture.plot("speed", "position")
+
+    print(servotap.explain("FA 01 F6 01 40 02 34"))
+
+    with servotap.drive("mks-rs485@1") as drive:
+        drive.read("read_speed")
+
+What stands in `__all__` is public; `analyzer` and `conformance` below it may change. Nothing is loaded before it is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from importlib import import_module
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+from analyzer import __version__
+
+if TYPE_CHECKING:
+    from analyzer.errors import ServotapError, UnreadableError, UsageError
+    from analyzer.records import Finding, Junk
+    from conformance.claim import NotStopped
+    from conformance.gate.gate import Refused
+    from servotap.captures import Capture, Frame, Transaction
+    from servotap.drives import Drive, NotDone, Reply
+    from servotap.explained import Explained
+
+__all__ = [
+    "Capture",
+    "Drive",
+    "Explained",
+    "Finding",
+    "Frame",
+    "Junk",
+    "NotDone",
+    "NotStopped",
+    "Refused",
+    "Reply",
+    "ServotapError",
+    "Transaction",
+    "UnreadableError",
+    "UsageError",
+    "__version__",
+    "drive",
+    "explain",
+    "open",
+]
+
+#: Where each public class is, for those who name it.
+_HOMES = {
+    "Capture": "servotap.captures",
+    "Drive": "servotap.drives",
+    "Explained": "servotap.explained",
+    "Finding": "analyzer.records",
+    "Frame": "servotap.captures",
+    "Junk": "analyzer.records",
+    "NotDone": "servotap.drives",
+    "NotStopped": "conformance.claim",
+    "Refused": "conformance.gate.gate",
+    "Reply": "servotap.drives",
+    "ServotapError": "analyzer.errors",
+    "Transaction": "servotap.captures",
+    "UnreadableError": "analyzer.errors",
+    "UsageError": "analyzer.errors",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
+def open(
+    path: str | PathLike[str],
+    *,
+    dialect: str = "auto",
+    model: str | None = None,
+    baud: int | None = None,
+    format: str | None = None,
+    groups: Collection[int] = (),
+    since: str | None = None,
+    until: str | None = None,
+) -> Capture:
+    """Open a capture of any format, a log, or a folder of parts.
+
+    `dialect`, `model`, `since` and `until` as for `servotap show`. Raises UnreadableError, UsageError.
+    """
+    from servotap.captures import Capture
+
+    return Capture(path, dialect=dialect, model=model, baud=baud, format=format, groups=groups, since=since, until=until)
+
+
+def explain(
+    frame: str | bytes,
+    *,
+    dialect: str | None = None,
+    role: str | None = None,
+    model: str | None = None,
+    request: str | bytes | None = None,
+    no_checksum: bool = False,
+) -> Explained:
+    """Explain a frame byte by byte: hex as `servotap explain` takes it, or the bytes themselves.
+
+    `request`: what this frame answers. Raises UnreadableError where no dialect reads it.
+    """
+    from servotap.explained import explained
+
+    return explained(frame, dialect=dialect, role=role, model=model, request=request, no_checksum=no_checksum)
+
+
+def drive(
+    name: str,
+    on: str = "emulated",
+    *,
+    allow: Collection[str] = (),
+    max_speed: float | None = None,
+    max_turns: float | None = None,
+    max_acceleration: float | None = None,
+    max_current: float | None = None,
+    subdivision: int | None = None,
+    alone: bool = False,
+    max_run: float = 30.0,
+    cut_power: str = "",
+    timeout: float = 1.0,
+) -> Drive:
+    """Connect to a drive: an emulated one, or a real one at an endpoint (`serial:/dev/ttyUSB0,baud=38400`).
+
+    Only reads and stops are sent, besides what is allowed here or with each command; bounds as for `servotap send`. A real port
+    is owned by a guard process, which stops the drive should this program die, or a run without an end take longer than
+    `max_run` seconds. `timeout`: of a reply, in seconds. Raises UsageError; DriveNotFound where a real drive does not answer.
+    """
+    from servotap.drives import Drive
+
+    return Drive(
+        name,
+        on,
+        allow=allow,
+        max_speed=max_speed,
+        max_turns=max_turns,
+        max_acceleration=max_acceleration,
+        max_current=max_current,
+        subdivision=subdivision,
+        alone=alone,
+        max_run=max_run,
+        cut_power=cut_power,
+        timeout=timeout,
+    )
