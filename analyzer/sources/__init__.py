@@ -44,9 +44,15 @@ FORMATS: dict[str, Format] = {
     "trc": Format("trc", "TRC", "PEAK text trace, CAN", (".trc",), "can"),
     "candump": Format("candump", "candump", "can-utils, log lines or as on the screen", (".log", ".txt"), "can"),
     "can-csv": Format("can_csv", "python-can CSV", "CAN frames as python-can's CSV writer puts them", (".csv",), "can"),
+    "can-text": Format(
+        "can_text", "CAN text", "frames as python-can, slcan, BUSMASTER and programs print them", (".txt",), "can"
+    ),
     "spy": Format("spy", "pyserial spy", "log of a spy:// port of pyserial", (".log", ".txt"), "serial"),
     "saleae": Format("saleae", "Saleae CSV", "decoded bytes of Logic 1 and Logic 2", (".csv", ".txt"), "serial"),
     "sigrok": Format("sigrok", "sigrok UART", "annotations of sigrok-cli and PulseView", (".txt", ".csv"), "serial"),
+    "columns": Format(
+        "columns", "table", "CSV with a heading (SavvyCAN, ...), JSON lines, Markdown", (".csv", ".json"), "serial"
+    ),
     "hexdump": Format("hexdump", "hex dump", "raw bytes as hexdump -C and xxd print them", (".txt", ".hex"), "serial"),
     "hex": Format("hextext", "hex text", "lines of hex bytes, with or without times and marks", (".log", ".txt"), "serial"),
     "raw": Format("raw", "raw bytes", "only the bytes of a serial line", (".bin", ".raw"), "serial"),

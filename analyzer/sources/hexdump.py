@@ -4,7 +4,9 @@
     00000000: fa01 f601 4002 34fb 01f6 01f3                     ....@.4.....
     *                                                           the row before, again, up to the next offset
 
-No times, no directions: rows are cut anywhere. The offsets show bytes that are missing.
+    0000  fa 01 30 2b                                       ..0+         tshark -x: an offset of 0 begins a packet
+
+No times, no directions: rows are cut anywhere, but a packet of several is a burst. The offsets show bytes that are missing.
 """
 
 from __future__ import annotations
@@ -22,25 +24,33 @@ _ROW = re.compile(r"\s*([0-9A-Fa-f]{4,16})(:?)(?:\s+|$)(.*)$")
 _GROUPS = re.compile(r"(?:[0-9A-Fa-f]{2})+(?: {1,2}(?:[0-9A-Fa-f]{2})+)*")
 #: `xxd` separates the characters by two spaces, and never has two between bytes; hexdump frames them.
 _FRAMED = re.compile(r"[|>].*$")
+#: A row with its characters behind it.
+_WITH_TEXT = re.compile(r"\s*[0-9A-Fa-f]{4,16}:?\s+(?:[0-9A-Fa-f]{2,4} ?){1,16} {2,}\S")
+#: Characters behind a wider gap than hexdump has between its halves.
+_COLUMN = re.compile(r"\s{3,}\S.*$")
 #: Rows that one `*` may stand for.
 _REPEATED = 1 << 22
 _LONGEST_ROW = 64
+_LONGEST_PACKET = 1 << 16
 #: Share of rows that must follow from the one before; some may be missing.
 _FOLLOWING = 0.8
 _USUAL_ROWS = (8, 16, 32)
 
 
 def score(head: bytes) -> float:
-    """Say how sure it is that these bytes are a hex dump, 0..1: each offset must follow from the row before."""
+    """Say how sure it is that these bytes are a hex dump, 0..1: each offset must follow from the row before, or be 0 again."""
     lines = head_lines(head)
     rows = [row for line in lines if (row := _row(line)) is not None]
     stars = sum(1 for line in lines if line.strip() == "*")
     if not rows or len(rows) + stars < len(lines) or not rows[0][1]:
         return 0.0
     if len(rows) == 1:
-        return 0.95 if rows[0][0] == 0 and len(rows[0][1]) in _USUAL_ROWS else 0.0
-    follows = sum(1 for (offset, data), (then, _) in pairwise(rows) if then == offset + len(data))
-    rising = all(then >= offset + len(data) for (offset, data), (then, _) in pairwise(rows))
+        framed = len(rows[0][1]) in _USUAL_ROWS or _WITH_TEXT.match(lines[0]) is not None
+        return 0.95 if rows[0][0] == 0 and framed else 0.0
+    if all(offset == 0 for offset, _ in rows) and not all(_WITH_TEXT.match(line) for line in lines):
+        return 0.0
+    follows = sum(1 for (offset, data), (then, _) in pairwise(rows) if then == offset + len(data) or then == 0)
+    rising = all(then >= offset + len(data) or then == 0 for (offset, data), (then, _) in pairwise(rows))
     return 0.95 if rising and follows + stars >= _FOLLOWING * (len(rows) - 1) else 0.0
 
 
@@ -55,7 +65,7 @@ def _row(line: str) -> tuple[int, bytes] | None:
     if found is None:
         return None
     offset, colon, text = found.groups()
-    text = text.partition("  ")[0] if colon else _FRAMED.sub("", text)
+    text = text.partition("  ")[0] if colon else _COLUMN.sub("", _FRAMED.sub("", text))
     text = text.strip()
     if text and _GROUPS.fullmatch(text) is None:
         return None
@@ -64,11 +74,13 @@ def _row(line: str) -> tuple[int, bytes] | None:
 
 
 def _records(source: Source) -> Iterator[Chunk]:
+    packets = sum(1 for line in head_lines(source.head) if (row := _row(line)) is not None and row[0] == 0) > 1
     lines = Lines(source)
     port = source.port()
     before, end = b"", 0
     first = True
     starred = False
+    packet = bytearray()
     for line in lines:
         text = line.strip()
         if text == "*":
@@ -80,7 +92,11 @@ def _records(source: Source) -> Iterator[Chunk]:
                 source.problem(f"expected an offset and hex bytes, got {quote(text)!r}", line=lines.number)
             continue
         offset, data = row
-        if not first and offset > end:
+        if packets and (offset == 0 or len(packet) >= _LONGEST_PACKET):
+            if packet:
+                yield Chunk(None, port, bytes(packet), burst=True)
+            packet.clear()
+        elif not first and offset > end:
             missing = offset - end
             if starred and before and missing % len(before) == 0 and missing <= _REPEATED:
                 for _ in range(missing // len(before)):
@@ -89,5 +105,9 @@ def _records(source: Source) -> Iterator[Chunk]:
                 source.problem(f"{counted(missing, 'byte')} missing before offset {offset:X}", line=lines.number)
         first = starred = False
         before, end = data or before, offset + len(data)
-        if data:
+        if packets:
+            packet += data
+        elif data:
             yield Chunk(None, port, data)
+    if packet:
+        yield Chunk(None, port, bytes(packet), burst=True)

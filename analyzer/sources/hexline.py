@@ -2,25 +2,31 @@
 
     000-Tx:01 03 00 00 00 0A C5 CD                   counter, mark, bytes
     [12:34:56.789] < FB 01 F6 01 F3                  time, mark, bytes
+    [12:34:56][D][uart_debug:114]: >>> FA:01:30:2B   time, tags, mark, bytes
     [bus:0] Sending :  3e a4 01 0c ef                name of the line, mark, bytes
+    receive:   5: FB 01 F6 01 F3                     mark, count, bytes
+    Will write to instrument (expecting 7): 01 04    a phrase with a mark in it, bytes
+    uint8_t run[] = {0xFA, 0x01, 0xF6};              declaration or call, bytes
     [2023-04-30 22:40:55.899]# SEND HEX>             time and mark of the lines that follow
     0.012345 0xFA, 0x01, 0xF6  # run                 seconds, bytes, comment
 
-Rules: what stands before the bytes is peeled off item by item; what is left must be bytes in one of the ways people
-write them. A line that is not traffic is a comment if it looks like words, and broken if it looks like bytes gone
-wrong.
+Rules: what stands before the bytes is peeled off item by item, by one table; what is left must be bytes in one of the ways
+people write them (`written.py`). A line that is not traffic is a comment if it looks like words, and broken if it looks like
+bytes gone wrong.
 """
 
 from __future__ import annotations
 
-import ast
 import re
 from enum import StrEnum
 from functools import lru_cache
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
-from analyzer.sources.marks import LETTERS, SIGNS, WORDS, role_of
+from analyzer.sources import written
+from analyzer.sources.marks import ACTIONS, LETTERS, SIGNS, SPEAKERS, WORDS, role_of
+from analyzer.sources.stamps import ANY, STAMPS, Stamp
+from analyzer.sources.written import Radix, Written
 
 
 class Shape(StrEnum):
@@ -36,146 +42,154 @@ class Shape(StrEnum):
 class HexLine(NamedTuple):
     """A line taken apart.
 
-    `stamp_kind`: which pattern of `STAMPS` the time `stamp` fits, "" without one. `name`: of the bus line. `marked`: a
-    word or sign says who sent. `note`: a comment behind the bytes. `text`: what could not be understood, if anything.
+    `stamp`: its time as printed. `role`: who sent, by words and signs. `sign`: the sign before the bytes, or the brackets
+    around each of them. `worded`: a word says who sent. `name`: of the bus line. `number`: it stands before the bytes and a
+    colon.
+    `note`: a comment behind the bytes. `text`: what could not be understood, if anything. `radix`: how sure the bytes are.
     """
 
     shape: Shape
     data: bytes = b""
-    stamp_kind: str = ""
-    stamp: str = ""
+    stamp: Stamp = Stamp()
     role: Role = Role.UNKNOWN
     name: str = ""
     note: str = ""
     text: str = ""
-    marked: bool = False
+    sign: str = ""
+    worded: bool = False
     ascii: bool = False
+    number: int | None = None
+    radix: Radix = Radix.HEX
+
+    @property
+    def marked(self) -> bool:
+        """Whether a word or sign says who sent."""
+        return self.worded or self.sign in SIGNS or self.sign in LETTERS
 
 
-_DAYTIME = r"\d{1,2}:\d\d:\d\d(?:[.,:]\d{1,9})?"
-_UNIT = r"(?:\s?(?:ms|us|µs|ns|sec|s)(?![0-9A-Za-z]))"
-#: Times by kind, each a pattern; the first that fits wins.
-STAMPS: dict[str, str] = {
-    "date": rf"\d{{4}}[-/.]\d{{1,2}}[-/.]\d{{1,2}}(?:[T_,]|\s){{1,2}}{_DAYTIME}(?:\s?Z\b|\s?[+-]\d\d:?\d\d\b)?",
-    "dmy": rf"\d{{1,2}}\.\d{{1,2}}\.\d{{4}}(?:[T_,]|\s){{1,2}}{_DAYTIME}",
-    "clock": _DAYTIME,
-    "step": rf"\+\d{{1,19}}(?:\.\d{{1,12}}{_UNIT}?|{_UNIT})",
-    "seconds": rf"\d{{1,19}}\.\d{{1,12}}{_UNIT}?",
-    "units": rf"\d{{1,19}}{_UNIT}",
-    "epoch_ms": r"\d{13}",
-}
-_stamps = "|".join(f"(?P<{kind}>{pattern})" for kind, pattern in STAMPS.items())
+class When(StrEnum):
+    """Where an item of a line may stand: anywhere, before the first mark, or behind it."""
+
+    ANY = "any"
+    UNMARKED = "unmarked"
+    MARKED = "marked"
+
+
 _words = "|".join(sorted(WORDS, key=len, reverse=True))
 _letters = "|".join(LETTERS)
 _signs = "|".join(re.escape(sign) for sign in sorted(SIGNS, key=len, reverse=True))
 _END = r"(?![0-9A-Za-z_])"
 _DECORATION = r"[\s:=<>|\])→←◇◆：,]*(?:-+[>\s]\s*)?"
+_PAIR = r"(?:0[xX])?[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])"
+#: What bytes can begin with.
+_BYTES = rf"(?={_PAIR}|[\[{{(<\"'b]|[0-9A-Fa-f]{{4,}}\s*$|-?\d{{1,3}}[\s,])"
 
-_STAMP = re.compile(rf"\s*[\[(]?\s*(?:{_stamps})(?![0-9A-Za-z_.]|:[0-9A-Fa-f])\s*[\])]?(?:[\s,;:|]|-(?!>))*")
-_WORD = re.compile(rf"[\s#*<>=\[(-]*(?P<word>{_words}){_END}{_DECORATION}", re.IGNORECASE)
-_LETTER = re.compile(rf"\s*\[?(?P<letter>{_letters})\]?\s*[:>|]+\s*", re.IGNORECASE)
-_SIGN = re.compile(rf"\s*(?P<sign>{_signs})(?![<>=-])[\s:]*")
-_NAME = re.compile(
-    r"\s*(?:\[(?P<name>[A-Za-z][\w :./\\#-]{0,40})\]|\[\d{1,9}\]"
-    r"|(?P<port>(?:/dev/)?(?:tty|com|uart|bus|port)\w{1,20})(?=[\s:]))"
-    r"[\s:,|-]*(?:>\s*(?=[A-Za-z]))?",
+#: What may stand before the bytes, in the order in which it is tried, with a sign that every line with it has. The names of
+#: groups say what it is.
+_ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
+    (when, has, re.compile(pattern, re.IGNORECASE))
+    for when, has, pattern in (
+        # A time; `month` has letters that no other has.
+        (When.ANY, "", rf"\s*[\[(]?\s*(?:{ANY})(?![0-9A-Za-z_.]|:[0-9A-Fa-f])\s*[\])]?(?:[\s,;:|]|-(?!>))*"),
+        # `# SEND HEX>`: the bytes follow on the next lines.
+        (When.ANY, "#", r"\s*#\s*(?P<assist>SEND|RECV)\s+(?P<form>HEX|ASCII|BIN)[^>]{0,80}>\s*"),
+        # `ser.write(`, `write(3, "..."`.
+        (
+            When.ANY,
+            "(",
+            rf"\s*(?:[$>\s]*)(?:[A-Za-z_]\w*\.)*(?P<call>{_words})\w{{0,12}}\((?=[^)]*[,\"'])(?:\d{{1,4}},\s*(?=[\"']))?",
+        ),
+        (When.ANY, "", rf"[\s#*<>=\[(-]*(?P<word>{_words}){_END}{_DECORATION}"),
+        # What the bytes are called, how many they are, a counter as Modbus Poll prints it.
+        (When.MARKED, "", rf"(?:hex|data|bytes?|frame|adu|pdu|buffer|buf|msg|message|raw){_END}[\s:=>]*"),
+        (When.MARKED, "", r"len(?:gth)?\s*[=:]?\s*\d{1,5}\s*(?:bytes?)?(?:[\s:=>,-]+(?:(?:from|to)=\d+\s*)*|$)"),
+        (When.MARKED, "", r"[\[(]\s*(?:len\s*[=:]?\s*)?\d{1,5}\s*(?:bytes?|B)?\s*[\])](?!\s*[\[(])[\s:=>-]*"),
+        (When.MARKED, "", r"\d{3,9}-(?=\s*[0-9A-Fa-f]{2}(?:\s|$))"),
+        (When.ANY, ":", rf"\s*(?P<count>\d{{1,5}})\s*:\s+{_BYTES}"),
+        (When.UNMARKED, "", rf"\s*\[?(?P<letter>{_letters})\]?\s*[:>|]+\s*"),
+        (When.UNMARKED, "", rf"\s*+(?::\s*+)?(?P<sign>{_signs})(?![<>=-])[\s:]*"),
+        (
+            When.ANY,
+            "",
+            r"\s*(?:\[(?P<name>[A-Za-z][\w :./\\#-]{0,40})\]|\[\d{1,9}\](?!\[)|\((?P<port>COM\d{1,3})\)"
+            r"|(?P<device>(?:/dev/)?(?:tty|com|uart|bus|port)\w{1,20})(?=[\s:]|$))[\s:,|-]*(?:>\s*(?=[A-Za-z]))?",
+        ),
+        # A counter before a mark.
+        (When.UNMARKED, "", rf"\s*#?\d{{1,9}}\s*[-.):]\s*(?=[<>\[(]*(?:{_words}){_END})"),
+        # A declaration: `uint8_t run[] = {`.
+        (
+            When.UNMARKED,
+            "=",
+            r"[\w\s*:<>]{0,60}?(?P<variable>[A-Za-z_]\w*+)\s*+(?:\[\w*\]\s*+)?=\s*(?=[\[{(\"'<]|b['\"]|byte|new|0x|Buffer)",
+        ),
+    )
+)
+#: A logger's own words ("DEBUG:pymodbus.logging:send: 0x1 0x3") stand before the mark; so does a phrase that ends in a colon.
+_DISTANT = re.compile(
+    rf"(?<![\w.])(?:(?:{_words})\s*[:>\]=|]|(?<![\w,]\s)(?:{_words})\s+"
+    rf"(?={_PAIR}[\s,:-]+{_PAIR}|<Buffer|b['\"]|[\[{{(]\s*['\"]?(?:0x)?-?[0-9a-f]{{1,3}}\b))",
     re.IGNORECASE,
 )
-_COUNT = re.compile(rf"\s*#?\d{{1,9}}\s*[-.):]\s*(?=[<>\[(]*(?:{_words}){_END})", re.IGNORECASE)
-_ASSIST = re.compile(r"\s*#\s*(?P<assist>SEND|RECV)\s+(?P<form>HEX|ASCII|BIN)[^>]{0,80}>\s*", re.IGNORECASE)
-#: Behind a mark: what the bytes are called, how many they are, a counter as Modbus Poll prints it.
-_BEHIND = re.compile(
-    rf"(?:(?:hex|data|bytes?|frame|adu|pdu|buffer|buf|msg|message|raw){_END}[\s:=>]*"
-    r"|len(?:gth)?\s*[=:]?\s*\d{1,5}\s*(?:bytes?)?[\s:=>,-]+"
-    r"|[\[(]\s*(?:len\s*[=:]?\s*)?\d{1,5}\s*(?:bytes?|B)?\s*[\])][\s:=>-]*"
-    r"|\d{3,9}-(?=\s*[0-9A-Fa-f]{2}(?:\s|$)))",
-    re.IGNORECASE,
-)
+_PHRASE = re.compile(rf"(?<![\w.])(?P<word>{_words}){_END}[^:]{{1,60}}:\s+{_BYTES}", re.IGNORECASE)
+_DISTANT_LIMIT = 80
 #: The shapes that most lines have, in one step: a time, a mark, plain hex bytes.
 _USUAL = re.compile(
     rf"(?:[\[(]?(?:({STAMPS['date']})|({STAMPS['clock']})|(\d{{1,19}}\.\d{{1,12}}))[\])]?[\s,;|]+)?"
     rf"(?:({_words}|{_signs}){_DECORATION})?((?:[0-9A-Fa-f]{{2}} ?)+)",
     re.IGNORECASE,
 )
-_DISTANT_WORD = re.compile(rf"(?<![\w.])(?:{_words})\s*[:>\]=|]", re.IGNORECASE)
-_DISTANT_LIMIT = 80
 
-_COMMENT_SIGNS = ("#", "//", ";", "%", "*", "--", "/*", "'")
-_BARE = re.compile(r"[0-9A-Fa-f]{1,2}(?:[\s,;:|_-]+[0-9A-Fa-f]{1,2})*[\s,;:|_-]*")
-_PREFIXED = re.compile(r"(?:(?:0[xX]|\\[xX]|\$)[0-9A-Fa-f]{1,2}[\s,;:|-]*)+")
-_SUFFIXED = re.compile(r"(?:[0-9A-Fa-f]{2}[hH][\s,;]*)+")
-_LITERAL = re.compile(r"(?:bytearray\()?(b'.*'|b\".*\")\)?", re.DOTALL)
-_TOKEN = re.compile(r"[0-9A-Fa-f]{1,2}")
-_TWO_DIGITS = re.compile(r"[0-9A-Fa-f]{2}")
-_DAYTIME_ONLY = re.compile(r"[0-2]?\d:[0-5]\d:[0-5]\d")
+_COMMENT_SIGNS = ("#", "//", ";", "%", "*", "--", "/*", "'", "```")
 _TRAILING = re.compile(r"(?:#|//|;|\(|\||!|--(?=\s)).*", re.DOTALL)
-_PREFIX_DIGITS = re.compile(r"0[xX]|\\[xX]|\$")
+#: Words behind bytes: `old_data:`, `, 4) = 4`, `OK`.
+_WORDY = re.compile(r"(?<=[\s\"'\])},])(?:[A-Za-z_]{2}\w*+\s*[:=]|,\s*\d+\s*\)|[G-Zg-z_][A-Za-z_]++(?:\s|$)).*", re.DOTALL)
+_STRING = re.compile(r"b?('(?:[^'\\]|\\.)*'|\"(?:[^\"\\]|\\.)*\")")
+_EACH = re.compile(r"([\[<])\s*(?:0x)?[0-9A-Fa-f]{1,2}\s*[\]>]\s*[\[<]")
 _SPLIT = re.compile(r"[\s,;:|]+")
 _HEXLIKE = re.compile(r"(?:0[xX]|\\[xX]|\$)?[0-9A-Fa-f]{1,2}[hH]?")
 _RUN = re.compile(r"(?=.{0,20}\d)[0-9A-Fa-f]{5,}")
 _DIGITS = re.compile(r"[0-9A-Fa-f]{1,8}")
 _LONG_RUN = re.compile(r"(?=.{0,20}\d)[0-9A-Fa-f]{8,}$")
-#: What people put around bytes. The opening one may have been taken for a part of the mark.
-_WRAPPERS = {"[": "]", "{": "}", "(": ")", '"': '"', "'": "'", "<": ">"}
-_CLOSERS = " ]})>\"'"
-#: The longest bytes literal that is evaluated.
-_LITERAL_LIMIT = 1 << 16
-_ITEMS = 8
+#: A sentence before a mark: no header of bytes.
+_TWO_WORDS = re.compile(r"[^\W\d_]+ [^\W\d_]+ $")
+#: Words of a sentence, and how many of them are one.
+_PLAIN_WORD = re.compile(r"[^\W\d_]{3,}[.!?]?")
+_SENTENCE_WORDS = 3
+_CLOSERS = " ]})>\"'□`"
+_ITEM_LIMIT = 10
 
 
 def bytes_of(text: str) -> bytes | None:
     """Return the bytes that a text stands for in any of the usual ways, None if it is none of them."""
-    try:
-        return bytes.fromhex(text)
-    except ValueError:
-        pass
-    literal = _LITERAL.fullmatch(text.strip())
-    if literal is not None and len(text) <= _LITERAL_LIMIT:
-        return _literal(literal[1])
-    text = text.strip()
-    if _WRAPPERS.get(text[:1]) == text[-1:] and len(text) > 2:
-        text = text[1:-1].strip()
-    if _BARE.fullmatch(text):
-        # Bytes printed without leading zeros are short here and there; letters and single numbers are something else.
-        plain = _TWO_DIGITS.search(text) is not None and not _DAYTIME_ONLY.fullmatch(text)
-        return bytes(int(token, 16) for token in _TOKEN.findall(text)) if plain else None
-    if _PREFIXED.fullmatch(text):
-        return bytes(int(t.strip(" \t,;:|-"), 16) for t in _PREFIX_DIGITS.split(text) if t)
-    if _SUFFIXED.fullmatch(text):
-        return bytes.fromhex(re.sub(r"[hH,;]", " ", text))
-    try:
-        return bytes.fromhex(text[2:]) if text[:2] in ("0x", "0X") else bytes.fromhex(text)
-    except ValueError:
-        return None
+    found = written.read(text)
+    return None if found is None else found.data
 
 
-def _literal(text: str) -> bytes | None:
-    try:
-        value = ast.literal_eval(text)
-    except (ValueError, SyntaxError, MemoryError, RecursionError):
-        return None
-    return value if isinstance(value, bytes) else None
-
-
-def take_apart(line: str) -> HexLine:
-    """Take a line apart."""
+def take_apart(line: str, decimal: bool = False) -> HexLine:
+    """Take a line apart. `decimal`: numbers without a letter among them are decimal ones."""
     text = line.strip()
     if not text:
         return HexLine(Shape.BLANK)
+    if decimal:
+        data = written.decimal(text)
+        return HexLine(Shape.TRAFFIC, data, radix=Radix.DECIMAL) if data else _Peeler(text, decimal).line()
     # Plain bytes need no pattern.
-    plain = bytes_of(text) if text[2:3] == " " or text.isalnum() else None
-    if plain:
-        return HexLine(Shape.TRAFFIC, plain)
+    plain = written.read(text) if text[2:3] == " " or text.isalnum() else None
+    if plain is not None and plain.data:
+        return HexLine(Shape.TRAFFIC, plain.data, radix=plain.radix)
     usual = _USUAL.fullmatch(text)
     if usual is not None:
         date, clock, seconds, mark, digits = usual.groups()
-        role = _role(mark) if mark is not None else Role.UNKNOWN
         kind = "date" if date is not None else "clock" if clock is not None else "seconds" if seconds is not None else ""
-        stamp = date or clock or seconds or ""
-        return HexLine(Shape.TRAFFIC, bytes.fromhex(digits), kind, stamp, role, "", "", "", mark is not None)
-    plain = bytes_of(text)
-    if plain:
-        return HexLine(Shape.TRAFFIC, plain)
+        stamp = Stamp(kind, date or clock or seconds) if kind else Stamp()
+        worded = mark is not None and mark.lower() in WORDS
+        return HexLine(
+            Shape.TRAFFIC, bytes.fromhex(digits), stamp, _role(mark or ""), sign="" if worded else mark or "", worded=worded
+        )
+    plain = written.read(text)
+    if plain is not None and plain.data:
+        each = _EACH.match(text)
+        return HexLine(Shape.TRAFFIC, plain.data, sign=f"each{each[1]}" if each is not None else "", radix=plain.radix)
     return _Peeler(text).line()
 
 
@@ -188,85 +202,131 @@ def _role(mark: str) -> Role:
 class _Peeler:
     """Peels one line."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, decimal: bool = False) -> None:
         self.text = text
+        self.decimal = decimal
         self.at = 0
-        self.kind = self.stamp = self.name = self.sign = ""
+        self.stamp = Stamp()
+        self.name = self.sign = ""
         self.words: list[str] = []
-        self.ascii = False
+        #: Words in brackets of their own, which may be the name of who logs.
+        self.tags: list[str] = []
+        self.declared = self.ascii = self.spoken = False
+        self.number: int | None = None
+
+    @property
+    def marked(self) -> bool:
+        """Whether a word or sign says who sent."""
+        return bool(self.words or self.sign)
 
     def line(self) -> HexLine:
         """Return the line taken apart."""
         text = self.text
-        data, note = None, ""
-        for _ in range(_ITEMS):
-            if (self.words or self.sign or self.kind) and (data := bytes_of(text[self.at :])) is not None:
+        found: Written | None = None
+        note = ""
+        for _ in range(_ITEM_LIMIT):
+            # A number before a colon is a count, or of the line; it is never a byte.
+            known = self.marked or self.stamp.kind or self.declared or self.number is not None
+            if known and (found := self._bytes(text[self.at :])) is not None:
                 break
             if not self._item():
                 break
         rest = text[self.at :]
-        if data is None:
-            data, note = _with_note(rest)
-        role = role_of(self.words, self.sign)
-        marked = bool(self.words or self.sign)
-        taken = (self.kind, self.stamp, role, self.name)
+        if found is None:
+            found, note = self._with_note(rest)
+        words = self.words
+        if any(word in ACTIONS for word in words):
+            words = [word for word in words if word not in self.tags]
+        role = role_of(words, self.sign)
         commented = text.startswith(_COMMENT_SIGNS) and not (self.words and not rest)
-        if data and not commented:
-            return HexLine(Shape.TRAFFIC, data, *taken, note, "", marked)
-        if not rest and (self.kind or marked):
-            return HexLine(Shape.HEADER, b"", *taken, "", text, marked, self.ascii)
-        broken = not commented and _is_broken(rest, marked)
-        return HexLine(Shape.BROKEN if broken else Shape.COMMENT, b"", *taken, "", rest if broken else text, marked)
+        taken = {"stamp": self.stamp, "role": role, "name": self.name, "sign": self.sign, "worded": bool(self.words)}
+        if found is not None and found.data and not commented:
+            return HexLine(Shape.TRAFFIC, found.data, note=note, number=self.number, radix=found.radix, **taken)  # type: ignore[arg-type]
+        if not rest and (self.stamp.kind or self.marked) and not self.spoken:
+            return HexLine(Shape.HEADER, text=text, ascii=self.ascii, **taken)  # type: ignore[arg-type]
+        broken = not commented and _is_broken(rest, self.marked)
+        shape = Shape.BROKEN if broken else Shape.COMMENT
+        return HexLine(shape, text=rest if broken else text, **taken)  # type: ignore[arg-type]
+
+    def _bytes(self, text: str) -> Written | None:
+        if self.decimal and (data := written.decimal(text)) is not None:
+            return Written(data, Radix.DECIMAL)
+        return written.read(text)
 
     def _item(self) -> bool:
         """Peel the next item off; say whether there was one."""
         text, at = self.text, self.at
-        marked = bool(self.words or self.sign)
-        if not self.kind and (found := _STAMP.match(text, at)):
-            self.kind = found.lastgroup or ""
-            self.stamp = found[self.kind]
-        elif found := _ASSIST.match(text, at):
-            self.words.append(found["assist"].lower())
-            self.ascii = found["form"].upper() == "ASCII"
-        elif found := _WORD.match(text, at):
-            self.words.append(found["word"].lower())
-        elif marked and (found := _BEHIND.match(text, at)):
-            pass
-        elif not marked and (found := _LETTER.match(text, at)):
-            self.sign = found["letter"].lower()
-        elif not marked and (found := _SIGN.match(text, at)):
-            self.sign = found["sign"]
-        elif not self.name and (found := _NAME.match(text, at)):
-            self.name = found["name"] or found["port"] or ""
-        elif not marked and (found := _COUNT.match(text, at)):
-            pass
-        elif not marked and (distant := _DISTANT_WORD.search(text, at, at + _DISTANT_LIMIT)):
-            # A logger's own words ("DEBUG:pymodbus.logging:send: 0x1 0x3") stand before the mark.
+        marked = self.marked
+        for when, has, pattern in _ITEMS:
+            if has not in text or (when is not When.ANY and (when is When.MARKED) != marked):
+                continue
+            found = pattern.match(text, at)
+            if found is not None and found.end() > at and self._take(found):
+                self.at = found.end()
+                return True
+        if self.marked:
+            return False
+        distant = _DISTANT.search(text, at, at + _DISTANT_LIMIT)
+        if distant is not None and distant.start() > at:
+            self.spoken = _TWO_WORDS.search(text[at : distant.start()]) is not None
             self.at = distant.start()
             return True
-        if found is None or found.end() == at:
+        phrase = _PHRASE.search(text, at, at + 2 * _DISTANT_LIMIT)
+        if phrase is None or self._with_note(text[phrase.end() :])[0] is None:
             return False
-        self.at = found.end()
+        self.words.append(phrase["word"].lower())
+        self.at = phrase.end()
         return True
 
+    def _take(self, found: re.Match[str]) -> bool:
+        """Keep what an item says; say whether it can stand here."""
+        for group, value in found.groupdict().items():
+            if value is None:
+                continue
+            if group in STAMPS:
+                if self.stamp.kind:
+                    return False
+                self.stamp = Stamp(group, value)
+            elif group in ("word", "assist", "call"):
+                self.words.append(value.lower())
+                if value.lower() in SPEAKERS and found[0].lstrip().startswith("["):
+                    self.tags.append(value.lower())
+            elif group == "form":
+                self.ascii = value.upper() == "ASCII"
+            elif group in ("sign", "letter"):
+                self.sign = value.lower()
+            elif group == "count":
+                if self.number is not None:
+                    return False
+                self.number = int(value)
+            elif group == "variable":
+                self.declared = True
+                self.words += [word for word in value.lower().split("_") if word in WORDS]
+            else:
+                self.name = self.name or value
+        return True
 
-def _with_note(rest: str) -> tuple[bytes | None, str]:
-    """Return the bytes at the beginning of a text and what stands behind them as a comment."""
-    data = bytes_of(rest.rstrip(_CLOSERS))
-    if data is not None:
-        return data, ""
-    found = _TRAILING.search(rest)
-    if found is not None and found.start() > 0:
-        data = bytes_of(rest[: found.start()])
-        if data:
-            return data, found[0].strip()
-    # A column of the same bytes as characters, as dumps have.
-    head, gap, column = rest.partition("  ")
-    if gap:
-        data = bytes_of(head)
-        if data is not None and len(data) == len(column.strip()):
-            return data, ""
-    return None, ""
+    def _with_note(self, rest: str) -> tuple[Written | None, str]:
+        """Return the bytes at the beginning of a text and what stands behind them as a comment."""
+        for end in ("; )", _CLOSERS):
+            if (found := self._bytes(rest.rstrip(end))) is not None:
+                return found, ""
+        for pattern in (_TRAILING, _WORDY):
+            trailing = pattern.search(rest)
+            if trailing is not None and trailing.start() > 0:
+                found = self._bytes(rest[: trailing.start()].rstrip(" ,;)"))
+                if found is not None and found.data:
+                    return found, trailing[0].strip()
+        string = _STRING.match(rest)
+        if string is not None and (found := self._bytes(string[0])) is not None and found.data:
+            return found, rest[string.end() :].strip()
+        # A column of the same bytes as characters, as dumps have.
+        head, gap, column = rest.partition("  ")
+        if gap:
+            found = self._bytes(head)
+            if found is not None and len(found.data) == len(column.strip()):
+                return found, ""
+        return None, ""
 
 
 def _is_broken(rest: str, marked: bool) -> bool:
@@ -276,4 +336,6 @@ def _is_broken(rest: str, marked: bool) -> bool:
     runs = sum(1 for t in tokens if _RUN.match(t))
     if len(tokens) == 1:
         return bool(_LONG_RUN.match(tokens[0]) or (marked and _DIGITS.fullmatch(tokens[0])))
+    if sum(1 for t in tokens if _PLAIN_WORD.fullmatch(t)) >= _SENTENCE_WORDS:
+        return False
     return alike + runs >= 2 and 2 * (alike + runs) >= len(tokens)

@@ -3,23 +3,30 @@
 Rules: each line of traffic is a burst of its own; lines of bytes below a header (a line with only a time or a mark)
 are one. `Tx`, `Send` and `>` mean that the host sent, `Rx`, `Recv` and `<` that the drive did; in a log that marks
 every line as received they mean nothing, for a listener wrote it. Lines of words are comments, broken lines are
-problems.
+problems. In a text without a line of traffic the frames that its sentences speak of are read (see `prose.py`).
 
-Times: exact to their digits. Without a date they count from zero, and a time of day that passes midnight goes on.
-`+0.012` counts from the start, or from the line before where the values go back.
+What one line cannot tell, all lines together can (`_Manner`): whether `>` is a quotation, whether numbers are decimal,
+whether each line is one byte, whether `->` is only the sign between time and text. Each such guess is a note.
+
+Times: see `stamps.py`.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 from analyzer.catalogue import Role
 from analyzer.records import Chunk, Comment
 from analyzer.sources.hexline import HexLine, Shape, take_apart
 from analyzer.sources.lines import Lines, head_lines
+from analyzer.sources.prose import quotations
 from analyzer.sources.source import Source, quote
-from analyzer.sources.times import UNITS, Clock, DayCount, Deltas, clock_ns, day_ns, falls, number_ns, zone_ns
+from analyzer.sources.stamps import StampClock
+from analyzer.sources.written import Radix, decimal
+from analyzer.values import counted
 
 #: Lines of a head that are looked at to find the format.
 _SAMPLE_LINES = 400
@@ -29,141 +36,184 @@ _LEAST_MARKED_SHARE = 0.05
 _MARKED_LINES = 3
 #: So many lines marked as received, and none as sent, are a listener's.
 _LISTENER_LINES = 8
+#: So many lines of one byte are a log of bytes.
+_SINGLE_LINES = 4
+#: Bytes of a line of decimal numbers without a mark; rows of a table begin with more values than these.
+_DECIMAL_BYTES = 4
+_DECIMAL_HEADS = 4
+#: How sure a text is whose sentences speak of frames.
+_PROSE_SCORE = 0.35
 #: A header's lines are collected up to this many bytes.
 _COLLECTED = 1 << 16
+#: Frames kept to know them again in words.
+_KNOWN = 1000
 #: How many bytes a line has: nothing to tell anyone.
 _COUNTED = re.compile(r"\(?\s*(?:len\w*\s*[=:]?\s*)?\d+\s*(?:bytes?|B)?\s*\)?", re.IGNORECASE)
 _HEX_LETTER = re.compile(r"[A-Fa-f]|0x|\\x")
 _BUS_NAME = re.compile(r"(?:bus|com|port|can|tty|uart|usart|rs-?485|rs-?232|usb|serial|line|ch|channel|axis)\W?\w*", re.I)
 #: A name as this program exports it: a bus, and not a number of one.
 _EXPORTED_NAME = re.compile(r"bus:(?!\d+$)([\w.-]+)")
-
-_CLOCK = re.compile(r"(\d{1,2}):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?")
-_DATED = re.compile(
-    r"(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})[T_,\s]{1,2}(\d{1,2}):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?\s?(Z|[+-]\d\d:?\d\d)?"
-)
-_NUMBER = re.compile(r"\+?(\d+(?:\.\d+)?)\s?([a-zµ]*)")
-
-_SOURCES = {
-    "date": "dates as printed, taken as UTC where they name no zone",
-    "dmy": "dates as printed, taken as UTC",
-    "clock": "times of day as printed, without a date",
-    "step": "seconds as printed",
-    "seconds": "seconds as printed",
-    "units": "numbers as printed",
-    "epoch_ms": "milliseconds as printed",
-}
+_SINGLE = re.compile(r"\s*(?:0[xX])?([0-9A-Fa-f]{1,2}|\d{3})\s*")
+_QUOTED = re.compile(r"\s*>\s?")
+_ARROW = "->"
 
 
 def score(head: bytes) -> float:
     """Say how sure it is that these bytes are hex text, 0..1."""
     lines = head_lines(head)[:_SAMPLE_LINES]
+    if _is_single(lines):
+        return 0.4 if any(_HEX_LETTER.search(line) for line in lines) or _is_decimal_column(lines) else 0.1
     parts = [take_apart(line) for line in lines]
     traffic = [p for p in parts if p.shape is Shape.TRAFFIC]
     counted = sum(1 for p in parts if p.shape is not Shape.COMMENT or not p.text.startswith(("#", "//", ";")))
+    said = _PROSE_SCORE if any(quotations(p.text) for p in parts if p.shape is Shape.COMMENT) else 0.0
     if not traffic or not counted:
-        return 0.0
+        return said
     ratio = len(traffic) / counted
     marked = sum(1 for p in traffic if p.marked and len(p.data) > 1)
     # Rows of decimal numbers pass for hex; real traffic is not free of letters for long.
     letters = any(_HEX_LETTER.search(p.data.hex()) for p in traffic)
     if not letters and not marked and sum(len(p.data) for p in traffic) > 4:
         return 0.1
+    if not marked and _is_table([p for p in traffic if p.radix is Radix.DECIMAL]):
+        return 0.1
     if ratio >= _LEAST_SHARE or (marked >= _MARKED_LINES and ratio >= _LEAST_MARKED_SHARE):
         return 0.4 + 0.5 * min(1.0, ratio)
-    return 0.25 * ratio / _LEAST_SHARE
+    return max(said, 0.25 * ratio / _LEAST_SHARE)
 
 
 def read(source: Source) -> Iterator[Chunk | Comment]:
     """Read the lines one by one."""
-    parts = [take_apart(line) for line in head_lines(source.head)]
-    timed = next((p.stamp_kind for p in parts if p.stamp_kind and p.shape in (Shape.TRAFFIC, Shape.HEADER)), "")
-    if timed:
-        source.time_source = f"capture: {_SOURCES[timed]}, exact to their digits"
-        zoned = any((dated := _DATED.match(p.stamp)) is not None and dated[dated.re.groups] for p in parts)
-        source.clock = Clock.UTC if zoned else _CLOCKS.get(timed, Clock.UTC)
-    roles = [p.role for p in parts if p.shape in (Shape.TRAFFIC, Shape.HEADER)]
-    deaf = roles.count(Role.REPLY) >= _LISTENER_LINES and Role.REQUEST not in roles
-    if deaf:
-        source.note("every line is marked as received, as a listener's log is: the marks do not tell the sender")
-    return _Reader(source, _Clock(parts), deaf).records()
+    manner = _Manner.of(head_lines(source.head))
+    parts = [manner.take(line) for line in head_lines(source.head)]
+    clock = StampClock((p.stamp for p in parts if p.shape in (Shape.TRAFFIC, Shape.HEADER)), source)
+    for note in manner.notes(parts):
+        source.note(note)
+    return _Reader(source, clock, manner).records()
 
 
-#: Kinds of stamps that are no times since the epoch.
-_CLOCKS = {"clock": Clock.DAY, "date": Clock.PRINTED, "dmy": Clock.PRINTED}
+def _is_single(lines: Sequence[str]) -> bool:
+    """Say whether each line is one byte."""
+    return len(lines) >= _SINGLE_LINES and all(_SINGLE.fullmatch(line) for line in lines)
 
 
-class _Clock:
-    """Reads printed times in the order of the lines."""
-
-    def __init__(self, parts: list[HexLine]) -> None:
-        self._days = DayCount()
-        steps = [_number_ns(p.stamp) for p in parts if p.stamp_kind == "step"]
-        step: Callable[[int], int] = Deltas() if falls(steps) else int
-        self._kinds: dict[str, Callable[[str], int]] = {
-            "date": _dated_ns,
-            "dmy": _dated_ns,
-            "clock": lambda text: self._days(_daytime_ns(text)),
-            "step": lambda text: step(_number_ns(text)),
-            "seconds": _number_ns,
-            "units": _number_ns,
-            "epoch_ms": lambda text: int(text) * 1_000_000,
-        }
-
-    def __call__(self, line: HexLine) -> int | None:
-        """Return the time of a line, None without one. Raises ValueError for a time that is none."""
-        return self._kinds[line.stamp_kind](line.stamp) if line.stamp_kind else None
+def _is_decimal_column(lines: Sequence[str]) -> bool:
+    return any(len(line.strip()) == 3 for line in lines) and decimal(" ".join(lines)) is not None
 
 
-def _number_ns(text: str) -> int:
-    found = _NUMBER.fullmatch(text.strip())
-    if found is None:
-        raise ValueError(f"expected a number, got {text!r}")
-    return number_ns(found[1], UNITS.get(found[2] or "s", UNITS["s"]))
+def _is_table(parts: list[HexLine]) -> bool:
+    """Say whether rows of decimal numbers are those of a table, rather than bytes that begin with a few heads."""
+    if not parts:
+        return False
+    heads = Counter(p.data[0] for p in parts)
+    return len(heads) > _DECIMAL_HEADS or any(len(p.data) < _DECIMAL_BYTES for p in parts)
 
 
-def _daytime_ns(text: str) -> int:
-    found = _CLOCK.match(text)
-    if found is None:
-        raise ValueError(f"expected a time of day, got {text!r}")
-    return clock_ns(*found.groups())
+class _Manner(NamedTuple):
+    """How a text is written, as far as one line alone cannot tell."""
+
+    #: Every line begins with `>`, lines of words too: a quotation.
+    quoted: bool = False
+    #: Numbers without a letter are decimal, because others can be nothing else.
+    decimal: bool = False
+    #: Each line is one byte.
+    single: bool = False
+    #: A sign that stands on every line behind its time, as Arduino's serial monitor prints it.
+    arrow: bool = False
+    #: Bytes in `[]` were sent, those in `<>` received, as libmodbus prints them.
+    brackets: bool = False
+    #: Every line is marked as received.
+    deaf: bool = False
+    #: There is no line of a log: sentences are read.
+    prose: bool = False
+
+    @classmethod
+    def of(cls, lines: Sequence[str]) -> _Manner:
+        """Find out how the lines of a head are written."""
+        if _is_single(lines):
+            return cls(single=True, decimal=_is_decimal_column(lines))
+        quoted = _is_quoted(lines)
+        parts = [take_apart(_QUOTED.sub("", line, 1) if quoted else line) for line in lines]
+        traffic = [p for p in parts if p.shape is Shape.TRAFFIC]
+        roles = [p.role for p in parts if p.shape in (Shape.TRAFFIC, Shape.HEADER)]
+        stamped = [p for p in parts if p.stamp.kind]
+        return cls(
+            quoted=quoted,
+            decimal=any(p.radix is Radix.DECIMAL for p in traffic),
+            arrow=len(stamped) > 1 and all(p.stamp.kind == "clock" and p.sign == _ARROW for p in stamped),
+            brackets={"each[", "each<"} <= {p.sign for p in traffic},
+            deaf=roles.count(Role.REPLY) >= _LISTENER_LINES and Role.REQUEST not in roles,
+            prose=not any(p.stamp.kind or p.marked for p in traffic),
+        )
+
+    def take(self, text: str) -> HexLine:
+        """Take a line apart as this text is written."""
+        line = take_apart(_QUOTED.sub("", text, 1) if self.quoted else text, self.decimal)
+        role = line.role
+        if self.deaf or (self.arrow and not line.worded):
+            role = Role.UNKNOWN
+        elif self.brackets and line.sign.startswith("each"):
+            role = Role.REQUEST if line.sign == "each[" else Role.REPLY
+        return line if role is line.role else line._replace(role=role)
+
+    def notes(self, parts: list[HexLine]) -> Iterator[str]:
+        """Say what was concluded, and what could not be."""
+        radixes = {p.radix for p in parts if p.shape is Shape.TRAFFIC}
+        if self.deaf:
+            yield "every line is marked as received, as a listener's log is: the marks do not tell the sender"
+        if self.quoted:
+            yield "every line begins with '>', lines of words too: it is read as a quotation, not as sent by the host"
+        if self.arrow:
+            yield "the '->' on every line is read as the sign between time and text: it does not tell the sender"
+        if self.single:
+            yield "one byte a line: where a frame ends is not told"
+        if self.decimal and (self.single or radixes <= {Radix.DECIMAL}):
+            yield "the bytes are decimal numbers: some have three digits or a sign"
+        elif self.decimal:
+            yield "some lines are decimal, others hexadecimal: digits without a letter are read as decimal"
+        elif radixes == {Radix.EITHER}:
+            yield "nothing tells whether the bytes are hexadecimal or decimal: they are read as hexadecimal"
 
 
-def _dated_ns(text: str) -> int:
-    found = _DATED.match(text)
-    if found is None:
-        raise ValueError(f"expected a date, got {text!r}")
-    first, month, last, hour, minute, second, fraction, zone = found.groups()
-    year, day = (first, last) if len(first) == 4 else (last, first)
-    ns = day_ns(int(year), int(month), int(day)) + clock_ns(hour, minute, second, fraction)
-    return ns - zone_ns(zone) if zone is not None else ns
+def _is_quoted(lines: Sequence[str]) -> bool:
+    """Say whether `>` is a quotation: it stands before words too, or before another mark or time."""
+    if len(lines) < 2 or not all(_QUOTED.match(line) for line in lines):
+        return False
+    inner = [take_apart(_QUOTED.sub("", line, 1)) for line in lines]
+    return any(p.shape is Shape.COMMENT or p.marked or p.stamp.kind for p in inner)
 
 
 class _Reader:
     """Turns lines into records; holds the header that waits for its bytes."""
 
-    def __init__(self, source: Source, clock: _Clock, deaf: bool) -> None:
+    def __init__(self, source: Source, clock: StampClock, manner: _Manner) -> None:
         self._source = source
         self._lines = Lines(source)
         self._clock = clock
-        self._deaf = deaf
+        self._manner = manner
         self._header: HexLine | None = None
         self._header_ns: int | None = None
         self._collected = bytearray()
+        self._said = 0
+        self._passed = 0
+        self._known: set[bytes] = set()
 
     def records(self) -> Iterator[Chunk | Comment]:
         """Yield the records of all lines."""
+        if self._manner.single:
+            yield from self._single_bytes()
+            return
         source = self._source
         for text in self._lines:
-            line = take_apart(text)
+            line = self._manner.take(text)
             if self._header is not None:
-                plain = line.shape is Shape.TRAFFIC and not line.marked and not line.stamp_kind
+                plain = line.shape is Shape.TRAFFIC and not line.marked and not line.stamp.kind
                 if plain and not self._header.ascii and len(self._collected) < _COLLECTED:
                     self._collected += line.data
                     continue
                 if line.shape is Shape.BLANK and not self._collected:
                     continue
-                if self._header.ascii and line.shape is not Shape.BLANK and not line.stamp_kind:
+                if self._header.ascii and line.shape is not Shape.BLANK and not line.stamp.kind:
                     yield source.comment(self._header_ns, text)
                     continue
                 yield from self._end_header()
@@ -171,20 +221,58 @@ class _Reader:
                 continue
             t_ns = self._time(line)
             if line.shape is Shape.TRAFFIC:
+                self._check_count(line)
                 yield self._chunk(t_ns, line, line.data)
                 if line.note and not _COUNTED.fullmatch(line.note):
                     yield source.comment(t_ns, line.note)
             elif line.shape is Shape.HEADER:
                 self._header, self._header_ns = line, t_ns
             elif line.shape is Shape.COMMENT:
-                yield source.comment(t_ns, line.text)
+                yield from self._words(t_ns, line)
             else:
                 source.problem(f"expected hex bytes, got {quote(line.text.strip())!r}", line=self._lines.number)
         yield from self._end_header()
+        if self._passed:
+            source.note(f"{counted(self._passed, 'line')} of words with bytes in them: not read, only the lines of traffic are")
+
+    def _single_bytes(self) -> Iterator[Chunk]:
+        port = self._source.port()
+        for text in self._lines:
+            found = _SINGLE.fullmatch(text)
+            value = int(found[1], 10 if self._manner.decimal else 16) if found is not None else 256
+            if value < 256:
+                yield Chunk(None, port, bytes((value,)))
+            elif text.strip():
+                self._source.problem(f"expected one byte, got {quote(text.strip())!r}", line=self._lines.number)
+
+    def _words(self, t_ns: int | None, line: HexLine) -> Iterator[Chunk | Comment]:
+        """Yield a line of words, and the frames that it speaks of where there is no log."""
+        said = quotations(line.text) if not line.text.startswith("#") else []
+        if not said or not self._manner.prose:
+            # Programs print again in words what they sent and received.
+            self._passed += any(each.data not in self._known for each in said)
+            yield self._source.comment(t_ns, line.text)
+            return
+        columns = ", ".join(str(each.column) for each in said)
+        where = f"line {self._lines.number}, column{'s' * (len(said) > 1)} {columns}"
+        if not self._said:
+            self._source.note(f"frames stand in sentences, the first in {where}: who sent is told by the word before")
+        self._said += len(said)
+        yield self._source.comment(t_ns, f"{where}: {line.text}")
+        for each in said:
+            yield Chunk(t_ns, self._source.port(), each.data, each.role, True)
+
+    def _check_count(self, line: HexLine) -> None:
+        """Say once what a number before the bytes was taken for, where it is not how many they are."""
+        if line.number is not None and line.number != len(line.data):
+            self._source.note(
+                f"line {self._lines.number}: the '{line.number}:' before {counted(len(line.data), 'byte')} is read as the "
+                "number of the line or an expected length, never as a byte"
+            )
 
     def _time(self, line: HexLine) -> int | None:
         try:
-            return self._clock(line)
+            return self._clock(line.stamp)
         except ValueError as error:
             self._source.problem(str(error), line=self._lines.number)
             return None
@@ -194,7 +282,9 @@ class _Reader:
         exported = _EXPORTED_NAME.fullmatch(line.name)
         if exported is not None:
             name = exported[1]
-        return Chunk(t_ns, self._source.port(name), data, Role.UNKNOWN if self._deaf else line.role, True)
+        if len(self._known) < _KNOWN:
+            self._known.add(data)
+        return Chunk(t_ns, self._source.port(name), data, line.role, True)
 
     def _end_header(self) -> Iterator[Chunk | Comment]:
         header, data = self._header, bytes(self._collected)

@@ -34,8 +34,12 @@ SPEAKERS: dict[str, int] = {
 #: Marks of traffic that was sent.
 MATTERS: dict[str, int] = {
     **dict.fromkeys(("request", "req", "query", "command", "cmd"), 1),
-    **dict.fromkeys(("response", "resp", "reply", "answer", "ack"), -1),
-}
+    **dict.fromkeys(
+        ("response", "resp", "reply", "answer", "ack", "replies", "replied", "responds", "responded", "answers", "answered",
+         "returns", "returned", "回复", "应答"),
+        -1,
+    ),
+}  # fmt: skip
 #: Signs; they count only where no word stands beside them.
 SIGNS: dict[str, int] = {
     **dict.fromkeys(("-->", "->", "=>", ">>>", ">>", ">", "→"), 1),

@@ -84,6 +84,39 @@ def candump_screen(path: Path) -> Path:
     return path
 
 
+def can_text(path: Path) -> Path:
+    """What python-can prints."""
+    rows = zip(times(40), CAN_TRAFFIC * 10, strict=True)
+    text = "".join(
+        f"Timestamp: {decimal(t)}        ID: {ident:04x}    S {'Tx' if sent else 'Rx'}                "
+        f"DL: {len(data.split()):2}    {data.lower():<24}  Channel: can0\n"
+        for t, (ident, data, sent) in rows
+    )
+    path.write_text(text)
+    return path
+
+
+def savvycan(path: Path) -> Path:
+    """SavvyCAN's CSV."""
+    rows = zip(times(40), CAN_TRAFFIC * 10, strict=True)
+    text = "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n" + "".join(
+        f"{t // 1000},{ident:08X},false,{'Tx' if sent else 'Rx'},0,{len(data.split())},{data.replace(' ', ',')}\n"
+        for t, (ident, data, sent) in rows
+    )
+    path.write_text(text)
+    return path
+
+
+def json_lines(path: Path) -> Path:
+    """JSON lines of a serial line."""
+    rows = zip(times(40), SERIAL_TRAFFIC * 10, strict=True)
+    text = "".join(
+        f'{{"time": {decimal(t)}, "dir": "{"tx" if sent else "rx"}", "data": "{data}"}}\n' for t, (data, sent) in rows
+    )
+    path.write_text(text)
+    return path
+
+
 def hextext(path: Path) -> Path:
     """Lines with times and marks."""
     rows = zip(times(40), SERIAL_TRAFFIC * 10, strict=True)
@@ -269,6 +302,9 @@ SAMPLES: dict[str, Sample] = {
     "pcapng": Sample(pcapng, "pcapng", "serial"),
     "hex": Sample(hextext, "hex", "serial"),
     "raw": Sample(raw, "raw", "serial"),
+    "can-text": Sample(can_text, "can-text", "can"),
+    "columns": Sample(savvycan, "columns", "can"),
+    "columns-json": Sample(json_lines, "columns", "serial"),
     "spy": Sample(spy, "spy", "serial"),
     "saleae": Sample(saleae, "saleae", "serial"),
     "sigrok": Sample(sigrok, "sigrok", "serial", baud=115200),

@@ -1,0 +1,266 @@
+"""CAN frames in lines of text as programs print them: one table of shapes.
+
+    Timestamp: 1709640000.120000    ID: 0001    S Tx    DL:  5    f6 01 40 02 3a    Channel: can0      python-can
+    ID: 0x01 Data: F6 01 40 02 3A                                                                      anyone's
+    Standard ID: 0x001       DLC: 3  Data: 0xF6 0x01 0xF8                                              Arduino MCP_CAN
+    t0015F60140023A                                                                                    slcan
+    12:00:00:1200 Tx 1 0x001 s 5 F6 01 40 02 3A                                                        BUSMASTER
+    cansend can0 001#F60140023A                                                                        a shell
+
+Rules: a time, tags and a mark may stand before a shape, as in every log (`hexline.py`). `Tx` and words for it say that the
+host sent a frame; `Rx` says nothing, for a listener receives everything. Identifiers are hexadecimal, but for those that
+`decimal` shapes print. A line that has the length of its frame must have as many bytes. Lines of no shape are comments,
+unless their beginning is that of a shape: then they are problems.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import msgspec
+
+from analyzer.catalogue import Role
+from analyzer.records import CanFrame, Comment
+from analyzer.sources import written
+from analyzer.sources.lines import Lines, head_lines
+from analyzer.sources.marks import ACTIONS, SIGNS, role_of
+from analyzer.sources.source import Source, quote
+from analyzer.sources.stamps import ANY, STAMPS, Stamp, StampClock
+
+
+class Shape(NamedTuple):
+    """A shape of lines. Groups of the pattern: id, data, and time, mark, extended, length, remote, error, port.
+
+    `near`: the beginning of a line that was meant to be one. `sure`: one line of it is a CAN frame; of the others a text must
+    be full, with lengths or letters that fit.
+    """
+
+    name: str
+    pattern: re.Pattern[str]
+    near: re.Pattern[str] | None = None
+    sure: bool = True
+
+
+_ID = r"(?:0[xX])?(?P<id>[0-9A-Fa-f]{1,8})[hH]?"
+_DATA = r"(?P<data>(?:(?:0[xX])?[0-9A-Fa-f]{1,2}\b[\s,.:]*+){0,64}|(?:[0-9A-Fa-f]{2}){2,64})"
+_MARK = r"(?P<mark>[TR]x|[TR])"
+_LENGTH = r"(?:0[xX])?(?P<length>\d{1,2})"
+
+
+def _shape(name: str, pattern: str, near: str = "", sure: bool = True) -> Shape:
+    return Shape(name, re.compile(pattern, re.IGNORECASE), re.compile(near, re.IGNORECASE) if near else None, sure)
+
+
+#: The first shape that fits most lines is that of a text.
+SHAPES: tuple[Shape, ...] = (
+    _shape(
+        "python-can",
+        rf"Timestamp:\s+(?P<time>\d+\.\d+)\s+ID:\s+(?P<id>[0-9a-f]{{3,8}})\s+(?:(?P<extended>X)|S)?\s*{_MARK}?(?P<error>\s+E)?"
+        rf"(?P<remote>\s+R)?(?:\s+F)?(?:\s+BS)?(?:\s+EI)?\s+DLC?:\s*(?P<length>\d+)\s*{_DATA}(?:'.*')?\s*(?:Channel:\s*(?P<port>\S+))?",
+        near=r"\s*Timestamp:",
+    ),
+    _shape("slcan", r"(?P<slcan>[tTrR])(?P<rest>[0-9A-F]{4,})[zZ]?", near=r"\s*[tr][0-9A-F]{4}"),
+    _shape(
+        "busmaster",
+        rf"(?P<time>\d+:\d\d:\d\d:\d{{1,4}})\s+{_MARK}\s+(?P<port>\d+)\s+0x(?P<id>[0-9a-f]+)\s+(?:s|(?P<extended>x))(?P<remote>r)?"
+        rf"\s+(?P<length>\d+)\s+{_DATA}",
+    ),
+    _shape(
+        "canking",
+        rf"(?P<port>\d{{1,2}})\s+(?P<id>[0-9A-F]{{8}})(?P<extended>\s+X)?(?P<remote>\s+R)?\s+(?P<length>\d)\s+(?P<data>(?:[0-9A-F]{{2}}\s+){{0,8}})(?P<time>\d+\.\d+)\s+"
+        rf"{_MARK}",
+    ),
+    _shape("cansend", r"(?P<mark>cansend)\s+(?P<port>\S+)\s+(?P<id>[0-9A-F]{3,8})#(?P<data>[0-9A-F.]*)", near=r".*\bcansend\s"),
+    _shape("hash", r"(?:(?P<port>[A-Za-z]\w{1,15})\s+)?(?P<id>[0-9A-F]{3}|[0-9A-F]{8})#(?P<data>(?:[0-9A-F]{2}\.?)*)"),
+    _shape("cansniffer", r"\d{1,6}(?:\.\d+)?\s*\|\s*(?P<id>[0-9A-F]{3,8})\s*\|\s(?P<data>(?:[0-9A-F]{2} )+)\s*.*"),
+    _shape(
+        "id-data",
+        rf"(?:.*?(?<![A-Za-z]))?(?:can[\s_-]?)?id\s*[:=]?\s*{_ID}\b[\s,;|]*(?:(?:ext\w*|std|standard)[\s,;|]*)?"
+        rf"(?:(?:dlc|dl|len|length|size)\s*[:=]?\s*{_LENGTH}\b[\s,;|]*)?(?:(?:data|payload|bytes?|msg|message)\s*[:=]?[\s\[{{]*)"
+        rf"{_DATA}[\]}}\s]*",
+        near=r"\s*(?:\S+\s+)?id\s*[:=]",
+    ),
+    _shape("id-length", r"(?P<id>[0-9A-F]{1,8})\s+(?P<length>[0-8])(?P<data>(?:\s+[0-9A-F]{1,2}){0,8})\s*", sure=False),
+    _shape(
+        "id",
+        r"(?:0x)?(?P<id>[0-7][0-9A-F]{2}|[01][0-9A-F]{7})\s*:?\s+(?P<data>[0-9A-F]{2}(?:\s[0-9A-F]{2}){0,7})\s*",
+        sure=False,
+    ),
+)
+_words = "|".join(sorted(ACTIONS, key=len, reverse=True))
+_signs = "|".join(map(re.escape, SIGNS))
+_BEFORE = re.compile(
+    rf"\s*(?:[\[(]?\s*(?:{ANY})(?![0-9A-Za-z_.])\s*[\])]?[\s,;|]*)?(?:->\s*)?(?:\[[\w:.]+\]:?\s*)*(?:[$#]\s+)?"
+    rf"(?:(?P<word>{_words})(?![\w])[\s:>|-]*|(?P<sign>{_signs})\s+)?",
+    re.IGNORECASE,
+)
+_ADAPTER = re.compile(r"[SsOCLVvNFMmXYZzGHIP][0-9A-Fa-f]{0,8}")
+_MARKS = {"tx": Role.REQUEST, "t": Role.REQUEST, "cansend": Role.REQUEST}
+_CAN_BYTES = 8
+_LONGEST_LINE = 1000
+_STANDARD = 0x7FF
+_ID_MASK = 0x1FFF_FFFF
+_SLCAN_ID = {"t": 3, "T": 8, "r": 3, "R": 8}
+_SLCAN_STAMP = 4
+_SAMPLE_LINES = 400
+_LEAST_SHARE = 0.1
+
+
+class _Line(NamedTuple):
+    frame: CanFrame
+    stamp: Stamp
+    port: str | None
+
+
+def score(head: bytes) -> float:
+    """Say how sure it is that these bytes are CAN frames in text, 0..1."""
+    lines = [line for line in head_lines(head)[:_SAMPLE_LINES] if not line.startswith(("#", "//", ";"))]
+    shape = _shape_of(lines)
+    if shape is None:
+        return 0.0
+    taken = [line for line in lines if _take(line, shape) is not None]
+    share = len(taken) / len(lines)
+    if not shape.sure and not _fits(shape, lines, taken):
+        return 0.0
+    return 0.5 + 0.45 * share if share >= _LEAST_SHARE else 0.0
+
+
+def _shape_of(lines: list[str]) -> Shape | None:
+    counts = Counter(shape.name for shape in SHAPES for line in lines if _take(line, shape) is not None)
+    best = max(SHAPES, key=lambda shape: counts[shape.name])
+    return best if counts[best.name] else None
+
+
+def _fits(shape: Shape, lines: list[str], taken: list[str]) -> bool:
+    """Say whether the lines of a shape that other texts have too can be nothing else: with letters, and all but a heading."""
+    heading = len(lines) - len(taken)
+    named = heading and re.search(r"\bID\b", " ".join(lines[:heading])) is not None
+    letters = any(re.search(r"[A-Fa-f]", line) for line in taken)
+    return len(taken) > 1 and letters and (heading == 0 or (heading <= 3 and bool(named)))
+
+
+def read(source: Source) -> Iterator[CanFrame | Comment]:
+    """Read the lines one by one."""
+    lines = [line for line in head_lines(source.head) if not line.startswith(("#", "//", ";"))]
+    shape = _shape_of(lines)
+    if shape is None:
+        source.problem(f"expected lines of CAN frames as {', '.join(each.name for each in SHAPES)} have them, got none")
+        return iter(())
+    clock = StampClock((line.stamp for text in lines if (line := _take(text, shape)) is not None), source)
+    if shape.name == "slcan" and source.time_source != "none":
+        source.time_source = "capture: milliseconds of the adapter, which begin again every minute"
+    if shape.name == "cansniffer":
+        source.note("cansniffer prints the time since a frame of the same identifier: the order of frames is not told")
+    return _records(source, shape, clock)
+
+
+def _records(source: Source, shape: Shape, clock: StampClock) -> Iterator[CanFrame | Comment]:
+    lines = Lines(source)
+    minutes = _Minutes() if shape.name == "slcan" else int
+    for text in lines:
+        line = _take(text, shape)
+        if line is not None:
+            yield _timed(source, line, lines.number, clock, minutes)
+        elif shape.near is not None and shape.near.match(text):
+            source.problem(f"expected a CAN frame, got {quote(text.strip())!r}", line=lines.number)
+        elif text.strip() and not (shape.name == "slcan" and _ADAPTER.fullmatch(text.strip())):
+            yield source.comment(None, text)
+
+
+def _timed(source: Source, line: _Line, number: int, clock: StampClock, minutes: Callable[[int], int]) -> CanFrame:
+    """Return the frame of a line with its time and its bus."""
+    try:
+        t_ns = clock(line.stamp)
+    except ValueError as error:
+        source.problem(f"{error}; the frame is kept", line=number)
+        t_ns = None
+    if t_ns is not None:
+        t_ns = minutes(t_ns)
+    return msgspec.structs.replace(line.frame, t_ns=t_ns, port=source.port(line.port))
+
+
+class _Minutes:
+    """Adds a minute each time the milliseconds of an slcan adapter begin again."""
+
+    def __init__(self) -> None:
+        self._sum = self._last = 0
+
+    def __call__(self, t_ns: int) -> int:
+        if t_ns < self._last:
+            self._sum += 60_000_000_000
+        self._last = t_ns
+        return self._sum + t_ns
+
+
+def _take(text: str, shape: Shape) -> _Line | None:
+    """Return the frame of a line in a shape, None if it has none."""
+    text = text.strip()
+    if len(text) > _LONGEST_LINE:
+        return None
+    before = _BEFORE.match(text)
+    found = shape.pattern.fullmatch(text, before.end()) if before is not None and before.end() else None
+    if before is None or found is None:
+        found = shape.pattern.fullmatch(text)
+        return None if found is None else _of(found, Stamp(), Role.UNKNOWN)
+    groups = before.groupdict()
+    kind = next((name for name in STAMPS if groups[name] is not None), "")
+    role = role_of([(groups["word"] or "").lower()], groups["sign"] or "")
+    stamp = Stamp(kind, groups[kind]) if kind else Stamp()
+    return _of(found, stamp, role if role is Role.REQUEST else Role.UNKNOWN)
+
+
+def _of(found: re.Match[str], stamp: Stamp, role: Role) -> _Line | None:
+    groups = found.groupdict()
+    if groups.get("slcan") is not None:
+        return _slcan(groups["slcan"], groups["rest"], stamp, role)
+    number = int(groups["id"], 16)
+    data = _data(groups["data"] or "")
+    length = groups.get("length")
+    remote, error = bool(groups.get("remote")), bool(groups.get("error"))
+    if data is None or number > _ID_MASK or (length is not None and int(length) != len(data) and not remote):
+        return None
+    mark = (groups.get("mark") or "").lower()
+    if mark:
+        role = _MARKS.get(mark, Role.UNKNOWN)
+    if groups.get("time"):
+        stamp = Stamp("clock" if ":" in groups["time"] else "seconds", groups["time"])
+    extended = bool(groups.get("extended")) or number > _STANDARD or "extended" in found[0].lower()
+    frame = CanFrame(
+        None, "", number, b"" if remote else data, role, extended and not error, remote, error, len(data) > _CAN_BYTES
+    )
+    return _Line(frame, stamp, groups.get("port"))
+
+
+def _data(text: str) -> bytes | None:
+    text = text.replace(".", " ").strip()
+    if not text:
+        return b""
+    if len(text) <= 2:
+        return bytes((int(text, 16),))
+    found = written.read(text)
+    if found is None or found.radix is written.Radix.DECIMAL:
+        # Bytes without leading zeros may all be short.
+        tokens = text.split()
+        return bytes(int(token, 16) for token in tokens) if all(re.fullmatch(r"[0-9A-Fa-f]{1,2}", t) for t in tokens) else None
+    return found.data
+
+
+def _slcan(kind: str, rest: str, stamp: Stamp, role: Role) -> _Line | None:
+    digits = _SLCAN_ID[kind]
+    length = rest[digits : digits + 1]
+    remote = kind in "rR"
+    if not length.isdecimal() or int(length) > _CAN_BYTES:
+        return None
+    size = 0 if remote else 2 * int(length)
+    data, behind = rest[digits + 1 :][:size], rest[digits + 1 :][size:]
+    if len(data) != size or len(behind) not in (0, _SLCAN_STAMP):
+        return None
+    number = int(rest[:digits], 16)
+    if number > (_STANDARD if digits == 3 else _ID_MASK):
+        return None
+    if behind and not stamp.kind:
+        stamp = Stamp("units", f"{int(behind, 16)}ms")
+    return _Line(CanFrame(None, "", number, bytes.fromhex(data), role, digits == 8, remote), stamp, None)

@@ -1,0 +1,302 @@
+"""Tables with named columns: CSV with a heading, JSON lines, Markdown tables; of CAN or of a serial line.
+
+    Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3                  SavvyCAN
+    120000,00000001,false,Tx,0,3,F6,01,F8
+    {"time": 0.12, "dir": "tx", "data": "FA 01 30 2B"}           JSON lines; {"type":"Buffer","data":[250,1]} of Node-RED
+    | 0.120 | TX | `FA 01 30 2B` |                               a row of a Markdown table
+
+Rules: a column is found by its name (`_NAMES`), whatever its place. With an identifier the rows are CAN frames, else bytes of
+a serial line. Numbers of JSON are decimal, texts are hexadecimal unless one of them can only be decimal. A time takes its unit
+from its name (`time_ms`); a number that is one since 1970 has its unit by its size; SavvyCAN counts microseconds; other whole
+numbers are taken as milliseconds, with a note.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+from analyzer.catalogue import Role
+from analyzer.records import CanFrame, Chunk, Comment
+from analyzer.sources import written
+from analyzer.sources.lines import Lines, head_lines
+from analyzer.sources.marks import role_of_name
+from analyzer.sources.source import Source, quote
+from analyzer.sources.stamps import Stamp, StampClock, stamp_of
+from analyzer.sources.times import SECOND, number_ns
+
+#: What columns are called, in small letters and without anything but letters and digits.
+_NAMES: dict[str, tuple[str, ...]] = {
+    "time": ("timestamp", "time", "times", "timesec", "ts", "t", "datetime", "timems", "timeus", "timens", "tms", "tus", "tns",
+             "timestampms", "timestampus", "timestampns", "系统时间", "时间"),
+    "mark": ("dir", "direction", "txrx", "rxtx", "topic", "传输方向", "方向", "sender", "type", "event"),
+    "data": ("data", "databytes", "datahex", "bytes", "hex", "payload", "frame", "raw", "buffer", "message", "msg", "数据"),
+    "id": ("id", "canid", "arbitrationid", "identifier", "idhex", "id号", "帧id"),
+    "extended": ("extended", "isextended", "ext", "ide", "isextendedid", "帧格式"),
+    "remote": ("remote", "rtr", "isremoteframe", "帧类型"),
+    "length": ("len", "dlc", "length", "dl", "长度"),
+    "port": ("bus", "channel", "interface", "port", "can通道", "通道"),
+}  # fmt: skip
+#: Columns that say by their own name who sent their bytes.
+_SENT = ("tx", "request", "sent", "rx", "response", "reply", "received")
+#: Columns of one byte each.
+_CELL = re.compile(r"(?:d|data|byte|b)\d")
+_UNIT = re.compile(r"(?:time|timestamp|t)(ms|us|ns)$")
+_UNITS = {"ms": SECOND // 1000, "us": SECOND // 1_000_000, "ns": 1}
+_TRUE = ("true", "1", "yes", "x", "扩展帧", "远程帧")
+_CLEAN = re.compile(r"[\W_]+")
+_RULE = re.compile(r"[\s|:-]+")
+_WHOLE = re.compile(r"\d{1,19}")
+_NUMBER = re.compile(r"\d{1,19}\.\d{1,12}")
+#: What tools put before the bytes of a cell.
+_BEFORE = re.compile(r"x\|\s*")
+_ID_MASK = 0x1FFF_FFFF
+_STANDARD = 0x7FF
+_CAN_BYTES = 64
+#: Lines among which the heading must be.
+_HEADING_LINES = 10
+_LEAST_SHARE = 0.5
+#: Digits of a whole number of seconds since 1970, and of smaller units.
+_EPOCH_DIGITS = {10: SECOND, 13: _UNITS["ms"], 16: _UNITS["us"], 19: _UNITS["ns"]}
+
+Row = dict[str, Any]
+
+
+def score(head: bytes) -> float:
+    """Say how sure it is that these bytes are a table with columns that are known, 0..1."""
+    lines = head_lines(head)
+    table = _Table.of(lines)
+    if table is None:
+        return 0.0
+    rows = [row for line in lines if (row := table.row(line)) is not None]
+    taken = sum(1 for row in rows if _bytes_in(row))
+    share = taken / len([line for line in lines if line.strip()])
+    return 0.5 + 0.45 * share if taken and share >= (_LEAST_SHARE if len(lines) > 2 else 0.3) else 0.0
+
+
+class _Table:
+    """The form of a table: its heading, and what parts its cells."""
+
+    def __init__(self, names: list[str] | None, separator: str) -> None:
+        self.names = names
+        self._separator = separator
+
+    @classmethod
+    def of(cls, lines: Sequence[str]) -> _Table | None:
+        """Find the heading among the first lines; None where there is none that is known."""
+        for line in lines[:_HEADING_LINES]:
+            text = line.strip()
+            if (row := _of_json(text)) is not None and _bytes_in(row):
+                return cls(None, "")
+            for separator in ("|",) if text.startswith("|") else (",", ";", "\t"):
+                names = [_key(cell) for cell in _cells(text, separator)]
+                if len(names) > 1 and _is_heading(names):
+                    return cls(names, separator)
+        return None
+
+    def row(self, line: str) -> Row | None:
+        """Return the cells of a line by what their columns are, None for a line that is no row."""
+        text = line.strip()
+        if self.names is None:
+            return _of_json(text)
+        cells = _cells(text, self._separator)
+        if len(cells) < 2 or [_key(cell) for cell in cells] == self.names or (self._separator == "|" and _RULE.fullmatch(text)):
+            return None
+        return _named(zip(self.names, cells, strict=False))
+
+    def unread(self) -> list[str]:
+        """Return the names of columns that mean nothing here."""
+        known = {name for names in _NAMES.values() for name in names}
+        return [n for n in self.names or () if n and n not in known and n not in _SENT and not _CELL.fullmatch(n)]
+
+
+def _key(name: str) -> str:
+    return _CLEAN.sub("", name.lower())
+
+
+def _cells(text: str, separator: str) -> list[str]:
+    if separator == "|":
+        return [cell.strip(" `") for cell in text.strip().strip("|").split("|")]
+    return [cell.strip() for cell in next(csv.reader([text], delimiter=separator), [])]
+
+
+def _is_heading(names: list[str]) -> bool:
+    has = {what for what, known in _NAMES.items() if any(name in known for name in names)}
+    holds = "data" in has or any(_CELL.fullmatch(name) for name in names) or any(name in _SENT for name in names)
+    told = has & {"id", "time"} or any(name in _NAMES["mark"][:-2] for name in names)
+    return holds and bool(told)
+
+
+def _of_json(text: str) -> Row | None:
+    try:
+        found = json.loads(text.strip("[],\n "), parse_float=str)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(found, dict):
+        return None
+    return _named((_key(str(name)), value) for name, value in found.items())
+
+
+def _named(cells: Iterable[tuple[str, Any]]) -> Row:
+    row: Row = {}
+    for name, value in cells:
+        if value in ("", None):
+            continue
+        if _CELL.fullmatch(name):
+            row.setdefault("cells", []).append(str(value))
+            continue
+        if name in _SENT:
+            row[name] = value
+        what = next((what for what, names in _NAMES.items() if name in names), None)
+        if what is not None and what not in row:
+            row[what] = value
+            if what == "time":
+                row["unit"] = unit[1] if (unit := _UNIT.fullmatch(name)) is not None else ""
+    return row
+
+
+def _bytes_in(row: Row) -> list[tuple[bytes, Role]]:
+    """Return the bytes of a row and who sent them."""
+    mark = role_of_name(str(row.get("mark", "")))
+    if "id" in row and _length(row, 1) == 0:
+        return [(b"", mark)]
+    if "cells" in row:
+        data = written.read(" ".join(cell.rjust(2, "0") for cell in row["cells"]))
+        return [] if data is None else [(data.data[: _length(row, len(data.data))], mark)]
+    found = [(_data(row[name]), role_of_name(name)) for name in _SENT if name in row]
+    if "data" in row:
+        found.insert(0, (_data(row["data"]), mark))
+    return [(data, role) for data, role in found if data]
+
+
+def _data(value: Any) -> bytes | None:
+    """Return the bytes of a cell: a text, a list of numbers, or Node.js's buffer."""
+    if isinstance(value, dict):
+        return _data(value.get("data"))
+    if isinstance(value, list):
+        if value and all(isinstance(each, int) and -128 <= each <= 255 for each in value):
+            return bytes(each & 0xFF for each in value)
+        value = " ".join(map(str, value))
+    found = written.read(_BEFORE.sub("", value, count=1).strip(" `")) if isinstance(value, str) else None
+    return None if found is None else found.data
+
+
+def _length(row: Row, known: int) -> int:
+    text = str(row.get("length", known))
+    return int(text, 0) if re.fullmatch(r"0x[0-9a-fA-F]{1,2}|[1-9]?\d", text) else known
+
+
+def _identifier(value: Any) -> int | None:
+    if isinstance(value, int):
+        return value
+    text = str(value).strip()
+    return int(text, 16) if re.fullmatch(r"(?:0[xX])?[0-9A-Fa-f]{1,8}", text) else None
+
+
+def read(source: Source) -> Iterator[Chunk | CanFrame | Comment]:
+    """Read the rows one by one."""
+    lines = head_lines(source.head)
+    table = _Table.of(lines)
+    if table is None:
+        source.problem("expected a heading with columns for bytes and for times, identifiers or directions, or lines of JSON")
+        return iter(())
+    rows = [row for line in lines if (row := table.row(line)) is not None and _bytes_in(row)]
+    is_can = _is_can(rows)
+    source.kind = "can" if is_can else "serial"
+    if unread := table.unread():
+        source.note(f"columns that are not read: {', '.join(unread)}")
+    if is_can and any(
+        isinstance(i := row["id"], str) and i.isdecimal() and len(i) not in (3, 8) and int(i) > 9 for row in rows
+    ):
+        source.note("identifiers without 0x are read as hexadecimal")
+    return _records(source, table, is_can, _Times(rows, source))
+
+
+def _is_can(rows: list[Row]) -> bool:
+    """Say whether identifiers are those of CAN frames: not the numbers of rows, nor beside more bytes than a frame has."""
+    numbers = [_identifier(row["id"]) for row in rows if "id" in row]
+    if not numbers or len(numbers) < len(rows) or any(n is None or n > _ID_MASK for n in numbers):
+        return False
+    counting = len(numbers) > 2 and all(isinstance(n, int) and n == (numbers[0] or 0) + i for i, n in enumerate(numbers))
+    return not counting and all(len(data) <= _CAN_BYTES for row in rows for data, _ in _bytes_in(row))
+
+
+class _Times:
+    """Reads the times of rows."""
+
+    def __init__(self, rows: list[Row], source: Source) -> None:
+        texts = [str(row["time"]) for row in rows if "time" in row]
+        self._clock = StampClock((self._stamp(text) for text in texts), source)
+        whole = [text for text in texts if _WHOLE.fullmatch(text) and len(text) not in _EPOCH_DIGITS]
+        self._unit = _UNITS["ms"]
+        if not texts:
+            return
+        if not source.time_source.startswith("capture"):
+            source.time_source = "capture: numbers as printed, exact to their digits"
+        if not whole or any(row.get("unit") for row in rows):
+            return
+        if "cells" in rows[0] and "extended" in rows[0]:
+            self._unit = _UNITS["us"]
+            source.time_source = "capture: microseconds as SavvyCAN prints them"
+        else:
+            source.note("times are whole numbers without a unit: they are read as milliseconds")
+
+    @staticmethod
+    def _stamp(text: str) -> Stamp:
+        return Stamp() if _WHOLE.fullmatch(text) or _NUMBER.fullmatch(text) else stamp_of(text)
+
+    def __call__(self, row: Row) -> int | None:
+        """Return the time of a row, None without one. Raises ValueError for a time that is none."""
+        if "time" not in row:
+            return None
+        text = str(row["time"]).strip()
+        if row["unit"]:
+            return number_ns(text, _UNITS[row["unit"]])
+        if _WHOLE.fullmatch(text):
+            return number_ns(text, _EPOCH_DIGITS.get(len(text), self._unit))
+        if _NUMBER.fullmatch(text):
+            return number_ns(text, _EPOCH_DIGITS.get(len(text.partition(".")[0]), SECOND))
+        stamp = self._stamp(text)
+        if not stamp.kind:
+            raise ValueError(f"expected a time, got {quote(text)!r}")
+        return self._clock(stamp)
+
+
+def _records(source: Source, table: _Table, is_can: bool, times: _Times) -> Iterator[Chunk | CanFrame | Comment]:
+    lines = Lines(source)
+    for line in lines:
+        row = table.row(line)
+        found = _bytes_in(row) if row is not None else []
+        if row is None or not found:
+            if row and line.strip():
+                source.problem(f"expected bytes, got {quote(line.strip())!r}", line=lines.number)
+            elif (
+                line.strip()
+                and not _RULE.fullmatch(line)
+                and not _is_heading([_key(cell) for cell in re.split(r"[,;|\t]", line)])
+            ):
+                yield source.comment(None, line)
+            continue
+        try:
+            t_ns = times(row)
+        except ValueError as error:
+            source.problem(f"{error}; the frame is kept", line=lines.number)
+            t_ns = None
+        port = source.port(str(row["port"]) if "port" in row and is_can else None)
+        for data, role in found:
+            if not is_can:
+                if not data:
+                    continue
+                yield Chunk(t_ns, port, data, role, True)
+                continue
+            number = _identifier(row.get("id"))
+            if number is None or number > _ID_MASK or len(data) > _CAN_BYTES:
+                source.problem(f"expected a CAN frame, got {quote(line.strip())!r}", line=lines.number)
+                continue
+            extended = str(row.get("extended", "")).lower() in _TRUE or number > _STANDARD
+            remote = str(row.get("remote", "")).lower() in _TRUE
+            direction = role if role is Role.REQUEST else Role.UNKNOWN
+            yield CanFrame(t_ns, port, number, b"" if remote else data, direction, extended, remote, False, len(data) > 8)

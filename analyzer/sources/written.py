@@ -1,0 +1,159 @@
+"""Bytes as people and tools write them: one table of ways, and what tells hexadecimal from decimal.
+
+    FA 01 F6   fa01f6   FA:01:F6   FA-01-F6   0xFA, 0x1, 0xF6   {0xFA, 0x01}   FAh 01h   $FA $01   FA 1 F6
+    <FA><01><F6>   [fa][01][f6]   {FA}{01}{F6}   'fa', '01', 'f6'   <Buffer fa 01 f6>   bytes([0xFA, 1, 0xF6])
+    b'\\xfa\\x01'   "\\xfa\\x01%"   "\\372\\1"   250 1 246   [250, 1, 246]   -6 1 -10   (-6 is FA)
+
+Rules: two digits a byte are hexadecimal. Numbers are decimal only where one of them cannot be a byte in hexadecimal: it has
+three digits or a sign. Single digits without a letter among them (`1 4 0 30`) can be either; the whole text decides.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Callable
+from enum import StrEnum
+from typing import NamedTuple
+
+
+class Radix(StrEnum):
+    """What numbers certainly are, or `either`."""
+
+    HEX = "hexadecimal"
+    DECIMAL = "decimal"
+    EITHER = "either"
+
+
+class Written(NamedTuple):
+    """Bytes, and how certain it is that they are written in hexadecimal."""
+
+    data: bytes
+    radix: Radix = Radix.HEX
+
+
+#: The longest string that is evaluated.
+_LITERAL_LIMIT = 1 << 16
+#: Calls and declarations that stand around bytes in programs and their output.
+_CALL = re.compile(
+    r"(?:<Buffer\s|(?:bytes|bytearray|list|Buffer\.from|bytes\.fromhex|bytearray\.fromhex)\(|new\s+byte\[\d*\]\s*)"
+)
+_WRAPPERS = {"[": "]", "{": "}", "(": ")", '"': '"', "'": "'", "<": ">"}
+_TOKEN = re.compile(r"[0-9A-Fa-f]{1,2}")
+_TWO_DIGITS = re.compile(r"[0-9A-Fa-f]{2}")
+_HEX_LETTER = re.compile(r"[A-Fa-f]")
+_DAYTIME = re.compile(r"[0-2]?\d:[0-5]\d:[0-5]\d")
+_NUMBER = re.compile(r"-?\d{1,3}")
+_ESCAPE = re.compile(r"\\(?:x[0-9A-Fa-f]{2}|[0-7])")
+_QUOTES = str.maketrans("", "", "'\"")
+#: Digits alone, as they stand in a decimal text.
+_DIGITS = re.compile(r"-?\d{1,3}(?:[\s,;]+-?\d{1,3})*[\s,;]*")
+
+
+def _bare(text: str) -> Written | None:
+    # Bytes printed without leading zeros are short here and there; letters and single numbers are something else.
+    if _TWO_DIGITS.search(text) is None or _DAYTIME.fullmatch(text):
+        return None
+    tokens = _TOKEN.findall(text)
+    sure = _HEX_LETTER.search(text) is not None or all(len(token) == 2 for token in tokens)
+    return Written(bytes(int(token, 16) for token in tokens), Radix.HEX if sure else Radix.EITHER)
+
+
+def _marked(text: str) -> Written:
+    return Written(bytes(int(token, 16) for token in _TOKEN.findall(re.sub(r"0[xX]|\\[xX]|[$hH]", " ", text))))
+
+
+def _each(text: str) -> Written | None:
+    return read(re.sub(r"[\[\]<>{}()]+", " ", text).strip())
+
+
+def _quoted(text: str) -> Written | None:
+    return read(text.translate(_QUOTES))
+
+
+def _literal(text: str) -> Written | None:
+    if len(text) > _LITERAL_LIMIT:
+        return None
+    try:
+        value = ast.literal_eval(text if text[0] == "b" else f"b{text}")
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
+        return None
+    return Written(value) if isinstance(value, bytes) else None
+
+
+def _escaped(text: str) -> Written | None:
+    """Return the bytes of a string with escapes; one without may be any words."""
+    return _literal(text) if _ESCAPE.search(text) is not None else None
+
+
+def decimal(text: str) -> bytes | None:
+    """Return the bytes of a text of decimal numbers, None if it is none, or has numbers that are no bytes."""
+    text = _unwrapped(text.strip())
+    if _DIGITS.fullmatch(text) is None:
+        return None
+    values = [int(token) for token in _NUMBER.findall(text)]
+    return bytes(value & 0xFF for value in values) if all(-128 <= value <= 255 for value in values) else None
+
+
+def _decimal(text: str) -> Written | None:
+    data = decimal(text)
+    return None if data is None or len(data) < 2 else Written(data, Radix.DECIMAL)
+
+
+#: What bytes begin with, however they are written: most words do not.
+_BEGIN = re.compile(
+    r"[\[{(<\"'\\$-]|[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])|0[xX]|\d{3}|[0-9A-Fa-f]{4}|[0-9A-Fa-f]{2}[hH]|b['\"]|byte|list|new|Buffer"
+)
+_GAP = r"(?:\s*[,;|_-]\s*|\s+|:)"
+#: Ways to write bytes, the first that fits wins. Plain pairs of digits are read before these.
+_WAYS: tuple[tuple[re.Pattern[str], Callable[[str], Written | None]], ...] = tuple(
+    (re.compile(pattern, re.DOTALL), reader)
+    for pattern, reader in (
+        (r"b'.*'|b\".*\"", _literal),
+        (r"'(?:[^'\\]|\\.)*+'", _escaped),
+        (r'"(?:[^"\\]|\\.)*+"', _escaped),
+        (r"(?:(['\"])(?:0[xX])?[0-9A-Fa-f]{1,2}\1[\s,;]*){2,}", _quoted),
+        (r"(?:[\[<{(]\s*(?:0[xX])?[0-9A-Fa-f]{1,2}\s*[\]>})]\s*){2,}", _each),
+        (rf"[0-9A-Fa-f]{{1,2}}(?:{_GAP}[0-9A-Fa-f]{{1,2}})*[\s,;:|_-]*", _bare),
+        (r"(?:(?:0[xX]|\\[xX]|\$)[0-9A-Fa-f]{1,2}[\s,;:|-]*)+", _marked),
+        (r"(?:[0-9A-Fa-f]{2}[hH][\s,;]*)+", _marked),
+        (r"0[xX](?:[0-9A-Fa-f]{2})+", lambda text: Written(bytes.fromhex(text[2:]))),
+        (r"(?=.*(?:\d{3}|-\d))-?\d{1,3}(?:[\s,;]+-?\d{1,3})+[\s,;]*", _decimal),
+    )
+)
+
+
+def read(text: str) -> Written | None:
+    """Return the bytes that a text stands for in any of the usual ways, None if it is none of them."""
+    try:
+        return Written(bytes.fromhex(text))
+    except ValueError:
+        pass
+    text = text.strip()
+    if _BEGIN.match(text) is None:
+        return None
+    found = _way(text)
+    if found is None and (inner := _unwrapped(text)) != text:
+        found = _way(inner)
+    return found
+
+
+def _way(text: str) -> Written | None:
+    for pattern, reader in _WAYS:
+        if pattern.fullmatch(text) is not None and (found := reader(text)) is not None:
+            return found
+    try:
+        return Written(bytes.fromhex(text))
+    except ValueError:
+        return None
+
+
+def _unwrapped(text: str) -> str:
+    """Return what stands inside brackets, quotes, a call or a declaration."""
+    text = text.rstrip("; ")
+    if (call := _CALL.match(text)) is not None:
+        text = text[call.end() :].rstrip(" )>")
+        # A call leaves the brackets of its argument.
+    if _WRAPPERS.get(text[:1]) == text[-1:] and len(text) > 2:
+        text = text[1:-1].strip()
+    return text
