@@ -91,8 +91,11 @@ def _line_speed(probe: Probe, otherwise: int) -> int:
 
 def plain_exchange(probe: Probe, command: Command) -> Exchange:
     """Ask for a command plainly, made ready before and put to rest after it; return what came back."""
-    # A drive that cannot be made ready refuses: that has the shape of a reply too.
-    if needs_motion(command):
+    if command.verb in _TURNING:
+        # It begins in every work mode, and in some of them no stop is taken.
+        motion.ready_to_move(probe)
+    elif needs_motion(command):
+        # A drive that cannot be made ready refuses: that has the shape of a reply too.
         with contextlib.suppress(Inconclusive):
             motion.ready_to_move(probe)
     exchange = probe.ask(command, values_for(probe, command))

@@ -203,7 +203,9 @@ class Probe:
         if Risk.SETTING in built.risks:
             self._keep_distance()
         exchange = self._exchange(built.item(), until, timeout_ns, built, quiet_ns)
-        if Risk.SETTING in built.risks:
+        # A drive that has taken no value yet wrote nothing: one that refuses them all is not waited for.
+        taken = bool(built.values) and not self.refused(exchange)
+        if Risk.SETTING in built.risks and (self.gate.line.setting_ns is not None or taken):
             self.gate.line.setting_ns = self.gate.now_ns()
         return exchange
 

@@ -334,6 +334,7 @@ SETTING: Rows = {
             "a setting that is refused is stored all the same",
             Change(lambda hooks: hooks.allow.append(mks.store_refused)),
         ),
+        Row("settings-refused", "every setting is refused", Change(lambda hooks: hooks.allow.append(mks.refuse_settings))),
         Row("clean-ignored", "FF CA leaves the run kept for power-on", before(Verb.SAVE_SPEED, mks.ignore_clean)),
         Row("current-not-stored", "83 says success and keeps the old current", unstored("current"), CAN),
         Row("current-stored-as-home-current", "83 stores the home current", stored_as("current", "home_current"), CAN),

@@ -659,6 +659,11 @@ def store_refused(drive: Drive, command: Command, values: Values, wanted: bool) 
     return wanted
 
 
+def refuse_settings(drive: Drive, command: Command, values: Values, wanted: bool) -> bool:
+    """Refuse each setting that a drive stores."""
+    return wanted and command.verb not in SETTINGS
+
+
 # --- what it hears and answers ---------------------------------------------------------------------------------------
 
 Whom = Callable[[MksCore, Message], bool]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
+
 from analyzer.catalogue import Risk, Verb
 from analyzer.records import CanFrame
-from conformance.claim import Outcome, Verdict
+from conformance.claim import Outcome, RigFault, Verdict
 from conformance.drives import make
 from conformance.gate.permissions import Allowance
 from conformance.motion import motion
@@ -124,3 +126,25 @@ def test_a_position_that_a_claim_set_far_away_is_none_for_the_next() -> None:
         assert engine.run_claim(by_id[f"lk-rs485/{name}"], rig).outcome is Outcome.CONFIRMED
     assert abs(motion.position(plain_probe(rig.dialect, 1, rig.gate)).value) < 3600
     rig.close()
+
+
+def test_a_drive_that_refuses_every_setting_is_refuted_soon_and_not_set_going() -> None:
+    port = target.parse("mks-rs485@1,model=42D", "serial:none,baud=38400")
+    chosen = (
+        "mks-rs485/ranges/set_current/*",
+        "mks-rs485/examples/set_*",
+        "mks-rs485/shape/home/*",
+        "mks-rs485/read-back/set_*",
+    )
+    held = {"work_mode": "2", "subdivision": "16", "current": "1600", "holding_current": "4", "key_lock": "0"}
+    plan = Plan((port,), Allowance(frozenset(Risk), alone=True), claims=chosen, settings={"": held})
+    rig = StandInRig(plan, port, make.parse("mks-rs485@1,model=42D,fault=settings-refused"))
+    before_ns = rig.gate.now_ns()
+    found = {verdict.claim.id: verdict.outcome for verdict in suite.verdicts(plan, port, plan.selected(port), rig)}
+    assert motion.speed(plain_probe(rig.dialect, 1, rig.gate)).value == 0
+    with pytest.raises(RigFault, match="set_current current=1600: refused"):
+        rig.close()
+    assert found["mks-rs485/ranges/set_current/current/highest"] is Outcome.REFUTED
+    # Homing begins in a pulse mode too, and no stop is taken there.
+    assert found["mks-rs485/shape/home/address"] is Outcome.INCONCLUSIVE
+    assert rig.gate.now_ns() - before_ns < 20e9
