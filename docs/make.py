@@ -1,6 +1,6 @@
-"""Make what the documents show: the outputs in README.md from real runs, the picture, the tables of rules and statements.
+"""Make what the documents show: outputs in README.md and first-hour.md from real runs, the picture, the tables.
 
-python docs/make.py                rewrite README.md, docs/show.svg, docs/findings.md and docs/statements.md in place
+python docs/make.py                rewrite README.md and what is made in docs in place
 python docs/make.py statements.md  rewrite this one alone
 python docs/make.py --check        say what is out of date, exit 1 if anything is
 """
@@ -10,9 +10,12 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import signal
 import subprocess
 import sys
 import tempfile
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -36,6 +39,14 @@ def live(text: str) -> list[tuple[str, str]]:
 def masked(output: str) -> str:
     """Return output with its numbers and blanks made alike."""
     return re.sub(r"[ \t]+", " ", re.sub(r"\d+(?:[.:]\d+)*", "0", output))
+
+
+def alike(output: str, old: str) -> bool:
+    """Say whether outputs of a drive that moves are alike: but for numbers, their signs, and bytes."""
+    one, other = (
+        masked(re.sub(r"\b[0-9A-F]{2}( [0-9A-F]{2})+\b", "0", re.sub(r"-(?=\d)", "", tidy(t)))) for t in (output, old)
+    )
+    return one == other
 
 
 def run(command: str, folder: Path) -> str:
@@ -69,6 +80,108 @@ def filled(text: str, folder: Path) -> str:
         return f"{fence}{command}\n{new}```"
 
     return re.sub(r"(```console(?: live)?\n)(.*?)```", replace, text, flags=re.DOTALL)
+
+
+#: What the sessions of the first hour name, and what stands for it here: there is no adapter.
+_STAND_INS = {
+    "/dev/ttyUSB0": "{}/ttyUSB0",
+    "/tmp/servo": "{}/servo",
+    "can:socketcan:can0": "can:udp_multicast:239.74.163.21,port={}",
+}
+_SESSION = re.compile(r"<!-- drive: (.*?) -->\n(.*?)(?=\n## |\Z)", re.DOTALL)
+_BLOCK = re.compile(r"```console( terminal| view)?\n(.*?)```", re.DOTALL)
+
+
+def sessions(text: str) -> list[tuple[str, list[tuple[str, str, str]]]]:
+    """Return the sessions of a page: the command that stands for the drive, and (kind, command, output) of each block."""
+    return [
+        (drive, [(kind.strip(), *body.partition("\n")[::2]) for kind, body in _BLOCK.findall(part)])
+        for drive, part in _SESSION.findall(text)
+    ]
+
+
+def play(drive: str, blocks: list[tuple[str, str, str]], folder: Path) -> Iterator[tuple[str, str, int]]:
+    """Run a session's commands in their order, on an emulated drive; yield each with what it printed and its exit status.
+
+    A command of the second terminal prints until it is ready, and the rest at its Ctrl-C.
+    """
+    # A port of its own: a multicast group alone does not keep buses of one machine apart.
+    stands = {
+        name: there.format(20_000 + os.getpid() % 20_000 if "port=" in there else folder) for name, there in _STAND_INS.items()
+    }
+
+    search = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+
+    def started(command: str) -> subprocess.Popen[bytes]:
+        for name, there in stands.items():
+            command = command.replace(f"--can {name}", f"--can {there[4:]}").replace(name, there)
+        return subprocess.Popen(
+            command, shell=True, cwd=folder, stdout=said, stderr=said, stdin=subprocess.DEVNULL, start_new_session=True,
+            env={**os.environ, "PATH": search, "COLUMNS": "200", "LINES": "50"},
+        )  # fmt: skip
+
+    def ready(words: str, process: subprocess.Popen[bytes]) -> str:
+        late = time.monotonic() + 30
+        while words not in (text := path.read_text()):
+            assert time.monotonic() < late, f"{words!r} did not come: {text}"
+            assert process.poll() is None, text
+            time.sleep(0.05)
+        return text
+
+    def ended(process: subprocess.Popen[bytes]) -> None:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGINT)
+        process.wait(30)
+
+    def told(output: str) -> str:
+        for name, there in stands.items():
+            output = output.replace(there, name)
+        # Lines of progress come as often as the machine is quick.
+        return "".join(line for line in output.replace(f"{folder}/", "").splitlines(True) if not re.match(r"\d+ s  ", line))
+
+    path = folder / "drive.txt"
+    with path.open("wb") as said:
+        emulated = started(f"exec servotap {drive}")
+    second: subprocess.Popen[bytes] | None = None
+    before = ""
+    try:
+        ready("listening on", emulated)
+        for number, (kind, command, _) in enumerate(blocks):
+            if command == "^C":
+                assert second is not None
+                ended(second)
+                path = folder / "terminal.txt"
+                yield command, told(path.read_text()[len(before) :]), second.returncode
+                continue
+            path = folder / ("terminal.txt" if kind == "terminal" else f"{number}.txt")
+            words = command.removeprefix("$ ")
+            with path.open("wb") as said:
+                # The view needs a terminal, and somebody who presses `4` and `q`.
+                pressed = f"{{ sleep 3; printf 4; sleep 1; printf q; }} | script -qec '{words}' /dev/null"
+                process = started({"view": pressed, "terminal": f"exec {words}"}.get(kind, words))
+            if kind == "terminal":
+                second, before = process, ready("Ctrl-C ends it", process)
+                yield command, told(before), 0
+            else:
+                status = process.wait(60)
+                yield command, told(path.read_text(errors="replace")), status
+    finally:
+        for each in (second, emulated):
+            if each is not None:
+                ended(each)
+
+
+def first_hour() -> str:
+    """Return the page of the first hour with the outputs of real runs; what differs by its numbers alone stays."""
+    text = (ROOT / "docs" / "first-hour.md").read_text()
+    for drive, blocks in sessions(text):
+        with tempfile.TemporaryDirectory() as folder:
+            for (kind, command, old), (_, output, _) in zip(blocks, play(drive, blocks, Path(folder)), strict=True):
+                new = old if kind == "view" or "ports" in command or alike(output, old) else tidy(output)
+                fence = f"```console{f' {kind}' if kind else ''}\n{command}\n"
+                # The same command can stand in several sessions: this one is the first whose output is the old one.
+                text = text.replace(f"{fence}{old}```", f"{fence}{new}```", 1)
+    return text
 
 
 def picture() -> str:
@@ -143,6 +256,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         makers = {
             ROOT / "README.md": lambda: filled((ROOT / "README.md").read_text(), Path(folder)),
+            ROOT / "docs" / "first-hour.md": first_hour,
             ROOT / "docs" / "show.svg": picture,
             ROOT / "docs" / "findings.md": findings,
             ROOT / "docs" / "statements.md": statements,

@@ -31,6 +31,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "export a capture or log as a table (CSV, Parquet, Excel), or its raw bytes (candump, pcapng, hex)",
     ),
     "catalogue": ("analyzer.cli.catalogue", "show reference pages of the dialects and errata of their manuals"),
+    "completion": ("analyzer.cli.completion", "print what makes your shell complete these commands"),
 }
 GROUP = "servotap.commands"
 #: Other names of commands.
@@ -61,6 +62,10 @@ def _added() -> dict[str, tuple[str, str]]:
 
     # The text after the blank in an entry point's name would not be valid, so the help comes from the module itself.
     return {point.name: (point.value.split(":")[0], "") for point in entry_points(group=GROUP)}
+
+
+def _every_command() -> dict[str, tuple[str, str]]:
+    return COMMANDS | {n: (m, _help_of(n)) for n, (m, _) in _added().items()}
 
 
 def _overview(commands: dict[str, tuple[str, str]]) -> str:
@@ -105,9 +110,12 @@ def _drop_output() -> None:
 
 
 def _main(words: list[str]) -> int:
+    if "_ARGCOMPLETE" in os.environ:
+        from analyzer.cli.completion import complete
+
+        complete(_every_command())
     if not words or words[0] in ("-h", "--help", "help"):
-        commands = COMMANDS | {n: (m, _help_of(n)) for n, (m, _) in _added().items()}
-        print(_overview(commands))
+        print(_overview(_every_command()))
         return 0 if words else 2
     if words[0] in ("-V", "--version"):
         from analyzer import __version__

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from analyzer.cli.reading import add_reading_arguments, open_reading, progress
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.values import near, printable, quote
+from conformance.claim import Outcome
 
 if TYPE_CHECKING:
     from analyzer.cli.reading import OpenCapture
@@ -28,8 +29,8 @@ examples:
   candump -L can0 | servotap check - --dialect mks-can --json
 """
 REFUTED = 1
-_ORDER = ("refuted", "observed", "confirmed", "not run")
-_COLORS = {"refuted": "31", "observed": "33", "confirmed": "32", "not run": "90"}
+#: In the order in which they are shown, and their colours.
+_COLORS = {Outcome.REFUTED: "31", Outcome.OBSERVED: "33", Outcome.CONFIRMED: "32", Outcome.NOT_RUN: "90"}
 #: Bytes of a frame that are shown, and the widest name of a claim.
 _SHOWN_BYTES = 24
 _PARTIES = ("drive", "host", "wire")
@@ -110,20 +111,21 @@ def _show(
     print(f"{printable(path)}: {reading.source.title}, {', '.join(judge.dialects)}; {_seen(judge)}")
     if not reading.has_times:
         print(f"  times: {reading.time_source}")
-    order = sorted(found, key=lambda pair: _ORDER.index(pair[0].outcome.value))
+    order = sorted(found, key=lambda pair: list(_COLORS).index(pair[0].outcome))
     wanted = [(v, c) for v, c in order if arguments.all or c.found]
     width = max((len(v.claim.id) for v, _ in wanted), default=0)
     for verdict, count in wanted:
-        outcome = verdict.outcome.value
         times = f"{count.found:>7}" if count.found else "       "
-        print(f"  {_colored(outcome)} {times}  {verdict.claim.id:<{width}}  {count.row.about.value:<5}  {_said(verdict)}")
+        print(
+            f"  {_colored(verdict.outcome)} {times}  {verdict.claim.id:<{width}}  {count.row.about.value:<5}  {_said(verdict)}"
+        )
         for example in count.examples[: arguments.examples]:
             print(f"             {_example(example, judge)}")
         addresses = _addresses(count)
         if count.found > len(count.examples[: arguments.examples]) and addresses:
             print(f"             {addresses}")
-    totals = Counter(v.outcome.value for v, _ in found)
-    print("  " + ", ".join(f"{totals[name]} {name}" for name in _ORDER if totals[name]))
+    totals = Counter(v.outcome for v, _ in found)
+    print("  " + ", ".join(f"{totals[outcome]} {outcome.word}" for outcome in _COLORS if totals[outcome]))
 
 
 def _seen(judge: Judge) -> str:
@@ -142,8 +144,8 @@ def _said(verdict: Verdict) -> str:
     return f"{verdict.claim.statement}{why}{where}"
 
 
-def _colored(outcome: str) -> str:
-    text = f"{outcome:<9}"
+def _colored(outcome: Outcome) -> str:
+    text = f"{outcome.word:<9}"
     return f"\x1b[{_COLORS[outcome]}m{text}\x1b[0m" if sys.stdout.isatty() else text
 
 
