@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tomllib
+from fnmatch import fnmatch
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -44,3 +46,13 @@ def test_drives_are_emulated_and_tested_without_pseudo_terminals(tmp_path):
     )
     assert "this system has no pseudo-terminals; use --tcp HOST:PORT" in done.stderr
     assert done.stderr.splitlines()[-1] == "[0, 0, 2]", done.stderr
+
+
+def test_what_is_installed_has_every_file_that_the_packages_read():
+    given = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
+    tracked = subprocess.run(["git", "ls-files", *given], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split()
+    read = [Path(name) for name in tracked if not name.endswith(".py")]
+    assert len(read) > 10
+    for path in read:
+        package, rest = path.parts[0], "/".join(path.parts[1:])
+        assert any(fnmatch(rest, pattern) for pattern in given[package]), f"{path} is not installed"
