@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from analyzer.records import Finding, Junk
     from conformance.claim import NotStopped
     from conformance.gate.gate import Refused
+    from conformance.suite.preflight import DriveNotFound
     from servotap.captures import Capture, Frame, Transaction
     from servotap.drives import Drive, NotDone, Reply
     from servotap.explained import Explained
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Capture",
     "Drive",
+    "DriveNotFound",
     "Explained",
     "Finding",
     "Frame",
@@ -57,6 +59,7 @@ __all__ = [
 _HOMES = {
     "Capture": "servotap.captures",
     "Drive": "servotap.drives",
+    "DriveNotFound": "conformance.suite.preflight",
     "Explained": "servotap.explained",
     "Finding": "analyzer.records",
     "Frame": "servotap.captures",

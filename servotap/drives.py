@@ -38,7 +38,7 @@ from conformance.talk.request import Request
 from servotap.captures import Frame, frame_of
 
 _SECOND_NS = 1000 * MS
-#: How long is listened behind a reply for one more.
+#: How long is listened behind the reply to a command for one more, and where none is due.
 _QUIET_NS = 20 * MS
 #: How long a command may take to its last reply.
 _DONE_NS = 120 * _SECOND_NS
@@ -160,15 +160,12 @@ class Drive:
 
         `field`: which one, where the reply has several. Raises UsageError for a command that does more than read, NotDone.
         """
-        built = self._build(command, values)
-        if not built.risks <= {Risk.READ}:
-            raise UsageError(f"{built.command.name} does more than read ({_words(built.risks)}): use send")
-        fields = self._send(built, frozenset(), wait=False, must=True).fields
+        fields = self.ask(command, **values)
         if not field and len(fields) == 1:
             return next(iter(fields.values()))
         if field not in fields:
             asked = f"no field {field!r}" if field else "several fields"
-            raise UsageError(f"the reply to {built.command.name} has {asked}: name one of {', '.join(fields) or 'none'}")
+            raise UsageError(f"the reply to {command} has {asked}: name one of {', '.join(fields) or 'none'}")
         return fields[field]
 
     def ask(self, command: str, **values: Any) -> dict[str, Any]:
@@ -223,7 +220,8 @@ class Drive:
         self._moving |= bool(built.risks & MAY_MOVE) and not _stops(built.command)
         until, done_ns = (Until.DONE, _DONE_NS) if wait else (Until.REPLY, 0)
         if request.answered:
-            exchange = self._dialogue.ask(request.item, self._timeout_ns, until=until, done_ns=done_ns, quiet_ns=_QUIET_NS)
+            quiet_ns = _QUIET_NS if request.acts else 0
+            exchange = self._dialogue.ask(request.item, self._timeout_ns, until=until, done_ns=done_ns, quiet_ns=quiet_ns)
         else:
             exchange = self._dialogue.ask(request.item, _QUIET_NS, quiet_ns=_QUIET_NS)
         if Risk.SETTING in built.risks:

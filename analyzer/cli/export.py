@@ -105,12 +105,12 @@ def run(arguments: argparse.Namespace) -> int:
     export = export_table if arguments.to in KINDS else _export_raw
     with Interrupt() as interrupt:
         if target is None:
-            told = export(arguments, sys.stdout.buffer, interrupt, "standard output")
+            told = export(arguments, sys.stdout.buffer, interrupt, None)
             sys.stdout.buffer.flush()
         else:
             output = Output(target, arguments.force)
             try:
-                told = export(arguments, output.stream, interrupt, str(target))
+                told = export(arguments, output.stream, interrupt, target)
                 if interrupt.asked:
                     raise KeyboardInterrupt
                 output.stream.flush()
@@ -170,12 +170,12 @@ def _target(arguments: argparse.Namespace) -> Path | None:
 # --- raw bytes --------------------------------------------------------------------------------------------------------
 
 
-def _export_raw(arguments: argparse.Namespace, stream: IO[bytes], interrupt: Interrupt, place: str) -> list[str]:
+def _export_raw(arguments: argparse.Namespace, stream: IO[bytes], interrupt: Interrupt, target: Path | None) -> list[str]:
     """Export all bytes; return what is to be said of it."""
     with contextlib.closing(open_source(arguments.file, format=arguments.format, baud=arguments.baud)) as source:
         source.framed = not arguments.chunks
         outcome, broken = _write(source, stream, arguments, interrupt)
-        return _report(source, outcome, broken, place, arguments)
+        return _report(source, outcome, broken, target, arguments)
 
 
 def _write(source: Source, stream: IO[bytes], arguments: argparse.Namespace, interrupt: Interrupt) -> tuple[ExportResult, str]:
@@ -225,9 +225,11 @@ def _counted(name: str, count: Count) -> str:
     return f"{count.pieces} {what} of {name} ({_KINDS[count.kind]}, {counted(count.bytes, 'byte')})"
 
 
-def _report(source: Source, outcome: ExportResult, broken: str, place: str, arguments: argparse.Namespace) -> list[str]:
+def _report(
+    source: Source, outcome: ExportResult, broken: str, target: Path | None, arguments: argparse.Namespace
+) -> list[str]:
     """Return what was exported and what was not."""
-    rows = [f"{source.name} ({source.title}) -> {place}"]
+    rows = [f"{source.name} ({source.title}) -> {target or 'standard output'}"]
     rows += [f"  {_counted(name, count)}" for name, count in outcome.written]
     if outcome.left_out:
         left = ", ".join(_counted(name, count) for name, count in outcome.left_out)

@@ -21,16 +21,17 @@ from analyzer.table.tables import Chosen, Long, Table, Wide
 from analyzer.values import counted
 
 
-def export_table(arguments: argparse.Namespace, stream: IO[bytes], interrupt: Interrupt, place: str) -> list[str]:
+def export_table(arguments: argparse.Namespace, stream: IO[bytes], interrupt: Interrupt, target: Path | None) -> list[str]:
     """Write a table; return what is to be said of it."""
+    place = target or "standard output"
     kind = KINDS[arguments.to]
     if kind.package:
         needed(kind.package)
     reading = open_reading(arguments.file, arguments)
     chosen = Chosen(_split(arguments.topics), _split(arguments.fields))
-    chosen.check_possible(reading.possible)
     with contextlib.closing(reading.source) as source, progress(source, f"decoding {source.name}"):
-        recorded = keep_rows(reading, interrupt.items(reading), _folder(stream))
+        chosen.check_possible(reading.possible)
+        recorded = keep_rows(reading, interrupt.items(reading), None if target is None else target.parent)
     with contextlib.closing(recorded):
         if interrupt.asked:
             return []
@@ -94,12 +95,6 @@ def keep_rows(reading: OpenCapture, items: Iterable[Item], folder: Path | None =
     }
     recorded.about = {name: text for name, text in recorded.about.items() if text}
     return recorded
-
-
-def _folder(stream: IO[bytes]) -> Path | None:
-    """Return where the file is written: there is room for what waits. None for a pipe."""
-    name = getattr(stream, "name", None)
-    return Path(name).parent if isinstance(name, str) and not name.startswith("<") else None
 
 
 def _split(given: Iterable[str]) -> list[str]:

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import csv
 import io
+import tempfile
 from collections.abc import Callable, Iterable
 from datetime import datetime, timedelta
 from typing import IO, Any, NamedTuple
 
 from analyzer.codec import EXACT
+from analyzer.errors import UsageError
 from analyzer.sources.times import SECOND, Clock
 from analyzer.table.columns import Kind
 from analyzer.table.extras import needed
@@ -23,7 +25,7 @@ from analyzer.table.tables import Table
 
 _EPOCH = datetime(1970, 1, 1)
 #: What Excel holds: rows of a sheet, the header aside; columns; characters of a cell.
-EXCEL_ROWS = 1_048_575
+EXCEL_ROWS, EXCEL_COLUMNS = 1_048_575, 16_384
 _EXCEL_TEXT = 32_000
 _SHEET = "servotap"
 
@@ -77,8 +79,17 @@ def write_parquet(table: Table, lines: Iterable[list[Any]], stream: IO[bytes]) -
 
 def write_xlsx(table: Table, lines: Iterable[list[Any]], stream: IO[bytes]) -> None:
     """Write Excel; what does not fit one sheet goes on in the next."""
-    # A text that begins with = is a text; what is longer than a cell holds is cut.
-    book = needed("xlsxwriter").Workbook(stream, {"constant_memory": True, "strings_to_urls": False})
+    if len(table.columns) > EXCEL_COLUMNS:
+        raise UsageError(
+            f"{len(table.columns)} columns, and Excel holds {EXCEL_COLUMNS}: choose some with --topics or --fields"
+        )
+    # What it keeps of each sheet until the end goes away with the folder, however this ends.
+    with tempfile.TemporaryDirectory(prefix=".", dir=table.recorded.folder) as folder:
+        _write_book(needed("xlsxwriter").Workbook(stream, {"constant_memory": True, "tmpdir": folder}), table, lines)
+
+
+def _write_book(book: Any, table: Table, lines: Iterable[list[Any]]) -> None:
+    # A text that begins with = is written as a text; what is longer than a cell holds is cut.
     bold = book.add_format({"bold": True})
     moment = book.add_format({"num_format": "yyyy-mm-dd hh:mm:ss.000"})
     recorded = table.recorded

@@ -65,7 +65,8 @@ class Recorded:
     """All rows of a capture. Close it when it is no longer needed.
 
     `begin_ns`: the time of the first row; `first_ns`, `last_ns`: the earliest and the latest. `sound`: shapes of which a row
-    passed its checksum. `twins`: text twins that are needed. `about`: what is said of the file as a whole.
+    passed its checksum. `twins`: text twins that are needed. `about`: what is said of the file as a whole. `folder`: where what
+    does not fit in memory waits, None for the system's own.
     """
 
     stream: IO[bytes]
@@ -82,6 +83,7 @@ class Recorded:
     clock: Clock = Clock.UTC
     times: ShownTime = field(default_factory=ShownTime)
     about: dict[str, str] = field(default_factory=dict)
+    folder: Path | None = None
 
     @property
     def dated(self) -> bool:
@@ -115,7 +117,7 @@ class Rows:
     def __init__(self, folder: Path | None = None) -> None:
         # It stays open: what it holds is read until the table is no longer needed.
         stream = tempfile.SpooledTemporaryFile(max_size=_IN_MEMORY, dir=None if folder is None else str(folder))  # noqa: SIM115
-        self.recorded = Recorded(stream)
+        self.recorded = Recorded(stream, folder=folder)
         self._encode = msgspec.msgpack.Encoder().encode
         self._numbers: dict[tuple[str, str, str, int, int], int] = {}
         self._kept: list[tuple[Command | None, Form | None]] = []

@@ -13,7 +13,6 @@ import pytest
 import servotap
 from analyzer import dialects
 from conformance.pytest_plugin.fixtures import port_of
-from conformance.suite.preflight import DriveNotFound
 
 ROOT = Path(__file__).parents[2]
 RUN = {"direction": "cw", "speed": 60, "acceleration": 250}
@@ -190,7 +189,7 @@ def test_a_program_that_dies_leaves_no_motor_turning(port):
 
 
 def test_a_drive_that_is_not_there_is_told(port):
-    with pytest.raises(DriveNotFound, match="mks-rs485@1 does"):
+    with pytest.raises(servotap.DriveNotFound, match="mks-rs485@1 does"):
         servotap.drive("mks-rs485@2", port)
     with pytest.raises(servotap.UsageError):
         servotap.drive("mks-rs485@1", "serial:/dev/no-such-port,baud=38400")

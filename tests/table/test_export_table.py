@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import io
 import json
 import re
@@ -26,7 +27,7 @@ from analyzer.cli import main
 from analyzer.encoder import build
 from analyzer.sources.times import Clock, ShownTime
 from analyzer.table.columns import HEAD, TAIL, units_of_dialects
-from analyzer.table.tables import parse_rate
+from analyzer.table.tables import Long, parse_rate
 
 ROOT = Path(__file__).parents[2]
 CAPTURES = ROOT / "captures"
@@ -425,13 +426,43 @@ def test_an_interrupt_leaves_no_file(kind, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["in"]
 
 
+@pytest.mark.parametrize("kind", ["csv", "parquet", "xlsx"])
+def test_a_full_disk_leaves_no_file(kind, tmp_path, capsys, monkeypatch):
+    class Full(Long):
+        def lines(self):
+            yield from list(super().lines())[:5]
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("analyzer.cli.export_table.Long", Full)
+    error = refused(capsys, CAPTURES / "mks_rs485.log", "-o", tmp_path / f"a.{kind}")
+    assert error == (
+        f"servotap export: cannot write {tmp_path / f'a.{kind}'}: No space left on device; the incomplete file was removed\n"
+    )
+    assert not list(tmp_path.iterdir())
+
+
+def test_more_columns_than_excel_holds_are_told(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("analyzer.table.files.EXCEL_COLUMNS", 20)
+    assert "choose some with --topics" in refused(capsys, CAPTURES / "mks_rs485.log", "-o", tmp_path / "a.xlsx")
+    assert not list(tmp_path.iterdir())
+
+
+def test_texts_that_look_like_formulas_stay_texts(tmp_path, capsys):
+    source = hex_log(tmp_path / "a.log", ("left", "<", bytes.fromhex("FB013201406F")))
+    source.write_text(source.read_text().replace("[bus:left]", "[bus:--1]"))
+    exported(capsys, source, tmp_path / "a.xlsx")
+    cell = openpyxl.load_workbook(tmp_path / "a.xlsx")["servotap"]["C2"]
+    assert (cell.value, cell.data_type) == ("--1", "s")
+
+
 def test_a_file_that_exists_stays(tmp_path, capsys):
     (tmp_path / "a.csv").write_text("mine")
     assert "--force replaces it" in refused(capsys, CAPTURES / "mks_rs485.log", "-o", tmp_path / "a.csv")
     assert (tmp_path / "a.csv").read_text() == "mine"
 
 
-def test_many_rows_wait_in_a_file_and_come_back(tmp_path, capsys, monkeypatch):
+def test_many_rows_wait_beside_the_file_and_come_back(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "full"))
     monkeypatch.setattr("analyzer.table.rows._IN_MEMORY", 4096)
     monkeypatch.setattr("analyzer.table.rows._BATCH", 7)
     monkeypatch.setattr("analyzer.table.arrow.BATCH", 10)
