@@ -48,8 +48,9 @@ def test_all_that_is_public_is_typed():
     assert (ROOT / "servotap" / "py.typed").exists()
     functions = [servotap.open, servotap.explain, servotap.drive]
     for kind in (servotap.Capture, servotap.Drive, servotap.Explained, servotap.Frame, servotap.Reply, servotap.Transaction):
-        members = [member.fget if isinstance(member, property) else member for member in vars(kind).values()]
-        functions += [member for member in members if inspect.isfunction(member) and not member.__name__.startswith("__")]
+        members = [vars(kind)[n] for n in vars(kind) if not n.startswith("__")]
+        members = [member.fget if isinstance(member, property) else member for member in members]
+        functions += [member for member in members if inspect.isfunction(member) and member.__module__.startswith("servotap")]
     assert len(functions) > 30
     for function in functions:
         signature = inspect.signature(function)
