@@ -99,17 +99,19 @@ def first_bytes() -> frozenset[int]:
 
 
 def for_model(dialects: Sequence[Dialect], model: str | None) -> list[Dialect]:
-    """Return the dialects as one model speaks them; those that do not know the model stay as they are.
+    """Return the dialects as a model speaks them; of several (`42D,MG`) each as the only one that it knows.
 
-    Raises UsageError for a model that none of them has.
+    Those that know none, or several, stay as they are. Raises UsageError for a model that none of them has.
     """
     if not model:
         return list(dialects)
-    wanted = model.upper()
-    if not any(wanted in d.models for d in dialects):
-        known = sorted({m for d in dialects for m in d.models})
-        raise UsageError(f"no model {model!r} in {', '.join(d.name for d in dialects)}; there are {', '.join(known)}")
-    return [d.for_model(wanted) if wanted in d.models else d for d in dialects]
+    wanted = [each.strip().upper() for each in model.split(",")]
+    for each in wanted:
+        if not any(each in d.models for d in dialects):
+            known = sorted({m for d in dialects for m in d.models})
+            raise UsageError(f"no model {each!r} in {', '.join(d.name for d in dialects)}; there are {', '.join(known)}")
+    fitting = {d.name: [each for each in wanted if each in d.models] for d in dialects}
+    return [d.for_model(fitting[d.name][0]) if len(fitting[d.name]) == 1 else d for d in dialects]
 
 
 def by_name(model: str = "") -> dict[str, Dialect]:

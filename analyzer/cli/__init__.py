@@ -40,7 +40,7 @@ _ALIASES = {"catalog": "catalogue"}
 _PURPOSES: dict[str, tuple[str, ...]] = {
     "look": ("decode", "show", "view", "explain", "catalogue"),
     "record": ("record", "tap", "ports", "recover", "cut", "merge", "export"),
-    "drive": ("scan", "send", "stop", "frame", "replay", "emulate"),
+    "drive": ("scan", "init", "send", "stop", "frame", "replay", "emulate"),
     "test": ("test", "check", "rerun", "restore"),
 }
 

@@ -18,6 +18,7 @@ from analyzer.catalogue import Dialect, Role
 from analyzer.dialects import code_text, find_command
 from analyzer.encoder import SLOTS, Built, assemble
 from analyzer.errors import UsageError
+from analyzer.live.profile import drive as profile_drive
 from analyzer.reference.hex_frame import write_frame
 from analyzer.values import quote
 
@@ -39,7 +40,9 @@ A field without a default in the manual must be given; what is left out takes it
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("target", metavar="DIALECT@ADDRESS", help="the recipient: mks-rs485@1, mks-can@0x123, mks-rs485@all")
+    parser.add_argument(
+        "target", metavar="DRIVE", help="the recipient: mks-rs485@1, mks-can@0x123, mks-rs485@all, or a name of a profile"
+    )
     parser.add_argument("command", metavar="COMMAND", help="its name, or a code that only one command has")
     parser.add_argument("values", nargs="*", metavar="FIELD=VALUE", help='values of its fields; slot="1 run_speed speed=50"')
     parser.add_argument("--reply", action="store_true", help="the drive's reply instead of the request")
@@ -91,10 +94,13 @@ def filled_text(built: Built) -> str:
 
 
 def parse_target(text: str, model: str | None) -> tuple[Dialect, int]:
-    """Return dialect and address of `DIALECT@ADDRESS`, as a model speaks it.
+    """Return dialect and address of `DIALECT@ADDRESS`, or of a drive of a profile, as a model speaks it.
 
     Raises UsageError for anything else.
     """
+    named = profile_drive(text)
+    if named is not None:
+        return registry.for_model([named.dialect], model or named.entry.model or None)[0], named.entry.address
     name, separator, where = text.partition("@")
     dialect = registry.get(name)
     if not separator or not where:

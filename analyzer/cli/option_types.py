@@ -54,7 +54,7 @@ def address(text: str) -> int:
 HIGHEST_ADDRESS = 0x7FF
 
 
-def addresses(text: str, lowest: int = 0) -> list[int]:
+def addresses(text: str, option: str, lowest: int = 1) -> list[int]:
     """Return the addresses of `1-32` or `1,2,0x123-0x12F`, each once, in order; none is below `lowest`. Raises UsageError."""
     found: dict[int, None] = {}
     for part in text.split(","):
@@ -65,10 +65,10 @@ def addresses(text: str, lowest: int = 0) -> list[int]:
         except ValueError:
             low = high = -1
         if low > HIGHEST_ADDRESS and low <= high <= _EXTENDED:
-            raise UsageError(f"got {quote(part)}, an identifier of 29 bits: drives have 11, up to 0x{HIGHEST_ADDRESS:X}")
+            raise UsageError(f"{option}: got {quote(part)}, an identifier of 29 bits: drives have 11, 0x7FF at most")
         if not lowest <= low <= high <= HIGHEST_ADDRESS:
             wanted = f"addresses from {lowest} to {HIGHEST_ADDRESS} (0x{HIGHEST_ADDRESS:X})"
-            raise UsageError(f"got {quote(part)}, expected {wanted}, as 1-32 or 1,2,0x123-0x12F")
+            raise UsageError(f"{option}: got {quote(part)}, expected {wanted}, as 1-32 or 1,2,0x123-0x12F")
         found |= dict.fromkeys(range(low, high + 1))
     return list(found)
 
@@ -89,10 +89,7 @@ def ids_of(texts: Sequence[str]) -> Ids:
     found: dict[str, frozenset[int]] = {}
     for text in texts:
         bus, _, listed = text.rpartition("=")
-        try:
-            found[bus] = found.get(bus, frozenset()) | frozenset(addresses(listed))
-        except UsageError as error:
-            raise UsageError(f"--ids: {error}") from None
+        found[bus] = found.get(bus, frozenset()) | frozenset(addresses(listed, "--ids", 0))
     return Ids(found.pop("", None), found)
 
 

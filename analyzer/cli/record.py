@@ -34,7 +34,8 @@ from analyzer.cli.option_types import (
 )
 from analyzer.cli.signals import ENDING, handled
 from analyzer.errors import UsageError
-from analyzer.live.endpoint import Endpoint, parse, parse_all
+from analyzer.live.endpoint import Endpoint, parse_all
+from analyzer.live.profile import Named, endpoint, endpoint_texts
 from analyzer.values import near, quote
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ endpoints:
   [NAME=]serial:,serial=NUMBER,baud=N              a USB adapter by its serial number, whichever port it gets
   [NAME=]tcp:HOST:PORT[,baud=N]                    a serial line behind a terminal server
   [NAME=]can:INTERFACE:CHANNEL[,bitrate=N]         python-can's interfaces; the option names are python-can's
+  NAME                                             a bus or a drive of a profile, servotap.toml (see servotap init)
 
 examples:
   servotap record serial:/dev/ttyUSB0,baud=38400
@@ -62,6 +64,7 @@ examples:
   servotap record can:socketcan:can0 --rotate 100MB --keep 20 -o log.mcap
   servotap record tcp:192.168.0.7:5000 --json --raw-only --max-total 200GB
   servotap record serial:/dev/ttyUSB0,baud=38400 --view
+  servotap record can:socketcan:can0 --ids 1,2,0x123-0x12F
 
 exit status: 0 the log has all traffic, 1 traffic was lost (see the summary), 2 wrong use
 """
@@ -100,7 +103,7 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Record until the end is asked for; return 0, or 1 if something was lost."""
     display = display_of(arguments, "record")
-    endpoints = _endpoints(arguments)
+    endpoints, named = _endpoints(arguments)
     target = target_of(arguments)
     notes: list[str] = []
     if arguments.foxglove:
@@ -110,9 +113,9 @@ def run(arguments: argparse.Namespace) -> int:
         require_foxglove()
         if not place.loopback:
             notes.append(f"foxglove: anyone who can reach {place} can watch")
-    dialects = _dialects(arguments.dialect, endpoints)
-    endpoints = [_at_its_speed(e, dialects, notes, quiet=arguments.json) for e in endpoints]
-    config = configure(arguments, endpoints, target, notes)
+    dialects = dialects_of(arguments, endpoints, named)
+    endpoints = [_at_its_speed(e, dialects[e.name], notes, quiet=arguments.json) for e in endpoints]
+    config = configure(arguments, endpoints, target, notes, named)
     return record(config, display, duration_ns=asked_duration_ns(arguments))
 
 
@@ -185,15 +188,17 @@ class _Ending:
 # --- what was asked for ---------------------------------------------------------------------------------------------------
 
 
-def _endpoints(arguments: argparse.Namespace) -> list[Endpoint]:
+def _endpoints(arguments: argparse.Namespace) -> tuple[list[Endpoint], list[Named]]:
+    """Return what is recorded, and what the names of a profile among it stand for."""
     texts = list(arguments.endpoints)
     if arguments.foxglove:
         # `--foxglove serial:...`: the endpoint is none of Foxglove's.
         with contextlib.suppress(UsageError):
-            parse(arguments.foxglove)
+            endpoint(arguments.foxglove)
             texts.append(arguments.foxglove)
             arguments.foxglove = FOXGLOVE
-    return parse_all(texts)
+    replaced, named = endpoint_texts(texts)
+    return parse_all(replaced), named
 
 
 def target_of(arguments: argparse.Namespace) -> Path:
@@ -252,30 +257,38 @@ def _at_its_speed(endpoint: Endpoint, dialects: Sequence[Dialect], notes: list[s
         if not quiet:
             print(f"{endpoint.name}: {text}", file=sys.stderr, flush=True)
 
-    serial = [dialect for dialect in dialects if dialect.bus == "serial"]
-    return find(endpoint, say=say, candidates=serial or None)
+    return find(endpoint, say=say, candidates=list(dialects) or None)
 
 
 def configure(
-    arguments: argparse.Namespace, endpoints: Sequence[Endpoint], target: Path, notes: Sequence[str]
+    arguments: argparse.Namespace,
+    endpoints: Sequence[Endpoint],
+    target: Path,
+    notes: Sequence[str],
+    named: Sequence[Named] = (),
 ) -> RecordingConfig:
-    """Return the configuration of a recording of endpoints that begins now. `notes` go into the log."""
+    """Return the configuration of a recording of endpoints that begins now. `notes` go into the log.
+
+    `named`: what the profile says of them; it counts where the options say nothing.
+    """
     from analyzer.live.clock import now
     from analyzer.live.config import RecordingConfig
 
-    dialects = _dialects(arguments.dialect, endpoints)
-    if arguments.model:
-        registry.for_model(dialects or registry.every(), arguments.model)
-    ids = _ids(arguments.ids, endpoints)
+    dialects = dialects_of(arguments, endpoints, named)
+    model = arguments.model or ",".join(dict.fromkeys(d.entry.model for each in named for d in each.drives if d.entry.model))
+    if model:
+        registry.for_model([d for each in dialects.values() for d in each] or registry.every(), model)
+    ids = _ids(arguments.ids or [f"{each.endpoint.name}={each.bus.ids}" for each in named if each.bus.ids], endpoints)
+    groups = dict.fromkeys((*arguments.group, *(group for each in named for group in each.bus.groups)))
     rotate_bytes, rotate_ns = _rotation(arguments)
     anchor = now()
     return RecordingConfig(
         log=str(target.absolute()),
-        ports=tuple(_port(number, e, dialects, ids) for number, e in enumerate(endpoints, 1)),
+        ports=tuple(_port(number, e, dialects[e.name], ids) for number, e in enumerate(endpoints, 1)),
         anchor_monotonic_ns=anchor.monotonic_ns,
         anchor_utc_ns=anchor.wall_ns,
-        model=arguments.model,
-        groups=tuple(arguments.group),
+        model=model,
+        groups=tuple(groups),
         late_ns=int(arguments.late * 1e6),
         raw_only=arguments.raw_only,
         rotate_bytes=rotate_bytes,
@@ -313,20 +326,24 @@ def _port(number: int, endpoint: Endpoint, dialects: Sequence[Dialect], ids: Ids
         direction=direction,
         speed=speed,
         byte_ns=endpoint.byte_ns,
-        dialects=tuple(d.name for d in dialects if d.bus == endpoint.bus_kind),
+        dialects=tuple(d.name for d in dialects),
         ids=None if listed is None else tuple(sorted(listed)),
     )
 
 
-def _dialects(text: str, endpoints: Sequence[Endpoint]) -> list[Dialect]:
-    if text == "auto":
-        return []
-    chosen = [registry.get(name.strip()) for name in text.split(",")]
+def dialects_of(
+    arguments: argparse.Namespace, endpoints: Sequence[Endpoint], named: Sequence[Named] = ()
+) -> dict[str, list[Dialect]]:
+    """Return the dialects of each bus: those of --dialect, else those of its drives in the profile; none: to be found out."""
+    if arguments.dialect == "auto":
+        drives = [(each.endpoint.name, drive.dialect) for each in named for drive in each.drives]
+        return {e.name: list({d.name: d for bus, d in drives if bus == e.name}.values()) for e in endpoints}
+    chosen = [registry.get(name.strip()) for name in arguments.dialect.split(",")]
     kinds = {e.bus_kind for e in endpoints}
     for dialect in chosen:
         if dialect.bus not in kinds:
             raise UsageError(f"{dialect.name} is a dialect of {dialect.bus} buses, and none is recorded")
-    return chosen
+    return {e.name: [d for d in chosen if d.bus == e.bus_kind] for e in endpoints}
 
 
 def _rotation(arguments: argparse.Namespace) -> tuple[int, int]:

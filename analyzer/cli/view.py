@@ -16,6 +16,7 @@ from analyzer.cli.filter import Filter, vocabulary
 from analyzer.cli.reading import add_reading_arguments, open_reading
 from analyzer.errors import UsageError
 from analyzer.live.lock import running
+from analyzer.live.profile import FILE, names
 from analyzer.live.spool import spool_folder
 from analyzer.sources.recording_parts import base_of
 from analyzer.sources.tail import Follow
@@ -44,6 +45,8 @@ def run(arguments: argparse.Namespace) -> int:
     """View the capture; return 0."""
     if arguments.file == "-":
         raise UsageError("the view reads the keyboard from standard input: save the capture to a file, or use servotap show -")
+    if arguments.file in names() and not Path(arguments.file).exists():
+        raise UsageError(f"{arguments.file} is a name of {FILE}, expected a file (servotap record {arguments.file} --view)")
     require_terminal()
     reading = open_reading(arguments.file, arguments, Follow(_alive) if arguments.follow else None)
     with contextlib.closing(reading.source):

@@ -8,6 +8,7 @@ HELP: dict[str, str] = {
     "send": "send one frame to a drive, and show the reply decoded",
     "stop": "stop all drives of a bus, or those that are named, and prove that they stand",
     "scan": "find what answers on a bus: rates, dialects, addresses; reads only",
+    "init": "write a profile, servotap.toml, with the drives that answer: names in place of endpoints",
     "replay": "send the requests of a recording again, at their times",
     "tap": "record what a program and its serial adapter say to each other",
     "check": "check recordings against the manual, by their traffic alone",

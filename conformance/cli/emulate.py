@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
+from analyzer.live import profile
 from conformance.drives import make, realism
 from conformance.drives.bus import Bus
 from conformance.drives.can_bus import CanBus
@@ -39,6 +40,7 @@ examples:
   servotap emulate lk-rs485@3,fault=late-reply --tcp :5000    for pyserial's socket://127.0.0.1:5000
   servotap emulate mks-can@1 mks-can@2 --can udp_multicast:239.74.163.2,bitrate=500000
   servotap emulate mks-rs485@1,real=bench,latency-timer=16ms --pty       an honest drive as it is in the world
+  servotap emulate arm --pty /tmp/arm                         a drive as a profile, servotap.toml, has it
   servotap emulate --list-faults
 """
 SECOND_NS = 1_000_000_000
@@ -100,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
             _print_changes(make.every_fault(), lambda fault: f"breaks: {fault.breaks}")
         return 0
     _untangle(arguments)
-    specifications = [make.parse(text) for text in arguments.drives]
+    specifications = [make.parse(named.text if (named := profile.drive(text)) else text) for text in arguments.drives]
     _check(specifications, arguments)
     with contextlib.ExitStack() as stack:
         _emulate(specifications, arguments, stack)

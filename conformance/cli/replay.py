@@ -18,15 +18,18 @@ from typing import Any
 import msgspec
 
 from analyzer.catalogue import Dialect
+from analyzer.cli.option_types import addresses as addresses_of
 from analyzer.cli.reading import OpenCapture, add_reading_arguments, open_reading, progress
 from analyzer.dialects import drive_name
 from analyzer.errors import UsageError
 from analyzer.live.endpoint import Endpoint
+from analyzer.live.profile import look_up
 from analyzer.values import printable
 from conformance.bus import open_line
 from conformance.claim import NotStopped, worst
-from conformance.cli.endpoint import add_on_argument, endpoint_of, parse_addresses
+from conformance.cli.endpoint import add_on_argument, endpoint_of
 from conformance.gate.gate import Allowance, Gate, Judge, add_gate_arguments, allowance_from, shown
+from conformance.gate.permissions import narrow
 from conformance.safety import messages as say
 from conformance.safety.guarded import GuardedLine, beginning
 from conformance.safety.signals import as_interrupt
@@ -43,6 +46,7 @@ examples:
   servotap replay poll.log --on tcp:127.0.0.1:5000 --speed 2 --loop 10
   servotap replay job.mcap --bus left --on serial:/dev/ttyUSB0 --allow motion,unbounded --max-speed 300 --subdivision 16
   servotap replay can.log --on can:socketcan:can0 --address 1,2 --skip-refused
+  servotap replay poll.log --on arm                a drive or a bus of a profile, servotap.toml
 """
 _LISTED = 12
 _NO_END_NS = 1 << 62
@@ -81,8 +85,11 @@ def _loops(text: str) -> int:
 
 def run(arguments: argparse.Namespace) -> int:
     """Replay; return 0 if the drives answered as in the recording."""
+    named = look_up(arguments.on) if arguments.on else None
+    if named is not None:
+        narrow(arguments, named.drives)
     endpoint = None if arguments.dry_run else endpoint_of(arguments)
-    addresses = None if arguments.address is None else frozenset(parse_addresses(arguments.address))
+    addresses = None if arguments.address is None else frozenset(addresses_of(arguments.address, "--address"))
     allowance = allowance_from(arguments, addresses=addresses)
     reading = open_reading(arguments.file, arguments)
     with contextlib.closing(reading.source):

@@ -9,17 +9,19 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
+from analyzer.cli.option_types import addresses as addresses_of
 from analyzer.errors import UsageError
-from analyzer.live import endpoint as endpoints
+from analyzer.live import profile
 from analyzer.live.endpoint import Endpoint
 from analyzer.values import counted, quote
-from conformance.cli.endpoint import gate_to, parse_addresses
+from conformance.cli.endpoint import gate_to
 from conformance.gate.permissions import Allowance
 from conformance.talk.scan import PATIENCE_NS, Found, Progress, Report, Stray, scan
 
@@ -32,6 +34,7 @@ examples:
   servotap scan tcp:192.168.0.7:5000 --addresses 1,2,0x10-0x1F
   servotap scan can:slcan:/dev/ttyACM0 --rates 500000,1000000
   servotap scan can:socketcan:can0 --addresses 1-2047 --json
+  servotap scan arm                                the bus of a profile's drive (servotap.toml)
 """
 DEFAULT_ADDRESSES = "1-32"
 _SHOWN = 24
@@ -39,7 +42,15 @@ _SHOWN = 24
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("endpoint", metavar="ENDPOINT", help="serial:PORT[,baud=N], tcp:HOST:PORT or can:INTERFACE:CHANNEL")
+    parser.add_argument(
+        "endpoint", metavar="ENDPOINT", help="serial:PORT[,baud=N], tcp:HOST:PORT, can:INTERFACE:CHANNEL or a name"
+    )
+    add_looking_arguments(parser)
+    parser.add_argument("--json", action="store_true", help="one JSON object")
+
+
+def add_looking_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say where and how long is looked."""
     parser.add_argument("--addresses", default=DEFAULT_ADDRESSES, metavar="LIST", help="as 1-32 (default) or 1,2,0x10-0x1F")
     parser.add_argument("--rates", metavar="LIST", help="bits per second, as 38400,115200, or all")
     parser.add_argument("--dialects", metavar="LIST", help="as mks-rs485,lk-rs485; default: all of the bus")
@@ -47,14 +58,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--timeout", type=float, default=PATIENCE_NS / 1e6, metavar="MS", help="wait for a reply (default 40 ms)"
     )
     parser.add_argument("--busy", action="store_true", help="scan even if there is other traffic on the bus")
-    parser.add_argument("--json", action="store_true", help="one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Scan; return 0 if a drive was found."""
-    endpoint = endpoints.parse(arguments.endpoint)
+    endpoint = profile.endpoint(arguments.endpoint)
+    report = look(endpoint, arguments, quiet=arguments.json)
+    if arguments.json:
+        print(json.dumps(_object(report)))
+    else:
+        show(report, endpoint)
+        for line in _next_lines(report, endpoint):
+            print(line)
+    return 0 if report.found else 1
+
+
+def look(endpoint: Endpoint, arguments: argparse.Namespace, *, quiet: bool = False) -> Report:
+    """Return what answers on a bus; without `quiet`, drives are shown as they are found. Ctrl-C ends it early."""
     dialects = dialects_on(endpoint, arguments.dialects)
-    addresses = parse_addresses(arguments.addresses, min(dialect.addresses[0] for dialect in dialects))
+    addresses = addresses_of(arguments.addresses, "--addresses", min(d.addresses[0] for d in dialects))
     rates = rates_of(arguments.rates, endpoint, dialects)
     if not 0 < arguments.timeout <= 60_000:
         raise UsageError(f"--timeout: got {arguments.timeout:g}, expected milliseconds above 0, at most 60000")
@@ -62,12 +84,12 @@ def run(arguments: argparse.Namespace) -> int:
 
     def tell(found: Found) -> bool:
         """Show a drive as it is found, and go on looking."""
-        if not arguments.json:
+        if not quiet:
             print(_found_line(found), flush=True)
         return False
 
     opened = endpoint.at(rates[0]) if endpoint.auto or endpoint.kind == "serial" else endpoint
-    with gate_to(opened, Allowance()) as gate, showing_progress(quiet=arguments.json) as progress:
+    with gate_to(opened, Allowance()) as gate, showing_progress(quiet=quiet) as progress:
         try:
             scan(
                 gate, dialects, addresses=addresses, rates=rates, patience_ns=int(arguments.timeout * 1e6),
@@ -75,11 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
             )  # fmt: skip
         except KeyboardInterrupt:
             report.stopped = "stopped by Ctrl-C"
-    if arguments.json:
-        print(json.dumps(_object(report)))
-    else:
-        _show(report, endpoint)
-    return 0 if report.found else 1
+    return report
 
 
 # --- what is asked for --------------------------------------------------------------------------------------------
@@ -136,8 +154,8 @@ def showing_progress(*, quiet: bool) -> Iterator[Progress | None]:
         yield show
 
 
-def _show(report: Report, endpoint: Endpoint) -> None:
-    """Show what else came, what to check, and what to type next."""
+def show(report: Report, endpoint: Endpoint) -> None:
+    """Show what else came, and what to check."""
     if not report.found:
         rates = ", ".join(str(r) for r in report.rates)
         print(
@@ -153,15 +171,13 @@ def _show(report: Report, endpoint: Endpoint) -> None:
         print(f"not looked everywhere: {report.stopped}")
     for hint in report.hints:
         print(f"  - {hint}")
-    for line in _next_lines(report, endpoint):
-        print(line)
 
 
 def _next_lines(report: Report, endpoint: Endpoint) -> Iterator[str]:
     """Yield commands to copy: one that records the bus, and a test of each drive that was found."""
     if not report.found:
         return
-    bare = endpoint.text.split(",baud=")[0].split(",bitrate=")[0]
+    bare = without_rate(endpoint)
     rates = dict.fromkeys(found.speed for found in report.found)
     places = {rate: f"{bare},{'bitrate' if endpoint.kind == 'can' else 'baud'}={rate}" for rate in rates}
     if endpoint.kind == "tcp":
@@ -170,6 +186,12 @@ def _next_lines(report: Report, endpoint: Endpoint) -> Iterator[str]:
     yield from (f"  servotap record {place} -o week.mcap" for place in dict.fromkeys(places.values()))
     for found in report.found[:_SHOWN]:
         yield f"  servotap test {found.name} --on {places[found.speed]} --short"
+
+
+def without_rate(endpoint: Endpoint) -> str:
+    """Return an endpoint as it was named, without its name and its rate."""
+    named = endpoint.text.removeprefix(f"{endpoint.name}=")
+    return re.sub(r",(baud|bitrate)=[^,]*", "", named)
 
 
 def _found_line(found: Found) -> str:

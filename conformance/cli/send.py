@@ -21,13 +21,14 @@ from analyzer.decoder import physical, units_of
 from analyzer.dialects import find_command
 from analyzer.encoder import assemble
 from analyzer.errors import UsageError
-from analyzer.live import endpoint as endpoints
+from analyzer.live import profile
 from analyzer.pipeline import Entry
 from analyzer.records import CanFrame, Message
 from analyzer.reference.hex_frame import read_frame
 from analyzer.values import fields_text, printable
 from conformance.cli.endpoint import add_on_argument, at_own_rate, endpoint_of, gate_to
 from conformance.gate.gate import Allowance, Item, Judge, add_gate_arguments, allowance_from, shown
+from conformance.gate.permissions import narrow
 from conformance.talk.dialogue import MS, Dialogue, Until
 from conformance.talk.drive_state import read_drive_state
 from conformance.talk.exchange import Answer, Completion, Exchange
@@ -43,6 +44,7 @@ examples:
   servotap send mks-rs485@1 stop_speed acceleration=200 --on tcp:127.0.0.1:5000 --wait
   servotap send --hex "FA 01 31 2C" --on serial:/dev/ttyUSB0,baud=38400
   servotap send lk-rs485@1 move_increment position=90 --dry-run
+  servotap send arm read_speed                     a drive of a profile, servotap.toml (see servotap init)
 """
 _DEFAULT_TIMEOUT = 1000.0
 _DONE_NS = 120_000 * MS
@@ -52,7 +54,9 @@ _QUIET_NS = 60 * MS
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("target", nargs="?", metavar="DIALECT@ADDRESS", help="the recipient: mks-rs485@1, mks-rs485@all")
+    parser.add_argument(
+        "target", nargs="?", metavar="DRIVE", help="the recipient: mks-rs485@1, mks-rs485@all, or a name of a profile"
+    )
     parser.add_argument("command", nargs="?", metavar="COMMAND", help="its name, or a code that only one command has")
     parser.add_argument("values", nargs="*", metavar="FIELD=VALUE", help="values of its fields")
     add_on_argument(parser)
@@ -77,6 +81,11 @@ def _milliseconds(text: str) -> float:
 
 def run(arguments: argparse.Namespace) -> int:
     """Send; return 0 if it was answered well, 1 if not."""
+    named = profile.drive(arguments.target) if arguments.target and arguments.hex is None else None
+    if named is not None:
+        # Its bus is where it is, unless another place is named.
+        arguments.on = arguments.on or arguments.target
+        narrow(arguments, (named,))
     request = _hex(arguments) if arguments.hex is not None else _command(arguments)
     allowance = request.allowance(allowance_from(arguments, addresses=request.addresses))
     if arguments.dry_run:
@@ -121,7 +130,7 @@ def _hex(arguments: argparse.Namespace) -> Request:
     if arguments.target is not None:
         raise UsageError(f"--hex: expected the bytes alone, got {arguments.target} beside them")
     frame = read_frame(arguments.hex)
-    on_can = arguments.on is not None and endpoints.parse(arguments.on).bus_kind == "can"
+    on_can = arguments.on is not None and profile.endpoint(arguments.on).bus_kind == "can"
     can_id, data = frame.can_id, frame.data
     if on_can and can_id is None:
         if not data:

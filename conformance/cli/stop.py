@@ -13,12 +13,14 @@ from typing import NamedTuple
 
 from analyzer.catalogue import Dialect
 from analyzer.cli.frame import parse_target
+from analyzer.cli.option_types import addresses as addresses_of
 from analyzer.dialects import drive_name
 from analyzer.errors import UsageError
 from analyzer.live import endpoint as endpoints
+from analyzer.live import profile
 from conformance.bus.line import LineLost
 from conformance.claim import Inconclusive, NotStopped
-from conformance.cli.endpoint import at_own_rate, gate_to, parse_addresses
+from conformance.cli.endpoint import at_own_rate, gate_to
 from conformance.cli.scan import DEFAULT_ADDRESSES, dialects_on, rates_of, showing_progress
 from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
@@ -32,6 +34,7 @@ examples:
   servotap stop serial:/dev/ttyUSB0,baud=38400                     all that answer at addresses 1 to 32
   servotap stop serial:/dev/ttyUSB0,baud=38400 mks-rs485@1 lk-rs485@3
   servotap stop can:socketcan:can0 mks-can@1 --cut-power 'usbrelay OFF_1=1'
+  servotap stop arm                                                a drive or a bus of a profile, servotap.toml
 """
 
 
@@ -49,7 +52,9 @@ class _Drive(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("endpoint", metavar="ENDPOINT", help="serial:PORT[,baud=N], tcp:HOST:PORT or can:INTERFACE:CHANNEL")
+    parser.add_argument(
+        "endpoint", metavar="ENDPOINT", help="serial:PORT[,baud=N], tcp:HOST:PORT, can:INTERFACE:CHANNEL or a name"
+    )
     parser.add_argument("drives", nargs="*", metavar="DIALECT@ADDRESS", help="the drives; without any, those that answer")
     parser.add_argument("--addresses", default=DEFAULT_ADDRESSES, metavar="LIST", help="where to look, as 1-32 (default)")
     parser.add_argument("--cut-power", default="", metavar="COMMAND", help="runs when a drive is not seen standing")
@@ -57,10 +62,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Stop; return 0 if all stand. Raises NotStopped."""
-    endpoint = endpoints.parse(arguments.endpoint)
+    place = profile.look_up(arguments.endpoint)
+    endpoint = endpoints.parse(arguments.endpoint) if place is None else place.endpoint
     dialects = dialects_on(endpoint)
     rates = rates_of(None, endpoint, dialects)
     named = [parse_target(text, None) for text in arguments.drives]
+    # A drive of a profile is stopped alone; of a bus those that the profile has, and whichever else answer.
+    alone = bool(named) or (place is not None and place.is_drive)
+    if place is not None and not named:
+        named = [(each.dialect, each.entry.address) for each in place.drives]
     for dialect, _ in named:
         if dialect.bus != endpoint.bus_kind:
             raise UsageError(f"{dialect.name} is a dialect of {dialect.bus}, and {endpoint.text} is a {endpoint.bus_kind} bus")
@@ -69,11 +79,11 @@ def run(arguments: argparse.Namespace) -> int:
     with gate_to(endpoint, Allowance()) as gate:
         drives = [_Drive(*each, gate.line.endpoint.bits_per_second) for each in named]
         try:
-            if not drives:
-                addresses = parse_addresses(arguments.addresses, min(dialect.addresses[0] for dialect in dialects))
-                drives = _found(gate, dialects, addresses, rates)
-            for drive in drives if named else ():
+            for drive in drives:
                 _ask(gate, drive)
+            if not alone:
+                addresses = addresses_of(arguments.addresses, "--addresses", min(d.addresses[0] for d in dialects))
+                drives += [each for each in _found(gate, dialects, addresses, rates) if each not in drives]
             failures = [text for drive in drives if (text := _prove(gate, drive))]
         except LineLost as error:
             failures.append(str(error))

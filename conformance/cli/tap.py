@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING
 from analyzer.catalogue import Role
 from analyzer.cli.record import add_recording_arguments, asked_duration_ns, configure, display_of, record, target_of
 from analyzer.errors import UsageError
-from analyzer.live.endpoint import Endpoint, parse
+from analyzer.live import profile
+from analyzer.live.endpoint import Endpoint
 
 if TYPE_CHECKING:
     from analyzer.live.children import Child, MessageQueue
@@ -29,6 +30,7 @@ endpoints:
   [NAME=]serial:PORT[,baud=N][,parity=even]        baud is the speed until the program sets one
   [NAME=]serial:,serial=NUMBER                     a USB adapter by its serial number
   [NAME=]tcp:HOST:PORT                             a serial server
+  NAME                                             a bus or a drive of a profile, servotap.toml
 
 examples:
   servotap tap serial:/dev/ttyUSB0 --link /tmp/ttyDRIVE
@@ -63,7 +65,9 @@ def run(arguments: argparse.Namespace) -> int:
     target = target_of(arguments)
     notes = [] if endpoint.speed else [f"{endpoint.name}: {endpoint.bits_per_second} baud until the program sets a speed"]
     directions = [replace(endpoint, direction=role) for role in (Role.REQUEST, Role.REPLY)]
-    config = configure(arguments, directions, target, [*notes, f"tapped: the program's port was {arguments.link}"])
+    notes.append(f"tapped: the program's port was {arguments.link}")
+    named = profile.look_up(arguments.endpoint)
+    config = configure(arguments, directions, target, notes, [named] if named is not None else [])
     stems = (config.ports[0].stem, config.ports[1].stem)
     with _terminal(arguments.link, endpoint) as port:
         ends = (port.descriptors()[0], port.slave)
@@ -78,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _endpoint(text: str) -> Endpoint:
-    endpoint = parse(text)
+    endpoint = profile.endpoint(text)
     if endpoint.kind == "can":
         raise UsageError("a tap is for serial lines; on CAN several can listen: servotap record")
     if endpoint.direction is not Role.UNKNOWN:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 from analyzer import __version__
 from analyzer.cli.reading import now_text
 from analyzer.errors import ServotapError
+from analyzer.live import profile
 from conformance.claim import NotStopped, Outcome, RigFault, worst
 from conformance.cli.endpoint import say_rate
 from conformance.gate.permissions import add_gate_arguments
@@ -42,13 +43,16 @@ examples:
   servotap test --claim 'mks-rs485/shape/*' --report out.html --log out.mcap
   servotap test lk-rs485@1 --on tcp:192.168.0.7:5000 --dry-run
   servotap test --list --theme motion
+  servotap test arm --short                                a drive of a profile, servotap.toml (see servotap init)
 """
 REFUTED, INTERRUPTED = 1, 130
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("drives", nargs="*", metavar="DRIVE", help="DIALECT@ADDRESS[,model=M]; emulated: quirks, faults")
+    parser.add_argument(
+        "drives", nargs="*", metavar="DRIVE", help="DIALECT@ADDRESS[,model=M] or a name; emulated: quirks, faults"
+    )
     parser.add_argument(
         "--on", action="append", default=[], metavar="ENDPOINT",
         help="where: serial:PORT,baud=N, tcp:HOST:PORT, can:INTERFACE:CHANNEL,bitrate=N, or emulated (default)",
@@ -104,8 +108,10 @@ def run(arguments: argparse.Namespace) -> int:
 def plan_of(arguments: argparse.Namespace) -> Plan:
     """Return what the command line asks for. Raises UsageError for what does not fit together."""
     targets = target.parse_all(arguments.drives, arguments.on)
+    places = [profile.endpoint(place).text for place in arguments.on if place != target.EMULATED]
+    places += [named.endpoint.text for drive in arguments.drives if (named := profile.look_up(drive)) is not None]
     for each in targets:
-        if each.endpoint is not None and each.endpoint.text not in arguments.on:
+        if each.endpoint is not None and each.endpoint.text not in places:
             say_rate(each.endpoint, each.dialect, "")
     return plan_from(
         arguments,

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from analyzer import dialects as registry
 from analyzer.catalogue import Risk
 from analyzer.errors import UsageError
+from analyzer.live.profile import BOUNDS, NamedDrive
 from analyzer.values import near, quote
 from conformance.gate.bounds import Bounds, Knowledge
 from conformance.gate.budget import Budget, parse_budget
@@ -165,6 +166,18 @@ def allowance_from(arguments: argparse.Namespace, *, addresses: Iterable[int] | 
         getattr(arguments, "subdivision", None),
         parse_spoken(getattr(arguments, "spoken", None)),
     )
+
+
+def narrow(arguments: argparse.Namespace, drives: Iterable[NamedDrive]) -> None:
+    """Take from the profile of drives what the options of `add_gate_arguments` leave open; of several bounds the narrowest."""
+    entries = [drive.entry for drive in drives]
+    for bound in BOUNDS:
+        values = [value for entry in entries if (value := getattr(entry, bound)) is not None]
+        if values and getattr(arguments, bound) is None:
+            setattr(arguments, bound, min(values))
+    subdivisions = {entry.subdivision for entry in entries}
+    if len(subdivisions) == 1 and getattr(arguments, "subdivision", None) is None:
+        arguments.subdivision = subdivisions.pop()
 
 
 def _above_zero(text: str) -> float:

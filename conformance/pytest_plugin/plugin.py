@@ -23,7 +23,10 @@ import pytest
 
 #: Name, and what argparse is told. `--on` and `--drive` may be repeated.
 OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
-    ("drive", {"action": "append", "default": [], "metavar": "DRIVE", "help": "DIALECT@ADDRESS[,model=M]; may be repeated"}),
+    (
+        "drive",
+        {"action": "append", "default": [], "metavar": "DRIVE", "help": "DIALECT@ADDRESS[,model=M], or a name of a profile"},
+    ),
     ("on", {"action": "append", "default": [], "metavar": "ENDPOINT", "help": "serial:, tcp:, can:, or emulated (default)"}),
     ("allow", {"action": "append", "default": [], "metavar": "RISKS", "help": "what may be sent beside reads"}),
     ("alone", {"action": "store_true", "default": False, "help": "no other drive is on the bus"}),
@@ -85,12 +88,23 @@ def pytest_configure(config: pytest.Config) -> None:
         threading.Thread(target=_end_with_controller, args=(os.getppid(),), daemon=True).start()
         return
     config.pluginmanager.register(_Controller(config), "servotap-controller")
-    real = any(place != "emulated" for place in config.getoption("servotap_on"))
+    real = _any_real(config)
     if real or config.getoption("servotap_budget"):
         handle, path = tempfile.mkstemp(prefix="servotap-budget-")
         os.close(handle)
         os.environ[BUDGET] = path
         config.add_cleanup(lambda: Path(path).unlink(missing_ok=True))
+
+
+def _any_real(config: pytest.Config) -> bool:
+    """Say whether a drive that is named is no emulated one: a name of a profile brings its place."""
+    from analyzer.errors import ServotapError
+    from conformance.suite.target import any_real
+
+    try:
+        return any_real(config.getoption("servotap_drive"), config.getoption("servotap_on"))
+    except ServotapError as error:
+        raise pytest.UsageError(f"servotap: {error}") from None
 
 
 def _end_with_controller(controller: int) -> None:
@@ -112,7 +126,7 @@ class _Controller:
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_make_scheduler(self, config: pytest.Config, log: Any) -> Any:
         """Keep the tests of one real port together; with emulated drives alone tests go anywhere."""
-        if all(place == "emulated" for place in config.getoption("servotap_on")):
+        if not _any_real(config):
             return None
         from conformance.pytest_plugin.workers import scheduler
 

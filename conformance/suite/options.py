@@ -6,7 +6,8 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from conformance.gate.permissions import allowance_from
+from analyzer.live.profile import NamedDrive
+from conformance.gate.permissions import allowance_from, narrow
 from conformance.suite.plan import Plan
 from conformance.suite.record import MOST_INCONCLUSIVE, most_inconclusive
 from conformance.suite.target import Target
@@ -72,6 +73,8 @@ def plan_from(
     short: bool = False,
 ) -> Plan:
     """Return the plan that these options and those of the gate ask for. Raises UsageError where they do not fit together."""
+    named = [target.named for target in targets if target.named is not None]
+    narrow(arguments, named)
     given = allowance_from(arguments)
     # Nothing can break on an emulated drive, so all is allowed there where nothing was said.
     allowance = None if all(t.emulated for t in targets) and not arguments.allow else given
@@ -81,7 +84,7 @@ def plan_from(
         tuple(claims),
         tuple(themes),
         seed,
-        settings=_settings(arguments.settings),
+        settings=_settings(arguments.settings, named),
         journal=arguments.journal or "",
         cut_power=arguments.cut_power,
         longest_run=arguments.max_run,
@@ -94,9 +97,15 @@ def plan_from(
     return plan
 
 
-def _settings(path: str | None) -> dict[str, dict[str, str]]:
+def _settings(path: str | None, named: Sequence[NamedDrive]) -> dict[str, dict[str, str]]:
+    """Return what settings are put back to, by drive: as a file says, else as the profile does."""
+    said = {
+        f"{drive.dialect.name}@{drive.entry.address}": {name: str(value) for name, value in drive.entry.settings.items()}
+        for drive in named
+        if drive.entry.settings
+    }
     if path is None:
-        return {}
+        return said
     from conformance.safety.settings import load
 
-    return load(Path(path))
+    return said | load(Path(path))

@@ -11,13 +11,14 @@ A drive on hardware has an address and perhaps a model, and any dialect there is
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
-from analyzer.live import endpoint as endpoints
+from analyzer.live import profile
 from analyzer.live.endpoint import DEFAULT_BAUD, DEFAULT_BITRATE, Endpoint
+from analyzer.live.profile import NamedDrive
 from analyzer.values import quote
 from conformance.bus import at_default_rate
 from conformance.drives import make
@@ -28,7 +29,10 @@ EMULATED = "emulated"
 
 @dataclass(frozen=True)
 class Target:
-    """One drive under test. `text` as named; `endpoint` None: emulated, and `specification` says which drive."""
+    """One drive under test. `text` as named; `endpoint` None: emulated, and `specification` says which drive.
+
+    `named`: what a profile says of it.
+    """
 
     text: str
     dialect: Dialect
@@ -36,6 +40,7 @@ class Target:
     model: str
     endpoint: Endpoint | None
     specification: Specification | None
+    named: NamedDrive | None = None
 
     @property
     def emulated(self) -> bool:
@@ -81,7 +86,8 @@ def telling_models(dialect: Dialect) -> list[str]:
 def parse_all(drives: Sequence[str], places: Sequence[str]) -> list[Target]:
     """Return the targets of `--drive` and `--on`: one place for all drives, or one for each in their order.
 
-    Raises UsageError for what does not fit together.
+    A name of a profile is a drive, or all drives of a bus, and brings its place. Raises UsageError for what does not fit
+    together.
     """
     if not drives:
         if any(place != EMULATED for place in places):
@@ -92,7 +98,8 @@ def parse_all(drives: Sequence[str], places: Sequence[str]) -> list[Target]:
         where *= len(drives)
     if len(where) != len(drives):
         raise UsageError(f"got {len(drives)} drives and {len(where)} places: give one --on for all drives or one for each")
-    targets = [parse(drive, place) for drive, place in zip(drives, where, strict=True)]
+    pairs = zip(drives, where if places else [""] * len(drives), strict=True)
+    targets = [target for drive, place in pairs for target in _of_one(drive, place)]
     for index, target in enumerate(targets):
         for other in targets[:index]:
             same = target.port == other.port and target.address == other.address and target.dialect.bus == other.dialect.bus
@@ -101,13 +108,28 @@ def parse_all(drives: Sequence[str], places: Sequence[str]) -> list[Target]:
     return targets
 
 
+def _of_one(drive: str, place: str) -> list[Target]:
+    """Return what one word names: a drive, or the drives of a profile; `place`: as given, else empty."""
+    named = profile.look_up(drive)
+    if named is None:
+        return [parse(drive, place or EMULATED)]
+    if not named.drives:
+        raise UsageError(f"{drive} is a bus without drives: add a [drive.NAME] with bus = {quote(drive)} to {profile.FILE}")
+    return [replace(parse(each.text, place or named.endpoint.text), named=each) for each in named.drives]
+
+
+def any_real(drives: Sequence[str], places: Sequence[str]) -> bool:
+    """Say whether a drive that is named is no emulated one. Raises UsageError for what is none."""
+    return any(not target.emulated for target in parse_all(drives, places))
+
+
 def parse(drive: str, place: str = EMULATED) -> Target:
     """Return the target that a drive and a place name. Raises UsageError that says what was expected."""
     if place == EMULATED:
         text = drive if "@" in drive else _with_address(drive)
         specification = make.parse(text)
         return Target(text, specification.dialect, specification.address, specification.model, None, specification)
-    endpoint = endpoints.parse(place)
+    endpoint = profile.endpoint(place)
     head, *parts = drive.split(",")
     name, at, _ = head.partition("@")
     if not at:

@@ -77,7 +77,7 @@ def test_the_user_says_who_is_a_drive(mixed, capsys):
     ("text", "said"),
     [
         ("1,x", "--ids: got 'x', expected addresses from 0 to 2047"),
-        ("0x18FEF100", "an identifier of 29 bits: drives have 11, up to 0x7FF"),
+        ("0x18FEF100", "an identifier of 29 bits: drives have 11, 0x7FF at most"),
         ("9-1", "got '9-1'"),
         ("", "got ''"),
     ],

@@ -22,7 +22,7 @@ def parsed(*words):
 
 def configured(tmp_path, *words):
     arguments = parsed(*words, *(() if "-o" in words else ("-o", str(tmp_path / "a.mcap"))))
-    endpoints = record._endpoints(arguments)
+    endpoints, _ = record._endpoints(arguments)
     target = record.target_of(arguments)
     return record.configure(arguments, endpoints, target, [])
 
@@ -36,7 +36,7 @@ def test_each_command_of_the_help_is_understood(tmp_path, monkeypatch, command):
     words = shlex.split(command)[1:]
     assert shlex.split(command, posix=False)[1:] == words, "nothing in it needs quoting"
     arguments = parsed(*words)
-    config = record.configure(arguments, record._endpoints(arguments), record.target_of(arguments), [])
+    config = record.configure(arguments, record._endpoints(arguments)[0], record.target_of(arguments), [])
     assert config.ports
     assert config.log.startswith(str(tmp_path))
     if arguments.duration:

@@ -12,12 +12,12 @@ import pytest
 from analyzer import cli as analyzer_cli
 from analyzer import dialects
 from analyzer.catalogue import Dialect, Risk, Role, always
+from analyzer.cli.option_types import addresses as addresses_of
 from analyzer.encoder import build
 from analyzer.errors import UsageError
 from analyzer.records import CanFrame, Chunk
 from conformance.bus.emulated import EmulatedLine
 from conformance.cli import scan as command
-from conformance.cli.endpoint import parse_addresses
 from conformance.drives import make
 from conformance.drives.serial_bus import SerialBus
 from conformance.gate.gate import Allowance, Gate
@@ -297,9 +297,9 @@ def test_wrong_use(words: tuple[str, ...], told: str, capsys: pytest.CaptureFixt
 
 
 def test_addresses():
-    assert parse_addresses("1-3,2,0x10-0x11") == [1, 2, 3, 16, 17]
+    assert addresses_of("1-3,2,0x10-0x11", "--addresses") == [1, 2, 3, 16, 17]
     with pytest.raises(UsageError):
-        parse_addresses("1-9999")
+        addresses_of("1-9999", "--addresses")
 
 
 @pytest.mark.parametrize("other", ["mks-rs485@60", "mks-rs485@255", "lk-rs485@32,baud=38400", "mks-modbus@247"])
