@@ -85,13 +85,13 @@ _READS = (
         "8.1.1",
         "read_encoder_carry",
         "30h reads the carry in four bytes and the value in two.",
-        "motion/read_encoder_carry/is-position",
+        "motion/read_encoder_carry/standing",
     ),
     said(
         "8.1.1/range", "The value is 0 to 3FFFh.", "shape/read_encoder_carry/values", "motion/read_encoder_carry/at-the-carry"
     ),
     said("8.1.1/carries", "Above 3FFFh the carry is one more, below 0 one less.", "motion/read_encoder_carry/*"),
-    said("8.1.1/turn", "A turn changes the carry by one and leaves the value.", "motion/read_encoder_carry/is-position"),
+    said("8.1.1/turn", "A turn changes the carry by one and leaves the value.", "motion/read_encoder_carry/standing"),
     said("8.1.1/disabled", "The encoder is read whether the motor is enabled or not.", "motion/read_position/while-disabled"),
     read("8.1.2", "read_position", "31h reads the encoder as one signed count of six bytes.", "motion/read_position/wide"),
     said("8.1.2/turn", "A turn changes it by 4000h.", "motion/read_position/turn"),
@@ -126,7 +126,7 @@ _READS = (
     said(
         "8.1.10/stopped",
         "1: it stands.",
-        "motion/read_status/at-rest",
+        "motion/read_status/standing",
         "motion/read_status/slow-*",
         "motion/read_status/after-a-move",
     ),

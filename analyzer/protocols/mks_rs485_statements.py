@@ -236,14 +236,14 @@ _LONG_READS = (
         "5.1.1",
         "read_encoder_carry",
         "30 reads the carry in four bytes and the value in two.",
-        "motion/read_encoder_carry/is-position",
+        "motion/read_encoder_carry/standing",
     ),
     said(
         "5.1.1/range", "The value is 0 to 3FFFh.", "shape/read_encoder_carry/values", "motion/read_encoder_carry/at-the-carry"
     ),
     said("5.1.1/carries-up", "Above 3FFFh the carry is one more.", "motion/read_encoder_carry/*"),
     said("5.1.1/carries-down", "Below 0 the carry is one less.", "motion/read_encoder_carry/*"),
-    said("5.1.1/turn", "A turn changes the carry by one and leaves the value.", "motion/read_encoder_carry/is-position"),
+    said("5.1.1/turn", "A turn changes the carry by one and leaves the value.", "motion/read_encoder_carry/standing"),
     said("5.1.1/disabled", "The encoder is read whether the motor is enabled or not.", "motion/read_position/while-disabled"),
     read("5.1.2", "read_position", "31 reads the encoder as one signed count of six bytes.", "motion/read_position/wide"),
     said("5.1.2/turn", "A turn changes it by 4000h.", "motion/read_position/turn"),
@@ -251,7 +251,7 @@ _LONG_READS = (
     said(
         "5.1.2/below-zero",
         "It goes on below zero.",
-        "motion/read_encoder_carry/is-position",
+        "motion/read_encoder_carry/standing",
         "motion/move_absolute_axis/reads-as-asked",
     ),
     read("5.1.3", "read_speed", "32 reads the speed in rpm, in two signed bytes.", "motion/read_speed/is-change"),
@@ -659,7 +659,7 @@ _MOTION = (
     said(
         "6.2.1/stopped",
         "1: it stands.",
-        "motion/read_status/at-rest",
+        "motion/read_status/standing",
         "motion/read_status/slow-*",
         "motion/read_status/after-a-move",
     ),

@@ -68,6 +68,7 @@ MODULES = (
     "refusals",
     "motion_reads",
     "motion_told",
+    "standing_reads",
     "torque",
     "health",
     "told_state",

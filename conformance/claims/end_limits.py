@@ -60,12 +60,12 @@ def _of_limits(refuted_by: str, *, each: Cases, **facts: Any) -> Callable[[Calla
 # --- between the end stops --------------------------------------------------------------------------------------------
 
 
-def _homed(probe: Probe, end_limit: int = 1, side: int = -1) -> None:
+def _homed(probe: Probe, end_limit: int = 1, side: int = -1, mode: str = "") -> None:
     """Find the left end stop and go back half a turn from it; the right one stands beyond.
 
     `side`: the way in which left lies, 1 where counts rise.
     """
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
     homing.set_home(probe, end_limit=end_limit, home_speed=60, **({"home_direction": 1} if side > 0 else {}))
     bench.left_switch(probe, -side * _LEFT)
     bench.right_switch(probe, -side * (_LEFT + _RIGHT_TURNS * probe.dialect.counts_per_turn))
@@ -122,15 +122,16 @@ def _send_left(probe: Probe, command: Command) -> Exchange:
 
 @_of_limits("a shaft that runs beyond it", each=_runs_and_moves, name="{command}/end-limit-stops-{run}")
 def _stops_at(probe: Probe, run: Command) -> None:
-    """With the end limit on, {run} towards the left stops at its end stop."""
-    _homed(probe)
-    exchange = _send_left(probe, run)
-    seen = probe.read(Verb.READ_POSITION, "position")
-    if abs(seen) > probe.within("counts"):
-        motion.stop(probe)
-    text = f"{run.name} does not stop at an end limit"
-    expected = "0, where the end stop is"
-    probe.expect(seen, near=0, unit="counts", expected=expected, refutes=text, exchange=exchange)
+    """With the end limit on, {run} towards the left stops at its end stop, in each bus mode."""
+    for mode in run.modes or ("",):
+        _homed(probe, mode=mode)
+        exchange = _send_left(probe, run)
+        seen = probe.read(Verb.READ_POSITION, "position")
+        if abs(seen) > probe.within("counts"):
+            motion.stop(probe)
+        text = f"{run.name} does not stop at an end limit {mode and 'in ' + mode}"
+        expected = "0, where the end stop is"
+        probe.expect(seen, near=0, unit="counts", expected=expected, refutes=text, exchange=exchange)
 
 
 @_of_limits(
@@ -142,7 +143,7 @@ def _stops_at(probe: Probe, run: Command) -> None:
 )
 def _stops_at_the_other_side(probe: Probe, run: Command) -> None:
     """With the end limit on and homing counter-clockwise, {run} that way stops at the left end stop, and goes back from it."""
-    _homed(probe, side=1)
+    _homed(probe, side=1, mode=run.modes[0] if run.modes else "")
     # The sense is found before the shaft stands at a limit, where it could not be.
     sense = _sense_of(probe, run)
     for way in (1, -1):

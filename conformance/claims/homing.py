@@ -18,6 +18,7 @@ from conformance.claim import Inconclusive
 from conformance.claims import bench
 from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.motion_claim import of_motion, risks_by, that_tell_their_end
+from conformance.model import covering
 from conformance.motion import motion
 from conformance.motion.motion import MS, SECOND_NS
 from conformance.talk.exchange import Exchange
@@ -81,9 +82,9 @@ def _status_now(probe: Probe) -> int:
     return probe.read(Verb.READ_STATUS, "status")
 
 
-def _prepared(probe: Probe, **values: int) -> float:
+def _prepared(probe: Probe, mode: str = "", **values: int) -> float:
     """Make a drive ready for homing; return where the shaft stands (counts of its own)."""
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
     # Away from where it was made, so that its zero is not by chance where homing ends.
     motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 216)
     set_home(probe, **values)
@@ -98,6 +99,15 @@ def _expect_shaft(
     if abs(at - near) > (probe.within("counts") if within is None else within):
         _halt(probe)
     probe.expect(at, near=near, within=within, unit="counts", refutes=refutes, exchange=exchange, **how)
+
+
+def _expect_flags(probe: Probe, exchange: Exchange) -> None:
+    """Refute unless the status is that of a motor that stands, neither protected nor on its way to a kept zero."""
+    for verb, wanted in ((Verb.READ_STATUS, 1), (Verb.READ_ZERO_STATUS, 1), (Verb.READ_PROTECTION, 0)):
+        if verb in probe.dialect.by_verb:
+            seen = probe.read(verb, "status")
+            text = f"{probe.command(verb).name} tells {seen} after homing"
+            probe.expect(seen, equal=wanted, refutes=text, exchange=exchange)
 
 
 def _expect_still(probe: Probe, exchange: Exchange, wait_ns: int, refutes: str) -> None:
@@ -120,13 +130,17 @@ def _both_ways(dialect: Dialect) -> Iterator[Case]:
 
 @_of_homing("a shaft that goes the other way or stops elsewhere", each=_both_ways, name="{command}/finds-switch-{way}")
 def _finds_switch(probe: Probe, way: str) -> None:
-    """Homing with direction {way} turns the shaft {way} until the end stop closes, and it stands there."""
+    """Homing with direction {way} turns the shaft {way} until the end stop closes, and it stands there, in each mode."""
     direction = _DIRECTIONS[way]
-    start = _prepared(probe, home_direction=direction)
-    bench.left_switch(probe, _WAYS[direction] * _SWITCH)
-    exchange = find_home(probe)
-    probe.wait(500 * MS)
-    _expect_shaft(probe, exchange, "homing does not end at the end stop", near=start + _WAYS[direction] * _SWITCH)
+    for row in covering.rows({"mode": motion.bus_modes(probe.dialect), "rpm": (60, 300)}):
+        bench.left_switch(probe, _WAYS[direction] * 10 * probe.dialect.counts_per_turn)
+        start = _prepared(probe, row["mode"], home_direction=direction, home_speed=row["rpm"])
+        bench.left_switch(probe, _WAYS[direction] * _SWITCH)
+        exchange = find_home(probe)
+        probe.wait(500 * MS)
+        text = f"homing at {row['rpm']} rpm in {row['mode']} does not end at the end stop"
+        _expect_shaft(probe, exchange, text, near=start + _WAYS[direction] * _SWITCH)
+        _expect_flags(probe, exchange)
 
 
 @_of_homing(

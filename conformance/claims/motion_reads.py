@@ -65,29 +65,6 @@ def _turn(probe: Probe) -> None:
         probe.expect(change, near=wanted, unit="counts", refutes=text)
 
 
-@of_motion(
-    each=commands(Verb.READ_ENCODER_CARRY), refuted_by="two numbers that differ, or a value beyond a turn", risks=_by_pulses
-)
-def _is_position(probe: Probe, command: Command) -> None:
-    """Carry x 16384 + value is the position, above and below zero and beyond a turn; the value stays within one."""
-    turn = probe.dialect.counts_per_turn
-    motion.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
-    for turns in (-0.4, 1.7, 1.0, -3.0):
-        _move_by_pulses(probe, turns)
-        exchange = probe.ask(command)
-        values = probe.reply(exchange).values
-        carry, value = values["carry"], values["encoder"]
-        probe.expect(value, at_least=0, at_most=turn - 1, refutes="the value is more than a turn", exchange=exchange)
-        together, counts = carry * turn + value, _counts(probe)
-        probe.expect(
-            f"{carry} x {turn} + {value} = {together}",
-            holds=abs(together - counts) <= probe.within("counts"),
-            expected=f"{counts}, as read_position has it",
-            refutes="carry and value are not the position",
-            exchange=exchange,
-        )
-
-
 def _with_places(dialect: Dialect) -> Iterable[Case]:
     """Return the read of carry and value where a move to a place counts as the encoder does."""
     return commands(Verb.READ_ENCODER_CARRY)(dialect) if Verb.MOVE_ABSOLUTE_AXIS in dialect.by_verb else ()
@@ -330,15 +307,6 @@ _angle_error = commands(Verb.READ_ANGLE_ERROR)
 def _error(probe: Probe, command: Command) -> float:
     field = command.reply_forms[0].layout.named["angle_error"]
     return float(field.physical(probe.read(command, "angle_error")))
-
-
-@of_motion(each=_angle_error, name="{command}/at-rest", refuted_by=f"more than {_LAG:g} degree")
-def _error_at_rest(probe: Probe, command: Command) -> None:
-    """The angle error of a shaft that stands where it should is about 0."""
-    motion.ready_to_move(probe)
-    motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 90)
-    text = "a shaft that is where it should be has an angle error"
-    probe.expect(_error(probe, command), near=0, within=_LAG, unit="degrees", refutes=text)
 
 
 def _held_errors(dialect: Dialect) -> Iterator[Case]:

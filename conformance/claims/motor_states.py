@@ -71,13 +71,6 @@ def _wait_until(probe: Probe, exchange: Exchange, after_ns: int) -> None:
     probe.wait(exchange.sent_ns + after_ns - probe.gate.now_ns())
 
 
-@_of_status(refuted_by="another status")
-def _at_rest(probe: Probe) -> None:
-    """The status of a motor that stands is 1."""
-    motion.ready_to_move(probe)
-    _expect(probe, _status(probe), _STOPPED, "stands")
-
-
 @_of_a_run()
 def _speeding_up(probe: Probe) -> None:
     """The status on the ramp up is 2, from the first few rpm on."""

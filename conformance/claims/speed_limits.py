@@ -42,10 +42,19 @@ class Spun(NamedTuple):
     unsure: float
 
 
+def _way(probe: Probe, speed: int, mode: str) -> int:
+    """Return which way a speed is tried in a mode: the highest of it one way, those beyond the other way."""
+    beyond = speed > probe.dialect.mode_speeds.get(mode, _HIGHEST)
+    return 1 if (motion.bus_modes(probe.dialect).index(mode) + beyond) % 2 == 0 else -1
+
+
 def spun(probe: Probe, command: Command, speed: int, mode: str) -> Spun:
     """Turn the shaft at a speed as sent, by a run or a move of 20 turns, and look when the ramp is over."""
+    way = _way(probe, speed, mode)
     motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
-    exchange = motion.ask(probe, command, 20 * 360, acceleration=255, quiet_ns=0, more={motion.of(command).speed: speed})
+    exchange = motion.ask(
+        probe, command, way * 20 * 360, rpm=way, acceleration=255, quiet_ns=0, more={motion.of(command).speed: speed}
+    )
     # At 50 us for one rpm the shaft has 3000 rpm after 150 ms, and a move of 20 turns keeps it for 250 ms.
     probe.wait(exchange.sent_ns + 180 * MS - probe.gate.now_ns())
     before, seen = motion.position(probe), motion.speed(probe)

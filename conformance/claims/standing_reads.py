@@ -1,0 +1,148 @@
+"""What is read of a shaft that stands: on either side of zero, near it and turns away, on and off, in each work mode.
+
+One walk over the places of a covering array is recorded; each read is judged by a claim of its own.
+
+Rules kept here:
+- The walk begins at a zero that is set there, so that small and wide values of either sign are read.
+- A shaft that is let go may settle: where it then is, is what 31 says; the other reads are held against that.
+- In a pulse mode the manual promises no status, and the En pin enables the motor. Without an encoder there is no place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from analyzer.catalogue import Certainty, Command, Dialect, Verb
+from conformance.claims.declare import Case, commands
+from conformance.claims.motion_claim import of_motion, risks_by
+from conformance.model import covering
+from conformance.motion import motion
+from conformance.motion.motion import QUICK, SUBDIVISION
+from conformance.talk.probe import Probe
+
+#: Places in turns, the last ones beyond 16 bits of counts; the speed between them, which an open mode has too.
+_PLACES = (4.6, 1.7, 0.3, -0.3, -1.7, -4.6)
+_RPM = 360
+#: The angle error of a loop that holds its place at most, and by how much a shaft that is let go may settle (degrees).
+_LAG = 1.0
+#: Pulses by which the count may differ from the place, beside the noise.
+_PULSES = 2
+_STOPPED = 1
+#: What is read, and what these reads are held against stands in `_JUDGES`.
+_READS = (
+    Verb.READ_POSITION,
+    Verb.READ_ENCODER_CARRY,
+    Verb.READ_PULSES,
+    Verb.READ_SPEED,
+    Verb.READ_STATUS,
+    Verb.READ_ANGLE_ERROR,
+    Verb.READ_ENABLED,
+    Verb.READ_ZERO_STATUS,
+    Verb.READ_PROTECTION,
+)
+_STAY = (Verb.READ_ZERO_STATUS, Verb.READ_PROTECTION)
+_Values = Mapping[str, int]
+
+
+class _Stand(NamedTuple):
+    """A place in turns, a work mode, whether the motor is on, and what each read tells there."""
+
+    place: float
+    mode: str
+    on: bool
+    told: Mapping[Verb, _Values]
+
+    def __str__(self) -> str:
+        """Return it for people."""
+        return f"at {self.place:+g} turns in {self.mode}, {'on' if self.on else 'off'}"
+
+
+def _modes(dialect: Dialect) -> tuple[str, ...]:
+    """Return the bus modes that have an encoder, and one pulse mode."""
+    field = motion.field_of(dialect.by_verb[Verb.SET_WORK_MODE], "work_mode")
+    modes = [mode for mode in field.choice_names.values() if "no_encoder" not in mode]
+    return (*(m for m in modes if m in motion.bus_modes(dialect)), next(m for m in modes if m not in motion.bus_modes(dialect)))
+
+
+def _walk(probe: Probe) -> list[_Stand]:
+    """Stand at each place in each mode, on and off, and read everything."""
+    dialect = probe.dialect
+    move = probe.command(Verb.MOVE_RELATIVE_AXIS)
+    best = motion.bus_modes(dialect)[-1]
+    motion.ready_to_move(probe, best, subdivision=SUBDIVISION)
+    probe.do(Verb.SET_ZERO)
+    reads = [v for v in _READS if v in dialect.by_verb]
+    found, at = [], 0.0
+    factors = {"place": _PLACES, "mode": _modes(dialect), "on": (True, False)}
+    for row in sorted(covering.rows(factors), key=lambda row: _PLACES.index(row["place"])):
+        place, mode, on = row["place"], row["mode"], row["on"]
+        if place != at:
+            motion.ready_to_move(probe, best)
+            motion.begin(probe, move, place * 360 - motion.position(probe).value, rpm=_RPM, acceleration=QUICK)
+            motion.wait_standing(probe)
+            at = place
+        motion.set_mode(probe, mode)
+        if mode in motion.bus_modes(dialect):
+            motion.switch(probe, on)
+        told = {verb: dict(probe.reply(probe.ask(verb, quiet_ns=0)).values) for verb in reads}
+        found.append(_Stand(place, mode, on, told))
+    motion.ready_to_move(probe, best)
+    return found
+
+
+# --- what each read must tell -------------------------------------------------------------------------------------------
+
+
+def _cases(dialect: Dialect) -> Iterator[Case]:
+    if motion.can_move(dialect) and Verb.READ_ENCODER_CARRY in dialect.by_verb and Verb.MOVE_RELATIVE_AXIS in dialect.by_verb:
+        yield from commands(*_READS)(dialect)
+
+
+def _counts(stand: _Stand) -> int:
+    return stand.told[Verb.READ_POSITION]["position"]
+
+
+def _expected(probe: Probe, verb: Verb, stand: _Stand, first: _Stand) -> tuple[Any, Any, float]:
+    """Return what a read tells, what it must tell, and by how much it may differ; the same twice where nothing is promised."""
+    turn, told = probe.dialect.counts_per_turn, stand.told[verb]
+    in_bus_mode = stand.mode in motion.bus_modes(probe.dialect)
+    value = next(iter(told.values()), 0)
+    if verb is Verb.READ_POSITION:
+        return value * 360 / turn, stand.place * 360, motion.miss(probe) + _LAG
+    if verb is Verb.READ_ENCODER_CARRY:
+        return told["carry"] * turn + told["encoder"], _counts(stand), probe.within("counts")
+    if verb is Verb.READ_PULSES:
+        # The sense of pulses is not told.
+        per_turn = motion.units_per_turn(probe.dialect, probe.command(Verb.MOVE_RELATIVE_PULSES), SUBDIVISION)
+        sense = 1 if first.told[verb]["pulses"] * first.place > 0 else -1
+        within = _PULSES + (motion.miss(probe) + _LAG) * per_turn / 360
+        return value, stand.place * per_turn * sense, within
+    if verb is Verb.READ_SPEED:
+        return value, 0, 0.9 + probe.noise.rpm
+    if verb is Verb.READ_STATUS:
+        return (value, _STOPPED, 0) if in_bus_mode else (0, 0, 0)
+    if verb is Verb.READ_ANGLE_ERROR:
+        field = probe.command(verb).reply_forms[0].layout.named["angle_error"]
+        return float(field.physical(value)), 0, _LAG + probe.noise.place
+    if verb is Verb.READ_ENABLED:
+        return (value, int(stand.on), 0) if in_bus_mode else (0, 0, 0)
+    return value, next(iter(first.told[verb].values())), 0
+
+
+@of_motion(
+    each=_cases,
+    name="{command}/standing",
+    refuted_by="another value at one place, in one mode, on or off",
+    at_best=Certainty.LIKELY,
+    risks=risks_by(Verb.SET_ZERO, Verb.ENABLE, Verb.SET_WORK_MODE, Verb.MOVE_RELATIVE_AXIS),
+)
+def _standing(probe: Probe, command: Command) -> None:
+    """{command} tells what holds where the shaft stands: either side of zero, near and far, on and off, in each mode."""
+    first, *_ = stands = probe.recorded(_walk)
+    for stand in stands:
+        got, wanted, within = _expected(probe, command.verb, stand, first)
+        text = f"{command.name} tells {got:g} {stand}"
+        probe.expect(
+            f"{got:g}", holds=abs(got - wanted) <= within, expected=f"{wanted:g} +-{within:.3g}", refutes=text, key=command.name
+        )
