@@ -15,6 +15,7 @@ from analyzer.link.interface import Check, CommandShape, FormShape, Head, Link, 
 class CanLink(Link):
     """CAN 2.0A: the identifier is the address of the drive, in requests and replies alike; sum8 over ID and data."""
 
+    tells_length = True
     kind = "can"
     deciding_bytes = 1
 

@@ -237,6 +237,8 @@ class Link(ABC):
     shortest = 0
     #: Whether a frame has a check. Bytes without one are no evidence of a drive that speaks so.
     checked = True
+    #: Whether a frame tells its length, or the bus does.
+    tells_length = False
 
     @abstractmethod
     def slicer(self, commands: Sequence[CommandShape], expects: Callable[[int, int], int]) -> Slicer:

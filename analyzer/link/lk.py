@@ -38,6 +38,7 @@ _LK_LONGEST = 100
 class LkLink(Link):
     """Lingkong: the head carries the length and its own sum; data, where there is any, has another."""
 
+    tells_length = True
     deciding_bytes = 3
 
     @property

@@ -15,7 +15,6 @@ from functools import partial
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Role, Subject, Verb
-from analyzer.link import CanLink, HeadLink, LkLink
 from analyzer.protocols.lk_rs485 import ERROR_BITS
 from conformance.claim import Inconclusive, Theme
 from conformance.claims import bench
@@ -212,8 +211,8 @@ def risks(case: Case) -> frozenset[Risk]:
     run = case.dialect.by_verb.get(Verb.RUN_SPEED)
     if run is not None and case["guarded"].ready is _turn:
         switching |= run.all_risks - {Risk.UNKNOWN}
-    # A damaged frame with a head may be read as another one.
-    if isinstance(case.dialect.link, HeadLink):
+    # A damaged frame with a head may be read as another one, where nothing tells its length.
+    if case.dialect.link.first_bytes and not case.dialect.link.tells_length:
         switching.add(Risk.UNKNOWN)
     return motion.risks(case.dialect, *(command.all_risks - {Risk.UNKNOWN}), *switching)
 
@@ -225,7 +224,7 @@ def switches(dialect: Dialect) -> Iterator[Case]:
 
 def _more_guarded(dialect: Dialect) -> Iterator[Case]:
     """Yield what stops, clears or begins anew, on buses whose frames tell their length."""
-    if motion.can_move(dialect) and isinstance(dialect.link, CanLink | LkLink):
+    if motion.can_move(dialect) and dialect.link.tells_length:
         for name, (guarded, facts) in _MORE.items():
             if name in dialect.by_name:
                 settings = motion.settings(dialect, *facts.get("settings", ()))
@@ -292,7 +291,7 @@ def _guarded_by_sums(probe: Probe, command: Command, guarded: Guarded) -> None:
 
 
 def _with_reads(dialect: Dialect) -> Iterator[Case]:
-    if isinstance(dialect.link, CanLink | LkLink):
+    if dialect.link.tells_length:
         yield Case(dialect, facts={"commands": tuple(c.name for c in plain_reads(dialect))})
 
 
@@ -319,7 +318,7 @@ def _reads_guarded(probe: Probe) -> None:
 
 def _of_one_length(dialect: Dialect) -> Iterator[Case]:
     """Yield what a dialect whose frames tell their length guards, and its motions."""
-    if isinstance(dialect.link, CanLink | LkLink):
+    if dialect.link.tells_length:
         guarded = {command_of(case).name: case for case in _all_guarded(dialect)}
         moves = (Case(dialect, c, {"guarded": _MOTION}) for c in dialect.motions(*_MOTIONS) if c.name not in guarded)
         yield from (*guarded.values(), *moves)
@@ -345,7 +344,7 @@ def _guarded_by_length(probe: Probe, command: Command, guarded: Guarded) -> None
     before = guarded.see(probe)
     for other in (data[:-1], data + b"\0"):
         frame = link.build(command, form, probe.address, other, Role.REQUEST)
-        if other != data and (isinstance(link, LkLink) or len(frame) <= _CAN_BYTES):
+        if other != data and (link.kind != "can" or len(frame) <= _CAN_BYTES):
             sent = probe.send(built.item(frame), timeout_ns=PAUSE_NS)
             text = f"{command.name} with {len(other)} bytes of data in place of {len(data)} is executed"
             _expect_no_effect(probe, guarded, before, sent, text, f"{command.name}: another length is executed")

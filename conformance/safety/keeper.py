@@ -184,13 +184,25 @@ class Keeper:
             if settings.readable(self._dialect, command):
                 found = settings.read(self._probe(), command, values)
                 if found is not None:
-                    return found
+                    return found | self._unset(command, found)
         finally:
             self._asking = False
         if changes_link(command):
             return self._link(command)
         names = _fields(command)
         return {n: self._known[n] for n in names} if names <= self._known.keys() else None
+
+    def _unset(self, command: Command, found: Mapping[str, int]) -> dict[str, int]:
+        """Return what the user says of fields that were never set: they read 0, which cannot be set (a drive in no group).
+
+        Raises NotRun where the user does not say it.
+        """
+        fields = all_fields(command.request_forms)
+        names = [n for n, v in found.items() if v == 0 and fields[n].default is None and not fields[n].allows(0)]
+        for name in names:
+            if name not in self._known:
+                raise NotRun(f"the drive has no {name} yet, and 0 cannot be set: say in --settings FILE what to leave it at")
+        return {name: self._known[name] for name in names}
 
     def _link(self, command: Command) -> dict[str, int] | None:
         """Return what a setting of the link must be, since the drive answers at it; None where it has no such value."""
