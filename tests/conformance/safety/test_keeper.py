@@ -135,7 +135,7 @@ def test_a_setting_that_nobody_tells_is_not_changed(tmp_path):
     ("told", "outcome", "left"), [({}, Outcome.NOT_RUN, 0), ({"group_address": "80"}, Outcome.CONFIRMED, 80)]
 )
 def test_a_drive_in_no_group_is_left_where_the_user_says(told, outcome, left, tmp_path):
-    rig = EmulatedPort("mks-can@1", tmp_path, settings=told)
+    rig = EmulatedPort("mks-can@1", tmp_path, allowance=Allowance(EVERYTHING, alone=True), settings=told)
     verdict = ran(rig, lambda p: p.do("set_group_address", {"group_address": 99}) and None, Risk.SETTING, Risk.LINK, alone=True)
     rig.close()
     assert (verdict.outcome, rig.setting("group_address")) == (outcome, left)
