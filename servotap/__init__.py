@@ -93,16 +93,19 @@ def open(
     baud: int | None = None,
     format: str | None = None,
     groups: Collection[int] = (),
+    ids: str = "",
     since: str | None = None,
     until: str | None = None,
 ) -> Capture:
     """Open a capture of any format, a log, or a folder of parts.
 
-    `dialect`, `model`, `since` and `until` as for `servotap show`. Raises UnreadableError, UsageError.
+    `dialect`, `model`, `ids`, `since` and `until` as for `servotap show`. Raises UnreadableError, UsageError.
     """
     from servotap.captures import Capture
 
-    return Capture(path, dialect=dialect, model=model, baud=baud, format=format, groups=groups, since=since, until=until)
+    return Capture(
+        path, dialect=dialect, model=model, baud=baud, format=format, groups=groups, ids=ids, since=since, until=until
+    )
 
 
 def explain(
@@ -140,9 +143,9 @@ def drive(
 ) -> Drive:
     """Connect to a drive: an emulated one, or a real one at an endpoint (`serial:/dev/ttyUSB0,baud=38400`).
 
-    Only reads and stops are sent, besides what is allowed here or with each command; bounds as for `servotap send`. A real port
-    is owned by a guard process, which stops the drive should this program die, or a run without an end take longer than
-    `max_run` seconds. `timeout`: of a reply, in seconds. Raises UsageError; DriveNotFound where a real drive does not answer.
+    Only reads and stops are sent, besides what is allowed here or with each command; bounds as for `servotap send`. A guard
+    process owns a real port. It stops the drive if this program dies, and a run without an end after `max_run` seconds.
+    `timeout`: of a reply, in seconds. Raises UsageError; DriveNotFound where a real drive does not answer.
     """
     from servotap.drives import Drive
 

@@ -19,6 +19,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from analyzer.catalogue import Role
 from analyzer.cli.export_table import keep_rows
 from analyzer.cli.reading import OpenCapture, add_reading_arguments, open_reading
 from analyzer.decoder import physical, units_of
@@ -119,7 +120,7 @@ def frame_of(entry: Entry, clock: Clock = Clock.UTC) -> Frame:
         frame.last_ns,
         moment.replace(tzinfo=None) if moment is not None and clock is Clock.PRINTED else moment,
         frame.port,
-        frame.dialect.name,
+        "" if message.role is Role.FOREIGN else frame.dialect.name,
         message.address,
         message.role.value,
         "" if message.command is None else message.command.name,
@@ -176,8 +177,8 @@ class _Kept:
 class Capture:
     """A capture, a log, or a folder of parts. `servotap.open` makes it.
 
-    `dialects`: those that were chosen; `format`: what it is; `notes`: what is to be known of it. A capture that breaks off
-    gives what came before, with a warning.
+    `dialects`: those that were chosen; `format`: what it is; `notes`: what a reader of it should know. A capture that breaks
+    off gives what came before, with a warning.
     """
 
     def __init__(
@@ -189,6 +190,7 @@ class Capture:
         baud: int | None = None,
         format: str | None = None,
         groups: Collection[int] = (),
+        ids: str = "",
         since: str | None = None,
         until: str | None = None,
     ) -> None:
@@ -204,6 +206,7 @@ class Capture:
             baud=baud,
             format=format,
             group=list(groups),
+            ids=[ids] if ids else [],
             since=None if since is None else parse_time(since),
             until=None if until is None else parse_time(until),
         )

@@ -216,7 +216,7 @@ class Drive:
         self._dialogue.gate = gate = self._gate.under(allowance)
         if request.acts:
             read_drive_state(self._dialogue, self.dialect, self.address)
-        # Before it leaves: from then on the drive may be moving, whatever happens here.
+        # Noted before it leaves: an error behind that must not hide that the drive may be moving.
         self._moving |= bool(built.risks & MAY_MOVE) and not _stops(built.command)
         until, done_ns = (Until.DONE, _DONE_NS) if wait else (Until.REPLY, 0)
         if request.answered:

@@ -88,6 +88,7 @@ _OF_TABLES: dict[str, object] = {
     "dialect": "auto",
     "model": None,
     "group": [],
+    "ids": [],
     "late": None,
 }
 _OF_RAW: dict[str, object] = {"serial_as": "user", "chunks": False, "nanoseconds": False}
@@ -171,7 +172,7 @@ def _target(arguments: argparse.Namespace) -> Path | None:
 
 
 def _export_raw(arguments: argparse.Namespace, stream: IO[bytes], interrupt: Interrupt, target: Path | None) -> list[str]:
-    """Export all bytes; return what is to be said of it."""
+    """Export all bytes; return the lines that tell of it."""
     with contextlib.closing(open_source(arguments.file, format=arguments.format, baud=arguments.baud)) as source:
         source.framed = not arguments.chunks
         outcome, broken = _write(source, stream, arguments, interrupt)

@@ -22,7 +22,7 @@ from analyzer.values import counted
 
 
 def export_table(arguments: argparse.Namespace, stream: IO[bytes], interrupt: Interrupt, target: Path | None) -> list[str]:
-    """Write a table; return what is to be said of it."""
+    """Write a table; return the lines that tell of it."""
     place = target or "standard output"
     kind = KINDS[arguments.to]
     if kind.package:

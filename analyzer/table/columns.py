@@ -86,7 +86,11 @@ HEAD = (
     own("bus", Kind.TEXT),
     own("dialect", Kind.TEXT),
     own("address", Kind.INTEGER, note="of the drive; of a foreign CAN frame its identifier"),
-    own("role", Kind.TEXT, note="request, reply, unknown; junk; finding: told later than its message"),
+    own(
+        "role",
+        Kind.TEXT,
+        note="request, reply, unknown, foreign (not of this dialect); junk; finding: told later than its message",
+    ),
     own("command", Kind.TEXT),
 )
 TAIL = (
@@ -158,7 +162,7 @@ def reader_of(form: Form) -> Callable[[bytes], list[Any]]:
 
 def state_columns() -> dict[str, Column]:
     """Return the columns of the derived state of a drive, by quantity."""
-    note = "from whichever reply carries it, in one unit for every dialect"
+    note = "from every reply that carries it, in one unit for all dialects"
     return {name: own(name, Kind.NUMBER, unit, note) for name, unit in STATE_UNITS.items()}
 
 

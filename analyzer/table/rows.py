@@ -155,7 +155,7 @@ class Rows:
                 entry.sequence,
                 frame.data.hex(" ").upper(),
                 values,
-                frame.checksum_ok,
+                None if message.role is Role.FOREIGN else frame.checksum_ok,
                 entry.latency_ns if entry.request_sequence is not None else None,
                 entry.request_sequence,
             )
@@ -202,7 +202,8 @@ class Rows:
             self._readers[number] = reader_of(form)
             self._twins[number] = [n for n, column in enumerate(columns) if column.field.endswith(TWIN)]
         name = command.name if command is not None else ""
-        shape = Shape(entry.topic, frame.port, frame.dialect.name, message.role.value, name, columns, state)
+        dialect = "" if message.role is Role.FOREIGN else frame.dialect.name
+        shape = Shape(entry.topic, frame.port, dialect, message.role.value, name, columns, state)
         self.recorded.shapes.append(shape)
         return len(self.recorded.shapes) - 1
 

@@ -12,7 +12,7 @@ from conformance.gate.gate import Allowance, Item, Judge, Refused, shown
 
 
 class Request:
-    """What is to be sent. `addresses` None: any; `dialect` and `command` None: bytes as they are."""
+    """A request, as it will leave. `addresses` None: any; `dialect` and `command` None: bytes as they are."""
 
     def __init__(
         self,
@@ -49,7 +49,7 @@ class Request:
         return stopping if Judge(stopping).is_stop(self.item) else given
 
     def check(self, allowance: Allowance, dialects: Sequence[Dialect]) -> None:
-        """Raise Refused for what is not allowed whatever the drive answers, UsageError for bytes that do not stand alone."""
+        """Raise Refused for risks that are not allowed, UsageError for bytes that do not stand alone."""
         found = Judge(replace(allowance, turns=None, speed=None), dialects).objections(self.item)
         if found:
             raise Refused(self.item, found)

@@ -267,6 +267,19 @@ def test_junk_and_findings_have_their_columns(tmp_path, capsys):
     assert {(row["findings"], row["command"], row["sequence"]) for row in late} >= {("unanswered", "read_speed", "1")}
 
 
+def test_frames_of_other_nodes_are_rows_without_fields(tmp_path, capsys):
+    source = tmp_path / "a.log"
+    source.write_text(
+        "(1436509052.249713) can0 001#F60140023A\n(1436509052.269713) can0 12345678#AABBCC\n(1436509052.279713) can0 223#1122\n"
+    )
+    exported(capsys, source, tmp_path / "a.parquet", "--ids", "1")
+    table = messages(tmp_path / "a.parquet")
+    assert table.select("address", "role", "dialect", "command", "checksum_ok", "raw", "findings").rows()[1:] == [
+        (0x12345678, "foreign", None, None, None, "AA BB CC", None), (0x223, "foreign", None, None, None, "11 22", None),
+    ]  # fmt: skip
+    assert "--ids is for csv and parquet and xlsx" in refused(capsys, source, "-o", tmp_path / "a.pcapng", "--ids", "1")
+
+
 def test_every_finding_stands_once(tmp_path, capsys):
     for name in EVERY:
         exported(capsys, CAPTURES / name, tmp_path / "a.csv")
