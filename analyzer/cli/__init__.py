@@ -156,7 +156,10 @@ class _Parser(argparse.ArgumentParser):
     """A parser whose errors are one line: the usage stands in the help."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+        wrong = next((word for word in message.split() if word.startswith("--")), "")
+        near = difflib.get_close_matches(wrong.partition("=")[0], self._option_string_actions, 1, 0.6) if wrong else []
+        hint = f"; did you mean {near[0]}?" if near and near[0] not in message else ""
+        self.exit(2, f"{self.prog}: {message}{hint} (see {self.prog} --help)\n")
 
 
 def _run(name: str, module: ModuleType, words: Sequence[str]) -> int:

@@ -32,7 +32,7 @@ SECOND = 1_000_000_000
 _COLOURS = ("cyan", "green", "yellow", "magenta")
 _SCALE_WIDTH = 8
 #: Columns that a time takes on the axis, with the room beside it.
-_TIME_ROOM = 11
+_TIME_ROOM = 9
 _PREFERRED = ("state.position", "state.speed")
 
 
@@ -249,8 +249,15 @@ class PlotPanel(Horizontal):
         unit = self.rows.units.get(name, "")
         # The label of the axis stands above it.
         text.append(f"{unit[:_SCALE_WIDTH]:>{_SCALE_WIDTH}} ")
-        title = f"[{number + 1}] {printable(_short(name))}  {self._said(points, span, unit)}"
-        text.append(title[: width - _SCALE_WIDTH - 1] + "\n", f"bold {colour}")
+        room = width - _SCALE_WIDTH - 1
+        what, said = printable(_short(name)), self._said(points, span, unit)
+        # Where room is short, the drive goes first, which the tree tells, and then the time.
+        field = what.partition(" ")[2]
+        titles = [
+            f"[{number + 1}] {each}"
+            for each in (f"{what}  {said}", f"{field}  {said}", f"{field}  {said.partition(' at ')[0]}")
+        ]
+        text.append(next((t for t in titles if len(t) <= room), titles[-1][:room]) + "\n", f"bold {colour}")
         values = [value for _, value in points]
         rows = height - 1
         ticks = round_ticks(min(values), max(values), max(2, (rows + 1) // 2))

@@ -140,3 +140,13 @@ def test_bytes_before_a_fault_are_in_the_log(tmp_path, capsys):
     status, out, _ = decode(tmp_path, capsys, GOOD * 50 + b"\xfa\x01", "--dialect", "mks-rs485", "--format", "raw")
     assert status == 0
     assert "in 100 frames, 2 junk (2 truncated)" in out
+
+
+def test_a_wrong_option_is_told_in_one_line_with_the_near_one(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["show", "--lmit", "3", "x"])
+    assert ended.value.code == 2
+    err = capsys.readouterr().err
+    assert "unrecognized arguments: --lmit" in err
+    assert "did you mean --limit? (see servotap show --help)" in err
+    assert err.count("\n") == 1

@@ -230,6 +230,15 @@ def test_a_cursor_reads_out_what_was_last_said_until_there():
     drive(capture_of(LOG), steps, size=(100, 28))
 
 
+def test_what_is_read_out_has_room_in_80_columns():
+    async def steps(driver):
+        await driver.press("4", "right")
+        await driver.until(lambda: re.search(r"rpm \[2\] speed  320 rpm at 09:00:01\.143$", driver.text, re.MULTILINE))
+        assert re.search(r"deg \[1\] (serial/1 )?position  -?[\d.]+ deg$", driver.text, re.MULTILINE)
+
+    drive(capture_of(LOG), steps)
+
+
 def test_a_window_is_put_around_the_cursor_and_follows_it():
     async def steps(driver):
         await driver.press("4", "right")

@@ -125,6 +125,9 @@ def test_a_browser_draws_it_without_complaint(tmp_path, scheme):
     path = tmp_path / "r.html"
     curve = Curve("rpm", tuple((n / 10, n * 12.0) for n in range(9)), ((0, 0), (1, 120)))
     write_html(path, [silent("read_speed"), verdict(), verdict(series={"speed": curve})], RUN)
+    # As a reader who follows the count of failed claims to their rows.
+    click = "<script>document.querySelector('[data-find=\"is:failed\"]').click()</script></body>"
+    path.write_text(path.read_text().replace("</body>", click))
     words = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'home'}"]
     words += [
         "--enable-logging=stderr",
@@ -135,4 +138,5 @@ def test_a_browser_draws_it_without_complaint(tmp_path, scheme):
     done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=True)
     assert "CONSOLE" not in done.stderr, done.stderr
     assert done.stdout.count("<canvas") == 1
-    assert re.search(r'id="find-count">3 of 3<', done.stdout)
+    assert 'id="find-count">1 of 3<' in done.stdout
+    assert re.findall(r'<tr id="claim-(\d)"[^>]*hidden', done.stdout) == ["2", "3"]
