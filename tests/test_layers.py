@@ -44,9 +44,9 @@ LAYERS = (
     ("conformance.tools", "conformance.report"),
     ("conformance.serve",),
     ("conformance.tap",),
-    ("conformance.pytest_plugin",),
     ("conformance.cli",),
     ("servotap",),
+    ("conformance.pytest_plugin",),
 )
 
 

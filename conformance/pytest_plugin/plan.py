@@ -40,7 +40,7 @@ def _plan(config: pytest.Config) -> Plan:
         found,
         claims=arguments.claim,
         themes=arguments.theme,
-        seed=arguments.servo_seed,
+        seed=arguments.seed,
         traffic=bool(arguments.log),
         short=arguments.short,
     )

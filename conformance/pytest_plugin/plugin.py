@@ -1,18 +1,23 @@
-"""The pytest plugin: options of the suite, and data of its reports. It is loaded in every pytest run and idle in most.
+"""The pytest plugin: options, fixtures, and data of the suite's reports. It is loaded in every pytest run and idle in most.
 
-    pytest --pyargs conformance --drive mks-rs485@1 --on serial:/dev/ttyUSB0,baud=38400
+    pytest --pyargs conformance --drive mks-rs485@1 --on serial:/dev/ttyUSB0,baud=38400           the suite
+    pytest --servo-drive mks-rs485@1 --servo-on serial:/dev/ttyUSB0,baud=38400                    tests with `servo_drive`
+
+In other people's runs each option is `--servo-NAME`, so that it collides with nothing. Where the suite itself is run, `--NAME`
+is the same option.
 
 Refuted is failed; confirmed and observed are passed; inconclusive and not run are skipped with their reason. The suite and
 Hypothesis are imported only when a test of the suite is collected.
 
 With pytest-xdist, tests on one real port go to one worker, for a port has one owner, and all workers draw from one budget
 (`conformance.pytest_plugin.workers`).
-If another plugin has an option of the same name, the suite's option is `--servotap-NAME`.
+If another plugin has an option of the same name, only `--servo-NAME` is there.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 import threading
 import time
@@ -21,7 +26,7 @@ from typing import Any
 
 import pytest
 
-#: Name, and what argparse is told. `--on` and `--drive` may be repeated.
+#: Name behind `--servo-` (and behind `--` for the suite), and what argparse is told. `on` and `drive` may be repeated.
 OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
     (
         "drive",
@@ -43,7 +48,7 @@ OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
         "short",
         {"action": "store_true", "default": False, "help": "the most telling claims, as many as fit into 90 s of the line"},
     ),
-    ("servo-seed", {"type": int, "default": 0, "metavar": "N", "help": "seed of random values"}),
+    ("seed", {"type": int, "default": 0, "metavar": "N", "help": "seed of random values"}),
     ("settings", {"default": None, "metavar": "FILE", "help": "JSON: what to put back where the drive cannot be asked"}),
     ("journal", {"default": None, "metavar": "FILE", "help": "where changes are written down before they are made"}),
     ("cut-power", {"default": "", "metavar": "COMMAND", "help": "runs when no stop can be verified"}),
@@ -57,6 +62,8 @@ OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("log", {"default": None, "metavar": "OUT.mcap", "help": "all traffic of the run, with a /tests topic"}),
     ("failures", {"default": None, "metavar": "FOLDER", "help": "a small log of each refuted claim"}),
 )
+#: Options that others have too.
+_PREFIXED = frozenset({"seed"})
 #: Environment of all workers of one run: the file in which the budget is kept.
 BUDGET = "SERVOTAP_BUDGET_FILE"
 #: How often a worker looks for its controller, and its exit status where that has gone.
@@ -68,20 +75,29 @@ STATUS: pytest.StashKey[int] = pytest.StashKey()
 _STATUS = "servotap_status"
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the suite's options."""
-    group = parser.getgroup("servotap", "drives against their manuals (servotap)")
+def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginManager) -> None:
+    """Add the options."""
+    group = parser.getgroup("servotap", "servo drives: their own tests (servotap), and drives for yours (fixture servo_drive)")
+    bare = _is_suite(pluginmanager)
     for name, about in OPTIONS:
-        destination = "servotap_" + name.replace("-", "_")
+        destination = f"servotap_{name.replace('-', '_')}"
+        prefixed = f"--servo-{name}"
         try:
-            group.addoption(f"--{name}", dest=destination, **about)
+            group.addoption(prefixed, *[f"--{name}"] * (bare and name not in _PREFIXED), dest=destination, **about)
         except ValueError:
-            group.addoption(f"--servotap-{name}", dest=destination, **about)
+            group.addoption(prefixed, dest=destination, **about)
+
+
+def _is_suite(pluginmanager: pytest.PytestPluginManager) -> bool:
+    """Say whether the suite itself is run: `--pyargs conformance`."""
+    words = [str(word) for word in pluginmanager.getplugin("pytestconfig").invocation_params.args]
+    return "--pyargs" in words and any(re.split("::|[.]", word)[0] == "conformance" for word in words)
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure(config: pytest.Config) -> None:
     """Keep the tests of one port together, and give all workers one budget."""
+    _names_as_drives(config.option)
     if not config.getoption("servotap_drive"):
         return
     if hasattr(config, "workerinput"):
@@ -105,6 +121,13 @@ def _any_real(config: pytest.Config) -> bool:
         return any_real(config.getoption("servotap_drive"), config.getoption("servotap_on"))
     except ServotapError as error:
         raise pytest.UsageError(f"servotap: {error}") from None
+
+
+def _names_as_drives(option: Any) -> None:
+    """Take words at `--servo-on` that are no endpoints as drives of a profile, which bring their place."""
+    places = option.servotap_on
+    if not option.servotap_drive and places and all(":" not in place and place != "emulated" for place in places):
+        option.servotap_drive, option.servotap_on = places, []
 
 
 def _end_with_controller(controller: int) -> None:
@@ -206,6 +229,35 @@ def pytest_sessionfinish(session: pytest.Session) -> Any:
 def pytest_unconfigure(config: pytest.Config) -> None:
     """Forget the run."""
     _verdicts.clear()
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run a test that takes `servo_drive` with each drive that was named."""
+    if "servo_drive" not in metafunc.fixturenames or not metafunc.config.getoption("servotap_drive"):
+        return
+    from conformance.pytest_plugin.fixtures import drives_of
+
+    metafunc.parametrize("servo_drive", drives_of(metafunc.config), indirect=True)
+
+
+@pytest.fixture
+def servo_drive(request: pytest.FixtureRequest) -> Any:
+    """Connect to the drive of `--servo-drive`, emulated or at `--servo-on`: a `servotap.Drive`, stopped after the test."""
+    if not hasattr(request, "param"):
+        pytest.skip("no drive: give --servo-drive DIALECT@ADDRESS, and --servo-on ENDPOINT for a real one")
+    from conformance.pytest_plugin.fixtures import connected
+
+    with connected(request.param, request.config) as drive:
+        yield drive
+
+
+@pytest.fixture
+def servo_can_bus() -> Any:
+    """Put emulated drives on a CAN bus: `servo_can_bus("mks-can@1")` is a `can.BusABC` of python-can on which they answer."""
+    from conformance.pytest_plugin.fixtures import can_buses
+
+    with can_buses() as serve:
+        yield serve
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ do not let xdist change names.
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import pytest
@@ -21,10 +22,12 @@ class _ByPort(LoadScopeScheduling):  # type: ignore[misc]  # xdist has no types
     def __init__(self, config: pytest.Config, log: Any) -> None:
         super().__init__(config, log)
         found = targets.parse_all(config.getoption("servotap_drive"), config.getoption("servotap_on"))
-        self._ports = {f"[{label(t, found)}:": t.port for t in found if not t.emulated}
+        named = {re.escape(label(t, found)): t.port for t in found if not t.emulated}
+        # In the ids of the suite a claim follows; in those of other tests another parameter may stand before or behind.
+        self._ports = {re.compile(rf"[\[-]{text}[\]:-]"): port for text, port in named.items()}
 
     def _split_scope(self, nodeid: str) -> str:
-        return next((port for label, port in self._ports.items() if label in nodeid), nodeid)
+        return next((port for pattern, port in self._ports.items() if pattern.search(nodeid)), nodeid)
 
 
 def scheduler(config: pytest.Config, log: Any) -> Any:

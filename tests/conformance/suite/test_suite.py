@@ -211,7 +211,9 @@ def test_pytest_says_wrong_use_in_one_line(tmp_path):
 
 
 def test_other_peoples_runs_import_nothing_of_the_suite(tmp_path):
-    (tmp_path / "test_mine.py").write_text("def test_mine():\n    assert True\n")
+    (tmp_path / "test_mine.py").write_text(
+        "def test_mine():\n    assert True\n\ndef test_drive(servo_drive):\n    assert False, 'without a drive it is skipped'\n"
+    )
     code = (
         "import sys, pytest; status = pytest.main(['-q', '-p', 'no:cacheprovider', '-p', 'no:hypothesispytest']);"
         "bad = [m for m in sys.modules if m.startswith(('conformance.', 'analyzer')) and "
