@@ -33,6 +33,7 @@ from conformance.bus.emulated import EmulatedLine
 from conformance.drives import make
 from conformance.drives.can_bus import CanBus
 from conformance.drives.serial_bus import SerialBus
+from conformance.gate.permissions import narrow
 from conformance.pytest_plugin.plan import arguments_of, label, note
 from conformance.suite import target as targets
 from conformance.suite.target import Target
@@ -131,6 +132,7 @@ def connected(target: Target, config: pytest.Config) -> Iterator[Drive]:
     import servotap
 
     given = arguments_of(config)
+    narrow(given, [target.named] if target.named is not None else [])
     try:
         drive = servotap.drive(
             target.text,

@@ -12,6 +12,7 @@ import can
 import pytest
 import serial
 
+import servotap
 from analyzer.records import CanFrame
 from conformance.pytest_plugin import fixtures, plugin
 
@@ -96,9 +97,11 @@ def test_what_is_not_allowed_fails_and_a_drive_that_is_missing_is_an_error(tmp_p
     status, out = run(tmp_path, "--servo-drive", "mks-rs485@1", "--servo-drive", "mks-can@1")
     assert status == 1
     assert out.count("needs motion, unbounded") >= 2, out
-    status, out = run(tmp_path, "--servo-drive", "mks-rs485@5", "--servo-on", f"serial:{servo_port('mks-rs485@1')},baud=38400")
+    port = f"port = '{servo_port('mks-rs485@1')}'"
+    (tmp_path / "servotap.toml").write_text(f"[drive.gone]\n{port}\nbaud = 38400\ndialect = 'mks-rs485'\naddress = 5\n")
+    status, out = run(tmp_path, "--servo-on", "gone")
     assert status == 1
-    assert "servotap: " in out
+    assert "servotap: mks-rs485@5 does not answer" in out, out
     assert "Traceback" not in out
 
 
@@ -107,6 +110,29 @@ def test_a_drive_that_is_none_is_wrong_use():
     config = SimpleNamespace(getoption=(options | {"servotap_drive": ["mks-rs486@5"]}).__getitem__)
     with pytest.raises(pytest.UsageError, match="did you mean"):
         fixtures.drives_of(config)
+
+
+def test_a_profile_brings_the_bounds(tmp_path, monkeypatch):
+    entry = "[drive.arm]\nport = '/dev/x'\nbaud = 38400\ndialect = 'mks-rs485'\nmax-speed = 50\nsubdivision = 16\n"
+    (tmp_path / "servotap.toml").write_text(entry)
+    monkeypatch.chdir(tmp_path)
+    options = {f"servotap_{name.replace('-', '_')}": about["default"] for name, about in plugin.OPTIONS}
+    config = SimpleNamespace(getoption=(options | {"servotap_drive": ["arm"], "servotap_allow": ["motion"]}).__getitem__)
+    asked = {}
+    monkeypatch.setattr(servotap, "drive", lambda *names, **bounds: asked.update(bounds, names=names) or Closing())
+    (parameter,) = fixtures.drives_of(config)
+    (target,) = parameter.values
+    with fixtures.connected(target, config):
+        pass
+    assert asked["names"] == ("mks-rs485@1", "arm=serial:/dev/x,baud=38400")
+    assert (asked["max_speed"], asked["subdivision"], asked["allow"]) == (50, 16, ["motion"])
+
+
+class Closing:
+    """A drive that was closed."""
+
+    def close(self):
+        pass
 
 
 class Group:
