@@ -128,7 +128,7 @@ def explain(
 
 def drive(
     name: str,
-    on: str = "emulated",
+    on: str = "",
     *,
     allow: Collection[str] = (),
     max_speed: float | None = None,
@@ -141,7 +141,7 @@ def drive(
     cut_power: str = "",
     timeout: float = 1.0,
 ) -> Drive:
-    """Connect to a drive: an emulated one, or a real one at an endpoint (`serial:/dev/ttyUSB0,baud=38400`).
+    """Connect to a drive: an emulated one, a real one at an endpoint (`serial:/dev/ttyUSB0,baud=38400`), or one of a profile.
 
     Only reads and stops are sent, besides what is allowed here or with each command; bounds as for `servotap send`. A guard
     process owns a real port. It stops the drive if this program dies, and a run without an end after `max_run` seconds.

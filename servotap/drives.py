@@ -29,7 +29,7 @@ from conformance.safety import messages as say
 from conformance.safety.guarded import GuardedLine, beginning
 from conformance.safety.stopping import MAY_MOVE, stop, stopping
 from conformance.suite.preflight import check
-from conformance.suite.target import Target, parse
+from conformance.suite.target import Target, one
 from conformance.talk.dialogue import MS, Dialogue, Until
 from conformance.talk.drive_state import read_drive_state
 from conformance.talk.exchange import Answer, Completion, Exchange
@@ -85,7 +85,7 @@ class Drive:
     def __init__(
         self,
         name: str,
-        on: str = "emulated",
+        on: str = "",
         *,
         allow: Collection[str] = (),
         max_speed: float | None = None,
@@ -98,7 +98,12 @@ class Drive:
         cut_power: str = "",
         timeout: float = 1.0,
     ) -> None:
-        target = parse(name, on)
+        target = one(name, on)
+        bounds = {"speed": max_speed, "turns": max_turns, "acceleration": max_acceleration, "current": max_current}
+        if target.named is not None:
+            said = target.named.entry
+            bounds = {name: getattr(said, f"max_{name}") if value is None else value for name, value in bounds.items()}
+            subdivision = subdivision or said.subdivision
         self.dialect = target.dialect.for_model(target.model) if target.model else target.dialect
         self.address = target.address
         self.name = f"{self.dialect.name}@{self.address}"
@@ -106,10 +111,10 @@ class Drive:
         self._timeout_ns = int(timeout * 1e9)
         self._allowance = Allowance(
             _risks(allow),
-            max_speed,
-            max_turns,
-            max_acceleration,
-            max_current,
+            bounds["speed"],
+            bounds["turns"],
+            bounds["acceleration"],
+            bounds["current"],
             frozenset({self.address}),
             alone,
             subdivision=subdivision,

@@ -97,8 +97,10 @@ def _models() -> list[str]:
 
 
 def _drives(prefix: str, **_: Any) -> list[str]:
-    """Complete a drive: a dialect, and address 1, which drives have at first."""
-    return [f"{name}@1" for name in _dialects()]
+    """Complete a drive: a name of a profile, or a dialect and address 1, which drives have at first."""
+    from analyzer.live import profile
+
+    return [*profile.names(), *(f"{name}@1" for name in _dialects())]
 
 
 def _commands(parsed_args: argparse.Namespace, **_: Any) -> list[str]:
@@ -113,10 +115,13 @@ def _commands(parsed_args: argparse.Namespace, **_: Any) -> list[str]:
 def _request(prefix: str, parsed_args: argparse.Namespace, **_: Any) -> list[str]:
     """Complete the drive, the command, and its fields and their choices, whichever comes next."""
     from analyzer import dialects
+    from analyzer.live import profile
 
     if not getattr(parsed_args, "target", None) or not hasattr(parsed_args, "command"):
         return _drives(prefix)
     name = parsed_args.target.partition("@")[0]
+    named = profile.drive(name) if name in profile.names() else None
+    name = name if named is None else named.dialect.name
     if name not in dialects.names():
         return []
     commands = {command.name: command for command in dialects.get(name).commands}
@@ -130,13 +135,14 @@ def _request(prefix: str, parsed_args: argparse.Namespace, **_: Any) -> list[str
 
 
 def _endpoints(prefix: str, **_: Any) -> list[str]:
-    """Complete an endpoint: the serial ports and CAN interfaces that this machine has, then the kinds."""
+    """Complete an endpoint: names of a profile, the serial ports and CAN interfaces of this machine, then the kinds."""
+    from analyzer.live import profile
     from analyzer.live.adapters import can_interfaces, serial_adapters
 
     here = [each.endpoint for each in serial_adapters()] + [each.endpoint for each in can_interfaces()]
     named, equals, _rest = prefix.partition("=")
     before = f"{named}=" if equals and ":" not in named else ""
-    return [before + each for each in (*here, "serial:", "tcp:", "can:socketcan:", "can:slcan:")]
+    return [*profile.names(), *(before + each for each in (*here, "serial:", "tcp:", "can:socketcan:", "can:slcan:"))]
 
 
 _COMPLETERS: dict[str, Completer] = {

@@ -12,6 +12,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from analyzer.errors import UsageError
+from analyzer.live import profile
 from analyzer.live.adapters import LOW_LATENCY_MS, CanInterface, SerialAdapter, can_interfaces, detected, serial_adapters
 from analyzer.values import printable
 
@@ -61,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
 
         print(msgspec.json.encode(as_object(serial, can)).decode())
         return 0
-    for line in report(serial, can, why):
+    for line in (*report(serial, can, why), *_names()):
         print(printable(line))
     return 0
 
@@ -90,6 +92,22 @@ def report(serial: Sequence[SerialAdapter], can: Sequence[CanInterface], why: st
         yield from _NO_CAN.rstrip().splitlines()
     if why:
         yield f"  note: {why}"
+
+
+def _names() -> Iterator[str]:
+    """Yield what the names of a profile stand for."""
+    known = profile.names()
+    if known:
+        yield "names (servotap.toml)"
+    for name in dict.fromkeys(known):
+        try:
+            named = profile.look_up(name)
+        except UsageError as error:
+            yield f"  {name}  {error}"
+            continue
+        if named is not None:
+            drives = ", ".join(each.text for each in named.drives)
+            yield f"  {name}  {drives}{' on ' if drives else ''}{named.endpoint.text}"
 
 
 def _serial(adapter: SerialAdapter) -> Iterator[str]:

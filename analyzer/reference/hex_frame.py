@@ -71,6 +71,9 @@ def read_frame(text: str) -> Given:
 
 def _can(identifier: str, digits: str, text: str) -> Given:
     can_id = int(identifier, 16)
+    if len(identifier) > 4:
+        known = f"0x{can_id:08X} has 29 bits: another node's, for drives have 11"
+        raise UnreadableError(f"expected an identifier of 11 bits in three digits, got {quote(text)}: {known}")
     if len(identifier) > 3 or can_id > CAN_ID_LIMIT:
         raise UnreadableError(f"expected an identifier of 11 bits in three digits, got {identifier} in {quote(text)}")
     data = _bytes(digits, text) if digits.strip() else b""

@@ -13,7 +13,7 @@ from pathlib import Path
 from analyzer.catalogue import Dialect
 from analyzer.dialects import drive_name
 from analyzer.errors import UnreadableError
-from analyzer.live import endpoint as endpoints
+from analyzer.live import profile
 from conformance.bus.line import LineLost
 from conformance.cli.endpoint import gate_to
 from conformance.gate.gate import Gate
@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UnreadableError(f"{path} does not say where the drive was: give --on ENDPOINT")
     addresses = frozenset(change.address for change in changes)
     # Reads by this gate; what is put back, and nothing else, passes another one.
-    with gate_to(endpoints.parse(place), Allowance(addresses=addresses)) as gate:
+    with gate_to(profile.endpoint(place), Allowance(addresses=addresses)) as gate:
         try:
             # A drive that may answer elsewhere is brought back first, for it has to be stopped there.
             restore(path, gate, link_only=True)

@@ -17,21 +17,21 @@ from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect
 from analyzer.cli.frame import filled_text, parse_target, parse_values
 from analyzer.cli.show import names_of
-from analyzer.decoder import physical, units_of
+from analyzer.decoder import physical
 from analyzer.dialects import find_command
 from analyzer.encoder import assemble
 from analyzer.errors import UsageError
 from analyzer.live import profile
 from analyzer.pipeline import Entry
-from analyzer.records import CanFrame, Message
+from analyzer.records import CanFrame
 from analyzer.reference.hex_frame import read_frame
-from analyzer.values import fields_text, printable
+from analyzer.values import printable
 from conformance.cli.endpoint import add_on_argument, at_own_rate, endpoint_of, gate_to
 from conformance.gate.gate import Allowance, Item, Judge, add_gate_arguments, allowance_from, shown
 from conformance.gate.permissions import narrow
 from conformance.talk.dialogue import MS, Dialogue, Until
 from conformance.talk.drive_state import read_drive_state
-from conformance.talk.exchange import Answer, Completion, Exchange
+from conformance.talk.exchange import Answer, Completion, Exchange, said
 from conformance.talk.request import Request
 
 EXAMPLES = """\
@@ -195,7 +195,7 @@ def _succeeded(request: Request, exchange: Exchange, wait: bool) -> bool:
 
 def _show(request: Request, exchange: Exchange, echoed: bool) -> None:
     requests = [e.message for e in exchange.requests]
-    texts = [_text(m) for m in requests] or ["bytes that are no frame"]
+    texts = [said(m) for m in requests] or ["bytes that are no frame"]
     print(f"> {shown(request.item)}   {'; '.join(texts)}")
     parts = [(a.first_ns, _line(a)) for a in exchange.answers]
     parts += [(j.first_ns, f"! {j.data.hex(' ').upper()}   {j.reason.value}: no frame") for j in exchange.junk]
@@ -220,14 +220,9 @@ def _running(command: Command) -> str:
 def _line(answer: Answer) -> str:
     frame = answer.message.frame
     item: Item = frame.can if frame.can is not None else frame.data
-    text = f"< {shown(item)}   {_text(answer.message)}   after {answer.latency_ns / 1e6:.2f} ms"
+    text = f"< {shown(item)}   {said(answer.message)}   after {answer.latency_ns / 1e6:.2f} ms"
     notes = [f"{f.rule}: {printable(f.text)}" for f in answer.entry.findings]
     return "\n    ".join([text, *notes])
-
-
-def _text(message: Message) -> str:
-    name = message.command.name if message.command is not None else "unknown"
-    return f"{name} {fields_text(physical(message), units_of(message))}".rstrip()
 
 
 def _object(request: Request, exchange: Exchange) -> dict[str, Any]:

@@ -118,6 +118,14 @@ def _of_one(drive: str, place: str) -> list[Target]:
     return [replace(parse(each.text, place or named.endpoint.text), named=each) for each in named.drives]
 
 
+def one(drive: str, place: str = "") -> Target:
+    """Return the one target that a drive and a place name; without a place, the one of the profile, else emulated."""
+    found = parse_all([drive], [place] if place else [])
+    if len(found) != 1:
+        raise UsageError(f"{drive} is a bus of several drives: name one of them")
+    return found[0]
+
+
 def any_real(drives: Sequence[str], places: Sequence[str]) -> bool:
     """Say whether a drive that is named is no emulated one. Raises UsageError for what is none."""
     return any(not target.emulated for target in parse_all(drives, places))

@@ -14,10 +14,11 @@ from typing import Any
 from msgspec.structs import replace
 
 from analyzer.catalogue import Command, Role
-from analyzer.decoder import physical
+from analyzer.decoder import physical, units_of
 from analyzer.pipeline import Entry
 from analyzer.records import CanFrame, Chunk, Finding, Junk, Message
 from analyzer.transactions import meaning_of
+from analyzer.values import fields_text
 
 _BUS = "bus"
 
@@ -164,7 +165,9 @@ class Exchange:
         """Return the exchange for people: one line a frame, hex and decoded, with times since the request's end."""
         result = []
         if self.sent is not None:
-            what = f"{self.command.name} {_shown(self.values)}".rstrip() if self.command is not None else ""
+            what = "; ".join(said(entry.message) for entry in self.requests)
+            if not what and self.command is not None:
+                what = f"{self.command.name} {_shown(self.values)}".rstrip()
             result.append(f"  > {hex_of(self.sent)}   {what}".rstrip())
         parts: list[tuple[int, str]] = [(a.last_ns, _answer_line(a)) for a in self.answers]
         parts += [(j.last_ns, f"  ! {j.data.hex(' ').upper()}   {j.reason}") for j in self.junk]
@@ -207,10 +210,15 @@ def _shown(values: Mapping[str, Any]) -> str:
     return " ".join(f"{name}={value}" for name, value in values.items())
 
 
+def said(message: Message) -> str:
+    """Return what a frame says: its command, and its fields in their units."""
+    name = message.command.name if message.command is not None else "unknown"
+    return f"{name} {fields_text(physical(message), units_of(message))}".rstrip()
+
+
 def _answer_line(answer: Answer) -> str:
     message = answer.message
     frame = message.frame
     data = hex_of(frame.can) if frame.can is not None else frame.data.hex(" ").upper()
-    name = message.command.name if message.command is not None else "unknown"
     wrong = "  NO CHECKSUM" if answer.bare else "" if frame.checksum_ok else "  CHECKSUM WRONG"
-    return f"  < {data}   +{answer.latency_ns / 1e6:.2f} ms  {name} {_shown(physical(message))}{wrong}".rstrip()
+    return f"  < {data}   +{answer.latency_ns / 1e6:.2f} ms  {said(message)}{wrong}".rstrip()

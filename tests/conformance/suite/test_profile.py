@@ -6,7 +6,9 @@ import argparse
 
 import pytest
 
-from analyzer.errors import UsageError
+import servotap
+from analyzer.cli import completion
+from analyzer.errors import ServotapError, UsageError
 from conformance.gate.permissions import add_gate_arguments
 from conformance.suite import target
 from conformance.suite.options import add_safety_arguments, plan_from
@@ -62,3 +64,19 @@ def test_a_bus_without_drives(tmp_path):
     (tmp_path / "servotap.toml").write_text('[bus.left]\nport = "p"\n')
     with pytest.raises(UsageError, match=r"left is a bus without drives: add a \[drive.NAME\] with bus = 'left'"):
         target.parse_all(["left"], [])
+
+
+def test_from_python_a_name_brings_its_place_and_bounds(tmp_path):
+    with pytest.raises(UsageError, match="left is a bus of several drives: name one of them"):
+        servotap.drive("left")
+    with servotap.drive("arm", "emulated") as drive:
+        assert (drive.name, drive.emulated) == ("mks-rs485@1", True)
+        with pytest.raises(ServotapError, match="above --max-speed 300"):
+            drive.send("run_speed", direction="cw", speed=400, acceleration=200, allow=("motion", "unbounded"))
+
+
+def test_completion_knows_names():
+    assert {"left", "arm", "lift", "wrist"} <= set(completion._endpoints("")) & set(completion._drives(""))
+    commands = completion._request("", argparse.Namespace(target="wrist", command=""))
+    assert "read_speed" in commands
+    assert "long_package" not in commands

@@ -109,3 +109,34 @@ def test_the_log_gets_both_directions_in_order():
 def test_what_the_gate_refuses_begins_no_exchange():
     with pytest.raises(Refused):
         dialogue(allow=frozenset()).ask(MOVE, 100 * MS)
+
+
+def test_what_went_over_the_line_is_shown_in_units():
+    lines = dialogue().ask(build(MKS, "run_speed", 1, {"direction": 1, "speed": 320, "acceleration": 2}), 500 * MS).lines()
+    assert lines[0].endswith("run_speed direction=cw speed=320 rpm acceleration=2")
+    assert dialogue().ask(READ, 500 * MS).lines()[1].endswith("read_speed speed=0 rpm")
+
+
+class CanLine(Line):
+    """A CAN bus on which another node speaks before each reply."""
+
+    def receive(self, timeout_ns: int) -> Chunk | CanFrame | None:
+        got = super().receive(timeout_ns)
+        return CanFrame(got.t_ns, "emulated", 0x701, got.data) if isinstance(got, Chunk) else got
+
+
+def test_frames_of_other_nodes_are_no_answers():
+    can = dialects.get("mks-can")
+    talk = Dialogue(Gate(CanLine(b"\5", b"\x7f", drive="mks-can@1"), Allowance()), [can])
+    exchange = talk.ask(CanFrame(None, "host", 1, build(can, "read_speed", 1)), 500 * MS)
+    assert [message.who for message in exchange.foreign] == ["0x701", "0x701"]
+    assert exchange.received == exchange.replies[0].data
+    assert (exchange.others, exchange.findings, exchange.completion) == ([], [], Completion.DONE)
+
+
+def test_who_is_asked_is_a_drive_whatever_it_answers():
+    can = dialects.get("mks-can")
+    talk = Dialogue(Gate(CanLine(b"\x9c\0\0", drive="mks-can@9"), Allowance()), [can])
+    exchange = talk.ask(CanFrame(None, "host", 0x701, build(can, "read_speed", 0x701)), 50 * MS)
+    assert exchange.foreign == []
+    assert exchange.others[0].rules == ("bad_checksum", "unknown_command")
