@@ -120,6 +120,10 @@ def test_what_went_over_the_line_is_shown_in_units():
 class CanLine(Line):
     """A CAN bus on which another node speaks before each reply."""
 
+    def __init__(self, *pieces: bytes, drive: str) -> None:
+        EmulatedLine.__init__(self, [make.make(make.parse(drive))])
+        self.pieces = list(pieces)
+
     def receive(self, timeout_ns: int) -> Chunk | CanFrame | None:
         got = super().receive(timeout_ns)
         return CanFrame(got.t_ns, "emulated", 0x701, got.data) if isinstance(got, Chunk) else got
