@@ -140,12 +140,15 @@ def drive(
     max_run: float = 30.0,
     cut_power: str = "",
     timeout: float = 1.0,
+    log: str | PathLike[str] | None = None,
+    replace_log: bool = False,
 ) -> Drive:
     """Connect to a drive: an emulated one, a real one at an endpoint (`serial:/dev/ttyUSB0,baud=38400`), or one of a profile.
 
     Only reads and stops are sent, besides what is allowed here or with each command; bounds as for `servotap send`. A guard
     process owns a real port. It stops the drive if this program dies, and a run without an end after `max_run` seconds.
-    `timeout`: of a reply, in seconds. Raises UsageError; DriveNotFound where a real drive does not answer.
+    `timeout`: of a reply, in seconds. `log`: a file for all that is sent and comes, which `servotap.open` reads.
+    Raises UsageError; DriveNotFound where a real drive does not answer.
     """
     from servotap.drives import Drive
 
@@ -162,4 +165,6 @@ def drive(
         max_run=max_run,
         cut_power=cut_power,
         timeout=timeout,
+        log=log,
+        replace_log=replace_log,
     )

@@ -6,8 +6,11 @@ the bounds. A real port belongs to a guard process: it knows what may be moving,
 
 from __future__ import annotations
 
+import time
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -28,6 +31,7 @@ from conformance.motion import motion
 from conformance.safety import messages as say
 from conformance.safety.guarded import GuardedLine, beginning
 from conformance.safety.stopping import MAY_MOVE, stop, stopping
+from conformance.serve.log import BusLog
 from conformance.suite.preflight import check
 from conformance.suite.target import Target, one
 from conformance.talk.dialogue import MS, Dialogue, Until
@@ -97,6 +101,8 @@ class Drive:
         max_run: float = 30.0,
         cut_power: str = "",
         timeout: float = 1.0,
+        log: str | PathLike[str] | None = None,
+        replace_log: bool = False,
     ) -> None:
         target = one(name, on)
         bounds = {"speed": max_speed, "turns": max_turns, "acceleration": max_acceleration, "current": max_current}
@@ -123,16 +129,41 @@ class Drive:
         self._closed = False
         self._spoken = registry.for_model(registry.every(), target.model or None)
         self._line = self._open(target, max_run, cut_power)
+        self._log: BusLog | None = None
         try:
-            self._gate = Gate(self._line, self._allowance, dialects=self._spoken)
+            if log is not None:
+                self._log = self._logged(str(log), replace_log=replace_log)
+            take = None if self._log is None else self._log.take
+            self._gate = Gate(self._line, self._allowance, dialects=self._spoken, log=take)
             others = [d for d in self._spoken if d.bus == self.dialect.bus and d.name != self.dialect.name]
             self._dialogue = Dialogue(self._gate, [self.dialect, *others])
             if isinstance(self._line, GuardedLine):
                 check(self._gate, self.dialect, self.address, alone=alone)
                 self._line.tell(say.DriveFound())
         except BaseException:
+            self._end_log()
             self._line.close()
             raise
+
+    def _logged(self, path: str, *, replace_log: bool) -> BusLog:
+        if Path(path).exists() and not replace_log:
+            raise UsageError(f"{path} exists; replace_log=True replaces it")
+        endpoint = self._line.endpoint
+        return BusLog(
+            endpoint.name,
+            path,
+            [self.dialect],
+            speed=endpoint.bits_per_second,
+            byte_ns=self._line.byte_ns,
+            anchor_ns=time.time_ns() if self.emulated else self._line.anchor_ns,
+            force=True,
+            format="servotap.drive",
+        )
+
+    def _end_log(self) -> None:
+        if self._log is not None:
+            self._log.finish({"source": f"{self.name} on {self._line.endpoint.text}"})
+            self._log = None
 
     def _open(self, target: Target, max_run: float, cut_power: str) -> Line:
         if target.endpoint is None:
@@ -232,10 +263,15 @@ class Drive:
         if Risk.SETTING in built.risks:
             self._line.setting_ns = self._line.now_ns()
         gate.end_stream(next(iter(request.meant), None))
+        self._tick()
         reply = _reply(built.command, exchange)
         if must and request.answered:
             self._expect(reply, wait)
         return reply
+
+    def _tick(self) -> None:
+        if self._log is not None:
+            self._log.tick(self._line.now_ns())
 
     def _keep_distance(self, built: Built) -> None:
         before_ns = self._line.setting_ns
@@ -274,6 +310,7 @@ class Drive:
     def wait(self, seconds: float) -> list[Frame]:
         """Let time pass and return the frames that came; an emulated drive's time passes at once."""
         exchange = self._dialogue.listen(int(seconds * 1e9))
+        self._tick()
         return [frame_of(answer.entry) for answer in exchange.answers]
 
     def stop(self) -> None:
@@ -294,6 +331,7 @@ class Drive:
             if self._moving:
                 self.stop()
         finally:
+            self._end_log()
             # A guard that was not told that the drive stands stops it by itself.
             self._line.close()
 

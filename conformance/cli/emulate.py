@@ -167,7 +167,7 @@ def _emulate(specifications: Sequence[Specification], arguments: argparse.Namesp
     clock = Clock()
     ticks: list[Callable[[int], None]] = []
     if arguments.log:
-        log = BusLog(bus, arguments.log, _dialects(specifications), anchor_ns=clock.anchor_ns, force=arguments.force)
+        log = BusLog.of(bus, arguments.log, _dialects(specifications), anchor_ns=clock.anchor_ns, force=arguments.force)
         about = {"source": "emulated drives: " + " ".join(arguments.drives), "seed": str(arguments.seed)}
         stack.callback(log.finish, about)
         ticks.append(log.tick)

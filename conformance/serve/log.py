@@ -1,4 +1,4 @@
-"""The log of an emulated bus: all traffic, through the analyzer's own pipeline, into an MCAP file.
+"""The log of a bus that this program serves or talks on: all traffic, through the analyzer's pipeline, into an MCAP file.
 
 While it is written, the file is complete up to the last second; `finish` completes it.
 """
@@ -26,12 +26,23 @@ _FLUSH_NS = SECOND_NS
 
 
 class BusLog:
-    """Writes what goes over a bus to a file. `anchor_ns`: UTC at the bus's time 0.
+    """Writes what goes over a bus to a file. `speed`: bits per second. `anchor_ns`: UTC at the bus's time 0.
 
     Raises UsageError where the file cannot be written.
     """
 
-    def __init__(self, bus: Bus, path: str, dialects: Sequence[Dialect], *, anchor_ns: int, force: bool = False) -> None:
+    def __init__(
+        self,
+        name: str,
+        path: str,
+        dialects: Sequence[Dialect],
+        *,
+        speed: int,
+        byte_ns: int,
+        anchor_ns: int,
+        force: bool = False,
+        format: str = "emulated bus",
+    ) -> None:
         self.path = Path(path)
         if self.path.exists() and not force:
             raise UsageError(f"{path} exists; --force replaces it")
@@ -39,23 +50,31 @@ class BusLog:
             self._stream: IO[bytes] = self.path.open("wb")
         except OSError as error:
             raise UsageError(f"cannot write {path}: {error.strerror}") from None
-        self._bus = bus.name
+        self._bus = name
+        self._format = format
         self._dialects = tuple(dialects)
         self._anchor_ns = anchor_ns
-        speed = bus.stations[0].speed
         self._speed = speed
         serial = dialects[0].bus == "serial"
-        options = Options(byte_ns=BITS * SECOND_NS // speed if serial and bus.wire_time else 0)
         self.summary = Summary()
-        self._log = McapLog(self._stream, byte_ns=options.byte_ns, bit_ns=0 if serial else SECOND_NS // speed)
-        self._pipeline = Pipeline(self._dialects, (self._log, self.summary), options)
+        self._log = McapLog(self._stream, byte_ns=byte_ns, bit_ns=0 if serial else SECOND_NS // speed)
+        self._pipeline = Pipeline(self._dialects, (self._log, self.summary), Options(byte_ns=byte_ns))
         self._heard_ns = 0
         self._flushed_ns = 0
         self._quiet = True
         self._broken = False
-        bus.watch(self._take)
 
-    def _take(self, traffic: Traffic) -> None:
+    @classmethod
+    def of(cls, bus: Bus, path: str, dialects: Sequence[Dialect], *, anchor_ns: int, force: bool = False) -> BusLog:
+        """Return the log of all that goes over an emulated bus from now on."""
+        speed = bus.stations[0].speed
+        byte_ns = BITS * SECOND_NS // speed if dialects[0].bus == "serial" and bus.wire_time else 0
+        log = cls(bus.name, path, dialects, speed=speed, byte_ns=byte_ns, anchor_ns=anchor_ns, force=force)
+        bus.watch(log.take)
+        return log
+
+    def take(self, traffic: Traffic) -> None:
+        """Write a piece of traffic, with its time on the bus's clock."""
         t_ns = traffic.t_ns or 0
         self._heard_ns = t_ns
         self._quiet = False
@@ -81,7 +100,7 @@ class BusLog:
             speed = {"bit_rate" if self._dialects[0].bus == "can" else "baud": str(self._speed)}
             self._log.finish(
                 {
-                    "format": "emulated bus",
+                    "format": self._format,
                     "dialect": ",".join(d.name for d in self._dialects),
                     "manual": "; ".join(d.manual for d in self._dialects),
                     "time_source": "the bus, on a monotonic clock anchored to UTC at the start",

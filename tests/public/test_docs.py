@@ -32,6 +32,6 @@ def test_the_session_runs(tmp_path, monkeypatch, capsys):
     runpy.run_path(str(ROOT / "docs" / "session.py"))
     told = capsys.readouterr().out
     assert "error: current: got 6000 mA" in told
-    assert re.search(r"from \d+ to 600 rpm, and back to rest", told)
+    assert re.search(r"it stands at \d+ degrees", told)
     assert (tmp_path / "session.png").read_bytes()[:4] == b"\x89PNG"
     matplotlib.pyplot.close("all")

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import textwrap
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -139,6 +140,28 @@ def test_settings_keep_a_distance():
         assert drive._line.now_ns() - before > 1_000_000_000
 
 
+def test_what_was_done_is_in_the_log(tmp_path):
+    path = tmp_path / "ramp.mcap"
+    with servotap.drive(READY, allow={"motion", "unbounded"}, log=path) as drive:
+        drive.send("run_speed", **RUN)
+        for _ in range(10):
+            drive.wait(0.1)
+            drive.speed()
+    capture = servotap.open(path)
+    assert not list(capture.findings)
+    commands = [each.first.command for each in capture.transactions]
+    assert commands[0] == "run_speed"
+    assert commands.count("read_speed") >= 10
+    assert "stop_speed" in commands
+    speeds = capture.to_polars(wide=True, topics="state", fields="speed")
+    assert speeds["/emulated/1/state.speed"].min() == -60
+    assert speeds["elapsed"][-1] > 1
+    with pytest.raises(servotap.UsageError, match="exists; replace_log=True replaces it"):
+        servotap.drive(READY, log=path)
+    servotap.drive(READY, log=path, replace_log=True).close()
+    assert not list(servotap.open(path).frames)
+
+
 def test_no_field_is_hidden_by_an_option():
     fields = {
         name
@@ -159,8 +182,8 @@ def port():
         yield f"serial:{name},baud=38400"
 
 
-def test_a_drive_at_an_endpoint_is_read_run_and_stopped(port):
-    with servotap.drive("mks-rs485@1", port, subdivision=16) as drive:
+def test_a_drive_at_an_endpoint_is_read_run_and_stopped(port, tmp_path):
+    with servotap.drive("mks-rs485@1", port, subdivision=16, log=tmp_path / "a.mcap") as drive:
         assert not drive.emulated
         assert drive.read("read_speed") == 0
         drive.send("run_speed", **RUN, allow={"motion", "unbounded"})
@@ -168,6 +191,10 @@ def test_a_drive_at_an_endpoint_is_read_run_and_stopped(port):
         assert abs(drive.speed()) > 10
     with servotap.drive("mks-rs485@1", port) as drive:
         assert drive.speed() == 0
+    asked = [each for each in servotap.open(tmp_path / "a.mcap").transactions if each.first.command == "run_speed"]
+    assert [each.outcome for each in asked] == ["answered"]
+    age = datetime.now(UTC) - asked[0].first.time
+    assert timedelta(0) < age < timedelta(minutes=5)
 
 
 def test_a_program_that_dies_leaves_no_motor_turning(port):

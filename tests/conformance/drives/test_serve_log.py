@@ -25,7 +25,7 @@ MKS, LK, CAN = (dialects.get(name) for name in ("mks-rs485", "lk-rs485", "mks-ca
 
 
 def log_of(bus: Bus, path: Path, *names: str) -> BusLog:
-    return BusLog(bus, str(path), [dialects.get(n) for n in names], anchor_ns=ANCHOR_NS)
+    return BusLog.of(bus, str(path), [dialects.get(n) for n in names], anchor_ns=ANCHOR_NS)
 
 
 def messages(path: Path) -> list[tuple[str, dict[str, Any]]]:
@@ -69,7 +69,7 @@ def test_a_can_bus(tmp_path: Path) -> None:
     topics = [topic for topic, _ in messages(path)]
     assert "/arm/1/read_speed/request" in topics
     assert "/arm/1/read_speed/reply" in topics
-    assert "/findings" in topics
+    assert "/arm/foreign" in topics
 
 
 def test_collisions_and_speeds_are_comments(tmp_path: Path) -> None:
