@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import pytest
 
 from analyzer import dialects
 from conformance import claims as registry
 from conformance.drives import make
+from conformance.drives.can_bus import CanBus
 from conformance.motion import motion, resting
 from conformance.safety import stopping
+from conformance.serve.can import CanPort
 from conformance.suite.rig_emulated import EmulatedRig
-from tests.conformance.drives.served import on_pty
+from tests.conformance.drives.served import Bridge, drives, on_can, on_pty
 from tests.conformance.suite.test_suite import main
 
 #: Claims that noise would refute, by the end of their ids.
@@ -29,15 +34,39 @@ def test_a_shaft_that_trembles_stands_and_one_that_creeps_along_does_not(drive, 
     assert (stopping.prove_standing(probe, 800 * motion.MS) == "") is stands
 
 
-@pytest.mark.parametrize("drive", ["mks-rs485@1,work_mode=sr_vfoc,real=bench", "lk-rs485@1,real=poor,latency-timer=1ms"])
+@contextmanager
+def served(drive: str) -> Iterator[str]:
+    """Serve a drive on a pseudo-terminal, a CAN drive behind an slcan adapter; yield the endpoint."""
+    if not drive.startswith("mks-can"):
+        with on_pty(drive) as port:
+            yield f"serial:{port},baud={115200 if drive.startswith('lk') else 38400}"
+        return
+    bridge = Bridge()
+    try:
+        port = CanPort("slcan", bridge.paths[1], sleep_after_open=0, bitrate=500000)
+        with on_can(CanBus(drives(drive), speed=port.bitrate), port):
+            yield f"can:slcan:{bridge.paths[0]},bitrate=500000,sleep_after_open=0"
+    finally:
+        bridge.close()
+
+
+@pytest.mark.parametrize(
+    "drive",
+    [
+        "mks-rs485@1,work_mode=sr_vfoc,real=bench",
+        "mks-modbus@1,work_mode=sr_vfoc,real=bench,clock=+1%",
+        "mks-can@1,real=bench,clock=-1%",
+        "lk-rs485@1,real=poor,latency-timer=1ms",
+    ],
+)
 def test_an_honest_drive_on_a_port_is_not_accused(drive, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     name = drive.partition(",")[0]
     chosen = [c.id for c in registry.every(dialects.get(name.partition("@")[0])) if c.id.endswith(_TELLING)]
     named = [word for claim in chosen for word in ("--claim", claim)]
     allowed = ("--allow", "motion,setting", "--subdivision", "16", "--max-speed", "300")
-    with on_pty(drive) as port:
-        status = main(["test", name, "--on", f"serial:{port},baud={115200 if drive[:2] == 'lk' else 38400}", *allowed, *named])
+    with served(drive) as endpoint:
+        status = main(["test", name, "--on", endpoint, *allowed, *named])
     out, err = capsys.readouterr()
     assert status == 0, out + err
     assert "noise measured" in out
