@@ -209,6 +209,12 @@ def _is_held_then_zero(probe: Probe, way: str, angle: int) -> None:
 # --- on the way -------------------------------------------------------------------------------------------------------
 
 
+def _expect_going_on(probe: Probe, since: int, command: Command) -> None:
+    """Raise Inconclusive where homing was told as over: a closed end stop ends it before there is anything to see."""
+    if set(_statuses(probe, since, command)) - {1}:
+        raise Inconclusive("homing ends before there is anything to see: the end stop is closed already")
+
+
 def _at_speeds(dialect: Dialect) -> Iterator[Case]:
     for rpm in (60, 120, 300):
         yield from (Case(dialect, case.command, {"rpm": rpm}) for case in _homings(dialect))
@@ -218,9 +224,11 @@ def _at_speeds(dialect: Dialect) -> Iterator[Case]:
 def _speed(probe: Probe, command: Command, rpm: int) -> None:
     """With home_speed {rpm} homing turns the shaft at {rpm} rpm."""
     _prepared(probe, home_speed=rpm)
+    since = len(probe.traffic)
     exchange = probe.do(command)
     probe.wait(SECOND_NS)
     seen = abs(motion.speed(probe).value)
+    _expect_going_on(probe, since, command)
     _halt(probe)
     text = "homing does not turn at the speed that was set"
     probe.expect(seen, near=rpm, within=1 + rpm / 100, unit="rpm", refutes=text, exchange=exchange)
@@ -285,8 +293,7 @@ def _stopped(probe: Probe, command: Command) -> None:
     since = len(probe.traffic)
     exchange = probe.do(command)
     probe.wait(SECOND_NS)
-    if set(_statuses(probe, since, command)) - {1}:
-        raise Inconclusive("homing ends before it can be stopped: the end stop is closed already")
+    _expect_going_on(probe, since, command)
     _halt(probe)
     _expect_still(probe, exchange, 3 * SECOND_NS, "an emergency stop does not end homing")
     if motion.tells_end(probe.dialect):

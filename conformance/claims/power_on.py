@@ -134,8 +134,9 @@ def _zero_statuses(dialect: Dialect) -> Iterator[Case]:
 def _tells(probe: Probe, command: Command) -> None:
     """3B reads 0 on the way back to zero and 1 when it is over."""
     _keep_zero(probe, _NEAR, _CW, 0.49, 0)
-    motion.wait_until(probe, lambda: not probe.ask(command, quiet_ns=0).silent, every_ns=50 * MS, limit_ns=5 * SECOND_NS)
-    # The first answer since the start: at the slowest the way back takes a second.
+    # The first answer since the start: at the slowest the way back takes a second. What is asked before is lost.
+    soon = partial(probe.ask, command, timeout_ns=100 * MS, quiet_ns=0)
+    motion.wait_until(probe, lambda: not soon().silent, every_ns=50 * MS, limit_ns=5 * SECOND_NS)
     during = probe.reply(probe.traffic[-1]).values["status"]
     probe.wait(_BACK_NS)
     seen = (during, probe.read(command, "status"))

@@ -11,11 +11,14 @@ from conformance.claim import Claim, Inconclusive
 from conformance.gate.gate import Refused
 from conformance.motion import motion
 from conformance.talk.noise import LOOP_DEGREES, QUIET, Noise
+from conformance.talk.probe import Until
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
 
 _TIMES = 24
+#: How often a shaft is looked at that was stopped at once.
+_SWINGS = 4
 #: How often a supply or a speed is looked at, and the bytes before a reply.
 _FEWER = 12
 #: Fields of the supply.
@@ -81,12 +84,13 @@ def in_motion(probe: Probe) -> Noise:
             motion.stand_still(probe)
             probe.noise = replace(probe.noise, rescaled=True)
             return in_motion(probe)
+        swings = _arriving(probe)
         motion.wait_standing(probe)
         # A loop goes on towards its target when the shaft seems to stand.
         after = [sample.value for sample in motion.sampled(probe, _CREEPS_NS, _CREEPS_NS // _TIMES)]
         if abs(abs(after[-1] - before) - _WAY) > _SHORT:
             return replace(probe.noise, hindrance=_hindrance(probe))
-        lag = _lag(probe)
+        lag = max([_lag(probe), *(abs(after[-1] - place) for place in swings)])
     except Inconclusive:
         return replace(probe.noise, hindrance=_hindrance(probe))
     except Refused:
@@ -103,15 +107,24 @@ def in_motion(probe: Probe) -> Noise:
     return replace(noise, share=max(trembling, least) / mean)
 
 
+def _arriving(probe: Probe) -> list[float]:
+    """Wait until a move is told as complete; return where the shaft is then, again and again. Empty where no end is told."""
+    if not motion.tells_end(probe.dialect):
+        return []
+    probe.listen(3 * motion.SECOND_NS, Until.REPLY)
+    return [motion.position(probe).value for _ in range(_SWINGS)]
+
+
 def _lag(probe: Probe) -> float:
     """Return how many degrees the shaft goes on after a stop at once has been answered."""
     if probe.dialect.ramp is None:
         return 0.0
     motion.run_at(probe, motion.CALM)
     probe.wait(_GOING_NS)
-    motion.stop(probe, 0)
-    at_once = motion.position(probe).value
-    return abs(motion.wait_standing(probe).value - at_once)
+    probe.ask(Verb.STOP_SPEED, {"acceleration": 0}, quiet_ns=0)
+    swings = [motion.position(probe).value for _ in range(_SWINGS)]
+    rests = motion.wait_standing(probe).value
+    return max(abs(rests - place) for place in swings)
 
 
 # --- why a shaft does not turn ----------------------------------------------------------------------------------------

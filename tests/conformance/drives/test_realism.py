@@ -102,6 +102,13 @@ def test_a_shaft_that_creeps_when_it_has_come_to_rest_trembles(drive):
     assert moved(f"{drive},creep=2").live
 
 
+@pytest.mark.parametrize("drive", ["mks-rs485@1", "mks-can@1"])
+def test_a_shaft_that_goes_on_after_a_stop_at_once_swings(drive):
+    noise = moved(f"{drive},overshoot=12,settle=80ms")
+    assert 6 * 360 / 16384 < noise.lag <= 12 * 360 / 16384
+    assert (moved(drive).lag, noise.swing > 2 * noise.lag - 0.001) == (0, True)
+
+
 def test_a_lone_byte_in_a_pause_is_of_the_line_or_of_the_reply():
     each = rig("mks-rs485@1,turnaround-noise=FF,byte-gap=1.4")
     probe = each.probe(next(iter(registry.every(each.dialect))))
