@@ -84,6 +84,7 @@ def _behind_refusals(probe: Probe, command: Command) -> None:
     """What comes behind a refused motion is answered and carried out: a read, enabling, and a move."""
     # Without a look whether it has a bus mode: that may be refused, and what is behind it would not be looked at.
     motion.set_mode(probe, motion.bus_modes(probe.dialect)[-1])
+    probe.ask(Verb.SET_SUBDIVISION, {"subdivision": motion.SUBDIVISION})
     motion.switch(probe, False)
     values = _request(probe.dialect, command)
     judge_next(probe, "a refused motion", lambda: probe.ask(command, values, quiet_ns=0))

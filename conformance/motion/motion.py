@@ -160,10 +160,15 @@ def ready_to_move(probe: Probe, mode: str = "", *, subdivision: int | None = Non
         if mode or not _enabled_now(probe):
             set_mode(probe, mode or bus_modes(probe.dialect)[-1])
             probe.do(Verb.ENABLE, {"enabled": 1})
-        if subdivision is None and probe.noise.rescaled:
+        if subdivision is None and probe.noise.rescaled and not _sets_subdivision(probe):
             subdivision = SUBDIVISION
         if subdivision is not None and Verb.SET_SUBDIVISION in verbs:
             probe.do(Verb.SET_SUBDIVISION, {"subdivision": subdivision})
+
+
+def _sets_subdivision(probe: Probe) -> bool:
+    """Say whether a claim has set the subdivision itself."""
+    return any(e.command is not None and e.command.verb is Verb.SET_SUBDIVISION for e in probe.traffic)
 
 
 def set_mode(probe: Probe, mode: str) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Verb
 from analyzer.protocols.lk_rs485 import ERROR_BITS, BrakeControl, BrakeState
+from analyzer.protocols.mks_shared import Protection
 from conformance.claim import Claim, Inconclusive
 from conformance.gate.gate import Refused
 from conformance.motion import motion
@@ -24,7 +25,7 @@ _FEWER = 12
 #: Fields of the supply.
 _SUPPLY = ("voltage", "current", "temperature")
 #: Bytes that a line shows while nothing sends, and how many of them at most.
-_IDLE, _MOST_STRAY = b"\x00\xff", 2
+_IDLE, _HIGH, _MOST_STRAY = b"\x00\xff", b"\xff", 2
 #: A shaft that turns is not at rest, in rpm.
 _RESTS = 5.0
 #: When a move has come to its speed, until when it keeps it, how far it goes, in degrees, and how fast: in whole rpm
@@ -32,10 +33,10 @@ _RESTS = 5.0
 _GOING_NS, _STEADY_NS, _WAY, _RPM = 300 * motion.MS, 1000 * motion.MS, 1440.0, 180
 #: How long a shaft that stands is watched.
 _CREEPS_NS = 800 * motion.MS
-#: The share by which a speed is another one than was asked for, the degrees by which a shaft is held back, and those that
-#: a move may miss of its way.
-_ANOTHER, _HELD, _SHORT = 0.1, 10.0, 90.0
-#: What a drive's own limits must leave to the suite, as they are sent; 0 is no limit.
+#: The share by which a speed is another one than was asked for, and the degrees that a move misses which did not go its way.
+_ANOTHER, _SHORT = 0.1, 90.0
+#: What a drive's own limits must leave to the suite, as they are sent, 0 being no limit; and a run that they allow.
+_LIMITED_RPM, _LIMITED_NS = 120, 500 * motion.MS
 _LEAST = {"speed_limit": 72_000, "speed_ramp": 180_000}
 #: Reading the brake and nothing else.
 _ASK_BRAKE = {"brake_control": int(BrakeControl.READ)}
@@ -67,12 +68,11 @@ def in_motion(probe: Probe) -> Noise:
     Where the drive does not run, the noise is that at rest, and the hindrance what the drive says of it.
     """
     try:
-        hindrance = _limits(probe)
-        if hindrance:
-            return replace(probe.noise, hindrance=hindrance)
         motion.ready_to_move(probe)
         before = motion.position(probe).value
-        motion.begin(probe, _move(probe.dialect), _WAY, rpm=_RPM, acceleration=motion.QUICK, quiet_ns=0)
+        asked = motion.ask(probe, _move(probe.dialect), _WAY, rpm=_RPM, acceleration=motion.QUICK, quiet_ns=0)
+        if motion.refused(probe, asked):
+            return replace(probe.noise, hindrance=_protection(probe))
         begun_ns = probe.gate.now_ns()
         probe.wait(_GOING_NS)
         speeds: list[float] = []
@@ -88,12 +88,11 @@ def in_motion(probe: Probe) -> Noise:
         motion.wait_standing(probe)
         # A loop goes on towards its target when the shaft seems to stand.
         after = [sample.value for sample in motion.sampled(probe, _CREEPS_NS, _CREEPS_NS // _TIMES)]
-        if abs(abs(after[-1] - before) - _WAY) > _SHORT:
-            return replace(probe.noise, hindrance=_hindrance(probe))
+        hindrance = _hindrance(probe, abs(after[-1] - before)) or _limits(probe)
+        if hindrance:
+            return replace(probe.noise, hindrance=hindrance)
         lag = max([_lag(probe), *(abs(after[-1] - place) for place in swings)])
-    except Inconclusive:
-        return replace(probe.noise, hindrance=_hindrance(probe))
-    except Refused:
+    except (Inconclusive, Refused):
         return probe.noise
     # A loop that stands still may rest beside its target all the same, and no read of a resting shaft shows that.
     missed = abs(abs(after[-1] - before) - _WAY) / 2
@@ -131,38 +130,48 @@ def _lag(probe: Probe) -> float:
 
 
 def _limits(probe: Probe) -> str:
-    """Return the limit of the drive's own parameters that leaves too little to see anything, or nothing."""
+    """Return the limit of the drive's own parameters by which a run is slow, or nothing."""
     command = probe.dialect.by_verb.get(Verb.READ_PARAMETER)
-    forms = () if command is None else command.reply_forms
-    for form in forms:
+    if command is None or probe.dialect.ramp is not None:
+        return ""
+    motion.run_at(probe, _LIMITED_RPM)
+    probe.wait(_LIMITED_NS)
+    rpm = abs(motion.speed(probe).value)
+    motion.stand_still(probe)
+    if rpm > _LIMITED_RPM * (1 - _ANOTHER):
+        return ""
+    for form in command.reply_forms:
         for name, least in _LEAST.items():
             if name in form.layout.named:
-                answer = probe.ask(Verb.READ_PARAMETER, {"parameter": form.layout.named["parameter"].fixed}).reply
+                answer = probe.ask(command, {"parameter": form.layout.named["parameter"].fixed}).reply
                 held = answer.values.get(name, 0) if answer is not None else 0
                 if 0 < abs(held) < least:
                     return f"the drive's own {name} is {held}: set it to {least} or more"
     return ""
 
 
-def _hindrance(probe: Probe) -> str:
-    """Return why the drive cannot turn the shaft, as it says itself, or nothing."""
+def _protection(probe: Probe) -> str:
+    """Return that a drive protects itself, as it says, or nothing."""
+    read = probe.dialect.by_verb.get(Verb.READ_PROTECTION)
+    protects = read is not None and probe.read(read) == Protection.PROTECTED
+    return "the drive protects itself: see what held its shaft, and release the protection" if protects else ""
+
+
+def _hindrance(probe: Probe, went: float) -> str:
+    """Return why the shaft went less than it was told to, as the drive says itself, or nothing."""
+    if went > _WAY - _SHORT:
+        return ""
     verbs = probe.dialect.by_verb
-    try:
-        if Verb.READ_PROTECTION in verbs and probe.read(Verb.READ_PROTECTION):
-            return "the drive protects itself and has let the shaft go: see what held it, and release the protection"
-        if Verb.BRAKE in verbs and probe.read(Verb.BRAKE, "brake_state", _ASK_BRAKE) == BrakeState.POWER_OFF:
-            return "the brake holds the shaft"
-        if Verb.READ_STATE_1 in verbs:
-            told = probe.reply(probe.ask(Verb.READ_STATE_1)).values
-            flags = [field.name for field in ERROR_BITS if told.get(field.name)]
-            if flags:
-                return f"the drive turns nothing while its error flags are set: {', '.join(flags)}"
-        missing = _angle_error(probe)
-        if missing > _HELD:
-            return f"the shaft is held: it is {missing:.0f} degrees from where the drive wants it"
-    except Inconclusive:
-        pass
-    return ""
+    if Verb.BRAKE in verbs and probe.read(Verb.BRAKE, "brake_state", _ASK_BRAKE) == BrakeState.POWER_OFF:
+        return "the brake holds the shaft"
+    if Verb.READ_STATE_1 in verbs:
+        told = probe.reply(probe.ask(Verb.READ_STATE_1)).values
+        flags = [field.name for field in ERROR_BITS if told.get(field.name)]
+        return f"the drive turns nothing while its error flags are set: {', '.join(flags)}" if flags else ""
+    missing = _angle_error(probe)
+    if abs(went + missing - _WAY) < _SHORT:
+        return f"the shaft is held: it is {missing:.0f} degrees from where the drive wants it"
+    return _protection(probe)
 
 
 def can_turn(dialect: Dialect, claim: Claim) -> bool:
@@ -214,7 +223,9 @@ def _stray(probe: Probe) -> tuple[bytes, bytes]:
         first, _, last = exchange.received.partition(answer.data)
         before.add(first)
         behind.add(last)
-    return _of_line(before), _of_line(behind)
+    trailing = _of_line(behind)
+    # A driver that lets go of the line makes a start bit of it, and ones; a byte of zeros is sent.
+    return _of_line(before), trailing if trailing.strip(_HIGH) == b"" else b""
 
 
 def _of_line(found: set[bytes]) -> bytes:

@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from analyzer.catalogue import Certainty
-from conformance.claim import Claim, Inconclusive, NotRun, NotStopped, Observed, Outcome, Refuted, RigFault, Verdict
+from conformance.claim import Claim, Inconclusive, NotRun, NotStopped, Observed, Outcome, Refuted, RigFault, Theme, Verdict
 from conformance.drives import make
 from conformance.gate.gate import Refused
 from conformance.safety.stopping import MAY_MOVE
@@ -24,6 +24,8 @@ from conformance.talk.probe import Probe
 
 #: How long emulated drives are looked for that fail alike.
 _SEARCH_SECONDS = 20.0
+#: Claims that judge the bytes of replies alone, whatever the shaft does.
+_OF_BYTES = (Theme.SHAPE, Theme.FRAMING, Theme.TRAFFIC)
 #: What is said of a refutation that did not come again.
 ONCE = "1 of 2 times"
 
@@ -77,7 +79,7 @@ def prove_reads(claims: Iterable[Claim], rig: ClaimRig) -> Iterator[Verdict]:
 
 
 def _judge(claim: Claim, probe: Probe) -> Verdict:
-    if probe.noise.hindrance and claim.risks & MAY_MOVE:
+    if probe.noise.hindrance and claim.risks & MAY_MOVE and claim.theme not in _OF_BYTES:
         return _verdict(claim, probe, Outcome.INCONCLUSIVE, probe.noise.hindrance)
     try:
         claim.check(probe)
