@@ -257,7 +257,7 @@ _NAMING = ("analyzer/protocols", "analyzer/dialects.py", "conformance/drives")
 
 def _texts() -> Iterator[tuple[str, str]]:
     """Yield every string in the code, with the path of its module."""
-    for package in ("analyzer", "conformance"):
+    for package in ("analyzer", "conformance", "servotap"):
         for path in sorted((ROOT / package).rglob("*.py")):
             name = path.relative_to(ROOT).as_posix()
             if not name.startswith(_NAMING):

@@ -1,4 +1,4 @@
-"""Who in conformance can put a byte on a bus, and who may: the gate, drives that are emulated, and a tap for its program."""
+"""Who in conformance and servotap can put a byte on a bus, and who may: the gate, emulated drives, a tap for its program."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-MODULES = sorted((ROOT / "conformance").rglob("*.py"))
+MODULES = sorted(path for package in ("conformance", "servotap") for path in (ROOT / package).rglob("*.py"))
 
 #: What can write to a port, a connection or a bus -> the calls that make it able to.
 WRITERS = {
