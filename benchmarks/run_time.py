@@ -17,6 +17,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from analyzer.catalogue import Risk, all_fields
+from analyzer.layout import Effect
 from analyzer.values import refusal
 from conformance.claim import Claim, Outcome, RigFault, Verdict
 from conformance.drives import make
@@ -49,20 +50,28 @@ def real(text: str, rate: int = 0) -> Target:
     return targets.parse(text, place)
 
 
-def everything(target: Target, risks: frozenset[Risk] = frozenset(Risk)) -> Plan:
-    """Return a plan that allows these risks on a drive alone on its bus, and knows the settings that it cannot tell."""
+def everything(target: Target, risks: frozenset[Risk] = frozenset(Risk), more: str = "") -> Plan:
+    """Return a plan that allows these risks on a drive alone on its bus, and knows the settings that it cannot tell.
+
+    `more`: of the drive's specification, as `in_a_group` has it.
+    """
     if risks == READS:
         return Plan((target,), Allowance(risks))
-    known = told(target)
+    known = told(target, more)
     return Plan((target,), Allowance(risks, alone=True, budget=Budget(wear=None)), settings={"": known})
 
 
-def told(target: Target) -> dict[str, str]:
+def told(target: Target, more: str = "") -> dict[str, str]:
     """Return the settings of a new drive as a user would tell them (`--settings`)."""
-    drive = make.make(specification(target))
+    drive = make.make(specification(target, more))
     fields = {n: f for c in drive.dialect.commands if changes(c) for n, f in all_fields(c.request_forms).items()}
     held = {name: value for name, value in drive.settings.items() if name in fields and not refusal(fields[name], value)}
     return {name: f"{fields[name].physical(value):.12g}" for name, value in held.items()}
+
+
+def in_a_group(target: Target) -> str:
+    """Return the setting of a drive that is in a group: a new one is in none, and cannot be put back into none."""
+    return ",group_address=200" if target.dialect.effect(Effect.GROUP) is not None else ""
 
 
 def specification(target: Target, more: str = "") -> make.Specification:

@@ -21,7 +21,7 @@ from typing import NamedTuple
 from analyzer.catalogue import Risk
 from analyzer.errors import ServotapError
 from benchmarks.order import GOLDEN
-from benchmarks.run_time import TARGETS, everything, real, specification, timed
+from benchmarks.run_time import TARGETS, everything, in_a_group, real, specification, timed
 from conformance.claim import Outcome
 from conformance.gate.permissions import parse_allow
 from conformance.suite import plan as suite
@@ -40,10 +40,11 @@ def tried(given: tuple[str, str, frozenset[Risk]]) -> Tried:
     """Run a short run on a drive with a fault until the first refutation."""
     text, fault, risks = given
     target = real(text)
-    plan = replace(everything(target, risks), short=True)
+    group = in_a_group(target)
+    plan = replace(everything(target, risks, group), short=True)
     name, seconds = "", 0.0
     try:
-        rig = StandInRig(plan, target, specification(target, f",fault={fault}"))
+        rig = StandInRig(plan, target, specification(target, f"{group},fault={fault}"))
         for claim, verdict, _ in timed(plan, target, rig):
             seconds = rig.gate.now_ns() / 1e9
             if verdict.outcome is Outcome.REFUTED:

@@ -333,6 +333,6 @@ def _wrong_to_all(probe: Probe) -> None:
 
 #: A move that takes a tenth of a second; how long is listened between requests that are to do nothing.
 _DEGREES = 36
-_BETWEEN_NS = 60_000_000
+_BETWEEN_NS = 40_000_000
 #: What a shaft at 60 rpm goes meanwhile at least, in degrees: half of it.
-_WAY_BETWEEN = 10
+_WAY_BETWEEN = 7

@@ -20,8 +20,8 @@ from conformance.motion.motion import MS, QUICK, SECOND_NS, SUBDIVISION
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
-#: 120 rpm at 12 ms for each rpm: 1.44 s up and as long down.
-_RPM, _RAMP, _RAMP_NS = 120, 16, 1440 * MS
+#: 90 rpm at 12 ms for each rpm: 1.08 s up and as long down.
+_RPM, _RAMP, _RAMP_NS = 90, 16, 1080 * MS
 _STOPPED, _UP, _DOWN, _FULL = 1, 2, 3, 4
 #: How long F1 was seen to stay behind the shaft.
 _STAYS_NS = 2 * SECOND_NS
@@ -158,8 +158,8 @@ def _in_a_move(probe: Probe) -> None:
     """The status during a move is that of its ramps: 2, then 4, then 3, and 1 when it is over."""
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
     motion.prepare(probe, move)
-    # The ramps take 1.44 s each, and half of six turns is left for full speed: 1.5 s.
-    exchange = motion.begin(probe, move, -6 * 360, rpm=_RPM, acceleration=_RAMP, quiet_ns=0)
+    # The ramps take 1.08 s each, and half of 3.2 turns is left for full speed: 1.05 s.
+    exchange = motion.begin(probe, move, -3.2 * 360, rpm=_RPM, acceleration=_RAMP, quiet_ns=0)
     _wait_until(probe, exchange, 400 * MS)
     _expect(probe, _status(probe), _UP, "speeds up on a move")
     _wait_until(probe, exchange, _RAMP_NS + 200 * MS)
