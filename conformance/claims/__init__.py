@@ -69,6 +69,8 @@ MODULES = (
     "motion_reads",
     "motion_told",
     "standing_reads",
+    "crossed_motions",
+    "crossed_reads",
     "torque",
     "health",
     "told_state",

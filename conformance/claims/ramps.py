@@ -29,7 +29,7 @@ from conformance.talk.probe import Probe
 
 _SLOW_RAMP, LATE = "ramp-4-percent-slow", "slow-replies-in-motion"
 #: A reply that leaves a time uncertain by more than this is late.
-_TOO_LATE_NS = 40 * MS
+TOO_LATE_NS = 40 * MS
 #: Accelerations as sent, and the speed to which each is tried.
 _RAMPS = ((1, 60), (56, 120), (128, 200), (200, 300), (236, 300), (252, 3000), (255, 3000))
 #: Between two looks at a steady speed.
@@ -68,7 +68,7 @@ def too_late(probe: Probe, *spreads_ns: float) -> bool:
 
     Raises Inconclusive where it does not.
     """
-    if max(spreads_ns) <= _TOO_LATE_NS:
+    if max(spreads_ns) <= TOO_LATE_NS:
         return False
     if LATE not in probe.claim.quirks:
         raise Inconclusive(f"a late reply left a time uncertain by {max(spreads_ns) / 1e6:.0f} ms")

@@ -1,0 +1,204 @@
+"""What is read while motions are under way, in all conditions: each read tells what the shaft does, and reads agree.
+
+    32 speed        that of the course                    30, 33 places    between two looks at the position
+    F1 status       rests, rises, full speed, falls       39 error         small
+    3A 3B 3E        what they told at rest
+
+All of it is judged on the rows of `claims.crossed`, of every motion: on its ramps, at its speed, and at rest again.
+
+Rules kept here:
+- A value may be that of any moment between a request and its reply; a speed may be that of a moment before.
+- The sense of pulses is not told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import NamedTuple
+
+from analyzer.catalogue import Certainty, Command, Dialect, Verb
+from conformance.claim import Aspect
+from conformance.claims.crossed import Look, Tried, crossed, motions_of, place, reads_of, sense, sound
+from conformance.claims.declare import Case
+from conformance.claims.known_quirks import may_meet
+from conformance.claims.motion_claim import of_motion
+from conformance.motion import motion
+from conformance.motion.course import Trend
+from conformance.motion.motion import MS
+from conformance.talk.noise import CLOCK_SHARE, COUNT, TOLD_LATE_NS
+from conformance.talk.probe import Probe
+
+#: How long a speed that is read may stay behind, and an angle error of a free shaft that turns, and of one at rest (degrees).
+_FILTER_NS, _LAG, _REST = 100 * MS, 45.0, 1.0
+#: The motor status of each trend.
+_STATUSES = {Trend.RESTS: 1, Trend.RISES: 2, Trend.FALLS: 3, Trend.STEADY: 4}
+
+
+class _Seen(NamedTuple):
+    """A look at a read, the motion it belongs to, and the looks at the position beside it. `rests`: the shaft stood.
+
+    `sense`: 1 where a positive way of the motion raises the position, else -1.
+    """
+
+    tried: Tried
+    look: Look
+    before: Look
+    after: Look
+    rests: bool
+    sense: int
+
+    @property
+    def values(self) -> Mapping[str, int]:
+        assert self.look.values is not None  # it was answered
+        return self.look.values
+
+
+def _cases(dialect: Dialect) -> Iterator[Case]:
+    risks = frozenset().union(*(c.all_risks for c in motions_of(dialect)))
+    for read in reads_of(dialect) if risks else ():
+        yield Case(dialect, read, facts={"risks": motion.risks(dialect, *risks), "aspect": Aspect.STATE})
+
+
+def _looks(probe: Probe, read: Command) -> Iterator[_Seen]:
+    """Yield what a read told on the way and at the end of every motion."""
+    for command in motions_of(probe.dialect):
+        rows = probe.recorded(crossed, command)
+        usual = sense(command, rows)
+        for tried in sound(rows):
+            # What a motion does the wrong way is judged there.
+            way = usual if tried.row.start or not tried.went else 1 if tried.went * tried.row.way > 0 else -1
+            yield from _of(tried, read, tried.during, rests=False, way=way)
+            yield from _of(tried, read, tried.after, rests=True, way=way)
+
+
+def _of(tried: Tried, read: Command, looks: tuple[Look, ...], *, rests: bool, way: int) -> Iterator[_Seen]:
+    for number, look in enumerate(looks):
+        if look.read.name == read.name:
+            before, after = tried.places(looks[:number]), tried.places(looks[number:])
+            if before and after:
+                yield _Seen(tried, look, before[-1], after[0], rests, way)
+
+
+@of_motion(
+    each=_cases,
+    name="{command}/crossed",
+    refuted_by="no answer, or another value in one condition",
+    quirks=may_meet("status-stops-early", "status-stays-slowing"),
+    at_best=Certainty.LIKELY,
+)
+def _crossed(probe: Probe, command: Command) -> None:
+    """{command} is answered and tells what the shaft does in all motions, at each moment of them."""
+    judge = _JUDGES[command.verb]
+    for seen in _looks(probe, command):
+        when = "at rest after" if seen.rests else "on the way of"
+        text = f"{command.name} is not answered {'at rest' if seen.rests else 'while the shaft turns'}, twice"
+        answered = seen.look.values is not None
+        probe.expect("no answer", holds=answered, expected="an answer", refutes=text, exchange=seen.look.exchange, key=text)
+        judge(probe, seen, f"{when} {seen.tried.row}")
+
+
+def _fail(seen: _Seen, what: str) -> str:
+    return f"{seen.look.read.name} {what} {'at rest' if seen.rests else 'while the shaft turns'} in one condition"
+
+
+def _speed(probe: Probe, seen: _Seen, when: str) -> None:
+    on, (first_ns, last_ns) = seen.tried.spans(seen.look)
+    low, high = sorted(seen.sense * rpm for rpm in on.rpm(first_ns - _FILTER_NS, last_ns))
+    beside = 1 + CLOCK_SHARE * on.top
+    probe.expect(
+        seen.values["speed"],
+        at_least=low - beside,
+        at_most=high + beside,
+        unit="rpm",
+        expected=f"{low:.5g} to {high:.5g} rpm, {when}",
+        refutes=(text := _fail(seen, "tells another speed")),
+        exchange=seen.look.exchange,
+        key=text,
+    )
+
+
+def _status(probe: Probe, seen: _Seen, when: str) -> None:
+    on, (first_ns, last_ns) = seen.tried.spans(seen.look)
+    trends = on.trends(first_ns - TOLD_LATE_NS, last_ns)
+    if first_ns < TOLD_LATE_NS:
+        # It may still tell of the time before, or of a first step.
+        trends |= {Trend.RESTS, Trend.RISES, Trend.STEADY} if on is seen.tried.course else {Trend.STEADY, Trend.FALLS}
+    status, wanted = seen.values["status"], sorted(_STATUSES[trend] for trend in trends)
+    if status in wanted:
+        return
+    if status == 1 and Trend.FALLS in trends and "status-stops-early" in probe.claim.quirks:
+        probe.meets("status-stops-early")
+    elif status == 3 and Trend.RESTS in trends and "status-stays-slowing" in probe.claim.quirks:
+        probe.meets("status-stays-slowing")
+    else:
+        expected = f"{' or '.join(map(str, wanted))}, {when}"
+        text = _fail(seen, "tells another state")
+        probe.expect(status, among=wanted, expected=expected, refutes=text, exchange=seen.look.exchange, key=text)
+
+
+def _place(probe: Probe, seen: _Seen, when: str) -> None:
+    turn = probe.dialect.counts_per_turn
+    text, exchange = _fail(seen, "tells another place than read_position"), seen.look.exchange
+    told = seen.values["carry"] * turn + seen.values["encoder"]
+    low, high = sorted((place(seen.before), place(seen.after)))
+    within = probe.within("counts") + (0.0 if seen.rests else probe.noise.swing / COUNT)
+    expected = f"{low} to {high} counts, {when}"
+    inside = low - within <= told <= high + within and 0 <= seen.values["encoder"] < turn
+    # A shaft that turns round between two looks was beyond both.
+    if inside or seen.tried.row.start >= 0:
+        probe.expect(f"{told} counts", holds=inside, expected=expected, refutes=text, exchange=exchange, key=text)
+
+
+def _pulses(probe: Probe, seen: _Seen, when: str) -> None:
+    turn = 200 * seen.tried.row.subdivision
+    rest = next((look for look in seen.tried.before if look.read.name == seen.look.read.name), None)
+    if rest is None or rest.values is None or seen.tried.row.start:
+        return
+    begin = place(seen.tried.places(seen.tried.before)[-1])
+    low, high = sorted(360 / probe.dialect.counts_per_turn * (place(look) - begin) for look in (seen.before, seen.after))
+    went = (seen.values["pulses"] - rest.values["pulses"]) * 360 / turn
+    went *= -1 if went * (low + high) < 0 else 1
+    beside = (_REST if seen.rests else _LAG) + motion.SAME
+    probe.expect(
+        went,
+        at_least=low - beside,
+        at_most=high + beside,
+        unit="degrees",
+        expected=f"{low:.5g} to {high:.5g} degrees as positions have it, {when}",
+        refutes=(text := _fail(seen, "does not go on as read_position does")),
+        exchange=seen.look.exchange,
+        key=text,
+    )
+
+
+def _error(probe: Probe, seen: _Seen, when: str) -> None:
+    field = seen.look.read.reply_forms[0].layout.named["angle_error"]
+    error = abs(float(field.physical(seen.values["angle_error"])))
+    most = _REST if seen.rests else _LAG
+    text, expected = _fail(seen, "is that of a shaft that is held"), f"at most {most:g} degrees, {when}"
+    probe.expect(error, at_most=most, unit="degrees", expected=expected, refutes=text, exchange=seen.look.exchange, key=text)
+
+
+def _as_at_rest(probe: Probe, seen: _Seen, when: str) -> None:
+    rest = next(look for look in seen.tried.before if look.read.name == seen.look.read.name)
+    text, expected = _fail(seen, "tells another state than before"), f"{rest.values}, {when}"
+    probe.expect(
+        str(seen.values),
+        holds=seen.values == rest.values,
+        expected=expected,
+        refutes=text,
+        exchange=seen.look.exchange,
+        key=text,
+    )
+
+
+_JUDGES: Mapping[Verb, Callable[[Probe, _Seen, str], None]] = {
+    Verb.READ_SPEED: _speed,
+    Verb.READ_STATUS: _status,
+    Verb.READ_ENCODER_CARRY: _place,
+    Verb.READ_PULSES: _pulses,
+    Verb.READ_ANGLE_ERROR: _error,
+    Verb.READ_ENABLED: _as_at_rest,
+    Verb.READ_PROTECTION: _as_at_rest,
+    Verb.READ_ZERO_STATUS: _as_at_rest,
+}
