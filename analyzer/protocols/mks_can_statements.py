@@ -90,7 +90,7 @@ STATEMENTS: tuple[Statement, ...] = (
     ),
     _said("1.2/subdivision", "A full step has up to 256 subdivisions.", "motion/set_subdivision/pulses-at-256"),
     _unseen("1.2/pulse-frequency", "Pulses come at up to 300 kHz.", _PULSES),
-    _said("1.2/speed", "The highest speed is 3000 rpm.", "motion/*/highest", "motion/*/beyond-highest"),
+    _said("1.2/speed", "The highest speed is 3000 rpm.", "motion/*/crossed-speed", "motion/*/beyond-highest"),
     _said(
         "1.2/angle-while-free",
         "The angle is kept up to date, whether the motor is enabled or not.",
@@ -127,7 +127,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "ranges/set_subdivision/subdivision/*",
         "motion/set_subdivision/pulses-at-*",
     ),
-    _said("1.3/speed", "The speed goes up to 3000 rpm.", "motion/*/highest"),
+    _said("1.3/speed", "The speed goes up to 3000 rpm.", "motion/*/crossed-speed"),
     _unseen("1.3/heat", "The motor runs quietly and stays cool.", _HEAT),
     _unseen("1.3/pulse-inputs", "Pulse inputs take 3.3 to 24 V.", _ELECTRIC),
     _said("1.3/rates", "The bus runs at 125, 250, 500 or 1000 kbit/s.", "ranges/set_bit_rate/bit_rate/*"),
@@ -252,11 +252,11 @@ STATEMENTS: tuple[Statement, ...] = (
     _said(
         "3.1.3/real-time",
         "It is the speed that the shaft has now, in rpm.",
-        "motion/read_speed/is-change",
+        "motion/read_speed/crossed",
         "motion/read_speed/standing",
         "motion/run_speed/speed-*",
     ),
-    _said("3.1.3/sign", "Counter-clockwise it is above zero, clockwise below.", "motion/read_speed/is-change"),
+    _said("3.1.3/sign", "Counter-clockwise it is above zero, clockwise below.", "motion/read_speed/crossed"),
     *_tables("3.1.4", "read_pulses", "33 without data", "a count of 32 bits, signed"),
     _said(
         "3.1.4/received",
@@ -716,7 +716,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "A speed is 0 to 3000, and a greater one is faster.",
         "ranges/*/speed/*",
         "motion/run_speed/speed-*",
-        "motion/*/highest",
+        "motion/*/crossed-speed",
     ),
     _said(
         "4.1/speed-at-16-32-64",
@@ -731,7 +731,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "motion/set_subdivision/speed-at-*",
     ),
     _said(
-        "4.1/moves-at-others", "Moves too turn at the speed as sent times 16 by the subdivision.", "motion/move_*/speed-at-*"
+        "4.1/moves-at-others", "Moves too turn at the speed as sent times 16 by the subdivision.", "motion/move_*/crossed-speed"
     ),
     _said("4.1/acceleration-range", "An acceleration is 0 to 255.", "ranges/*/acceleration/*"),
     _said(
@@ -746,7 +746,7 @@ STATEMENTS: tuple[Statement, ...] = (
     _said(
         "4.1/even",
         "On a ramp the speed rises evenly, rpm by rpm, and not beyond the speed that was asked for.",
-        "timing/*/ramp-is-even",
+        "motion/*/crossed-course",
     ),
     *_tables("4.2.1", "read_status", "F1 without data", "a status of one byte"),
     _said(
@@ -756,9 +756,9 @@ STATEMENTS: tuple[Statement, ...] = (
         "motion/read_status/after-a-move",
         "motion/read_status/slow-*",
     ),
-    _said("4.2.1/up", "2: it speeds up.", "motion/read_status/speeding-up", "motion/read_status/in-a-move"),
+    _said("4.2.1/up", "2: it speeds up.", "motion/read_status/crossed"),
     _said("4.2.1/down", "3: it slows down.", "motion/read_status/slowing-down"),
-    _said("4.2.1/full", "4: it has its full speed.", "motion/read_status/full-speed", "motion/read_status/slow-*"),
+    _said("4.2.1/full", "4: it has its full speed.", "motion/read_status/crossed", "motion/read_status/slow-*"),
     _said("4.2.1/homing", "5: it is homing.", "motion/home/status"),
     _said("4.2.1/calibrating", "6: it is calibrating.", "motion/calibrate/status"),
     _unseen("4.2.1/fail", "0: the query failed.", "the manual names nothing that makes it fail"),
@@ -801,10 +801,10 @@ STATEMENTS: tuple[Statement, ...] = (
         "4.4.1/speed",
         "Bits 3 to 0 of byte 2 and byte 3 are the speed together.",
         "ranges/run_speed/speed/width",
-        "motion/run_speed/highest",
+        "motion/run_speed/crossed-speed",
     ),
     _said("4.4.1/examples", "The two frames of the manual run at 320 rpm, one each way.", "examples/run_speed/*"),
-    _said("4.4.1/status-1", "Status 1 says that it runs.", "motion/run_speed/replies"),
+    _said("4.4.1/status-1", "Status 1 says that it runs.", "motion/run_speed/crossed-replies"),
     _said("4.4.1/status-0", "Status 0 says that it does not.", "motion/run_speed/disabled", "motion/run_speed/protected"),
     *_tables("4.4.2", "stop_speed", "F6 with speed 0", "a status of one byte"),
     _said(
@@ -853,7 +853,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "4.5.1/ends-there",
         "It ends there at any speed.",
         "motion/move_relative_pulses/within",
-        "motion/move_relative_pulses/ends-at-*",
+        "motion/move_relative_pulses/crossed-ends",
     ),
     _said(
         "4.5.1/direction",
@@ -864,7 +864,7 @@ STATEMENTS: tuple[Statement, ...] = (
     _said(
         "4.5.1/speed",
         "It turns at the speed and by the ramp that are sent.",
-        "motion/move_relative_pulses/speed",
+        "motion/move_relative_pulses/crossed-speed",
         "timing/move_relative_pulses/takes-*",
         "ranges/move_relative_pulses/speed/width",
     ),
@@ -872,7 +872,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "4.5.1/range",
         "Pulses are 0 to FFFFFFh.",
         "ranges/move_relative_pulses/pulses/*",
-        "motion/move_relative_pulses/by-nothing",
+        "motion/move_relative_pulses/crossed-replies",
         "motion/move_relative_pulses/far",
     ),
     _said("4.5.1/examples", "The frames of the manual turn the shaft 20 times, either way.", "examples/move_relative_pulses/*"),
@@ -919,12 +919,12 @@ STATEMENTS: tuple[Statement, ...] = (
         "4.6.1/ends-there",
         "It ends there at any speed.",
         "motion/move_absolute_pulses/within",
-        "motion/move_absolute_pulses/ends-at-*",
+        "motion/move_absolute_pulses/crossed-ends",
     ),
     _said(
         "4.6.1/speed",
         "It turns at the speed and by the ramp that are sent.",
-        "motion/move_absolute_pulses/speed",
+        "motion/move_absolute_pulses/crossed-speed",
         "timing/move_absolute_pulses/takes-*",
         "ranges/move_absolute_pulses/speed/width",
     ),
@@ -978,12 +978,12 @@ STATEMENTS: tuple[Statement, ...] = (
         "4.7.1/ends-there",
         "It ends there at any speed.",
         "motion/move_relative_axis/within",
-        "motion/move_relative_axis/ends-at-*",
+        "motion/move_relative_axis/crossed-ends",
     ),
     _said(
         "4.7.1/speed",
         "It turns at the speed and by the ramp that are sent.",
-        "motion/move_relative_axis/speed",
+        "motion/move_relative_axis/crossed-speed",
         "timing/move_relative_axis/takes-*",
         "ranges/move_relative_axis/speed/width",
     ),
@@ -991,7 +991,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "4.7.1/range",
         "The way is -8388607 to 8388607.",
         "ranges/move_relative_axis/position/*",
-        "motion/move_relative_axis/by-nothing",
+        "motion/move_relative_axis/crossed-replies",
         "motion/move_relative_axis/far",
     ),
     _said("4.7.1/examples", "The frames of the manual move by 4000h and by -4000h.", "examples/move_relative_axis/*"),
@@ -1036,7 +1036,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "4.8.1/ends-there",
         "It ends there at any speed.",
         "motion/move_absolute_axis/within",
-        "motion/move_absolute_axis/ends-at-*",
+        "motion/move_absolute_axis/crossed-ends",
     ),
     _said(
         "4.8.1/update",
@@ -1047,7 +1047,7 @@ STATEMENTS: tuple[Statement, ...] = (
     _said(
         "4.8.1/speed",
         "It turns at the speed and by the ramp that are sent.",
-        "motion/move_absolute_axis/speed",
+        "motion/move_absolute_axis/crossed-speed",
         "timing/move_absolute_axis/takes-*",
         "ranges/move_absolute_axis/speed/width",
     ),

@@ -45,10 +45,10 @@ def _stop(section: str, name: str, code: str) -> Iterator[Statement]:
 def _move(section: str, name: str, code: str, *more: Statement) -> Iterator[Statement]:
     what = f"{code} takes a speed of 0 to 3000 and an acceleration of 0 to 255."
     yield from _write_many(
-        section, name, what, said(f"{section}/speed", "The shaft turns at that speed.", f"motion/{name}/speed")
+        section, name, what, said(f"{section}/speed", "The shaft turns at that speed.", f"motion/{name}/crossed-speed")
     )
     yield said(
-        f"{section}/ramp", "It takes the ramp of its acceleration.", f"timing/{name}/ramp-is-even", f"motion/{name}/within"
+        f"{section}/ramp", "It takes the ramp of its acceleration.", f"motion/{name}/crossed-course", f"motion/{name}/within"
     )
     yield said(f"{section}/serial", "It needs a serial work mode.", f"motion/{name}/pulse-mode")
     yield from more
@@ -96,8 +96,8 @@ _READS = (
     read("8.1.2", "read_position", "31h reads the encoder as one signed count of six bytes.", "motion/read_position/wide"),
     said("8.1.2/turn", "A turn changes it by 4000h.", "motion/read_position/turn"),
     said("8.1.2/way", "Counter-clockwise raises it (in print both ways).", "motion/run_speed/raises"),
-    read("8.1.3", "read_speed", "32h reads the speed in rpm, in two signed bytes.", "motion/read_speed/is-change"),
-    said("8.1.3/sign", "The speed is positive counter-clockwise and negative clockwise.", "motion/read_speed/is-change"),
+    read("8.1.3", "read_speed", "32h reads the speed in rpm, in two signed bytes.", "motion/read_speed/crossed"),
+    said("8.1.3/sign", "The speed is positive counter-clockwise and negative clockwise.", "motion/read_speed/crossed"),
     read("8.1.4", "read_pulses", "33h reads how many pulses came, in four bytes.", "motion/read_pulses/counts-*"),
     read("8.1.5", "read_io", "34h reads the ports, one bit each.", "read-back/set_limit_remap/effect", "motion/read_io/*"),
     said("8.1.5/reserved", "The high byte and bits 7 to 4 are reserved.", "shape/read_io/reserved"),
@@ -130,9 +130,9 @@ _READS = (
         "motion/read_status/slow-*",
         "motion/read_status/after-a-move",
     ),
-    said("8.1.10/up", "2: it speeds up.", "motion/read_status/speeding-up", "motion/read_status/in-a-move"),
+    said("8.1.10/up", "2: it speeds up.", "motion/read_status/crossed"),
     said("8.1.10/down", "3: it slows down.", "motion/read_status/slowing-down"),
-    said("8.1.10/full", "4: it turns at full speed.", "motion/read_status/full-speed", "motion/read_status/slow-*"),
+    said("8.1.10/full", "4: it turns at full speed.", "motion/read_status/crossed", "motion/read_status/slow-*"),
     said("8.1.10/homing", "5: it is homing.", "motion/home/status"),
     said("8.1.10/calibrating", "6: it is calibrating.", "motion/calibrate/status"),
     said("8.1.10/fail", "0: the query failed.", "shape/read_status/status"),
@@ -207,7 +207,7 @@ _WRITES = (
             "8.2.8/pulses",
             "A turn has 200 times the subdivision in pulses.",
             "motion/set_subdivision/pulses-at-*",
-            "motion/move_*/speed-at-*",
+            "motion/move_*/crossed-speed",
         ),
     ),
     *_write(
@@ -412,8 +412,7 @@ _MOTION = (
             "It goes on by the pulses, 32 bits of them.",
             "motion/move_relative_pulses/distance",
             "motion/move_relative_pulses/far",
-            "motion/*/ends-at-*",
-            "motion/*/by-nothing",
+            "motion/*/crossed-ends",
         ),
     ),
     *_stop("8.3.4.2", "stop_relative_pulses", "FDh"),
@@ -439,7 +438,7 @@ _MOTION = (
             "It goes on by a distance in encoder counts, 32 signed bits.",
             "motion/move_relative_axis/distance",
             "motion/move_relative_axis/far",
-            "motion/*_axis/ends-at-*",
+            "motion/*_axis/crossed-ends",
         ),
         said("8.3.6.1/axis", "The axis is the value that 31h reads.", "motion/move_relative_axis/sign"),
     ),

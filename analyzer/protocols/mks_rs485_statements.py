@@ -99,7 +99,7 @@ SHARED = (
         "Every subdivision from 1 to 256 can be set.",
         "ranges/set_subdivision/*",
         "motion/set_subdivision/pulses-at-*",
-        "motion/move_*/speed-at-*",
+        "motion/move_*/crossed-speed",
     ),
     said("3.5/default", "The default subdivision is 16.", "read-back/restore/settings"),
     said("3.6/en-level", "The motor holds at the set level of En, or always with Hold.", "read-back/set_enable_level/effect"),
@@ -162,7 +162,9 @@ SHARED = (
 
 #: Section 6.1: speed and acceleration, which 8.3 refers to.
 RAMPS = (
-    said("6.1/range", "A speed is 0 to 3000; a greater one turns faster.", "motion/*/highest", "motion/run_speed/speed-*"),
+    said(
+        "6.1/range", "A speed is 0 to 3000; a greater one turns faster.", "motion/*/crossed-speed", "motion/run_speed/speed-*"
+    ),
     said("6.1/zero-stops", "Speed 0 stops the shaft.", *each(_RUNS, "motion/{}/speed-0")),
     said(
         "6.1/mode-limit",
@@ -181,8 +183,8 @@ RAMPS = (
         "6.1/other-subdivisions",
         "At others it is speed times 16 over the subdivision.",
         *(f"motion/set_subdivision/speed-at-{n}" for n in (2, 8, 100, 128, 256)),
-        "motion/move_*/speed-at-8",
-        "motion/move_*/speed-at-100",
+        "motion/move_*/crossed-speed",
+        "motion/move_*/crossed-speed",
     ),
     said("6.1/8", "At 8 subdivisions speed 1200 is 2400 rpm.", "motion/set_subdivision/speed-at-8"),
     said("6.1/128", "At 128 subdivisions speed 1200 is 150 rpm.", "motion/set_subdivision/speed-at-128"),
@@ -202,7 +204,7 @@ RAMPS = (
         "6.1/up",
         "On the way up each rpm takes (256 - acc) times 50 microseconds.",
         "timing/run_speed/ramp-*",
-        *each(_RUNS, "timing/{}/ramp-is-even"),
+        *each(_RUNS, "motion/{}/crossed-course"),
     ),
     said("6.1/up-to-speed", "The way up ends at the speed that was asked for.", "motion/run_speed/speed-*"),
     said("6.1/example-236", "At acceleration 236 each rpm takes 1 ms.", "timing/run_speed/ramp-236"),
@@ -254,9 +256,9 @@ _LONG_READS = (
         "motion/read_encoder_carry/standing",
         "motion/move_absolute_axis/reads-as-asked",
     ),
-    read("5.1.3", "read_speed", "32 reads the speed in rpm, in two signed bytes.", "motion/read_speed/is-change"),
+    read("5.1.3", "read_speed", "32 reads the speed in rpm, in two signed bytes.", "motion/read_speed/crossed"),
     said("5.1.3/code", "Its reply carries code 32.", "shape/read_speed/code"),
-    said("5.1.3/sign", "The speed is positive counter-clockwise and negative clockwise.", "motion/read_speed/is-change"),
+    said("5.1.3/sign", "The speed is positive counter-clockwise and negative clockwise.", "motion/read_speed/crossed"),
     read("5.1.4", "read_pulses", "33 reads how many pulses came, in four signed bytes.", "motion/read_pulses/counts-*"),
     read("5.1.5", "read_io", "34 reads the ports, one bit each.", "read-back/set_limit_remap/effect", "motion/read_io/*"),
     said("5.1.5/reserved", "Bits 7 to 4 are reserved.", "shape/read_io/reserved"),
@@ -328,7 +330,7 @@ _SETTINGS = (
             "5.2.5/pulses",
             "A turn has 200 times the subdivision in pulses.",
             "motion/set_subdivision/pulses-at-*",
-            "motion/move_*/speed-at-*",
+            "motion/move_*/crossed-speed",
         ),
         said("5.2.5/256", "Value 0 means 256 subdivisions.", "motion/set_subdivision/pulses-at-256"),
         unseen("5.2.5/shown", "The display shows the new subdivision.", DISPLAY),
@@ -629,13 +631,16 @@ def _stop(section: str, name: str, code: str) -> Iterator[Statement]:
 
 def _move(section: str, name: str, code: str, *more: Statement) -> Iterator[Statement]:
     yield said(
-        f"{section}/speed", f"{code} turns the shaft at the speed, 0 to 3000.", f"motion/{name}/speed", f"ranges/{name}/speed/*"
+        f"{section}/speed",
+        f"{code} turns the shaft at the speed, 0 to 3000.",
+        f"motion/{name}/crossed-speed",
+        f"ranges/{name}/speed/*",
     )
     yield said(
         f"{section}/acceleration",
         "It takes the ramp of its acceleration, up and down.",
         f"timing/{name}/takes-*",
-        f"timing/{name}/ramp-is-even",
+        f"motion/{name}/crossed-course",
         f"motion/{name}/within",
     )
     yield from more
@@ -653,7 +658,7 @@ def _move(section: str, name: str, code: str, *more: Statement) -> Iterator[Stat
 
 
 _MOTION = (
-    said("6/serial", "Motion commands need a serial work mode.", "motion/*/in-sr_*", "motion/*/pulse-mode"),
+    said("6/serial", "Motion commands need a serial work mode.", "motion/*/crossed-taken", "motion/*/pulse-mode"),
     *RAMPS,
     said("6.2.1/answered", "F1 reads what the motor does.", "shape/read_status/answered", "motion/read_status/follows"),
     said(
@@ -663,9 +668,9 @@ _MOTION = (
         "motion/read_status/slow-*",
         "motion/read_status/after-a-move",
     ),
-    said("6.2.1/up", "2: it speeds up.", "motion/read_status/speeding-up", "motion/read_status/in-a-move"),
+    said("6.2.1/up", "2: it speeds up.", "motion/read_status/crossed"),
     said("6.2.1/down", "3: it slows down.", "motion/read_status/slowing-down"),
-    said("6.2.1/full", "4: it turns at full speed.", "motion/read_status/full-speed", "motion/read_status/slow-*"),
+    said("6.2.1/full", "4: it turns at full speed.", "motion/read_status/crossed", "motion/read_status/slow-*"),
     said("6.2.1/homing", "5: it is homing.", "motion/home/status"),
     said("6.2.1/calibrating", "6 (printed 5): it is calibrating.", "motion/calibrate/status"),
     said("6.2.1/fail", "0: the query failed.", "shape/read_status/status"),
@@ -713,7 +718,10 @@ _MOTION = (
     said("6.5.1/forward", "01 40 02 turns it forward at 320 rpm.", "examples/run_speed/1"),
     said("6.5.1/reverse", "81 40 02 turns it backward at 320 rpm.", "examples/run_speed/2"),
     said(
-        "6.5.1/status", "It is answered by 1, or by 0 when that fails.", "motion/run_speed/replies", "motion/run_speed/disabled"
+        "6.5.1/status",
+        "It is answered by 1, or by 0 when that fails.",
+        "motion/run_speed/crossed-replies",
+        "motion/run_speed/disabled",
     ),
     said("6.5.1/silent", "Its answers can be switched off by 8C.", "motion/set_respond/0-silences-run_speed"),
     *_stop("6.5.2", "stop_speed", "F6"),
@@ -750,8 +758,8 @@ _MOTION = (
             "It goes on by the pulses, 32 bits of them.",
             "motion/move_relative_pulses/distance",
             "motion/move_relative_pulses/far",
-            "motion/*/ends-at-*",
-            "motion/*/by-nothing",
+            "motion/*/crossed-ends",
+            "motion/*/crossed-replies",
         ),
         said(
             "6.6.1/20-turns",
@@ -796,7 +804,7 @@ _MOTION = (
             "It goes on by a distance in encoder counts, 32 signed bits.",
             "motion/move_relative_axis/distance",
             "motion/move_relative_axis/far",
-            "motion/*_axis/ends-at-*",
+            "motion/*_axis/crossed-ends",
         ),
         said("6.8.1/axis", "The axis is the value that 31 reads.", "motion/move_relative_axis/sign"),
         said(

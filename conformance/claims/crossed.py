@@ -7,7 +7,7 @@ A bug of firmware often needs two conditions: a ramp that is wrong one way only,
 The rows are a covering array (`model.covering`); what each shows is kept once and judged by many claims.
 
 Rules kept here:
-- A row takes a second at most, and the rows of a command turn the shaft as much back as forth.
+- A row takes a second at most, and each length that is moved one way is moved the other way too.
 - While the shaft turns one read follows another; each second one is that of the position, which the others are held against.
 - Where the end is told unasked nothing is asked about that time: a request could collide with it.
 - A row that the user's bounds do not allow is left out.
@@ -29,7 +29,7 @@ from conformance.motion import course, motion, ramp
 from conformance.motion.course import Course, Span
 from conformance.motion.motion import CALM, MOVES, MS, QUICK, SUBDIVISION
 from conformance.talk.exchange import Exchange
-from conformance.talk.noise import TOLD_LATE_NS
+from conformance.talk.noise import CLOCK_SHARE, TOLD_LATE_NS
 from conformance.talk.probe import Probe, Until
 
 #: Slow, middle, above 1500 and the highest; a mode that has a lower limit takes the highest for its own.
@@ -41,6 +41,8 @@ _TURNS = (0.21, 0.0, 1.0, 6.0, 21.0)
 _SUBDIVISIONS = (SUBDIVISION, 8, 256)
 #: The longest ramp and the longest move, and for how long a run keeps its speed.
 _RAMP_NS, _MOVE_NS, _STEADY_NS = 450 * MS, 900 * MS, 130 * MS
+#: The shortest ramp on which a change of speed is seen.
+_SEEN_NS = 100 * MS
 #: A speed to which the ways of the table need not come, and the share of the others to which they do.
 _TRIANGLE, _PEAK = 150, 0.95
 #: From the begin of a run to the command that changes it; from one look to the next one; until a shaft has settled.
@@ -133,8 +135,8 @@ def _table(dialect: Dialect) -> tuple[Row, ...]:
         rises,
         ends,
         lambda command, start: runs(command) or not start,
-        # The law of a ramp between two speeds is that of the difference.
-        lambda start, acceleration: not start or bool(acceleration),
+        # A change from one speed to another is seen on its ramp.
+        lambda start, rpm, acceleration: not start or ramp.ramp_ns(CALM, rpm, acceleration) >= _SEEN_NS,
         together=[("command", "way", "rpm"), ("command", "way", "acceleration"), ("command", "way", "turns")],
     )
     return tuple(sorted((Row(**row) for row in found), key=lambda row: (row.mode, row.subdivision)))
@@ -203,7 +205,7 @@ class Tried:
         reply = exchange.reply
         assert reply is not None  # it was taken
         first_ns = (span[0] - reply.first_ns - self.slack_ns - _LAG_NS) / (1 + ramp.SLOW_QUIRK)
-        return first_ns, (span[1] - exchange.sent_ns + self.slack_ns) / (1 - ramp.TOLERANCE)
+        return first_ns, (span[1] - exchange.sent_ns + self.slack_ns) / (1 - CLOCK_SHARE)
 
     def places(self, looks: tuple[Look, ...]) -> list[Look]:
         """Return the looks at the position among some."""
@@ -252,6 +254,7 @@ def crossed(probe: Probe, command: Command) -> tuple[Tried, ...]:
     found: list[Tried] = []
     ready: tuple[str, int] = ("", 0)
     rest: tuple[Look, ...] = ()
+    refused: Refused | None = None
     for row in (row for row in _table(probe.dialect) if row.command == command.name):
         try:
             if ready != (row.mode, row.subdivision):
@@ -264,10 +267,11 @@ def crossed(probe: Probe, command: Command) -> tuple[Tried, ...]:
                 rest = _rest(probe)
             found.append(_try(probe, command, row, reads, rest))
             rest = found[-1].after
-        except Refused:
-            # The next row may be within the bounds.
-            if row == _table(probe.dialect)[-1] and not found:
-                raise
+        except Refused as error:
+            refused, rest = error, ()
+            motion.stand_still(probe)
+    if refused is not None and not found:
+        raise refused
     return tuple(found)
 
 

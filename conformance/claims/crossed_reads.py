@@ -20,7 +20,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, Verb
 from conformance.claim import Aspect
 from conformance.claims.crossed import Look, Tried, crossed, motions_of, place, reads_of, sense, sound
 from conformance.claims.declare import Case
-from conformance.claims.known_quirks import may_meet
+from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import of_motion
 from conformance.motion import motion
 from conformance.motion.course import Trend
@@ -30,6 +30,8 @@ from conformance.talk.probe import Probe
 
 #: How long a speed that is read may stay behind, and an angle error of a free shaft that turns, and of one at rest (degrees).
 _FILTER_NS, _LAG, _REST = 100 * MS, 45.0, 1.0
+#: What F1 of real drives was seen to do.
+_STATUS_QUIRKS = _EARLY, _STAYS = "status-stops-early", "status-stays-slowing"
 #: The motor status of each trend.
 _STATUSES = {Trend.RESTS: 1, Trend.RISES: 2, Trend.FALLS: 3, Trend.STEADY: 4}
 
@@ -56,7 +58,8 @@ class _Seen(NamedTuple):
 def _cases(dialect: Dialect) -> Iterator[Case]:
     risks = frozenset().union(*(c.all_risks for c in motions_of(dialect)))
     for read in reads_of(dialect) if risks else ():
-        yield Case(dialect, read, facts={"risks": motion.risks(dialect, *risks), "aspect": Aspect.STATE})
+        quirks = known(dialect, *_STATUS_QUIRKS) if read.verb is Verb.READ_STATUS else ()
+        yield Case(dialect, read, facts={"risks": motion.risks(dialect, *risks), "aspect": Aspect.STATE, "quirks": quirks})
 
 
 def _looks(probe: Probe, read: Command) -> Iterator[_Seen]:
@@ -80,11 +83,7 @@ def _of(tried: Tried, read: Command, looks: tuple[Look, ...], *, rests: bool, wa
 
 
 @of_motion(
-    each=_cases,
-    name="{command}/crossed",
-    refuted_by="no answer, or another value in one condition",
-    quirks=may_meet("status-stops-early", "status-stays-slowing"),
-    at_best=Certainty.LIKELY,
+    each=_cases, name="{command}/crossed", refuted_by="no answer, or another value in one condition", at_best=Certainty.LIKELY
 )
 def _crossed(probe: Probe, command: Command) -> None:
     """{command} is answered and tells what the shaft does in all motions, at each moment of them."""
@@ -126,10 +125,10 @@ def _status(probe: Probe, seen: _Seen, when: str) -> None:
     status, wanted = seen.values["status"], sorted(_STATUSES[trend] for trend in trends)
     if status in wanted:
         return
-    if status == 1 and Trend.FALLS in trends and "status-stops-early" in probe.claim.quirks:
-        probe.meets("status-stops-early")
-    elif status == 3 and Trend.RESTS in trends and "status-stays-slowing" in probe.claim.quirks:
-        probe.meets("status-stays-slowing")
+    if status == 1 and Trend.FALLS in trends and _EARLY in probe.claim.quirks:
+        probe.meets(_EARLY)
+    elif status == 3 and Trend.RESTS in trends and _STAYS in probe.claim.quirks:
+        probe.meets(_STAYS)
     else:
         expected = f"{' or '.join(map(str, wanted))}, {when}"
         text = _fail(seen, "tells another state")

@@ -26,12 +26,8 @@ from conformance.talk.probe import Probe, Until
 _SHARE = 0.03
 #: When a reply about an end counts as late.
 _HALF_SECOND_NS = 500 * MS
-#: Moves by their form: turns, rpm, acceleration, and what they show.
-_FORMS = (
-    ("trapezoid", 1.0, 120, 200, "up, along and down"),
-    ("triangle", -0.5, 300, 56, "up and down again, for the way is too short for its speed"),
-    ("no-ramp", 0.5, 60, 0, "along at its speed, without ramps"),
-)
+#: A move by its form: turns, rpm, acceleration, and what it shows.
+_FORMS = (("trapezoid", 1.0, 120, 200, "up, along and down"),)
 
 
 def _moves(dialect: Dialect) -> Iterator[Case]:

@@ -4,7 +4,7 @@ A read that is right at rest can be wrong in motion: from a copy that is not kep
 another. Each motion here is looked at by several reads.
 
 Rules kept here:
-- A place read between two looks at the position lies between them; a loop may lag behind what it counts by 45 degrees.
+- A loop may lag behind what it counts by 45 degrees while it turns.
 - The motor is on and was never held, so nothing but numbers of the shaft may change.
 """
 
@@ -19,7 +19,7 @@ from conformance.claims.control_reads import received_text
 from conformance.claims.declare import Case, commands
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
-from conformance.motion.motion import MS, QUICK, SUBDIVISION
+from conformance.motion.motion import MS, QUICK
 from conformance.talk.probe import Probe
 
 #: What reads the state of a motor, and in which field.
@@ -27,8 +27,6 @@ _STATES = ((Verb.READ_ENABLED, "enabled"), (Verb.READ_PROTECTION, "status"), (Ve
 #: Degrees that a loop may lag behind while it turns, and when it stands.
 _LAG, _REST = 45.0, 1.0
 _RPM = 120
-#: Slow, and fast either way.
-_SPEEDS = (60, -1300, 1300)
 
 
 def _runs(dialect: Dialect) -> Iterator[Case]:
@@ -72,43 +70,6 @@ def _leaves_states(probe: Probe) -> None:
         motion.wait_standing(probe)
         _expect_states(probe, before, f"after {probe.command(stop).name}")
         _expect_error(probe, _REST, "at rest, turns away,")
-
-
-def _counts(probe: Probe, command: Command) -> float:
-    """Return where a read says that the shaft is, in counts, of either sign."""
-    values = probe.reply(probe.ask(command, quiet_ns=0)).values
-    turn = probe.dialect.counts_per_turn
-    if command.verb is Verb.READ_PULSES:
-        return float(values["pulses"]) * turn / motion.units_per_turn(probe.dialect, probe.command(Verb.MOVE_RELATIVE_PULSES))
-    return float(values["carry"] * turn + values["encoder"])
-
-
-@of_motion(each=_runs, name="{command}/places-agree", refuted_by="a place that is not kept up", risks=risks_by(Verb.RUN_SPEED))
-def _places_agree(probe: Probe) -> None:
-    """What is read of carry and value and of pulses goes on as the position does while the shaft turns, fast and slow."""
-    motion.ready_to_move(probe, subdivision=SUBDIVISION)
-    known, position = probe.dialect.by_verb, probe.command(Verb.READ_POSITION)
-    reads = [known[verb] for verb in (Verb.READ_ENCODER_CARRY, Verb.READ_PULSES) if verb in known]
-    for rpm in _SPEEDS:
-        begin, offsets = probe.read(position), [_counts(probe, read) for read in reads]
-        motion.run_at(probe, rpm, QUICK)
-        probe.wait(max(500, abs(rpm) * 2 // 3) * MS)
-        seen = []
-        for read in reads:
-            first = probe.read(position)
-            got = _counts(probe, read)
-            exchange = probe.traffic[-1]
-            seen.append((first, got, probe.read(position), exchange))
-        motion.stand_still(probe)
-        for read, offset, (first, got, last, exchange) in zip(reads, offsets, seen, strict=True):
-            pulses = read.verb is Verb.READ_PULSES
-            # The sense of pulses is not told.
-            way = -1 if pulses and (got - offset) * (first - begin) < 0 else 1
-            low, high = sorted((first - begin, last - begin))
-            beside = probe.within("counts") + (_LAG * probe.dialect.counts_per_turn / 360 if pulses else 0.0)
-            text = f"{read.name} does not go on as the position does while the shaft turns"
-            went = way * (got - offset)
-            probe.expect(went, at_least=low - beside, at_most=high + beside, unit="counts", refutes=text, exchange=exchange)
 
 
 # --- replies of every check -------------------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ from conformance.claims.motion_claim import (
     that_tell_their_end,
 )
 from conformance.motion import motion
-from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS, SUBDIVISION, Move, takes_pulses
+from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS, Move, takes_pulses
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
@@ -346,95 +346,19 @@ def _both_ways(probe: Probe, command: Command) -> tuple[float, float, Exchange]:
     return cw.degrees, ccw.degrees, ccw.exchange
 
 
-#: Speeds at which the end of a move is looked at, and its turns: by an acceleration whose ramps do not take all of the way.
-_FAST = {600: 3, 1600: 6, 3000: 9}
-_FAST_ACCELERATION = 255
-
-
-def _fast_moves(dialect: Dialect) -> Iterator[Case]:
-    for case in _counted(dialect):
-        for rpm, turns in _FAST.items():
-            yield Case(dialect, case.command, {"rpm": rpm, "way": turns}, {"name": f"{{command}}/ends-at-{rpm}"})
-
-
-@of_motion(each=_fast_moves, refuted_by="a shaft that ends elsewhere")
-def _ends_at(probe: Probe, command: Command, rpm: int, way: int) -> None:
-    """{command} at {rpm} rpm ends where it was asked to go, both ways."""
-    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
-    for turns in (way, -way):
-        move = motion.follow(probe, command, turns * 360, rpm=rpm, acceleration=_FAST_ACCELERATION)
-        _expect_way(probe, move, False, f"{command.name} at {rpm} rpm does not go as far as it was asked to")
-
-
-@of_motion(each=_counted, refuted_by="a shaft that ends elsewhere", name="{command}/without-ramp")
-def _without_ramp(probe: Probe, command: Command) -> None:
-    """{command} with acceleration 0 goes as far as it was asked to, both ways."""
-    motion.prepare(probe, command)
-    for degrees in (_THERE, _BACK):
-        move = motion.follow(probe, command, degrees, acceleration=0)
-        _expect_way(probe, move, False, f"{command.name} without a ramp does not go as far as it was asked to")
-
-
-def _in_modes(dialect: Dialect) -> Iterator[Case]:
-    """Yield each move in each bus mode whose encoder tells where the shaft is, but for the mode of all other claims."""
-    for case in _counted(dialect):
-        for mode in motion.bus_modes(dialect)[:-1]:
-            if "no_encoder" not in mode:
-                yield Case(dialect, case.command, {"mode": mode}, {"name": f"{{command}}/in-{mode}"})
-
-
-@of_motion(each=_in_modes, refuted_by="a refusal, or a shaft that ends elsewhere", settings=("work_mode",))
-def _in_mode(probe: Probe, command: Command, mode: str) -> None:
-    """In {mode} {command} goes as far as it was asked to."""
-    motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
-    for degrees in (_THERE, _BACK):
-        exchange = motion.ask(probe, command, 0)
-        text = f"{command.name} is refused in {mode}"
-        refused = motion.refused(probe, exchange)
-        probe.expect("a refusal", holds=not refused, expected="no refusal", refutes=text, exchange=exchange)
-        motion.wait_standing(probe)
-        move = motion.follow(probe, command, degrees)
-        _expect_way(probe, move, False, f"{command.name} in {mode} does not go as far as it was asked to")
-
-
-@of_motion(each=motions(MotionKind.MOVE_BY, where=takes_counts), refuted_by="a shaft that turns, a refusal, or no completion")
-def _by_nothing(probe: Probe, command: Command) -> None:
-    """{command} by a distance of 0 turns nothing, and where the end of a move is told it is told."""
-    motion.prepare(probe, command)
-    before = motion.wait_standing(probe)
-    tells = motion.of(command).tells_end
-    exchange = motion.ask(probe, command, 0, until=Until.DONE if tells else Until.REPLY)
-    refused = motion.refused(probe, exchange)
-    text = f"{command.name} by 0 is refused"
-    probe.expect("a refusal", holds=not refused, expected="no refusal", refutes=text, exchange=exchange)
-    probe.wait(300 * MS)
-    expect_stays(before, motion.position(probe), exchange, f"{command.name} by 0 turns the shaft")
-    if tells:
-        seen, text = exchange.status(command.replies.status), f"{command.name} by 0 is not told as complete"
-        probe.expect(seen, holds=seen[-1:] == [2], expected="status 2 at the end", refutes=text, exchange=exchange)
-
-
 # --- on the way -------------------------------------------------------------------------------------------------------
 
 
 @of_motion(
-    # 300 rpm does not fit a byte; two turns at it take half a second, of which the ramps take 0.18 s.
-    each=with_values(_counted, tries=((60, -360, 300 * MS), (300, 720, 150 * MS))),
-    statement="{command} turns the shaft at the speed that is asked for.",
-    refuted_by="another speed on the way",
-    parameters={},
-)
-@of_motion(
-    each=with_values(with_max_speed, tries=((15, 300, 500 * MS), (45, -300, 500 * MS))),
+    each=with_max_speed,
     name="{command}/max-speed",
     statement="{command} keeps to max_speed, and comes to it where the way is long enough.",
     refuted_by="a speed above it, or far below",
     settings=keeps_position,
-    parameters={},
 )
-def _speed(probe: Probe, command: Command, tries: tuple[tuple[int, int, int], ...]) -> None:
+def _speed(probe: Probe, command: Command) -> None:
     motion.prepare(probe, command)
-    for rpm, degrees, after_ns in tries:
+    for rpm, degrees, after_ns in ((15, 300, 500 * MS), (45, -300, 500 * MS)):
         exchange = motion.begin(probe, command, degrees, rpm=rpm, acceleration=QUICK, quiet_ns=0)
         probe.wait(exchange.sent_ns + after_ns - probe.gate.now_ns())
         seen = motion.turning(probe)

@@ -76,12 +76,6 @@ def _expect_highest(probe: Probe, command: Command, speed: int) -> None:
     _expect_spun(probe, command, speed, motion.bus_modes(probe.dialect)[-1], _HIGHEST)
 
 
-@of_motion(each=_limited_runs, refuted_by="a refusal, or another speed", parameters={"speed": _HIGHEST})
-def _highest(probe: Probe, command: Command, speed: int) -> None:
-    """{command} at speed {speed} turns the shaft at {speed} rpm."""
-    _expect_highest(probe, command, speed)
-
-
 @of_motion(
     each=_limited_runs,
     refuted_by="a refusal, or another speed",

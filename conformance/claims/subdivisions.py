@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 
-from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
+from analyzer.catalogue import Certainty, Dialect, Verb
 from analyzer.layout import Effect
 from conformance.claims.declare import Case
 from conformance.claims.motion_claim import of_motion, risks_by
@@ -98,49 +98,3 @@ _OTHERS = (4, 5, 10, 20, 25, 40, 50, 200)
 def _pulses_at_others(probe: Probe) -> None:
     for subdivision in _OTHERS:
         _pulses(probe, subdivision, subdivision)
-
-
-#: Subdivisions at which moves are tried: below those that leave speeds as they are, and above.
-_OF_MOVES = (8, 100, 256)
-
-
-def _moves(dialect: Dialect) -> Iterator[Case]:
-    """Yield each move at some subdivisions, as `_subdivisions` does runs."""
-    for case in _subdivisions(dialect):
-        if case["subdivision"] in _OF_MOVES:
-            for command in dialect.motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO):
-                yield Case(dialect, command, {n: case[n] for n in ("subdivision", "sent", "rpm")})
-
-
-@of_motion(
-    each=_moves,
-    name="{command}/speed-at-{subdivision}",
-    refuted_by="another speed, or another way",
-    at_best=Certainty.LIKELY,
-    parameters=lambda case: {"subdivision": case["subdivision"]},
-)
-def _speed_of_a_move(probe: Probe, command: Command, subdivision: int, sent: int, rpm: float) -> None:
-    """At {subdivision} subdivisions {command} turns the shaft at {rpm:g} rpm, as asked, and by 450 degrees."""
-    motion.ready_to_move(probe, subdivision=sent)
-    how = {"rpm": rpm, "acceleration": QUICK, "subdivision": subdivision}
-    for turns in (_TURNS, _MORE_TURNS):
-        before = motion.position(probe)
-        exchange = motion.begin(probe, command, turns * 360, **how)
-        # The ramp goes by the real speed, or by the speed as sent: either way it is over then.
-        probe.wait(500 * MS)
-        seen, spread = motion.mean_speed(probe, 400 * MS)
-        end = motion.wait_standing(probe)
-        # Replies may come so late that the shaft stood by then.
-        if spread <= rpm * _LATE:
-            break
-    text = f"the speed of {command.name} does not follow the subdivision as the manual says"
-    probe.expect(abs(seen), near=rpm, within=rpm * CLOCK_SHARE + spread, unit="rpm", refutes=text, exchange=exchange)
-    text = f"{command.name} does not go as far at {subdivision} subdivisions as it should"
-    degrees = abs(end.value - before.value)
-    probe.expect(degrees, near=turns * 360, unit="degrees", refutes=text, exchange=exchange)
-
-
-#: A second and a quarter at 60 rpm, and what is long enough for a drive that is slow to reply while it turns.
-_TURNS, _MORE_TURNS = 1.25, 4.5
-#: The share of a speed by which late replies leave it uncertain.
-_LATE = 0.05

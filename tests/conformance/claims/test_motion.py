@@ -106,9 +106,9 @@ MKS = (
     ("speed-scaled-at-32", "set_subdivision/speed-at-32"),
     ("mode-limit-ignored", "run_speed/highest-sr_open"),
     ("speed-unlimited", "move_relative_axis/beyond-highest"),
-    ("speed-2900-at-most", "run_speed/highest"),
+    ("speed-2900-at-most", "run_speed/crossed-speed"),
     ("speed-above-3000-refused", "run_speed/beyond-highest"),
-    ("speed-3000-refused", "move_absolute_pulses/highest"),
+    ("speed-3000-refused", "move_absolute_pulses/crossed-taken"),
     # Newer motion, stops, enabling
     ("update-ignored", "move_absolute_axis/newer-target"),
     ("update-stops-first", "move_absolute_axis/update-without-stop"),
@@ -141,13 +141,13 @@ MKS = (
     ("stop-completion-early", "stop_relative_axis/told-when-standing"),
     ("stop-completion-missing", "stop_speed/replies"),
     ("superseded-completes-too", "move_absolute_axis/superseded"),
-    ("run-status-2", "run_speed/replies"),
+    ("run-status-2", "run_speed/crossed-replies"),
     ("respond-ignored", "set_respond/0-silences-run_speed"),
     ("respond-silences-all", "set_respond/0-leaves-reads"),
     ("active-ignored", "set_respond/inactive-move_relative_axis"),
     ("active-silences-first", "set_respond/inactive-stop_speed"),
     # The status
-    ("status-frozen", "read_status/full-speed"),
+    ("status-frozen", "read_status/crossed"),
     ("status-stale", "read_status/follows"),
     ("status-up-and-down-swapped", "read_status/slowing-down"),
     ("status-outside-list", "read_status/standing"),
@@ -159,8 +159,8 @@ MKS = (
     ("position-doubled", "read_position/turn"),
     ("carry-cut-to-zero", "read_encoder_carry/standing"),
     ("carry-too-late", "read_encoder_carry/at-the-carry"),
-    ("speed-sign-turned", "read_speed/is-change"),
-    ("speed-doubled", "read_speed/is-change"),
+    ("speed-sign-turned", "read_speed/crossed"),
+    ("speed-doubled", "read_speed/crossed"),
     ("pulses-frozen", "read_pulses/counts-moves"),
     ("angle-error-in-counts", "read_angle_error/held-+0_25"),
     ("angle-error-half-width", "read_angle_error/held--1_5"),
@@ -330,7 +330,8 @@ def test_a_move_within_bounds_is_all_that_a_bounded_run_sends():
     rig = EmulatedRig(make.parse("mks-rs485@1"), allowance=Allowance(allowed, speed=300, turns=2, subdivision=16))
     chosen = {name(c): c for c in every(rig)}
     assert engine.run_claim(chosen["move_relative_axis/distance"], rig).outcome is Outcome.CONFIRMED
-    beyond = engine.run_claim(chosen["move_relative_axis/highest"], rig)
+    assert engine.run_claim(chosen["move_relative_axis/crossed-ends"], rig).outcome is Outcome.CONFIRMED
+    beyond = engine.run_claim(chosen["move_relative_axis/beyond-highest"], rig)
     assert beyond.outcome is Outcome.NOT_RUN
     assert "rpm" in beyond.reason
     unbounded = engine.run_claim(chosen["run_speed/speed-60"], rig)

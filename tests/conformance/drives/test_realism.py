@@ -202,7 +202,15 @@ def test_a_read_whose_reply_is_damaged_is_asked_again_and_counted():
 
 
 #: Claims about times and speeds by the clock of the line, by the end of their ids.
-_OF_CLOCKS = ("/ramp-236", "/ramp-60-to-240", "/run_speed/speed-300", "/run_speed/speed-360", "/speed-at-128", "is-change")
+_OF_CLOCKS = (
+    "/ramp-236",
+    "/ramp-240-to-60",
+    "/run_speed/speed-60",
+    "/run_speed/speed-360",
+    "/speed-at-128",
+    "is-change",
+    "/crossed-course",
+)
 
 
 @pytest.mark.parametrize("clock", ["-2%", "+2%"])

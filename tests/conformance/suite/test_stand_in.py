@@ -65,7 +65,7 @@ def _modes_sent(rig: StandInRig, names: list[str]) -> list[int]:
 
 def test_what_claims_of_a_group_need_is_set_once_and_put_back_once() -> None:
     rig = _rig(",work_mode=pulse_direction_closed")
-    runs = ["motion/run_speed/speed-60", "motion/run_speed/opposite", "motion/run_speed/speed-300"]
+    runs = ["motion/run_speed/speed-60", "motion/run_speed/opposite", "motion/run_speed/speed-1"]
     assert _modes_sent(rig, runs) == [0x05]
     assert rig.keeper.changed
     # The first claim that does not name the mode finds it as the user had it.
@@ -78,7 +78,7 @@ def test_another_value_than_the_groups_is_put_back_behind_its_claim() -> None:
     rig = _rig(",subdivision=64")
     _modes_sent(rig, ["motion/run_speed/speed-60"])
     assert rig.keeper.left_at({"set_subdivision": {"subdivision": 16}})
-    _modes_sent(rig, ["motion/move_relative_pulses/speed-at-8"])
+    _modes_sent(rig, ["motion/set_subdivision/speed-at-8"])
     assert not rig.keeper.left_at({"set_subdivision": {"subdivision": 16}})
     rig.close()
 
