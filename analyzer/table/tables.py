@@ -169,7 +169,7 @@ class Long(Table):
 
 
 class Wide(Table):
-    """A column for each field of each topic, and a row at each change; with a rate (in Hz) at even steps from the first row.
+    """A column for each field of each topic, and a row at each change; with a rate (in Hz) at even steps from the first value.
 
     Latencies are columns where they were chosen by name. Raises UsageError for a rate that gives more rows than can be meant.
     """

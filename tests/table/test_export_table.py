@@ -6,6 +6,7 @@ import csv
 import errno
 import io
 import json
+import random
 import re
 import signal
 import subprocess
@@ -278,6 +279,20 @@ def test_frames_of_other_nodes_are_rows_without_fields(tmp_path, capsys):
         (0x12345678, "foreign", None, None, None, "AA BB CC", None), (0x223, "foreign", None, None, None, "11 22", None),
     ]  # fmt: skip
     assert "--ids is for csv and parquet and xlsx" in refused(capsys, source, "-o", tmp_path / "a.pcapng", "--ids", "1")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_every_byte_of_a_damaged_capture_stands_once(seed, tmp_path, capsys):
+    chance = random.Random(seed)
+    data = bytearray(
+        (CAPTURES / "mks_rs485.bin").read_bytes() + (CAPTURES / "lk_rs485.bin").read_bytes() + chance.randbytes(40)
+    )
+    for _ in range(30):
+        data[chance.randrange(len(data))] = chance.randrange(256)
+    (tmp_path / "a.bin").write_bytes(data)
+    exported(capsys, tmp_path / "a.bin", tmp_path / "a.parquet", "--dialect", "mks-rs485,lk-rs485")
+    rows = messages(tmp_path / "a.parquet").select("offset", "raw").rows()
+    assert b"".join(bytes.fromhex(raw) for _, raw in sorted(rows)) == data
 
 
 def test_every_finding_stands_once(tmp_path, capsys):
