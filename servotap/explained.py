@@ -62,7 +62,9 @@ def explained(
     explainer = Explainer([d for d in chosen if d.model] if model else chosen)
     asked = None if request is None else _given(request)
     of = Role(role) if role else Role.UNKNOWN
-    return Explained(tuple(explainer.each(_given(frame), role=of, no_checksum=no_checksum, request=asked)))
+    if isinstance(frame, str):
+        return Explained(tuple(explainer.text(frame, role=of, no_checksum=no_checksum, request=asked)[0]))
+    return Explained(tuple(explainer.each(Given(bytes(frame)), role=of, no_checksum=no_checksum, request=asked)))
 
 
 def _given(frame: str | bytes) -> Given:

@@ -1,7 +1,8 @@
 """Explain a frame byte by byte: whose it is, what each byte means, whether the checksum fits, what is wrong.
 
-The frame is hex in any common form (blanks, commas, colons, 0x, or nothing between the bytes). A CAN frame is written as
-identifier and data bytes (01 F6 01 40 02 3A) or as candump does (001#F60140023A). Without --dialect every dialect is
+The frame is hex in any common form (blanks, commas, colons, 0x, or nothing between the bytes), or a line as logs, monitors and
+programs print it, with its time and its mark. A CAN frame is written as identifier and data bytes (01 F6 01 40 02 3A) or as
+candump does (001#F60140023A). Without --dialect every dialect is
 tried; the one whose checksum, command, layout and values fit best is shown.
 """
 
@@ -23,7 +24,7 @@ from analyzer.findings import RULES
 from analyzer.records import Message
 from analyzer.reference.explanation import Explainer, Explanation
 from analyzer.reference.explanation_text import explanation_lines
-from analyzer.reference.hex_frame import Given, read_frame, write_frame
+from analyzer.reference.hex_frame import read_frame, write_frame
 
 EXAMPLES = """\
 exit status: 0 readable, with or without findings; 2 no frame.
@@ -32,6 +33,7 @@ examples:
   servotap explain "FA 01 F6 01 40 02 34"
   servotap explain 01 F6 01 40 02 3A
   servotap explain 001#F60140023A --json
+  servotap explain "[12:00:00][D][uart_debug:114]: >>> FA:01:30:2B"
   servotap explain --dialect mks-rs485 --no-checksum "FA 01 F6 01 40 02"
   servotap explain "01 04 02 01 40 B9 50" --request "01 04 00 32 00 01 90 05"
   servotap explain - < frames.txt                a frame a line; # begins a comment
@@ -58,18 +60,21 @@ def run(arguments: argparse.Namespace) -> int:
     role = Role(arguments.role) if arguments.role else Role.UNKNOWN
     request = read_frame(arguments.request) if arguments.request else None
 
-    def explain(given: Given) -> Iterator[Explanation]:
-        return explainer.each(given, role=role, no_checksum=arguments.no_checksum, request=request)
+    def explain(text: str) -> list[Explanation]:
+        found, notes = explainer.text(text, role=role, no_checksum=arguments.no_checksum, request=request)
+        for note in notes:
+            print(f"note: {note}", file=sys.stderr)
+        return found
 
     if arguments.frame != ["-"]:
-        for number, found in enumerate(explain(read_frame(" ".join(arguments.frame)))):
+        for number, found in enumerate(explain(" ".join(arguments.frame))):
             print("\n" * bool(number and not arguments.json), end="")
             _show(found, arguments.json)
         return 0
     status = 0
     for number, line in _lines():
         try:
-            several = list(explain(read_frame(line)))
+            several = explain(line)
         except (UnreadableError, UsageError) as error:
             sys.stdout.flush()
             print(f"servotap explain: line {number}: {error}", file=sys.stderr)

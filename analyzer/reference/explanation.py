@@ -26,10 +26,14 @@ from analyzer.findings import Issue, of_message
 from analyzer.link import Check, Head, Link
 from analyzer.pipeline import Entry, Options, Pipeline
 from analyzer.records import CanFrame, Chunk, Comment, Finding, Frame, Junk, Message
-from analyzer.reference.hex_frame import CAN_DATA_LIMIT, CAN_ID_LIMIT, Given, write_frame
+from analyzer.reference.hex_frame import CAN_DATA_LIMIT, CAN_ID_LIMIT, LONGEST_TEXT, Given, read_frame, write_frame
 
 #: A frame told by its head alone has this many bytes at least.
 _LEAST_BY_HEAD = 4
+
+
+class _Extended(UnreadableError):
+    """A frame that no drive here can have sent, which is sure."""
 
 
 @dataclass(frozen=True)
@@ -150,6 +154,46 @@ class Explainer:
             # Of two frames the second may answer the first.
             asked = part if found.message.role is Role.REQUEST else asked
             yield found
+
+    def text(
+        self, text: str, *, role: Role = Role.UNKNOWN, no_checksum: bool = False, request: Given | None = None
+    ) -> tuple[list[Explanation], list[str]]:
+        """Return the best readings of the frames in a text, and notes on how it is written.
+
+        A text that is no frame by itself is read as captures are: with times and marks, as decimal numbers, in a sentence.
+        Raises UnreadableError.
+        """
+        try:
+            return list(self.each(read_frame(text), role=role, no_checksum=no_checksum, request=request)), []
+        except UnreadableError as error:
+            if len(text) > LONGEST_TEXT:
+                raise
+            try:
+                return self._pasted(text, role, no_checksum, request)
+            except UnreadableError as other:
+                raise (other if isinstance(other, _Extended) else error) from None
+
+    def _pasted(self, text: str, role: Role, no_checksum: bool, request: Given | None) -> tuple[list[Explanation], list[str]]:
+        # Only now: it brings all formats with it.
+        from analyzer.sources.pasted import read_text
+
+        pasted = read_text(text)
+        found: list[Explanation] = []
+        for record in pasted.traffic:
+            if isinstance(record, CanFrame) and record.extended:
+                raise _Extended(f"expected an identifier of 11 bits, got {record.id:08X}: no drive of these dialects")
+            given = Given(record.data, record.id if isinstance(record, CanFrame) else None)
+            who = record.direction if role is Role.UNKNOWN else role
+            try:
+                several = list(self.each(given, role=who, no_checksum=no_checksum, request=request))
+            except UnreadableError:
+                # A listener's mark, or an arrow that only points to the bytes: they tell it themselves.
+                several = list(self.each(given, role=role, no_checksum=no_checksum, request=request))
+            request = given if several[-1].message.role is Role.REQUEST else request
+            found += several
+        if not found:
+            raise UnreadableError("no frame")
+        return found, pasted.notes
 
     # --- readings -------------------------------------------------------------------------------------------------
 

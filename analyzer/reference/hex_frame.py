@@ -20,7 +20,7 @@ from analyzer.values import quote
 
 #: The longest frame of any bus here is one of Modbus (256); text for many more bytes is no frame.
 LONGEST = 512
-_LONGEST_TEXT = 16 * LONGEST
+LONGEST_TEXT = 16 * LONGEST
 _LONGEST_CAN_TEXT = 256
 #: Largest identifier of CAN 2.0A.
 CAN_ID_LIMIT = 0x7FF
@@ -47,7 +47,7 @@ def read_frame(text: str) -> Given:
     text = text.strip()
     if not text:
         raise UnreadableError("expected the hex bytes of a frame, got nothing")
-    if len(text) > _LONGEST_TEXT:
+    if len(text) > LONGEST_TEXT:
         raise UnreadableError(f"expected a frame of at most {LONGEST} bytes, got {quote(text, 20)}")
     if len(text) > _LONGEST_CAN_TEXT:
         return _plain(text)

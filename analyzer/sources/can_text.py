@@ -100,6 +100,7 @@ _BEFORE = re.compile(
 _ADAPTER = re.compile(r"[SsOCLVvNFMmXYZzGHIP][0-9A-Fa-f]{0,8}")
 _MARKS = {"tx": Role.REQUEST, "t": Role.REQUEST, "cansend": Role.REQUEST}
 _CAN_BYTES = 8
+_FD_BYTES = (12, 16, 20, 24, 32, 48, 64)
 _LONGEST_LINE = 1000
 _STANDARD = 0x7FF
 _ID_MASK = 0x1FFF_FFFF
@@ -179,7 +180,12 @@ def _timed(source: Source, line: _Line, number: int, clock: StampClock, minutes:
         t_ns = None
     if t_ns is not None:
         t_ns = minutes(t_ns)
-    return msgspec.structs.replace(line.frame, t_ns=t_ns, port=source.port(line.port))
+    return msgspec.structs.replace(line.frame, t_ns=t_ns, port=source.port(can_name(line.port)))
+
+
+def can_name(name: str | None) -> str | None:
+    """Return the name of a bus of which a program prints the number alone."""
+    return f"can{name}" if name is not None and name.isdecimal() else name
 
 
 class _Minutes:
@@ -220,7 +226,12 @@ def _of(found: re.Match[str], stamp: Stamp, role: Role) -> _Line | None:
     data = _data(groups["data"] or "")
     length = groups.get("length")
     remote, error = bool(groups.get("remote")), bool(groups.get("error"))
-    if data is None or number > _ID_MASK or (length is not None and int(length) != len(data) and not remote):
+    if (
+        data is None
+        or (len(data) > _CAN_BYTES and len(data) not in _FD_BYTES)
+        or number > _ID_MASK
+        or (length is not None and int(length) != len(data) and not remote)
+    ):
         return None
     mark = (groups.get("mark") or "").lower()
     if mark:

@@ -22,6 +22,7 @@ from typing import Any
 from analyzer.catalogue import Role
 from analyzer.records import CanFrame, Chunk, Comment
 from analyzer.sources import written
+from analyzer.sources.can_text import can_name
 from analyzer.sources.lines import Lines, head_lines
 from analyzer.sources.marks import role_of_name
 from analyzer.sources.source import Source, quote
@@ -285,7 +286,7 @@ def _records(source: Source, table: _Table, is_can: bool, times: _Times) -> Iter
         except ValueError as error:
             source.problem(f"{error}; the frame is kept", line=lines.number)
             t_ns = None
-        port = source.port(str(row["port"]) if "port" in row and is_can else None)
+        port = source.port(can_name(str(row["port"])) if "port" in row and is_can else None)
         for data, role in found:
             if not is_can:
                 if not data:

@@ -142,7 +142,7 @@ _USUAL = re.compile(
 _COMMENT_SIGNS = ("#", "//", ";", "%", "*", "--", "/*", "'", "```")
 _TRAILING = re.compile(r"(?:#|//|;|\(|\||!|--(?=\s)).*", re.DOTALL)
 #: Words behind bytes: `old_data:`, `, 4) = 4`, `OK`.
-_WORDY = re.compile(r"(?<=[\s\"'\])},])(?:[A-Za-z_]{2}\w*+\s*[:=]|,\s*\d+\s*\)|[G-Zg-z_][A-Za-z_]++(?:\s|$)).*", re.DOTALL)
+_WORDY = re.compile(r"(?<=[\s\"'\])},])(?:[A-Za-z_]{2}\w*+\s*[:=]|,\s*\d+\s*\)|[G-Zg-z_][A-Za-z_]{2,}+(?:\s|$)).*", re.DOTALL)
 _STRING = re.compile(r"b?('(?:[^'\\]|\\.)*'|\"(?:[^\"\\]|\\.)*\")")
 _EACH = re.compile(r"([\[<])\s*(?:0x)?[0-9A-Fa-f]{1,2}\s*[\]>]\s*[\[<]")
 _SPLIT = re.compile(r"[\s,;:|]+")
@@ -150,6 +150,7 @@ _HEXLIKE = re.compile(r"(?:0[xX]|\\[xX]|\$)?[0-9A-Fa-f]{1,2}[hH]?")
 _RUN = re.compile(r"(?=.{0,20}\d)[0-9A-Fa-f]{5,}")
 _DIGITS = re.compile(r"[0-9A-Fa-f]{1,8}")
 _LONG_RUN = re.compile(r"(?=.{0,20}\d)[0-9A-Fa-f]{8,}$")
+_AROUND_NOTE = " \t,;"
 #: A sentence before a mark: no header of bytes.
 _TWO_WORDS = re.compile(r"[^\W\d_]+ [^\W\d_]+ $")
 #: Words of a sentence, and how many of them are one.
@@ -316,10 +317,10 @@ class _Peeler:
             if trailing is not None and trailing.start() > 0:
                 found = self._bytes(rest[: trailing.start()].rstrip(" ,;)"))
                 if found is not None and found.data:
-                    return found, trailing[0].strip()
+                    return found, trailing[0].strip(_AROUND_NOTE)
         string = _STRING.match(rest)
         if string is not None and (found := self._bytes(string[0])) is not None and found.data:
-            return found, rest[string.end() :].strip()
+            return found, rest[string.end() :].strip(_AROUND_NOTE)
         # A column of the same bytes as characters, as dumps have.
         head, gap, column = rest.partition("  ")
         if gap:

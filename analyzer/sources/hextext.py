@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from analyzer.catalogue import Role
 from analyzer.records import Chunk, Comment
-from analyzer.sources.hexline import HexLine, Shape, take_apart
+from analyzer.sources.hexline import HexLine, Shape, bytes_of, take_apart
 from analyzer.sources.lines import Lines, head_lines
 from analyzer.sources.prose import quotations
 from analyzer.sources.source import Source, quote
@@ -48,7 +48,7 @@ _COLLECTED = 1 << 16
 #: Frames kept to know them again in words.
 _KNOWN = 1000
 #: How many bytes a line has: nothing to tell anyone.
-_COUNTED = re.compile(r"\(?\s*(?:len\w*\s*[=:]?\s*)?\d+\s*(?:bytes?|B)?\s*\)?", re.IGNORECASE)
+_COUNTED = re.compile(r"\(?\s*(?:len\w*\s*[=:]?\s*)?\d+\s*(?:bytes?|B)?\s*\)?(?:\s*=\s*\d+)?", re.IGNORECASE)
 _HEX_LETTER = re.compile(r"[A-Fa-f]|0x|\\x")
 _BUS_NAME = re.compile(r"(?:bus|com|port|can|tty|uart|usart|rs-?485|rs-?232|usb|serial|line|ch|channel|axis)\W?\w*", re.I)
 #: A name as this program exports it: a bus, and not a number of one.
@@ -140,7 +140,7 @@ class _Manner(NamedTuple):
         return cls(
             quoted=quoted,
             decimal=any(p.radix is Radix.DECIMAL for p in traffic),
-            arrow=len(stamped) > 1 and all(p.stamp.kind == "clock" and p.sign == _ARROW for p in stamped),
+            arrow=bool(stamped) and all(p.stamp.kind == "clock" and p.sign == _ARROW for p in stamped),
             brackets={"each[", "each<"} <= {p.sign for p in traffic},
             deaf=roles.count(Role.REPLY) >= _LISTENER_LINES and Role.REQUEST not in roles,
             prose=not any(p.stamp.kind or p.marked for p in traffic),
@@ -223,7 +223,7 @@ class _Reader:
             if line.shape is Shape.TRAFFIC:
                 self._check_count(line)
                 yield self._chunk(t_ns, line, line.data)
-                if line.note and not _COUNTED.fullmatch(line.note):
+                if line.note and not self._is_idle(line):
                     yield source.comment(t_ns, line.note)
             elif line.shape is Shape.HEADER:
                 self._header, self._header_ns = line, t_ns
@@ -261,6 +261,11 @@ class _Reader:
         yield self._source.comment(t_ns, f"{where}: {line.text}")
         for each in said:
             yield Chunk(t_ns, self._source.port(), each.data, each.role, True)
+
+    @staticmethod
+    def _is_idle(line: HexLine) -> bool:
+        """Say whether what stands behind the bytes tells nothing more: how many they are, or the same bytes again."""
+        return _COUNTED.fullmatch(line.note) is not None or bytes_of(line.note) == line.data
 
     def _check_count(self, line: HexLine) -> None:
         """Say once what a number before the bytes was taken for, where it is not how many they are."""

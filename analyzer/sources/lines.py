@@ -114,7 +114,7 @@ def is_text(head: bytes) -> bool:
     if high <= len(head) // 5:
         return True
     try:
-        head[: len(head) - 3 or 1].rsplit(b"\n", 1)[0].decode(encoding_of(head))
+        head.rsplit(b"\n", 1)[0].decode(encoding_of(head))
     except UnicodeDecodeError:
         return False
     return b"\n" in head

@@ -21,7 +21,7 @@ _VERBS = {
     **dict.fromkeys(("ask", "asked", "write", "writing", "type", "typed"), "send"),
     **dict.fromkeys(("get", "gets", "got", "getting", "see", "returning", "responding", "answering", "back"), "reply"),
 }
-_BYTE = r"(?:0[xX])?[0-9A-Fa-f]{2}"
+_BYTE = r"(?:0[xX][0-9A-Fa-f]{1,2}|[0-9A-Fa-f]{2})"
 _RUN = re.compile(
     rf"(?<![\w.:/+-]){_BYTE}(?:(?P<gap>, ?|[ :-]){_BYTE})(?:(?P=gap){_BYTE})+(?![\w])"
     r"|(?<=[`'\"])(?:[0-9A-Fa-f]{2}){3,40}(?=[`'\"])"

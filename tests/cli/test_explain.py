@@ -513,3 +513,35 @@ def test_two_frames_that_stand_together_are_explained_one_behind_the_other(capsy
 def test_the_data_of_a_can_frame_without_the_identifier_are_told(capsys):
     assert main(["explain", "F6 01 40 02 3A"]) == 2
     assert "without its identifier: 001#F60140023A would fit" in capsys.readouterr().err
+
+
+# --- as it is pasted --------------------------------------------------------------------------------------------------
+
+PASTED = [
+    ("[12:00:00][D][uart_debug:114]: >>> FA:01:30:2B", ["read_encoder_carry request"]),
+    ("12:00:00.124 -> FB 1 30 0 0 0 1 20 0 4D", ["read_encoder_carry reply"]),
+    ("receive:   5: FB 01 F6 01 F3", ["run_speed reply"]),
+    ("250 1 48 43", ["read_encoder_carry request"]),
+    (">>> ser.write(bytes([0xFA, 0x01, 0x30, 0x2B]))", ["read_encoder_carry request"]),
+    ('{"type":"Buffer","data":[250,1,48,43]}', ["read_encoder_carry request"]),
+    ("Timestamp: 1.5    ID: 0001    S Rx    DL:  3    f6 01 f8    Channel: can0", ["run_speed reply"]),
+    ("t0015F60140023A", ["run_speed request"]),
+    ("I send FA 01 30 2B and get FB 01 30 00 00 00 01 20 00 4D", ["read_encoder_carry request", "read_encoder_carry reply"]),
+    ("Tx: 01 04 00 32 00 01 90 05\nRx: 01 04 02 01 40 B9 50", ["read_speed request", "read_speed reply"]),
+]
+
+
+@pytest.mark.parametrize(("text", "found"), PASTED, ids=[text[:24] for text, _ in PASTED])
+def test_a_line_of_a_log_or_a_program_is_explained(text, found, explain):
+    lines = explain("--json", "--", text).out.splitlines()
+    assert [f"{one['command']} {one['role']}" for one in map(json.loads, lines)] == found
+
+
+def test_what_a_pasted_line_leaves_open_is_said(explain):
+    assert "decimal" in explain("250 1 48 43").err
+    assert "an identifier of 11 bits, got 12345678" in explain("T123456781FF", status=2).err
+
+
+@pytest.mark.parametrize("text", ["motor ready", "RX:", "12:00:00 TX", "ser.read(10)"])
+def test_a_line_without_bytes_is_refused_with_what_was_expected(text, explain):
+    assert "expected hex bytes, got" in explain(text, status=2).err

@@ -36,6 +36,26 @@ def test_frames_are_shown_decoded():
     drive(capture_of(LOG), steps)
 
 
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        (
+            "12:00:00.120 -> FA 1 30 2B\n12:00:00.124 -> FB 1 30 0 0 0 1 20 0 4D\n",
+            r"12:00:00\.124000 serial +1 < read_encoder_carry",
+        ),
+        ("If I send FA 01 30 2B nothing comes\n", r"1 > read_encoder_carry"),
+        ("ID: 0x01 Data: F6 01 40 02 3A\n", r"can +0x001 > run_speed .*direction=ccw"),
+    ],
+)
+def test_what_was_pasted_is_shown(text, shown, tmp_path):
+    (tmp_path / "paste.txt").write_text(text)
+
+    async def steps(driver):
+        assert re.search(shown, driver.text), driver.text
+
+    drive(capture_of(tmp_path / "paste.txt"), steps)
+
+
 @pytest.mark.parametrize("path", sorted(CAPTURES.glob("mks_rs485.*")), ids=lambda p: p.name)
 def test_every_format_shows_the_same_commands(path):
     if path.suffix == ".golden":
