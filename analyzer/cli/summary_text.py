@@ -47,6 +47,8 @@ def print_summary(reading: OpenCapture, summary: Summary, target: Path, stopped:
     )
     if summary.others:
         console.print(_others(summary))
+    for bus, who, count in summary.doubtful():
+        line(f"{bus} {who}: none of {count} frames has a fitting checksum: another node? --ids says who is a drive", "yellow")
     if summary.findings:
         console.print(_findings(summary))
     else:

@@ -17,6 +17,8 @@ from analyzer.records import Comment, Finding, Frame, Junk, Lane, Severity
 _GRAVITY = (Severity.INFO, Severity.WARNING, Severity.ERROR)
 #: Findings of each rule that are kept to be shown.
 FIRST_FEW = 3
+#: Frames of a node without one fitting check that are no chance.
+_SEVERAL = 3
 
 
 class Latencies:
@@ -81,6 +83,9 @@ class Summary:
         #: The worst severity that a rule's findings had: it can be milder than the rule's own.
         self.worst: dict[str, Severity] = {}
         self.first: dict[str, list[Finding]] = {}
+        #: CAN nodes that sent a fitting check, and how many frames without one each sent.
+        self._sound: set[tuple[str, str]] = set()
+        self._unsound: Counter[tuple[str, str]] = Counter()
         #: CAN buses.
         self.can: set[str] = set()
         #: Who else spoke: frames and bytes by bus and identifier or address.
@@ -124,6 +129,12 @@ class Summary:
             counts[0] += 1
             counts[1] += len(frame.data)
             return
+        if frame.can is not None:
+            node = frame.port, message.who
+            if frame.checksum_ok:
+                self._sound.add(node)
+            else:
+                self._unsound[node] += 1
         # The topic names bus, address and command already; unknown ones share a topic and are told apart here.
         row = self._known.get(entry.topic) if message.command is not None and role is not Role.UNKNOWN else None
         if row is None:
@@ -176,6 +187,13 @@ class Summary:
     def comment(self, comment: Comment) -> None:
         """Count a comment."""
         self.comments += 1
+
+    def doubtful(self) -> list[tuple[str, str, int]]:
+        """Return the CAN nodes that no frame with a fitting check speaks for, where others have such: bus, who, frames."""
+        sound = {bus for bus, _ in self._sound}
+        return [
+            (*node, n) for node, n in self._unsound.items() if node not in self._sound and n >= _SEVERAL and node[0] in sound
+        ]
 
     def by_frames(self) -> list[tuple[tuple[str, str], list[int]]]:
         """Return who else spoke with frames and bytes, those with the most frames first."""

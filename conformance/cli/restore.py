@@ -47,7 +47,8 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"{path}: nothing is left to be put back")
         return 0
     for change in changes:
-        print(f"{change.target}: {change.command} {journal.values_text(change.values)}")
+        command = dialect_of(change).by_name[change.command]
+        print(f"{change.target}: {command.name} {journal.values_text(command, change.values)}")
     if arguments.dry_run:
         return 0
     place = arguments.on or changes[0].on

@@ -49,10 +49,11 @@ def restore_link(
         probe.ask(probe.command(command.verb), before)
         if _reach(gate, dialect, address, command, before) is not None:
             return ""
-        failure = f"{command.name}: the drive was set to {values_text(before)} and does not answer there"
+        failure = f"{command.name}: the drive was set to {values_text(command, before)} and does not answer there"
     if gate.line.endpoint.bits_per_second != own:
         gate.set_speed(own)
-    return failure or f"{command.name}: the drive no longer answers, neither at {', '.join(map(values_text, tried))}"
+    places = ", ".join(values_text(command, values) for values in tried)
+    return failure or f"{command.name}: the drive no longer answers, neither at {places}"
 
 
 def _reach(gate: Gate, dialect: Dialect, address: int, command: Command, values: Mapping[str, int]) -> Probe | None:

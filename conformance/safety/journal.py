@@ -15,7 +15,9 @@ from typing import IO
 
 import msgspec
 
+from analyzer.catalogue import Command, all_fields
 from analyzer.errors import UnreadableError, UsageError
+from analyzer.values import value_text
 from conformance.claim import RigFault
 
 
@@ -106,6 +108,7 @@ def open_changes(entries: list[Entry]) -> list[Entry]:
     return list(reversed(left.values()))
 
 
-def values_text(values: Mapping[str, int]) -> str:
-    """Return values for people."""
-    return " ".join(f"{name}={value}" for name, value in values.items())
+def values_text(command: Command, values: Mapping[str, int]) -> str:
+    """Return what a command sets for people: in units, choices by number and name."""
+    fields = all_fields(command.request_forms)
+    return " ".join(f"{name}={value_text(fields[name], value) if name in fields else value}" for name, value in values.items())

@@ -318,16 +318,16 @@ def put_back(probe: Probe, command: Command, values: Mapping[str, int]) -> str:
     for _ in range(2):
         exchange = probe.ask(command, values)
         if exchange.reply is None:
-            failure = f"{command.name} {values_text(values)}: not answered"
+            failure = f"{command.name} {values_text(command, values)}: not answered"
             continue
         if probe.refused(exchange):
-            return f"{command.name} {values_text(values)}: refused"
+            return f"{command.name} {values_text(command, values)}: refused"
         if not settings.readable(probe.dialect, command) or command.name == settings.SET_POSITION:
             return ""
         now = settings.read(probe, command, values)
         if now is None or all(now.get(n) == v for n, v in values.items()):
             return ""
-        failure = f"{command.name}: put back {values_text(values)}, read {values_text(now)}"
+        failure = f"{command.name}: put back {values_text(command, values)}, read {values_text(command, now)}"
     return failure
 
 

@@ -92,3 +92,11 @@ def test_ids_by_bus_and_for_all_others():
     assert ids.of("left") == {1, 0x10, 0x11, 0x12}
     assert ids.of("arm") == {7, 8}
     assert option_types.ids_of([]).of("arm") is None
+
+
+def test_a_node_that_no_checksum_speaks_for_is_named(mixed, tmp_path, capsys):
+    wrong = "".join(f"(1700000001.00{n}000) can0 2{n // 4}0#300000000000000{n}\n" for n in range(1, 6))
+    (tmp_path / "more.log").write_text(MIXED + wrong)
+    out = lines_of(capsys, "decode", str(tmp_path / "more.log"))
+    said = [line for line in out if "--ids says who is a drive" in line]
+    assert said == ["can0 0x200: none of 3 frames has a fitting checksum: another node? --ids says who is a drive"]

@@ -142,7 +142,7 @@ def test_a_drive_that_refuses_every_setting_is_refuted_soon_and_not_set_going() 
     before_ns = rig.gate.now_ns()
     found = {verdict.claim.id: verdict.outcome for verdict in suite.verdicts(plan, port, plan.selected(port), rig)}
     assert motion.speed(plain_probe(rig.dialect, 1, rig.gate)).value == 0
-    with pytest.raises(RigFault, match="set_current current=1600: refused"):
+    with pytest.raises(RigFault, match="set_current current=1600 mA: refused"):
         rig.close()
     assert found["mks-rs485/ranges/set_current/current/highest"] is Outcome.REFUTED
     # Homing begins in a pulse mode too, and no stop is taken there.
