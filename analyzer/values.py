@@ -26,8 +26,9 @@ _OFF = frozenset({"off", "false", "no", "disabled"})
 #: Names of the value 1 that `on` may stand for; a direction is never on.
 _SWITCH_NAMES = frozenset({"enabled", "on", "high"})
 _DECIMALS = 6
-#: The highest CAN identifier of 11 bits.
+#: The highest CAN identifier of 11 bits, and of 29 bits.
 _STANDARD = 0x7FF
+_EXTENDED = 0x1FFF_FFFF
 #: Units as people write them: how many of the first unit of their kind each is.
 _KINDS: tuple[Mapping[str, Fraction], ...] = (
     {"s": Fraction(1), "ms": Fraction(1, 1000), "us": Fraction(1, 10**6), "ns": Fraction(1, 10**9), "min": Fraction(60)},
@@ -59,6 +60,25 @@ def counted(count: int, noun: str) -> str:
 def identifier(number: int, *, extended: bool = False) -> str:
     """Return a CAN identifier in hexadecimal: three digits, eight where it has 29 bits."""
     return f"0x{number:08X}" if extended or number > _STANDARD else f"0x{number:03X}"
+
+
+def addresses(text: str, option: str, lowest: int = 1) -> list[int]:
+    """Return the addresses of `1-32` or `1,2,0x123-0x12F`, each once, in order; none is below `lowest`. Raises UsageError."""
+    found: dict[int, None] = {}
+    for part in text.split(","):
+        first, dash, last = part.strip().partition("-")
+        try:
+            low = int(first, 0)
+            high = int(last, 0) if dash else low
+        except ValueError:
+            low = high = -1
+        if low > _STANDARD and low <= high <= _EXTENDED:
+            raise UsageError(f"{option}: got {quote(part)}, an identifier of 29 bits: drives have 11, 0x7FF at most")
+        if not lowest <= low <= high <= _STANDARD:
+            wanted = f"addresses from {lowest} to {_STANDARD} (0x{_STANDARD:X})"
+            raise UsageError(f"{option}: got {quote(part)}, expected {wanted}, as 1-32 or 1,2,0x123-0x12F")
+        found |= dict.fromkeys(range(low, high + 1))
+    return list(found)
 
 
 def near(word: str, known: Iterable[str]) -> str:

@@ -13,7 +13,7 @@ from fractions import Fraction
 from typing import NamedTuple
 
 from analyzer.errors import UsageError
-from analyzer.values import quote
+from analyzer.values import addresses, quote
 
 _SECOND = 1_000_000_000
 DURATIONS = {
@@ -29,7 +29,6 @@ SIZES = {
     "kB": 1000, "MB": 1000**2, "GB": 1000**3, "TB": 1000**4,
     "KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30, "TiB": 1 << 40,
 }  # fmt: skip
-_EXTENDED = 0x1FFF_FFFF
 _ANY_CASE = {name.lower(): size for name, size in SIZES.items()}
 _AMOUNT = re.compile(r"(\d+(?:\.\d+)?)\s*([A-Za-z]+)")
 
@@ -48,29 +47,6 @@ def address(text: str) -> int:
     if not 0 <= value <= 0x7FF:
         raise argparse.ArgumentTypeError(f"expected an address 0..0x7FF, got {text}")
     return value
-
-
-#: The highest identifier of a drive on CAN.
-HIGHEST_ADDRESS = 0x7FF
-
-
-def addresses(text: str, option: str, lowest: int = 1) -> list[int]:
-    """Return the addresses of `1-32` or `1,2,0x123-0x12F`, each once, in order; none is below `lowest`. Raises UsageError."""
-    found: dict[int, None] = {}
-    for part in text.split(","):
-        first, dash, last = part.strip().partition("-")
-        try:
-            low = int(first, 0)
-            high = int(last, 0) if dash else low
-        except ValueError:
-            low = high = -1
-        if low > HIGHEST_ADDRESS and low <= high <= _EXTENDED:
-            raise UsageError(f"{option}: got {quote(part)}, an identifier of 29 bits: drives have 11, 0x7FF at most")
-        if not lowest <= low <= high <= HIGHEST_ADDRESS:
-            wanted = f"addresses from {lowest} to {HIGHEST_ADDRESS} (0x{HIGHEST_ADDRESS:X})"
-            raise UsageError(f"{option}: got {quote(part)}, expected {wanted}, as 1-32 or 1,2,0x123-0x12F")
-        found |= dict.fromkeys(range(low, high + 1))
-    return list(found)
 
 
 class Ids(NamedTuple):

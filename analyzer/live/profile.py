@@ -31,7 +31,7 @@ from analyzer.catalogue import Dialect
 from analyzer.errors import ServotapError, UnreadableError, UsageError
 from analyzer.live import endpoint as endpoints
 from analyzer.live.endpoint import Endpoint
-from analyzer.values import near, quote
+from analyzer.values import addresses, near, printable, quote
 
 FILE = "servotap.toml"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")
@@ -256,9 +256,15 @@ class _File:
                 )
                 raise self._error(kind, name, key, f"no key {quote(key)}{hint} (there are {', '.join(known)})")
         try:
-            return msgspec.convert(table, wanted)
+            entry = msgspec.convert(table, wanted)
         except msgspec.ValidationError as error:
             raise self._mistake(kind, name, table, str(error)) from None
+        for key, listed in (("ids", entry.ids), ("groups", ",".join(map(str, entry.groups)))):
+            try:
+                addresses(listed or "1", key, 0)
+            except UsageError as error:
+                raise self._error(kind, name, "", str(error), key) from None
+        return entry
 
     def _mistake(self, kind: str, name: str, table: Mapping[str, Any], said: str) -> UsageError:
         """Return what msgspec says of an entry in the words of a profile."""
@@ -317,9 +323,9 @@ class _File:
 
     # --- where ------------------------------------------------------------------------------------------------------
 
-    def _error(self, kind: str, name: str, key: str, said: str) -> UsageError:
-        what = f"{kind} {name}" + (f": {key}" if key else "")
-        return UsageError(f"{self._place(f'{kind}.{name}', key)}: {what}: {said}")
+    def _error(self, kind: str, name: str, key: str, said: str, line_of: str = "") -> UsageError:
+        what = printable(f"{kind} {name}" + (f": {key}" if key else ""))
+        return UsageError(f"{self._place(f'{kind}.{name}', key or line_of)}: {what}: {said}")
 
     def _place(self, table: str, key: str) -> str:
         """Return the file and, where it is found, the line of a key of a table; without a key, of the table."""

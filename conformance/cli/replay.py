@@ -18,12 +18,12 @@ from typing import Any
 import msgspec
 
 from analyzer.catalogue import Dialect
-from analyzer.cli.option_types import addresses as addresses_of
 from analyzer.cli.reading import OpenCapture, add_reading_arguments, open_reading, progress
 from analyzer.dialects import drive_name
 from analyzer.errors import UsageError
 from analyzer.live.endpoint import Endpoint
 from analyzer.live.profile import look_up
+from analyzer.values import addresses as addresses_of
 from analyzer.values import printable
 from conformance.bus import open_line
 from conformance.claim import NotStopped, worst

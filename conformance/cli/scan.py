@@ -16,10 +16,10 @@ from typing import Any
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
-from analyzer.cli.option_types import addresses as addresses_of
 from analyzer.errors import UsageError
 from analyzer.live import profile
 from analyzer.live.endpoint import Endpoint
+from analyzer.values import addresses as addresses_of
 from analyzer.values import counted, quote
 from conformance.cli.endpoint import gate_to
 from conformance.gate.permissions import Allowance

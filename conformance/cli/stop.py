@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 from analyzer.catalogue import Dialect
 from analyzer.cli.frame import parse_target
-from analyzer.cli.option_types import addresses as addresses_of
 from analyzer.dialects import drive_name
 from analyzer.errors import UsageError
 from analyzer.live import endpoint as endpoints
 from analyzer.live import profile
+from analyzer.values import addresses as addresses_of
 from conformance.bus.line import LineLost
 from conformance.claim import Inconclusive, NotStopped
 from conformance.cli.endpoint import at_own_rate, gate_to

@@ -89,6 +89,8 @@ def parse_all(drives: Sequence[str], places: Sequence[str]) -> list[Target]:
     A name of a profile is a drive, or all drives of a bus, and brings its place. Raises UsageError for what does not fit
     together.
     """
+    if not drives and places and all(profile.is_name(place) for place in places):
+        drives, places = places, []
     if not drives:
         if any(place != EMULATED for place in places):
             raise UsageError(f"which drive is on {places[0]}? expected --drive DIALECT@ADDRESS, as in --drive mks-rs485@1")

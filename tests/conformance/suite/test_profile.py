@@ -33,6 +33,7 @@ def test_a_name_brings_its_place():
     arm, lift = target.parse_all(["left"], [])
     assert (arm.text, arm.model, arm.on) == ("mks-rs485@1,model=42D", "42D", "left=serial:/dev/ttyUSB7,baud=115200,parity=even")
     assert lift.text == "mks-modbus@2"
+    assert [each.text for each in target.parse_all([], ["arm"])] == ["mks-rs485@1,model=42D"]
     assert target.any_real(["arm"], [])
     assert not target.any_real(["arm"], ["emulated"])
     with pytest.raises(UsageError, match="mks-can@0x12 is a drive on can"):

@@ -12,10 +12,10 @@ import pytest
 from analyzer import cli as analyzer_cli
 from analyzer import dialects
 from analyzer.catalogue import Dialect, Risk, Role, always
-from analyzer.cli.option_types import addresses as addresses_of
 from analyzer.encoder import build
 from analyzer.errors import UsageError
 from analyzer.records import CanFrame, Chunk
+from analyzer.values import addresses as addresses_of
 from conformance.bus.emulated import EmulatedLine
 from conformance.cli import scan as command
 from conformance.drives import make
