@@ -77,7 +77,8 @@ def group_of(dialect: Dialect, own: int) -> int:
     return high | (_OTHER_GROUP if own & _BYTE in range(_GROUP - 2, _GROUP + 3) else _GROUP)
 
 
-def _join(probe: Probe) -> int:
+def join(probe: Probe) -> int:
+    """Put the drive into a group and return its address."""
     group = group_of(probe.dialect, probe.address)
     probe.do(Verb.SET_GROUP_ADDRESS, {"group_address": group})
     return group
@@ -100,7 +101,7 @@ _BROADCAST = _Many("broadcast", "a broadcast", _all_drives, _address_section)
 _GROUPS = _Many(
     "group",
     "a group address",
-    _join,
+    join,
     lambda case: case.dialect.by_verb[Verb.SET_GROUP_ADDRESS].section,
     ("group_address",),
     (Doubt.ADDRESSING,),

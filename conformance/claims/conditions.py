@@ -17,6 +17,7 @@ from typing import Any
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
 from conformance.claims import bench, homing
+from conformance.claims.addressing_many import join
 from conformance.claims.protection import protect
 from conformance.claims.stops import endless
 from conformance.model import limits
@@ -227,6 +228,9 @@ def _others(dialect: Dialect) -> Iterator[Condition]:
         facts = {"settings": ("work_mode",), "without": (Verb.READ_STATUS,), "changes": (Verb.READ_ENABLED,)}
         facts |= {"stands": True, "stays": False}
         yield Condition("pulse-mode", "in a pulse mode", _pulse_mode, _bus_mode, risks(Verb.SET_WORK_MODE), **facts)
+    if Verb.SET_GROUP_ADDRESS in verbs:
+        facts = {"settings": ("group_address",), "stands": True, "stays": False}
+        yield Condition("grouped", "in a group", join, _nothing, risks(Verb.SET_GROUP_ADDRESS), **facts)
     if Verb.SET_PROTECTION in verbs:
         facts = {"settings": ("protection",), "emulated": True, "stands": True, "stays": False}
         facts |= {"changes": (Verb.READ_PROTECTION, Verb.READ_ENABLED)}

@@ -15,11 +15,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Form, Risk, Verb
 from conformance.claim import Theme
 from conformance.claims import conditions, setting_effects
+from conformance.claims.addressing_many import group_of
 from conformance.claims.conditions import AT_REST, Condition
-from conformance.claims.control_reads import is_answered, received_text
+from conformance.claims.control_reads import is_answered, is_exception, received_text
 from conformance.claims.declare import Case, claim
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.known_settings import ReadableSetting, Setting, every_setting, needs
@@ -27,13 +28,13 @@ from conformance.claims.setting_effects import STEEP, by_action
 from conformance.model import covering, lk_parameters
 from conformance.motion import motion
 from conformance.motion.motion import MS, SUBDIVISION
-from conformance.talk.acceptance import Acceptance, acceptance, can_refuse, without_repeats
+from conformance.talk.acceptance import Acceptance, can_refuse, without_repeats
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
 #: What is sent: either of two sets of values, or from the third on those that the manual forbids; and to whom.
 _ONE, _OTHER = 0, 1
-_OWN, _ALL = "own", "all"
+_OWN, _ALL, _GROUP = "own", "all", "group"
 #: What may change how a turning shaft turns, or whether it is told.
 _AT_REST_ALONE = frozenset(
     {Verb.SET_WORK_MODE, Verb.SET_RESPOND, Verb.SET_DIRECTION, Verb.SET_ENABLE_LEVEL, Verb.SET_CURRENT, Verb.SET_HOME}
@@ -85,15 +86,18 @@ def _rows(dialect: Dialect) -> Iterator[tuple[Condition, list[_Row]]]:
     def shows(setting: str, to: str) -> bool:
         return to == _OWN or isinstance(chosen[setting], ReadableSetting) or _effect(dialect, chosen[setting]) is not None
 
+    def is_heard(condition: str, to: str) -> bool:
+        return to != _GROUP or condition == "grouped"
+
     places = {name: place for place, name in enumerate(chosen)}
     wrong = {name: len(each.wrong) for name, each in chosen.items()}
     factors = {
         "condition": list(every),
         "setting": list(chosen),
         "value": range(2 + max(wrong.values(), default=0)),
-        "to": (_OWN, *((_ALL,) if dialect.broadcast is not None else ())),
+        "to": (_OWN, *((_ALL,) if dialect.broadcast is not None else ()), *((_GROUP,) if "grouped" in every else ())),
     }
-    array = covering.rows(factors, is_allowed, can_be_wrong, shows) if every and chosen else ()
+    array = covering.rows(factors, is_allowed, can_be_wrong, shows, is_heard) if every and chosen else ()
     for number, condition in enumerate(every.values()):
         of_condition = [row for row in array if row["condition"] == condition.name]
         # In the manual's order and against it, so that what changes another setting shows. Some settings need a work mode.
@@ -174,9 +178,8 @@ def _set(probe: Probe, row: _Row, when: str, held: dict[str, Mapping[str, int]])
     values = row.values
     if isinstance(setting, ReadableSetting) and not row.is_wrong:
         values = setting.other(held[setting.name], row.value)
-    if row.to == _ALL:
-        built = probe.build(command, values, address=probe.dialect.broadcast, form=setting.form)
-        probe.send(built.item(), timeout_ns=_SILENT_NS)
+    if row.to != _OWN:
+        _told_all(probe, command, values, row.to, setting.form)
     else:
         _expect_reply(probe, setting, values, Acceptance.REFUSED if row.is_wrong else Acceptance.DONE, when)
     if not row.is_wrong:
@@ -185,13 +188,21 @@ def _set(probe: Probe, row: _Row, when: str, held: dict[str, Mapping[str, int]])
         _expect_stored(probe, setting, held, when)
 
 
+def _told_all(probe: Probe, command: Command, values: Mapping[str, int], to: str, form: Form | None = None) -> Exchange:
+    """Send something to all drives, or to a group; that is not answered."""
+    address = probe.dialect.broadcast if to == _ALL else group_of(probe.dialect, probe.address)
+    return probe.send(probe.build(command, values, address=address, form=form).item(), timeout_ns=_SILENT_NS)
+
+
 def _expect_reply(probe: Probe, setting: Setting, values: Mapping[str, int], wanted: Acceptance, when: str) -> None:
     command = setting.command
     exchange = _asked(probe, command, values, when, setting=setting)
     text = f"{setting.name} {_text(values)} is not {wanted.value} {when}"
     if can_refuse(command):
-        got = acceptance(probe, exchange)
-        probe.expect(received_text(exchange), holds=got is wanted, expected=wanted.value, refutes=text, exchange=exchange)
+        answer = probe.reply(exchange)
+        refused = probe.refused(exchange) or is_exception(answer)
+        holds = refused is (wanted is Acceptance.REFUSED)
+        probe.expect(received_text(exchange), holds=holds, expected=wanted.value, refutes=text, exchange=exchange)
     else:
         answered = {name: value for name, value in probe.reply(exchange).values.items() if name in values}
         probe.expect(answered, equal=dict(values), refutes=text, exchange=exchange)
@@ -287,12 +298,23 @@ def _expect_shown(probe: Probe, seen: Any, wanted: Any, what: str, when: str) ->
 
 @dataclass(frozen=True)
 class _Deed:
-    """Something that a drive is told to do, and what is read then. `but_in`: conditions in which it does something else."""
+    """Something that a drive is told to do, and what is read then. `but_in`: conditions in which it does something else.
+
+    `to`: whom it is sent to.
+    """
 
     name: str
     values: Mapping[str, int]
     expect: Callable[[Probe, Exchange, str], None]
     but_in: tuple[str, ...] = ()
+    to: str = _OWN
+
+    def is_for(self, dialect: Dialect, condition: Condition) -> bool:
+        """Say whether a drive can be told it in a condition."""
+        heard = {_OWN: True, _ALL: dialect.broadcast is not None, _GROUP: condition.name == "grouped"}[self.to]
+        known = dialect.by_name.get(self.name)
+        wears = known is None or Risk.WEAR in known.all_risks
+        return heard and not wears and condition.stands and condition.name not in self.but_in
 
 
 def _is_zero(probe: Probe, exchange: Exchange, when: str) -> None:
@@ -356,6 +378,10 @@ _DEEDS = (
     _Deed("clear_turns", {}, _within_a_turn),
     _Deed("enable", {"enabled": 0}, _is(False), _NO_SWITCH),
     _Deed("enable", {"enabled": 1}, _is(True), _NO_SWITCH),
+    _Deed("enable", {"enabled": 0}, _is(False), _NO_SWITCH, _ALL),
+    _Deed("enable", {"enabled": 1}, _is(True), _NO_SWITCH, _ALL),
+    _Deed("enable", {"enabled": 0}, _is(False), _NO_SWITCH, _GROUP),
+    _Deed("enable", {"enabled": 1}, _is(True), _NO_SWITCH, _GROUP),
     _Deed("motor_off", {}, _is(False), _NO_SWITCH),
     _Deed("motor_on", {}, _is(True), _NO_SWITCH),
     _Deed("emergency_stop", {}, _stands, ("pulse-mode",)),
@@ -372,13 +398,13 @@ _PORTS = (
 def _switches_cases(dialect: Dialect) -> Iterator[Case]:
     known = dialect.by_name
     for condition in _conditions(dialect):
-        every = [d for d in _DEEDS if d.name in known and Risk.WEAR not in known[d.name].all_risks]
-        every = [d for d in every if condition.stands and condition.name not in d.but_in]
-        for kind, deeds in (("switches", every), ("ports", [d for d in _PORTS if d.name in known and condition.stands])):
+        for kind, every in (("switches", _DEEDS), ("ports", _PORTS)):
+            deeds = [deed for deed in every if deed.is_for(dialect, condition)]
             if not deeds:
                 continue
             risks = frozenset[Risk]().union(*(known[d.name].risks(d.values) for d in deeds))
             facts = condition.facts(dialect, *risks) | {"commands": tuple(dict.fromkeys(d.name for d in deeds))}
+            facts["alone"] = any(deed.to != _OWN for deed in deeds)
             given = {"condition": condition, "when": condition.when, "deeds": deeds, "kind": kind}
             yield Case(dialect, given=given, facts=facts)
 
@@ -391,8 +417,11 @@ def _switches(probe: Probe, condition: Condition, deeds: list[_Deed]) -> None:
     condition.enter(probe)
     for deed in deeds:
         command = probe.command(deed.name)
-        exchange = _asked(probe, command, deed.values, condition.when)
-        if can_refuse(command):
+        if deed.to != _OWN:
+            exchange = _told_all(probe, command, deed.values, deed.to)
+        else:
+            exchange = _asked(probe, command, deed.values, condition.when)
+        if can_refuse(command) and deed.to == _OWN:
             text = f"{deed.name} {_text(deed.values)} is refused {condition.when}"
             holds = not probe.refused(exchange)
             probe.expect(received_text(exchange), holds=holds, expected="no refusal", refutes=text, exchange=exchange)
