@@ -103,9 +103,18 @@ def _rows(dialect: Dialect) -> Iterator[tuple[Condition, list[_Row]]]:
         # In the manual's order and against it, so that what changes another setting shows. Some settings need a work mode.
         way = (-1) ** number
         of_condition.sort(
-            key=lambda row: (chosen[row["setting"]].command.verb is Verb.SET_WORK_MODE, way * places[row["setting"]])
+            key=lambda row: (
+                chosen[row["setting"]].command.verb is Verb.SET_WORK_MODE,
+                way * places[row["setting"]],
+                # What is sent to all drives is not overwritten.
+                row["to"] != _OWN,
+            )
         )
-        yield condition, [_Row(chosen[row["setting"]], row["value"], row["to"]) for row in of_condition]
+        found = [_Row(chosen[row["setting"]], row["value"], row["to"]) for row in of_condition]
+        # A value that is refused leaves one that is taken in this condition.
+        alone = [row for row in found if row.is_wrong and not any(o.setting is row.setting and not o.is_wrong for o in found)]
+        taken = {row.setting.name: _Row(row.setting, _ONE, _OWN) for row in alone}
+        yield condition, [each for row in found for each in (taken.pop(row.setting.name, None), row) if each is not None]
 
 
 def _effect(dialect: Dialect, setting: Setting) -> setting_effects.SettingEffect | None:
@@ -148,18 +157,17 @@ def _settings(probe: Probe, condition: Condition, rows: list[_Row]) -> None:
     for row in rows:
         if isinstance(row.setting, ReadableSetting):
             held[row.setting.name] = row.setting.read(probe)
-        elif row.is_wrong and _effect(probe.dialect, row.setting) is not None:
-            # What a refusal leaves is to be seen.
-            held[row.setting.name] = row.setting.values[_ONE]
-            probe.do(row.setting.command, held[row.setting.name])
-            if row.setting.command.verb is Verb.SET_HOME:
-                homing = setting_effects.homing(probe)
+        elif row.is_wrong and row.setting.command.verb is Verb.SET_HOME and homing is None:
+            # Which way homing goes is told by another one alone; what is set then shows beside what was set before it.
+            probe.do(row.setting.command, row.setting.values[_ONE])
+            homing = setting_effects.homing(probe)
+            probe.do(row.setting.command, row.setting.values[_OTHER])
     motion.ready_to_move(probe)
     condition.enter(probe)
     turning = motion.speed(probe) if condition.steady else None
     for row in rows:
         _set(probe, row, condition.when, held)
-        if row.setting.command.verb is Verb.SET_HOME and not row.is_wrong:
+        if row.setting.command.verb is Verb.SET_HOME and row.value == _OTHER:
             homing = None
     if turning is not None:
         text, within = f"settings change the speed of the shaft {condition.when}", 6 + abs(turning.value) * _SPEED_SHARE

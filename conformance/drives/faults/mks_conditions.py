@@ -91,6 +91,11 @@ def undone_when(when: Condition, of: Of) -> Change:
     return before(of, lambda drive, request: dict(OK) if when(drive) else None)
 
 
+def refused_when(when: Condition, of: Of) -> Change:
+    """Refuse something in a condition."""
+    return before(of, lambda drive, request: drive.refused(request) if when(drive) else None)
+
+
 def stale_when(when: Condition, of: Verb) -> Change:
     """Tell in a condition what was told before it."""
 
@@ -405,6 +410,24 @@ def _left_elsewhere(drive: MksCore) -> None:
     drive.side_way = lambda side: way(side) if drive.task is not None else (-1 if side == "left" else 1)  # type: ignore[method-assign]
 
 
+def _without_open_limits(drive: MksCore) -> None:
+    """Have no end limits in an open mode."""
+    reached = drive._limit_time
+    drive._limit_time = lambda side: None if "open" in drive.mode else reached(side)  # type: ignore[method-assign]
+
+
+def _is_off(drive: MksCore) -> bool:
+    return not drive.enabled
+
+
+def _homed(drive: MksCore) -> bool:
+    return bool(drive.settings["limits_homed"])
+
+
+def _own_and_group_alone(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+    return wanted and not (message.address == drive.dialect.broadcast and drive.settings.get("group_address"))
+
+
 def _tired(drive: MksCore) -> None:
     """Refuse motion when there were many."""
     begun = 0
@@ -534,7 +557,27 @@ DOING: Rows = {
             _in_packages(lambda values: values | {"enabled": 1}, Verb.ENABLE),
         ),
     ),
-    "limit": (Row("left-is-clockwise", "the left end limit lies clockwise, however homing goes", tuned(_left_elsewhere)),),
+    "limit": (
+        Row("left-is-clockwise", "the left end limit lies clockwise, however homing goes", tuned(_left_elsewhere)),
+        Row("open-without-limits", "end limits do nothing in the open mode", tuned(_without_open_limits)),
+    ),
+    "set": (
+        Row("zero-refused-while-off", "92 is refused while the motor is off", refused_when(_is_off, Verb.SET_ZERO)),
+        Row(
+            "setting-undone-while-off",
+            "84 says success and stores nothing while off",
+            undone_when(_is_off, Verb.SET_SUBDIVISION),
+        ),
+        Row("remap-refused-while-turning", "9E is refused while the shaft turns", refused_when(_turns, Verb.SET_LIMIT_REMAP)),
+        Row(
+            "group-deaf-to-all",
+            "a drive in a group does not hear broadcasts",
+            Change(taken(_own_and_group_alone).install, having(Verb.SET_GROUP_ADDRESS)),
+        ),
+    ),
+    "homed": (
+        Row("zero-status-2-after-homing", "3B reads 2 after homing", told_when(_homed, Verb.READ_ZERO_STATUS, status=2)),
+    ),
 }
 
 FAULTS = faults(HEARING, TOLD, DOING)

@@ -78,6 +78,12 @@ REFUTED_BY = {
     "hasty-setting-lost": "timing/settings/in-a-row",
     "zero-not-cleaned": "read-back/set_zero_mode/clean",
     "homing-always-told": "motion/set_respond/inactive-home",
+    "open-without-limits": "motion/set_home/end-limit-stops-move_relative_axis",
+    "zero-refused-while-off": "resilience/switches/off",
+    "setting-undone-while-off": "resilience/settings/off",
+    "remap-refused-while-turning": "resilience/settings/run_speed",
+    "group-deaf-to-all": "resilience/switches/grouped",
+    "zero-status-2-after-homing": "resilience/reads/homed",
 }
 #: What a fault of the protection and of the angle error is seen by without a hand that holds the shaft.
 LIMP = (
