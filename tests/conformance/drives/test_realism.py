@@ -240,6 +240,13 @@ def test_a_reply_that_stalls_leaves_a_ramp_uncertain():
         assert [v.reason for v in engine.run(wanted, each) if v.outcome is Outcome.REFUTED] == []
 
 
+def test_a_quiet_loop_that_rests_beside_its_target_takes_a_position_as_it_was_sent():
+    for seed in range(4):
+        each = EmulatedRig(make.parse("lk-rs485@14,model=MS,loop-error=4,hysteresis=2,creep=2"), seed=seed)
+        wanted = [c for c in registry.every(each.dialect) if c.id.endswith("framing/start_bytes")]
+        assert {v.outcome for v in engine.run(wanted, each)} == {Outcome.CONFIRMED}
+
+
 def changed(text: str, change) -> EmulatedRig:
     """Return a rig with a drive to which something was done before."""
     specification = make.parse(text)
