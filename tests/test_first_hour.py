@@ -28,6 +28,8 @@ def test_a_session(session, tmp_path):
         elif not command.startswith(_OF_THE_MACHINE):
             assert make.alike(output, old), f"{command}\n{output}"
         count += 1
+        if "savefig" in command:
+            assert (tmp_path / "first.png").stat().st_size > 10_000
     assert count == len(blocks) > 8
 
 

@@ -96,8 +96,8 @@ def _models() -> list[str]:
     return list(dict.fromkeys(model for dialect in dialects.every() for model in dialect.models))
 
 
-def _drives(prefix: str, **_: Any) -> list[str]:
-    """Complete a drive: a name of a profile, or a dialect and address 1, which drives have at first."""
+def _drives() -> list[str]:
+    """Return what a drive may be: a name of a profile, or a dialect and address 1, which drives have at first."""
     from analyzer.live import profile
 
     return [*profile.names(), *(f"{name}@1" for name in _dialects())]
@@ -115,16 +115,17 @@ def _commands(parsed_args: argparse.Namespace, **_: Any) -> list[str]:
 def _request(prefix: str, parsed_args: argparse.Namespace, **_: Any) -> list[str]:
     """Complete the drive, the command, and its fields and their choices, whichever comes next."""
     from analyzer import dialects
+    from analyzer.errors import ServotapError
     from analyzer.live import profile
 
     if not getattr(parsed_args, "target", None) or not hasattr(parsed_args, "command"):
-        return _drives(prefix)
-    name = parsed_args.target.partition("@")[0]
-    named = profile.drive(name) if name in profile.names() else None
-    name = name if named is None else named.dialect.name
-    if name not in dialects.names():
+        return _drives()
+    try:
+        named = profile.drive(parsed_args.target)
+        dialect = dialects.get(parsed_args.target.partition("@")[0]) if named is None else named.dialect
+    except ServotapError:
         return []
-    commands = {command.name: command for command in dialects.get(name).commands}
+    commands = {command.name: command for command in dialect.commands}
     if parsed_args.command not in commands:
         return list(commands)
     fields = {n: field for form in commands[parsed_args.command].request_forms for n, field in form.layout.named.items()}
@@ -135,14 +136,14 @@ def _request(prefix: str, parsed_args: argparse.Namespace, **_: Any) -> list[str
 
 
 def _endpoints(prefix: str, **_: Any) -> list[str]:
-    """Complete an endpoint: names of a profile, the serial ports and CAN interfaces of this machine, then the kinds."""
+    """Complete an endpoint: names of profiles, the serial ports and CAN interfaces of this machine, then the kinds."""
     from analyzer.live import profile
     from analyzer.live.adapters import can_interfaces, serial_adapters
 
     here = [each.endpoint for each in serial_adapters()] + [each.endpoint for each in can_interfaces()]
     named, equals, _rest = prefix.partition("=")
     before = f"{named}=" if equals and ":" not in named else ""
-    return [*profile.names(), *(before + each for each in (*here, "serial:", "tcp:", "can:socketcan:", "can:slcan:"))]
+    return [before + each for each in (*profile.names(), *here, "serial:", "tcp:", "can:socketcan:", "can:slcan:")]
 
 
 _COMPLETERS: dict[str, Completer] = {
@@ -150,7 +151,7 @@ _COMPLETERS: dict[str, Completer] = {
     "DIALECTS": _listed(_dialects),
     "M": lambda **_: _models(),
     "RISKS": _listed(_risks),
-    "DRIVE": _drives,
+    "DRIVE": _request,
     "DIALECT@ADDRESS": _request,
     "COMMAND": _request,
     "FIELD=VALUE": _request,

@@ -54,6 +54,18 @@ def test_what_a_line_is_completed_by(line, has, lacks, tmp_path):
     assert not whole & set(lacks)
 
 
+def test_names_of_a_profile_are_completed_and_their_commands(tmp_path):
+    (tmp_path / "servotap.toml").write_text('[drive.elbow]\nport = "/dev/ttyUSB7"\ndialect = "lk-rs485"\n')
+    assert "elbow" in completed("servotap send el", tmp_path)
+    assert "elbow" in completed("servotap record el", tmp_path)
+    assert "elbow" in completed("servotap stop el", tmp_path)
+    answer = completed("servotap send elbow mo", tmp_path)
+    assert "motor_on" in answer
+    assert "move_relative_pulses" not in answer
+    (tmp_path / "servotap.toml").write_text("nonsense")
+    assert "mks-can@1" in completed("servotap send mks", tmp_path)
+
+
 def test_the_code_for_each_shell(capsys):
     for shell in ("bash", "zsh", "fish"):
         assert main(["completion", shell]) == 0
