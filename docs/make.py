@@ -8,12 +8,18 @@ python docs/make.py --check        say what is out of date, exit 1 if anything i
 from __future__ import annotations
 
 import argparse
+import contextlib
+import fcntl
 import os
+import pty
 import re
+import select
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
+import termios
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -155,10 +161,11 @@ def play(drive: str, blocks: list[tuple[str, str, str]], folder: Path) -> Iterat
                 continue
             path = folder / ("terminal.txt" if kind == "terminal" else f"{number}.txt")
             words = command.removeprefix("$ ")
+            if kind == "view":
+                yield command, *_viewed(words, folder, search)
+                continue
             with path.open("wb") as said:
-                # The view needs a terminal, and somebody who presses `4` and `q`.
-                pressed = f"{{ sleep 3; printf 4; sleep 1; printf q; }} | script -qec '{words}' /dev/null"
-                process = started({"view": pressed, "terminal": f"exec {words}"}.get(kind, words))
+                process = started(f"exec {words}" if kind == "terminal" else words)
             if kind == "terminal":
                 second, before = process, ready("Ctrl-C ends it", process)
                 yield command, told(before), 0
@@ -169,6 +176,26 @@ def play(drive: str, blocks: list[tuple[str, str, str]], folder: Path) -> Iterat
         for each in (second, emulated):
             if each is not None:
                 ended(each)
+
+
+def _viewed(words: str, folder: Path, search: str) -> tuple[str, int]:
+    """Run the view in a terminal, look at the plot, and leave; return what was drawn and the exit status."""
+    ours, its = pty.openpty()
+    fcntl.ioctl(its, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 160, 0, 0))
+    process = subprocess.Popen(
+        words, shell=True, cwd=folder, stdin=its, stdout=its, stderr=its, start_new_session=True,
+        env={**os.environ, "PATH": search, "TERM": "xterm-256color"},
+    )  # fmt: skip
+    os.close(its)
+    drawn, keys, late = "", [("  FILE  ", b"4"), ("  last ", b"q")], time.monotonic() + 60
+    with contextlib.suppress(OSError):  # the end of a terminal
+        while time.monotonic() < late:
+            if select.select([ours], [], [], 0.5)[0]:
+                drawn += os.read(ours, 65536).decode(errors="replace")
+            if keys and keys[0][0] in drawn:
+                os.write(ours, keys.pop(0)[1])
+    os.close(ours)
+    return drawn, process.wait(10)
 
 
 def first_hour() -> str:
