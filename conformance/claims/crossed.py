@@ -98,7 +98,8 @@ def reads_of(dialect: Dialect) -> list[Command]:
     return [dialect.by_verb[verb] for verb in _READS if verb in dialect.by_verb]
 
 
-def _table(dialect: Dialect) -> tuple[Row, ...]:
+def table(dialect: Dialect) -> tuple[Row, ...]:
+    """Return the rows of all motions that are crossed."""
     limits = {m: dialect.mode_speeds.get(m, _HIGHEST) for m in motion.bus_modes(dialect) if "no_encoder" not in m}
     known = {command.name: command for command in motions_of(dialect)}
 
@@ -255,7 +256,7 @@ def crossed(probe: Probe, command: Command) -> tuple[Tried, ...]:
     ready: tuple[str, int] = ("", 0)
     rest: tuple[Look, ...] = ()
     refused: Refused | None = None
-    for row in (row for row in _table(probe.dialect) if row.command == command.name):
+    for row in (row for row in table(probe.dialect) if row.command == command.name):
         try:
             if ready != (row.mode, row.subdivision):
                 ready = (row.mode, row.subdivision)

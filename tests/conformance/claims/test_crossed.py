@@ -1,0 +1,51 @@
+"""Motions crossed: each command has each speed either way, the rows are short, and bounds leave rows out, not all of them."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import pytest
+
+from analyzer import dialects
+from analyzer.catalogue import Risk
+from conformance.claim import Outcome
+from conformance.claims import crossed, every
+from conformance.drives import make
+from conformance.gate.permissions import Allowance
+from conformance.motion import ramp
+from conformance.suite import engine
+from conformance.suite.rig_emulated import EmulatedRig
+
+MKS = ("mks-rs485", "mks-modbus", "mks-can")
+
+
+@pytest.mark.parametrize("name", MKS)
+def test_each_command_has_each_speed_either_way(name):
+    dialect = dialects.get(name)
+    found = {(row.command, row.way, row.rpm) for row in crossed.table(dialect)}
+    commands = {command.name for command in crossed.motions_of(dialect)}
+    assert found == set(product(commands, (1, -1), {rpm for _, _, rpm in found}))
+    assert len(commands) == 5
+
+
+@pytest.mark.parametrize("name", MKS)
+def test_the_rows_are_short(name):
+    for row in crossed.table(dialects.get(name)):
+        moving_ns = ramp.move_ns(row.turns, row.rpm, row.acceleration) + (1 + abs(row.start)) * ramp.ramp_ns(
+            0, row.rpm if not row.turns else 0, row.acceleration
+        )
+        assert moving_ns < 1_200_000_000, row
+
+
+def test_a_drive_without_a_law_of_ramps_has_none():
+    assert crossed.motions_of(dialects.get("lk-rs485")) == ()
+
+
+def test_what_the_bounds_forbid_is_left_out_and_the_rest_is_judged():
+    moving = frozenset({Risk.SETTING, Risk.MOTION, Risk.TORQUE})
+    verdicts = {}
+    for speed in (300, 10):
+        rig = EmulatedRig(make.parse("mks-rs485@1"), allowance=Allowance(moving, speed=speed, turns=2, subdivision=16))
+        claim = next(c for c in every(rig.dialect) if c.id.endswith("move_relative_axis/crossed-ends"))
+        verdicts[speed] = engine.run_claim(claim, rig).outcome
+    assert verdicts == {300: Outcome.CONFIRMED, 10: Outcome.NOT_RUN}
