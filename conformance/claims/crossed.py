@@ -116,7 +116,8 @@ def table(dialect: Dialect) -> tuple[Row, ...]:
 
     def ends(command: str, rpm: int, acceleration: int, turns: float) -> bool:
         if runs(command) or not turns:
-            return not turns
+            # A move by nothing shows neither a way nor a speed: one of them is enough.
+            return not turns and (runs(command) or rpm == _TRIANGLE)
         reaches = rpm == _TRIANGLE or ramp.peak(turns, rpm, acceleration) >= _PEAK * rpm
         return reaches and ramp.move_ns(turns, rpm, acceleration) <= _MOVE_NS
 
@@ -138,7 +139,13 @@ def table(dialect: Dialect) -> tuple[Row, ...]:
         lambda command, start: runs(command) or not start,
         # A change from one speed to another is seen on its ramp.
         lambda start, rpm, acceleration: not start or ramp.ramp_ns(CALM, rpm, acceleration) >= _SEEN_NS,
-        together=[("command", "way", "rpm"), ("command", "way", "acceleration"), ("command", "way", "turns")],
+        lambda command, turns, mode: bool(turns) or runs(command) or mode == next(reversed(limits)),
+        together=[
+            ("command", "way", "rpm"),
+            ("command", "way", "mode"),
+            ("command", "way", "acceleration"),
+            ("command", "way", "turns"),
+        ],
     )
     return tuple(sorted((Row(**row) for row in found), key=lambda row: (row.mode, row.subdivision)))
 
