@@ -79,7 +79,8 @@ def drive(text: str) -> tuple[Dialect, int]:
     except ValueError:
         address = -1
     if not first <= address <= last:
-        raise UsageError(f"{text}: got the address {quote(number)}, expected {first}..{last}")
+        highest = f"{last} (0x{last:X})" if dialect.bus == "can" else str(last)
+        raise UsageError(f"{text}: got the address {quote(number)}, expected {first}..{highest}")
     return dialect, address
 
 

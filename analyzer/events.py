@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from analyzer.findings import Issue
 from analyzer.records import Event, Severity
-from analyzer.values import counted
+from analyzer.values import counted, identifier
 
 #: Topic of the events in a log.
 TOPIC = "/recording"
@@ -26,6 +26,8 @@ SPEED = "speed"
 RESUMED = "resumed"
 SETUPS = frozenset((PORT, DIALECT, SPEED, RESUMED))
 SECOND = 1_000_000_000
+#: Identifiers of drives that a text names.
+_IDS_SHOWN = 8
 
 Values = Mapping[str, Any]
 
@@ -70,7 +72,17 @@ def _port(values: Values) -> str:
     speed = f", {values['speed']} bit/s" if values.get("speed") else ""
     direction = values.get("direction", "unknown")
     heard = f", {direction} direction" if direction not in ("unknown", "") else ""
-    return f"{values.get('endpoint', '')}{speed}{heard}, {named}"
+    return f"{values.get('endpoint', '')}{speed}{heard}, {named}{_drives(values)}"
+
+
+def _drives(values: Values) -> str:
+    """Say who is a drive, where that was said."""
+    ids = values.get("ids")
+    if not isinstance(ids, (list, tuple)):
+        return ""
+    shown = [identifier(n) if values.get("kind") == "can" else str(n) for n in ids if isinstance(n, int)]
+    more = f" and {len(shown) - _IDS_SHOWN} more" if len(shown) > _IDS_SHOWN else ""
+    return f", drives: {', '.join(shown[:_IDS_SHOWN]) or 'none'}{more}"
 
 
 def _dialect(values: Values) -> str:

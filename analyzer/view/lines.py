@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from rich.text import Text
 
-from analyzer.live.snapshot import EVENT, JUNK, FrameLine
+from analyzer.live.snapshot import EVENT, FOREIGN, JUNK, FrameLine
 from analyzer.sources.times import ShownTime
 from analyzer.values import fields_text, printable
 
@@ -117,7 +117,7 @@ class Columns:
         """Return a frame as a row; `before_ns`: time of the line above it."""
         sign, colour = ROLES.get(line.role, ("?", ""))
         letter, alarm = SEVERITIES.get(line.severity, (" ", ""))
-        self.who_width = max(self.who_width, len(line.who))
+        self.who_width = max(self.who_width, min(len(line.who), 10))
         fields, size = self._room(width)
         when = self._when(line.t_ns, before_ns)
         if line.t_ns == 0 and line.role == EVENT:
@@ -135,7 +135,11 @@ class Columns:
             # A frame without fields says nothing; bytes that are no frame are shown as they are.
             row.append(
                 said_text(line)
-                or (bytes_text(line) if not size and (line.role == JUNK or line.command.startswith("unknown")) else ""),
+                or (
+                    bytes_text(line)
+                    if not size and (line.role in (JUNK, FOREIGN) or line.command.startswith("unknown"))
+                    else ""
+                ),
                 colour,
             )
             if size:

@@ -10,8 +10,9 @@ from analyzer import dialects
 from analyzer.cli.filter import vocabulary
 from analyzer.errors import UsageError
 from analyzer.live.snapshot import FrameLine
+from analyzer.live.snapshot_lines import frame_line
 from analyzer.pipeline import Options, Pipeline
-from analyzer.records import Chunk, Comment
+from analyzer.records import CanFrame, Chunk, Comment
 from analyzer.sources.times import ShownTime
 from analyzer.view.braille import Canvas, chart
 from analyzer.view.capture import CapturePlot, WantedNumbers, _Keeper
@@ -291,6 +292,24 @@ def test_a_row_has_its_width_and_nothing_that_steers(text, command, width, role)
     assert row.cell_len == width
     assert row.plain.isprintable()
     assert not row.spans or all(span.style is not None for span in row.spans)
+
+
+def test_a_frame_of_another_node_is_told_by_its_identifier():
+    sink, columns = Collect(), Columns(ShownTime())
+    frames = [
+        CanFrame(START, "can0", 1, bytes.fromhex("3233")),
+        CanFrame(START + MS, "can0", 0x18FEF100, bytes(8), extended=True),
+        CanFrame(START + 2 * MS, "can0", 0x701, b"\5"),
+    ]
+    Pipeline([dialects.get("mks-can")], (sink,), Options()).run(frames)
+    lines = [frame_line(entry) for entry in sink.entries]
+    rows = [columns.row(line, 100).plain for line in lines]
+    assert [line.who for line in lines] == ["0x001", "0x18FEF100", "0x701"]
+    assert "18FEF100 00 00 00 00 00 00 00 00" in rows[1]
+    # The column is as wide as the widest identifier so far.
+    assert "     0x701 · foreign" in rows[2]
+    condition = Condition('role == "foreign" and address == 0x701', vocabulary([dialects.get("mks-can")]))
+    assert [condition(line) for line in lines] == [False, False, True]
 
 
 def test_severity_and_role_are_told_without_colour():
