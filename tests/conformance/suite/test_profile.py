@@ -7,7 +7,6 @@ import argparse
 import pytest
 
 import servotap
-from analyzer.cli import completion
 from analyzer.errors import ServotapError, UsageError
 from conformance.gate.permissions import add_gate_arguments
 from conformance.suite import target
@@ -74,10 +73,3 @@ def test_from_python_a_name_brings_its_place_and_bounds(tmp_path):
         assert (drive.name, drive.emulated) == ("mks-rs485@1", True)
         with pytest.raises(ServotapError, match="above --max-speed 300"):
             drive.send("run_speed", direction="cw", speed=400, acceleration=200, allow=("motion", "unbounded"))
-
-
-def test_completion_knows_names():
-    assert {"left", "arm", "lift", "wrist"} <= set(completion._endpoints("")) & set(completion._drives(""))
-    commands = completion._request("", argparse.Namespace(target="wrist", command=""))
-    assert "read_speed" in commands
-    assert "long_package" not in commands
