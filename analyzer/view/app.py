@@ -264,7 +264,11 @@ class ViewApp(App[str]):
 
     def action_time(self) -> None:
         """Show times otherwise."""
-        names = {"clock": "time of day, UTC", "elapsed": "seconds since the first frame", "step": "seconds since above"}
+        names = {
+            "clock": f"time of day {self.source.times.zone}".rstrip(),
+            "elapsed": "seconds since the first frame",
+            "step": "seconds since above",
+        }
         self.say(names[self.frames.columns.next_time()])
         self.frames.sync()
 

@@ -80,6 +80,6 @@ def help_text(live: bool) -> str:
             rows.append((_NAMES.get(key.key, key.key), key.help + note))
     signs = (
         "signs: > request  < reply  ? unknown sender  ~ junk  * event;  E error  W warning  i info\n"
-        "times are UTC; 'not shown' counts frames too fast for the display: they are in the log"
+        "times are in the zone that stands above them; 'not shown' counts frames too fast for the display: they are in the log"
     )
     return "\n".join(f"{name:>13}  {text}" for name, text in rows) + "\n\n" + signs

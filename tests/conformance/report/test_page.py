@@ -59,7 +59,8 @@ def test_one_cause_is_one_card_with_the_claims_that_it_took():
     found = causes([*records, verdict()])
     assert [(cause.text, len(cause.records)) for cause in found] == [("no answer", 3), ("run_speed is slow by 3 rpm", 1)]
     page = html(records, RUN)
-    assert page.count('<article class="card">') == 2
+    assert re.findall(r'<article class="card" id="(.*?)">', page) == ["cause-1", "cause-2"]
+    assert re.findall(r'<td class="bad"><a href="#(.*?)">failed', page) == ["cause-1"] * 3 + ["cause-2"]
     assert "3 claims failed by this" in told(page)
     # Silence where it was expected is no cause of this kind.
     assert causes([verdict(outcome="refuted", got="silence", expected="silence", key="x")])[0].text == "x"
