@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -12,7 +13,9 @@ import pytest
 from conformance.claim import Curve
 from conformance.report.causes import causes
 from conformance.report.html import html, write_html
+from conformance.suite.plan import Plan, run
 from conformance.suite.record import RunRecord, VerdictRecord
+from conformance.suite.target import parse
 
 RUN = RunRecord(targets=("mks-rs485@1",), on=("emulated",), version="1", started_at="2026-03-02T09:00:00Z")
 MS = 1_000_000
@@ -97,6 +100,21 @@ def test_latencies_are_listed_where_they_differ():
     assert "restart 1 40.000 40.000 40.000" in text
     assert "read_io 1" not in text
     assert "No command differs" in told(html([verdict(latencies=tuple(alike))], RUN))
+
+
+def test_a_ramp_stands_beside_that_of_the_manual():
+    (record,) = run(Plan((parse("mks-rs485@1"),), claims=("*/run_speed/ramp-is-even",)))
+    curve = record.series["speed"]
+    assert curve.unit == "rpm"
+    law = dict(curve.expected)
+    assert len(curve.points) == 7
+    assert all(value == pytest.approx(law[t], abs=8) for t, value in curve.points)
+    shown = re.search(r'<script type="application/json">(.*?)</script>', html([record], RUN)).group(1)
+    plot = json.loads(shown)
+    assert (plot["x"], plot["xUnit"], plot["y"], plot["yUnit"]) == ("time", "s", "speed", "rpm")
+    assert [(line["name"], line["dashed"]) for line in plot["lines"]] == [("by the manual", True), ("speed", False)]
+    assert len(plot["data"]) == 3
+    assert len({len(column) for column in plot["data"]}) == 1
 
 
 def test_text_from_the_wire_is_text():
