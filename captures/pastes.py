@@ -615,6 +615,14 @@ Received ID: 0x01 Data: F6 01 F8
         "- ? 001#F601F8",
     ),
     _paste(
+        "python-can-repr",
+        "python-can, the message as Python shows it",
+        """
+can.Message(timestamp=1709640000.124, arbitration_id=0x1, is_extended_id=False, channel='can0', dlc=3, data=[0xf6, 0x1, 0xf8])
+""",
+        f"{_DAY}.124 ? 001#F601F8",
+    ),
+    _paste(
         "mcp-can",
         "Arduino MCP_CAN",
         """
@@ -623,6 +631,16 @@ Extended ID: 0x12345678  DLC: 1  Data: 0xFF
 """,
         "- ? 001#F601F8",
         "- ? 12345678#FF",
+    ),
+    _paste(
+        "seeed-can",
+        "Arduino, Seeed's CAN library: identifier, bytes on the next line",
+        """
+-----------------------------
+Get data from ID: 0x1
+F6\t1\tF8\t
+""",
+        "- ? 001#F601F8",
     ),
     _paste(
         "arduino-can",

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import msgspec
@@ -62,6 +62,11 @@ SHAPES: tuple[Shape, ...] = (
         rf"(?P<remote>\s+R)?(?:\s+F)?(?:\s+BS)?(?:\s+EI)?\s+DLC?:\s*(?P<length>\d+)\s*{_DATA}(?:'.*')?\s*(?:Channel:\s*(?P<port>\S+))?",
         near=r"\s*Timestamp:",
     ),
+    _shape(
+        "python-can-repr",
+        rf"(?:can\.)?Message\(timestamp=(?P<time>\d+\.\d+),.*?arbitration_id=0x(?P<id>[0-9a-f]+),.*?is_extended_id=(?:False|(?P<extended>True))"
+        rf".*?(?:is_rx=(?P<mark>\w+).*?)?(?:channel=[\"']?(?P<port>\w+)[\"']?.*?)?dlc=(?P<length>\d+),.*?data=\[{_DATA}\].*\)",
+    ),
     _shape("slcan", r"(?P<slcan>[tTrR])(?P<rest>[0-9A-F]{4,})[zZ]?", near=r"\s*[tr][0-9A-F]{4}"),
     _shape(
         "busmaster",
@@ -75,10 +80,15 @@ SHAPES: tuple[Shape, ...] = (
     ),
     _shape("cansend", r"(?P<mark>cansend)\s+(?P<port>\S+)\s+(?P<id>[0-9A-F]{3,8})#(?P<data>[0-9A-F.]*)", near=r".*\bcansend\s"),
     _shape("hash", r"(?:(?P<port>[A-Za-z]\w{1,15})\s+)?(?P<id>[0-9A-F]{3}|[0-9A-F]{8})#(?P<data>(?:[0-9A-F]{2}\.?)*)"),
+    _shape(
+        "candump",
+        rf"(?:(?P<port>[A-Za-z]\w{{1,15}})\s+)?(?P<id>[0-9A-F]{{3}}|[0-9A-F]{{8}})\s+\[(?P<length>\d{{1,2}})\]\s*{_DATA}(?:'.*')?",
+    ),
+    _shape("pcan", rf"(?P<id>[0-9A-F]{{3,8}})h\s+(?:(?:data|std|ext)\w*\s+)?(?P<length>[0-8])\s+{_DATA}"),
     _shape("cansniffer", r"\d{1,6}(?:\.\d+)?\s*\|\s*(?P<id>[0-9A-F]{3,8})\s*\|\s(?P<data>(?:[0-9A-F]{2} )+)\s*.*"),
     _shape(
         "id-data",
-        rf"(?:.*?(?<![A-Za-z]))?(?:can[\s_-]?)?id\s*[:=]?\s*{_ID}\b[\s,;|]*(?:(?:ext\w*|std|standard)[\s,;|]*)?"
+        rf"(?:(?P<before>.*?)(?<![A-Za-z]))?(?:can[\s_-]?)?id\s*[:=]?\s*{_ID}\b[\s,;|]*(?:(?:(?P<extended>ext\w*)|std|standard)[\s,;|]*)?"
         rf"(?:(?:dlc|dl|len|length|size)\s*[:=]?\s*{_LENGTH}\b[\s,;|]*)?(?:(?:data|payload|bytes?|msg|message)\s*[:=]?[\s\[{{]*)"
         rf"{_DATA}[\]}}\s]*",
         near=r"\s*(?:\S+\s+)?id\s*[:=]",
@@ -93,12 +103,14 @@ SHAPES: tuple[Shape, ...] = (
 _words = "|".join(sorted(ACTIONS, key=len, reverse=True))
 _signs = "|".join(map(re.escape, SIGNS))
 _BEFORE = re.compile(
-    rf"\s*(?:[\[(]?\s*(?:{ANY})(?![0-9A-Za-z_.])\s*[\])]?[\s,;|]*)?(?:->\s*)?(?:\[[\w:.]+\]:?\s*)*(?:[$#]\s+)?"
+    rf"\s*(?:[\[(]?\s*(?:{ANY})(?![0-9A-Za-z_.])\s*[\])]?[\s,;|]*)?(?:->\s*)?(?:\[[\w:.]+\]:?\s*)*(?:[$#]\s+)?(?:can\d?\s+(?=[tr]x))?"
     rf"(?:(?P<word>{_words})(?![\w])[\s:>|-]*|(?P<sign>{_signs})\s+)?",
     re.IGNORECASE,
 )
 _ADAPTER = re.compile(r"[SsOCLVvNFMmXYZzGHIP][0-9A-Fa-f]{0,8}")
-_MARKS = {"tx": Role.REQUEST, "t": Role.REQUEST, "cansend": Role.REQUEST}
+_ONLY_ID = re.compile(r"(?:.*[^A-Za-z])?id\s*[:=]?\s*0x[0-9A-F]{1,8}\s*", re.IGNORECASE)
+_ONLY_BYTES = re.compile(r"\s*(?:0x)?[0-9A-F]{1,2}(?:[\s,]+(?:0x)?[0-9A-F]{1,2}){0,7}\s*", re.IGNORECASE)
+_MARKS = {"tx": Role.REQUEST, "t": Role.REQUEST, "cansend": Role.REQUEST, "false": Role.REQUEST}
 _CAN_BYTES = 8
 _FD_BYTES = (12, 16, 20, 24, 32, 48, 64)
 _LONGEST_LINE = 1000
@@ -118,7 +130,7 @@ class _Line(NamedTuple):
 
 def score(head: bytes) -> float:
     """Say how sure it is that these bytes are CAN frames in text, 0..1."""
-    lines = [line for line in head_lines(head)[:_SAMPLE_LINES] if not line.startswith(("#", "//", ";"))]
+    lines = [line for line in _joined(head_lines(head)[:_SAMPLE_LINES]) if not line.startswith(("#", "//", ";"))]
     shape = _shape_of(lines)
     if shape is None:
         return 0.0
@@ -145,7 +157,7 @@ def _fits(shape: Shape, lines: list[str], taken: list[str]) -> bool:
 
 def read(source: Source) -> Iterator[CanFrame | Comment]:
     """Read the lines one by one."""
-    lines = [line for line in head_lines(source.head) if not line.startswith(("#", "//", ";"))]
+    lines = [line for line in _joined(head_lines(source.head)) if not line.startswith(("#", "//", ";"))]
     shape = _shape_of(lines)
     if shape is None:
         source.problem(f"expected lines of CAN frames as {', '.join(each.name for each in SHAPES)} have them, got none")
@@ -161,8 +173,9 @@ def read(source: Source) -> Iterator[CanFrame | Comment]:
 def _records(source: Source, shape: Shape, clock: StampClock) -> Iterator[CanFrame | Comment]:
     lines = Lines(source)
     minutes = _Minutes() if shape.name == "slcan" else int
-    for text in lines:
-        line = _take(text, shape)
+    others = [each for each in SHAPES if each.sure and each is not shape]
+    for text in _joined(lines):
+        line = _take(text, shape) or next((line for each in others if (line := _take(text, each)) is not None), None)
         if line is not None:
             yield _timed(source, line, lines.number, clock, minutes)
         elif shape.near is not None and shape.near.match(text):
@@ -181,6 +194,24 @@ def _timed(source: Source, line: _Line, number: int, clock: StampClock, minutes:
     if t_ns is not None:
         t_ns = minutes(t_ns)
     return msgspec.structs.replace(line.frame, t_ns=t_ns, port=source.port(can_name(line.port)))
+
+
+def _joined(lines: Iterable[str]) -> Iterator[str]:
+    """Yield the lines; one that ends in an identifier and one of bytes below it, as Seeed's library prints them, are one."""
+    held = ""
+    for line in lines:
+        if held:
+            below = _ONLY_BYTES.fullmatch(line) is not None
+            yield f"{held} Data: {line}" if below else held
+            held = ""
+            if below:
+                continue
+        if len(line) <= _LONGEST_LINE and _ONLY_ID.fullmatch(line):
+            held = line
+        else:
+            yield line
+    if held:
+        yield held
 
 
 def can_name(name: str | None) -> str | None:
@@ -234,11 +265,14 @@ def _of(found: re.Match[str], stamp: Stamp, role: Role) -> _Line | None:
     ):
         return None
     mark = (groups.get("mark") or "").lower()
+    if groups.get("before"):
+        said = role_of(re.findall(r"\w+", groups["before"].lower()))
+        role = said if said is Role.REQUEST else role
     if mark:
         role = _MARKS.get(mark, Role.UNKNOWN)
     if groups.get("time"):
         stamp = Stamp("clock" if ":" in groups["time"] else "seconds", groups["time"])
-    extended = bool(groups.get("extended")) or number > _STANDARD or "extended" in found[0].lower()
+    extended = bool(groups.get("extended")) or number > _STANDARD or "extended" in (groups.get("before") or "").lower()
     frame = CanFrame(
         None, "", number, b"" if remote else data, role, extended and not error, remote, error, len(data) > _CAN_BYTES
     )

@@ -13,6 +13,7 @@ numbers are taken as milliseconds, with a note.
 
 from __future__ import annotations
 
+import ast
 import csv
 import json
 import re
@@ -60,6 +61,7 @@ _CAN_BYTES = 64
 #: Lines among which the heading must be.
 _HEADING_LINES = 10
 _LEAST_SHARE = 0.5
+_LONGEST_LITERAL = 1 << 14
 #: Digits of a whole number of seconds since 1970, and of smaller units.
 _EPOCH_DIGITS = {10: SECOND, 13: _UNITS["ms"], 16: _UNITS["us"], 19: _UNITS["ns"]}
 
@@ -132,13 +134,24 @@ def _is_heading(names: list[str]) -> bool:
 
 
 def _of_json(text: str) -> Row | None:
-    try:
-        found = json.loads(text.strip("[],\n "), parse_float=str)
-    except (ValueError, RecursionError):
+    text = text.strip("[],\n ")
+    if not text.startswith("{"):
         return None
+    try:
+        found = json.loads(text, parse_float=str)
+    except (ValueError, RecursionError):
+        found = _of_python(text)
     if not isinstance(found, dict):
         return None
     return _named((_key(str(name)), value) for name, value in found.items())
+
+
+def _of_python(text: str) -> Any:
+    """Return what Python printed as a dictionary."""
+    try:
+        return ast.literal_eval(text) if len(text) <= _LONGEST_LITERAL else None
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
+        return None
 
 
 def _named(cells: Iterable[tuple[str, Any]]) -> Row:
@@ -181,6 +194,8 @@ def _data(value: Any) -> bytes | None:
         if value and all(isinstance(each, int) and -128 <= each <= 255 for each in value):
             return bytes(each & 0xFF for each in value)
         value = " ".join(map(str, value))
+    if isinstance(value, (bytes, bytearray)):
+        return bytes(value)
     found = written.read(_BEFORE.sub("", value, count=1).strip(" `")) if isinstance(value, str) else None
     return None if found is None else found.data
 

@@ -78,7 +78,7 @@ class When(StrEnum):
 _words = "|".join(sorted(WORDS, key=len, reverse=True))
 _letters = "|".join(LETTERS)
 _signs = "|".join(re.escape(sign) for sign in sorted(SIGNS, key=len, reverse=True))
-_END = r"(?![0-9A-Za-z_])"
+_END = r"(?![0-9A-Za-z_]|::)"
 _DECORATION = r"[\s:=<>|\])→←◇◆：,]*(?:-+[>\s]\s*)?"
 _PAIR = r"(?:0[xX])?[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])"
 #: What bytes can begin with.
@@ -104,8 +104,20 @@ _ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
         (When.MARKED, "", rf"(?:hex|data|bytes?|frame|adu|pdu|buffer|buf|msg|message|raw){_END}[\s:=>]*"),
         (When.MARKED, "", r"len(?:gth)?\s*[=:]?\s*\d{1,5}\s*(?:bytes?)?(?:[\s:=>,-]+(?:(?:from|to)=\d+\s*)*|$)"),
         (When.MARKED, "", r"[\[(]\s*(?:len\s*[=:]?\s*)?\d{1,5}\s*(?:bytes?|B)?\s*[\])](?!\s*[\[(])[\s:=>-]*"),
+        (When.MARKED, "", rf"\d{{1,5}}\s+bytes?\s*[:=]?\s*{_BYTES}"),
+        (When.MARKED, ":", rf"(?:to|from|by|on|for|over|via|at)\s[^:]{{1,40}}:\s+{_BYTES}"),
         (When.MARKED, "", r"\d{3,9}-(?=\s*[0-9A-Fa-f]{2}(?:\s|$))"),
         (When.ANY, ":", rf"\s*(?P<count>\d{{1,5}})\s*:\s+{_BYTES}"),
+        # What the bytes are called, where nothing says who sent; a bullet or a number of a list.
+        (
+            When.UNMARKED,
+            "",
+            rf"\s*(?P<label>hex|data|bytes|frame|packet|buffer|payload|msg|message|raw)\s*\d*\s*[:=]\s*{_BYTES}",
+        ),
+        (When.UNMARKED, "", rf"(?P<bullet>[-•]|\d{{1,3}}[.)])\s+{_BYTES}"),
+        # `echo -ne '\\xFA' > /dev/ttyUSB0`.
+        (When.UNMARKED, "", r"(?:\$\s+)?(?P<shell>echo|printf)\s+(?:-\w+\s+)*(?=['\"])"),
+        (When.UNMARKED, "", rf"\s*(?P<letter>out|in)\s+{_BYTES}"),
         (When.UNMARKED, "", rf"\s*\[?(?P<letter>{_letters})\]?\s*[:>|]+\s*"),
         (When.UNMARKED, "", rf"\s*+(?::\s*+)?(?P<sign>{_signs})(?![<>=-])[\s:]*"),
         (
@@ -126,7 +138,7 @@ _ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
 )
 #: A logger's own words ("DEBUG:pymodbus.logging:send: 0x1 0x3") stand before the mark; so does a phrase that ends in a colon.
 _DISTANT = re.compile(
-    rf"(?<![\w.])(?:(?:{_words})\s*[:>\]=|]|(?<![\w,]\s)(?:{_words})\s+"
+    rf"(?<![\w.])(?:(?:{_words})\s*(?:[>\]=|]|:(?!:))|(?<![\w,]\s)(?:{_words})\s+"
     rf"(?={_PAIR}[\s,:-]+{_PAIR}|<Buffer|b['\"]|[\[{{(]\s*['\"]?(?:0x)?-?[0-9a-f]{{1,3}}\b))",
     re.IGNORECASE,
 )
@@ -140,7 +152,8 @@ _USUAL = re.compile(
 )
 
 _COMMENT_SIGNS = ("#", "//", ";", "%", "*", "--", "/*", "'", "```")
-_TRAILING = re.compile(r"(?:#|//|;|\(|\||!|--(?=\s)).*", re.DOTALL)
+_ARROW = re.compile(r"-+>")
+_TRAILING = re.compile(r"(?:#|//|;|\(|\||!|--(?=\s)|[-=]+>|→).*", re.DOTALL)
 #: Words behind bytes: `old_data:`, `, 4) = 4`, `OK`.
 _WORDY = re.compile(r"(?<=[\s\"'\])},])(?:[A-Za-z_]{2}\w*+\s*[:=]|,\s*\d+\s*\)|[G-Zg-z_][A-Za-z_]{2,}+(?:\s|$)).*", re.DOTALL)
 _STRING = re.compile(r"b?('(?:[^'\\]|\\.)*'|\"(?:[^\"\\]|\\.)*\")")
@@ -150,7 +163,7 @@ _HEXLIKE = re.compile(r"(?:0[xX]|\\[xX]|\$)?[0-9A-Fa-f]{1,2}[hH]?")
 _RUN = re.compile(r"(?=.{0,20}\d)[0-9A-Fa-f]{5,}")
 _DIGITS = re.compile(r"[0-9A-Fa-f]{1,8}")
 _LONG_RUN = re.compile(r"(?=.{0,20}\d)[0-9A-Fa-f]{8,}$")
-_AROUND_NOTE = " \t,;"
+_AROUND_NOTE = " \t,;|"
 #: A sentence before a mark: no header of bytes.
 _TWO_WORDS = re.compile(r"[^\W\d_]+ [^\W\d_]+ $")
 #: Words of a sentence, and how many of them are one.
@@ -239,7 +252,7 @@ class _Peeler:
         if any(word in ACTIONS for word in words):
             words = [word for word in words if word not in self.tags]
         role = role_of(words, self.sign)
-        commented = text.startswith(_COMMENT_SIGNS) and not (self.words and not rest)
+        commented = text.startswith(_COMMENT_SIGNS) and not (self.words and not rest) and not _ARROW.match(text)
         taken = {"stamp": self.stamp, "role": role, "name": self.name, "sign": self.sign, "worded": bool(self.words)}
         if found is not None and found.data and not commented:
             return HexLine(Shape.TRAFFIC, found.data, note=note, number=self.number, radix=found.radix, **taken)  # type: ignore[arg-type]
@@ -300,6 +313,10 @@ class _Peeler:
                 if self.number is not None:
                     return False
                 self.number = int(value)
+            elif group in ("label", "bullet"):
+                self.declared = True
+            elif group == "shell":
+                self.words.append("sent")
             elif group == "variable":
                 self.declared = True
                 self.words += [word for word in value.lower().split("_") if word in WORDS]

@@ -195,6 +195,7 @@ class _Reader:
         self._header_ns: int | None = None
         self._collected = bytearray()
         self._said = 0
+        self._running: int | None = None
         self._passed = 0
         self._known: set[bytes] = set()
 
@@ -222,9 +223,7 @@ class _Reader:
             t_ns = self._time(line)
             if line.shape is Shape.TRAFFIC:
                 self._check_count(line)
-                yield self._chunk(t_ns, line, line.data)
-                if line.note and not self._is_idle(line):
-                    yield source.comment(t_ns, line.note)
+                yield from self._traffic(t_ns, line)
             elif line.shape is Shape.HEADER:
                 self._header, self._header_ns = line, t_ns
             elif line.shape is Shape.COMMENT:
@@ -262,6 +261,20 @@ class _Reader:
         for each in said:
             yield Chunk(t_ns, self._source.port(), each.data, each.role, True)
 
+    def _traffic(self, t_ns: int | None, line: HexLine) -> Iterator[Chunk | Comment]:
+        """Yield the bytes of a line, and what stands behind them: often the reply."""
+        behind = self._manner.take(line.note) if line.note else None
+        if behind is None or behind.shape is not Shape.TRAFFIC or not behind.marked:
+            yield self._chunk(t_ns, line, line.data)
+            if behind is not None and not self._is_idle(line):
+                yield self._source.comment(t_ns, line.note)
+            return
+        if not line.marked and not behind.worded:
+            # `FA 01 30 2B -> FB 01 F6 01 F3`
+            line, behind = line._replace(role=Role.REQUEST), behind._replace(role=Role.REPLY)
+        yield self._chunk(t_ns, line, line.data)
+        yield from self._traffic(t_ns, behind)
+
     @staticmethod
     def _is_idle(line: HexLine) -> bool:
         """Say whether what stands behind the bytes tells nothing more: how many they are, or the same bytes again."""
@@ -269,7 +282,10 @@ class _Reader:
 
     def _check_count(self, line: HexLine) -> None:
         """Say once what a number before the bytes was taken for, where it is not how many they are."""
-        if line.number is not None and line.number != len(line.data):
+        running = self._running
+        self._running = None if line.number is None else line.number + 1
+        # An index that begins at 0 or goes on needs no word.
+        if line.number is not None and line.number not in (len(line.data), 0, running):
             self._source.note(
                 f"line {self._lines.number}: the '{line.number}:' before {counted(len(line.data), 'byte')} is read as the "
                 "number of the line or an expected length, never as a byte"
@@ -289,7 +305,7 @@ class _Reader:
             name = exported[1]
         if len(self._known) < _KNOWN:
             self._known.add(data)
-        return Chunk(t_ns, self._source.port(name), data, line.role, True)
+        return Chunk(t_ns, self._source.port(name), data, line.role, len(data) > 1)
 
     def _end_header(self) -> Iterator[Chunk | Comment]:
         header, data = self._header, bytes(self._collected)

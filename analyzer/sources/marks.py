@@ -22,7 +22,7 @@ ACTIONS: dict[str, int] = {
     ),
     **dict.fromkeys(
         ("rx", "rxd", "recv", "rcvd", "receive", "receives", "received", "receiving", "recieve", "recieved",
-         "recieving", "read", "接收", "收"),
+         "recieving", "read", "got", "接收", "收"),
         _RECEIVED,
     ),
 }  # fmt: skip
@@ -46,7 +46,7 @@ SIGNS: dict[str, int] = {
     **dict.fromkeys(("<--", "<-", "<=", "<<<", "<<", "<", "←"), -1),
 }
 #: Letters that mean an action only where they are all that is said.
-LETTERS: dict[str, int] = {"t": _SENT, "r": _RECEIVED, "out": _SENT, "in": _RECEIVED}
+LETTERS: dict[str, int] = {"t": _SENT, "r": _RECEIVED, "w": _SENT, "o": _SENT, "i": _RECEIVED, "out": _SENT, "in": _RECEIVED}
 
 WORDS = frozenset((*ACTIONS, *SPEAKERS, *MATTERS))
 _ROLES = {1: Role.REQUEST, -1: Role.REPLY, 0: Role.UNKNOWN}

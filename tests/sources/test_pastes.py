@@ -196,6 +196,54 @@ def test_the_name_of_a_logger_is_not_who_speaks() -> None:
     assert take_apart("slave TX: FA 01").role is Role.REPLY
 
 
+# --- one and two in a line ----------------------------------------------------------------------------------------------
+
+ONE = [("> ", "FA 01 30 2B")]
+BOTH = [*ONE, ("< ", "FB 01 F6 01 F3")]
+UNKNOWN = [("? ", "FA 01 30 2B"), ("? ", "FB 01 F6 01 F3")]
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("send: fa 01 30 2b   recv: fb 01 f6 01 f3", BOTH),
+        ("TX -> FA 01 30 2B | RX <- FB 01 F6 01 F3", BOTH),
+        ("Command: FA 01 30 2B, Response: FB 01 F6 01 F3", BOTH),
+        ("TX=FA01302B RX=FB01F601F3", BOTH),
+        ("FA 01 30 2B -> FB 01 F6 01 F3", BOTH),
+        ("{'tx': 'FA 01 30 2B', 'rx': 'FB 01 F6 01 F3'}", BOTH),
+        ("Sent 4 bytes: FA 01 30 2B\nReceived 5 bytes: FB 01 F6 01 F3", BOTH),
+        ("Sent to motor 1: FA 01 30 2B\nReceived from motor 1: FB 01 F6 01 F3", BOTH),
+        ("Sending: [250, 1, 48, 43]\nGot: [251, 1, 246, 1, 243]", BOTH),
+        ("--> [FA 01 30 2B]\n<-- [FB 01 F6 01 F3]", BOTH),
+        ("00:00:01 Out FA 01 30 2B\n00:00:01 In  FB 01 F6 01 F3", BOTH),
+        ("W: FA 01 30 2B\nR: FB 01 F6 01 F3", BOTH),
+        ("INFO motor::bus: tx [fa, 01, 30, 2b]\nINFO motor::bus: rx [fb, 01, f6, 01, f3]", BOTH),
+        ("TX\nFA 01 30 2B\nRX\nFB 01 F6 01 F3", BOTH),
+        ("$ echo -ne '\\xFA\\x01\\x30\\x2B' > /dev/ttyUSB0", ONE),
+        ("Request: FA 01 30 2B\nReply: timeout", ONE),
+        ("Frame: FA 01 30 2B\nFrame: FB 01 F6 01 F3", UNKNOWN),
+        ("frame=FA01302B\nframe=FB01F601F3", UNKNOWN),
+        ("1. FA 01 30 2B\n2. FB 01 F6 01 F3", UNKNOWN),
+        ("- FA 01 30 2B\n- FB 01 F6 01 F3", UNKNOWN),
+        ("CAN TX id=0x001 len=2 data=F6 F7", [("> ", "001#F6F7")]),
+        ("can tx: 001 [2] F6 F7\ncan rx: 001 [1] F6", [("> ", "001#F6F7"), ("? ", "001#F6")]),
+        ("cansend can0 001#F6F7\n  can0  001   [1]  F6", [("> ", "001#F6F7"), ("? ", "001#F6")]),
+        ("0001h  2  F6 F7", [("? ", "001#F6F7")]),
+    ],
+)
+def test_what_programs_of_ones_own_print(text: str, found: list[tuple[str, str]], tmp_path: Path) -> None:
+    source, records = read(tmp_path, text + "\n")
+    assert [(role, data) for _, role, data in traffic(records)] == [(SENDERS[mark.strip()], data) for mark, data in found]
+    assert source.problems == []
+
+
+def test_bytes_with_an_index_come_one_by_one(tmp_path: Path) -> None:
+    source, records = read(tmp_path, "buffer[4]raw\n0: 0xfa\n1: 0x1\n2: 0x30\n3: 0x2b\n")
+    assert data_of(records) == ["FA", "01", "30", "2B"]
+    assert source.notes == []
+
+
 # --- sentences ----------------------------------------------------------------------------------------------------------
 
 
