@@ -48,6 +48,7 @@ def html(records: Sequence[VerdictRecord], run: RunRecord) -> str:
         counts={o: counts[o] for o, _ in COLUMNS},
         looks=_LOOKS,
         facts=_facts(records, run),
+        notes=run.notes,
         causes=(found := causes(records)),
         card={id(record): f"cause-{number}" for number, cause in enumerate(found, 1) for record in cause.records},
         repeat=lambda record: repeat_command(record, run),
@@ -75,7 +76,6 @@ def _facts(records: Sequence[VerdictRecord], run: RunRecord) -> dict[str, str]:
         "seed": str(run.seed),
         "version": f"servotap {run.version}",
         "command": run.command,
-        "notes": "; ".join(run.notes),
     }
     return {name: text for name, text in facts.items() if text}
 

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 from html import unescape
 
+import msgspec
 import pytest
 
 from conformance.claim import Curve
@@ -48,6 +49,15 @@ def test_the_banner_counts():
     assert "Failed: 3 of 1,107, 1,103 not run" in text
     assert "Passed: 1 of 1, none failed" in told(html([verdict()], RUN))
     assert "No claim was judged: 0 of 1, 1 not run" in told(html([verdict(outcome="not run")], RUN))
+
+
+def test_the_banner_says_what_broke_a_run_off():
+    run = msgspec.structs.replace(RUN, notes=("mks-rs485@1: not seen standing",))
+    page = html([verdict()], run)
+    assert "Broken off, passed: 1 of 1" in told(page)
+    assert "not seen standing" in told(page)
+    assert 'class="banner doubt"' in page
+    assert 'class="banner bad"' in html([silent("read_speed")], run)
 
 
 def test_one_cause_is_one_card_with_the_claims_that_it_took():
