@@ -305,7 +305,7 @@ class _Reader:
             name = exported[1]
         if len(self._known) < _KNOWN:
             self._known.add(data)
-        return Chunk(t_ns, self._source.port(name), data, line.role, len(data) > 1)
+        return Chunk(t_ns, self._source.port(name), data, line.role, len(data) > 1 or line.number is None)
 
     def _end_header(self) -> Iterator[Chunk | Comment]:
         header, data = self._header, bytes(self._collected)
