@@ -17,6 +17,8 @@ from analyzer.records import Comment, Finding, Frame, Junk, Lane, Severity
 _GRAVITY = (Severity.INFO, Severity.WARNING, Severity.ERROR)
 #: Findings of each rule that are kept to be shown.
 FIRST_FEW = 3
+#: Nodes that are counted apart of those that are no drives: there are as many identifiers as one likes.
+MOST_OTHERS = 2000
 #: Frames of a node without one fitting check that are no chance.
 _SEVERAL = 3
 
@@ -125,7 +127,10 @@ class Summary:
             self.last_ns = frame.last_ns
         role = message.role
         if role is Role.FOREIGN:
-            counts = self.others.setdefault((frame.port, message.who), [0, 0])
+            node = frame.port, message.who
+            if node not in self.others and len(self.others) >= MOST_OTHERS:
+                node = frame.port, "further"
+            counts = self.others.setdefault(node, [0, 0])
             counts[0] += 1
             counts[1] += len(frame.data)
             return

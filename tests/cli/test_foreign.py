@@ -6,8 +6,12 @@ import json
 
 import pytest
 
+from analyzer import dialects
 from analyzer.cli import main, option_types
 from analyzer.errors import UsageError
+from analyzer.pipeline import Pipeline
+from analyzer.records import CanFrame
+from analyzer.sinks.summary import MOST_OTHERS, Summary
 
 MIXED = """\
 (1700000000.000000) can0 012#3244
@@ -92,6 +96,14 @@ def test_ids_by_bus_and_for_all_others():
     assert ids.of("left") == {1, 0x10, 0x11, 0x12}
     assert ids.of("arm") == {7, 8}
     assert option_types.ids_of([]).of("arm") is None
+
+
+def test_as_many_identifiers_as_one_likes_take_no_more_memory():
+    sink = Summary()
+    frames = [CanFrame(n, "can0", n, b"\1", extended=True) for n in range(MOST_OTHERS + 50)]
+    Pipeline([dialects.get("mks-can")], (sink,)).run(frames)
+    assert len(sink.others) == MOST_OTHERS + 1
+    assert sink.others["can0", "further"] == [50, 50]
 
 
 def test_a_node_that_no_checksum_speaks_for_is_named(mixed, tmp_path, capsys):
