@@ -186,6 +186,8 @@ class Judge:
         self.dialects = {d.name: d for d in dialects}
         self._groups = frozenset(groups)
         self.seen: dict[str, Counter[Seen]] = {name: Counter() for name in self.dialects}
+        #: Frames of nodes that are no drives.
+        self.foreign = 0
         self._counts: dict[tuple[str, str], Count] = {}
         self._spoken: dict[tuple[str, int | None], str] = {}
         self._last: Entry | None = None
@@ -198,6 +200,7 @@ class Judge:
         message = entry.message
         frame = message.frame
         if message.role is Role.FOREIGN:
+            self.foreign += 1
             return
         name = frame.dialect.name
         self._spoken[frame.port, message.address] = self._spoken[frame.port, None] = name

@@ -131,6 +131,8 @@ def _show(
 def _seen(judge: Judge) -> str:
     total = sum(judge.seen.values(), Counter())
     parts = [f"{n} {kind.value if n > 1 else _one(kind.value)}" for kind, n in total.items() if n]
+    if judge.foreign:
+        parts.append(f"{judge.foreign} not of this dialect")
     return ", ".join(parts) or "no frames"
 
 
@@ -176,6 +178,7 @@ def _show_json(
         "dialects": list(judge.dialects),
         "times": reading.time_source,
         "seen": {name: {kind.value: n for kind, n in seen.items()} for name, seen in judge.seen.items()},
+        "foreign": judge.foreign,
         "refuted": sum(v.outcome.value == "refuted" for v, _ in found),
         "claims": [_record(verdict, count, judge, arguments.examples) for verdict, count in found],
     }

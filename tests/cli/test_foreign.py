@@ -112,3 +112,10 @@ def test_a_node_that_no_checksum_speaks_for_is_named(mixed, tmp_path, capsys):
     out = lines_of(capsys, "decode", str(tmp_path / "more.log"))
     said = [line for line in out if "--ids says who is a drive" in line]
     assert said == ["can0 0x200: none of 3 frames has a fitting checksum: another node? --ids says who is a drive"]
+
+
+def test_check_judges_drives_alone(mixed, capsys):
+    assert main(["check", mixed]) == 1
+    out = capsys.readouterr().out
+    assert "3 frames, 1 request, 3 CAN frames, 2 replies, 4 not of this dialect" in out
+    assert "address 0x012, checksum: expected 84, got 00" in out
