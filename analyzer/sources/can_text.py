@@ -8,9 +8,9 @@
     cansend can0 001#F60140023A                                                                        a shell
 
 Rules: a time, tags and a mark may stand before a shape, as in every log (`hexline.py`). `Tx` and words for it say that the
-host sent a frame; `Rx` says nothing, for a listener receives everything. Identifiers are hexadecimal, but for those that
-`decimal` shapes print. A line that has the length of its frame must have as many bytes. Lines of no shape are comments,
-unless their beginning is that of a shape: then they are problems.
+host sent a frame; `Rx` says nothing, for a listener receives everything. Identifiers are hexadecimal; where nothing shows it, a
+note says so. Where bytes can only be decimal, all numbers are. A line that has the length of its frame must have as many bytes.
+Lines of no shape are comments, unless their beginning is that of a shape: then they are problems.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Shape(NamedTuple):
 
 
 _ID = r"(?:0[xX])?(?P<id>[0-9A-Fa-f]{1,8})[hH]?"
-_DATA = r"(?P<data>(?:(?:0[xX])?[0-9A-Fa-f]{1,2}\b[\s,.:]*+){0,64}|(?:[0-9A-Fa-f]{2}){2,64})"
+_DATA = r"(?P<data>(?:(?:0[xX])?(?:[0-9A-Fa-f]{1,2}|\d{3})\b[\s,.:]*+){0,64}|(?:[0-9A-Fa-f]{2}){2,64})"
 _MARK = r"(?P<mark>[TR]x|[TR])"
 _LENGTH = r"(?:0[xX])?(?P<length>\d{1,2})"
 
@@ -115,6 +115,9 @@ _CAN_BYTES = 8
 _FD_BYTES = (12, 16, 20, 24, 32, 48, 64)
 _LONGEST_LINE = 1000
 _STANDARD = 0x7FF
+#: Below this a number is the same in both, and with so many digits tools print hexadecimal.
+_ALIKE = 10
+_PADDED = (3, 4, 8)
 _ID_MASK = 0x1FFF_FFFF
 _SLCAN_ID = {"t": 3, "T": 8, "r": 3, "R": 8}
 _SLCAN_STAMP = 4
@@ -123,9 +126,12 @@ _LEAST_SHARE = 0.1
 
 
 class _Line(NamedTuple):
+    """A line taken apart. `open_id`: its identifier may be decimal."""
+
     frame: CanFrame
     stamp: Stamp
     port: str | None
+    open_id: bool = False
 
 
 def score(head: bytes) -> float:
@@ -134,7 +140,7 @@ def score(head: bytes) -> float:
     shape = _shape_of(lines)
     if shape is None:
         return 0.0
-    taken = [line for line in lines if _take(line, shape) is not None]
+    taken = [line for line in lines if _either(line, shape) is not None]
     share = len(taken) / len(lines)
     if not shape.sure and not _fits(shape, lines, taken):
         return 0.0
@@ -142,9 +148,13 @@ def score(head: bytes) -> float:
 
 
 def _shape_of(lines: list[str]) -> Shape | None:
-    counts = Counter(shape.name for shape in SHAPES for line in lines if _take(line, shape) is not None)
+    counts = Counter(shape.name for shape in SHAPES for line in lines if _either(line, shape) is not None)
     best = max(SHAPES, key=lambda shape: counts[shape.name])
     return best if counts[best.name] else None
+
+
+def _either(line: str, shape: Shape) -> _Line | None:
+    return _take(line, shape) or _take(line, shape, decimal=True)
 
 
 def _fits(shape: Shape, lines: list[str], taken: list[str]) -> bool:
@@ -162,20 +172,31 @@ def read(source: Source) -> Iterator[CanFrame | Comment]:
     if shape is None:
         source.problem(f"expected lines of CAN frames as {', '.join(each.name for each in SHAPES)} have them, got none")
         return iter(())
-    clock = StampClock((line.stamp for text in lines if (line := _take(text, shape)) is not None), source)
+    decimal = any(_take(text, shape) is None and _take(text, shape, decimal=True) is not None for text in lines)
+    taken = [line for text in lines if (line := _take(text, shape, decimal)) is not None]
+    if decimal:
+        source.note("identifiers and bytes are decimal numbers: some bytes have three digits")
+    clock = StampClock((line.stamp for line in taken), source)
+    if (
+        not decimal
+        and taken
+        and all(line.open_id or line.frame.id < _ALIKE for line in taken)
+        and any(line.open_id for line in taken)
+    ):
+        source.note("identifiers without 0x are read as hexadecimal")
     if shape.name == "slcan" and source.time_source != "none":
         source.time_source = "capture: milliseconds of the adapter, which begin again every minute"
     if shape.name == "cansniffer":
         source.note("cansniffer prints the time since a frame of the same identifier: the order of frames is not told")
-    return _records(source, shape, clock)
+    return _records(source, shape, decimal, clock)
 
 
-def _records(source: Source, shape: Shape, clock: StampClock) -> Iterator[CanFrame | Comment]:
+def _records(source: Source, shape: Shape, decimal: bool, clock: StampClock) -> Iterator[CanFrame | Comment]:
     lines = Lines(source)
     minutes = _Minutes() if shape.name == "slcan" else int
     others = [each for each in SHAPES if each.sure and each is not shape]
     for text in _joined(lines):
-        line = _take(text, shape) or next((line for each in others if (line := _take(text, each)) is not None), None)
+        line = _take(text, shape, decimal) or next((line for each in others if (line := _take(text, each)) is not None), None)
         if line is not None:
             yield _timed(source, line, lines.number, clock, minutes)
         elif shape.near is not None and shape.near.match(text):
@@ -232,8 +253,8 @@ class _Minutes:
         return self._sum + t_ns
 
 
-def _take(text: str, shape: Shape) -> _Line | None:
-    """Return the frame of a line in a shape, None if it has none."""
+def _take(text: str, shape: Shape, decimal: bool = False) -> _Line | None:
+    """Return the frame of a line in a shape, None if it has none. `decimal`: its numbers are decimal."""
     text = text.strip()
     if len(text) > _LONGEST_LINE:
         return None
@@ -241,20 +262,22 @@ def _take(text: str, shape: Shape) -> _Line | None:
     found = shape.pattern.fullmatch(text, before.end()) if before is not None and before.end() else None
     if before is None or found is None:
         found = shape.pattern.fullmatch(text)
-        return None if found is None else _of(found, Stamp(), Role.UNKNOWN)
+        return None if found is None else _of(found, Stamp(), Role.UNKNOWN, decimal)
     groups = before.groupdict()
     kind = next((name for name in STAMPS if groups[name] is not None), "")
     role = role_of([(groups["word"] or "").lower()], groups["sign"] or "")
     stamp = Stamp(kind, groups[kind]) if kind else Stamp()
-    return _of(found, stamp, role if role is Role.REQUEST else Role.UNKNOWN)
+    return _of(found, stamp, role if role is Role.REQUEST else Role.UNKNOWN, decimal)
 
 
-def _of(found: re.Match[str], stamp: Stamp, role: Role) -> _Line | None:
+def _of(found: re.Match[str], stamp: Stamp, role: Role, decimal: bool) -> _Line | None:
     groups = found.groupdict()
     if groups.get("slcan") is not None:
         return _slcan(groups["slcan"], groups["rest"], stamp, role)
-    number = int(groups["id"], 16)
-    data = _data(groups["data"] or "")
+    if decimal and not groups["id"].isdecimal():
+        return None
+    number = int(groups["id"], 10 if decimal and "0x" not in found[0].lower() else 16)
+    data = written.decimal(groups["data"] or "") if decimal else _data(groups["data"] or "")
     length = groups.get("length")
     remote, error = bool(groups.get("remote")), bool(groups.get("error"))
     if (
@@ -276,7 +299,11 @@ def _of(found: re.Match[str], stamp: Stamp, role: Role) -> _Line | None:
     frame = CanFrame(
         None, "", number, b"" if remote else data, role, extended and not error, remote, error, len(data) > _CAN_BYTES
     )
-    return _Line(frame, stamp, groups.get("port"))
+    # Two digits, or more than tools pad with zeros: 17 can be 0x17, or 0x11.
+    open_id = (
+        groups["id"].isdecimal() and number >= _ALIKE and len(groups["id"]) not in _PADDED and "0x" not in found[0].lower()
+    )
+    return _Line(frame, stamp, groups.get("port"), open_id)
 
 
 def _data(text: str) -> bytes | None:

@@ -316,6 +316,22 @@ def test_a_length_that_is_not_that_of_the_bytes_is_a_problem(tmp_path: Path) -> 
     assert source.problems[0].line == 2
 
 
+@pytest.mark.parametrize(
+    ("line", "said"), [("ID: 17", True), ("ID: 0x17", False), ("ID: 1A", False), ("ID: 7", False), ("ID: 017", False)]
+)
+def test_an_identifier_that_may_be_decimal_is_said(line: str, said: bool, tmp_path: Path) -> None:
+    source, records = read(tmp_path, f"{line} Data: F6 01 F8\n")
+    assert len(records) == 1
+    assert any("identifiers without 0x" in note for note in source.notes) is said
+
+
+def test_decimal_data_of_can_are_read_as_such_and_said(tmp_path: Path) -> None:
+    source, records = read(tmp_path, "ID: 17 Data: 246 1 248\nID: 17 Data: 49 10\nID: 17 Data: 246 1 300\n")
+    assert data_of(records) == ["011#F601F8", "011#310A"]
+    assert any("decimal numbers" in note for note in source.notes)
+    assert [problem.line for problem in source.problems] == [3]
+
+
 def test_rows_of_numbers_are_no_can_frames(tmp_path: Path) -> None:
     source, records = read(tmp_path, "100 10 48 43\n101 20 48 44\n")
     assert (source.kind, data_of(records)) == ("serial", ["64 0A 30 2B", "65 14 30 2C"])
