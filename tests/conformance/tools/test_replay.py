@@ -384,7 +384,7 @@ def test_a_dry_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
         (("--on", "tcp:127.0.0.1:1"), "cannot connect"),
         (("--dry-run", "--bus", "left"), "has no bus 'left'"),
         (("--dry-run", "--address", "9"), "has no request to send (3 requests to other addresses)"),
-        (("--dry-run", "--address", "x"), "--addresses"),
+        (("--dry-run", "--address", "x"), "got 'x', expected addresses from 1 to 2047"),
     ],
 )
 def test_wrong_use(words: tuple[str, ...], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
