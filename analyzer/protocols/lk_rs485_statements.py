@@ -30,12 +30,14 @@ def _tables(section: str, command: str, code: str, request: int, reply: int) -> 
     )
 
 
-def _limited(section: str, *limits: str) -> tuple[S, ...]:
-    """Return the remarks on what a setup program limits."""
-    return tuple(
-        S(f"{section}/{limit.lower().replace(' ', '-')}", f"{limit} of the setup program limits it.", unclaimed=_SETUP)
-        for limit in limits
-    )
+def _limited(section: str, *limits: str, **claims: tuple[str, ...]) -> tuple[S, ...]:
+    """Return the remarks on what a setup program limits; `claims` about a limit hold one motion against the others."""
+    found = []
+    for limit in limits:
+        own = claims.get(limit.lower().replace(" ", "_"), ())
+        says = f"{limit} of the setup program limits it."
+        found.append(S(f"{section}/{limit.lower().replace(' ', '-')}", says, own, unclaimed="" if own else _SETUP))
+    return tuple(found)
 
 
 def _tells_state(section: str, command: str) -> S:
@@ -187,7 +189,7 @@ STATEMENTS: tuple[S, ...] = (
     S("1/input-lost", "Bit 7 is an input signal that was lost too long.", ("motion/read_state_1/flag-input_lost",)),
     # --- 2: clearing errors ---
     *_tables("2", "clear_errors", "9Bh", 0, 7),
-    S("2/clears", "It clears the error flags.", ("motion/clear_errors/clears", "motion/read_state_1/flag-*")),
+    S("2/clears", "It clears the error flags.", ("motion/clear_errors/clears*", "motion/read_state_1/flag-*")),
     S(
         "2/alone",
         "Clearing is what this command is for.",
@@ -253,7 +255,7 @@ STATEMENTS: tuple[S, ...] = (
     S("7/next-command", "The next motion command moves the motor again.", ("motion/stop/stays-on", "motion/stop/then-*")),
     # --- 8: brake ---
     *_tables("8", "brake", "8Ch", 1, 1),
-    S("8/power-off", "00h takes the brake's power away, and the brake holds.", ("motion/brake/holds", "motion/brake/is-read")),
+    S("8/power-off", "00h takes the brake's power away, and the brake holds.", ("motion/brake/holds*", "motion/brake/is-read")),
     S("8/release", "01h powers the brake, and it lets go.", ("motion/brake/holds", "motion/brake/is-read")),
     S(
         "8/stays",
@@ -281,7 +283,7 @@ STATEMENTS: tuple[S, ...] = (
     S("10/only-others", "MF, MH and MG motors alone have it.", ("motion/run_torque/other-models", "ranges/models")),
     S("10/drives", "It sets the torque current of the motor.", ("motion/run_torque/is-read", "motion/run_torque/two-ways")),
     S("10/type", "Torque current is signed, low byte first.", ("motion/run_torque/sign", "motion/run_torque/is-read")),
-    S("10/range", "Torque current is -2048 to 2048.", ("ranges/run_torque/torque_current/*",)),
+    S("10/range", "Torque current is -2048 to 2048.", ("ranges/run_torque/torque_current/*", "motion/run_torque/to-its-end")),
     S("10/mf-amperes", "The range is 16.5 A either way on MF.", unclaimed=_SCALE),
     S("10/mg-amperes", "The range is 33 A either way on MG.", unclaimed=_SCALE),
     S("10/differs", "Supply current and torque differ from motor to motor.", unclaimed="nothing is said of how much"),
@@ -295,7 +297,14 @@ STATEMENTS: tuple[S, ...] = (
     ),
     S("11/type", "Speed is signed, of four bytes, low byte first.", ("motion/run_speed/opposite", "ranges/run_speed/speed/*")),
     S("11/unit", "One unit of speed is 0.01 deg/s.", ("motion/run_speed/speed-*",)),
-    *_limited("11", "Max Speed", "Max Acceleration", "Max Torque Current"),
+    *_limited(
+        "11",
+        "Max Speed",
+        "Max Acceleration",
+        "Max Torque Current",
+        max_acceleration=("timing/write_parameter/one-ramp",),
+        max_torque_current=("motion/write_parameter/torque-limit",),
+    ),
     _tells_state("11", "run_speed"),
     # --- 12 and 13: positions over all turns ---
     *_tables("12", "move_multi_turn", "A3h", 8, 7),
@@ -319,7 +328,14 @@ STATEMENTS: tuple[S, ...] = (
         "It turns from where it is towards the target.",
         ("motion/move_multi_turn/reaches", "motion/move_multi_turn/wide"),
     ),
-    *_limited("12", "Max Angle", "Max Speed", "Max Acceleration", "Max Torque Current"),
+    *_limited(
+        "12",
+        "Max Angle",
+        "Max Speed",
+        "Max Acceleration",
+        "Max Torque Current",
+        max_torque_current=("motion/write_parameter/torque-limit-move_multi_turn",),
+    ),
     _tells_state("12", "move_multi_turn"),
     *_tables("13", "move_multi_turn_limited", "A4h", 12, 7),
     S(
@@ -341,7 +357,13 @@ STATEMENTS: tuple[S, ...] = (
     S("13/max-speed", "It turns no faster than max_speed.", ("motion/move_multi_turn_limited/max-speed",)),
     S("13/max-speed-type", "max_speed is unsigned, of four bytes.", ("ranges/move_multi_turn_limited/max_speed/*",)),
     S("13/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", ("motion/move_multi_turn_limited/max-speed",)),
-    *_limited("13", "Max Angle", "Max Acceleration", "Max Torque Current"),
+    *_limited(
+        "13",
+        "Max Angle",
+        "Max Acceleration",
+        "Max Torque Current",
+        max_torque_current=("motion/write_parameter/torque-limit-move_multi_turn_limited",),
+    ),
     _tells_state("13", "move_multi_turn_limited"),
     # --- 14 and 15: angles within the turn ---
     *_tables("14", "move_single_turn", "A5h", 4, 7),
@@ -363,7 +385,13 @@ STATEMENTS: tuple[S, ...] = (
         "The last byte is 0.",
         unclaimed="observed by ranges/move_single_turn/reserved: what another value does is not said",
     ),
-    *_limited("14", "Max Speed", "Max Acceleration", "Max Torque Current"),
+    *_limited(
+        "14",
+        "Max Speed",
+        "Max Acceleration",
+        "Max Torque Current",
+        max_torque_current=("motion/write_parameter/torque-limit-move_single_turn",),
+    ),
     _tells_state("14", "move_single_turn"),
     *_tables("15", "move_single_turn_limited", "A6h", 8, 7),
     S("15/moves", "It moves the motor to an angle within the turn.", ("motion/move_single_turn_limited/reaches",)),
@@ -387,7 +415,12 @@ STATEMENTS: tuple[S, ...] = (
     S("15/max-speed", "It turns no faster than max_speed.", ("motion/move_single_turn_limited/max-speed",)),
     S("15/max-speed-type", "max_speed is unsigned, of four bytes.", ("ranges/move_single_turn_limited/max_speed/*",)),
     S("15/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", ("motion/move_single_turn_limited/max-speed",)),
-    *_limited("15", "Max Acceleration", "Max Torque Current"),
+    *_limited(
+        "15",
+        "Max Acceleration",
+        "Max Torque Current",
+        max_torque_current=("motion/write_parameter/torque-limit-move_single_turn_limited",),
+    ),
     _tells_state("15", "move_single_turn_limited"),
     # --- 16 and 17: increments ---
     *_tables("16", "move_increment", "A7h", 4, 7),
@@ -399,7 +432,13 @@ STATEMENTS: tuple[S, ...] = (
         "The sign of the increment is the direction.",
         ("motion/move_increment/reaches", "ranges/move_increment/position/*"),
     ),
-    *_limited("16", "Max Speed", "Max Acceleration", "Max Torque Current"),
+    *_limited(
+        "16",
+        "Max Speed",
+        "Max Acceleration",
+        "Max Torque Current",
+        max_torque_current=("motion/write_parameter/torque-limit-move_increment",),
+    ),
     _tells_state("16", "move_increment"),
     *_tables("17", "move_increment_limited", "A8h", 8, 7),
     S(
@@ -417,7 +456,12 @@ STATEMENTS: tuple[S, ...] = (
     S("17/max-speed", "It turns no faster than max_speed.", ("motion/move_increment_limited/max-speed",)),
     S("17/max-speed-type", "max_speed is unsigned, of four bytes.", ("ranges/move_increment_limited/max_speed/*",)),
     S("17/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", ("motion/move_increment_limited/max-speed",)),
-    *_limited("17", "Max Acceleration", "Max Torque Current"),
+    *_limited(
+        "17",
+        "Max Acceleration",
+        "Max Torque Current",
+        max_torque_current=("motion/write_parameter/torque-limit-move_increment_limited",),
+    ),
     _tells_state("17", "move_increment_limited"),
     # --- 18 and 19: control parameters ---
     *_tables("18", "read_parameter", "C0h", 7, 7),

@@ -14,14 +14,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 
-from analyzer.catalogue import Command, Dialect, Doubt, MotionKind, Risk, Verb
-from conformance.claim import Inconclusive, Theme
-from conformance.claims.declare import Case, commands
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
+from conformance.claim import Inconclusive, Observed, Theme
+from conformance.claims.declare import Case, commands, motions
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion_claim import of_motion, risks_by
+from conformance.claims.motion_claim import command_of, of_motion, risks_by
 from conformance.claims.moves import without_max_speed
 from conformance.motion import motion
-from conformance.motion.motion import MS, SECOND_NS
+from conformance.motion.motion import MOVES, MS, SECOND_NS, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
@@ -141,6 +141,51 @@ def _torque_limit(probe: Probe) -> None:
         probe.expect(went, at_most=1, unit="degrees", refutes=text, exchange=exchange)
 
 
+_every_motion = motions(MotionKind.RUN, *MOVES, MotionKind.TORQUE)
+
+
+def _limited_motions(dialect: Dialect) -> Iterator[Case]:
+    """Yield every motion but the run, with the run by which the limit is tried first."""
+    for case in _every_motion(dialect) if Verb.WRITE_PARAMETER in dialect.by_verb else ():
+        command = command_of(case)
+        if command.verb is not Verb.RUN_SPEED:
+            risks = {*command.all_risks, *dialect.by_verb[Verb.RUN_SPEED].all_risks, Risk.TORQUE, Risk.SETTING}
+            facts = {"risks": motion.risks(dialect, *risks - {Risk.UNKNOWN}), "models": command.models}
+            yield Case(dialect, dialect.by_verb[Verb.WRITE_PARAMETER], {"how": command}, facts)
+
+
+@of_motion(
+    each=_limited_motions,
+    name="{command}/torque-limit-{how}",
+    refuted_by="motion",
+    at_best=Certainty.LIKELY,
+    settings=("torque_limit",),
+    own=lambda case: {Risk.SETTING},
+    quirks=may_meet(_FIRMWARE),
+)
+def _torque_limit_of(probe: Probe, how: Command) -> None:
+    """With a torque limit of 0, with which no run turns the shaft, {how} turns it neither."""
+    kept = _parameter(probe, "torque_limit")
+    if kept is None:
+        return
+    motion.ready_to_move(probe)
+    exchange = _set(probe, "torque_limit", 0)
+    went = []
+    for command in (probe.command(Verb.RUN_SPEED), how):
+        before = motion.position(probe)
+        motion.ask(probe, command, 90, rpm=30)
+        probe.wait(300 * MS)
+        went.append(abs(motion.position(probe).value - before.value))
+        probe.do(Verb.STOP)
+    _set(probe, "torque_limit", kept)
+    motion.stand_still(probe)
+    most = 1 + motion.same(probe)
+    if went[0] > most:
+        raise Observed("a run turns the shaft with a torque limit of 0")
+    text = f"{how.name} turns the shaft with a torque limit of 0"
+    probe.expect(went[1], at_most=most, unit="degrees", refutes=text, exchange=exchange)
+
+
 # --- the ramp ---------------------------------------------------------------------------------------------------------
 
 _of_ramp = partial(_of_run, theme=Theme.TIMING)
@@ -187,3 +232,62 @@ def _speed_ramp(probe: Probe, run: Command) -> None:
         _set(probe, "speed_ramp", kept)
         probe.measured["deg_s2"] = seen
         probe.expect(seen, near=180, within=5, unit="deg/s2", refutes="the speed rises by another ramp", exchange=exchange)
+
+
+#: The ramp by which speeds change, as sent and in deg/s2, and the speeds in rpm: faster, slower and back, on both sides of 0.
+_CHANGE_RAMP, _CHANGES = 36_000, (60, 30, -30, -60, -30, 30, 0)
+#: By how much a ramp may be shorter than that from rest, for friction helps a motor that slows down.
+_SHORTER = 0.67
+
+
+def _ramp_time(before: Sample, first: float, begun_ns: float, after: Sample, last: float) -> float:
+    """Return how long the speed took from `first` to `last` (deg/s), by a position before and one after (s)."""
+    lead, rest = (begun_ns - before.t_ns) / SECOND_NS, (after.t_ns - begun_ns) / SECOND_NS
+    return 2 * (first * lead + last * rest - (after.value - before.value)) / (last - first)
+
+
+@of_motion(
+    each=commands(Verb.WRITE_PARAMETER),
+    name="{command}/one-ramp",
+    theme=Theme.TIMING,
+    refuted_by="a change of speed by a steeper ramp",
+    at_best=Certainty.LIKELY,
+    settings=("speed_ramp",),
+    own=lambda case: {Risk.SETTING},
+    risks=risks_by(Verb.RUN_SPEED),
+    quirks=may_meet(_FIRMWARE),
+)
+def _one_ramp(probe: Probe) -> None:
+    """A run speeds up, slows down and turns round by no steeper ramp than it begins by, both ways."""
+    kept = _parameter(probe, "speed_ramp")
+    if kept is None:
+        return
+    motion.ready_to_move(probe)
+    _set(probe, "speed_ramp", _CHANGE_RAMP)
+    before, speed = motion.position(probe), 0.0
+    found = []
+    for rpm in _CHANGES:
+        exchange = motion.run_at(probe, rpm)
+        # A change of a speed by 360 deg/s takes a second.
+        probe.wait(round(1.3 * abs(rpm * 6 - speed) / _CHANGE_RAMP * 100 * SECOND_NS) + 50 * MS)
+        after = motion.position(probe)
+        last, _ = motion.mean_speed(probe, 200 * MS) if rpm else (0.0, 0.0)
+        if abs(last * 6 - speed) < 60:
+            raise Inconclusive(f"the speed does not change to {rpm} rpm by the ramp that was set")
+        took = _ramp_time(before, speed, exchange.sent_ns, after, last * 6)
+        found.append((took / abs(last * 6 - speed), f"{speed / 6:+.0f} to {last:+.0f} rpm", exchange))
+        before, speed = motion.position(probe), last * 6
+    _set(probe, "speed_ramp", kept)
+    motion.stand_still(probe)
+    begins = found[0][0]
+    if begins < 0.5 / (_CHANGE_RAMP / 100):
+        raise Observed("the speed ramp that was set does not hold")
+    for each, what, exchange in found[1:]:
+        probe.expect(
+            1 / each if each > 0 else float("inf"),
+            at_most=1 / begins / _SHORTER,
+            unit="deg/s2",
+            refutes=f"from {what} the speed changes by a steeper ramp than from rest",
+            exchange=exchange,
+            key="a steeper ramp",
+        )

@@ -344,8 +344,15 @@ def _at_power_up(probe: Probe, command: Command) -> None:
 def _offset(probe: Probe, command: Command) -> None:
     """From the next power-up on the offset that 90 tells is the value that 19 was answered with."""
     motion.ready_to_move(probe)
-    turn_by(probe, 77)
-    told = probe.reply(probe.do(command)).values["encoder_zero"]
-    _power_cycle(probe)
-    values, exchange = _encoder(probe)
-    probe.expect(values["encoder_offset"], equal=told, refutes="90 tells another offset than 19 set", exchange=exchange)
+    width = _width(_quarter(probe))
+    if width is None:
+        raise Inconclusive("the width of the encoder cannot be told")
+    # At a third and at two thirds of a turn each bit of the encoder is once 0 and once 1.
+    for thirds in (1, 2):
+        values, _ = _encoder(probe)
+        turn_by(probe, around(thirds * 120 - values["encoder_raw"] * 360 / (1 << width)))
+        told = probe.reply(probe.do(command)).values["encoder_zero"]
+        _power_cycle(probe)
+        values, exchange = _encoder(probe)
+        probe.expect(values["encoder_offset"], equal=told, refutes="90 tells another offset than 19 set", exchange=exchange)
+        _expect_angle(probe, 0, 0, "the zero of 19 is not there when power comes on again", exchange)

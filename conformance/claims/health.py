@@ -12,6 +12,7 @@ from functools import partial
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.protocols.lk_rs485 import ERROR_BITS
 from conformance.claim import Inconclusive
+from conformance.claims import conditions
 from conformance.claims.bench import lk_drive
 from conformance.claims.declare import Case, commands
 from conformance.claims.known_reads import every_read
@@ -95,6 +96,32 @@ def _clears(probe: Probe, command: Command) -> None:
     _expect_flags(probe, {"overcurrent"}, "after each read, before 9B,")
     probe.do(command)
     _expect_flags(probe, set(), "after 9B, the cause being gone,")
+
+
+def _conditions(dialect: Dialect) -> Iterator[Case]:
+    """Yield each condition but that of an error, in which the flags are cleared."""
+    for case in commands(Verb.CLEAR_ERRORS)(dialect):
+        for condition in conditions.every(dialect):
+            if condition.name != "error":
+                needs = {*dialect.by_verb[Verb.CLEAR_ERRORS].all_risks}
+                facts = condition.facts(dialect, *needs) | {"emulated": True, "parameters": {}}
+                yield Case(
+                    dialect, case.command, {"condition": condition}, {**facts, "name": f"{{command}}/clears-{condition.name}"}
+                )
+
+
+@of_motion(
+    each=_conditions,
+    refuted_by="a flag that stays",
+    statement="{command} clears a flag whose cause is gone in every condition.",
+)
+def _clears_then(probe: Probe, condition: conditions.Condition) -> None:
+    motion.ready_to_move(probe)
+    condition.enter(probe)
+    _flag_without_cause(probe)
+    probe.do(Verb.CLEAR_ERRORS)
+    _expect_flags(probe, set(), f"after 9B {condition.when}")
+    condition.leave(probe)
 
 
 def _others(dialect: Dialect) -> Iterator[Case]:

@@ -13,8 +13,8 @@ from typing import NamedTuple
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind
 from conformance.claims.declare import Case
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion_claim import expect_speed, expect_stays, expect_taken, of_motion
-from conformance.claims.moves import keeps_position, with_max_speed, without_max_speed
+from conformance.claims.motion_claim import command_of, expect_speed, expect_stays, expect_taken, of_motion
+from conformance.claims.moves import keeps_position, with_max_speed
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, SUBDIVISION, Sample
 from conformance.talk.exchange import Exchange
@@ -22,6 +22,8 @@ from conformance.talk.probe import Probe
 
 #: The highest speed of any MKS drive, and that of a drive whose manual has no table of modes.
 _HIGHEST = 3000
+#: The max_speed of a move that others are not to keep, in rpm.
+_SLOW = 5
 
 
 def _limited_runs(dialect: Dialect) -> Iterator[Case]:
@@ -120,17 +122,34 @@ def _mode_limit(probe: Probe, command: Command, limits: dict[str, int]) -> None:
 # --- the max_speed of a move ------------------------------------------------------------------------------------------
 
 
-@of_motion(each=without_max_speed, refuted_by="the speed of the move before", at_best=Certainty.LIKELY, settings=keeps_position)
-def _own_speed(probe: Probe, command: Command, limited: Command) -> None:
-    """{command} does not keep to the max_speed of a move before it."""
+def _after_limited(dialect: Dialect) -> Iterator[Case]:
+    """Yield every move, with the moves with a max_speed that come before it."""
+    limited = tuple(command_of(case) for case in with_max_speed(dialect))
+    for command in dialect.motions(*MOVES) if limited else ():
+        yield Case(dialect, command, {"limited": tuple(c.name for c in limited)}, {"parameters": {}})
+
+
+@of_motion(each=_after_limited, refuted_by="the speed of the move before", at_best=Certainty.LIKELY, settings=("position",))
+def _own_speed(probe: Probe, command: Command, limited: tuple[str, ...]) -> None:
+    """{command} does not keep to the max_speed of any move before it."""
     motion.prepare(probe, command)
-    motion.follow(probe, limited, 30, rpm=5)
-    exchange = motion.begin(probe, command, 300)
-    probe.wait(200 * MS)
-    rpm, spread = motion.mean_speed(probe, 100 * MS)
-    motion.wait_standing(probe)
-    text = f"{command.name} keeps to the max_speed of the move before it"
-    probe.expect(abs(rpm) + spread, at_least=10, expected="more than 5 rpm", unit="rpm", refutes=text, exchange=exchange)
+    for before in limited:
+        motion.begin(probe, probe.command(before), 5, rpm=_SLOW)
+        probe.wait(200 * MS)
+        exchange = motion.begin(probe, command, 300)
+        probe.wait(100 * MS)
+        rpm, spread = motion.mean_speed(probe, 100 * MS)
+        motion.stand_still(probe)
+        text, key = f"{command.name} keeps to the max_speed of {before} before it", f"{command.name} keeps a max_speed"
+        probe.expect(
+            abs(rpm) + spread,
+            at_least=2 * _SLOW,
+            expected=f"more than {_SLOW} rpm",
+            unit="rpm",
+            refutes=text,
+            exchange=exchange,
+            key=key,
+        )
 
 
 @of_motion(

@@ -181,6 +181,55 @@ def _delay(probe: Probe) -> None:
     raise Observed(f"replies begin {min(latencies) / 1e6:.2f} to {max(latencies) / 1e6:.2f} ms after the request")
 
 
+#: How much later a reply may come while the shaft turns than the latest one at rest, beside as much again.
+_LATER_NS = 8 * MS
+
+
+def _asked_turning(dialect: Dialect) -> list[tuple[Command, dict[str, int]]]:
+    """Return what is asked of a shaft that turns and leaves it turning."""
+    found: list[tuple[Command, dict[str, int]]] = [(command, {}) for command in _reads(dialect)]
+    found += [(dialect.by_verb[verb], {}) for verb in (Verb.MOTOR_ON, Verb.CLEAR_ERRORS) if verb in dialect.by_verb]
+    if Verb.READ_PARAMETER in dialect.by_verb:
+        found.append((dialect.by_verb[Verb.READ_PARAMETER], {"parameter": 30}))
+    return found
+
+
+def _latencies(probe: Probe, times: int) -> list[tuple[int, Exchange]]:
+    """Return how long the reply to each took, the shortest of several times: a line delays one now and then."""
+    found = []
+    for command, values in _asked_turning(probe.dialect):
+        exchanges = [probe.ask(command, values, quiet_ns=0) for _ in range(times)]
+        taken = [(e.reply.latency_ns, e) for e in exchanges if e.reply is not None]
+        if taken:
+            found.append(min(taken, key=lambda each: each[0]))
+    return found
+
+
+@of_motion(
+    each=lambda dialect: commands(Verb.RUN_SPEED)(dialect) if dialect.family == "lk" else (),
+    name="replies/turning",
+    refuted_by="replies that come later",
+    theme=Theme.TIMING,
+    rests_on=(Doubt.DELAY,),
+    risks=risks_by(Verb.MOTOR_ON, Verb.CLEAR_ERRORS),
+)
+def _turning(probe: Probe, command: Command) -> None:
+    """While the shaft turns, either way, and while it moves, each reply comes as soon as at rest."""
+    motion.ready_to_move(probe)
+    latest_ns = max(latency for latency, _ in _latencies(probe, 2))
+    move = motion.any_move(probe.dialect, at_speed=True)
+    for how, rpm in ((command, 60), (command, -60), (move, 60)):
+        motion.begin(probe, how, 4 * 360, rpm=rpm)
+        probe.wait(150 * MS)
+        later = [(ns, e) for ns, e in _latencies(probe, 2) if ns > 2 * latest_ns + _LATER_NS]
+        motion.stand_still(probe)
+        for latency_ns, exchange in later:
+            assert exchange.command is not None
+            text = f"{exchange.command.name} is answered later while the shaft turns"
+            at_most = (2 * latest_ns + _LATER_NS) / 1e6
+            probe.expect(latency_ns / 1e6, at_most=at_most, unit="ms", refutes=text, exchange=exchange, key="later")
+
+
 # --- in motion --------------------------------------------------------------------------------------------------------
 
 

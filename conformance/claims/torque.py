@@ -14,10 +14,11 @@ from functools import partial
 from analyzer import dialects, encoder
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
 from conformance.claim import NotRun, Theme
+from conformance.claims.bench import lk_drive
 from conformance.claims.declare import Case, claim, commands, motions
 from conformance.claims.motion_claim import expect_stays, of_motion, risks_by
 from conformance.motion import motion
-from conformance.motion.motion import FORCE, MS, SECOND_NS
+from conformance.motion.motion import CALM, FORCE, MOVES, MS, SECOND_NS
 from conformance.talk.probe import Probe
 
 _POWER_OFF, _RELEASE, _READ_BRAKE = 0x00, 0x01, 0x10
@@ -90,6 +91,25 @@ def _is_read(probe: Probe, command: Command) -> None:
         probe.expect(seen, near=value, within=FORCE / 4, refutes=text, exchange=exchange)
 
 
+@_of_force(refuted_by="another value", emulated=True, at_best=Certainty.LIKELY)
+def _to_its_end(probe: Probe, command: Command) -> None:
+    """{command} drives the shaft as strongly as asked for to the end of its range, both ways."""
+    motion.ready_to_move(probe)
+    name = _field(probe, command)
+    field = motion.field_of(command, name)
+    lk_drive(probe).block()
+    for part in (1, 0.75, 0.5, 0.25):
+        for end in (field.high, field.low):
+            value = round(end * part)
+            exchange = probe.do(command, {name: value})
+            probe.wait(SECOND_NS)
+            seen = probe.read(Verb.READ_STATE_2, name)
+            text = f"{command.name} drives a held shaft by another {name} than was asked for"
+            probe.expect(seen, near=value, within=abs(value) / 20, refutes=text, exchange=exchange)
+    probe.do(Verb.STOP)
+    lk_drive(probe).block(False)
+
+
 def _whole(dialect: Dialect) -> Dialect:
     """Return a dialect with the commands of all its models."""
     return dialects.get(dialect.name) if dialect.model else dialect
@@ -160,6 +180,52 @@ def _holds(probe: Probe) -> None:
     free = _way(probe)
     motion.wait_standing(probe)
     probe.expect(free, at_least=10, unit="degrees", refutes="the shaft does not turn with the brake released")
+
+
+def _ways(probe: Probe) -> Iterator[tuple[Command, int]]:
+    """Yield every motion of the drive one way, and the run both ways."""
+    every = probe.dialect.motions(MotionKind.RUN, *MOVES, MotionKind.TORQUE)
+    yield from ((command, (-1) ** n) for n, command in enumerate(every))
+    yield probe.command(Verb.RUN_SPEED), -1
+
+
+def _begin(probe: Probe, command: Command, way: int) -> None:
+    """Begin a long motion of a direction."""
+    kind = motion.of(command).kind
+    force = {_field(probe, command): way * FORCE} if kind is MotionKind.TORQUE else {}
+    degrees = 300 if kind is MotionKind.MOVE_IN_TURN else 720
+    motion.begin(probe, command, way * degrees, rpm=way * CALM if kind is MotionKind.RUN else CALM, more=force)
+
+
+@_of_brake(
+    refuted_by="a shaft that turns against the brake",
+    risks=lambda case: {r for c in case.dialect.motions(MotionKind.RUN, *MOVES, MotionKind.TORQUE) for r in c.all_risks},
+)
+def _holds_turning(probe: Probe) -> None:
+    """A brake that holds the shaft at rest (00h) stops one that turns, whatever turns it, and holds it until 01h."""
+    motion.ready_to_move(probe)
+    _brake(probe, _POWER_OFF)
+    held = _way(probe)
+    _brake(probe, _RELEASE)
+    motion.wait_standing(probe)
+    if held > 1 + motion.same(probe):
+        raise NotRun("the motor has no brake that holds its shaft")
+    for command, way in _ways(probe):
+        _begin(probe, command, way)
+        probe.wait(250 * MS)
+        _brake(probe, _POWER_OFF)
+        exchange = probe.traffic[-1]
+        probe.wait(150 * MS)
+        before = motion.position(probe)
+        probe.wait(100 * MS)
+        moved = motion.position(probe).value - before.value
+        # What is not braked is stopped before it is judged.
+        motion.stop(probe)
+        _brake(probe, _RELEASE)
+        motion.wait_standing(probe)
+        text = f"a shaft that {command.name} turns is not held by the brake"
+        within = 1 + motion.same(probe)
+        probe.expect(moved, near=0, within=within, unit="degrees", refutes=text, exchange=exchange, key="not held")
 
 
 @_of_brake(name="{command}/is-read", refuted_by="another state")

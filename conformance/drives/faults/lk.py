@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace as replaced_limits
 
 from msgspec.structs import replace
 
 from analyzer.catalogue import Command, Verb
+from analyzer.layout import Field
 from analyzer.protocols.lk_rs485 import (
     CURRENT_MODELS,
     ERROR_BITS,
@@ -399,6 +401,60 @@ def _phases_doubled(drive: Drive, command: Command, asked: Values, values: Value
     return {name: 2 * value if name.startswith("phase_") else value for name, value in values.items()}
 
 
+def _without(limit: str, when: Callable[[LkDrive, Request], bool]) -> Callable[[Act], Act]:
+    """Let a motion be carried out beyond a limit of the motor, in a condition."""
+
+    def make(old: Act) -> Act:
+        def act(drive: LkDrive, request: Request) -> None:
+            motor, kept = drive.motor, drive.motor.limits
+            if when(drive, request):
+                motor.limits = replaced_limits(kept, **{limit: 2048.0 if limit == "torque" else 4 * kept.acceleration})
+            old(drive, request)
+            motor.limits = kept
+
+        return act
+
+    return make
+
+
+def _turned_round(drive: LkDrive, request: Request) -> bool:
+    return request.physical["speed"] * drive.motor.motion.speed < 0
+
+
+def _slowed(drive: LkDrive, request: Request) -> bool:
+    speed = drive.motor.motion.speed
+    return request.physical["speed"] * speed > 0 and abs(request.physical["speed"]) < abs(speed)
+
+
+def _half_range(value: int, field: Field) -> int:
+    return max(-1024, min(1024, value))
+
+
+def _keeping_speed(hooks: Hooks) -> None:
+    """Let the speed of a limited increment hold for the move to a position behind it."""
+    tops: list[float] = []
+
+    def limited(drive: LkDrive, request: Request) -> None:
+        tops[:] = [request.physical["max_speed"]]
+
+    def move(drive: LkDrive, request: Request) -> None:
+        drive.motor.move_to(request.physical["position"], tops.pop() if tops else None)
+
+    together(acting("move_increment_limited", limited, after=True), moving(("move_multi_turn",), move))(hooks)
+
+
+def _unbraked(old: Act) -> Act:
+    def act(drive: LkDrive, request: Request) -> None:
+        if not (_turns(drive) and request.values["brake_control"] == BrakeControl.POWER_OFF):
+            old(drive, request)
+
+    return act
+
+
+def _late(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:
+    yield replace(outgoing, at_ns=outgoing.at_ns + (30_000_000 if _turns(lk(drive)) else 0))
+
+
 ROWS: Rows = {
     "addressing": (
         # Which requests it takes
@@ -653,12 +709,29 @@ ROWS: Rows = {
         ),
         Row("lk-speed-limit-ignored", "the speed limit of 0xC1 has no effect", _without_effect("speed_limit")),
         Row("lk-speed-ramp-ignored", "the speed ramp of 0xC1 has no effect", _without_effect("speed_ramp")),
+        Row(
+            "lk-torque-limit-of-runs-alone",
+            "the torque limit has no effect on 0xA7",
+            replaced("move_increment", _without("torque", lambda drive, request: True)),
+        ),
+        Row("lk-torque-half-range", "0xA1 gives 1024 at most", asked("torque_current", _half_range)),
+        Row("lk-max-speed-kept", "the max_speed of 0xA8 limits the next 0xA3", Change(_keeping_speed, LK)),
         Row("lk-torque-limit-ignored", "the torque limit of 0xC1 has no effect", _without_effect("torque_limit")),
         Row("lk-angle-limit-ignored", "0xA3 and 0xA4 go beyond the angle limit", moving(MULTI_TURN, _past_angle_limit)),
     ),
     "ramp": (
         Row("lk-ramp-fast", "accelerations are twice the ramp", rebuilt(ramp_error=2.0)),
         Row("lk-ramp-slow", "accelerations are half the ramp", rebuilt(ramp_error=0.5)),
+        Row(
+            "lk-ramp-steep-turning-round",
+            "0xA2 turns the shaft round by four times the ramp",
+            replaced("run_speed", _without("acceleration", _turned_round)),
+        ),
+        Row(
+            "lk-ramp-steep-slowing",
+            "0xA2 slows the shaft down by four times the ramp",
+            replaced("run_speed", _without("acceleration", _slowed)),
+        ),
         Row("lk-overshoot", "moves overshoot by 3 degrees and come back", rebuilt(overshoot=OVERSHOOT)),
     ),
     "stop": (
@@ -696,6 +769,11 @@ ROWS: Rows = {
     ),
     "power": (
         Row("lk-set-position-kept", "what 0x95 set survives the power", Change(_position_kept, LK)),
+        Row(
+            "lk-zero-short",
+            "the zero that 0x19 stores lacks its highest bit",
+            storing(lambda drive, name, value: (name, value & 0x1FFF) if name == "encoder_zero" else (name, value)),
+        ),
         Row("lk-parameter-survives", "what 0xC1 wrote survives the power", storing(_kept_parameter)),
     ),
     "state": (
@@ -733,6 +811,17 @@ ROWS: Rows = {
             "lk-turns-kept-while-turning",
             "0x93 does nothing while the shaft turns",
             replaced("clear_turns", lambda old: lambda drive, request: None if _turns(drive) else old(drive, request)),
+        ),
+        Row("lk-brake-lost-while-turning", "0x8C 00 does not brake a shaft that turns", replaced("brake", _unbraked)),
+        Row(
+            "lk-late-while-turning",
+            "replies come 30 ms late while the shaft turns",
+            Change(lambda hooks: hooks.reply.append(_late), LK),
+        ),
+        Row(
+            "lk-errors-kept-while-off",
+            "0x9B clears nothing while the motor is off",
+            replaced("clear_errors", lambda old: lambda drive, request: old(drive, request) if drive.motor.on else None),
         ),
         Row(
             "lk-clear-errors-turns-off",

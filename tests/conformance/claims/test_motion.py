@@ -264,6 +264,12 @@ LK = (
     ("lk-clear-errors-turns-off", "clear_errors/tells-state"),
     ("lk-cleared-state-always-on", "clear_errors/tells-state"),
     ("lk-phases-doubled", "read_state_3/balance"),
+    ("lk-torque-limit-of-runs-alone", "write_parameter/torque-limit-move_increment"),
+    ("lk-torque-half-range", "run_torque/to-its-end"),
+    ("lk-max-speed-kept", "move_multi_turn/own-speed"),
+    ("lk-brake-lost-while-turning", "brake/holds-turning"),
+    ("lk-errors-kept-while-off", "clear_errors/clears-off"),
+    ("lk-zero-short", "set_zero/offset"),
 )
 
 

@@ -51,6 +51,8 @@ FAULTS = (
     ("mks-rs485", "late-reply", "replies/at-rest"),
     ("mks-can", "lost-reply", "replies/every-time"),
     ("lk-rs485", "first-reply-only", "replies/every-time"),
+    ("lk-rs485", "lk-ramp-steep-turning-round", "write_parameter/one-ramp"),
+    ("lk-rs485", "lk-ramp-steep-slowing", "write_parameter/one-ramp"),
     ("mks-modbus", "pause-in-frame", "replies/in-one-piece"),
     ("lk-rs485", "pause-in-frame", "replies/in-one-piece"),
 )
@@ -70,6 +72,7 @@ def test_a_ramp_is_measured_to_a_fraction_of_a_per_cent():
 
 def test_the_delay_of_lk_is_reported_and_never_refutes():
     assert judge("lk-rs485@1", "replies/delay").measured["delay_p50_ms"] == pytest.approx(0.25, abs=0.001)
+    assert judge("lk-rs485@1,fault=lk-late-while-turning", "replies/turning").outcome is Outcome.OBSERVED
     late = judge("lk-rs485@1,fault=lk-reply-late", "replies/delay")
     assert late.outcome is Outcome.OBSERVED
     assert late.measured["delay_p50_ms"] == pytest.approx(20.25, abs=0.01)

@@ -338,7 +338,46 @@ def other_models(bench: Bench) -> None:
     look(bench)
 
 
+def changed(bench: Bench) -> None:
+    """Change speeds by a slow ramp; move without torque, behind a slow move, and against the brake."""
+    bench.ask("write_parameter", parameter=38, speed_ramp=36_000)
+    for speed in (36_000, 18_000, -18_000):
+        bench.ask("run_speed", speed=speed)
+        bench.wait(0.3)
+        look(bench)
+        bench.wait(1.0)
+    bench.ask("brake", brake_control=0)
+    bench.wait(0.1)
+    look(bench)
+    bench.ask("brake", brake_control=1)
+    bench.ask("stop")
+    bench.ask("move_increment_limited", position=100, max_speed=500)
+    bench.wait(1)
+    bench.ask("move_multi_turn", position=90_000)
+    bench.wait(1)
+    look(bench)
+    bench.ask("stop")
+    bench.ask("write_parameter", parameter=30, torque_limit=0)
+    bench.ask("move_increment", position=9_000)
+    bench.wait(1)
+    look(bench)
+
+
+def wide_zero(bench: Bench) -> None:
+    bench.drive.turn_shaft(250.0)
+    bench.ask("set_zero")
+    bench.drive.power_cycle(bench.t_ns)
+    bench.ask("read_encoder")
+    bench.ask("motor_off")
+    bench.drive.trip("overcurrent")
+    bench.drive.trip("overcurrent", False)
+    bench.ask("clear_errors")
+    bench.ask("read_state_1")
+
+
 SCRIPTS: dict[str, Script] = {
+    "changed": changed,
+    "wide zero": wide_zero,
     "over others": over_others,
     "kept": kept,
     "wrong heads": wrong_heads,
@@ -581,6 +620,15 @@ SHOWN_BY: dict[str, str] = {
     "lk-whole-turns-ignored": "lengths",
     "lk-fast-moves-long": "lengths",
     "lk-clear-turns-upward": "lengths",
+    "lk-torque-limit-of-runs-alone": "changed",
+    "lk-torque-half-range": "highest torque",
+    "lk-max-speed-kept": "changed",
+    "lk-ramp-steep-turning-round": "changed",
+    "lk-ramp-steep-slowing": "changed",
+    "lk-brake-lost-while-turning": "changed",
+    "lk-late-while-turning": "changed",
+    "lk-errors-kept-while-off": "wide zero",
+    "lk-zero-short": "wide zero",
 }
 
 
