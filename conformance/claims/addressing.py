@@ -88,12 +88,13 @@ def _classes(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, given={"kind": kind, "what": what, "addresses": addresses}, facts={"emulated": emulated})
 
 
-def _chosen(dialect: Dialect, own: int, addresses: Iterable[int]) -> list[int]:
-    """Return those addresses that can be sent to and are neither the drive's nor all drives'."""
+def _chosen(probe: Probe, addresses: Iterable[int]) -> list[int]:
+    """Return those addresses that can be sent to and are neither the drive's, nor its group's, nor all drives'."""
+    dialect, own = probe.dialect, probe.address
     # A head has a byte for the address, an identifier no more bits than addresses need.
     wide = dialect.bus == "serial"
     last = max(dialect.addresses[1], _BYTE if wide else 0)
-    fit = [a for a in dict.fromkeys(addresses) if 0 <= a <= last and a != own]
+    fit = [a for a in dict.fromkeys(addresses) if 0 <= a <= last and a not in (own, probe.rig.group)]
     return [a for a in fit if a != dialect.broadcast]
 
 
@@ -101,7 +102,7 @@ def _chosen(dialect: Dialect, own: int, addresses: Iterable[int]) -> list[int]:
 def _not_answered(probe: Probe, addresses: Addresses) -> None:
     """A request to {what} is not answered."""
     ask_first(probe)
-    for address in _chosen(probe.dialect, probe.address, addresses(probe.dialect, probe.address)):
+    for address in _chosen(probe, addresses(probe.dialect, probe.address)):
         sent = read_of(probe, address)
         probe.expect(
             received_text(sent),
@@ -117,7 +118,7 @@ def _not_answered(probe: Probe, addresses: Addresses) -> None:
 def _behind_others(probe: Probe) -> None:
     """The next request to the drive behind one to another address is answered."""
     ask_first(probe)
-    for address in _chosen(probe.dialect, probe.address, _neighbours(probe.dialect, probe.address)):
+    for address in _chosen(probe, _neighbours(probe.dialect, probe.address)):
         judge_next(probe, f"one to {address}", partial(read_of, probe, address))
 
 
@@ -132,8 +133,8 @@ def _not_executed(probe: Probe, shown: Observable) -> None:
     """A request to another address is not executed."""
     dialect, own = probe.dialect, probe.address
     shown.prepare(probe)
-    near = _chosen(dialect, own, _neighbours(dialect, own))[:2]
-    far = _chosen(dialect, own, (*_one_bit(dialect, own), *_edges(dialect, own)))
+    near = _chosen(probe, _neighbours(dialect, own))[:2]
+    far = _chosen(probe, (*_one_bit(dialect, own), *_edges(dialect, own)))
     if dialect.broadcast is None:
         near.append(0)
     change = shown.change(probe)
@@ -167,7 +168,7 @@ def _motion_of_another(probe: Probe, command: Command) -> None:
     before = motion.wait_standing(probe)
     values = motion.values_of(dialect, command, _DEGREES, start=motion.place(probe, command))
     others = (own + 1, own - 1, own ^ 0x80, own + 16, _BYTE, own ^ 0x100, *_edges(dialect, own), *_one_bit(dialect, own))
-    for address in _chosen(dialect, own, others)[:_MANY]:
+    for address in _chosen(probe, others)[:_MANY]:
         sent = probe.ask(command, values, address=address, until=Until.TIMEOUT, timeout_ns=_BETWEEN_NS)
         after = motion.position(probe)
         if abs(after.value - before.value) > motion.same(probe):
@@ -195,7 +196,7 @@ def _setting_of_another(probe: Probe, command: Command) -> None:
     """{command} and disabling to another address leave the drive as it is; to the drive itself it changes the pulses."""
     own, move = probe.address, probe.command(Verb.MOVE_RELATIVE_PULSES)
     motion.prepare(probe, move)
-    for address in _chosen(probe.dialect, own, (own + 1, own - 1, own ^ 0x80, own + 16, *_edges(probe.dialect, own)))[:_FEW]:
+    for address in _chosen(probe, (own + 1, own - 1, own ^ 0x80, own + 16, *_edges(probe.dialect, own)))[:_FEW]:
         probe.ask(command, {"subdivision": _FINER}, address=address, until=Until.TIMEOUT, timeout_ns=_BETWEEN_NS)
         sent = probe.ask(Verb.ENABLE, {"enabled": 0}, address=address, until=Until.TIMEOUT, timeout_ns=_BETWEEN_NS)
         text = f"disabling {address} switches the motor of {own} off"

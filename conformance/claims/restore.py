@@ -105,6 +105,7 @@ def _lead_back(probe: Probe) -> None:
     found = dialect.effect(Effect.DIALECT)
     if found is not None and dialect.chosen_by is not None:
         ask_in(probe, _native(dialect), found[0].name, {found[1].name: dialect.chosen_by}, address=_DEFAULT_ADDRESS)
+        probe.wait(probe.rig.write_gap_ns)
     setter = dialect.effect(Effect.ADDRESS)
     if setter is not None and probe.address != _DEFAULT_ADDRESS:
         probe.ask(setter[0], {setter[1].name: probe.address}, address=_DEFAULT_ADDRESS)

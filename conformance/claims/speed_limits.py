@@ -26,6 +26,10 @@ _HIGHEST = 3000
 _SLOW = 5
 
 
+#: How far a move goes. At exactly 20 turns back one of its frames ends in a sound native frame to all drives.
+_TURNS = 19.9
+
+
 def _limited_runs(dialect: Dialect) -> Iterator[Case]:
     """Yield the runs and moves whose speed is in rpm and whose ramp is known: such drives turn at most at the highest speed."""
     for command in dialect.motions(MotionKind.RUN, *MOVES) if dialect.ramp is not None else ():
@@ -51,13 +55,13 @@ def _way(probe: Probe, speed: int, mode: str) -> int:
 
 
 def spun(probe: Probe, command: Command, speed: int, mode: str) -> Spun:
-    """Turn the shaft at a speed as sent, by a run or a move of 20 turns, and look when the ramp is over."""
+    """Turn the shaft at a speed as sent, by a run or a long move, and look when the ramp is over."""
     way = _way(probe, speed, mode)
     motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
     exchange = motion.ask(
-        probe, command, way * 20 * 360, rpm=way, acceleration=255, quiet_ns=0, more={motion.of(command).speed: speed}
+        probe, command, way * _TURNS * 360, rpm=way, acceleration=255, quiet_ns=0, more={motion.of(command).speed: speed}
     )
-    # At 50 us for one rpm the shaft has 3000 rpm after 150 ms, and a move of 20 turns keeps it for 250 ms.
+    # At 50 us for one rpm the shaft has 3000 rpm after 150 ms, and a move of so many turns keeps it for 250 ms.
     probe.wait(exchange.sent_ns + 180 * MS - probe.gate.now_ns())
     before, seen = motion.position(probe), motion.speed(probe)
     probe.wait(exchange.sent_ns + 260 * MS - probe.gate.now_ns())

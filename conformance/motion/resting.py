@@ -33,6 +33,8 @@ _RESTS = 5.0
 _GOING_NS, _STEADY_NS, _WAY, _RPM = 300 * motion.MS, 1000 * motion.MS, 1440.0, 180
 #: How long a shaft that stands is watched.
 _CREEPS_NS = 800 * motion.MS
+#: The first looks at it, in which it may still settle: that is no tremble.
+_SETTLING = 5
 #: The share by which a speed is another one than was asked for, and the degrees that a move misses which did not go its way.
 _ANOTHER, _SHORT = 0.1, 90.0
 #: What a drive's own limits must leave to the suite, as they are sent, 0 being no limit; and a run that they allow.
@@ -97,7 +99,7 @@ def in_motion(probe: Probe) -> Noise:
     # A loop that stands still may rest beside its target all the same, and no read of a resting shaft shows that.
     missed = abs(abs(after[-1] - before) - _WAY) / 2
     loop = max(probe.noise.loop, missed if missed <= LOOP_DEGREES else 0.0)
-    noise = replace(probe.noise, degrees=max(probe.noise.degrees, _half_span(after)), loop=loop, lag=lag)
+    noise = replace(probe.noise, degrees=max(probe.noise.degrees, _half_span(after[_SETTLING:])), loop=loop, lag=lag)
     if min(speeds, default=0.0) < _RESTS:
         return noise
     trembling = _half_span(speeds)

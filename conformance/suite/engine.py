@@ -47,7 +47,10 @@ def run_claim(claim: Claim, rig: ClaimRig) -> Verdict:
 
 
 def _once(claim: Claim, rig: ClaimRig) -> Verdict:
-    probe = rig.probe(claim)
+    try:
+        probe = rig.probe(claim)
+    except NotRun as error:
+        return Verdict(claim, Outcome.NOT_RUN, str(error))
     try:
         verdict = _judge(claim, probe)
     finally:

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Risk
 from conformance.bus.emulated import EmulatedLine
-from conformance.claim import Claim
+from conformance.claim import Claim, Inconclusive
 from conformance.drives import make
 from conformance.drives.make import Specification
 from conformance.gate.budget import Budget
-from conformance.gate.gate import Gate
+from conformance.gate.gate import Gate, Refused
 from conformance.gate.permissions import Allowance
-from conformance.motion import motion, resting
+from conformance.motion import answering, motion, resting
 from conformance.safety.stopping import MAY_MOVE
 from conformance.suite.rig import ClaimRig
 from conformance.talk.noise import Noise
@@ -43,6 +43,8 @@ class EmulatedRig(ClaimRig):
         self.model = specification.model
         self.seed = seed
         self._in_motion: Noise | None = None
+        #: Whether its drive answers motion only after it is set to.
+        self._to_set = False
         given = specification
         #: Whether it is as the manual has it in everything, so that a motion shows no noise.
         self._ideal = not (given.realism or given.faults or given.quirks or given.settings)
@@ -56,6 +58,12 @@ class EmulatedRig(ClaimRig):
     def make_drive(self) -> Drive:
         """Return a new drive of the specification."""
         return make.make(self.specification, seed=self.seed)
+
+    @cached_property
+    def group(self) -> int | None:
+        """The group address of its drives."""
+        drive = self.make_drive()
+        return drive.settings.get(drive.group_setting)
 
     @property
     def noise(self) -> Noise:
@@ -72,13 +80,26 @@ class EmulatedRig(ClaimRig):
     def probe(self, claim: Claim) -> Probe:
         """Return a probe of a new drive."""
         if not self._ideal and self._in_motion is None and claim.risks & MAY_MOVE and motion.can_move(self.dialect):
+            self._to_set = self._answers_once_set()
             measuring = self._plain_probe()
+            if self._to_set:
+                answering.set_loud(measuring)
             measuring.noise = self._at_rest
             self._in_motion = resting.in_motion(measuring)
         drive = self.make_drive()
         line = EmulatedLine([drive])
         self.gate = Gate(line, self._allowance)
+        if self._to_set and claim.risks & MAY_MOVE:
+            answering.set_loud(plain_probe(self.dialect, self.address, self.gate))
         return Probe(self, claim, drive)
+
+    def _answers_once_set(self) -> bool:
+        """Say whether the drive does not answer motion as by default, and does so once it is set to."""
+        probe = self._plain_probe()
+        try:
+            return not answering.is_loud(probe) and answering.set_loud(probe) and answering.is_loud(probe)
+        except (Inconclusive, Refused):
+            return False
 
     def recorder(self, probe: Probe) -> Probe:
         """Return a probe of a new drive: what a recording shows does not depend on the claim that asked first."""

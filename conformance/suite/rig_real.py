@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -20,14 +20,14 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from analyzer.catalogue import Risk
+from analyzer.catalogue import Risk, Verb
 from analyzer.errors import ServotapError
 from analyzer.records import CanFrame
 from conformance.bus.line import Line, LineLost
-from conformance.claim import Claim, NotStopped, RigFault
-from conformance.gate.gate import Gate
+from conformance.claim import Claim, Inconclusive, NotRun, NotStopped, RigFault
+from conformance.gate.gate import Gate, Refused
 from conformance.gate.permissions import READS, Allowance
-from conformance.motion import motion, resting
+from conformance.motion import answering, motion, resting
 from conformance.safety import messages as say
 from conformance.safety import settings
 from conformance.safety.guarded import GuardedLine, beginning
@@ -66,7 +66,7 @@ class RealRig(ClaimRig):
         self.alone = self._allowance.alone
         self.named = frozenset(plan.claims)
         self._plan, self._target = plan, target
-        known = settings.known(self.dialect, self.name, plan.settings)
+        known = self._known = settings.known(self.dialect, self.name, plan.settings)
         if self._allowance.subdivision is None and "subdivision" in known:
             # What the user says the drive is set to also says how fast a speed is.
             self._allowance = replace(self._allowance, subdivision=known["subdivision"] or 256)
@@ -85,6 +85,11 @@ class RealRig(ClaimRig):
         )
         self._ready = motion.ready_settings(self.dialect)
         self._in_motion: Noise | None = None
+        #: What makes the drive answer motion, by command, where a user has set it not to; whether it was looked at for that.
+        self._loud: dict[str, dict[str, int]] = {}
+        self._heard = False
+        #: Why the drive is not set to answer motion, or nothing.
+        self._unheard = ""
         #: Where a claim saw the shaft stand, until something is sent that may move it.
         self._stands_at: float | None = None
         #: Why nothing that moves may be sent, or nothing.
@@ -140,7 +145,7 @@ class RealRig(ClaimRig):
 
     def missing(self, claim: Claim) -> str:
         """Return why a claim cannot run here, or nothing."""
-        unproved = self._unproved if claim.risks & MAY_MOVE else ""
+        unproved = (self._unproved or self._unheard) if claim.risks & MAY_MOVE else ""
         return super().missing(claim) or unproved or self.keeper.cannot_keep(claim.settings)
 
     def keep_no_distance(self) -> None:
@@ -151,6 +156,14 @@ class RealRig(ClaimRig):
         """Let nothing pass from now on that may move the drive: it could not be proved to stand again."""
         self._unproved = f"nothing that moves is sent: {reason}"
         self.gate = self.gate.under(replace(self._allowance, risks=self._allowance.risks - MAY_MOVE))
+
+    @cached_property
+    def group(self) -> int | None:
+        """The group address of the drive, as the user says it, or as the drive tells."""
+        command = self.dialect.by_verb.get(Verb.SET_GROUP_ADDRESS)
+        if command is not None and "group_address" not in self._known and settings.readable(self.dialect, command):
+            return (settings.read(plain_probe(self.dialect, self.address, self.gate), command, {}) or {}).get("group_address")
+        return self._known.get("group_address")
 
     @property
     def noise(self) -> Noise:
@@ -175,11 +188,39 @@ class RealRig(ClaimRig):
             # A move to a place is as long as the way there, and a speed is as fast as the subdivision makes it.
             read_drive_state(Dialogue(self.gate, [self.dialect]), self.dialect, self.address)
             self._tell(say.ReadState())
+        if MAY_MOVE & claim.risks:
+            self._be_heard(claim)
         if self._in_motion is None and resting.can_turn(self.dialect, claim):
             self._in_motion = self._at_rest
+            self._be_heard(claim, answering.tells_ends)
             self._in_motion = resting.in_motion(Probe(self, claim))
             self.settle()
         return Probe(self, claim)
+
+    def _be_heard(self, claim: Claim, is_loud: Callable[[Probe], bool] = answering.answers) -> None:
+        """Set a drive to answer motion that a user has set not to. Raises NotRun where that cannot be put back."""
+        probe = Probe(self, claim)
+        if self._loud:
+            if not self.keeper.left_at(self._loud):
+                answering.set_loud(probe)
+            return
+        if self._heard and is_loud is answering.answers:
+            return
+        self._heard = True
+        try:
+            if is_loud(probe):
+                return
+            command = self.dialect.by_verb[Verb.SET_RESPOND]
+            answering.set_loud(probe)
+            if is_loud(probe):
+                self._loud = {command.name: dict(answering.LOUD)}
+        except Inconclusive:
+            return
+        except (Refused, NotRun) as error:
+            self._unheard = f"{answering.UNHEARD} ({error})"
+            raise NotRun(self._unheard) from None
+        finally:
+            self.settle(probe)
 
     def before_send(self, item: bytes | CanFrame) -> None:
         """Keep what an item is about to change, and know that it may move the motor."""
@@ -217,7 +258,7 @@ class RealRig(ClaimRig):
     def _put_back(self, *, again: bool = False, but: Collection[str] = ()) -> str:
         """Put back what was changed, some commands aside; return what was not, or nothing."""
         self.keeper.write_gap_ns = self.write_gap_ns
-        failure = self.keeper.put_back(again=again, but=but)
+        failure = self.keeper.put_back(again=again, but=but if again else {*but, *self.keeper.left_at(self._loud)})
         if not self.keeper.changed:
             self._is_back()
         return failure

@@ -98,6 +98,11 @@ class Rig:
         """What the run measured of the resting shaft and of the line before it judges."""
         return QUIET
 
+    @property
+    def group(self) -> int | None:
+        """The group address at which the drive is known to listen, None where none is."""
+        return None
+
     def timeout_ns(self, until: Until) -> int:
         """Return how long to listen by default."""
         return {Until.REPLY: self.late_ns, Until.DONE: self.done_ns, Until.TIMEOUT: self.silence_ns}[until]

@@ -97,11 +97,16 @@ def _hasty_writes(hooks: Hooks) -> None:
         writes = wanted and message.command is not None and message.command.verb in SETTINGS
         if not writes:
             return wanted
-        hasty = bool(last_ns) and drive.now_ns - last_ns[0] < _WRITE_GAP_NS
-        last_ns[:] = [drive.now_ns]
-        return not hasty
+        return not last_ns or drive.now_ns - last_ns[0] >= _WRITE_GAP_NS
+
+    def result(drive: Drive, command: Command, asked: Values, values: Values | None) -> Values | None:
+        # What is refused writes nothing.
+        if command.verb in SETTINGS and not (values and values.get(command.replies.status) in command.replies.failed):
+            last_ns[:] = [drive.now_ns]
+        return values
 
     hooks.accept.append(accept)
+    hooks.result.append(result)
 
 
 def _second_reply(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:

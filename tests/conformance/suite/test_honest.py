@@ -9,13 +9,19 @@ import pytest
 
 from analyzer import dialects
 from conformance import claims as registry
+from conformance.claim import Outcome
 from conformance.drives import make
 from conformance.drives.can_bus import CanBus
 from conformance.motion import motion, resting
 from conformance.safety import stopping
 from conformance.serve.can import CanPort
+from conformance.suite import engine
+from conformance.suite.plan import Plan, every_claim, open_rig
 from conformance.suite.rig_emulated import EmulatedRig
+from conformance.suite.target import parse
 from tests.conformance.drives.served import Bridge, drives, on_can, on_pty
+from tests.conformance.safety.test_keeper import EmulatedPort
+from tests.conformance.suite.test_confirming import KNOWN
 from tests.conformance.suite.test_suite import main
 
 #: Claims that noise would refute, by the end of their ids.
@@ -70,3 +76,48 @@ def test_an_honest_drive_on_a_port_is_not_accused(drive, tmp_path, capsys, monke
     out, err = capsys.readouterr()
     assert status == 0, out + err
     assert "noise measured" in out
+
+
+SET_OTHERWISE = [(bus, setting) for bus in ("mks-rs485", "mks-can") for setting in ("respond", "active")]
+OF_REPLIES = (
+    "ranges/move_relative_axis/position/inside",
+    "motion/move_relative_axis/replies",
+    "motion/stop_relative_axis/replies",
+)
+
+
+@pytest.mark.parametrize(("dialect", "setting"), SET_OTHERWISE)
+def test_a_drive_that_a_user_set_not_to_answer_motion_is_set_to_for_the_claims_and_back(dialect, setting, tmp_path):
+    told = {} if dialect == "mks-can" else KNOWN | {setting: "0"}
+    rig = EmulatedPort(f"{dialect}@1,{setting}=0", tmp_path, settings=told)
+    wanted = [c for c in every_claim(rig._target) if c.id.endswith(OF_REPLIES)]
+    found = {c.id: engine.run_claim(c, rig).outcome for c in wanted}
+    rig.close()
+    assert set(found.values()) == {Outcome.CONFIRMED}, found
+    assert rig.setting(setting) == 0
+
+
+def test_a_drive_that_may_not_be_set_to_answer_motion_is_not_judged_by_its_silence_and_says_what_to_set(tmp_path):
+    told = {name: value for name, value in KNOWN.items() if name not in ("respond", "active")}
+    rig = EmulatedPort("mks-rs485@1,respond=0", tmp_path, settings=told)
+    wanted = [c for c in every_claim(rig._target) if c.id.endswith("/shape/stop_speed/answered")]
+    reasons = {engine.run_claim(c, rig).reason for c in wanted}
+    rig.close()
+    assert len(reasons) == 1
+    assert "set respond and active to 1" in reasons.pop()
+
+
+@pytest.mark.parametrize("drive", ["mks-rs485@1,respond=0", "mks-can@1,active=0"])
+def test_an_emulated_drive_that_is_set_not_to_answer_motion_is_not_refuted(drive):
+    target = parse(drive)
+    rig = open_rig(Plan((target,)), target)
+    found = {c.id: engine.run_claim(c, rig).outcome for c in every_claim(target) if c.id.endswith(OF_REPLIES)}
+    assert set(found.values()) == {Outcome.CONFIRMED}, found
+
+
+@pytest.mark.parametrize("drive", ["mks-rs485@28,group_address=156", "mks-can@28,group_address=156"])
+def test_the_group_of_a_drive_is_no_foreign_address(drive):
+    target = parse(drive)
+    rig = open_rig(Plan((target,)), target)
+    wanted = [c for c in every_claim(target) if c.id.endswith(("run_speed/other_address", "addressing/other/one_bit"))]
+    assert {engine.run_claim(c, rig).outcome for c in wanted} == {Outcome.CONFIRMED}
