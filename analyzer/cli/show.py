@@ -76,6 +76,8 @@ class Table:
         self._flush: bool = self._color or arguments.follow
         self._who = who_width
         self._shown: set[int] = set()
+        #: Lines of frames and junk.
+        self.lines = 0
         if not self._json:
             print(f"{'time':>15}  {'bus':<8} {'addr':>{self._who}} {'role':<7} {'command':<24} fields")
 
@@ -151,6 +153,7 @@ class Table:
             if self._left <= 0:
                 raise _Enough
             self._left -= 1
+        self.lines += 1
         print(text, flush=self._flush)
 
     def _time(self, t_ns: int) -> str:
@@ -226,7 +229,8 @@ def _show(arguments: argparse.Namespace) -> int:
         wanted = None
         if arguments.filter:
             wanted = Filter(arguments.filter, vocabulary(reading.possible))
-        pipeline = reading.pipeline((Table(arguments, wanted, reading.time_range.shown, reading.who_width),))
+        table = Table(arguments, wanted, reading.time_range.shown, reading.who_width)
+        pipeline = reading.pipeline((table,))
         with contextlib.suppress(_Enough):
             if wanted is not None and not arguments.follow:
                 with progress(reading.source, f"reading {reading.source.name}"):
@@ -235,6 +239,9 @@ def _show(arguments: argparse.Namespace) -> int:
                 pipeline.run(reading)
         for note in reading.source.notes:
             print(f"note: {printable(note)}", file=sys.stderr)
+        if not table.lines and arguments.limit != 0 and (wanted is not None or reading.time_range.wanted):
+            asked = " and ".join(["the filter"] * (wanted is not None) + ["the time range"] * reading.time_range.wanted)
+            print(f"note: no frame fits {asked}", file=sys.stderr)
     return 0
 
 

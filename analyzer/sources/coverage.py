@@ -51,6 +51,11 @@ class Coverage:
         return stop <= self._end and not any(low < stop and offset < high for low, high in self._gaps)
 
     @property
+    def head(self) -> int:
+        """Bytes before the first that came."""
+        return next((high for low, high in self._gaps if low == 0), 0)
+
+    @property
     def missing(self) -> int:
         """Bytes that never came."""
         return sum(high - low for low, high in self._gaps)

@@ -128,8 +128,10 @@ class _Log:
                 f"{source.name}: expected an MCAP log of servotap, got one of profile {profile!r} without raw bytes"
             )
         for bus, coverage in self._covered.items():
-            if coverage.missing:
-                source.note(f"{counted(coverage.missing, 'byte')} of {bus} missing in the log")
+            if coverage.head and source.skip_before_ns is None:
+                source.note(_begins_at(bus, coverage.head))
+            if missing := coverage.missing - coverage.head:
+                source.note(f"{counted(missing, 'byte')} of {bus} missing in the log")
             if coverage.late:
                 source.note(f"{counted(coverage.late, 'message')} of {bus} out of order in the log")
 
@@ -240,5 +242,9 @@ class _Log:
         if said is None or said.values.get("offset", 0) == offset:
             return
         if self._source.skip_before_ns is None:
-            self._source.note(f"{lane.bus} begins at byte {offset}: what came before is not in the log")
+            self._source.note(_begins_at(lane.bus, offset))
         yield Event(t_ns, self._source.port(lane.bus or None), RESUMED, {**said.values, "offset": offset})
+
+
+def _begins_at(bus: str, offset: int) -> str:
+    return f"{bus} begins at byte {offset}: what came before is not in the log"

@@ -9,7 +9,7 @@ Rules:
 1. Reading a source raises nothing but errors of this program; what a library raises becomes a problem where something
    was read before, and an UnreadableError where nothing was.
 2. Times are given on as the capture has them. Backward steps and impossible times are noted, not mended; a record
-   without a time among others that have one takes the time before it.
+   without a time among others that have one takes the time before it; comments before all others take the first.
 3. Problems and notes are bounded, however bad the capture.
 """
 
@@ -42,6 +42,8 @@ COMMENT_LIMIT = 2000
 QUOTE_LIMIT = 60
 #: Ports of one capture; a capture with more is damaged or hostile.
 PORT_LIMIT = 64
+#: Comments before the first traffic that are held back until its time is known.
+_HEAD_LIMIT = 1000
 
 SECOND_NS = 1_000_000_000
 #: 2100-01-01: what lies behind it is noted.
@@ -217,7 +219,7 @@ class Source:
         given = False
         last_ns: int | None = None
         try:
-            for record in records:
+            for record in _with_times_of_heads(records):
                 t_ns = record.t_ns
                 if t_ns is None:
                     if last_ns is not None:
@@ -283,6 +285,21 @@ class Source:
         left = self.problem_count - SHOWN_PROBLEMS
         places = "1 problem" if self.problem_count == 1 else f"{self.problem_count} problems"
         yield f"{places}: {shown}" + (f"; and {left} more" if left > 0 else "")
+
+
+def _with_times_of_heads(records: Iterator[Record]) -> Iterator[Record]:
+    """Give comments before all traffic the time of the first: without one, a log would begin in 1970."""
+    head: list[Comment] = []
+    for record in records:
+        if isinstance(record, Comment) and record.t_ns is None and len(head) < _HEAD_LIMIT:
+            head.append(record)
+            continue
+        yield from (msgspec.structs.replace(comment, t_ns=record.t_ns) for comment in head)
+        yield record
+        break
+    else:
+        yield from head
+    yield from records
 
 
 def clean_port(name: str) -> str:

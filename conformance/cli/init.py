@@ -75,24 +75,26 @@ def run(arguments: argparse.Namespace) -> int:
     if not any(each.found for each in seen):
         print("nothing written: no drive answered", file=sys.stderr)
         return 1
-    text, names = _profile(seen)
+    text, names, drive = _profile(seen)
     try:
         target.write_text(text, encoding="utf-8")
     except OSError as error:
         raise UsageError(f"cannot write {target}: {error.strerror or error}") from None
     print(f"wrote {target}: {', '.join(names)}")
-    print(f"to go on:\n  servotap record {names[-1]} --view -o week.mcap\n  servotap test {names[-1]} --short")
+    print(f"to go on:\n  servotap record {names[0]} --view -o week.mcap\n  servotap test {drive} --short")
     return 0
 
 
-def _profile(seen: Sequence[_Seen]) -> tuple[str, list[str]]:
-    """Return the text of a profile, and the names in it."""
+def _profile(seen: Sequence[_Seen]) -> tuple[str, list[str], str]:
+    """Return the text of a profile, the names in it, and the first one of a drive."""
     names: list[str] = []
+    drives: list[str] = []
     lines = [_HEAD]
     for each in seen:
         if len(each.found) == 1:
             (found,) = each.found
             name = _new(each.endpoint.name if each.named else f"drive{found.address}", names)
+            drives.append(name)
             lines += [f"[drive.{name}]", *_place(each.endpoint, found.speed), *_drive(found), ""]
             continue
         buses: dict[int, str] = {}
@@ -103,8 +105,9 @@ def _profile(seen: Sequence[_Seen]) -> tuple[str, list[str]]:
                 lines += [f"[bus.{bus}]", *_place(each.endpoint, found.speed), ""]
             stem = f"{each.endpoint.name}_" if each.named else "drive"
             name = _new(f"{stem}{found.address}", names)
+            drives.append(name)
             lines += [f"[drive.{name}]", f"bus = {json.dumps(buses[found.speed])}", *_drive(found), ""]
-    return "\n".join(lines), names
+    return "\n".join(lines), names, drives[0]
 
 
 def _new(wanted: str, names: list[str]) -> str:

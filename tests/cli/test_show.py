@@ -40,6 +40,19 @@ def test_a_filter_on_findings(capsys):
     assert "read_enabled" in shown[2]
 
 
+@pytest.mark.parametrize(
+    ("words", "asked"),
+    [
+        (["--filter", "speed > 2000"], "the filter"),
+        (["--since", "2027-01-01"], "the time range"),
+        (["--filter", "speed > 300", "--since", "+9.5s"], "the filter and the time range"),
+    ],
+)
+def test_an_empty_table_says_why(capsys, words, asked):
+    assert main(["show", BENCH, *words]) == 0
+    assert f"note: no frame fits {asked}" in capsys.readouterr().err
+
+
 def test_a_filter_that_is_none_is_wrong_use(capsys):
     assert main(["show", BENCH, "--filter", "__import__('os')"]) == 2
     assert main(["show", BENCH, "--filter", "sped > 3"]) == 2

@@ -208,6 +208,23 @@ def test_of_any_capture(tmp_path, capsys):
     assert "has no times" in capsys.readouterr().err
 
 
+def test_comments_before_all_traffic_do_not_begin_a_log_in_1970(tmp_path, capsys):
+    """With a comment at no time, `--since +9.9s` and a time of day counted from 1970, and took all."""
+    path = decoded(Path(shutil.copy(CAPTURES / "mks_rs485.log", tmp_path)))
+    for since in ("+9.9s", "09:00:09.9"):
+        capsys.readouterr()
+        assert main(["show", str(path), "--utc", "--since", since, "--json"]) == 0
+        shown = capsys.readouterr()
+        assert len(shown.out.splitlines()) == 4
+        # What a time range leaves out is not missing.
+        assert "missing" not in shown.err
+    cut = tmp_path / "cut.mcap"
+    assert main(["cut", str(path), "--utc", "--since", "09:00:09.9", "-o", str(cut)]) == 0
+    assert "from 2026-03-02T09:00:09.9" in capsys.readouterr().out
+    assert main(["show", str(cut)]) == 0
+    assert "serial begins at byte 250: what came before is not in the log" in capsys.readouterr().err
+
+
 def test_what_lies_before_is_not_read(tmp_path):
     """Of a whole log only the chunks of the stretch are read, and its hash is not told."""
     from analyzer.live import config

@@ -40,7 +40,10 @@ def test_a_profile_is_written_of_what_answers(port, tmp_path, capsys):
         "bus": {"left": {"port": f"serial:{path}", "baud": 38400}},
         "drive": {f"left_{n}": {"bus": "left", "dialect": "mks-rs485", "address": n} for n in (1, 2)},
     }
-    assert "wrote servotap.toml: left, left_1, left_2" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "wrote servotap.toml: left, left_1, left_2" in said
+    assert "servotap record left --view" in said
+    assert "servotap test left_1 --short" in said
     assert [each.target for each in profile.look_up("left").drives] == ["mks-rs485@1", "mks-rs485@2"]
     # It is not replaced unasked, and nothing is sent before that is known.
     assert run(init, f"left=serial:{path},baud=38400") == 2
