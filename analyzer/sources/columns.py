@@ -33,7 +33,8 @@ from analyzer.sources.times import SECOND, number_ns
 #: What columns are called, in small letters and without anything but letters and digits.
 _NAMES: dict[str, tuple[str, ...]] = {
     "time": ("timestamp", "time", "times", "timesec", "ts", "t", "datetime", "timems", "timeus", "timens", "tms", "tus", "tns",
-             "timestampms", "timestampus", "timestampns", "系统时间", "时间"),
+             "timestampms", "timestampus", "timestampns", "ms", "us", "millis", "micros", "seconds", "elapsed",
+             "系统时间", "时间"),
     "mark": ("dir", "direction", "txrx", "rxtx", "topic", "传输方向", "方向", "sender", "type", "event"),
     "data": ("data", "databytes", "datahex", "bytes", "hex", "payload", "frame", "raw", "buffer", "message", "msg", "数据"),
     "id": ("id", "canid", "arbitrationid", "identifier", "idhex", "id号", "帧id"),
@@ -46,13 +47,14 @@ _NAMES: dict[str, tuple[str, ...]] = {
 _SENT = ("tx", "request", "sent", "rx", "response", "reply", "received")
 #: Columns of one byte each.
 _CELL = re.compile(r"(?:d|data|byte|b)\d")
-_UNIT = re.compile(r"(?:time|timestamp|t)(ms|us|ns)$")
+_UNIT = re.compile(r"(?:time|timestamp|t)?(ms|us|ns|millis|micros|seconds)$")
 _UNITS = {"ms": SECOND // 1000, "us": SECOND // 1_000_000, "ns": 1}
+_UNITS |= {"millis": _UNITS["ms"], "micros": _UNITS["us"], "seconds": SECOND}
 _TRUE = ("true", "1", "yes", "x", "扩展帧", "远程帧")
 _CLEAN = re.compile(r"[\W_]+")
 _RULE = re.compile(r"[\s|:-]+")
 _WHOLE = re.compile(r"\d{1,19}")
-_NUMBER = re.compile(r"\d{1,19}\.\d{1,12}")
+_NUMBER = re.compile(r"\d{1,19}[.,]\d{1,12}")
 #: What tools put before the bytes of a cell.
 _BEFORE = re.compile(r"x\|\s*")
 _ID_MASK = 0x1FFF_FFFF
@@ -269,6 +271,8 @@ class _Times:
         if "time" not in row:
             return None
         text = str(row["time"]).strip()
+        if _NUMBER.fullmatch(text):
+            text = text.replace(",", ".")
         if row["unit"]:
             return number_ns(text, _UNITS[row["unit"]])
         if _WHOLE.fullmatch(text):

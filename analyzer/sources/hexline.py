@@ -8,6 +8,7 @@
     Will write to instrument (expecting 7): 01 04    a phrase with a mark in it, bytes
     uint8_t run[] = {0xFA, 0x01, 0xF6};              declaration or call, bytes
     [2023-04-30 22:40:55.899]# SEND HEX>             time and mark of the lines that follow
+    12 | 14:22:01.100 | TX | 4 | FA 01 32 2D         number of the line, time, mark, count, bytes
     0.012345 0xFA, 0x01, 0xF6  # run                 seconds, bytes, comment
 
 Rules: what stands before the bytes is peeled off item by item, by one table; what is left must be bytes in one of the ways
@@ -25,7 +26,7 @@ from typing import NamedTuple
 from analyzer.catalogue import Role
 from analyzer.sources import written
 from analyzer.sources.marks import ACTIONS, LETTERS, SIGNS, SPEAKERS, WORDS, role_of
-from analyzer.sources.stamps import ANY, STAMPS, Stamp
+from analyzer.sources.stamps import ANY, DAYS, STAMPS, Stamp
 from analyzer.sources.written import Radix, Written
 
 
@@ -43,8 +44,8 @@ class HexLine(NamedTuple):
     """A line taken apart.
 
     `stamp`: its time as printed. `role`: who sent, by words and signs. `sign`: the sign before the bytes, or the brackets
-    around each of them. `worded`: a word says who sent. `name`: of the bus line. `number`: it stands before the bytes and a
-    colon.
+    around each of them. `worded`: a word says who sent. `name`: of the bus line. `number`: it stands before the bytes.
+    `led`: no colon parts it from them.
     `note`: a comment behind the bytes. `text`: what could not be understood, if anything. `radix`: how sure the bytes are.
     """
 
@@ -59,6 +60,7 @@ class HexLine(NamedTuple):
     worded: bool = False
     ascii: bool = False
     number: int | None = None
+    led: bool = False
     radix: Radix = Radix.HEX
 
     @property
@@ -118,7 +120,7 @@ _ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
         # `echo -ne '\\xFA' > /dev/ttyUSB0`.
         (When.UNMARKED, "", r"(?:\$\s+)?(?P<shell>echo|printf)\s+(?:-\w+\s+)*(?=['\"])"),
         (When.UNMARKED, "", rf"\s*(?P<letter>out|in)\s+{_BYTES}"),
-        (When.UNMARKED, "", rf"\s*\[?(?P<letter>{_letters})\]?\s*[:>|]+\s*"),
+        (When.UNMARKED, "", rf"\s*\[?(?P<letter>{_letters})\]?(?:\s*[:>|]+|\t)\s*"),
         (When.UNMARKED, "", rf"\s*+(?::\s*+)?(?P<sign>{_signs})(?![<>=-])[\s:]*"),
         (
             When.ANY,
@@ -128,6 +130,7 @@ _ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
         ),
         # A counter before a mark.
         (When.UNMARKED, "", rf"\s*#?\d{{1,9}}\s*[-.):]\s*(?=[<>\[(]*(?:{_words}){_END})"),
+        (When.UNMARKED, "|", rf"\s*\d{{1,9}}\s*\|\s*(?=\d{{1,4}}[-:/.]\d|[|\s]*(?:{_words}){_END})"),
         # A declaration: `uint8_t run[] = {`.
         (
             When.UNMARKED,
@@ -144,6 +147,12 @@ _DISTANT = re.compile(
 )
 _PHRASE = re.compile(rf"(?<![\w.])(?P<word>{_words}){_END}[^:]{{1,60}}:\s+{_BYTES}", re.IGNORECASE)
 _DISTANT_LIMIT = 80
+#: A time among the words of a logger.
+_DISTANT_TIME = re.compile(rf"(?<![\w.:]){DAYS}(?![\w.:])")
+#: A digit before bytes that all have two digits is no byte, where some byte keeps its zero or has a letter.
+_LEAD = re.compile(r"(\d)(?:\s*[|;,]\s*|\s+)(?=.*(?:[A-Fa-f]|\b0\d))(?=[0-9A-Fa-f]{2}(?:[\s:-]?[0-9A-Fa-f]{2}){2,}\s*$)")
+#: Such a number in a text whose lines all have one.
+_LEADS = re.compile(r"(\d{1,6})(?:\s*[|;,]\s*|\s+)(?=[0-9A-Fa-f]{2}(?:[\s:-]?[0-9A-Fa-f]{2}){2,}\s*$)")
 #: The shapes that most lines have, in one step: a time, a mark, plain hex bytes.
 _USUAL = re.compile(
     rf"(?:[\[(]?(?:({STAMPS['date']})|({STAMPS['clock']})|(\d{{1,19}}\.\d{{1,12}}))[\])]?[\s,;|]+)?"
@@ -155,7 +164,9 @@ _COMMENT_SIGNS = ("#", "//", ";", "%", "*", "--", "/*", "'", "```")
 _ARROW = re.compile(r"-+>")
 _TRAILING = re.compile(r"(?:#|//|;|\(|\||!|--(?=\s)|[-=]+>|→).*", re.DOTALL)
 #: Words behind bytes: `old_data:`, `, 4) = 4`, `OK`.
-_WORDY = re.compile(r"(?<=[\s\"'\])},])(?:[A-Za-z_]{2}\w*+\s*[:=]|,\s*\d+\s*\)|[G-Zg-z_][A-Za-z_]{2,}+(?:\s|$)).*", re.DOTALL)
+_WORDY = re.compile(
+    r"(?<=[\s\"'\])},])(?:[A-Za-z_]{2}\w*+(?: data)?\s*[:=]|,\s*\d+\s*\)|[G-Zg-z_][A-Za-z_]{2,}+(?:\s|$)).*", re.DOTALL
+)
 _STRING = re.compile(r"b?('(?:[^'\\]|\\.)*'|\"(?:[^\"\\]|\\.)*\")")
 _EACH = re.compile(r"([\[<])\s*(?:0x)?[0-9A-Fa-f]{1,2}\s*[\]>]\s*[\[<]")
 _SPLIT = re.compile(r"[\s,;:|]+")
@@ -169,6 +180,7 @@ _TWO_WORDS = re.compile(r"[^\W\d_]+ [^\W\d_]+ $")
 #: Words of a sentence, and how many of them are one.
 _PLAIN_WORD = re.compile(r"[^\W\d_]{3,}[.!?]?")
 _SENTENCE_WORDS = 3
+_BRACKETS = {"[": "]", "{": "}", "(": ")"}
 _CLOSERS = " ]})>\"'□`"
 _ITEM_LIMIT = 10
 
@@ -179,14 +191,16 @@ def bytes_of(text: str) -> bytes | None:
     return None if found is None else found.data
 
 
-def take_apart(line: str, decimal: bool = False) -> HexLine:
-    """Take a line apart. `decimal`: numbers without a letter among them are decimal ones."""
+def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
+    """Take a line apart. `decimal`: numbers without a letter among them are decimal ones. `led`: a number leads the bytes."""
     text = line.strip()
     if not text:
         return HexLine(Shape.BLANK)
     if decimal:
         data = written.decimal(text)
         return HexLine(Shape.TRAFFIC, data, radix=Radix.DECIMAL) if data else _Peeler(text, decimal).line()
+    if led:
+        return _Peeler(text, led=True).line()
     # Plain bytes need no pattern.
     plain = written.read(text) if text[2:3] == " " or text.isalnum() else None
     if plain is not None and plain.data:
@@ -200,7 +214,7 @@ def take_apart(line: str, decimal: bool = False) -> HexLine:
         return HexLine(
             Shape.TRAFFIC, bytes.fromhex(digits), stamp, _role(mark or ""), sign="" if worded else mark or "", worded=worded
         )
-    plain = written.read(text)
+    plain = written.read(text) if _LEAD.match(text) is None else None
     if plain is not None and plain.data:
         each = _EACH.match(text)
         return HexLine(Shape.TRAFFIC, plain.data, sign=f"each{each[1]}" if each is not None else "", radix=plain.radix)
@@ -216,8 +230,10 @@ def _role(mark: str) -> Role:
 class _Peeler:
     """Peels one line."""
 
-    def __init__(self, text: str, decimal: bool = False) -> None:
+    def __init__(self, text: str, decimal: bool = False, led: bool = False) -> None:
         self.text = text
+        self.lead = _LEADS if led else _LEAD
+        self.led = False
         self.decimal = decimal
         self.at = 0
         self.stamp = Stamp()
@@ -255,7 +271,15 @@ class _Peeler:
         commented = text.startswith(_COMMENT_SIGNS) and not (self.words and not rest) and not _ARROW.match(text)
         taken = {"stamp": self.stamp, "role": role, "name": self.name, "sign": self.sign, "worded": bool(self.words)}
         if found is not None and found.data and not commented:
-            return HexLine(Shape.TRAFFIC, found.data, note=note, number=self.number, radix=found.radix, **taken)  # type: ignore[arg-type]
+            return HexLine(
+                Shape.TRAFFIC,
+                found.data,
+                note=note,
+                number=self.number,
+                led=self.led,
+                radix=found.radix,
+                **taken,  # type: ignore[arg-type]
+            )
         if not rest and (self.stamp.kind or self.marked) and not self.spoken:
             return HexLine(Shape.HEADER, text=text, ascii=self.ascii, **taken)  # type: ignore[arg-type]
         broken = not commented and _is_broken(rest, self.marked)
@@ -265,6 +289,9 @@ class _Peeler:
     def _bytes(self, text: str) -> Written | None:
         if self.decimal and (data := written.decimal(text)) is not None:
             return Written(data, Radix.DECIMAL)
+        if not self.decimal and self.number is None and (lead := self.lead.match(text)) is not None:
+            self.number, self.led = int(lead[1]), True
+            text = text[lead.end() :]
         return written.read(text)
 
     def _item(self) -> bool:
@@ -283,14 +310,21 @@ class _Peeler:
         distant = _DISTANT.search(text, at, at + _DISTANT_LIMIT)
         if distant is not None and distant.start() > at:
             self.spoken = _TWO_WORDS.search(text[at : distant.start()]) is not None
+            self._pass(distant.start())
             self.at = distant.start()
             return True
         phrase = _PHRASE.search(text, at, at + 2 * _DISTANT_LIMIT)
         if phrase is None or self._with_note(text[phrase.end() :])[0] is None:
             return False
         self.words.append(phrase["word"].lower())
+        self._pass(phrase.start())
         self.at = phrase.end()
         return True
+
+    def _pass(self, end: int) -> None:
+        """Keep the time among the words that stand before a distant mark."""
+        if not self.stamp.kind and (time := _DISTANT_TIME.search(self.text, self.at, end)) is not None:
+            self._take(time)
 
     def _take(self, found: re.Match[str]) -> bool:
         """Keep what an item says; say whether it can stand here."""
@@ -326,7 +360,10 @@ class _Peeler:
 
     def _with_note(self, rest: str) -> tuple[Written | None, str]:
         """Return the bytes at the beginning of a text and what stands behind them as a comment."""
-        for end in ("; )", _CLOSERS):
+        # A list that goes on in the next line.
+        if _BRACKETS.get(rest[:1], rest) not in rest:
+            rest = rest[1:].strip()
+        for end in ("; )", _CLOSERS, f"{_CLOSERS};"):
             if (found := self._bytes(rest.rstrip(end))) is not None:
                 return found, ""
         for pattern in (_TRAILING, _WORDY):

@@ -124,6 +124,8 @@ class _Manner(NamedTuple):
     brackets: bool = False
     #: Every line is marked as received.
     deaf: bool = False
+    #: A number stands before the bytes of each line.
+    led: bool = False
     #: There is no line of a log: sentences are read.
     prose: bool = False
 
@@ -142,13 +144,14 @@ class _Manner(NamedTuple):
             decimal=any(p.radix is Radix.DECIMAL for p in traffic),
             arrow=bool(stamped) and all(p.stamp.kind == "clock" and p.sign == _ARROW for p in stamped),
             brackets={"each[", "each<"} <= {p.sign for p in traffic},
+            led=len(traffic) > 1 and all(p.led for p in traffic[:2]),
             deaf=roles.count(Role.REPLY) >= _LISTENER_LINES and Role.REQUEST not in roles,
             prose=not any(p.stamp.kind or p.marked for p in traffic),
         )
 
     def take(self, text: str) -> HexLine:
         """Take a line apart as this text is written."""
-        line = take_apart(_QUOTED.sub("", text, 1) if self.quoted else text, self.decimal)
+        line = take_apart(_QUOTED.sub("", text, 1) if self.quoted else text, self.decimal, self.led)
         role = line.role
         if self.deaf or (self.arrow and not line.worded):
             role = Role.UNKNOWN
@@ -286,8 +289,9 @@ class _Reader:
         self._running = None if line.number is None else line.number + 1
         # An index that begins at 0 or goes on needs no word.
         if line.number is not None and line.number not in (len(line.data), 0, running):
+            shown = f"{line.number}" if line.led else f"{line.number}:"
             self._source.note(
-                f"line {self._lines.number}: the '{line.number}:' before {counted(len(line.data), 'byte')} is read as the "
+                f"line {self._lines.number}: the '{shown}' before {counted(len(line.data), 'byte')} is read as the "
                 "number of the line or an expected length, never as a byte"
             )
 

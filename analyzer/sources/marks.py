@@ -17,12 +17,14 @@ _SENT, _RECEIVED = 1, -1
 ACTIONS: dict[str, int] = {
     **dict.fromkeys(
         ("tx", "txd", "send", "sends", "sending", "sended", "sent", "transmit", "transmitted", "transmitting", "write",
-         "writing", "wrote", "written", "发送", "发"),
+         "writing", "wrote", "written", "发送", "发", "irp_mj_write", "送信", "gesendet", "sende", "senden", "envoyé", "envoi",
+         "enviado", "inviato", "отправлено"),
         _SENT,
     ),
     **dict.fromkeys(
         ("rx", "rxd", "recv", "rcvd", "receive", "receives", "received", "receiving", "recieve", "recieved",
-         "recieving", "read", "got", "接收", "收"),
+         "recieving", "read", "got", "接收", "收", "irp_mj_read", "受信", "empfangen", "empfang", "reçu", "recibido",
+         "ricevuto", "получено", "принято"),
         _RECEIVED,
     ),
 }  # fmt: skip
@@ -33,10 +35,10 @@ SPEAKERS: dict[str, int] = {
 }
 #: Marks of traffic that was sent.
 MATTERS: dict[str, int] = {
-    **dict.fromkeys(("request", "req", "query", "command", "cmd"), 1),
+    **dict.fromkeys(("request", "req", "query", "command", "cmd", "anfrage", "befehl"), 1),
     **dict.fromkeys(
         ("response", "resp", "reply", "answer", "ack", "replies", "replied", "responds", "responded", "answers", "answered",
-         "returns", "returned", "回复", "应答"),
+         "returns", "returned", "antwort", "回复", "应答"),
         -1,
     ),
 }  # fmt: skip

@@ -33,6 +33,8 @@ STAMPS: dict[str, str] = {
     "epoch_ms": r"\d{13}",
 }
 ANY = "|".join(f"(?P<{kind}>{pattern})" for kind, pattern in STAMPS.items())
+#: Those that nothing else looks like, wherever they stand.
+DAYS = "(?:" + "|".join(f"(?P<{kind}>{STAMPS[kind]})" for kind in ("date", "dmy", "slashed", "clock")) + ")"
 _ANY = re.compile(ANY)
 
 _CLOCK = re.compile(r"(\d{1,2}):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?(?:\s?([AaPp])[Mm])?$")

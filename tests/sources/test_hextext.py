@@ -308,3 +308,64 @@ def test_invalid_utf8(tmp_path: Path) -> None:
 def test_line_ends(tmp_path: Path) -> None:
     for end in ("\n", "\r\n", "\r"):
         assert len(read(tmp_path, end.join(["FA 01 F6"] * 5) + end)[1]) == 5
+
+
+AS_TYPED = [
+    # A number of the line or a length before the bytes is never a byte.
+    ("1 FA 01 32 2D\n2 FB 01 32 01 40 6F\n10 FA 01 32 2D\n", [None, None, None], (U, U, U)),
+    ("4\tFA 01 32 2D\n6\tFB 01 32 01 40 6F\n", [None, None], (U, U)),
+    ("1 01 04 00 32 00 01 90 05\n2 01 04 02 01 40 B9 50\n10 01 04 02 01 40 B9 50\n", [None] * 3, (U, U, U)),
+    ("07 04 00 32 00 01 90 05\n07 04 02 01 40 B9 50 00\n", [None, None], (U, U)),
+    ("TX 4 FA 01 32 2D\nRX 6 FB 01 32 01 40 6F\n", [None, None], (REQUEST, REPLY)),
+    (
+        "001 | 0:00:01.100 | TX | 4 | FA 01 32 2D\n002 | 0:00:01.105 | RX | 6 | FB 01 32 01 40 6F\n",
+        [1.1, 1.105],
+        (REQUEST, REPLY),
+    ),
+    # A time behind a logger's words.
+    ("INFO 0:00:01.100 TX: FA 01 32 2D\nINFO 0:00:01.105 RX: FB 01 32 01 40 6F\n", [1.1, 1.105], (REQUEST, REPLY)),
+    (
+        "0\t0:00:01\ta.exe\tIRP_MJ_WRITE\tSerial0\tSUCCESS\tLength 4: FA 01 32 2D\n"
+        "1\t0:00:02\ta.exe\tIRP_MJ_READ\tSerial0\tSUCCESS\tLength 6: FB 01 32 01 40 6F\n",
+        [1, 2],
+        (REQUEST, REPLY),
+    ),
+    # Words of other languages, letters in a column.
+    ("0:00:01,100 Gesendet: fa 01 32 2d\n0:00:01,105 Empfangen: fb 01 32 01 40 6f\n", [1.1, 1.105], (REQUEST, REPLY)),
+    ("0:00:01.1 送信 FA 01 32 2D\n0:00:02 受信 FB 01 32 01 40 6F\n", [1.1, 2], (REQUEST, REPLY)),
+    ("Отправлено: FA 01 32 2D\nПолучено: FB 01 32 01 40 6F\n", [None, None], (REQUEST, REPLY)),
+    ("0:00:01\tW\tFA 01 32 2D\n0:00:02\tR\tFB 01 32 01 40 6F\n", [1, 2], (REQUEST, REPLY)),
+    # Words behind the bytes; a list over several lines.
+    ("send: 0xfa 0x1 0x32 0x2d\nrecv: 0xfb 0x1 0x32 0x1 0x40 0x6f extra data: \n", [None, None], (REQUEST, REPLY)),
+    ("uint8_t run[] = { 0xFA, 0x01,\n   0x32, 0x2D };\n", [None, None], (U, U)),
+]
+
+
+@pytest.mark.parametrize(("text", "seconds", "roles"), AS_TYPED)
+def test_logs_as_programs_and_people_type_them(
+    tmp_path: Path, text: str, seconds: list[float | None], roles: tuple[Role, ...]
+) -> None:
+    source, records = read(tmp_path, text)
+    chunks = [record for record in records if isinstance(record, Chunk)]
+    assert source.problems == []
+    assert [chunk.direction for chunk in chunks] == list(roles)
+    assert [None if chunk.t_ns is None else chunk.t_ns / S for chunk in chunks] == seconds
+    assert {chunk.data[0] for chunk in chunks} <= {0xFA, 0xFB, 0x01, 0x07, 0x32}
+    assert all(len(chunk.data) in (2, 4, 6, 7, 8) for chunk in chunks)
+
+
+def test_a_number_before_the_bytes_is_told(tmp_path: Path) -> None:
+    source, _ = read(tmp_path, "7 FA 01 32 2D\n3 FB 01 32 01 40 6F\n")
+    assert "line 1: the '7' before 4 bytes is read as the number of the line" in " ".join(source.notes)
+
+
+@pytest.mark.parametrize(
+    ("heading", "first", "second"),
+    [("n;ms;dir;data", "1;5", "2;1006"), ("time;dir;data", "0,005", "1,006"), ("us;dir;data", "5000", "1006000")],
+)
+def test_times_of_a_table_without_a_word_for_time_or_with_a_comma(
+    tmp_path: Path, heading: str, first: str, second: str
+) -> None:
+    source, records = read(tmp_path, f"{heading}\n{first};tx;FA 01 32 2D\n{second};rx;FB 01 32 01 40 6F\n")
+    assert source.problems == []
+    assert [chunk.t_ns for chunk in records if isinstance(chunk, Chunk)] == [5_000_000, 1_006_000_000]
