@@ -109,7 +109,7 @@ class Drive:
         if target.named is not None:
             said = target.named.entry
             bounds = {name: getattr(said, f"max_{name}") if value is None else value for name, value in bounds.items()}
-            subdivision = subdivision or said.subdivision
+            subdivision = said.subdivision if subdivision is None else subdivision
         self.dialect = target.dialect.for_model(target.model) if target.model else target.dialect
         self.address = target.address
         self.name = f"{self.dialect.name}@{self.address}"

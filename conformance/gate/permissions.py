@@ -41,6 +41,11 @@ class Objection:
         return f"{self.interpretation}: {'; '.join(self.reasons)}" + (f" ({self.hint})" if self.hint else "")
 
 
+#: Bounds are below this.
+_LARGEST = 1e12
+_SUBDIVISIONS = range(1, 257)
+
+
 @dataclass(frozen=True)
 class Allowance:
     """What may be sent.
@@ -48,7 +53,7 @@ class Allowance:
     `risks`: reads are always among them. `addresses`: the drives that are meant, None: whichever. `alone`: no other drive is
     on the bus; `spoken`: the dialects in which one is looked for, None: all of the bus. `subdivision`: what the drives
     are set to, where the user says so. `budget` None: no limits but the default
-    wear.
+    wear. A bound that is no number above 0, and a subdivision that cannot be, raise UsageError: they would bound nothing.
     """
 
     risks: frozenset[Risk] = READS
@@ -64,6 +69,12 @@ class Allowance:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "risks", frozenset(self.risks) | READS)
+        for name in BOUNDS:
+            value = getattr(self, name.removeprefix("max_"))
+            if value is not None and not (isinstance(value, (int, float)) and 0 < value < _LARGEST):
+                raise UsageError(f"{name}: expected a number above 0, got {value!r}")
+        if self.subdivision is not None and self.subdivision not in _SUBDIVISIONS:
+            raise UsageError(f"subdivision: expected 1..256, got {self.subdivision!r}")
 
     @property
     def bounds(self) -> Bounds:
@@ -182,13 +193,13 @@ def narrow(arguments: argparse.Namespace, drives: Iterable[NamedDrive]) -> None:
 
 def _above_zero(text: str) -> float:
     value = float(text)
-    if not 0 < value < 1e12:
+    if not 0 < value < _LARGEST:
         raise argparse.ArgumentTypeError(f"expected a number above 0, got {text}")
     return value
 
 
 def _subdivision(text: str) -> int:
     value = int(text)
-    if not 1 <= value <= 256:
+    if value not in _SUBDIVISIONS:
         raise argparse.ArgumentTypeError(f"expected a subdivision 1..256, got {text}")
     return value

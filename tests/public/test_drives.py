@@ -74,6 +74,16 @@ def test_bounds_hold():
         assert abs(drive.speed()) == pytest.approx(40, abs=1)
 
 
+@pytest.mark.parametrize(
+    "bound",
+    [{"subdivision": 0}, {"subdivision": -16}, {"subdivision": 100_000}, {"subdivision": "16"}, {"max_speed": 0},
+     {"max_turns": "2"}, {"max_acceleration": -1}, {"max_current": float("nan")}],
+)  # fmt: skip
+def test_a_bound_that_bounds_nothing_is_refused(bound):
+    with pytest.raises(servotap.UsageError, match=f"{next(iter(bound))}: expected"):
+        servotap.drive(READY, **bound)
+
+
 def test_a_stop_needs_no_permission_and_the_end_stops():
     with servotap.drive(READY) as drive:
         running(drive)
