@@ -16,6 +16,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -245,17 +246,21 @@ def _check_target(log: Path, force: bool, *, parts: bool = False) -> None:
 
 
 def _at_its_speed(endpoint: Endpoint, dialects: Sequence[Dialect], notes: list[str], *, quiet: bool) -> Endpoint:
-    """Return an endpoint with its rate found out, where it says `auto`."""
-    if not endpoint.auto:
-        if endpoint.kind == "serial" and endpoint.speed is None:
-            notes.append(f"{endpoint.name}: no baud given: {endpoint.bits_per_second}")
-        return endpoint
-    from analyzer.live.autobaud_ports import find
+    """Return an endpoint with its rate: found out where it says `auto`, where it says none the default, and that is told."""
 
     def say(text: str) -> None:
         notes.append(f"{endpoint.name}: {text}")
         if not quiet:
             print(f"{endpoint.name}: {text}", file=sys.stderr, flush=True)
+
+    if not endpoint.auto:
+        if endpoint.kind != "serial" or endpoint.speed is not None:
+            return endpoint
+        defaults = {dialect.baud_rates[0] for dialect in dialects}
+        baud = defaults.pop() if len(defaults) == 1 else endpoint.bits_per_second
+        say(f"no baud given: {baud} is taken (baud=auto listens at each rate)")
+        return replace(endpoint, speed=baud, text=f"{endpoint.text},baud={baud}")
+    from analyzer.live.autobaud_ports import find
 
     return find(endpoint, say=say, candidates=list(dialects) or None)
 

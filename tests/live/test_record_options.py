@@ -84,6 +84,18 @@ def test_without_a_dialect_it_is_to_be_found_out(tmp_path):
     assert configured(tmp_path, "serial:/dev/ttyS0").ports[0].dialects == ()
 
 
+@pytest.mark.parametrize(("dialect", "baud"), [("lk-rs485", 115200), ("mks-rs485", 38400), ("auto", 38400)])
+def test_a_port_without_a_rate_has_that_of_its_dialect_and_it_is_said(capsys, dialect, baud):
+    arguments = parsed("arm=serial:/dev/ttyUSB0", "--dialect", dialect)
+    (endpoint,), _ = record._endpoints(arguments)
+    notes = []
+    at = record._at_its_speed(endpoint, record.dialects_of(arguments, [endpoint])["arm"], notes, quiet=False)
+    assert at.speed == baud
+    assert at.text.endswith(f"serial:/dev/ttyUSB0,baud={baud}")
+    assert notes == [f"arm: no baud given: {baud} is taken (baud=auto listens at each rate)"]
+    assert notes[0] in capsys.readouterr().err
+
+
 def test_a_log_in_a_folder_and_without_a_name_is_called_after_the_time(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for words in (["-o", "."], ["-o", str(tmp_path)], []):
