@@ -31,6 +31,7 @@ from conformance.claims.motion_claim import (
     of_motion,
     that_tell_their_end,
 )
+from conformance.model import lk_parameters
 from conformance.motion import motion
 from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS, Move, takes_pulses
 from conformance.talk.exchange import Exchange
@@ -289,6 +290,7 @@ _LENGTHS = ((0.0, CALM), (0.5, 10), (-360.0, 120), (1440.0, 110), (-1080.0, 150)
 )
 def _lengths(probe: Probe, command: Command) -> None:
     """{command} goes as far as it was asked: nothing, half a degree, whole turns, slowly and fast."""
+    lk_parameters.need_room(probe)
     motion.prepare(probe, command)
     for degrees, rpm in _LENGTHS:
         move = motion.follow(probe, command, degrees, rpm=rpm)

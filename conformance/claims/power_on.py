@@ -22,6 +22,7 @@ from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.probe import Probe
+from conformance.talk.restarts import need_axis_lock
 
 _START_NS = 3 * SECOND_NS
 #: How long the way back takes at the slowest: less than a turn.
@@ -189,6 +190,7 @@ def _directions(dialect: Dialect) -> Iterator[Case]:
 @_of_kept_run("no run, another speed, or the other way", each=_directions, name="{command}/runs-direction-{direction}")
 def _goes_on(probe: Probe, direction: int) -> None:
     """A run of direction {direction} that was saved goes on at its speed and that way when power comes on."""
+    need_axis_lock(probe)
     before = _run_and_save(probe, direction)
     motion.stand_still(probe)
     after = _speed_after_power(probe)

@@ -46,7 +46,7 @@ from conformance.talk import settings
 from conformance.talk.acceptance import answers, need_reliable_replies
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
-from conformance.talk.restarts import DEAF_NS, power_cycle, restart, wait_for_answer
+from conformance.talk.restarts import DEAF_NS, need_axis_lock, power_cycle, restart, wait_for_answer
 
 #: How long a drive that cannot be asked meanwhile may take to come back.
 RESTORED_NS = 4_000 * MS
@@ -361,6 +361,7 @@ def _forget(probe: Probe, command: Command) -> None:
 @of_read_back(each=_saved_runs, name="{command}/restart", refuted_by="another speed, or none", rests_on=(Doubt.VALUES,))
 def _saved(probe: Probe, command: Command) -> None:
     """A run that is kept goes on, and begins again after a restart, the same way."""
+    need_axis_lock(probe)
     before = _turning(probe, -_RPM)
     exchange = probe.do(command, _KEEP)
     text = "a run does not go on when it is kept"
@@ -382,6 +383,7 @@ def _saved(probe: Probe, command: Command) -> None:
 @of_read_back(each=_saved_runs, name="{command}/as-it-was", refuted_by="another speed, or none", rests_on=(Doubt.VALUES,))
 def _saved_as_it_was(probe: Probe, command: Command) -> None:
     """In an open mode and at 8 subdivisions, a kept run has its speed and its ramp after each of two restarts."""
+    need_axis_lock(probe)
     motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[0], subdivision=8)
     run = probe.command(Verb.RUN_SPEED)
     # A ramp that is still under way when the speed is first looked at, and a speed of two bytes.

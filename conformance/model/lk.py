@@ -123,6 +123,7 @@ class LkSession(Session):
         """Turn on, stop, and call this place zero; read the parameters."""
         probe = self.probe
         self.forms = lk_parameters.listed_in(self.dialect)
+        lk_parameters.need_room(probe)
         motion.ready_to_move(probe)
         motion.stand_still(probe)
         probe.do("set_position", {"position": 0})

@@ -24,6 +24,8 @@ _MODERATE = {
     "current_ramp": (0x01_2345, 0x02_1436),
     "speed_ramp": (0x06_1234, 0x05_2143),
 }
+#: The limit of the angle, and what it must leave to the suite: five turns, in hundredths of a degree.
+_ANGLE, _ROOM = "angle_limit", 180_000
 _GAINS = {"kp": (0x0164, 0x0232), "ki": (0x0119, 0x0226), "kd": (0x0102, 0x0203)}
 
 
@@ -66,3 +68,14 @@ def read_parameter(probe: Probe, number: int) -> dict[str, int]:
     if values.get("parameter") != number:
         raise Inconclusive(f"a read of parameter {number} is answered for {values.get('parameter')}")
     return values
+
+
+def need_room(probe: Probe) -> None:
+    """Raise Inconclusive where a drive's own limit of the angle lies within the moves of the suite."""
+    command = probe.dialect.by_verb.get(Verb.WRITE_PARAMETER)
+    for form in listed(command) if command is not None else ():
+        if _ANGLE in form.layout.named:
+            answer = probe.ask(Verb.READ_PARAMETER, {"parameter": number_of(form)}).reply
+            held = int(answer.values.get(_ANGLE, 0)) if answer is not None else 0
+            if 0 < abs(held) < _ROOM:
+                raise Inconclusive(f"the drive's own {_ANGLE} is {held}: set it to {_ROOM} or more")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Verb
 from conformance.claim import Inconclusive
+from conformance.talk import settings
 from conformance.talk.acceptance import plain_read
 from conformance.talk.exchange import Exchange
 
@@ -49,3 +50,10 @@ def wait_for_answer(probe: Probe, *addresses: int, deaf_ns: int = DEAF_NS, limit
             if any(a.message.frame.checksum_ok and a.command is not None for a in exchange.answers):
                 return
     raise Inconclusive(f"the drive does not answer within {limit_ns // _SECOND_NS} s of a restart")
+
+
+def need_axis_lock(probe: Probe) -> None:
+    """Raise Inconclusive where a drive is set to let its shaft go at power-on: a kept run turns nothing then."""
+    command = probe.dialect.by_verb.get(Verb.SET_AXIS_LOCK)
+    if command is not None and (settings.stored(probe, command)[0] or {}).get("axis_lock") == 0:
+        raise Inconclusive("the drive lets its shaft go at power-on: set axis_lock to 1")

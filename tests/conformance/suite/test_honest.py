@@ -121,3 +121,19 @@ def test_the_group_of_a_drive_is_no_foreign_address(drive):
     rig = open_rig(Plan((target,)), target)
     wanted = [c for c in every_claim(target) if c.id.endswith(("run_speed/other_address", "addressing/other/one_bit"))]
     assert {engine.run_claim(c, rig).outcome for c in wanted} == {Outcome.CONFIRMED}
+
+
+LIMITED = [
+    ("mks-can@1,axis_lock=0", ("save_speed/restart", "save_speed/as-it-was", "runs-direction-0"), "set axis_lock to 1"),
+    ("lk-rs485@1,angle_limit=36000", ("move_multi_turn/lengths", "state/motion"), "angle_limit is 36000: set it to"),
+]
+
+
+@pytest.mark.parametrize(("drive", "claims", "reason"), LIMITED)
+def test_what_a_setting_of_the_user_forbids_is_not_judged_and_says_what_to_set(drive, claims, reason):
+    target = parse(drive)
+    rig = open_rig(Plan((target,)), target)
+    found = [engine.run_claim(c, rig) for c in every_claim(target) if c.id.endswith(claims)]
+    assert len(found) == len(claims)
+    assert {v.outcome for v in found} == {Outcome.INCONCLUSIVE}, [(v.claim.id, v.outcome, v.reason) for v in found]
+    assert all(reason in v.reason for v in found)
