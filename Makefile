@@ -20,9 +20,7 @@ demo: $(VENV)/.installed
 	@echo '  $(BIN)/servotap catalogue --dialect mks-can run_speed'
 
 test: $(VENV)/.test
-	$(BIN)/python -m pytest -n 2 || \
-	  { echo 'once more what failed, by itself: tests with real processes and ports can miss a deadline on a busy machine'; \
-	    $(BIN)/python -m pytest --last-failed --last-failed-no-failures none; }
+	$(BIN)/python -m pytest -n 2
 
 # The terminal view as the oldest Textual that pyproject.toml allows draws it; `test` takes the newest.
 oldest: $(VENV)/.oldest

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from itertools import cycle
 from typing import Any, NamedTuple
 
@@ -100,11 +101,15 @@ def reads_of(dialect: Dialect) -> list[Command]:
 
 def table(dialect: Dialect) -> tuple[Row, ...]:
     """Return the rows of all motions that are crossed."""
-    limits = {m: dialect.mode_speeds.get(m, _HIGHEST) for m in motion.bus_modes(dialect) if "no_encoder" not in m}
-    known = {command.name: command for command in motions_of(dialect)}
+    modes = tuple((m, dialect.mode_speeds.get(m, _HIGHEST)) for m in motion.bus_modes(dialect) if "no_encoder" not in m)
+    return _table(modes, tuple((c.name, motion.of(c).kind is MotionKind.RUN) for c in motions_of(dialect)))
 
-    def runs(command: str) -> bool:
-        return motion.of(known[command]).kind is MotionKind.RUN
+
+@cache
+def _table(modes: tuple[tuple[str, int], ...], commands: tuple[tuple[str, bool], ...]) -> tuple[Row, ...]:
+    """`modes`: each with its highest speed; `commands`: each with whether it is a run."""
+    limits, is_run = dict(modes), dict(commands)
+    runs = is_run.__getitem__
 
     def fits(mode: str, subdivision: int, rpm: int) -> bool:
         # Whether a limit is one of the speed that is sent or of that of the shaft no manual says.
@@ -122,7 +127,7 @@ def table(dialect: Dialect) -> tuple[Row, ...]:
         return reaches and ramp.move_ns(turns, rpm, acceleration) <= _MOVE_NS
 
     factors = {
-        "command": tuple(known),
+        "command": tuple(is_run),
         "way": (1, -1),
         "rpm": _SPEEDS,
         "acceleration": _ACCELERATIONS,

@@ -94,7 +94,8 @@ class Allowance:
         """Return why an interpretation may not leave, None where it may; the budget aside."""
         if asked.reads_only and (self.addresses is None or self.alone) and not asked.to_many:
             return None
-        missing = [risk.value for risk in Risk if risk in asked.risks - self.risks]
+        lacking = asked.risks - self.risks
+        missing = [risk.value for risk in Risk if risk in lacking] if lacking else []
         reasons = [f"needs {', '.join(missing)}"] * bool(missing)
         hint = [f"--allow {','.join(missing)}"] * bool(missing)
         neighbour = "" if self.alone else self._neighbour(asked)
