@@ -6,11 +6,14 @@ to quirk. Everything at once (two minutes): python -m tests.conformance.quirk_ru
 
 from __future__ import annotations
 
+from functools import cache
+
 import pytest
 
 from conformance import claims as registry
 from conformance.claim import Claim, Outcome
 from conformance.drives import make
+from conformance.suite import engine
 from conformance.suite.engine import Verdict
 from conformance.suite.rig_emulated import EmulatedRig
 from tests.conformance.quirk_runs import UNSEEN, changes, pairs, run
@@ -20,14 +23,20 @@ _SAMPLE = 40
 _before: dict[str, dict[str, Verdict]] = {}
 
 
+@cache
+def plain(dialect: str) -> EmulatedRig:
+    """Return the rig without a quirk; one for all, so that each motion is recorded once."""
+    return EmulatedRig(make.parse(f"{dialect}@1"))
+
+
 def chosen(dialect: str, quirk: str) -> tuple[list[Claim], dict[str, Verdict]]:
     """Return the claims to run with a quirk, and their verdicts without one."""
-    every = registry.every(EmulatedRig(make.parse(f"{dialect}@1")).dialect)
+    every = registry.every(plain(dialect).dialect)
     first = [q for _, q in pairs(dialect)].index(quirk)
     others = [c for c in every if quirk not in c.quirks][first::_SAMPLE]
     wanted = [c for c in every if quirk in c.quirks] + others
     known = _before.setdefault(dialect, {})
-    known.update(run(f"{dialect}@1", [c for c in wanted if c.id not in known]))
+    known |= {v.claim.id: v for v in engine.run([c for c in wanted if c.id not in known], plain(dialect))}
     return wanted, known
 
 
