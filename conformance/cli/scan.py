@@ -23,7 +23,7 @@ from analyzer.values import addresses as addresses_of
 from analyzer.values import counted, quote
 from conformance.cli.endpoint import gate_to
 from conformance.gate.permissions import Allowance
-from conformance.talk.scan import PATIENCE_NS, Found, Progress, Report, Stray, scan
+from conformance.talk.scan import BY_CTRL_C, PATIENCE_NS, Found, Progress, Report, Stray, scan
 
 EXAMPLES = """\
 exit status: 0 a drive was found, 1 none was, 2 wrong use.
@@ -85,7 +85,7 @@ def look(endpoint: Endpoint, arguments: argparse.Namespace, *, quiet: bool = Fal
     def tell(found: Found) -> bool:
         """Show a drive as it is found, and go on looking."""
         if not quiet:
-            print(_found_line(found), flush=True)
+            print(_found_line(found, endpoint), flush=True)
         return False
 
     opened = endpoint.at(rates[0]) if endpoint.auto or endpoint.kind == "serial" else endpoint
@@ -96,7 +96,7 @@ def look(endpoint: Endpoint, arguments: argparse.Namespace, *, quiet: bool = Fal
                 busy=arguments.busy, enough=tell, progress=progress, report=report,
             )  # fmt: skip
         except KeyboardInterrupt:
-            report.stopped = "stopped by Ctrl-C"
+            report.stopped = BY_CTRL_C
     return report
 
 
@@ -194,10 +194,12 @@ def without_rate(endpoint: Endpoint) -> str:
     return re.sub(r",(baud|bitrate)=[^,]*", "", named)
 
 
-def _found_line(found: Found) -> str:
+def _found_line(found: Found, endpoint: Endpoint) -> str:
+    # The rate behind a terminal server is its own affair: nobody told it.
+    rate = "its own rate" if endpoint.kind == "tcp" and endpoint.speed is None else f"{found.speed} bit/s"
     details = f"  {found.identity}" if found.identity else ""
     wrong = f"  ({found.wrong})" if found.wrong else ""
-    return f"{found.name:<16} {found.speed:>8} bit/s  {found.latency_ns / 1e6:6.2f} ms{details}{wrong}"
+    return f"{found.name:<16} {rate:>14}  {found.latency_ns / 1e6:6.2f} ms{details}{wrong}"
 
 
 def _stray_line(stray: Stray) -> str:

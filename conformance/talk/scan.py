@@ -50,6 +50,10 @@ class StrayKind(StrEnum):
     REQUEST = "requests of another host"
 
 
+#: Why a search ended before it was through: the user wished so.
+BY_CTRL_C = "stopped by Ctrl-C"
+
+
 @dataclass(frozen=True)
 class Found:
     """A drive that answered. `values`: physical values that it sent; `wrong`: what is wrong with its answer, or nothing."""
@@ -112,6 +116,8 @@ class Report:
     @property
     def hints(self) -> list[str]:
         """What to check, the likeliest first; empty where drives answered and nothing is odd."""
+        if self.stopped == BY_CTRL_C:
+            return []
         if self.stopped:
             return ["end the other host, or read its traffic: servotap record ENDPOINT; --busy asks all the same"]
         result: list[str] = []

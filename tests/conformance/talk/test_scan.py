@@ -14,6 +14,7 @@ from analyzer import dialects
 from analyzer.catalogue import Dialect, Risk, Role, always
 from analyzer.encoder import build
 from analyzer.errors import UsageError
+from analyzer.live.endpoint import parse
 from analyzer.records import CanFrame, Chunk
 from analyzer.values import addresses as addresses_of
 from conformance.bus.emulated import EmulatedLine
@@ -23,7 +24,7 @@ from conformance.drives.serial_bus import SerialBus
 from conformance.gate.gate import Allowance, Gate
 from conformance.serve.pty import PtyPort
 from conformance.suite.preflight import DriveNotFound, Neighbours, Search, check, find_drive, neighbours, other_drives
-from conformance.talk.scan import Report, Stray, StrayKind, scan, search_read, search_reads
+from conformance.talk.scan import Found, Report, Stray, StrayKind, scan, search_read, search_reads
 from tests.conformance.drives.served import drives, on_port, on_pty
 
 SERIAL = [d for d in dialects.every() if d.bus == "serial"]
@@ -275,6 +276,16 @@ def test_ctrl_c_shows_what_was_found(path: str, capsys: pytest.CaptureFixture[st
     out = capsys.readouterr().out
     assert "mks-rs485@1" in out
     assert "stopped by Ctrl-C" in out
+    assert "end the other host" not in out
+
+
+@pytest.mark.parametrize(
+    ("place", "rate"),
+    [("tcp:127.0.0.1:1", "its own rate"), ("tcp:127.0.0.1:1,baud=9600", "9600 bit/s"), ("serial:x", "9600 bit/s")],
+)
+def test_a_rate_behind_a_terminal_server_is_not_made_up(place: str, rate: str):
+    found = Found(LK, 1, 9600, 1_000_000, b"")
+    assert command._found_line(found, parse(place)) == f"lk-rs485@1       {rate:>14}    1.00 ms"
 
 
 @pytest.mark.parametrize(
