@@ -42,7 +42,7 @@ def _limited(section: str, *limits: str, **claims: tuple[str, ...]) -> tuple[S, 
 
 def _tells_state(section: str, command: str) -> S:
     says = "The reply tells what 9C tells: temperature, torque current (MS: power), speed and encoder."
-    return S(f"{section}/tells-state", says, (f"motion/{command}/tells-state",))
+    return S(f"{section}/tells-state", says, (f"motion/{command}/crossed-tells",))
 
 
 STATEMENTS: tuple[S, ...] = (
@@ -200,12 +200,20 @@ STATEMENTS: tuple[S, ...] = (
     # --- 3: state 2 ---
     *_tables("3", "read_state_2", "9Ch", 0, 7),
     S("3/temperature", "Byte 0 is the motor's temperature, signed, in degC.", ("motion/read_state_2/temperature",)),
-    S("3/torque-current", "Bytes 1 and 2 are the torque current of MF and MG, signed.", ("motion/run_torque/is-read",)),
-    S("3/power", "On MS bytes 1 and 2 are the output power, signed.", ("motion/run_open_loop/is-read",)),
+    S(
+        "3/torque-current",
+        "Bytes 1 and 2 are the torque current of MF and MG, signed.",
+        ("motion/read_state_2/crossed", "motion/run_torque/crossed-tells"),
+    ),
+    S(
+        "3/power",
+        "On MS bytes 1 and 2 are the output power, signed.",
+        ("motion/read_state_2/crossed", "motion/run_open_loop/crossed-tells"),
+    ),
     S("3/mg-resolution", "One unit of torque current is 66/4096 A on MG.", unclaimed=_SCALE),
     S("3/mf-resolution", "One unit of torque current is 33/4096 A on MF.", unclaimed=_SCALE),
     S("3/power-range", "Power is read within -1000 and 1000.", ("shape/read_state_2/values", "traffic/reply_ranges")),
-    S("3/speed", "Bytes 3 and 4 are the speed, signed, in deg/s, low byte first.", ("motion/read_state_2/speed-is-change",)),
+    S("3/speed", "Bytes 3 and 4 are the speed, signed, in deg/s, low byte first.", ("motion/read_state_2/crossed",)),
     S("3/encoder", "Bytes 5 and 6 are the encoder, low byte first.", ("motion/read_state_2/encoder",)),
     S(
         "3/encoder-range",
@@ -223,7 +231,7 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "4/phases",
         "Bytes 1 to 6 are the currents of phases A, B and C, signed, low byte first.",
-        ("motion/read_state_3/balance",),
+        ("motion/read_state_3/crossed",),
     ),
     S("4/mg-resolution", "One unit of phase current is 66/4096 A on MG.", unclaimed=_SCALE),
     S("4/mf-resolution", "One unit of phase current is 33/4096 A on MF.", unclaimed=_SCALE),
@@ -233,7 +241,7 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "5/ends-motion",
         "A motor that is switched off performs no action any more.",
-        ("motion/motor_off/ends-*", "motion/motor_off/stops-backwards"),
+        ("motion/motor_off/ends-motion", "motion/*/crossed-stopped"),
     ),
     S("5/on-at-power-up", "A motor is on when power comes.", ("motion/motor_on/at-power-up",)),
     S("5/light", "The light flashes slowly while the motor is off.", unclaimed=_LIGHT),
@@ -246,13 +254,13 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "6/waits",
         "Switching on moves nothing: a command must come first.",
-        ("motion/motor_on/does-not-resume", "motion/*/while-off"),
+        ("motion/motor_on/does-not-resume", "motion/*/crossed-stopped", "motion/*/while-off"),
     ),
     # --- 7: stop ---
     *_tables("7", "stop", "81h", 0, 0),
-    S("7/stops", "It stops the motor.", ("motion/stop/stops", "motion/stop/ends-*", "motion/stop/stops-backwards")),
-    S("7/stays-on", "It leaves the motor on.", ("motion/stop/stays-on",)),
-    S("7/next-command", "The next motion command moves the motor again.", ("motion/stop/stays-on", "motion/stop/then-*")),
+    S("7/stops", "It stops the motor.", ("motion/stop/stops", "motion/stop/ends-a-move", "motion/*/crossed-stopped")),
+    S("7/stays-on", "It leaves the motor on.", ("motion/stop/stays-on", "motion/*/crossed-stopped")),
+    S("7/next-command", "The next motion command moves the motor again.", ("motion/stop/stays-on", "motion/*/crossed-ends")),
     # --- 8: brake ---
     *_tables("8", "brake", "8Ch", 1, 1),
     S("8/power-off", "00h takes the brake's power away, and the brake holds.", ("motion/brake/holds*", "motion/brake/is-read")),
@@ -273,16 +281,24 @@ STATEMENTS: tuple[S, ...] = (
     # --- 9: open loop ---
     *_tables("9", "run_open_loop", "A0h", 2, 7),
     S("9/only-ms", "MS motors alone have it.", ("motion/run_open_loop/other-models", "ranges/models")),
-    S("9/drives", "It drives the motor by a voltage.", ("motion/run_open_loop/two-ways", "motion/run_open_loop/zero")),
-    S("9/type", "Power is signed, low byte first.", ("motion/run_open_loop/sign", "motion/run_open_loop/is-read")),
+    S("9/drives", "It drives the motor by a voltage.", ("motion/run_open_loop/crossed-ends", "motion/run_open_loop/zero")),
+    S("9/type", "Power is signed, low byte first.", ("motion/run_open_loop/crossed-ends", "motion/read_state_2/crossed")),
     S("9/range", "Power is -850 to 850.", ("ranges/run_open_loop/power/*",)),
     S("9/differs", "Its current and torque differ from motor to motor.", unclaimed="nothing is said of how much"),
     _tells_state("9", "run_open_loop"),
     # --- 10: torque ---
     *_tables("10", "run_torque", "A1h", 2, 7),
     S("10/only-others", "MF, MH and MG motors alone have it.", ("motion/run_torque/other-models", "ranges/models")),
-    S("10/drives", "It sets the torque current of the motor.", ("motion/run_torque/is-read", "motion/run_torque/two-ways")),
-    S("10/type", "Torque current is signed, low byte first.", ("motion/run_torque/sign", "motion/run_torque/is-read")),
+    S(
+        "10/drives",
+        "It sets the torque current of the motor.",
+        ("motion/run_torque/crossed-ends", "motion/read_state_2/crossed"),
+    ),
+    S(
+        "10/type",
+        "Torque current is signed, low byte first.",
+        ("motion/run_torque/crossed-ends", "motion/read_state_2/crossed"),
+    ),
     S("10/range", "Torque current is -2048 to 2048.", ("ranges/run_torque/torque_current/*", "motion/run_torque/to-its-end")),
     S("10/mf-amperes", "The range is 16.5 A either way on MF.", unclaimed=_SCALE),
     S("10/mg-amperes", "The range is 33 A either way on MG.", unclaimed=_SCALE),
@@ -354,7 +370,11 @@ STATEMENTS: tuple[S, ...] = (
         "It turns from where it is towards the target.",
         ("motion/move_multi_turn_limited/reaches", "motion/move_multi_turn_limited/wide"),
     ),
-    S("13/max-speed", "It turns no faster than max_speed.", ("motion/move_multi_turn_limited/max-speed",)),
+    S(
+        "13/max-speed",
+        "It turns no faster than max_speed.",
+        ("motion/move_multi_turn_limited/max-speed", "motion/move_multi_turn_limited/crossed-speed"),
+    ),
     S("13/max-speed-type", "max_speed is unsigned, of four bytes.", ("ranges/move_multi_turn_limited/max_speed/*",)),
     S("13/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", ("motion/move_multi_turn_limited/max-speed",)),
     *_limited(
@@ -412,7 +432,11 @@ STATEMENTS: tuple[S, ...] = (
         "The fourth byte is 0.",
         unclaimed="observed by ranges/move_single_turn_limited/reserved: what another value does is not said",
     ),
-    S("15/max-speed", "It turns no faster than max_speed.", ("motion/move_single_turn_limited/max-speed",)),
+    S(
+        "15/max-speed",
+        "It turns no faster than max_speed.",
+        ("motion/move_single_turn_limited/max-speed", "motion/move_single_turn_limited/crossed-speed"),
+    ),
     S("15/max-speed-type", "max_speed is unsigned, of four bytes.", ("ranges/move_single_turn_limited/max_speed/*",)),
     S("15/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", ("motion/move_single_turn_limited/max-speed",)),
     *_limited(
@@ -453,7 +477,11 @@ STATEMENTS: tuple[S, ...] = (
         "The sign of the increment is the direction.",
         ("motion/move_increment_limited/reaches", "ranges/move_increment_limited/position/*"),
     ),
-    S("17/max-speed", "It turns no faster than max_speed.", ("motion/move_increment_limited/max-speed",)),
+    S(
+        "17/max-speed",
+        "It turns no faster than max_speed.",
+        ("motion/move_increment_limited/max-speed", "motion/move_increment_limited/crossed-speed"),
+    ),
     S("17/max-speed-type", "max_speed is unsigned, of four bytes.", ("ranges/move_increment_limited/max_speed/*",)),
     S("17/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", ("motion/move_increment_limited/max-speed",)),
     *_limited(

@@ -359,17 +359,18 @@ def _course(dialect: Dialect, command: Command, row: Row, begun: Exchange) -> tu
 def _on_the_way(probe: Probe, reads: Iterator[Command], until_ns: int) -> Iterator[Look]:
     while probe.gate.now_ns() < until_ns:
         begun_ns = probe.gate.now_ns()
-        yield _look(probe, next(reads))
+        yield look(probe, next(reads))
         probe.wait(min(begun_ns + _LOOK_NS, until_ns) - probe.gate.now_ns())
 
 
 def _rest(probe: Probe) -> tuple[Look, ...]:
     """Look at a shaft that rests, at its position first and last."""
     position = probe.command(Verb.READ_POSITION)
-    return tuple(_look(probe, read) for read in (position, *reads_of(probe.dialect), position))
+    return tuple(look(probe, read) for read in (position, *reads_of(probe.dialect), position))
 
 
-def _look(probe: Probe, read: Command) -> Look:
+def look(probe: Probe, read: Command) -> Look:
+    """Ask a read, and once more where it is not answered, and return what it told."""
     exchange = probe.ask(read, quiet_ns=0)
     if not motion.readable(exchange):
         exchange = probe.ask(read, quiet_ns=0)

@@ -5,20 +5,18 @@ Most need a hand on the drive: those claims are of emulated ones.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.protocols.lk_rs485 import ERROR_BITS
-from conformance.claim import Inconclusive
 from conformance.claims import conditions
 from conformance.claims.bench import lk_drive
 from conformance.claims.declare import Case, commands
 from conformance.claims.known_reads import every_read
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
-from conformance.motion.motion import CALM, FORCE, MS, SECOND_NS
+from conformance.motion.motion import CALM, SECOND_NS
 from conformance.talk.probe import Probe
 
 _state = partial(of_motion, each=commands(Verb.READ_STATE_1), still=True)
@@ -173,34 +171,3 @@ def _plausible(probe: Probe, command: Command) -> None:
     """The voltage is one that a drive can have: 5 to 60 V."""
     seen = probe.read(command, "voltage")
     probe.expect(seen, at_least=500, at_most=6_000, refutes="no drive works at this voltage")
-
-
-@of_motion(
-    each=commands(Verb.READ_STATE_3),
-    refuted_by="currents that do not balance",
-    risks={Risk.UNBOUNDED, Risk.TORQUE},
-    at_best=Certainty.LIKELY,
-)
-def _balance(probe: Probe, command: Command) -> None:
-    """The three phase currents add up to nothing, and are those of the torque current, in its unit."""
-    motion.ready_to_move(probe)
-    motion.begin(probe, probe.command(Verb.RUN_TORQUE))
-    probe.wait(300 * MS)
-    exchange = probe.ask(command)
-    values = probe.reply(exchange).values
-    motion.stand_still(probe)
-    currents = [values[f"phase_{p}_current"] for p in "abc"]
-    largest = max(abs(c) for c in currents)
-    if largest < FORCE / 4:
-        raise Inconclusive("no current flows")
-    # Three phases of a balanced current, at whatever angle: the sum of their squares is 3/2 of its own.
-    flowing = math.sqrt(sum(c * c for c in currents) / 1.5)
-    text = "the phase currents are not those of the torque current that was asked for"
-    probe.expect(flowing, near=FORCE, within=FORCE / 3, unit="LSB", refutes=text, exchange=exchange)
-    probe.expect(
-        " + ".join(map(str, currents)),
-        holds=abs(sum(currents)) <= max(4, largest / 4),
-        expected="a sum of 0",
-        refutes="the phase currents do not add up to nothing",
-        exchange=exchange,
-    )

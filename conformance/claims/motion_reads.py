@@ -14,15 +14,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 
-from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Verb
 from conformance.claim import Aspect, Inconclusive, NotRun, Theme
 from conformance.claims import bench
-from conformance.claims.declare import Case, claim, commands, motions
+from conformance.claims.declare import Case, claim, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS, SUBDIVISION
-from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import Probe
 
 _RPM = 120
@@ -223,35 +222,6 @@ def _within_turn(probe: Probe, command: Command) -> None:
 # --- the speed --------------------------------------------------------------------------------------------------------
 
 
-@of_motion(
-    each=commands(Verb.READ_STATE_2),
-    name="{command}/speed-is-change",
-    refuted_by="another speed, or another sign",
-    at_best=Certainty.LIKELY,
-    risks=risks_by(Verb.RUN_SPEED),
-)
-def _is_change(probe: Probe) -> None:
-    """The speed that is read is that at which the position changes."""
-    motion.ready_to_move(probe, subdivision=SUBDIVISION)
-    run = probe.command(Verb.RUN_SPEED)
-    speed = run.request_forms[0].layout.named["speed"]
-    for rpm in (30, -30, 60):
-        # A drive that is slower than that is asked for what it has.
-        if abs(motion.values_of(probe.dialect, run, rpm=rpm)["speed"]) > speed.high:
-            continue
-        motion.run_at(probe, rpm, QUICK)
-        probe.wait(max(200, round(abs(rpm) * 0.5)) * MS)
-        change, spread = motion.mean_speed(probe, 500 * MS)
-        seen = motion.speed(probe).value
-        exchange = probe.traffic[-1]
-        motion.stand_still(probe)
-        if spread > abs(rpm) / 10:
-            raise Inconclusive("the replies came too late to measure a speed")
-        within = 1 + abs(change) * CLOCK_SHARE + spread
-        text = "the speed that is read is not that at which the position changes"
-        probe.expect(seen, near=change, within=within, unit="rpm", refutes=text, exchange=exchange)
-
-
 @of_motion(each=commands(Verb.READ_SPEED), name="{command}/at-rest", refuted_by="another speed", risks=risks_by(Verb.RUN_SPEED))
 def _speed_at_rest(probe: Probe) -> None:
     """The speed of a shaft that stands is 0."""
@@ -267,24 +237,6 @@ def _speed_at_rest(probe: Probe) -> None:
         raise Inconclusive("the shaft does not stand")
     text = "the shaft stands and its speed is not 0"
     probe.expect(seen, near=0, within=0.9, unit="rpm", refutes=text, exchange=exchange)
-
-
-def _tells_its_speed(command: Command) -> bool:
-    return "speed" in command.reply_forms[0].layout.named
-
-
-@of_motion(each=motions(MotionKind.RUN, where=_tells_its_speed), refuted_by="another speed")
-def _tells_speed(probe: Probe, command: Command) -> None:
-    """A speed command is answered with the speed that the shaft has."""
-    motion.ready_to_move(probe)
-    for rpm in (30, -60):
-        motion.run_at(probe, rpm)
-        probe.wait(250 * MS)
-        exchange = motion.run_at(probe, rpm)
-        seen = probe.reply(exchange).values["speed"]
-        motion.stand_still(probe)
-        text = "the reply to a speed command does not tell the speed"
-        probe.expect(seen, near=rpm * 6, within=5 + abs(rpm) * 0.3, unit="deg/s", refutes=text, exchange=exchange)
 
 
 # --- the angle error --------------------------------------------------------------------------------------------------

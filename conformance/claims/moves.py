@@ -33,7 +33,7 @@ from conformance.claims.motion_claim import (
 )
 from conformance.model import lk_parameters
 from conformance.motion import motion
-from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS, Move, takes_pulses
+from conformance.motion.motion import MOVES, MS, QUICK, SECOND_NS, Move, takes_pulses
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
@@ -279,22 +279,6 @@ def _reads_as_asked(probe: Probe, command: Command) -> None:
         unit = "counts" if probe.dialect.counts_per_turn else "0.01 degrees"
         seen = motion.place(probe, command)
         probe.expect(seen, near=target, within=2, unit=unit, refutes=text, exchange=move.exchange)
-
-
-#: Moves of other lengths and speeds than the rest: (degrees, rpm).
-_LENGTHS = ((0.0, CALM), (0.5, 10), (-360.0, 120), (1440.0, 110), (-1080.0, 150))
-
-
-@of_motion(
-    each=motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO, where=takes_angle), refuted_by="another way", settings=keeps_position
-)
-def _lengths(probe: Probe, command: Command) -> None:
-    """{command} goes as far as it was asked: nothing, half a degree, whole turns, slowly and fast."""
-    lk_parameters.need_room(probe)
-    motion.prepare(probe, command)
-    for degrees, rpm in _LENGTHS:
-        move = motion.follow(probe, command, degrees, rpm=rpm)
-        _expect_way(probe, move, True, f"{command.name} by {degrees:g} degrees at {rpm} rpm goes another way")
 
 
 @of_motion(each=_in_turn, refuted_by="one way for both directions")

@@ -1,10 +1,11 @@
-"""What is read of a shaft that stands: on either side of zero, near it and turns away, on and off, in each work mode.
+"""What is read of a shaft that stands: on either side of zero, near it and turns away, on and off, in each work mode it has.
 
 One walk over the places of a covering array is recorded; each read is judged by a claim of its own.
 
 Rules kept here:
 - The walk begins at a zero that is set there, so that small and wide values of either sign are read.
 - A shaft that is let go may settle: where it then is, is what 31 says; the other reads are held against that.
+- What tells a place within the turn is held against where the walk began; a turn has what fits one of the known widths.
 - In a pulse mode the manual promises no status, and the En pin enables the motor. Without an encoder there is no place.
 """
 
@@ -13,7 +14,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from analyzer.catalogue import Certainty, Command, Dialect, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from analyzer.protocols.lk_rs485 import ERROR_BITS
 from conformance.claims.declare import Case, commands
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.model import covering
@@ -29,7 +31,9 @@ _LAG = 1.0
 #: Pulses by which the count may differ from the place, beside the noise.
 _PULSES = 2
 _STOPPED = 1
-#: What is read, and what these reads are held against stands in `_JUDGES`.
+#: The speed of a drive that tells no carry; what its places are called after them, in turns: as far as 32 bits hold.
+_GOAL_RPM, _FAR = 240, (59_000.0, -59_000.0)
+#: What is read.
 _READS = (
     Verb.READ_POSITION,
     Verb.READ_ENCODER_CARRY,
@@ -40,22 +44,30 @@ _READS = (
     Verb.READ_ENABLED,
     Verb.READ_ZERO_STATUS,
     Verb.READ_PROTECTION,
+    Verb.READ_STATE_1,
+    Verb.READ_STATE_2,
+    Verb.READ_SINGLE_TURN,
+    Verb.READ_ENCODER,
 )
 _STAY = (Verb.READ_ZERO_STATUS, Verb.READ_PROTECTION)
 _Values = Mapping[str, int]
 
 
 class _Stand(NamedTuple):
-    """A place in turns, a work mode, whether the motor is on, and what each read tells there."""
+    """A place in turns, a work mode, whether the motor is on, and what each read tells there.
+
+    `turned`: how far the shaft is from where the walk began, in turns; the place may have been called otherwise since.
+    """
 
     place: float
     mode: str
     on: bool
     told: Mapping[Verb, _Values]
+    turned: float
 
     def __str__(self) -> str:
         """Return it for people."""
-        return f"at {self.place:+g} turns in {self.mode}, {'on' if self.on else 'off'}"
+        return f"at {self.place:+g} turns{f' in {self.mode}' if self.mode else ''}, {'on' if self.on else 'off'}"
 
 
 def _modes(dialect: Dialect) -> tuple[str, ...]:
@@ -72,7 +84,6 @@ def _walk(probe: Probe) -> list[_Stand]:
     best = motion.bus_modes(dialect)[-1]
     motion.ready_to_move(probe, best, subdivision=SUBDIVISION)
     probe.do(Verb.SET_ZERO)
-    reads = [v for v in _READS if v in dialect.by_verb]
     found, at = [], 0.0
     factors = {"place": _PLACES, "mode": _modes(dialect), "on": (True, False)}
     for row in sorted(covering.rows(factors), key=lambda row: _PLACES.index(row["place"])):
@@ -85,9 +96,36 @@ def _walk(probe: Probe) -> list[_Stand]:
         motion.set_mode(probe, mode)
         if mode in motion.bus_modes(dialect):
             motion.switch(probe, on)
-        told = {verb: dict(probe.reply(probe.ask(verb, quiet_ns=0)).values) for verb in reads}
-        found.append(_Stand(place, mode, on, told))
+        found.append(_Stand(place, mode, on, _told(probe), place))
     motion.ready_to_move(probe, best)
+    return found
+
+
+def _told(probe: Probe) -> dict[Verb, _Values]:
+    reads = (verb for verb in _READS if verb in probe.dialect.by_verb)
+    return {verb: dict(probe.reply(probe.ask(verb, quiet_ns=0)).values) for verb in reads}
+
+
+def _walk_by_angles(probe: Probe) -> list[_Stand]:
+    """Stand at each place, on and off, and read everything; at the last one call it places that are far away."""
+    move, call = probe.command("move_increment_limited"), probe.command("set_position")
+    motion.ready_to_move(probe)
+    probe.do(call, {"position": 0})
+    found: list[_Stand] = []
+    rows = covering.rows({"place": _PLACES, "on": (True, False)})
+    for row in sorted(rows, key=lambda row: _PLACES.index(row["place"])):
+        motion.switch(probe, True)
+        if not found or row["place"] != found[-1].place:
+            motion.begin(probe, move, row["place"] * 360 - motion.position(probe).value, rpm=_GOAL_RPM)
+            motion.wait_standing(probe)
+        motion.switch(probe, row["on"])
+        found.append(_Stand(row["place"], "", row["on"], _told(probe), row["place"]))
+    for place in _FAR:
+        probe.do(call, {"position": motion.field_of(call, "position").wire(round(place * 360))})
+        for on in (True, False):
+            motion.switch(probe, on)
+            found.append(_Stand(place, "", on, _told(probe), _PLACES[-1]))
+    motion.switch(probe, True)
     return found
 
 
@@ -95,8 +133,21 @@ def _walk(probe: Probe) -> list[_Stand]:
 
 
 def _cases(dialect: Dialect) -> Iterator[Case]:
-    if motion.can_move(dialect) and Verb.READ_ENCODER_CARRY in dialect.by_verb and Verb.MOVE_RELATIVE_AXIS in dialect.by_verb:
+    if (
+        motion.can_move(dialect)
+        and Verb.MOVE_RELATIVE_AXIS in dialect.by_verb
+        and (_tells_carry(dialect) or _by_angles(dialect))
+    ):
         yield from commands(*_READS)(dialect)
+
+
+def _tells_carry(dialect: Dialect) -> bool:
+    return Verb.READ_ENCODER_CARRY in dialect.by_verb
+
+
+def _by_angles(dialect: Dialect) -> bool:
+    """Say whether a place is counted in angles, and can be called another one."""
+    return Verb.READ_SINGLE_TURN in dialect.by_verb and "set_position" in dialect.by_name
 
 
 def _counts(stand: _Stand) -> int:
@@ -130,19 +181,54 @@ def _expected(probe: Probe, verb: Verb, stand: _Stand, first: _Stand) -> tuple[A
     return value, next(iter(first.told[verb].values())), 0
 
 
+#: How many units a turn may have in the fields that tell a place within it; flags, which stay.
+_TURNS = {"encoder": (1 << 14, 1 << 15, 1 << 16), "angle": (36_000,)}
+_FLAGS = frozenset(field.name for field in ERROR_BITS)
+
+
+def _risks(case: Case) -> frozenset[Risk]:
+    if _tells_carry(case.dialect):
+        return risks_by(Verb.SET_ZERO, Verb.ENABLE, Verb.SET_WORK_MODE, Verb.MOVE_RELATIVE_AXIS)(case)
+    moved = risks_by(Verb.MOTOR_OFF, Verb.MOTOR_ON, Verb.MOVE_RELATIVE_AXIS)(case)
+    return moved | case.dialect.by_name["set_position"].all_risks
+
+
+def _expected_by_angles(probe: Probe, verb: Verb, stand: _Stand, first: _Stand) -> Iterator[tuple[Any, Any, float]]:
+    """Yield what each field of a read tells, what it must tell, and by how much it may differ."""
+    told, before = stand.told[verb], first.told[verb]
+    near = motion.miss(probe) + _LAG
+    for name in told:
+        if name == "position":
+            yield told[name] / 100, stand.place * 360, near
+        elif name == "speed":
+            yield told[name], 0, probe.within("deg/s")
+        elif name == "state":
+            yield told[name] == 0, stand.on, 0
+        elif name in _TURNS:
+            turned = (stand.turned - first.turned) * 360
+            off = [((told[name] - before[name]) * 360 / turn - turned + 180) % 360 - 180 for turn in _TURNS[name]]
+            yield min(off, key=abs), 0, near
+        elif name in _FLAGS:
+            yield told[name], before[name], 0
+
+
 @of_motion(
     each=_cases,
     name="{command}/standing",
     refuted_by="another value at one place, in one mode, on or off",
     at_best=Certainty.LIKELY,
-    risks=risks_by(Verb.SET_ZERO, Verb.ENABLE, Verb.SET_WORK_MODE, Verb.MOVE_RELATIVE_AXIS),
+    risks=_risks,
+    settings=lambda case: ("position",) if _by_angles(case.dialect) else (),
 )
 def _standing(probe: Probe, command: Command) -> None:
     """{command} tells what holds where the shaft stands: either side of zero, near and far, on and off, in each mode."""
-    first, *_ = stands = probe.recorded(_walk)
+    first, *_ = stands = probe.recorded(_walk if _tells_carry(probe.dialect) else _walk_by_angles)
     for stand in stands:
-        got, wanted, within = _expected(probe, command.verb, stand, first)
-        text = f"{command.name} tells {got:g} {stand}"
-        probe.expect(
-            f"{got:g}", holds=abs(got - wanted) <= within, expected=f"{wanted:g} +-{within:.3g}", refutes=text, key=command.name
+        every = (
+            [_expected(probe, command.verb, stand, first)]
+            if _tells_carry(probe.dialect)
+            else _expected_by_angles(probe, command.verb, stand, first)
         )
+        for got, wanted, within in every:
+            text, expected = f"{command.name} tells {got:g} {stand}", f"{wanted:g} +-{within:.3g}"
+            probe.expect(f"{got:g}", holds=abs(got - wanted) <= within, expected=expected, refutes=text, key=command.name)

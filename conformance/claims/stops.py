@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive, Theme
-from conformance.claims.declare import Case, Cases, commands
+from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import expect_rested, expect_stays, of_motion, risks_by, risks_of, that_tell_their_end
 from conformance.motion import motion, ramp
@@ -419,22 +419,6 @@ def _when_rising(probe: Probe, command: Command, run: Command) -> None:
 _FAST_RPM, _RISING, _DOWN_NS = 1200, 156, 120 * MS
 
 
-def _ended_backwards(dialect: Dialect) -> Iterator[Case]:
-    yield from (*_lk_stop(dialect), *commands(Verb.MOTOR_OFF)(dialect))
-
-
-@of_motion(each=_ended_backwards, refuted_by="a shaft that goes on", risks=risks_by(Verb.RUN_SPEED))
-def _stops_backwards(probe: Probe, command: Command) -> None:
-    """{command} stops a shaft that turns the other way."""
-    set_going(probe, probe.command(Verb.RUN_SPEED), turns=-5)
-    exchange = probe.ask(command)
-    probe.reply(exchange)
-    # A motor that is switched off runs out.
-    probe.wait(3 * SECOND_NS if command.verb is Verb.MOTOR_OFF else SECOND_NS // 2)
-    expect_standing(probe, exchange, f"{command.name} does not stop a shaft that turns the other way")
-    motion.switch(probe, True)
-
-
 @of_motion(each=_lk_stop, refuted_by="a shaft that goes on", risks=risks_by(Verb.RUN_SPEED))
 def _stops(probe: Probe, command: Command) -> None:
     """The stop brings a running shaft to rest."""
@@ -470,64 +454,6 @@ def endless(probe: Probe, run: Command) -> Exchange:
 def _way(run: Command) -> int:
     """Return how far an endless move goes (degrees): one without a speed is fast, and gets a long way unless within a turn."""
     return 300 if motion.of(run).speed or motion.of(run).kind is MotionKind.MOVE_IN_TURN else 5 * 360
-
-
-def _of_lk_motions(verb: Verb) -> Cases:
-    def cases(dialect: Dialect) -> Iterator[Case]:
-        for case in commands(verb)(dialect):
-            for run in dialect.motions(*MOVES, MotionKind.TORQUE):
-                yield Case(dialect, case.command, {"run": run}, {"models": run.models, "parameters": {}})
-
-    return cases
-
-
-@of_motion(
-    each=_of_lk_motions(Verb.STOP), name="{command}/ends-{run}", refuted_by="a shaft that goes on", risks=risks_of("run")
-)
-@of_motion(
-    each=_of_lk_motions(Verb.MOTOR_OFF),
-    name="{command}/ends-{run}",
-    statement="Switching the motor off ends {run}, and switching it on does not take it up.",
-    refuted_by="a shaft that goes on, or moves again",
-    risks=risks_of("run"),
-    at_best=Certainty.LIKELY,
-)
-def _ends(probe: Probe, command: Command, run: Command) -> None:
-    """The stop ends {run}."""
-    before = motion.position(probe)
-    endless(probe, run)
-    turned = abs(motion.position(probe).value - before.value)
-    if turned < motion.SAME:
-        raise Inconclusive(f"{run.name} does not turn the shaft")
-    if motion.of(run).distance and turned > _way(run) - 20:
-        raise Inconclusive(f"{run.name} was at its target before {command.name} could be sent")
-    exchange = probe.do(command)
-    if command.verb is Verb.MOTOR_OFF:
-        # Without torque the shaft runs out.
-        motion.wait_until(probe, lambda: abs(motion.speed(probe).value) < 1, limit_ns=3 * SECOND_NS)
-    probe.wait(_RESTS_NS)
-    went = abs(motion.position(probe).value - before.value)
-    expect_standing(probe, exchange, f"{command.name} does not end {run.name}")
-    if command.verb is Verb.MOTOR_OFF:
-        expect_standing(probe, motion.switch(probe, True), f"switching the motor on takes up {run.name} again")
-    if motion.of(run).distance:
-        text = f"{run.name} comes to its target after {command.name}"
-        got = f"{went:.1f} degrees"
-        probe.expect(got, holds=abs(went - _way(run)) > 2, expected="less than its way", refutes=text, exchange=exchange)
-
-
-@of_motion(each=_of_lk_motions(Verb.STOP), name="{command}/then-{run}", refuted_by="a shaft that stays", risks=risks_of("run"))
-def _then(probe: Probe, command: Command, run: Command) -> None:
-    """After the stop {run} moves the shaft, without switching the motor on."""
-    motion.ready_to_move(probe)
-    probe.do(command)
-    before = motion.position(probe)
-    start = motion.place(probe, run)
-    exchange = motion.ask(probe, run, 30, start=start)
-    probe.wait(300 * MS)
-    went = abs(motion.stand_still(probe).value - before.value)
-    text = f"{run.name} after the stop does not move the shaft"
-    probe.expect(went, at_least=1, unit="degrees", refutes=text, exchange=exchange)
 
 
 @of_motion(

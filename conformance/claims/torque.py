@@ -44,28 +44,6 @@ def _force(probe: Probe, command: Command, value: int) -> float:
     return went
 
 
-@_of_force(refuted_by="one way for both, or no motion")
-def _two_ways(probe: Probe, command: Command) -> None:
-    """{command}: a positive value drives the shaft one way, a negative one the other."""
-    motion.ready_to_move(probe)
-    up, down = (_force(probe, command, value) for value in (FORCE, -FORCE))
-    probe.expect(
-        f"{up:+.1f} and {down:+.1f} degrees",
-        holds=up * down < 0 and min(abs(up), abs(down)) >= 1,
-        expected="two ways",
-        refutes=f"{command.name} does not drive the shaft both ways",
-    )
-
-
-@_of_force(refuted_by="the other way", at_best=Certainty.LIKELY)
-def _sign(probe: Probe, command: Command) -> None:
-    """{command}: a positive value raises the position."""
-    motion.ready_to_move(probe)
-    went = _force(probe, command, FORCE)
-    text = f"a positive value of {command.name} does not raise the position"
-    probe.expect(f"{went:+.1f} degrees", holds=went > 0, expected="a greater position", refutes=text)
-
-
 @_of_force(refuted_by="a shaft that goes on", at_best=Certainty.LIKELY)
 def _zero(probe: Probe, command: Command) -> None:
     """{command} with 0 drives nothing."""
@@ -75,20 +53,6 @@ def _zero(probe: Probe, command: Command) -> None:
     before = motion.position(probe)
     probe.wait(SECOND_NS)
     expect_stays(before, motion.position(probe), exchange, f"{command.name} with 0 drives the shaft")
-
-
-@_of_force(refuted_by="another value", at_best=Certainty.LIKELY)
-def _is_read(probe: Probe, command: Command) -> None:
-    """What {command} asks for is what the state then reads, with its sign."""
-    motion.ready_to_move(probe)
-    name = _field(probe, command)
-    for value in (FORCE, -FORCE):
-        exchange = probe.do(command, {name: value})
-        probe.wait(300 * MS)
-        seen = probe.read(Verb.READ_STATE_2, name)
-        motion.stand_still(probe)
-        text = f"the state does not read the {name} that was asked for"
-        probe.expect(seen, near=value, within=FORCE / 4, refutes=text, exchange=exchange)
 
 
 @_of_force(refuted_by="another value", emulated=True, at_best=Certainty.LIKELY)

@@ -122,7 +122,7 @@ def test_a_position_that_a_claim_set_far_away_is_none_for_the_next() -> None:
     port = target.parse("lk-rs485@1,model=MF", "serial:none,baud=115200")
     rig = StandInRig(Plan((port,), Allowance(frozenset(Risk), alone=True)), port, make.parse("lk-rs485@1,model=MF"))
     by_id = {claim.id: claim for claim in suite.every_claim(port)}
-    for name in ("ranges/set_position/position/lowest", "motion/move_multi_turn/lengths"):
+    for name in ("ranges/set_position/position/lowest", "motion/move_multi_turn/reaches"):
         assert engine.run_claim(by_id[f"lk-rs485/{name}"], rig).outcome is Outcome.CONFIRMED
     assert abs(motion.position(plain_probe(rig.dialect, 1, rig.gate)).value) < 3600
     rig.close()
