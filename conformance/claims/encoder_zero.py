@@ -91,12 +91,33 @@ def _counts_on(probe: Probe, command: Command) -> None:
 
 @_set_position(refuted_by="another place", at_best=Certainty.LIKELY)
 def _and_moves(probe: Probe, command: Command) -> None:
-    """A move to a position goes by what 95 set."""
+    """A move to a position goes by what 95 set, above and below zero, either way."""
     motion.ready_to_move(probe)
-    exchange = probe.do(command, {"position": 100_000})
-    before = angle(probe)
-    motion.follow(probe, probe.command("move_multi_turn_limited"), 45, rpm=45, start=100_000)
-    _expect_angle(probe, before, 45, "a move does not go by the position that 95 set", exchange)
+    for value, degrees in ((100_000, 45), (-100_000, -45)):
+        exchange = probe.do(command, {"position": value})
+        before = angle(probe)
+        motion.follow(probe, probe.command("move_multi_turn_limited"), degrees, rpm=45, start=value)
+        _expect_angle(probe, before, degrees, "a move does not go by the position that 95 set", exchange)
+
+
+@_set_position(
+    refuted_by="a run the other way, or a position that goes another way",
+    at_best=Certainty.LIKELY,
+    risks=risks_by(Verb.RUN_SPEED),
+)
+def _and_runs(probe: Probe, command: Command) -> None:
+    """A run after 95 turns the shaft either way as before it, and the position goes on from what was set."""
+    motion.ready_to_move(probe)
+    for value, way in ((100_000, -1), (-100_000, 1), (2_000, -1)):
+        before = angle(probe)
+        exchange = probe.do(command, {"position": value})
+        motion.run_at(probe, way * CALM)
+        probe.wait(300 * MS)
+        motion.stand_still(probe)
+        went = (_position(probe) - value) / 100
+        text = "a run after 95 goes the other way, by the position"
+        probe.expect(f"{went:+.1f} degrees", holds=went * way > 1, expected=f"{way:+d}", refutes=text, exchange=exchange)
+        _expect_angle(probe, before + went, 0, "the angle and the position part in a run after 95", exchange)
 
 
 @_set_position(refuted_by="another end", at_best=Certainty.OPEN)
