@@ -149,7 +149,7 @@ class Edge(NamedTuple):
 
 @dataclass(frozen=True)
 class Tried:
-    """A row that was tried. `begun`: its command; `met`: what came on its way; `again`: the command once more.
+    """A row that was tried. `begun`: its command; `met`: what came on its way; `again`: a run or torque once more.
 
     `before`, `after`: looks at the shaft at rest; `during`: while the motion was under way, `ending`: after what came on its
     way; `off`: while the motor was off. `stood`: the shaft came to rest by itself, or by what came on the way. `damaged`: the
@@ -239,8 +239,8 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command]) -> 
     if not moves(command) or row.meets is not None:
         lasts_ns = _RUN_NS if not moves(command) else int(_seconds(row.rpm, row.turns) * SECOND_NS * 0.45)
         during += _on_the_way(probe, reads, lasts_ns)
-    # The goal is the same, but for a distance; an angle at which the shaft cannot stop any more is a turn away.
-    if row.meets is not None and motion.of(command).kind not in (MotionKind.MOVE_BY, MotionKind.MOVE_IN_TURN):
+    # A move that comes once more is planned anew from where the shaft is.
+    if not moves(command):
         again = _edge(probe, begin)
     if row.meets is not None:
         verb = row.meets
