@@ -23,7 +23,7 @@ from analyzer.catalogue import Command, Dialect, MotionKind, Verb
 from conformance.claims.crossed import Look, look, place
 from conformance.claims.declare import Case
 from conformance.gate.gate import Refused
-from conformance.model import covering
+from conformance.model import covering, lk_parameters
 from conformance.motion import motion
 from conformance.motion.motion import CALM, MOVES, MS, SECOND_NS, Sample
 from conformance.talk.exchange import Exchange
@@ -200,6 +200,7 @@ def crossed(probe: Probe, command: Command) -> tuple[Tried, ...]:
     reads = cycle([read for other in reads_of(probe.dialect) for read in (other, probe.command(Verb.READ_POSITION))])
     found: list[Tried] = []
     refused: Refused | None = None
+    lk_parameters.need_room(probe)
     motion.ready_to_move(probe)
     for row in (row for row in table(probe.dialect) if row.command == command.name):
         try:

@@ -31,7 +31,6 @@ from conformance.claims.motion_claim import (
     of_motion,
     that_tell_their_end,
 )
-from conformance.model import lk_parameters
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, QUICK, SECOND_NS, Move, takes_pulses
 from conformance.talk.exchange import Exchange
