@@ -70,6 +70,7 @@ MODULES = (
     "motion_told",
     "standing_reads",
     "crossed_motions",
+    "crossed_newer",
     "crossed_reads",
     "crossed_goal_claims",
     "torque",

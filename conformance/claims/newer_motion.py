@@ -160,43 +160,6 @@ def _turns_back(probe: Probe, command: Command, older: Command) -> None:
 
 
 @of_motion(
-    each=_update,
-    name="{command}/takes-over-a-run",
-    refuted_by="a run that goes on, or another place",
-    at_best=Certainty.LIKELY,
-    risks=risks_by(Verb.RUN_SPEED),
-)
-def _after_a_run(probe: Probe, command: Command) -> None:
-    """A move takes over from a run at a speed and ends at its target."""
-    motion.prepare(probe, command)
-    begun, start = motion.position(probe), motion.place(probe, command)
-    motion.run_at(probe, _RPM, QUICK)
-    probe.wait(500 * MS)
-    exchange = motion.begin(probe, command, 66, acceleration=QUICK, start=start)
-    went = motion.wait_standing(probe).value - begun.value
-    text, within = f"{command.name} does not take over from a run", motion.near(probe.dialect)
-    probe.expect(went, near=66, within=within, unit="degrees from the start", refutes=text, exchange=exchange)
-
-
-@of_motion(
-    each=motions(MotionKind.RUN, where=has_direction),
-    refuted_by="a shaft that stops at the target of the move",
-    at_best=Certainty.LIKELY,
-)
-def _takes_over_a_move(probe: Probe) -> None:
-    """A run at a speed takes over from a move and goes on beyond its target."""
-    move = probe.command(_UPDATED)
-    motion.prepare(probe, move)
-    motion.begin(probe, move, 180, rpm=_RPM, acceleration=QUICK)
-    probe.wait(300 * MS)
-    exchange = motion.run_at(probe, _RPM, QUICK)
-    probe.wait(1500 * MS)
-    seen = motion.speed(probe)
-    motion.stand_still(probe)
-    expect_speed(seen, _RPM, exchange, "a run does not take over from a move")
-
-
-@of_motion(
     each=lambda dialect: (c for c in motions(MotionKind.RUN, *MOVES)(dialect) if motion.of(command_of(c)).acceleration),
     name="{command}/speed-0",
     statement="{command} with speed 0 stops the shaft, whatever else it says.",
@@ -237,6 +200,9 @@ def _every_motion(dialect: Dialect) -> list[Command]:
 
 
 def _over_others(dialect: Dialect) -> Iterator[Case]:
+    """Yield the motions of drives without a law of ramps; those with one are crossed (`claims.crossed_newer`)."""
+    if dialect.ramp is not None:
+        return
     every = dialect.motions(MotionKind.RUN, *MOVES, MotionKind.TORQUE) if motion.can_move(dialect) else ()
     risks = frozenset[Risk]().union(*(c.all_risks for c in every))
     for command in every:

@@ -117,6 +117,7 @@ MKS = (
     ("speed-3000-refused", "move_absolute_pulses/crossed-taken"),
     # Newer motion, stops, enabling
     ("update-ignored", "move_absolute_axis/newer-target"),
+    ("update-ignored", "move_absolute_axis/takes-over"),
     ("update-stops-first", "move_absolute_axis/update-without-stop"),
     ("newer-move-ignored", "move_absolute_axis/newer-speed"),
     ("stop-without-ramp", "stop_speed/by-ramp"),

@@ -1,0 +1,217 @@
+"""Each motion over each other one and over itself: the same way and round, with one field changed alone and with several.
+
+    older command x newer command x same way or round      all of them
+    speed kept or changed, a target that is zero           with any of those; all where a command takes over from itself
+
+Rules kept here:
+- A row takes a third of a second: the newer motion comes while the older one is at its speed, far from its end.
+- The zero is set where the rows begin, and those whose target is 0 come first: it is near then.
+- A move to a place is judged by its place, one by a distance by where the shaft surely was when it came.
+- Which way a direction or a sign turns the shaft is the drive's own word: that of the older motions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
+from conformance.claims.crossed import motions_of
+from conformance.claims.declare import Case
+from conformance.claims.motion_claim import of_motion
+from conformance.model import covering
+from conformance.motion import motion
+from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, Sample
+from conformance.talk.exchange import Exchange
+from conformance.talk.noise import CLOCK_SHARE
+from conformance.talk.probe import Probe
+
+#: Another speed than that of the older motion; its way, which the rows do not come to, and that of the newer move (degrees),
+#: with what it goes too far on the way round.
+_OTHER, _FAR, _NEAR, _SPARE = 90, 720, 50, 18
+#: From the older command to the newer one; until a run has its speed, or a move has surely got going.
+_GOING_NS, _RUNS_NS = 80 * MS, 110 * MS
+#: What a shaft may lag behind a command.
+_LAG_NS = 10 * MS
+
+
+class Row(NamedTuple):
+    """A motion and the newer one. `way`: of the older one; `turn`: 1 the same way, -1 round; `zero`: the target is 0."""
+
+    older: str
+    command: str
+    way: int
+    turn: int
+    rpm: int
+    zero: bool
+
+    def __str__(self) -> str:
+        """Return it for people."""
+        way, same = "a positive" if self.way > 0 else "a negative", "the same way" if self.turn > 0 else "the other way"
+        target = ", to 0" if self.zero else ""
+        return f"over {self.older} {way} way at {CALM} rpm: {self.command} {same} at {self.rpm} rpm{target}"
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A row that was tried. `start`, `before`, `end`: where the shaft was, first, at the newer command, and at rest.
+
+    `wanted`: by how many degrees from the zero, or from where it was, the newer move was to go. `seen`: the speed of a run.
+    """
+
+    row: Row
+    newer: Exchange
+    refused: bool
+    zero: float
+    start: Sample
+    before: Sample
+    wanted: float
+    seen: Sample | None
+    end: Sample | None
+
+    @property
+    def sense(self) -> int:
+        """Return 1 where the older motion of a positive way raised the position, -1 where it lowered it, 0 for no motion."""
+        went = (self.before.value - self.start.value) * self.row.way
+        return 0 if abs(went) < 1 + self.before.noise else 1 if went > 0 else -1
+
+
+def table(dialect: Dialect) -> tuple[Row, ...]:
+    """Return the rows of all motions."""
+    known = {command.name: command for command in motions_of(dialect)}
+    factors = {
+        "older": tuple(known),
+        "command": tuple(known),
+        "way": (1, -1),
+        "turn": (1, -1),
+        "rpm": (CALM, _OTHER),
+        "zero": (False, True),
+    }
+    found = covering.rows(
+        factors,
+        # Behind a shaft that went away from it.
+        lambda command, turn, zero: not zero or (turn < 0 and motion.of(known[command]).kind is MotionKind.MOVE_TO),
+        together=[("older", "command", "turn"), ("older", "command", "zero"), ("older", "command", "rpm")],
+    )
+    rows = {Row(**row) for row in found}
+    # Over itself each field is changed alone, too.
+    rows |= {Row(name, name, way, turn, CALM, False) for name in known for way in (1, -1) for turn in (1, -1)}
+    return tuple(sorted(rows, key=lambda row: (not row.zero, row)))
+
+
+def taken_over(probe: Probe) -> tuple[Tried, ...]:
+    """Carry out all rows and return what was seen."""
+    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=motion.SUBDIVISION)
+    motion.stand_still(probe)
+    probe.do(Verb.SET_ZERO)
+    zero = rest = motion.position(probe)
+    found = []
+    for row in table(probe.dialect):
+        found.append(_try(probe, row, zero.value, rest))
+        rest = found[-1].end or motion.stand_still(probe)
+    return tuple(found)
+
+
+def _try(probe: Probe, row: Row, zero: float, start: Sample) -> Tried:
+    commands = {command.name: command for command in motions_of(probe.dialect)}
+    older, newer = commands[row.older], commands[row.command]
+    begins = {command.name: motion.place(probe, command) for command in (older, newer)}
+    _begin(probe, older, row.way * _FAR, row.way * CALM, begins[older.name])
+    probe.wait(_GOING_NS)
+    before = motion.position(probe)
+    way = row.way * row.turn
+    degrees = 0 if row.zero else way * _NEAR
+    exchange = _begin(probe, newer, degrees, way * row.rpm, 0 if row.zero else begins[newer.name])
+    refused = not motion.readable(exchange) or probe.refused(exchange)
+    seen = end = None
+    if motion.of(newer).kind is MotionKind.RUN:
+        probe.wait(exchange.sent_ns + _RUNS_NS - probe.gate.now_ns())
+        seen = motion.speed(probe)
+    elif not refused:
+        # What is told at its end is not asked into.
+        far = abs(before.value - zero) if row.zero else _NEAR + (0 if row.turn > 0 else abs(before.value - start.value))
+        lasts_ns = int((far + _SPARE) / 6 / row.rpm * SECOND_NS)
+        probe.wait(exchange.sent_ns + lasts_ns - probe.gate.now_ns())
+        end = _rest(probe)
+    return Tried(row, exchange, refused, zero, start, before, degrees, seen, end)
+
+
+def _begin(probe: Probe, command: Command, degrees: float, rpm: int, start: int) -> Exchange:
+    rpm = rpm if motion.of(command).kind is MotionKind.RUN else abs(rpm)
+    return motion.ask(probe, command, degrees, rpm=rpm, acceleration=QUICK, start=start, quiet_ns=0)
+
+
+def _rest(probe: Probe) -> Sample:
+    """Return where a move came to rest; a shaft that still turns is stopped, and is nowhere near."""
+    if abs(motion.speed(probe).value) < CALM / 2:
+        return motion.wait_standing(probe)
+    return motion.stand_still(probe)
+
+
+def _cases(dialect: Dialect) -> Iterator[Case]:
+    every = motions_of(dialect)
+    if Verb.SET_ZERO not in dialect.by_verb:
+        return
+    risks = frozenset[Risk]().union(*(c.all_risks for c in every), dialect.by_verb[Verb.SET_ZERO].all_risks)
+    for command in every:
+        # What becomes of the rest of the older way no manual says.
+        certainty = Certainty.OPEN if command.verb is Verb.MOVE_RELATIVE_AXIS else Certainty.LIKELY
+        yield Case(dialect, command, facts={"risks": motion.risks(dialect, *risks, Risk.UNBOUNDED), "at_best": certainty})
+
+
+@of_motion(each=_cases, name="{command}/takes-over", refuted_by="a shaft that goes on as before, or elsewhere, or a refusal")
+def _takes_over(probe: Probe, command: Command) -> None:
+    """{command} takes over from each motion, itself too: the same way and round, at the same speed and another one."""
+    every = probe.recorded(taken_over)
+    senses = {tried.row.older: tried.sense for tried in every if tried.sense}
+    for tried in (tried for tried in every if tried.row.command == command.name and tried.sense):
+        text = f"{command.name} does not take over from another motion"
+        probe.expect(
+            "a refusal or no answer",
+            holds=not tried.refused or not motion.readable(tried.newer),
+            expected=f"motion: {tried.row}",
+            refutes=text,
+            exchange=tried.newer,
+            key=text,
+        )
+        sense = senses.get(command.name, 0)
+        if tried.refused or not sense:
+            continue
+        if tried.seen is not None:
+            wanted = sense * tried.row.way * tried.row.turn * tried.row.rpm
+            got, within, unit = tried.seen.value, 2 + abs(wanted) * 2 * CLOCK_SHARE + tried.seen.noise, "rpm"
+            low = high = float(wanted)
+        elif tried.end is not None:
+            low, high = _ends(tried, sense)
+            got, within, unit = tried.end.value, motion.miss(probe) + 1, "degrees"
+        else:
+            continue
+        probe.expect(
+            got,
+            at_least=low - within,
+            at_most=high + within,
+            unit=unit,
+            expected=f"{low - within:.5g} to {high + within:.5g} {unit}: {tried.row}",
+            refutes=text,
+            exchange=tried.newer,
+            key=text,
+        )
+
+
+def _ends(tried: Tried, sense: int) -> tuple[float, float]:
+    """Return between which places a newer move ends, in degrees."""
+    command = tried.newer.command
+    assert command is not None  # it was asked for
+    if motion.of(command).kind is MotionKind.MOVE_TO:
+        place = tried.zero if tried.row.zero else tried.start.value + sense * tried.wanted
+        return place, place
+    # By a distance, from where the shaft was when the newer one was taken.
+    reply = tried.newer.reply
+    assert reply is not None  # it was taken
+    way = tried.sense * tried.row.way
+    went = (
+        way * CALM * 6 * (1 + CLOCK_SHARE) * (reply.first_ns + _LAG_NS - tried.before.t_ns + tried.before.spread_ns) / SECOND_NS
+    )
+    low, high = sorted((tried.before.value, tried.before.value + went))
+    return low + sense * tried.wanted - 2, high + sense * tried.wanted + 2
