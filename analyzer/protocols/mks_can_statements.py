@@ -392,7 +392,7 @@ STATEMENTS: tuple[Statement, ...] = (
     _said("3.2.7/default", "20 ms is the default.", "read-back/restore/settings"),
     _unseen("3.2.7/delay", "Pulses are delayed by so long.", _PULSES),
     *_setting("3.2.8", "set_protection", "88 with a byte", "protection"),
-    _said("3.2.8/on", "1 protects a locked rotor.", "motion/set_protection/lets-go"),
+    _said("3.2.8/on", "1 protects a locked rotor.", "motion/set_protection/lets-go*", "motion/release_protection/limp*"),
     _said("3.2.8/off", "0 does not.", "motion/set_protection/off-holds-on"),
     _said("3.2.8/default", "The protection is on by default.", "read-back/restore/settings"),
     _said("3.2.8/ends-by-3d", "3D ends the state of protection.", "motion/release_protection/releases"),

@@ -243,6 +243,51 @@ def _moves(probe: Probe, command: Command) -> None:
     _judge_place(probe, old, new, back)
 
 
+#: Addresses whose bits are once 0 and once 1, and those at the ends of them.
+_BITS = (0x55, 0xAA, 0x80, 0xFE, 0x100, 0x2AA, 0x555, 0x400, 0x7FF)
+
+
+@claim(
+    Theme.ADDRESSING,
+    each=commands(Verb.SET_ADDRESS),
+    name="{command}/bits",
+    refuted_by="an answer from another address, or none",
+    alone=True,
+    risks=lambda case: case.dialect.by_verb[Verb.SET_ADDRESS].all_risks,
+    settings=("new_address",),
+    fields=("new_address",),
+    quirks=may_meet(NEW_ADDRESS_ANSWERS),
+)
+def _each_bit(probe: Probe, command: Command) -> None:
+    """Whatever bits its address has, a drive is heard there, answers from there, and obeys there."""
+    ask_first(probe)
+    old, last = probe.address, command.request_forms[0].layout.named["new_address"].high
+    for new in (a for a in _BITS if a <= min(last, probe.dialect.addresses[1]) and a != old):
+        told = probe.ask(command, {"new_address": new})
+        if told.silent or probe.refused(told):
+            raise Inconclusive(f"{command.name} was answered {received_text(told)}")
+        if probe.claim.quirks and any(a.message.address == new for a in told.answers):
+            probe.meets(NEW_ADDRESS_ANSWERS)
+        try:
+            _expect_heard(probe, new, told)
+        finally:
+            back = probe.ask(command, {"new_address": old}, address=new)
+        _expect_heard(probe, old, back)
+
+
+def _expect_heard(probe: Probe, here: int, told: Exchange) -> None:
+    """Refute a drive that is not heard at an address, or answers from another one."""
+    tries = [probe.ask(plain_read(probe.dialect), address=here, timeout_ns=probe.rig.late_ns) for _ in range(2)]
+    probe.expect(
+        received_text(tries[-1]),
+        holds=any(a.message.address == here and a.message.frame.checksum_ok for t in tries for a in t.answers),
+        expected=f"a reply of {here:X}h, behind {hex_of(told.sent or b'')}",
+        refutes=f"a drive that was given the address {here} is not heard there",
+        exchange=tries[-1],
+        key="set_address: an address is not heard",
+    )
+
+
 def _judge_place(probe: Probe, here: int, gone: int, told: Exchange) -> None:
     """Refute a drive that is not heard here, or is heard where it should be gone."""
     for address, wanted, late_ns in ((here, True, probe.rig.late_ns), (gone, False, probe.rig.silence_ns)):

@@ -94,6 +94,46 @@ def _newer_speed(probe: Probe, command: Command) -> None:
     expect_speed(seen, CALM, exchange, f"{command.name}: a newer one does not give the shaft its speed")
 
 
+_places = motions(MotionKind.MOVE_TO, where=takes_counts)
+#: A ramp by which 60 rpm take a while: 5 ms for one rpm.
+_SLOW_RAMP = 156
+
+
+def _fields(dialect: Dialect) -> Iterator[Case]:
+    for case in _places(dialect):
+        for name in ("speed", "acceleration", "target"):
+            yield Case(dialect, case.command, {"field": name})
+
+
+@of_motion(
+    each=_fields,
+    name="{command}/newer-{field}-alone",
+    refuted_by="a motion that goes on as before",
+    at_best=_certainty,
+    parameters={},
+)
+def _field_alone(probe: Probe, command: Command, field: str) -> None:
+    """{command} that comes while one is under way, and differs in its {field} alone, changes that."""
+    motion.prepare(probe, command)
+    begun, start = motion.position(probe), motion.place(probe, command)
+    degrees, rpm = (180, CALM) if field == "target" else (2 * _DEGREES, CALM if field == "acceleration" else _RPM)
+    ramp = _SLOW_RAMP if field == "acceleration" else QUICK
+    motion.begin(probe, command, degrees, rpm=rpm, acceleration=ramp, start=start)
+    probe.wait(100 * MS)
+    again = 60 if field == "target" else degrees
+    exchange = motion.ask(probe, command, again, rpm=CALM, acceleration=QUICK, start=start, quiet_ns=0)
+    expect_taken(probe, exchange, f"{command.name} is refused while one is under way")
+    text = f"{command.name}: a newer one that differs in its {field} alone changes nothing"
+    if field == "target":
+        went, within = motion.wait_standing(probe).value - begun.value, motion.miss(probe) + 1
+        probe.expect(went, near=again, within=within, unit="degrees from the start", refutes=text, exchange=exchange)
+    else:
+        probe.wait(60 * MS)
+        seen = motion.speed(probe)
+        motion.stand_still(probe)
+        expect_speed(seen, CALM, exchange, text)
+
+
 @of_motion(
     each=that_tell_their_end(_moves), refuted_by="a completion of the older one, or none of the newer one", at_best=_certainty
 )

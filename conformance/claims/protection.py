@@ -96,19 +96,40 @@ def _stall(probe: Probe, command: Command, port: str) -> None:
         probe.expect(probe.read(command, port), equal=wanted, refutes=text)
 
 
-@_of_protection("3E that reads 0", each=commands(Verb.SET_PROTECTION))
+@_of_protection("3E that reads 0", each=commands(Verb.SET_PROTECTION), more_risks=(Verb.RELEASE_PROTECTION, Verb.ENABLE))
 def _lets_go(probe: Probe) -> None:
-    """With the protection on, a shaft that is held is let go, and 3E reads 1."""
-    _prepare(probe, 1)
-    _expect(probe, probe.traffic[-1], 0, "3E reads protected before the shaft was held")
-    exchange = _held_move(probe)
-    _expect(probe, exchange, 1, "3E does not read protected after the shaft was held")
-    bench.hold(probe, False)
-    before = motion.position(probe)
-    probe.wait(SECOND_NS)
-    moved = motion.position(probe).value - before.value
-    text = "the motor goes on when the held shaft is let go"
-    probe.expect(moved, near=0, unit="degrees", refutes=text, exchange=exchange)
+    """With the protection on, a shaft that is held either way is let go, and 3E reads 1."""
+    for turns in (_TURNS, -_TURNS):
+        _prepare(probe, 1)
+        _expect(probe, probe.traffic[-1], 0, "3E reads protected before the shaft was held")
+        exchange = _held_move(probe, turns)
+        _expect(probe, exchange, 1, "3E does not read protected after the shaft was held")
+        bench.hold(probe, False)
+        before = motion.position(probe)
+        probe.wait(SECOND_NS)
+        moved = motion.position(probe).value - before.value
+        text = "the motor goes on when the held shaft is let go"
+        probe.expect(moved, near=0, unit="degrees", refutes=text, exchange=exchange)
+        probe.do(Verb.RELEASE_PROTECTION)
+        probe.do(Verb.ENABLE, {"enabled": 1})
+
+
+@_of_protection(
+    "3E that reads 0", each=commands(Verb.SET_PROTECTION), more_risks=(Verb.RUN_SPEED, Verb.RELEASE_PROTECTION, Verb.ENABLE)
+)
+def _lets_go_turning(probe: Probe) -> None:
+    """With the protection on, a shaft that is held while it turns is let go, whichever way it turns."""
+    for way in (1, -1):
+        _prepare(probe, 1)
+        motion.run_at(probe, way * 120, QUICK)
+        probe.wait(300 * MS)
+        exchange = probe.traffic[-1]
+        bench.hold(probe)
+        probe.wait(4 * SECOND_NS)
+        _expect(probe, exchange, 1, "3E does not read protected after a shaft was held that turned")
+        bench.hold(probe, False)
+        probe.do(Verb.RELEASE_PROTECTION)
+        probe.do(Verb.ENABLE, {"enabled": 1})
 
 
 @_of_protection("3E that reads 1", each=commands(Verb.SET_PROTECTION))
@@ -176,14 +197,19 @@ def _held(probe: Probe, command: Command) -> None:
     probe.measured["status"] = float(statuses[-1])
 
 
+#: Tolerances as sent (1.8 degrees each), by how many degrees the shaft lags behind, and whether it is let go.
+_LAGS = ((50, 100, 1), (50, -80, 0), (200, 270, 0), (200, -380, 1), (400, 700, 0), (400, -740, 1))
+
+
 @_of_protection(
     "a shaft that is let go sooner or later",
     each=commands(Verb.SET_STALL_TOLERANCE),
     settings=("protection", "stall_tolerance"),
 )
 def _angle(probe: Probe, command: Command) -> None:
-    """The shaft is let go when it lags behind by the tolerance: at 90 degrees for 50, not at 270 for 200."""
-    for sent, turns, wanted in ((50, 80 / 360, 0), (50, 100 / 360, 1), (200, 270 / 360, 0), (200, 380 / 360, 1)):
+    """The shaft is let go when it lags behind by the tolerance: at 90 degrees for 50, at 720 for 400, either way."""
+    for sent, degrees, wanted in (*_LAGS, (0x7FFF, 2000, 0)):
+        turns = degrees / 360
         _prepare(probe, 1)
         probe.do(command, {"stall_tolerance": sent})
         exchange = _held_move(probe, turns)
@@ -198,9 +224,13 @@ def _angle(probe: Probe, command: Command) -> None:
 # --- a motor without current, which no hand holds ---------------------------------------------------------------------
 
 
-def _without_hands(refuted_by: str, *, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    risks = risks_by(Verb.SET_PROTECTION, Verb.SET_CURRENT, Verb.RELEASE_PROTECTION, Verb.ENABLE, *_MOVING)
-    settings = ("protection", "current")
+def _without_hands(
+    refuted_by: str, *, each: Cases, more: tuple[str, ...] = (), **facts: Any
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    risks = risks_by(
+        Verb.SET_PROTECTION, Verb.SET_CURRENT, Verb.RELEASE_PROTECTION, Verb.ENABLE, Verb.SET_STALL_TOLERANCE, *_MOVING
+    )
+    settings = ("protection", "current", *more)
     return of_motion(each=needing(Verb.SET_CURRENT, each), refuted_by=refuted_by, risks=risks, settings=settings, **facts)
 
 
@@ -268,6 +298,51 @@ def _limp(probe: Probe, command: Command) -> None:
         received_text(exchange), holds=not probe.refused(exchange), expected="a release", refutes=text, exchange=exchange
     )
     _expect(probe, exchange, 0, "3E reads protected after 3D")
+
+
+@_without_hands("3E that reads otherwise", each=commands(Verb.RELEASE_PROTECTION), at_best=Certainty.LIKELY)
+def _limp_either_way(probe: Probe) -> None:
+    """A motor without current is protected whichever way it was to turn, from rest and from a run."""
+    for number, (way, runs) in enumerate(((1, False), (-1, False), (1, True), (-1, True))):
+        _prepare(probe, 1)
+        if runs:
+            motion.run_at(probe, way * _LIMP_RPM, QUICK)
+            probe.wait(300 * MS)
+            exchange, went = _current(probe, False), 0.0
+            # The shaft that runs out lags behind by two turns.
+            probe.wait(1500 * MS)
+        else:
+            exchange, went = _limp_move(probe, way * _TURNS * 360)
+        protected = _is_protected(probe)
+        if not protected and not number:
+            _expect_free(probe, exchange, went)
+        _end_limp(probe)
+        probe.do(Verb.RELEASE_PROTECTION)
+        text = "a motor without current is not protected in each direction, from rest and from a run"
+        probe.expect(protected, equal=1, refutes=text, exchange=exchange)
+        probe.do(Verb.ENABLE, {"enabled": 1})
+
+
+@_without_hands(
+    "a shaft that is let go sooner or later",
+    each=commands(Verb.SET_STALL_TOLERANCE),
+    at_best=Certainty.LIKELY,
+    more=("stall_tolerance",),
+)
+def _limp_angle(probe: Probe, command: Command) -> None:
+    """A motor without current is protected when it lags behind by the tolerance, and not before."""
+    for number, (sent, degrees, wanted) in enumerate(_LAGS):
+        _prepare(probe, 1)
+        probe.do(command, {"stall_tolerance": sent})
+        exchange, went = _limp_move(probe, degrees)
+        protected = _is_protected(probe)
+        if not protected and not number:
+            _expect_free(probe, exchange, went)
+        _end_limp(probe)
+        probe.do(Verb.RELEASE_PROTECTION)
+        probe.do(Verb.ENABLE, {"enabled": 1})
+        text = f"with a tolerance of {sent * 1.8:g} degrees a motor without current lags behind by {abs(degrees)}"
+        probe.expect(protected, equal=wanted, refutes=text, exchange=exchange, key="tolerance")
 
 
 @_without_hands("3E that reads 1", each=commands(Verb.SET_PROTECTION))

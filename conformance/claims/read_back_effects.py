@@ -18,7 +18,7 @@ from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from conformance.claim import Inconclusive
-from conformance.claims import ranges, setting_effects
+from conformance.claims import bench, ranges, setting_effects
 from conformance.claims.declare import Case, commands
 from conformance.claims.read_back import fields_of, of_read_back
 from conformance.claims.setting_effects import SettingEffect
@@ -179,6 +179,26 @@ def _enable_level(probe: Probe, command: Command) -> None:
         (seen[0] != seen[1], "one enabled, the other not", "enable_level 0 and 1 read alike"),
     ):
         probe.expect(shown, holds=holds, expected=expected, refutes=refutes, exchange=exchange, key="enable_level effect")
+
+
+@of_read_back(
+    each=_with_work_mode(Verb.SET_ENABLE_LEVEL),
+    name="{command}/pin",
+    refuted_by="a motor that holds at another level",
+    at_best=Certainty.LIKELY,
+    emulated=True,
+)
+def _enable_pin(probe: Probe, command: Command) -> None:
+    """In a pulse mode the motor holds at the level of En that was set (0, 1), or at both (2)."""
+    probe.do(Verb.SET_WORK_MODE, {"work_mode": _pulse_mode(probe.dialect)})
+    for value in (0, 1, 2):
+        exchange = probe.do(command, {"enable_level": value})
+        for level in (1, 0):
+            bench.enable_pin(probe, level)
+            probe.wait(200 * MS)
+            text = f"enable_level {value} at the level {level} of En"
+            wanted = int(value in (2, level))
+            probe.expect(probe.read(Verb.READ_ENABLED), equal=wanted, refutes=text, exchange=exchange, key="enable_level pin")
 
 
 @of_read_back(

@@ -575,6 +575,14 @@ DOING: Rows = {
             Change(taken(_own_and_group_alone).install, having(Verb.SET_GROUP_ADDRESS)),
         ),
     ),
+    "update": (
+        Row("update-undone", "F5 while the shaft turns says success and is lost", undone_when(_turns, Verb.MOVE_ABSOLUTE_AXIS)),
+        Row(
+            "tolerance-capped",
+            "stall tolerances above 360 degrees hold as that",
+            Change(_stored_as("stall_tolerance", lambda v: min(v, 200)).install, having(Verb.SET_STALL_TOLERANCE)),
+        ),
+    ),
     "homed": (
         Row("zero-status-2-after-homing", "3B reads 2 after homing", told_when(_homed, Verb.READ_ZERO_STATUS, status=2)),
     ),
