@@ -478,7 +478,7 @@ LIMIT: Rows = {
             "moves accept an acceleration of 256 and take it for 0",
             together(limit("acceleration", accepts(256)), asked("acceleration", low_bits(8))),
         ),
-        Row("speed-2900-at-most", "3000 rpm is run at 2900", asked("speed", at_most(2900))),
+        Row("speed-2800-at-most", "3000 rpm is run at 2800", asked("speed", at_most(2800))),
         Row("address-highest-refused", "8B refuses the highest address", limit("new_address", highest_refused), TELLING),
         Row("address-beyond-7ff", "8B accepts 800h", limit("new_address", one_more), CAN),
         Row("lowest-position-accepted", "moves accept -8388608", limit("position", accepts(-8388608)), CAN),

@@ -107,12 +107,12 @@ MKS = (
     ("direction-setting-turns-bus", "set_direction/and-the-bus"),
     # Speeds
     ("speed-5-percent-high", "run_speed/speed-60"),
-    ("speed-8-bit", "move_relative_pulses/speed"),
+    ("speed-8-bit", "move_relative_pulses/crossed-speed"),
     ("speed-ignores-subdivision", "set_subdivision/speed-at-128"),
     ("speed-scaled-at-32", "set_subdivision/speed-at-32"),
     ("mode-limit-ignored", "run_speed/highest-sr_open"),
     ("speed-unlimited", "move_relative_axis/beyond-highest"),
-    ("speed-2900-at-most", "run_speed/crossed-speed"),
+    ("speed-2800-at-most", "run_speed/crossed-speed"),
     ("speed-above-3000-refused", "run_speed/beyond-highest"),
     ("speed-3000-refused", "move_absolute_pulses/crossed-taken"),
     # Newer motion, stops, enabling
