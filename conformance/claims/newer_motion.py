@@ -135,7 +135,7 @@ def _field_alone(probe: Probe, command: Command, field: str) -> None:
 
 
 @of_motion(
-    each=that_tell_their_end(_moves), refuted_by="a completion of the older one, or none of the newer one", at_best=_certainty
+    each=that_tell_their_end(_update), refuted_by="a completion of the older one, or none of the newer one", at_best=_certainty
 )
 def _superseded(probe: Probe, command: Command) -> None:
     """{command} that another one supersedes is not told as complete; the newer one is."""

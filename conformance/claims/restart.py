@@ -338,16 +338,18 @@ def _saved_runs(dialect: Dialect) -> Iterator[Case]:
 _DAMAGED_NS = 60 * MS
 
 
-def _turning(probe: Probe, rpm: int) -> float:
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+def _turning(probe: Probe, rpm: int, mode: str = "") -> float:
+    motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
     motion.run_at(probe, rpm)
     probe.wait(400 * MS)
     return motion.speed(probe).value
 
 
-def _after_restart(probe: Probe) -> tuple[float, Exchange]:
-    """Stop the shaft, restart the drive, and return how fast it turns then."""
-    motion.stand_still(probe)
+def _after_restart(probe: Probe, stop: Verb = Verb.STOP_SPEED) -> tuple[float, Exchange]:
+    """Stop the shaft at once, restart the drive, and return how fast it turns then."""
+    command = probe.command(stop)
+    probe.ask(command, {"acceleration": 0} if "acceleration" in command.request_forms[0].layout.named else None)
+    motion.wait_standing(probe)
     exchange = restart(probe)
     probe.wait(600 * MS)
     return motion.speed(probe).value, exchange
@@ -358,16 +360,38 @@ def _forget(probe: Probe, command: Command) -> None:
     motion.stand_still(probe)
 
 
-@of_read_back(each=_saved_runs, name="{command}/restart", refuted_by="another speed, or none", rests_on=(Doubt.VALUES,))
-def _saved(probe: Probe, command: Command) -> None:
-    """A run that is kept goes on, and begins again after a restart, the same way."""
+def _saved_in_any_mode(dialect: Dialect) -> Iterator[Case]:
+    for case in _saved_runs(dialect):
+        yield Case(dialect, case.command, {"mode": "", "stop": Verb.STOP_SPEED}, case.facts)
+
+
+def _modes(dialect: Dialect) -> list[str]:
+    return [mode for mode in motion.bus_modes(dialect) if "no_encoder" not in mode]
+
+
+def _saved_in_other_mode(dialect: Dialect) -> Iterator[Case]:
+    """Yield it for the mode between: in the others a run is kept by other claims."""
+    for case in _saved_runs(dialect):
+        yield Case(dialect, case.command, {"mode": _modes(dialect)[-2], "stop": Verb.EMERGENCY_STOP}, case.facts)
+
+
+@of_read_back(
+    each=_saved_in_other_mode,
+    name="{command}/in-{mode}",
+    statement="In {mode} a run that is kept begins again after a restart, though the emergency stop ended it.",
+    refuted_by="another speed, or none",
+    rests_on=(Doubt.VALUES,),
+)
+@of_read_back(each=_saved_in_any_mode, name="{command}/restart", refuted_by="another speed, or none", rests_on=(Doubt.VALUES,))
+def _saved(probe: Probe, command: Command, mode: str, stop: Verb) -> None:
+    """A run that is kept goes on, and begins again after a restart, the same way, though it was stopped at once."""
     need_axis_lock(probe)
-    before = _turning(probe, -_RPM)
+    before = _turning(probe, -_RPM, mode)
     exchange = probe.do(command, _KEEP)
     text = "a run does not go on when it is kept"
     within = max(2.0, abs(before) * _SHARE)
     probe.expect(motion.speed(probe).value, near=before, within=within, unit="rpm", refutes=text, exchange=exchange)
-    after, exchange = _after_restart(probe)
+    after, exchange = _after_restart(probe, stop)
     _forget(probe, command)
     probe.expect(
         after,

@@ -11,11 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 
-from analyzer.catalogue import Certainty, Dialect, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Verb
 from analyzer.layout import Effect
+from conformance.claims.crossed import motions_of
 from conformance.claims.declare import Case
 from conformance.claims.motion_claim import of_motion, risks_by
-from conformance.motion import motion
+from conformance.motion import course, motion, ramp
 from conformance.motion.motion import CALM, MS, QUICK
 from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import Probe
@@ -98,3 +99,73 @@ _OTHERS = (4, 5, 10, 20, 25, 40, 50, 200)
 def _pulses_at_others(probe: Probe) -> None:
     for subdivision in _OTHERS:
         _pulses(probe, subdivision, subdivision)
+
+
+def _axis_moves(dialect: Dialect) -> Iterator[Case]:
+    found = dialect.effect(Effect.SUBDIVISION)
+    if found is not None and dialect.subdivision is not None:
+        for command in motions_of(dialect):
+            if motion.of(command).distance and not motion.takes_pulses(command):
+                yield Case(dialect, command, facts={"risks": motion.risks(dialect, *command.all_risks)})
+
+
+@of_motion(each=_axis_moves, refuted_by="another length, or another way")
+def _at_each_subdivision(probe: Probe, command: Command) -> None:
+    """At each subdivision {command} goes as far as asked, either way: it counts by the encoder."""
+    for case in _subdivisions(probe.dialect):
+        motion.ready_to_move(probe, subdivision=case["sent"])
+        # Where it stands by more than one look: a lone read may be a stray one.
+        stands = motion.wait_standing(probe)
+        for way in (1, -1):
+            how = {"acceleration": QUICK, "subdivision": case["subdivision"]}
+            move = motion.follow(probe, command, way * _SHORT, **how)
+            text = f"{command.name} goes elsewhere at {case['subdivision']} subdivisions"
+            # Told from half, twice, and the other way.
+            within = motion.miss(probe) + 1
+            went, stands = move.end.value - stands.value, move.end
+            probe.expect(went, near=way * _SHORT, within=within, unit="degrees", refutes=text, exchange=move.exchange)
+
+
+def _lowest(dialect: Dialect) -> Iterator[Case]:
+    for command in motions_of(dialect):
+        yield Case(dialect, command, facts={"risks": motion.risks(dialect, *command.all_risks)})
+
+
+@of_motion(each=_lowest, refuted_by="a shaft that stays, another way, or a ramp that is none", at_best=Certainty.LIKELY)
+def _lowest_values(probe: Probe, command: Command) -> None:
+    """{command} takes the lowest speed and the slowest ramp, 1 each, either way."""
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    runs = not motion.of(command).distance
+    for way in (1, -1):
+        for rpm, acceleration, degrees in ((1, QUICK, _SLOW), (_RAMPED, 1, 2 * _SHORT)):
+            before = motion.wait_standing(probe)
+            speed = way * rpm if runs else rpm
+            exchange = motion.ask(probe, command, way * degrees, quiet_ns=0, rpm=speed, acceleration=acceleration)
+            text = f"{command.name} at speed {rpm} and acceleration {acceleration} is refused or not answered"
+            taken = motion.readable(exchange) and not probe.refused(exchange)
+            probe.expect("a refusal or no answer", holds=taken, expected="motion", refutes=text, exchange=exchange)
+            probe.wait(exchange.sent_ns + _MIDWAY_NS - probe.gate.now_ns())
+            on = motion.position(probe)
+            law = course.run(0, rpm, acceleration) if runs else course.move(degrees / 360, rpm, acceleration)
+            since_ns, until_ns = (on.t_ns + side * on.spread_ns - exchange.sent_ns for side in (-1, 1))
+            late_ns = exchange.reply.first_ns - exchange.sent_ns if exchange.reply is not None else 0
+            first_ns = (since_ns - late_ns - _LAG_NS) / (1 + ramp.SLOW_QUIRK) - ramp.step_ns(acceleration)
+            low, high = law.turns(first_ns, until_ns / (1 - CLOCK_SHARE) + ramp.step_ns(acceleration))
+            text = f"{command.name} at speed {rpm} and acceleration {acceleration} leaves its course"
+            within = motion.miss(probe) + probe.noise.swing
+            probe.expect(
+                abs(on.value - before.value),
+                at_least=low * 360 - within,
+                at_most=high * 360 + within,
+                unit="degrees",
+                refutes=text,
+                exchange=exchange,
+            )
+            motion.stop(probe)
+    motion.wait_standing(probe)
+
+
+#: Degrees that are moved at each subdivision, and at the lowest speed; the speed of the slowest ramp (rpm).
+_SHORT, _SLOW, _RAMPED = 8, 4, 20
+#: When the shaft is looked at: at the lowest speed it has gone a degree and more. What it may lag behind.
+_MIDWAY_NS, _LAG_NS = 250 * MS, 10 * MS
