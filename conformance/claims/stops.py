@@ -300,7 +300,7 @@ def _in_mode(probe: Probe, command: Command, mode: str, emergency: Command) -> N
     probe.expect(abs(seen.value), near=_RPM / 2, within=_RPM / 4, unit="rpm", refutes=text, exchange=exchange)
     probe.wait(exchange.sent_ns + _RAMP_NS + 200 * MS - probe.gate.now_ns())
     expect_standing(probe, exchange, f"{command.name} does not stop the shaft in mode {mode}")
-    # The other way, of which the claims of one mode alone say enough for the first.
+    # The other way: the first one is that of the claims of one mode.
     motion.run_at(probe, -CALM, QUICK)
     probe.wait(_SET_OFF_NS)
     _expect_turning(motion.speed(probe), CALM / 2)
