@@ -15,11 +15,13 @@ from conformance.claim import Theme
 from conformance.claims import guarded, ranges, setting_effects
 from conformance.claims.control_reads import ask_first, is_answered, judge_next, plain_read, received_text
 from conformance.claims.declare import Case, Cases, claim, described_in
+from conformance.claims.known_reads import every_read
 from conformance.claims.setting_effects import differing
 from conformance.claims.stops import expect_standing
 from conformance.motion import effects, motion
 from conformance.motion.effects import STEP_NS, Change, Observable
 from conformance.motion.motion import MOVES
+from conformance.talk import restarts
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe, Until
 from conformance.talk.settings import changes_link
@@ -29,6 +31,8 @@ _OF_REPLIES = frozenset({Verb.SET_RESPOND, Verb.SET_GROUP_ADDRESS})
 #: A group address, and another one where the drive itself has it.
 _GROUP, _OTHER_GROUP, _BYTE = 0x50, 0x60, 0xFF
 _HIGH_GROUP = 0xE0
+#: What a drive is told behind all else.
+_LAST = (Verb.RESTART,)
 #: How long a setting is listened to; that a setting by several addresses is silent shows with the first of them too.
 _SETTING_NS = 60_000_000
 
@@ -331,6 +335,38 @@ def _switched(probe: Probe, many: _Many, switch: Command, shown: guarded.Guarded
     holds = abs(after - before) > shown.within
     probe.expect(f"{after:g}", holds=holds, expected=f"another value than {before:g}", refutes=text, exchange=sent)
     _expect_silence(probe, sent, many.what)
+
+
+def _whatever_happens(dialect: Dialect) -> Iterator[Case]:
+    """Yield each address of several drives with what is refused while the motor is off, and a restart."""
+    for many in _addresses(dialect) if motion.can_move(dialect) else ():
+        chosen = (*dialect.motions(MotionKind.RUN, *MOVES), *(c for v in _LAST if (c := dialect.by_verb.get(v)) is not None))
+        risks = motion.risks(dialect, Risk.TORQUE, *many.risks(dialect).union(*(c.all_risks for c in chosen)) - {Risk.UNKNOWN})
+        facts = {"risks": risks, "settings": motion.settings(dialect, *many.settings)}
+        yield Case(dialect, given={"many": many, "what": many.what, "chosen": chosen}, facts=facts)
+
+
+@_addressing("any answer", _whatever_happens, name="{many}/outcomes")
+def _never_answered(probe: Probe, many: _Many, chosen: tuple[Command, ...]) -> None:
+    """Nothing by {what} is answered: no read, no motion of a motor that is off, and no restart."""
+    motion.ready_to_move(probe)
+    to = many.join(probe)
+    for read, values in every_read(probe.dialect):
+        _expect_silence(probe, probe.ask(read, values, address=to, until=Until.TIMEOUT, timeout_ns=_SETTING_NS), many.what)
+    motion.switch(probe, False)
+    for command in chosen:
+        if command.verb in _LAST:
+            motion.switch(probe, True)
+        # What moves turns nothing, or a tenth of a turn: a motor that is off may run all the same.
+        start = motion.place(probe, command) if command.motion is not None else 0
+        values = motion.values_of(probe.dialect, command, 36, start=start) if command.motion is not None else {}
+        sent = probe.ask(command, values, address=to, until=Until.TIMEOUT, timeout_ns=probe.rig.silence_ns)
+        if command.verb in _LAST:
+            restarts.wait_for_answer(probe)
+        elif not sent.silent:
+            motion.stand_still(probe)
+            motion.switch(probe, True)
+        _expect_silence(probe, sent, many.what)
 
 
 # --- settings ---------------------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Ve
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import ask_first, judge_next, plain_read, received_text
 from conformance.claims.declare import Case, Cases, claim
+from conformance.claims.known_reads import every_read
 from conformance.motion import effects, motion
 from conformance.motion.effects import STEP, STEP_NS
 from conformance.talk.exchange import Exchange, hex_of
@@ -317,33 +318,56 @@ def _motions(dialect: Dialect) -> Iterator[Case]:
 
 @_of_packages("a shaft that stands, or one that turns on", name="{run}", each=_motions)
 def _turns_and_stops(probe: Probe, command: Command, run: Command, stop: Command, before: int) -> None:
-    """{run} in a slot of a package turns the shaft, and {stop} in it lets it stand."""
+    """{run} in a slot of a package turns the shaft either way, and {stop} in it lets it stand."""
     motion.prepare(probe, run)
-    values = motion.values_of(probe.dialect, run, 10 * 360, start=motion.place(probe, run))
+    ways = [_run_and_stop(probe, command, run, stop, before, way) for way in (1, -1)]
+    one, other = ways
+    text = f"{run.name} in a slot of a package turns the shaft one way, whichever is asked for"
+    got = f"{one:+g} and {other:+g} rpm"
+    probe.expect(got, holds=one * other < 0, expected="one way, then the other", refutes=text)
+
+
+def _rpm(run: Command, way: int) -> float:
+    return way * motion.CALM if motion.of(run).kind is MotionKind.RUN else motion.CALM
+
+
+def _run_and_stop(probe: Probe, command: Command, run: Command, stop: Command, before: int, way: int) -> float:
+    """Run and stop by packages; return the speed in between."""
+    start = motion.place(probe, run)
+    values = motion.values_of(probe.dialect, run, way * 10 * 360, rpm=_rpm(run, way), start=start)
     seen = []
     for order, data in ((run, values), (stop, {"acceleration": motion.QUICK})):
         slot = {"address": probe.address, "command": order.name, **data}
         sent = probe.send(_frame(probe, command, [EMPTY] * before + [slot]), timeout_ns=STEP_NS)
-        seen.append((abs(motion.turning(probe).value), sent))
-    (turning, begun), (left, ended) = seen
+        seen.append((motion.turning(probe).value, sent))
+    (rpm, begun), (rest, ended) = seen
+    turning, left = abs(rpm), abs(rest)
     text = f"{run.name} in a slot of a package does not turn the shaft"
     probe.expect(turning, at_least=motion.CALM / 2, unit="rpm", refutes=text, exchange=begun)
     if left:
         motion.stop(probe)
     text = f"{stop.name} in a slot of a package does not stop the shaft"
     probe.expect(left, at_most=1, unit="rpm", refutes=text, exchange=ended)
+    return rpm
 
 
 # --- what is answered -------------------------------------------------------------------------------------------------
 
 
-@_of_packages("any answer", name="silent")
+@_of_packages("any answer", name="silent", each=_switching)
 def _silent(probe: Probe, command: Command) -> None:
-    """A package is not answered, neither when a move begins nor when it is done."""
+    """A package is not answered: no read, no setting, no refused move, and no move, when it begins or when it is done."""
     motion.ready_to_move(probe)
-    for slot in (_read(probe), _move(probe.dialect, probe.address)):
-        frame = _frame(probe, command, [slot])
-        sent = probe.send(frame, timeout_ns=_STEPS_NS)
+    assert command.slots is not None
+    own = probe.address
+    inner = [{"command": read.name, **values} for read, values in every_read(probe.dialect)]
+    inner += [{"command": probe.command(Verb.ENABLE).name, "enabled": enabled} for enabled in (0, 1)]
+    # Before the motor is on again a move is refused; each slot has something to say.
+    refused = _move(probe.dialect, own)
+    slots = [*inner[:-1], refused, inner[-1], refused]
+    for number, slot in enumerate(slots):
+        frame = _frame(probe, command, [EMPTY] * (number % command.slots.count) + [{"address": own, **slot}])
+        sent = probe.send(frame, timeout_ns=_STEPS_NS if slot is refused else probe.rig.silence_ns)
         expected = f"silence after {hex_of(frame)}"
         probe.expect(received_text(sent), holds=sent.silent, expected=expected, refutes="a package is answered", exchange=sent)
 

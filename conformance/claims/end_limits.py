@@ -15,12 +15,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from analyzer.catalogue import Command, Dialect, MotionKind, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive, NotRun
 from conformance.claims import bench, homing
 from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.known_quirks import known, may_meet
 from conformance.claims.motion_claim import expect_stays, of_motion, risks_by, that_tell_their_end
+from conformance.model import covering
 from conformance.motion import motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
@@ -30,11 +31,13 @@ from conformance.talk.probe import Probe, Until
 _LEFT, _HALF = -3000, 8000
 #: How many turns the right end stop is from the left one, and how long the moves are that are to meet one.
 _RIGHT_TURNS, _LONG_TURNS = 2, 4
+#: How fast motions meet one; the fast one beyond half of any drive's speed.
+_RPM, _FAST = 120, 1600
 _DEAF = "deaf-after-limit-stop"
 
 
 def _fields(case: Case) -> tuple[str, ...]:
-    return (*case.dialect.by_verb[Verb.SET_HOME].request_forms[0].layout.named, "limit_remap")
+    return (*case.dialect.by_verb[Verb.SET_HOME].request_forms[0].layout.named, "limit_remap", "respond", "active")
 
 
 _settings = commands(Verb.SET_HOME)
@@ -53,7 +56,7 @@ _runs_and_moves = _motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_T
 
 
 def _of_limits(refuted_by: str, *, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    risks = risks_by(Verb.RUN_SPEED, Verb.HOME, Verb.SET_HOME)
+    risks = risks_by(Verb.RUN_SPEED, Verb.HOME, Verb.SET_HOME, Verb.SET_RESPOND)
     return of_motion(each=each, refuted_by=refuted_by, emulated=True, risks=risks, settings=_fields, **facts)
 
 
@@ -90,11 +93,11 @@ def _sense_of(probe: Probe, command: Command) -> int:
     return _sense(probe, command) if motion.of(command).direction or motion.takes_pulses(command) else 1
 
 
-def _values(probe: Probe, command: Command, way: int, sense: int = 0) -> dict[str, int]:
+def _values(probe: Probe, command: Command, way: int, sense: int = 0, rpm: int = _RPM) -> dict[str, int]:
     """Return the values of a long motion down (-1) or up (1), whatever its bits turn. `sense`: where it is known."""
     sense = sense or _sense_of(probe, command)
     start, turned = motion.place(probe, command), way * sense
-    how = {"rpm": 120 * turned if motion.of(command).kind is MotionKind.RUN else 120, "acceleration": QUICK}
+    how = {"rpm": rpm * turned if motion.of(command).kind is MotionKind.RUN else rpm, "acceleration": QUICK}
     return motion.values_of(probe.dialect, command, _LONG_TURNS * 360 * turned, start=start, **how)
 
 
@@ -110,8 +113,8 @@ def _sense(probe: Probe, command: Command) -> int:
     return 1 if after.value > before.value else -1
 
 
-def _send_left(probe: Probe, command: Command) -> Exchange:
-    exchange = probe.ask(command, _values(probe, command, -1), timeout_ns=10 * SECOND_NS)
+def _send_left(probe: Probe, command: Command, rpm: int = _RPM) -> Exchange:
+    exchange = probe.ask(command, _values(probe, command, -1, rpm=rpm), timeout_ns=10 * SECOND_NS)
     probe.reply(exchange)
     probe.wait(3 * SECOND_NS)
     return exchange
@@ -122,10 +125,11 @@ def _send_left(probe: Probe, command: Command) -> Exchange:
 
 @_of_limits("a shaft that runs beyond it", each=_runs_and_moves, name="{command}/end-limit-stops-{run}")
 def _stops_at(probe: Probe, run: Command) -> None:
-    """With the end limit on, {run} towards the left stops at its end stop, in each bus mode."""
-    for mode in run.modes or ("",):
+    """With the end limit on, {run} towards the left stops at its end stop, in each bus mode, slow and fast."""
+    for row in covering.rows({"mode": run.modes or ("",), "rpm": (_RPM, _FAST)}):
+        mode = row["mode"]
         _homed(probe, mode=mode)
-        exchange = _send_left(probe, run)
+        exchange = _send_left(probe, run, row["rpm"])
         seen = probe.read(Verb.READ_POSITION, "position")
         if abs(seen) > probe.within("counts"):
             motion.stop(probe)
@@ -195,6 +199,26 @@ def _told(probe: Probe, run: Command) -> None:
     statuses = motion.statuses(probe.traffic[since:], run)
     text = f"{run.name} that an end limit stops is not answered 1 and 3"
     probe.expect(statuses, equal=[1, 3], refutes=text, exchange=exchange)
+
+
+def _quiet_moves(dialect: Dialect) -> Iterator[Case]:
+    if Verb.SET_RESPOND in dialect.by_verb:
+        yield from that_tell_their_end(_moves)(dialect)
+
+
+@_of_limits("a second answer", each=_quiet_moves, name="{command}/end-limit-inactive-{run}", at_best=Certainty.LIKELY)
+def _not_told(probe: Probe, run: Command) -> None:
+    """With active 0, {run} that an end limit stops is answered when it begins, and not when it is stopped."""
+    _homed(probe)
+    values = _values(probe, run, -1)
+    probe.do(Verb.SET_RESPOND, {"respond": 1, "active": 0})
+    since = len(probe.traffic)
+    exchange = probe.ask(run, values)
+    probe.wait(3 * SECOND_NS)
+    statuses = motion.statuses(probe.traffic[since:], run)
+    probe.do(Verb.SET_RESPOND, {"respond": 1, "active": 1})
+    text = f"{run.name} that an end limit stops is told although active is 0"
+    probe.expect(statuses, equal=[1], refutes=text, exchange=exchange)
 
 
 # --- away from the limit, and without one -----------------------------------------------------------------------------

@@ -183,7 +183,7 @@ def _zero(probe: Probe) -> None:
 def _without_switch(dialect: Dialect) -> Iterator[Case]:
     modes = [v for v in _WITH_WAY_BACK if (c := dialect.by_verb.get(v)) and _has_mode(c)]
     for way in _DIRECTIONS if modes else ():
-        for angle in (0x1000, 0x3000, 0x12000, 0x25000):
+        for angle in (0, 0x1000, 0x3000, 0x12000, 0x25000):
             yield from (Case(dialect, case.command, {"way": way, "angle": angle}) for case in _homings(dialect))
 
 
@@ -216,38 +216,45 @@ def _expect_going_on(probe: Probe, since: int, command: Command) -> None:
 
 
 def _at_speeds(dialect: Dialect) -> Iterator[Case]:
-    for rpm in (60, 120, 300):
+    for rpm in (60, 120, 300, *((600,) if dialect.mode_speeds else ())):
         yield from (Case(dialect, case.command, {"rpm": rpm}) for case in _homings(dialect))
 
 
 @_of_homing("another speed", each=_at_speeds, name="{command}/speed-{rpm}")
 def _speed(probe: Probe, command: Command, rpm: int) -> None:
-    """With home_speed {rpm} homing turns the shaft at {rpm} rpm."""
-    _prepared(probe, home_speed=rpm)
-    since = len(probe.traffic)
-    exchange = probe.do(command)
-    probe.wait(SECOND_NS)
-    seen = abs(motion.speed(probe).value)
-    _expect_going_on(probe, since, command)
-    _halt(probe)
-    text = "homing does not turn at the speed that was set"
-    probe.expect(seen, near=rpm, within=1 + rpm / 100, unit="rpm", refutes=text, exchange=exchange)
+    """With home_speed {rpm} homing turns the shaft at {rpm} rpm, at most at what the mode allows, either way."""
+    highest = probe.dialect.mode_speeds
+    for row in covering.rows({"mode": motion.bus_modes(probe.dialect), "direction": (_CW, _CCW)}):
+        mode = row["mode"]
+        _prepared(probe, mode, home_speed=rpm, home_direction=row["direction"])
+        since = len(probe.traffic)
+        exchange = probe.do(command)
+        probe.wait(SECOND_NS)
+        seen = abs(motion.speed(probe).value)
+        _expect_going_on(probe, since, command)
+        _halt(probe)
+        motion.wait_standing(probe)
+        wanted = min(rpm, highest.get(mode, rpm))
+        text = f"homing in {mode} does not turn at the speed that was set"
+        probe.expect(seen, near=wanted, within=1 + wanted / 100, unit="rpm", refutes=text, exchange=exchange)
 
 
 @_of_homing("another status")
 def _status(probe: Probe, command: Command) -> None:
-    """While homing F1 reads 5, and afterwards 1."""
-    _prepared(probe)
-    # Four seconds at 60 rpm.
-    bench.left_switch(probe, -4 * probe.dialect.counts_per_turn)
-    exchange = probe.do(command)
-    probe.wait(300 * MS)
-    during = _status_now(probe)
-    probe.wait(6 * SECOND_NS)
-    seen = (during, _status_now(probe))
-    _halt(probe)
-    text = "the status does not tell of homing and of its end"
-    probe.expect(seen, equal=(_HOMING, 1), refutes=text, exchange=exchange)
+    """While homing F1 reads 5, and afterwards 1, either way and in each mode."""
+    for row in covering.rows({"mode": motion.bus_modes(probe.dialect), "direction": (_CW, _CCW)}):
+        mode, direction = row["mode"], row["direction"]
+        _prepared(probe, mode, home_direction=direction)
+        # Four seconds at 60 rpm.
+        bench.left_switch(probe, _WAYS[direction] * 4 * probe.dialect.counts_per_turn)
+        exchange = probe.do(command)
+        probe.wait(300 * MS)
+        during = _status_now(probe)
+        probe.wait(6 * SECOND_NS)
+        seen = (during, _status_now(probe))
+        _halt(probe)
+        text = f"the status does not tell of homing and of its end in {mode} with home_direction {direction}"
+        probe.expect(seen, equal=(_HOMING, 1), refutes=text, exchange=exchange)
 
 
 @_of_homing("a shaft that stops at the low level, or runs on")

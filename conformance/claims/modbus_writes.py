@@ -15,6 +15,7 @@ from conformance.claims.declare import Case, Cases, claim
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.modbus_frames import Denied, ask, expect_answer, expect_exceptions, on_modbus, request, unambiguous
 from conformance.claims.motion_claim import expect_stays, of_motion
+from conformance.model import limits
 from conformance.motion import motion
 from conformance.motion.effects import STEP_NS
 from conformance.talk import samples
@@ -71,25 +72,33 @@ def _plain(probe: Probe, command: Command) -> bytes:
     return probe.build(command, samples.sample(probe.dialect, command)).frame
 
 
+def _plain_and_edges(probe: Probe, settings: tuple[Command, ...]) -> Iterator[tuple[Command, bytes]]:
+    """Yield each setting with plain values, and with each field at its limits where that risks no more."""
+    for command in settings:
+        form, plain = command.request_forms[0], samples.sample(probe.dialect, command)
+        edges = [plain | {n: v} for n, field in form.layout.named.items() for v in limits.edges(field) if field.allows(v)]
+        # The plain values come last: they stay.
+        for values in (*(each for each in edges if command.risks(each) == {Risk.SETTING}), plain):
+            yield command, probe.build(command, values).frame
+
+
 # --- echoes -----------------------------------------------------------------------------------------------------------
 
 
 @_of_writes("other bytes, or silence", each=_ones, name="write_one/echo")
 def _echoed(probe: Probe, settings: tuple[Command, ...]) -> None:
-    """A write by function 06h is answered by its own bytes."""
+    """A write by function 06h is answered by its own bytes, whichever values it has."""
     ask_alone(probe)
-    for command in settings:
-        frame = _plain(probe, command)
+    for command, frame in _plain_and_edges(probe, settings):
         expect_answer(probe, ask(probe, frame), frame, f"a write of {command.code:04X}h by 06h")
         probe.wait(probe.rig.write_gap_ns)
 
 
 @_of_writes("other bytes, or silence", each=_several, name="write_many/echo")
 def _echoed_shortly(probe: Probe, settings: tuple[Command, ...]) -> None:
-    """A write by function 10h is answered by its register and quantity."""
+    """A write by function 10h is answered by its register and quantity, whichever values it has."""
     ask_alone(probe)
-    for command in settings:
-        frame = _plain(probe, command)
+    for command, frame in _plain_and_edges(probe, settings):
         expected = probe.dialect.link.completed(frame[:6])
         expect_answer(probe, ask(probe, frame), expected, f"a write of {command.code:04X}h by 10h")
         probe.wait(probe.rig.write_gap_ns)
