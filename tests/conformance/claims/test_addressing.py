@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from analyzer.catalogue import Verb
 from analyzer.records import Frame, Message
 from conformance.claim import Outcome, Theme
 from conformance.drives.drive import Drive, Fault
@@ -112,3 +113,21 @@ def test_the_reply_from_the_new_address_is_a_known_quirk():
         Outcome.REFUTED,
         "new-address-answers",
     )
+
+
+@pytest.mark.parametrize("drive", ["mks-rs485", "mks-modbus"])
+def test_a_restart_by_broadcast_that_is_answered_is_refuted(drive):
+    def told(drive: Drive, message: Message, wanted: bool) -> bool:
+        return wanted or (message.address == 0 and message.command is not None and message.command.verb is Verb.RESTART)
+
+    fault = Fault("restart", (drive,), "a restart by broadcast is answered", "broadcast", lambda h: h.answer.append(told))
+    assert refuted(Theme.ADDRESSING, f"{drive}@1", "broadcast", fault=fault) == {"broadcast/outcomes"}
+
+
+def test_a_motion_by_the_group_that_is_refused_and_answered_is_refuted():
+    def told(drive: Drive, message: Message, wanted: bool) -> bool:
+        assert isinstance(drive, MksCore)
+        return wanted or (message.address == drive.settings["group_address"] and not drive.enabled and message.address != 0)
+
+    fault = Fault("group", ("mks-rs485",), "what a group refuses is answered", "group", lambda h: h.answer.append(told))
+    assert "group/outcomes" in refuted(Theme.ADDRESSING, "mks-rs485@1", "group", fault=fault)
