@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
-from itertools import cycle
+from itertools import chain, cycle
 from typing import Any, NamedTuple
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Verb
@@ -41,7 +41,7 @@ _ACCELERATIONS, _AT_ONCE_MOST = (255, 0, 56, 200, 248, 253), 150
 _TURNS = (0.21, 0.0, 1.0, 6.0, 21.0)
 _SUBDIVISIONS = (SUBDIVISION, 8, 256)
 #: The longest ramp and the longest move, and for how long a run keeps its speed.
-_RAMP_NS, _MOVE_NS, _STEADY_NS = 450 * MS, 900 * MS, 130 * MS
+_RAMP_NS, _MOVE_NS, _STEADY_NS = 450 * MS, 900 * MS, 110 * MS
 #: The shortest ramp on which a change of speed is seen.
 _SEEN_NS = 100 * MS
 #: A speed to which the ways of the table need not come, and the share of the others to which they do.
@@ -294,6 +294,8 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command], bef
         run = probe.command(Verb.RUN_SPEED)
         motion.ask(probe, run, rpm=row.start * row.way * CALM, acceleration=QUICK, subdivision=row.subdivision)
         probe.wait(_GOING_NS)
+        # The change of speed is short: what the drive says of it is asked first.
+        reads = chain([probe.command(Verb.READ_STATUS), probe.command(Verb.READ_POSITION)] * 2, reads)
     since = len(probe.traffic)
     how: dict[str, Any] = {"acceleration": row.acceleration, "subdivision": row.subdivision}
     how["rpm"] = row.way * row.rpm if runs else row.rpm

@@ -303,7 +303,8 @@ def _limp(probe: Probe, command: Command) -> None:
 @_without_hands("3E that reads otherwise", each=commands(Verb.RELEASE_PROTECTION), at_best=Certainty.LIKELY)
 def _limp_either_way(probe: Probe) -> None:
     """A motor without current is protected whichever way it was to turn, from rest and from a run."""
-    for number, (way, runs) in enumerate(((1, False), (-1, False), (1, True), (-1, True))):
+    # From rest the first way is that of the claim above.
+    for number, (way, runs) in enumerate(((-1, False), (1, True), (-1, True))):
         _prepare(probe, 1)
         if runs:
             motion.run_at(probe, way * _LIMP_RPM, QUICK)

@@ -84,7 +84,7 @@ REFUTED_BY = {
     "remap-refused-while-turning": "resilience/settings/run_speed",
     "group-deaf-to-all": "resilience/switches/grouped",
     "zero-status-2-after-homing": "resilience/reads/homed",
-    "update-undone": "motion/move_absolute_axis/newer-speed-alone",
+    "update-undone": "motion/move_absolute_axis/takes-over",
     "tolerance-capped": "motion/set_stall_tolerance/angle",
 }
 #: What a fault of the protection and of the angle error is seen by without a hand that holds the shaft.
