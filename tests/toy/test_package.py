@@ -59,7 +59,7 @@ def test_a_frame_without_a_check_is_explained_by_code_and_length(site):
     assert told("04D 2C 01 00 00") == ("toy-can", "run", 2)
     assert told("001 F6 01 40 02 3A") == ("mks-can", "run_speed", 1)
     assert told("001 F6 01 40 02 3B") == ("mks-can", "run_speed", 1), "its checksum is wrong, and it is no frame of the toy"
-    assert "address 2, code 0x0D" in servotap(site, "explain", "04D 2C 01 00 00").stdout
+    assert "address 0x002, code 0x0D" in servotap(site, "explain", "04D 2C 01 00 00").stdout
 
 
 # --- which dialect a bus speaks ---------------------------------------------------------------------------------------
