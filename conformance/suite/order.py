@@ -27,6 +27,8 @@ from conformance.claim import Claim
 
 #: How long a short run may take, in seconds, and how much of it is planned: a port takes a little longer than its bits.
 SHORT_SECONDS, PLANNED = 90.0, 0.95
+#: The share of a short run that one claim may take.
+_LONGEST = 0.25
 #: By how much a claim may come later so that it stands with others that need the drive ready to move, in seconds.
 _TOGETHER_SECONDS = 10.0
 
@@ -145,10 +147,12 @@ def _together(claims: Sequence[Claim], rate: int) -> list[Claim]:
 
 
 def fitting(claims: Iterable[Claim], rate: int, within: float) -> list[Claim]:
-    """Return the first claims that fit into so many seconds. None is left out: one may judge what another has asked."""
-    found = []
+    """Return the first claims that fit into so many seconds. One that would take most of them, for a recording, is left out."""
+    found, longest = [], within * _LONGEST
     for claim in claims:
-        within -= seconds(claim, rate)
+        if (own := seconds(claim, rate)) > longest:
+            continue
+        within -= own
         if within < 0:
             break
         found.append(claim)

@@ -140,7 +140,7 @@ def test_pcapng_with_everything(tmp_path: Path) -> None:
     )
     source, records = read(tmp_path, data)
     assert records == [
-        Comment(None, "can", "a séction"),
+        Comment(1682894455899123456, "can", "a séction"),
         Comment(T, "can0", "look here"),
         CanFrame(T, "can0", 1, b"\xf6"),
         Chunk(T, "COM3", b"\x01", U, True),
