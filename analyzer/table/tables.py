@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -85,7 +86,7 @@ def _listed(words: set[str]) -> str:
     return ", ".join(ordered[:12]) + (" ..." if len(ordered) > 12 else "") if ordered else "none"
 
 
-class Table:
+class Table(ABC):
     """Columns and lines of values, made from recorded rows; it can be read several times."""
 
     def __init__(self, recorded: Recorded, chosen: Chosen) -> None:
@@ -93,9 +94,9 @@ class Table:
         self.chosen = chosen
         self.columns: tuple[Column, ...] = ()
 
+    @abstractmethod
     def lines(self) -> Iterator[list[Any]]:
         """Yield the lines: a value for each column, None where there is none; times in nanoseconds."""
-        raise NotImplementedError
 
     def _elapsed(self, t_ns: int) -> float:
         return (t_ns - self.recorded.begin_ns) / SECOND
