@@ -9,8 +9,8 @@ each change, or at a rate. What a wide table shows passed its checksum.
 from __future__ import annotations
 
 import re
-from collections import Counter
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
