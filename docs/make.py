@@ -184,10 +184,10 @@ def _viewed(words: str, folder: Path, search: str) -> tuple[str, int]:
     fcntl.ioctl(its, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 160, 0, 0))
     process = subprocess.Popen(
         words, shell=True, cwd=folder, stdin=its, stdout=its, stderr=its, start_new_session=True,
-        env={**os.environ, "PATH": search, "TERM": "xterm-256color"},
+        env={**os.environ, "PATH": search, "TERM": "xterm-256color", "COLUMNS": "160", "LINES": "40"},
     )  # fmt: skip
     os.close(its)
-    drawn, keys, late = "", [("  FILE  ", b"4"), ("  last ", b"q")], time.monotonic() + 60
+    drawn, keys, late = "", [("  FILE  ", b"4"), ("[1] ", b"q")], time.monotonic() + 60
     with contextlib.suppress(OSError):  # the end of a terminal
         while time.monotonic() < late:
             if select.select([ours], [], [], 0.5)[0]:
