@@ -47,9 +47,11 @@ def quote(text: str, longest: int = 60) -> str:
     return ascii(shown) + ("" if shown is text else f" ... ({len(text)} characters)")
 
 
-def printable(text: str) -> str:
-    """Return a text with its control characters made visible: nothing in a capture steers a terminal."""
-    return text if text.isprintable() else "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text)
+def printable(text: str, kept: str = "") -> str:
+    """Return a text with its control characters but `kept` made visible: nothing in a capture steers a terminal."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in kept else ascii(c)[1:-1] for c in text)
 
 
 def counted(count: int, noun: str) -> str:

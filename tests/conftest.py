@@ -1,0 +1,31 @@
+"""A fault of servotap (exit status 70) fails the test in which it came, in this process or in one that it started."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from analyzer.cli.boundary import FOLDER
+
+_FOLDER = pytest.StashKey[Path]()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _folder_of_faults(request, tmp_path_factory):
+    folder = request.config.stash[_FOLDER] = tmp_path_factory.mktemp("faults")
+    os.environ[FOLDER] = str(folder)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    try:
+        return (yield)
+    finally:
+        found = sorted(item.config.stash[_FOLDER].iterdir())
+        told = [each.read_text(encoding="utf-8") for each in found]
+        for each in found:
+            each.unlink()
+        if told:
+            pytest.fail("a fault of servotap:\n" + "\n".join(told), pytrace=False)

@@ -15,6 +15,8 @@ from importlib import import_module
 from types import ModuleType
 from typing import NoReturn
 
+from analyzer.cli.boundary import bounded
+
 COMMANDS: dict[str, tuple[str, str]] = {
     "record": ("analyzer.cli.record", "record serial ports and CAN buses into one crash-safe, decoded MCAP log"),
     "decode": ("analyzer.cli.decode", "decode a capture into an annotated MCAP log, with a summary"),
@@ -53,6 +55,7 @@ examples:
   servotap catalogue --dialect mks-can run_speed
 
 'servotap COMMAND --help' describes a command.
+A fault of servotap itself ends with status 70; --traceback, or SERVOTAP_TRACEBACK=1, shows where it was.
 """
 
 
@@ -85,28 +88,11 @@ def _overview(commands: dict[str, tuple[str, str]]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit status: 0 well, 1 findings, 2 wrong use or an unreadable input."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    try:
-        status = _main(words)
-        sys.stdout.flush()
-        return status
-    except BrokenPipeError:
-        # The reader of our output has gone (`| head`): leave without a word.
-        _drop_output()
-        return 0
-    except KeyboardInterrupt:
-        print("servotap: interrupted; nothing more was written", file=sys.stderr)
-        return 130
-    except OSError as error:
-        _drop_output()
-        print(f"servotap: cannot write the output: {error.strerror or error}", file=sys.stderr)
-        return 2
+    """Run the command line and return its exit status.
 
-
-def _drop_output() -> None:
-    """Send what is still buffered nowhere, so that there is no second error at exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    0: well; 1: findings; 2: wrong use or an unreadable input; 70: a fault of servotap; 130: Ctrl-C. Some commands have more.
+    """
+    return bounded(_main, list(sys.argv[1:] if arguments is None else arguments))
 
 
 def _main(words: list[str]) -> int:
@@ -114,6 +100,11 @@ def _main(words: list[str]) -> int:
         from analyzer.cli.completion import complete
 
         complete(_every_command())
+    if any("\0" in word for word in words):
+        print("servotap: a word of the command line holds a NUL character", file=sys.stderr)
+        return 2
+    if words[:1] == ["--traceback"]:
+        words = words[1:]
     if not words or words[0] in ("-h", "--help", "help"):
         print(_overview(_every_command()))
         return 0 if words else 2
@@ -171,6 +162,7 @@ def _run(name: str, module: ModuleType, words: Sequence[str]) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog=getattr(module, "EXAMPLES", None),
     )
+    parser.add_argument("--traceback", action="store_true", help=argparse.SUPPRESS)
     module.add_arguments(parser)
     # Options may stand among the positional arguments: `frame D@1 run_speed --reply status=1`.
     parsed = parser.parse_intermixed_args(_joined(words))

@@ -292,9 +292,10 @@ def showing_progress(what: str, total: int, position: Callable[[], int]) -> Iter
     def show() -> None:
         if done.wait(1.0):
             return
-        from rich.console import Console
         from rich.markup import escape
         from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
+
+        from analyzer.cli.console import Console
 
         columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
         with Progress(*columns, console=Console(stderr=True), transient=True) as bar:

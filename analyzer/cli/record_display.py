@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
+from analyzer.cli.boundary import report
 from analyzer.cli.option_types import duration_text, size_text
 from analyzer.cli.record_report import Summary, as_text
 from analyzer.live.snapshot import BusCounts, Snapshot
@@ -182,7 +183,7 @@ class TableDisplay(LineDisplay):
     """A table that is drawn again and again, with the notes above it."""
 
     def __init__(self) -> None:
-        from rich.console import Console
+        from analyzer.cli.console import Console
 
         self._console = Console(highlight=False)
 
@@ -275,7 +276,11 @@ class ViewDisplay(LineDisplay):
             return ""
 
         config = supervisor.config
-        why = run_live(self._read_fd, mark=mark, log=config.log, model=config.model)
+        try:
+            why = run_live(self._read_fd, mark=mark, log=config.log, model=config.model)
+        except Exception as error:
+            report(error)
+            why = "see above"
         self._shut()
         for bus, text in self._notes:
             super().note(bus, text)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from analyzer.cli.console import Console
 from analyzer.cli.reading import OpenCapture
 from analyzer.records import Finding, Severity
 from analyzer.sinks.summary import Summary

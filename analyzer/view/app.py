@@ -83,6 +83,15 @@ class ViewApp(App[str]):
                 binding.key, binding.action, binding.description, binding.show, binding.key_display, binding.priority
             )
 
+    @property
+    def failed(self) -> Exception | None:
+        """The error that ended the view."""
+        return self._exception
+
+    def _print_error_renderables(self) -> None:
+        """Print nothing: the command reports the error."""
+        self._exit_renderables.clear()
+
     def compose(self) -> ComposeResult:
         """Put the panels together."""
         yield self._head

@@ -8,10 +8,10 @@ from analyzer.view.terminal import forgiving_terminal
 
 
 def run(source: ViewSource, *, filter_text: str = "") -> str:
-    """Run the view until it ends; return `quit`, `ended`, or why it could not go on."""
+    """Run the view until it ends; return `quit`, `ended`, or why it could not go on. Raises what failed in it."""
     with forgiving_terminal():
         app = ViewApp(source, filter_text=filter_text)
         result = app.run()
-    if app.return_code:
-        return "the view failed (a bug in servotap: please report it)"
+    if app.failed is not None:
+        raise app.failed
     return result or "quit"

@@ -255,8 +255,7 @@ def _print_json(each: VerdictRecord | RunRecord) -> None:
 
 
 def _show(records: Sequence[VerdictRecord], run_record: RunRecord, total: int) -> None:
-    from rich.console import Console
-
+    from analyzer.cli.console import Console
     from conformance.report import terminal
 
     if not records:
@@ -285,8 +284,9 @@ def _progress(plan: Plan) -> Iterator[_Advance]:
     if not sys.stderr.isatty():
         yield _Advance()
         return
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
+
+    from analyzer.cli.console import Console
 
     seconds = {(each.text, name): value for each in plan.targets for name, value in plan.seconds(each).items()}
     planned, began = sum(seconds.values()), time.monotonic()

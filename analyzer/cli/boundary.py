@@ -1,0 +1,215 @@
+"""The outer boundary of every command: what leaves on its two streams, and what an error becomes that nothing foresaw.
+
+- **Streams.** What is printed comes from captures, file names and plugins. A control character in it becomes visible
+  (`\\x1b`), and so does what the terminal's encoding lacks. Only colours of our own pass, and only to a terminal. Bytes of an
+  export (`stdout.buffer`) and what rich draws do not pass here: `console.Console` cleans the texts that rich draws.
+- **Faults.** An unforeseen error is a fault of servotap: it becomes one line and exit status 70, and all about it stands in a
+  file. An error in another thread is one too. What the system refuses (a full disk, a missing folder) is no fault.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TextIO, cast
+
+from analyzer.values import printable
+
+#: Exit status of a fault of servotap, as `EX_SOFTWARE` of sysexits.h.
+FAULT = 70
+#: Environment variables: shows the traceback of a fault; the folder for the files about faults, else that of temporary files.
+TRACEBACK, FOLDER = "SERVOTAP_TRACEBACK", "SERVOTAP_FAULTS"
+_COLOUR = re.compile(r"(\x1b\[(?:[0-2]|3[1-6])m)")
+_LONGEST = 300
+#: The system has no more descriptors, processes or memory.
+_SHORT = {errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN}
+_UNWRITTEN = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
+
+
+class _Clean:
+    """A text stream to which nothing gets that steers a terminal; all else is as with the stream itself.
+
+    `forgiving`: writing never fails, as nothing is left where one could say so.
+    """
+
+    def __init__(self, stream: TextIO, *, forgiving: bool) -> None:
+        self._forgiving = contextlib.suppress(OSError) if forgiving else contextlib.nullcontext()
+        #: Where rich writes: its own escapes are wanted.
+        self.rich_proxied_file = stream
+        self._colours = stream.isatty()
+        with contextlib.suppress(AttributeError):
+            cast(Any, stream).reconfigure(errors="backslashreplace")
+
+    def write(self, text: str) -> int:
+        """Write a text, cleaned."""
+        if not text.isprintable() and text != "\n":
+            parts = _COLOUR.split(text) if self._colours else [text]
+            text = "".join(part if n % 2 else printable(part, "\n\t") for n, part in enumerate(parts))
+        with self._forgiving:
+            self.rich_proxied_file.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush the stream."""
+        with self._forgiving:
+            self.rich_proxied_file.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.rich_proxied_file, name)
+
+
+@contextlib.contextmanager
+def _clean_streams() -> Iterator[None]:
+    before = sys.stdout, sys.stderr
+    if None in (sys.stdin, *before):
+        _reserve_descriptors()
+    for name, stream in (("stdout", sys.stdout), ("stderr", sys.stderr)):
+        if not isinstance(stream, _Clean):
+            # What is printed to a stream that was closed from the start goes nowhere, as Python has it.
+            usable = stream or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+            setattr(sys, name, _Clean(usable, forgiving=name == "stderr"))
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
+
+
+def _reserve_descriptors() -> None:
+    """Open what was closed of the descriptors 0, 1 and 2, so that no file gets them and then what others print."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+
+
+class _Faults:
+    """While this is entered, faults of all threads are reported; `any`: there was one."""
+
+    def __init__(self, words: Sequence[str]) -> None:
+        self.any = False
+        self._words = words
+        self._shown = "--traceback" in words or bool(os.environ.get(TRACEBACK))
+
+    def __enter__(self) -> _Faults:
+        self._before = threading.excepthook, sys.unraisablehook
+        threading.excepthook, sys.unraisablehook = self._in_thread, self._unraisable
+        _entered.append(self)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        _entered.remove(self)
+        threading.excepthook, sys.unraisablehook = self._before
+
+    def _in_thread(self, arguments: threading.ExceptHookArgs) -> None:
+        if arguments.exc_value is not None and not isinstance(arguments.exc_value, SystemExit):
+            self.add(arguments.exc_value)
+
+    def _unraisable(self, unraisable: Any) -> None:
+        if isinstance(unraisable.exc_value, KeyboardInterrupt):
+            # Ctrl-C fell into a place where Python drops it: it is given once more.
+            import _thread
+
+            _thread.interrupt_main()
+        elif unraisable.exc_value is not None:
+            self.add(unraisable.exc_value)
+
+    def add(self, error: BaseException) -> None:
+        """Report a fault: one line, and a file with all about it."""
+        import traceback
+
+        self.any = True
+        trace = "".join(traceback.format_exception(error))
+        shown = self._shown
+        try:
+            where = f"the file written to {_write_report(self._words, trace)}"
+        except OSError as refused:
+            where, shown = f"this traceback, for its file cannot be written ({refused.strerror})", True
+        what = printable(f"{type(error).__name__}: {error}"[:_LONGEST]).rstrip(": ")
+        lines = f"servotap: a fault of servotap: {what}; please report it with {where}\n"
+        sys.stderr.write(lines + trace if shown else lines)
+
+
+#: The boundaries that are entered, the innermost last.
+_entered: list[_Faults] = []
+
+
+def report(error: Exception) -> None:
+    """Report an error as a fault and go on: what it broke is not what the command is for."""
+    _entered[-1].add(error)
+
+
+def _write_report(words: Sequence[str], trace: str) -> str:
+    """Write what a report needs into a file, and return its name."""
+    import platform
+    from datetime import UTC, datetime
+    from importlib.metadata import distributions
+
+    packages = sorted({f"{each.name} {each.version}" for each in distributions()})
+    about = {
+        "command line": ["servotap", *words],
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
+        "python": f"{sys.version} on {platform.platform()}",
+        "encodings": f"{sys.getfilesystemencoding()}, {sys.stdout.encoding}, {sys.stderr.encoding}",
+        "packages": ", ".join(packages),
+    }
+    handle, name = tempfile.mkstemp(prefix="servotap-fault-", suffix=".txt", dir=os.environ.get(FOLDER) or None)
+    with open(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
+        file.writelines(f"{key}: {value}\n" for key, value in about.items())
+        file.write(f"\n{trace}")
+    return name
+
+
+def bounded(command: Callable[[list[str]], int], words: list[str]) -> int:
+    """Run a command within the boundary and return its exit status."""
+    with _clean_streams(), _Faults(words) as faults:
+        status = _status(command, words, faults)
+        return FAULT if faults.any else status
+
+
+def _status(command: Callable[[list[str]], int], words: list[str], faults: _Faults) -> int:
+    try:
+        status = command(words)
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:
+        # The reader of our output has gone (`| head`): leave without a word.
+        _drop_output()
+        return 0
+    except KeyboardInterrupt:
+        print("servotap: interrupted; nothing more was written", file=sys.stderr)
+        return 130
+    except Exception as error:
+        refused = _refused(error)
+        if refused:
+            try:
+                sys.stdout.flush()
+            except OSError:
+                _drop_output()
+            print(f"servotap: {refused}", file=sys.stderr)
+            return 2
+        faults.add(error)
+        return FAULT
+
+
+def _refused(error: Exception) -> str:
+    """Return what the system refused; nothing where the error is none of the system."""
+    if not isinstance(error, OSError):
+        return ""
+    if error.errno in _SHORT:
+        return f"the system has no more for this process: {error.strerror}"
+    if error.filename is not None:
+        return f"{os.fsdecode(error.filename) if isinstance(error.filename, bytes) else error.filename}: {error.strerror}"
+    return f"cannot write the output: {error.strerror}" if error.errno in _UNWRITTEN else ""
+
+
+def _drop_output() -> None:
+    """Send what is still buffered nowhere, so that there is no second error at exit."""
+    with contextlib.suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,0 +1,217 @@
+"""The outer boundary: what a fault becomes, and that nothing printed steers a terminal."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import re
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from analyzer.cli import COMMANDS, main
+from analyzer.cli import show as show_module
+from analyzer.cli.boundary import FOLDER, bounded
+from analyzer.cli.console import Console
+
+HOSTILE = "\x1b[2J\x9b31m\x7f\x00\r\b\u202etxt\udcff\u2066é"
+SHOWN = r"\x1b[2J\x9b31m\x7f\x00\r\x08\u202etxt\udcff\u2066é"
+
+
+@pytest.fixture
+def faults(tmp_path, monkeypatch):
+    """The files about faults, in a folder that is not looked at after the test."""
+    folder = tmp_path / "faults of this test"
+    folder.mkdir()
+    monkeypatch.setenv(FOLDER, str(folder))
+    return lambda: [path.read_text() for path in folder.iterdir()]
+
+
+def fails(error):
+    def command(words):
+        raise error
+
+    return command
+
+
+def test_a_fault_is_one_line_and_a_file(faults, capsys):
+    assert bounded(fails(KeyError(HOSTILE)), ["show", "a b"]) == 70
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
+    line = r"servotap: a fault of servotap: KeyError: .*; please report it with the file written to (.*\.txt)\n"
+    named = re.fullmatch(line, err)[1]
+    (told,) = faults()
+    assert Path(named).read_text() == told
+    assert "command line: ['servotap', 'show', 'a b']" in told
+    assert "Traceback (most recent call last)" in told
+    for word in ("python: ", "packages: ", "mcap "):
+        assert word in told
+
+
+@pytest.mark.parametrize("asked", ["option", "variable"])
+def test_the_traceback_is_shown_where_it_is_asked_for(asked, faults, capsys, monkeypatch):
+    if asked == "variable":
+        monkeypatch.setenv("SERVOTAP_TRACEBACK", "1")
+    assert bounded(fails(RuntimeError(HOSTILE)), ["--traceback"] * (asked == "option")) == 70
+    err = capsys.readouterr().err
+    assert "Traceback (most recent call last)" in err
+    assert "\x1b" not in err
+    assert len(faults()) == 1
+
+
+@pytest.mark.parametrize("words", [["--traceback", "show", "x"], ["show", "--traceback", "x"]])
+def test_the_option_stands_before_or_behind_the_command(words, faults, capsys, monkeypatch):
+    monkeypatch.setattr(show_module, "run", fails(ZeroDivisionError()))
+    assert main(words) == 70
+    assert "ZeroDivisionError" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_where_no_file_can_be_written_the_traceback_is_shown(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv(FOLDER, str(tmp_path / "gone"))
+    assert bounded(fails(ValueError("x")), []) == 70
+    err = capsys.readouterr().err
+    assert "its file cannot be written (No such file or directory)" in err
+    assert "Traceback" in err
+
+
+def test_a_fault_in_another_thread_ends_in_70_too(faults, capsys):
+    def command(words):
+        thread = threading.Thread(target=fails(RuntimeError("there")), args=(words,))
+        thread.start()
+        thread.join()
+        return 0
+
+    assert bounded(command, []) == 70
+    assert len(faults()) == 1
+    assert capsys.readouterr().err.startswith("servotap: a fault of servotap: RuntimeError: there; ")
+
+
+def test_a_fault_where_python_ignores_it_ends_in_70_too(faults, capsys):
+    class Odd:
+        def __del__(self):
+            raise RuntimeError("there")
+
+    def command(words):
+        Odd()
+        return 0
+
+    assert bounded(command, []) == 70
+    assert len(faults()) == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), "cannot write the output: No space left on device"),
+        (OSError(errno.EMFILE, "Too many open files"), "the system has no more for this process: Too many open files"),
+        (FileNotFoundError(2, "No such file or directory", "gone\x1b"), "gone\\x1b: No such file or directory"),
+        (FileNotFoundError(2, "No such file or directory", b"gone\xff"), "gone\\udcff: No such file or directory"),
+    ],
+)
+def test_what_the_system_refuses_is_no_fault(error, said, capsys):
+    assert bounded(fails(error), []) == 2
+    assert capsys.readouterr().err == f"servotap: {said}\n"
+
+
+def test_an_error_of_the_system_without_a_place_is_a_fault(faults):
+    assert bounded(fails(OSError(errno.EBADF, "Bad file descriptor")), []) == 70
+    assert len(faults()) == 1
+
+
+def test_what_is_printed_cannot_steer_a_terminal(capsys):
+    def command(words):
+        print(HOSTILE)
+        print(HOSTILE, file=sys.stderr)
+        print("a\tb\nc", "\x1b[31mred\x1b[0m")
+        return 0
+
+    assert bounded(command, []) == 0
+    out, err = capsys.readouterr()
+    assert out == f"{SHOWN}\na\tb\nc \\x1b[31mred\\x1b[0m\n"
+    assert err == SHOWN + "\n"
+
+
+def test_only_our_colours_get_to_a_terminal(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stdout", terminal)
+    bounded(lambda words: print("\x1b[31mred\x1b[0m", "\x1b[8mhidden\x1b[2J", HOSTILE) or 0, [])
+    assert terminal.getvalue() == f"\x1b[31mred\x1b[0m \\x1b[8mhidden\\x1b[2J {SHOWN}\n"
+
+
+def test_what_rich_draws_is_clean_but_for_its_own_escapes():
+    file = io.StringIO()
+    console = Console(file=file, force_terminal=True, color_system="standard", width=200)
+    console.print(HOSTILE, style="red", markup=False, highlight=False)
+    # rich itself leaves out the bell, the backspace and their like.
+    assert re.fullmatch(r"\x1b\[31m\\x1b\[2J.*txt\\udcff\\u2066é\x1b\[0m\n", file.getvalue())
+
+
+def test_what_an_encoding_lacks_is_written_as_an_escape(monkeypatch):
+    raw = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(raw, "ascii"))
+    assert bounded(lambda words: print("90° …\udcff") or 0, []) == 0
+    assert raw.getvalue() == b"90\\xb0 \\u2026\\udcff\n"
+
+
+def test_a_nul_in_a_word_is_refused(capsys):
+    assert main(["show", "a\0b"]) == 2
+    assert "NUL" in capsys.readouterr().err
+
+
+SHELL = [sys.executable, "-m", "analyzer"]
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_harm_nothing(closed, tmp_path):
+    capture = tmp_path / "a.log"
+    capture.write_text("> FA 01 32 2D\n< FB 01 32 00 64 92\n")
+    log = tmp_path / "a.mcap"
+    line = f'"$0" -m analyzer decode "$1" -o "$2" {closed}'
+    done = subprocess.run(["sh", "-c", line, sys.executable, capture, log], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert log.stat().st_size > 500
+
+
+def test_a_reader_that_leaves_is_no_fault(tmp_path):
+    read, write = os.pipe()
+    os.close(read)
+    with open(write, "w") as out:
+        done = subprocess.run([*SHELL, "catalogue", "--dialect", "mks-can"], stdout=out, stderr=subprocess.PIPE, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_standard_error_that_cannot_be_written_changes_nothing():
+    if not os.path.exists("/dev/full"):
+        pytest.skip("no /dev/full on this machine")
+    with open("/dev/full", "w") as full:
+        assert subprocess.run([*SHELL, "show", "gone"], stderr=full, stdout=subprocess.PIPE).returncode == 2
+
+
+def test_the_streams_are_left_as_they_were():
+    before = sys.stdout, sys.stderr, threading.excepthook, sys.unraisablehook
+    assert main(["--version"]) == 0
+    assert (sys.stdout, sys.stderr, threading.excepthook, sys.unraisablehook) == before
+
+
+def test_every_command_stands_in_the_boundary(monkeypatch, faults, capsys):
+    """Commands of this package and of others: whichever fails, it is a fault."""
+    from importlib.metadata import entry_points
+
+    import analyzer.cli as cli
+
+    broken = SimpleNamespace(__doc__="", add_arguments=lambda parser: None, run=fails(RuntimeError("x")))
+    monkeypatch.setattr(cli, "import_module", lambda name: broken)
+    names = [*COMMANDS, *(point.name for point in entry_points(group=cli.GROUP))]
+    assert {name: main([name]) for name in names} == dict.fromkeys(names, 70)
+    assert len(faults()) == len(names)
