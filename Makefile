@@ -1,10 +1,12 @@
-# What a newcomer runs: demo, test. What a contributor runs besides: lint, bench.
+# What a newcomer runs: demo, test. What a contributor runs besides: lint, fuzz, bench.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 CAPTURE := captures/mks_rs485.log
+SECONDS ?= 120
+JOBS ?= 2
 
-.PHONY: demo test oldest lint bench clean
+.PHONY: demo test oldest lint fuzz bench clean
 
 demo: $(VENV)/.installed
 	@rm -rf demo && mkdir demo
@@ -34,6 +36,10 @@ lint: $(VENV)/.lint
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# By the clock: make fuzz SECONDS=7200. `python -m tests.fuzz --help` tells how to repeat one input, and of coverage.
+fuzz: $(VENV)/.test
+	$(BIN)/python -m tests.fuzz --seconds $(SECONDS) --jobs $(JOBS)
 
 bench: $(VENV)/.bench
 	$(BIN)/python benchmarks/run.py

@@ -1,0 +1,536 @@
+"""Targets: what is run on an input, and what must hold then.
+
+For every command: it ends with 0, 1 or 2, without a traceback and without ESC on either stream, and leaves no file that is out
+of all proportion. Time and memory are bounded by the engine. Some targets state more:
+
+    framer    each byte stands in one frame or piece of junk, in order, however the bytes were cut
+    pipeline  the same, for any capture, behind its source
+    decode    the same, in the log as the library `mcap` reads it
+    recover   the result is read by the library; each record that is whole in the spools stands in it
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import itertools
+import json
+import os
+import pickle
+import random
+import re
+import shlex
+import shutil
+import sys
+import tempfile
+import traceback
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache, partial
+from pathlib import Path
+from typing import NamedTuple
+
+from mcap.reader import make_reader
+
+from analyzer import dialects
+from analyzer.cli import main
+from analyzer.context import Context
+from analyzer.decoder import Decoder
+from analyzer.errors import ServotapError
+from analyzer.framer import Framer
+from analyzer.live import config
+from analyzer.live.log_parts import LogParts
+from analyzer.live.recording import Recording
+from analyzer.pipeline import Options, Pipeline
+from analyzer.records import CanFrame, Chunk, Frame
+from analyzer.sources import open_source
+from analyzer.transactions import Transactions
+from tests.bytestreams import SERIAL, vectors
+from tests.collect import Collect, sum8
+from tests.fuzz.corpus import CAPTURES, INPUT, Input, captures, entries, lay_out
+from tests.fuzz.mutators import TOKENS, VALUES, bytes_changed, kind_of, mutated, text_changed
+from tests.live.spooled import START, Spools, port
+from tests.sources.builders import SAMPLES
+
+#: Bytes that a command may write for an input of at most 64 KiB.
+WRITTEN_LIMIT = 64 << 20
+_ESCAPES = (b"\x1b", b"\xc2\x9b")
+
+
+class Fault(Exception):
+    """Something that must hold does not."""
+
+
+class Place(NamedTuple):
+    """Where a target runs: a folder that is empty, and what was said on the two streams."""
+
+    folder: Path
+    said: Callable[[], bytes]
+
+
+Run = Callable[[Input, Place], None]
+Mutate = Callable[[random.Random, Input, Sequence[Input]], Input]
+
+
+class Target(NamedTuple):
+    """`share`: of the time; `seconds`: of processor time that one input may take."""
+
+    run: Run
+    seeds: Callable[[], list[Input]]
+    mutate: Mutate
+    share: float = 1.0
+    seconds: float = 10.0
+
+
+# --- streams ----------------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def heard() -> Iterator[Callable[[], bytes]]:
+    """Take both streams, also what is written past Python; yield what returns what came since it was asked last."""
+    taken = os.memfd_create("said")
+    kept = os.dup(1), os.dup(2)
+    before = sys.stdout, sys.stderr
+    for stream in before:
+        stream.flush()
+    os.dup2(taken, 1)
+    os.dup2(taken, 2)
+    sys.stdout, sys.stderr = (
+        io.TextIOWrapper(io.FileIO(number, "w", closefd=False), "utf-8", errors, write_through=True)
+        for number, errors in ((1, "strict"), (2, "backslashreplace"))
+    )
+
+    def said() -> bytes:
+        size = os.lseek(taken, 0, os.SEEK_CUR)
+        os.lseek(taken, 0, os.SEEK_SET)
+        text = os.read(taken, size)
+        os.lseek(taken, 0, os.SEEK_SET)
+        os.ftruncate(taken, 0)
+        return text
+
+    try:
+        yield said
+    finally:
+        sys.stdout, sys.stderr = before
+        for number, old in zip((1, 2), kept, strict=True):
+            os.dup2(old, number)
+            os.close(old)
+        os.close(taken)
+
+
+# --- commands ---------------------------------------------------------------------------------------------------------
+
+
+def run_words(words: Sequence[str], place: Place) -> int:
+    """Run the command line and check what holds for every one; return its exit status."""
+    stdout = sys.stdout
+    try:
+        status = main(words)
+    except SystemExit as ended:
+        status = ended.code if isinstance(ended.code, int) else 2
+    said = place.said()
+    if sys.stdout is not stdout or sys.stdout.closed:
+        raise Fault("the standard output was replaced")
+    if b"Traceback" in said or status == 70:
+        raise Fault(said.decode("utf-8", "replace"))
+    if status not in (0, 1, 2):
+        raise Fault(f"exit status {status}")
+    for escape in _ESCAPES:
+        if escape in said:
+            at = said.index(escape)
+            raise Fault(f"an escape on a stream: {said[max(0, at - 60) : at + 20]!r}")
+    for path in place.folder.rglob("*"):
+        if not path.is_symlink() and path.is_file() and path.stat().st_size > WRITTEN_LIMIT:
+            raise Fault(f"{path.name} of {path.stat().st_size} bytes was written")
+    return status
+
+
+def command(*words: str) -> Run:
+    """Return a target of a command on the files of an input: they lie in the folder it runs in."""
+
+    def run(given: Input, place: Place) -> None:
+        lay_out(given, place.folder)
+        run_words(words, place)
+
+    return run
+
+
+def _decode(given: Input, place: Place) -> None:
+    lay_out(given, place.folder)
+    if run_words(("decode", INPUT, "-o", "out.mcap"), place) == 0:
+        check_log(place.folder / "out.mcap", fed(place.folder / INPUT))
+
+
+def fed(path: Path) -> int:
+    """Return how many bytes of traffic a capture holds."""
+    size = 0
+    with contextlib.suppress(ServotapError), open_source(path) as source:
+        for item in source:
+            if isinstance(item, (Chunk, CanFrame)):
+                size += len(item.data)
+    return size
+
+
+def check_log(path: Path, size: int) -> None:
+    """Check that the library reads a log, and that its frames and junk hold so many bytes, each in its place."""
+    ends: dict[str, int] = {}
+    whole = 0
+    with path.open("rb") as stream:
+        for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages(log_time_order=False):
+            _, bus, *rest = channel.topic.split("/")
+            value = json.loads(message.data)
+            if "_raw" not in value or rest[-1:] == ["raw"]:
+                continue
+            data = bytes.fromhex(value["_raw"])
+            whole += len(data)
+            if value["_offset"] < ends.get(bus, 0):
+                raise Fault(f"bytes of {bus} stand twice at {value['_offset']}")
+            ends[bus] = value["_offset"] + len(data)
+    if whole != size:
+        raise Fault(f"{size} bytes came in, {whole} stand in the log")
+
+
+# --- framer, pipeline ---------------------------------------------------------------------------------------------------
+
+WIRES = [(name,) for name in SERIAL] + [("mks-rs485", "mks-modbus"), SERIAL]
+
+
+def _framer(given: Input, place: Place) -> None:
+    data = given[INPUT]
+    # Cuts and dialects follow from the bytes, so that the file alone repeats a fault.
+    chance = random.Random(zlib.crc32(data))
+    names = chance.choice(WIRES)
+    cuts = sorted({0, *(chance.randint(0, len(data)) for _ in range(chance.choice((0, 1, 5, 40))))})
+    pieces = [data[a:b] for a, b in zip(cuts, [*cuts[1:], len(data)], strict=True) if a < b]
+    at_once, in_pieces = (_line_of(names).take(each) for each in ([data] if data else [], pieces))
+    for events in (at_once, in_pieces):
+        if b"".join(data for _, data in events) != data:
+            raise Fault(f"{len(data)} bytes came in, other bytes came out: {events}")
+    if at_once != in_pieces:
+        raise Fault(f"cut into {len(pieces)} pieces it gives other frames")
+
+
+class _Line:
+    """A line with all that is behind it; making it takes longer than most inputs, so it is used again."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._context = Context()
+        self._decoders = {name: Decoder(dialects.get(name)) for name in names}
+        self._framer = Framer("line", [dialects.get(name) for name in names], self._context)
+        self._fresh = pickle.dumps(self._framer.state())
+
+    def take(self, pieces: Sequence[bytes]) -> list[tuple[int, bytes]]:
+        """Return frames and junk with their places."""
+        self._context.__init__()  # type: ignore[misc]
+        self._framer.restore(pickle.loads(self._fresh))
+        transactions = Transactions(self._context, timed=False)
+        found = []
+        for events in (*(self._framer.feed(Chunk(None, "line", piece)) for piece in pieces), self._framer.close()):
+            for event in events:
+                found.append((event.offset, event.data))
+                if isinstance(event, Frame):
+                    message, asked = self._decoders[event.dialect.name].decode(event, self._context)
+                    transactions.observe(message, len(found), asked)
+        return found
+
+
+_line_of = cache(_Line)
+
+
+def placed(sink: Collect) -> dict[str, list[tuple[int, bytes]]]:
+    """Return the frames and junk of each bus in the order of their places. Raises Fault for a byte lost or doubled."""
+    events: dict[str, list[tuple[int, bytes]]] = {}
+    for each in (*(e.message.frame for e in sink.entries), *sink.pieces):
+        events.setdefault(each.port, []).append((each.offset, each.data))
+    for bus, found in events.items():
+        found.sort(key=lambda event: event[0])
+        for (at, data), (following, _) in itertools.pairwise(found):
+            if at + len(data) != following:
+                raise Fault(f"bytes {at} to {at + len(data)} of {bus} are followed by {following}")
+    return events
+
+
+def _pipeline(given: Input, place: Place) -> None:
+    lay_out(given, place.folder)
+    sink, sizes, kinds = Collect(), dict[str, int](), set[str]()
+    try:
+        with open_source(place.folder / INPUT) as source:
+            items = [item for item in source if isinstance(item, (Chunk, CanFrame))]
+    except ServotapError:
+        return
+    for item in items:
+        sizes[item.port] = sizes.get(item.port, 0) + len(item.data)
+        kinds.add("can" if isinstance(item, CanFrame) else "serial")
+    if len(kinds) == 1 and source.kind != "log":
+        chosen = [d for d in dialects.every() if d.bus in kinds]
+        Pipeline(chosen, (sink,), Options()).run(items)
+        found = {bus: sum(len(data) for _, data in events) for bus, events in placed(sink).items()}
+        if {bus: size for bus, size in found.items() if size} != {bus: size for bus, size in sizes.items() if size}:
+            raise Fault(f"{sizes} bytes came in, {found} came out")
+
+
+# --- recover ------------------------------------------------------------------------------------------------------------
+
+LOG = "out.mcap"
+
+
+def _recover(given: Input, place: Place) -> None:
+    lay_out(given, place.folder)
+    if run_words(("recover", LOG), place) == 0:
+        with (place.folder / LOG).open("rb") as stream:
+            for _ in make_reader(stream, validate_crcs=True).iter_messages(log_time_order=False):
+                pass
+
+
+@cache
+def recordings() -> list[Input]:
+    """Return recordings that were killed: their logs and spools, some with nothing flushed yet, and a log alone."""
+    found = []
+    for seed, flushed in ((1, 0), (2, 20), (3, 45)):
+        with tempfile.TemporaryDirectory() as folder:
+            spools = Spools(
+                folder, port("1-left", "left", byte_ns=260_416), port("2-arm", "arm", "can", ("mks-can",)), segment_size=900
+            )
+            for n in range(12 + seed):
+                spools.data("1-left", 20 * n, sum8("FA 01 32"))
+                spools.data("1-left", 20 * n + 4, sum8("FB 01 32 FE D4"))
+                spools.can("2-arm", 20 * n + 2, "001#3031")
+            spools.event("1-left", 400, "note", text="seen")
+            if seed == 3:
+                spools.end(500)
+            spools.close()
+            told = config.load(spools.folder)
+            recording = Recording(spools.folder, told, LogParts(spools.folder, told))
+            for number, each in enumerate(recording.merger.take(START + 10**12)):
+                if number == flushed:
+                    break
+                recording.take([each])
+                if number % 10 == 9:
+                    recording.flush()
+            recording.abandon()
+            files = {str(p.relative_to(folder)): p.read_bytes() for p in sorted(Path(folder).rglob("*")) if p.is_file()}
+            found.append(files)
+    return [*found, {LOG: found[2][LOG]}, {LOG: samples()["mcap"]}]
+
+
+def _recording_seeds() -> list[Input]:
+    return [*recordings(), *(given for _, given in entries("recover"))]
+
+
+def _recording_changed(chance: random.Random, given: Input, others: Sequence[Input]) -> Input:
+    """Damage some files of a recording, or drop, double or swap them."""
+    files = dict(given)
+    for _ in range(chance.choice((1, 1, 1, 2, 3))):
+        name = chance.choice(sorted(files))
+        act = chance.random()
+        if act < 0.05 and len(files) > 1:
+            del files[name]
+        elif act < 0.09:
+            other = chance.choice(sorted(files))
+            files[name], files[other] = files[other], files[name]
+        elif act < 0.13:
+            stray = chance.choice(
+                (
+                    "notes.raw",
+                    "x.000000.raw",
+                    "1-left.000009.raw",
+                    "9-x.000001.raw",
+                    "-1-x.0.raw",
+                    "1-left.1e9.raw",
+                    "checkpoint.part",
+                )
+            )
+            files[f"{LOG}.spool/{stray}"] = files[name]
+        elif act < 0.25:
+            files[name] = files[name][: chance.randint(0, len(files[name]))]
+        elif act < 0.3:
+            start = chance.randint(0, len(files[name]))
+            files[name] = files[name][:start] + bytes(len(files[name]) - start)
+        else:
+            files[name] = mutated(chance, files[name], kind=_KINDS.get(Path(name).name) or kind_of(files[name]))
+    return files
+
+
+_KINDS = {"checkpoint": "msgpack", "recording.json": "json"}
+
+# --- captures -----------------------------------------------------------------------------------------------------------
+
+
+@cache
+def samples() -> dict[str, bytes]:
+    """Return a small capture of each format, as the libraries write them."""
+    with tempfile.TemporaryDirectory() as folder:
+        return {name: sample.make(Path(folder)).read_bytes() for name, sample in SAMPLES.items()}
+
+
+def _file_seeds(*targets: str, kinds: Sequence[str] = ()) -> Callable[[], list[Input]]:
+    """Return what gives the captures of some formats (of all), and what targets found before."""
+
+    def seeds() -> list[Input]:
+        made = [*captures(), *samples().values()]
+        found = [given for target in targets for _, given in entries(target) if list(given) == [INPUT]]
+        return [*({INPUT: data} for data in made if not kinds or kind_of(data) in kinds), *found]
+
+    return seeds
+
+
+def _file_changed(chance: random.Random, given: Input, others: Sequence[Input]) -> Input:
+    other = chance.choice(others)
+    return {name: mutated(chance, data, other=other.get(INPUT, b"")) for name, data in given.items()}
+
+
+def _bytes_seeds() -> list[Input]:
+    frames = b"".join(frame for _, _, frame in vectors())
+    return [{INPUT: frames[at : at + 150]} for at in range(0, len(frames), 100)] + [given for _, given in entries("framer")]
+
+
+def _bytes_changed(chance: random.Random, given: Input, others: Sequence[Input]) -> Input:
+    data = given[INPUT] + (chance.choice(others)[INPUT] if chance.random() < 0.3 else b"")
+    return {INPUT: bytes_changed(chance, data, 8)[:1000]}
+
+
+def _two_logs() -> list[Input]:
+    logs = [samples()["mcap"], *(each[LOG] for each in recordings() if LOG in each)]
+    return [{INPUT: a, "other": b} for a in logs for b in logs]
+
+
+# --- command lines ------------------------------------------------------------------------------------------------------
+
+#: Files that command lines can name.
+FILES = {"c.log": "mks_rs485.log", "c.asc": "mks_can.asc", "c.blf": "mks_can.blf", "c.bin": "mks_modbus.bin", "c.mcap": ""}
+LINES = Path(__file__).with_name("lines.txt")
+_MOMENTS = ("5s", "+1:30", "-5min", "09:00:05", "2026-11-21T16:22:11Z", "0", "-0s", "1e9s", "+99999999h")
+_WORDS = (
+    *FILES, *_MOMENTS, "-", "--", "-o", "-h", "--json", "--force", "--limit", "--format", "--dialect", "--baud", "--filter",
+    "--since", "--until", "--bus", "--ids", "--group", "--late", "--to", "--rate", "--fields", "--topics", "out", ".", "..",
+    "none.log", "mks-can", "mks-rs485,mks-can", "hex", "all", "/dev/null", "/dev/full", "\udcff", "\udc80.log", "a" * 300,
+    "x" * 5000, "((((((", "~" * 330, "not " * 300, "a.b" + ".c" * 450, "f(" * 200, "1" + "+1" * 600,
+)  # fmt: skip
+#: Commands that wait for a bus, a port or a person.
+_WAITING = ("record", "tap", "emulate", "scan", "init", "stop", "test", "send", "replay", "restore", "rerun", "view")
+
+
+def lines() -> dict[str, list[Input]]:
+    """Return the command lines that mutations begin with, by target."""
+    found: dict[str, list[Input]] = {"explain": [], "filter": [], "frame": [], "catalogue": [], "words": []}
+    for line in LINES.read_text().splitlines():
+        if not line.startswith("#"):
+            words = shlex.split(line)
+            name = "filter" if "--filter" in words else words[0] if words[0] in found else "words"
+            found[name].append(_line(words))
+    return found
+
+
+def _line_seeds(name: str) -> list[Input]:
+    return [*lines()[name], *(given for _, given in entries(name))]
+
+
+def _line(words: Sequence[str]) -> Input:
+    return {INPUT: json.dumps(list(words)).encode()}
+
+
+def _line_changed(chance: random.Random, given: Input, others: Sequence[Input]) -> Input:
+    words = list(json.loads(given[INPUT]))
+    first = words[:1]
+    for _ in range(chance.choice((1, 1, 2, 3))):
+        at = chance.randint(1, len(words)) if len(words) > 1 else len(words)
+        act = chance.random()
+        if act < 0.2:
+            words.insert(at, chance.choice((*_WORDS, *TOKENS)))
+        elif act < 0.3 and at < len(words):
+            del words[at]
+        elif act < 0.4 and at < len(words):
+            words[at] = chance.choice((*_WORDS, *TOKENS, *map(str, VALUES)))
+        elif act < 0.5:
+            words[at:at] = json.loads(chance.choice(others)[INPUT])[1:][: chance.randint(1, 3)]
+        elif at < len(words):
+            changed = text_changed(chance, words[at].encode("utf-8", "surrogateescape"))
+            words[at] = changed.decode("utf-8", "surrogateescape")
+    return _line(words if _harmless(words) else first)
+
+
+def _harmless(words: Sequence[str]) -> bool:
+    """Say whether a command line can run here: it names no file elsewhere, and waits for nothing."""
+    named = [
+        word
+        for word in words
+        if "/" in word and word not in ("/dev/null", "/dev/full") and not re.fullmatch(r"[^/.~]* / [^/.~]*", word)
+    ]
+    waits = bool(words) and words[0] in _WAITING and not {"--dry-run", "--help", "-h", "--list"} & set(words)
+    return not named and not waits and words[:1] != ["_ARGCOMPLETE"]
+
+
+def _words(given: Input, place: Place) -> None:
+    words = [word.replace("\0", "") for word in json.loads(given[INPUT])]
+    for name, capture in FILES.items():
+        (place.folder / name).write_bytes(_capture(capture))
+    run_words(words, place)
+
+
+@cache
+def _capture(name: str) -> bytes:
+    return (CAPTURES / name).read_bytes() if name else samples()["mcap"]
+
+
+# --- the table ------------------------------------------------------------------------------------------------------------
+
+
+def _on_files(*words: str, kinds: Sequence[str] = (), share: float = 1.0) -> Target:
+    return Target(command(*words), _file_seeds("decode", words[0], kinds=kinds), _file_changed, share)
+
+
+_LOGS = ("mcap",)
+TARGETS: dict[str, Target] = {
+    "framer": Target(_framer, _bytes_seeds, _bytes_changed, 4.0, 5.0),
+    "pipeline": Target(_pipeline, _file_seeds("decode"), _file_changed, 6.0),
+    "decode": Target(_decode, _file_seeds("decode"), _file_changed, 3.0),
+    "show": _on_files("show", INPUT),
+    "show-json": _on_files("show", INPUT, "--json", "--bytes", "--since", "+1s"),
+    "export-csv": _on_files("export", INPUT, "-o", "out.csv"),
+    "export-wide": _on_files("export", INPUT, "-o", "out.csv", "--wide", "--rate", "10Hz", share=0.5),
+    "export-parquet": _on_files("export", INPUT, "-o", "out.parquet", share=0.5),
+    "export-xlsx": _on_files("export", INPUT, "-o", "out.xlsx", share=0.5),
+    "export-candump": _on_files("export", INPUT, "--to", "candump", "-o", "-"),
+    "export-pcapng": _on_files("export", INPUT, "-o", "out.pcapng"),
+    "export-hex": _on_files("export", INPUT, "--to", "hex", "-o", "-"),
+    "check": _on_files("check", INPUT, share=0.5),
+    "replay": _on_files("replay", INPUT, "--on", "serial:none", "--dry-run", share=0.5),
+    "cut": _on_files("cut", INPUT, "--since", "+1s", "-o", "out.mcap", kinds=_LOGS),
+    "merge": Target(command("merge", INPUT, "other", "-o", "out.mcap"), _two_logs, _file_changed),
+    "recover": Target(_recover, _recording_seeds, _recording_changed, 3.0, 30.0),
+    **{name: Target(_words, partial(_line_seeds, name), _line_changed) for name in lines()},
+}  # fmt: skip
+
+
+def attempt(name: str, given: Input, folder: Path, said: Callable[[], bytes]) -> str:
+    """Run a target on an input in an empty folder, and empty it again; return what is wrong, nothing if all holds."""
+    os.chdir(folder)
+    os.environ["SERVOTAP_FAULTS"] = str(folder)
+    try:
+        TARGETS[name].run(given, Place(folder, said))
+    except Fault as fault:
+        return str(fault)
+    except BaseException:
+        return traceback.format_exc()
+    finally:
+        said()
+        for entry in os.scandir(folder):
+            shutil.rmtree(entry.path) if entry.is_dir(follow_symlinks=False) else os.unlink(entry.path)
+    return ""
+
+
+_AT = re.compile(r'File "([^"]*)", line (\d+),? in (\S+)')
+
+
+def key_of(fault: str) -> str:
+    """Return the same word for the same fault: the kind of the error and the function of this program that it came from."""
+    places = [(path, function) for path, _, function in _AT.findall(fault) if "/tests/fuzz/" not in path]
+    own = [
+        f"{Path(path).stem}.{function.strip('<>')}" for path, function in places if re.search(r"/(analyzer|conformance)/", path)
+    ]
+    if fault.startswith(("Fatal", "Current", "Thread", "hang")):
+        return f"hang-{own[0]}" if own else "hang"
+    kind = re.findall(r"^([A-Za-z_.]+)(?::|$)", fault.rstrip().rpartition("\n")[2])
+    if own and kind:
+        return f"{kind[0].rpartition('.')[2]}-{own[-1]}"
+    return re.sub(r"[^a-z]+", "-", re.sub(r"b?['\"].*", "", fault.splitlines()[-1].lower()))[:50].strip("-") or "fault"

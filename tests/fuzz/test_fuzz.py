@@ -1,0 +1,168 @@
+"""The corpus holds; mutators damage what is inside a container and leave the container; the engine notices each end."""
+
+from __future__ import annotations
+
+import os
+import random
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from analyzer.errors import ServotapError
+from analyzer.live.spool import SpoolReader
+from analyzer.sources import open_source
+from tests.fuzz import engine, targets
+from tests.fuzz.corpus import INPUT, captures
+from tests.fuzz.engine import Finding, made, outcomes, shrunk
+from tests.fuzz.mutators import kind_of, msgpack_changed, mutated, packed
+from tests.fuzz.targets import TARGETS, Fault, Target, key_of, recordings, samples
+
+ROUNDS = 24
+
+
+def test_the_corpus_holds():
+    root = Path(__file__).parents[2]
+    ended = subprocess.run([sys.executable, "-m", "tests.fuzz", "--replay"], cwd=root, capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr + ended.stdout
+
+
+# --- mutators -----------------------------------------------------------------------------------------------------------
+
+
+def read(data, folder):
+    """Return how many records a capture gives; 0 if it is none."""
+    path = folder / "capture"
+    path.write_bytes(data)
+    count = 0
+    try:
+        with open_source(path) as source:
+            for _ in source:
+                count += 1
+    except ServotapError:
+        pass
+    return count
+
+
+@pytest.mark.parametrize("name", ["asc", "blf", "mcap", "pcap", "pcapng", "packed"])
+def test_what_is_mutated_is_still_a_capture(name, tmp_path):
+    data = samples()[name] if name != "packed" else packed(random.Random(7), samples()["candump"])
+    made = [mutated(random.Random(number), data) for number in range(ROUNDS)]
+    assert sum(each != data for each in made) > ROUNDS * 0.9
+    assert len(set(made)) > ROUNDS * 0.7
+    assert sum(kind_of(each) == kind_of(data) for each in made) > ROUNDS * 0.7
+    assert sum(read(each, tmp_path) > 0 for each in made) > ROUNDS * 0.4
+
+
+def test_a_mutated_spool_still_holds_records(tmp_path):
+    (name, data), *_ = ((n, d) for n, d in recordings()[0].items() if "left" in n)
+    counts = []
+    for number in range(ROUNDS):
+        (tmp_path / Path(name).name).write_bytes(mutated(random.Random(number), data, kind="spool"))
+        reader = SpoolReader(tmp_path, "1-left")
+        counts.append(sum(1 for _ in reader.read()))
+        reader.close()
+    assert sum(count > 3 for count in counts) > ROUNDS * 0.6
+
+
+def test_a_mutated_checkpoint_is_still_msgpack():
+    data = recordings()[1]["out.mcap.spool/checkpoint"]
+    good = 0
+    for number in range(ROUNDS):
+        try:
+            msgspec.msgpack.decode(msgpack_changed(random.Random(number), data))
+            good += 1
+        except (msgspec.MsgspecError, UnicodeDecodeError):
+            pass
+    assert good > ROUNDS * 0.5
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_an_input_is_known_by_its_number(target):
+    seeds = TARGETS[target].seeds()
+    number = len(seeds) + 5
+    assert made(target, 3, number, seeds) == made(target, 3, number, seeds) != made(target, 4, number, seeds)
+
+
+# --- the engine ---------------------------------------------------------------------------------------------------------
+
+
+def spin(given, place):
+    while True:
+        pass
+
+
+def wait(given, place):
+    time.sleep(100)
+
+
+def crash(given, place):
+    os.kill(os.getpid(), 11)
+
+
+def devour(given, place):
+    bytearray(4 << 30)
+
+
+def shout(given, place):
+    sys.stdout.write("\x1b[31m")
+    targets.run_words(["--version"], place)
+
+
+def raise_it(given, place):
+    raise ValueError(given[INPUT])
+
+
+def fill(given, place):
+    (place.folder / "log").touch()
+    os.truncate(place.folder / "log", 100 << 20)
+    targets.run_words(["--version"], place)
+
+
+ENDS = {
+    spin: "hang",
+    wait: "hang",
+    crash: "SIGSEGV",
+    devour: "MemoryError",
+    shout: "an escape",
+    raise_it: "ValueError",
+    fill: "was written",
+}
+
+
+@pytest.mark.parametrize("run", ENDS, ids=lambda run: run.__name__)
+def test_every_kind_of_end_is_noticed(run, monkeypatch):
+    monkeypatch.setattr(engine, "WAITING_S", 0.5)
+    monkeypatch.setitem(TARGETS, "framer", Target(run, list, lambda *_: {}, seconds=0.2))
+    (text,) = outcomes("framer", [{INPUT: b""}])
+    assert ENDS[run] in text
+
+
+def test_one_that_dies_does_not_stop_the_others(monkeypatch):
+    def run(given, place):
+        if given[INPUT] == b"dies":
+            os.kill(os.getpid(), 9)
+
+    monkeypatch.setitem(TARGETS, "framer", Target(run, list, lambda *_: {}))
+    texts = outcomes("framer", [{INPUT: each} for each in (b"", b"dies", b"")])
+    assert [bool(text) for text in texts] == [False, True, False]
+
+
+def test_a_finding_is_shrunk_to_what_it_needs(monkeypatch):
+    def run(given, place):
+        if b"FA 01" in given[INPUT] and "other" in given:
+            raise Fault("both are there")
+
+    monkeypatch.setitem(TARGETS, "framer", Target(run, list, lambda *_: {}))
+    given = {INPUT: b"x" * 40 + b"FA 01" + b"y" * 17, "other": b"z" * 9, "third": b""}
+    found = Finding("framer", 1, 1, key_of("both are there"), "both are there")
+    assert shrunk(found, given, 10) == {INPUT: b"FA 01", "other": b""}
+
+
+def test_the_framer_of_the_target_loses_nothing_and_would_tell(monkeypatch):
+    monkeypatch.setattr(targets._Line, "take", lambda self, pieces: [(0, b"".join(pieces)[1:])])
+    (text,) = outcomes("framer", [{INPUT: captures()[0]}])
+    assert "other bytes came out" in text
