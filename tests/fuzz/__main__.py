@@ -22,7 +22,7 @@ from multiprocessing.connection import wait
 from pathlib import Path
 
 from tests.fuzz.corpus import FOLDER, INPUT, Input, entries, save
-from tests.fuzz.engine import Finding, Worker, eprint, fuzzing, made, outcomes, shrunk
+from tests.fuzz.engine import Finding, Worker, eprint, fuzzing, made, outcomes, shrunk, warm
 from tests.fuzz.targets import TARGETS, key_of
 
 PROGRESS_S = 10.0
@@ -37,6 +37,8 @@ class Session:
         self._corpus = corpus
         self._shrink_s = shrink_s
         self._seeds = {name: TARGETS[name].seeds() for name in targets}
+        # Not what brings threads along: they do not outlive a fork.
+        warm([name for name in targets if name != "export-parquet"], self._seeds)
         self._told = 0.0
         self.found: dict[tuple[str, str], Finding] = {}
         self.counts: Counter[str] = Counter()

@@ -146,6 +146,14 @@ def scratch() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix="fuzz.", dir=memory if memory.is_dir() and os.access(memory, os.W_OK) else None)
 
 
+def warm(targets: Sequence[str], seeds: dict[str, list[Input]]) -> None:
+    """Run one input of each target here, so that no worker has to load what it needs."""
+    with scratch() as name, heard() as said:
+        for target in targets:
+            attempt(target, seeds[target][0], Path(name), said)
+        os.chdir("/")
+
+
 def timed(target: str) -> None:
     """Start the processor time of an input."""
     signal.setitimer(signal.ITIMER_PROF, TARGETS[target].seconds)
