@@ -160,6 +160,7 @@ def main() -> int:
     parser.add_argument("--coverage", action="store_true")
     arguments = parser.parse_args()
     targets = arguments.target or list(TARGETS)
+    arguments.corpus = arguments.corpus.resolve()
     if arguments.replay:
         failed = replay(targets, arguments.corpus)
         print(f"{failed} entries of the corpus show a fault" if failed else "the corpus holds")

@@ -151,7 +151,6 @@ def warm(targets: Sequence[str], seeds: dict[str, list[Input]]) -> None:
     with scratch() as name, heard() as said:
         for target in targets:
             attempt(target, seeds[target][0], Path(name), said)
-        os.chdir("/")
 
 
 def timed(target: str) -> None:
@@ -186,7 +185,6 @@ def fuzzing(
                         known.add(found)
                         told.send(Finding(target, seed, number, found[1], text))
                 board.add(index, count, time.monotonic() - begun)
-            os.chdir("/")
 
     return job
 
@@ -203,7 +201,6 @@ def outcomes(target: str, inputs: Sequence[Input], *, until: float | None = None
                     board.begin(0, number)
                     timed(target)
                     told.send(attempt(target, given, Path(name), said))
-                os.chdir("/")
 
         worker = Worker(job)
         try:

@@ -514,6 +514,7 @@ def attempt(name: str, given: Input, folder: Path, said: Callable[[], bytes]) ->
         return traceback.format_exc()
     finally:
         said()
+        os.chdir("/")
         for entry in os.scandir(folder):
             shutil.rmtree(entry.path) if entry.is_dir(follow_symlinks=False) else os.unlink(entry.path)
     return ""
