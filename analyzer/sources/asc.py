@@ -15,13 +15,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from analyzer.records import CanFrame
-from analyzer.sources.can_library import Tap, frame, messages
+from analyzer.sources.can_library import Tap, frames
 from analyzer.sources.lines import Lines, head_lines, share
 from analyzer.sources.source import Source
 from analyzer.sources.times import Clock, clock_ns, day_ns, number_ns
+
+if TYPE_CHECKING:
+    from can import Message
 
 _HEADER = re.compile(r"\s*(date\s+\w+\s|base\s+(hex|dec)\b|//|(no\s+)?internal\s+events\s+logged)", re.IGNORECASE)
 _HEADED = re.compile(r"\s*(date\s+\w+\s+\w+\s+\d+\s+\d+:\d\d:\d\d|base\s+(hex|dec)\b)", re.IGNORECASE)
@@ -101,8 +104,11 @@ def _records(source: Source) -> Iterator[CanFrame]:
         clock.line(line)
         return _WISH.search(line) is None
 
-    tap = Tap(Lines(source), lambda line: _HEADER.match(line) is not None, keep, "no internal events logged")
-    for message in messages(source, tap, cast(Callable[[Tap], Any], ASCReader)):
+    tap = Tap(Lines(source), lambda line: _HEADER.match(line) is not None, keep, ("no internal events logged",))
+
+    def place(message: Message) -> tuple[int, str]:
         # python-can counts channels from 0, the file from 1.
         name = f"can{message.channel + 1}" if isinstance(message.channel, int) else None
-        yield frame(message, clock.t_ns, source.port(name))
+        return clock.t_ns, source.port(name)
+
+    return frames(source, tap, cast(Callable[[Tap], Any], ASCReader), place)

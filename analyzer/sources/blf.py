@@ -1,11 +1,12 @@
-"""BLF, the binary log of Vector's tools, through python-can.
+"""BLF, the binary log of Vector's tools.
 
     LOGG header | LOBJ container | LOBJ container | ...          a container holds compressed LOBJ objects
+    object: LOBJ, header size, header version, size, type | flags, time | channel, flags, identifier, data
 
-python-can unpacks a container whatever it grows to, and stops at the first damaged one. So the containers are taken
-apart here, unpacked within bounds, and handed on uncompressed; a reader that stops is replaced by another one.
-
-Times go through the library's float seconds and are good to 1 us. `Tx` says that the host sent a frame.
+Rules: an object may begin in one container and end in the next. A damaged container costs what it holds, a damaged object
+itself: reading goes on at the next object whose header can be true. Times are the start of the measurement, to 1 ms, and the
+object's own, in steps of 10 us or 1 ns. `Tx` says that the host sent a frame. Objects of other types are passed over. A test
+holds this reader and python-can's together.
 """
 
 from __future__ import annotations
@@ -13,30 +14,40 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, cast
+from datetime import UTC, datetime
 
-from analyzer.errors import ServotapError, UnreadableError
+from analyzer.catalogue import Role
+from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame
-from analyzer.sources.can_library import float_ns, frame
-from analyzer.sources.source import Source, describe
+from analyzer.sources.budget import CONTAINER_LIMIT
+from analyzer.sources.source import SECOND_NS, Source
 from analyzer.values import counted
-
-if TYPE_CHECKING:
-    from can import Message
 
 _MAGIC = b"LOGG"
 _SIGNATURE = b"LOBJ"
 _OBJECT = struct.Struct("<4sHHLL")  # signature, header size, header version, object size, object type
+_TIMES = {1: struct.Struct("<LHHQ"), 2: struct.Struct("<LBxHQ8x")}  # flags, ..., time; by header version
 _CONTAINER = struct.Struct("<H6xL4x")  # compression, size when unpacked
 _HEADER_SIZE = struct.Struct("<L")
+_START = struct.Struct("<HH2xHHHHH")  # year, month, day, hour, minute, second, millisecond
+_START_AT = 40
 _HEADER_LIMITS = (72, 4096)
 _CONTAINER_TYPE = 10
-#: CAN objects that python-can reads; some writers put them into the file without a container.
-_CAN_TYPES = frozenset({1, 73, 86, 100, 101})
 _PLAIN, _DEFLATE = 0, 2
-#: Bytes of one object in the file, and of one container unpacked; Vector's tools write 128 KiB.
+_TEN_MICROSECONDS = 1
+#: Bytes of one object; one of a CAN frame has a few hundred at most, so a greater size is damage.
 _OBJECT_LIMIT = 16 << 20
-_UNPACKED_LIMIT = 64 << 20
+_FRAME_LIMIT = 1024
+#: Bytes of padding that may stand before an object, and with its signature.
+_PADDING = 4
+_NEXT = _PADDING + len(_SIGNATURE)
+_CAN = struct.Struct("<HBBL8s")  # channel, flags, length, identifier, data
+_ERROR = struct.Struct("<HHLBBBxLLH2x8s")  # channel, ..., length (5), ..., identifier (7), ..., data (9)
+_FD = struct.Struct("<HBBLLBBB5x64s")  # channel, flags, length, identifier, ..., FD flags (6), data bytes (7), data
+_FD64 = struct.Struct("<BBBBLLLLLLLHBBL")  # channel, length, data bytes, ..., identifier (4), flags (6), sent (12), ...
+_ID_MASK, _EXTENDED = 0x1FFF_FFFF, 0x8000_0000
+_SENT, _REMOTE = 0x01, 0x80
+_FD_BYTES = 64
 
 
 def score(head: bytes) -> float:
@@ -46,7 +57,7 @@ def score(head: bytes) -> float:
 
 def read(source: Source) -> Iterator[CanFrame]:
     """Read the frames."""
-    source.time_source = "capture: the start of the measurement and float seconds, good to 1 us"
+    source.time_source = "capture: the start of the measurement, to 1 ms, and the time of each frame since then"
     return _records(source)
 
 
@@ -62,95 +73,29 @@ def _records(source: Source) -> Iterator[CanFrame]:
     header = begin + stream.exactly(size - len(begin))
     if len(header) < size:
         raise UnreadableError(f"{source.name}: the BLF header breaks off after {len(header)} of {size} bytes")
-    file = _Unpacked(header, _containers(source, size))
-    for message in _messages(source, file):
-        # python-can counts channels from 0, the file from 1.
-        name = f"can{message.channel + 1}" if isinstance(message.channel, int) and message.channel >= 0 else None
-        yield frame(message, float_ns(message.timestamp), source.port(name))
+    start_ns = _start_ns(header)
+    for kind, data in _objects(source, _containers(source, size)):
+        taken = _frame(source, kind, data, start_ns)
+        if taken is not None:
+            yield taken
 
 
-class _Damaged(Exception):
-    """A container cannot be unpacked."""
+def _start_ns(header: bytes) -> int:
+    year, month, day, hour, minute, second, millisecond = _START.unpack_from(header, _START_AT)
+    try:
+        start = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
+    except ValueError:
+        return 0
+    return int(start.timestamp()) * SECOND_NS + int(millisecond) * 1_000_000
 
 
-class _Unpacked:
-    """A file of unpacked containers for python-can to read from. `given`: containers so far."""
-
-    def __init__(self, header: bytes, containers: Iterator[bytes | str]) -> None:
-        self._header = header
-        self._containers = containers
-        self._buffer = header
-        self._cut = False
-        self.given = 0
-
-    def read(self, count: int) -> bytes:
-        """Return `count` bytes, fewer at the end. Raises _Damaged once for each damaged container."""
-        if count < 0:
-            raise ValueError(f"an object of {count} bytes")
-        while len(self._buffer) < count:
-            container = next(self._containers, None)
-            if container is None:
-                break
-            self.given += 1
-            if isinstance(container, str):
-                raise _Damaged(container)
-            if self._cut:
-                container = container[_first_object(container) :]
-                self._cut = False
-            self._buffer += _plain_container(container)
-        taken, self._buffer = self._buffer[:count], self._buffer[count:]
-        return taken
-
-    def restart(self) -> None:
-        """Give the header again, then the next container from its first whole object on."""
-        self._buffer = self._header
-        self._cut = True
-
-    def close(self) -> None:
-        """Do nothing: the source closes its file."""
+# --- the file: containers -----------------------------------------------------------------------------------------------
 
 
-def _plain_container(data: bytes) -> bytes:
-    total = _OBJECT.size + _CONTAINER.size + len(data)
-    head = _OBJECT.pack(_SIGNATURE, _OBJECT.size, 1, total, _CONTAINER_TYPE)
-    return b"".join((head, _CONTAINER.pack(_PLAIN, len(data)), data, b"\0" * (total % 4)))
-
-
-def _first_object(data: bytes) -> int:
-    """Return where the first object begins: what stands before is the end of one in the container before."""
-    at = data.find(_SIGNATURE)
-    while 0 <= at <= len(data) - _OBJECT.size:
-        _, header_size, version, size, _ = _OBJECT.unpack_from(data, at)
-        if version in (1, 2) and _OBJECT.size <= header_size <= size <= _OBJECT_LIMIT:
-            return at
-        at = data.find(_SIGNATURE, at + 1)
-    return len(data)
-
-
-def _messages(source: Source, file: _Unpacked) -> Iterator[Message]:
-    from can.io.blf import BLFReader
-
-    make = cast(Callable[[_Unpacked], Any], BLFReader)
-    given = -1
-    while True:
-        try:
-            yield from make(file)
-            return
-        except ServotapError:
-            raise
-        # Its parser raises whatever a damaged object makes it stumble over.
-        except Exception as error:
-            if given == file.given:
-                raise
-            given = file.given
-            what = str(error) if isinstance(error, _Damaged) else describe(error)
-            source.problem(f"container {file.given} of the BLF file is damaged: {what}")
-            file.restart()
-
-
-def _containers(source: Source, offset: int) -> Iterator[bytes | str]:
-    """Yield what each container holds, or in words why it cannot be unpacked."""
+def _containers(source: Source, offset: int) -> Iterator[bytes | None]:
+    """Yield what each container holds; None for one that cannot be unpacked."""
     stream = source.stream
+    number = 0
     while True:
         head = stream.exactly(_OBJECT.size)
         if not head:
@@ -169,28 +114,134 @@ def _containers(source: Source, offset: int) -> Iterator[bytes | str]:
         if not whole:
             source.problem(f"an object breaks off after {len(head) + len(body)} of {size} bytes", offset=offset)
         if kind == _CONTAINER_TYPE and len(body) >= _CONTAINER.size:
-            yield _unpack(source, body)
-        elif kind in _CAN_TYPES and whole:
+            number += 1
+            try:
+                yield _unpack(source, body)
+            except (ValueError, zlib.error) as error:
+                source.problem(f"container {number} of the BLF file is damaged: {error}", offset=offset)
+                yield None
+        elif kind in _FRAMES and whole:
+            # Some writers put them into the file without a container.
             yield head + body + b"\0" * (-size % 4)
         offset += len(head) + len(body) + len(padding)
 
 
-def _unpack(source: Source, body: bytes) -> bytes | str:
-    """Return what a container holds, as far as it goes, or why it cannot be unpacked."""
+def _unpack(source: Source, body: bytes) -> bytes:
+    """Return what a container holds, as far as it goes. Raises ValueError and zlib.error where it cannot be unpacked."""
     method, _ = _CONTAINER.unpack_from(body)
     data = body[_CONTAINER.size :]
     if method == _PLAIN:
         return data
     if method != _DEFLATE:
-        return f"expected compression 0 or 2, got {method}"
+        raise ValueError(f"expected compression 0 or 2, got {method}")
     unpacker = zlib.decompressobj()
-    try:
-        unpacked = unpacker.decompress(data, _UNPACKED_LIMIT)
-    except zlib.error as error:
-        return str(error)
-    if unpacker.unconsumed_tail:
-        raise UnreadableError(
-            f"{source.name}: a container of {len(data)} bytes unpacks to more than {_UNPACKED_LIMIT >> 20} MiB: "
-            "taken for a decompression bomb"
-        )
+    unpacked = unpacker.decompress(data, CONTAINER_LIMIT + 1)
+    source.stream.budget.container(len(unpacked), len(data))
     return unpacked
+
+
+# --- in the containers: objects -----------------------------------------------------------------------------------------
+
+
+def _objects(source: Source, pieces: Iterator[bytes | None]) -> Iterator[tuple[int, bytes]]:
+    """Yield type and bytes of each object, past damage."""
+    buffer = bytearray()
+    for piece in pieces:
+        buffer += piece or b""
+        yield from _whole(source, buffer, final=piece is None)
+    yield from _whole(source, buffer, final=True)
+
+
+def _whole(source: Source, buffer: bytearray, *, final: bool) -> Iterator[tuple[int, bytes]]:
+    """Yield the objects that are whole and take them from the buffer. `final`: nothing follows, so a broken one is passed."""
+    at = 0
+    while (found := buffer.find(_SIGNATURE, at)) >= 0 and len(buffer) - found >= _OBJECT.size:
+        _passed(source, found - at)
+        at = found
+        _, header_size, version, size, kind = _OBJECT.unpack_from(buffer, at)
+        least = _OBJECT.size + (_TIMES[version].size if version in _TIMES else 0)
+        limit = _FRAME_LIMIT if kind in _FRAMES else _OBJECT_LIMIT
+        end = at + size
+        if not least <= size <= limit or not _OBJECT.size <= header_size <= size:
+            source.problem(f"an object of type {kind} claims {counted(size, 'byte')}, expected {least}..{limit}")
+        elif end > len(buffer):
+            if not final:
+                break
+            source.problem(f"an object of type {kind} claims {counted(size, 'byte')}, got {len(buffer) - at}")
+        elif kind not in _FRAMES and len(buffer) - end >= _NEXT and buffer.find(_SIGNATURE, end, end + _NEXT) < 0:
+            source.problem(f"an object of type {kind} claims {counted(size, 'byte')}, and no object follows it")
+        else:
+            source.stream.budget.record()
+            yield kind, bytes(buffer[at:end])
+            at = end
+            continue
+        at += len(_SIGNATURE)
+    if final:
+        _passed(source, len(buffer) - at)
+        at = len(buffer)
+    del buffer[:at]
+
+
+def _passed(source: Source, count: int) -> None:
+    if count >= _PADDING:
+        source.problem(f"{counted(count, 'byte')} between objects are no object")
+
+
+def _frame(source: Source, kind: int, data: bytes, start_ns: int) -> CanFrame | None:
+    """Return the CAN frame of an object, None for another one and for one that is damaged."""
+    take = _FRAMES.get(kind)
+    if take is None:
+        return None
+    _, header_size, version, _, _ = _OBJECT.unpack_from(data)
+    try:
+        flags, *_, ticks = _TIMES[version].unpack_from(data, _OBJECT.size)
+        channel, number, payload, sent, extended, remote, error, fd = take(
+            data, _OBJECT.size + _TIMES[version].size, header_size
+        )
+    except (KeyError, struct.error):
+        source.problem(f"an object of type {kind} is damaged: {len(data)} bytes, header version {version}")
+        return None
+    t_ns = start_ns + ticks * (10_000 if flags == _TEN_MICROSECONDS else 1)
+    port = source.port(f"can{channel}" if channel else None)
+    role = Role.REQUEST if sent else Role.UNKNOWN
+    return CanFrame(t_ns, port, number & _ID_MASK, b"" if remote else payload, role, extended and not error, remote, error, fd)
+
+
+_Taken = tuple[int, int, bytes, bool, bool, bool, bool, bool]
+
+
+def _can(data: bytes, at: int, header_size: int) -> _Taken:
+    channel, flags, length, number, payload = _CAN.unpack_from(data, at)
+    return channel, number, payload[:length], bool(flags & _SENT), bool(number & _EXTENDED), bool(flags & _REMOTE), False, False
+
+
+def _error(data: bytes, at: int, header_size: int) -> _Taken:
+    values = _ERROR.unpack_from(data, at)
+    return values[0], values[7], values[9][: values[5]], False, False, False, True, False
+
+
+def _fd(data: bytes, at: int, header_size: int) -> _Taken:
+    channel, flags, _, number, _, _, fd, length, payload = _FD.unpack_from(data, at)
+    extended, remote = bool(number & _EXTENDED), bool(flags & _REMOTE)
+    return channel, number, payload[:length], bool(flags & _SENT), extended, remote, False, bool(fd & 1)
+
+
+def _fd64(data: bytes, at: int, header_size: int) -> _Taken:
+    values = _FD64.unpack_from(data, at)
+    channel, length, number, flags, sent, ends = (
+        values[0],
+        min(values[2], _FD_BYTES),
+        values[4],
+        values[6],
+        values[12],
+        values[13],
+    )
+    begin = at + _FD64.size
+    stored = max(0, (ends or len(data)) - header_size - _FD64.size)
+    # A frame may claim more than is stored; the rest are zeros, as Vector's own tools have it.
+    payload = data[begin : begin + min(length, stored)].ljust(length, b"\0")
+    return channel, number, payload, bool(sent), bool(number & _EXTENDED), bool(flags & 0x10), False, bool(flags & 0x1000)
+
+
+#: Types of objects that are CAN frames.
+_FRAMES: dict[int, Callable[[bytes, int, int], _Taken]] = {1: _can, 86: _can, 73: _error, 100: _fd, 101: _fd64}

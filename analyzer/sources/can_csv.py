@@ -9,13 +9,16 @@ Times are exact to their digits. The format names neither the bus nor who sent a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from analyzer.records import CanFrame
-from analyzer.sources.can_library import Tap, frame, messages
+from analyzer.sources.can_library import Tap, frames
 from analyzer.sources.lines import Lines, head_lines
 from analyzer.sources.source import Source
 from analyzer.sources.times import number_ns
+
+if TYPE_CHECKING:
+    from can import Message
 
 _HEADER = "timestamp,arbitration_id,extended,remote,error,dlc,data"
 
@@ -36,12 +39,15 @@ def _records(source: Source) -> Iterator[CanFrame]:
     from can.io.csv import CSVReader
 
     # The reader skips the first line, whatever it is; a log that was appended to has headers inside.
-    tap = Tap(Lines(source), lambda line: False, lambda line: bool(line.strip()) and line.strip() != _HEADER, _HEADER)
-    for message in messages(source, tap, cast(Callable[[Tap], Any], CSVReader)):
+    tap = Tap(Lines(source), lambda line: False, lambda line: bool(line.strip()) and line.strip() != _HEADER, (_HEADER,))
+
+    def place(message: Message) -> tuple[int | None, str]:
         stamp = tap.line.partition(",")[0]
         try:
             t_ns = number_ns(stamp.strip())
         except ValueError:
             source.problem(f"expected seconds, got {stamp[:40]!r}; the frame is kept", line=tap.number)
             t_ns = None
-        yield frame(message, t_ns, source.port())
+        return t_ns, source.port()
+
+    return frames(source, tap, cast(Callable[[Tap], Any], CSVReader), place)

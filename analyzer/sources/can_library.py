@@ -8,7 +8,7 @@ raise ends that reader; then another one is made and gets the header lines again
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Role
@@ -16,6 +16,7 @@ from analyzer.errors import ServotapError
 from analyzer.records import CanFrame
 from analyzer.sources.lines import Lines, cut_note
 from analyzer.sources.source import SECOND_NS, Source, describe, quote
+from analyzer.values import counted
 
 if TYPE_CHECKING:
     from can import Message
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 # The library logs whole lines that it cannot read; without a handler they would end on the terminal.
 logging.getLogger("can").addHandler(logging.NullHandler())
 
+ID_MASK = 0x1FFF_FFFF
+#: Data bytes of the longest frame (CAN FD).
+MOST_BYTES = 64
 #: Lines of a header that are kept to be given again.
 HEADER_LIMIT = 200
 
@@ -30,8 +34,13 @@ HEADER_LIMIT = 200
 def frame(message: Message, t_ns: int | None, port: str) -> CanFrame:
     """Return a message of python-can as a CAN frame.
 
-    Only "sent by the host" says who sent it: a listener receives everything.
+    Only "sent by the host" says who sent it: a listener receives everything. Raises ValueError for what is no CAN frame.
     """
+    if not 0 <= message.arbitration_id <= ID_MASK or len(message.data or b"") > MOST_BYTES:
+        raise ValueError(
+            f"expected an identifier of 29 bits and up to {MOST_BYTES} bytes, got {message.arbitration_id:#x} and "
+            f"{counted(len(message.data), 'byte')}"
+        )
     return CanFrame(
         t_ns,
         port,
@@ -55,12 +64,16 @@ class Tap:
     """An iterator of lines for a reader of python-can. `line` and `number`: of the line given last.
 
     `is_header(line)`: whether a line belongs to the header; the header ends with the first line that does not.
-    `keep(line)`: called once with every line; the reader does not get those for which it is False. `insert`: a line to
+    `keep(line)`: called once with every line; the reader does not get those for which it is False. `insert`: lines to
     give after the header, for readers that swallow one there.
     """
 
     def __init__(
-        self, lines: Lines, is_header: Callable[[str], bool], keep: Callable[[str], bool] | None = None, insert: str = ""
+        self,
+        lines: Lines,
+        is_header: Callable[[str], bool],
+        keep: Callable[[str], bool] | None = None,
+        insert: Sequence[str] = (),
     ) -> None:
         self.lines = lines
         self._given = (line for line in lines if keep is None or keep(line))
@@ -89,9 +102,9 @@ class Tap:
             else:
                 self._in_header = False
                 if self._insert:
-                    self._header.append(self._insert)
-                    self._again.append(line)
-                    return self._insert
+                    self._header += self._insert
+                    self._again = [line, *reversed(self._insert)]
+                    return self._again.pop()
         return line
 
     def restart(self) -> None:
@@ -102,12 +115,15 @@ class Tap:
         """Do nothing: the source closes its file."""
 
 
-def messages(source: Source, tap: Tap, reader: Callable[[Tap], Iterable[Message]]) -> Iterator[Message]:
-    """Yield a reader's messages, past the lines it cannot read."""
+def frames(
+    source: Source, tap: Tap, reader: Callable[[Tap], Iterable[Message]], place: Callable[[Message], tuple[int | None, str]]
+) -> Iterator[CanFrame]:
+    """Yield a reader's messages as frames, past the lines it cannot read. `place`: the time of a message, and its port."""
     lines = -1
     while True:
         try:
-            yield from reader(tap)
+            for message in reader(tap):
+                yield frame(message, *place(message))
             break
         except ServotapError:
             raise

@@ -1,7 +1,8 @@
 """The lines of a text capture, one by one, in bounded memory.
 
-A line ends with LF or CR LF (CR alone where a capture has no LF). Bytes that are no valid text become replacement
-characters. Colours of a terminal are taken out. A line longer than `LINE_LIMIT` is cut, with a problem.
+A line ends with LF, CR LF or CR. Bytes that are no valid text become replacement characters. Colours of a terminal are taken
+out. A line longer than `LINE_LIMIT` is cut, with a problem. White space in a line is blanks and tabs: what else Python takes
+for it (separators, form feeds, no-break spaces) becomes a blank, so that all parsers have one idea of it.
 """
 
 from __future__ import annotations
@@ -17,6 +18,9 @@ LINE_LIMIT = 1 << 20
 _COLOR = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
 #: Characters that Chinese serial assistants put before traffic (send, receive, arrows), as they write them.
 _CHINESE_MARKS = ("发", "收", "→", "←")
+#: What patterns and `split` take for white space, and `bytes.fromhex`, `csv` and `int` do not.
+_BLANKS = re.compile("[\x0b\x0c\x1c-\x1f\x85\xa0\u1680\u2000-\u200a\u2028\u2029\u202f\u205f\u3000]")
+_BLANK_BYTES = b"\x0b\x0c\x1c\x1d\x1e\x1f"
 _CONTROLS = bytes(c for c in range(32) if c not in b"\t\n\r\f\v\b\x1b") + b"\x7f"
 
 
@@ -36,7 +40,7 @@ class Lines:
     def __iter__(self) -> Iterator[str]:
         source, encoding, end = self._source, self._encoding, self._end
         read = source.stream.block
-        split = end.decode()
+        pay = source.stream.budget.record
         held: list[bytes] = []
         held_size = dropped = 0
         first = True
@@ -53,27 +57,27 @@ class Lines:
                     dropped += len(block)
                 continue
             held.append(block[:cut])
-            text = b"".join(held).decode(encoding, "replace")
+            text = _text(b"".join(held).removesuffix(b"\r"), encoding)
             rest = block[cut + len(end) :]
             held = [rest] if rest else []
             overlong = held_size >= LINE_LIMIT
             held_size = len(rest)
-            if "\x1b" in text:
-                text = _COLOR.sub("", text)
-            lines = text.split(split)
+            lines = text.split("\n")
             if overlong:
                 lines[0] = self._cut(lines[0], dropped)
                 dropped = 0
             for line in lines:
                 self.number += 1
+                pay()
                 yield line
         if held:
             self.ended = False
-            text = _COLOR.sub("", b"".join(held).decode(encoding, "replace"))
+            text = _text(b"".join(held), encoding)
             if held_size >= LINE_LIMIT:
                 text = self._cut(text, dropped)
-            self.number += 1
-            yield text
+            for line in text.split("\n"):
+                self.number += 1
+                yield line
 
     def _cut(self, line: str, dropped: int) -> str:
         length = len(line) + dropped
@@ -82,6 +86,18 @@ class Lines:
                 f"a line of {length} bytes, expected at most {LINE_LIMIT}: only its beginning is used", line=self.number + 1
             )
         return line[:LINE_LIMIT]
+
+
+def _text(data: bytes, encoding: str) -> str:
+    """Return a piece of a capture as text with one kind of line ends and one of white space."""
+    text = data.decode(encoding, "replace")
+    if b"\x1b" in data:
+        text = _COLOR.sub("", text)
+    if b"\r" in data:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if not text.isascii() or len(data.translate(None, _BLANK_BYTES)) < len(data):
+        text = _BLANKS.sub(" ", text)
+    return text
 
 
 def cut_note(source: Source, lines: Lines) -> None:
@@ -125,8 +141,8 @@ def head_lines(head: bytes) -> tuple[str, ...]:
     """Return the whole lines of a capture's beginning that are not blank; its only line if it has no end."""
     if not is_text(head):
         return ()
-    text = _COLOR.sub("", head.removeprefix(b"\xef\xbb\xbf").decode(encoding_of(head), "replace"))
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    text = _text(head.removeprefix(b"\xef\xbb\xbf"), encoding_of(head))
+    lines = text.split("\n")
     if len(lines) > 1:
         lines.pop()
     return tuple(line[:4096] for line in lines if line.strip())

@@ -42,7 +42,7 @@ _DATED = re.compile(
     r"(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})[T_,\s]{1,2}(\d{1,2}):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?(?:\s?([AaPp])[Mm])?"
     r"\s?(Z|[+-]\d\d:?\d\d)?"
 )
-_NUMBER = re.compile(r"\+?(\d+(?:\.\d+)?)\s?([a-zµ]*)")
+_NUMBER = re.compile(r"\+?(\d+(?:\.\d+)?)\s?([a-zμ]*)")
 _MONTHS = 12
 
 _SOURCES = {
@@ -134,7 +134,8 @@ def _hour(hour: str, half: str | None) -> str:
 
 
 def _number_ns(text: str) -> int:
-    found = _NUMBER.fullmatch(text.strip())
+    # Patterns that ignore case take a long s for an s, and the Greek letter for the micro sign.
+    found = _NUMBER.fullmatch(text.strip().casefold())
     if found is None:
         raise ValueError(f"expected a number, got {text!r}")
     return number_ns(found[1], UNITS.get(found[2] or "s", UNITS["s"]))

@@ -23,15 +23,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from analyzer.errors import UnreadableError
-from analyzer.values import counted
+from analyzer.sources.budget import Budget
 
 #: Bytes of one read.
 BLOCK = 64 * 1024
 #: Bytes that one step of a decompressor may give.
 UNPACKED = 1 << 20
-#: A stream that grew to more than this, and more than `BOMB_RATIO` times, is taken for a decompression bomb.
-BOMB_BYTES = 1 << 30
-BOMB_RATIO = 1000
 #: One zstd block of 4 bytes can hold 128 KiB, so only few bytes are unpacked in one step.
 _ZSTD_STEP = 256
 _ZSTD_WINDOW = 1 << 27
@@ -59,7 +56,7 @@ class Stream:
         self._hash = hashlib.sha256()
         self._ended = self._skipped = False
         self.position = 0
-        self.unpacked = 0
+        self.budget = Budget(self.name)
         self.compression = ""
         self._held = b""
         self._blocks = self._start()
@@ -139,6 +136,7 @@ class Stream:
             raise UnreadableError(f"{self.name}: reading failed at byte {self.position}: {error.strerror}") from None
         self._hash.update(data)
         self.position += len(data)
+        self.budget.read += len(data)
         self._ended = not data
         return data
 
@@ -169,13 +167,7 @@ class Stream:
 
     def _guarded(self, blocks: Iterator[bytes]) -> Iterator[bytes]:
         for block in blocks:
-            self.unpacked += len(block)
-            if self.unpacked > BOMB_BYTES and self.unpacked > BOMB_RATIO * self.position:
-                raise UnreadableError(
-                    f"{self.name}: {counted(self.position, 'byte')} of {self.compression} data unpack to more than "
-                    f"{self.unpacked >> 20} MiB, more than {BOMB_RATIO} times as much: taken for a decompression "
-                    "bomb; if it is harmless, unpack it first"
-                )
+            self.budget.unpacked(len(block))
             yield block
 
 

@@ -34,7 +34,7 @@ _DIGITS = 24
 _POWERS: tuple[int, ...] = tuple(10**n for n in range(10))
 
 #: Nanoseconds of a unit, by how it is printed.
-UNITS = {"s": SECOND, "sec": SECOND, "ms": 1_000_000, "us": 1_000, "µs": 1_000, "ns": 1}
+UNITS = {"s": SECOND, "sec": SECOND, "ms": 1_000_000, "us": 1_000, "µs": 1_000, "μs": 1_000, "ns": 1}
 
 
 def number_ns(text: str, unit: int = SECOND) -> int:

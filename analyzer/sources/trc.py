@@ -15,15 +15,18 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from decimal import Decimal
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame
-from analyzer.sources.can_library import Tap, frame, messages
+from analyzer.sources.can_library import Tap, frames
 from analyzer.sources.lines import Lines, head_lines, share
 from analyzer.sources.source import Source
 from analyzer.sources.times import DAY, Clock, number_ns
 from analyzer.values import counted
+
+if TYPE_CHECKING:
+    from can import Message
 
 _FIELD = re.compile(r"\s*;\$(FILEVERSION|STARTTIME|COLUMNS)\s*=\s*(\S+)")
 _FRAME = re.compile(r"\s*\d+\)?\s+\d+\.?\d*\s+(\w\w\s+)?(\d+\s+)?((Tx|Rx)\s+)?[0-9A-Fa-f]{4,8}\s")
@@ -52,8 +55,10 @@ def read(source: Source) -> Iterator[CanFrame]:
     if version not in _SUPPORTED:
         raise UnreadableError(f"{source.name}: TRC version {version} is not supported, expected one of {', '.join(_SUPPORTED)}")
     columns = fields.get("COLUMNS", "").split(",")
-    if version >= "2" and "O" not in columns:
-        raise UnreadableError(f"{source.name}: TRC version {version} without a column O for times in its header")
+    if version >= "2" and not {"N", "O"} <= set(columns):
+        raise UnreadableError(
+            f"{source.name}: TRC version {version} without the columns N and O for numbers and times in its header"
+        )
     return _records(source, version, columns, _start_ns(fields.get("STARTTIME")))
 
 
@@ -68,16 +73,26 @@ def _start_ns(days: str | None) -> int:
 def _records(source: Source, version: str, columns: list[str], start_ns: int) -> Iterator[CanFrame]:
     from can.io.trc import TRCReader
 
-    tap = Tap(Lines(source), lambda line: line.lstrip().startswith(";"))
+    # python-can gives up on a damaged header, and this one was read already.
+    header = [";$STARTTIME=0"]
+    if version != "1.0":
+        header.append(f";$FILEVERSION={version}")
+    if version >= "2":
+        header.append(f";$COLUMNS={','.join(columns)}")
+    tap = Tap(Lines(source), lambda line: False, lambda line: not line.lstrip().startswith(";"), header)
     at = columns.index("O") if version >= "2" else 1
     named = version == "1.3" or "B" in columns
     given = 0
     first = 0
-    for message in messages(source, tap, cast(Callable[[Tap], Any], TRCReader)):
+
+    def place(message: Message) -> tuple[int, str]:
+        t_ns = start_ns + number_ns(tap.line.split(maxsplit=at + 1)[at], _MILLISECOND)
+        return t_ns, source.port(f"can{message.channel}" if named else None)
+
+    for frame in frames(source, tap, cast(Callable[[Tap], Any], TRCReader), place):
         given += 1
         first = first or tap.number
-        t_ns = start_ns + number_ns(tap.line.split(maxsplit=at + 1)[at], _MILLISECOND)
-        yield frame(message, t_ns, source.port(f"can{message.channel}" if named else None))
+        yield frame
     left = tap.number - first + 1 - given - source.problem_count
     if given and left > 0:
         source.note(f"{counted(left, 'line')} left out: not frames (comments, bus status)")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from analyzer.records import Chunk, Comment
 from analyzer.sources import FORMATS, open_source
 from analyzer.sources.source import FAR_NS, clean_port
 from tests.contracts.source_contract import read_all
+from tests.sources import builders
 
 C_SOURCE = """\
 #include <stdio.h>
@@ -229,3 +231,47 @@ def test_a_capture_without_traffic(tmp_path: Path) -> None:
     source, records = read_all(path)
     assert records == []
     assert source.notes == ["the capture holds no traffic"]
+
+
+#: What Python's `splitlines`, `split`, `strip` and `\s` take for white space, or `\d` for a digit, and others do not.
+ODD = "\x0b\x0c\x1c\x1d\x1e\x1f\x85\xa0\u2028\u2029\u3000\r\u0663\u00b2\ufeff\u212a\u017f"
+TEXTS = [name for name in builders.SAMPLES if name not in ("blf", "pcap", "pcapng", "raw", "mcap")]
+
+
+@pytest.mark.parametrize("odd", ODD, ids=ascii)
+def test_a_character_that_python_takes_for_white_space_or_a_digit_costs_its_line_alone(odd: str, tmp_path: Path) -> None:
+    for name in TEXTS:
+        sample = builders.SAMPLES[name]
+        path = sample.make(tmp_path)
+        lines = path.read_text().split("\n")
+        whole = len(read_all(path, format=sample.format)[1])
+        for n in range(8):
+            # At the places where fields begin and end, and inside them.
+            n = len(lines) // 3 + n
+            at = [found.start() for found in re.finditer(r"\b|\W", lines[n])]
+            place = at[(5 * n) % len(at)] if at else 0
+            lines[n] = lines[n][:place] + odd + lines[n][place + n % 2 :]
+        path.write_text("\n".join(lines))
+        with open_source(path):
+            pass
+        source, records = read_all(path, format=sample.format)
+        assert not any("breaks off" in p.text for p in source.problems)
+        assert len(records) >= whole - 8
+        path.unlink()
+
+
+def test_a_line_separator_of_python_between_bytes_is_a_blank(tmp_path: Path) -> None:
+    path = tmp_path / "paste.txt"
+    path.write_text("0xFA 0x01 0x32 0x2D 0xFA 0x01\x1e0x32 0x2D\n")
+    (chunk,) = read_all(path)[1]
+    assert isinstance(chunk, Chunk)
+    assert chunk.data.hex() == "fa01322dfa01322d"
+
+
+@pytest.mark.parametrize(
+    "stamp", ["+0.5 MS", "+0.5 \u017f", "+1\u03bcs", "5 \u212a", "\u0661\u0662:00:00", "3/5/2024\u202812:00:00"]
+)
+def test_a_stamp_in_odd_letters_is_no_fault(stamp: str, tmp_path: Path) -> None:
+    path = tmp_path / "stamps.txt"
+    path.write_text(f"{stamp} TX: FA 01 32 2D\n" * 3)
+    assert len([r for r in read_all(path)[1] if isinstance(r, Chunk)]) == 3

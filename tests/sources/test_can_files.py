@@ -229,6 +229,82 @@ def test_a_blf_bomb_is_refused(tmp_path: Path) -> None:
         read_all(path)
 
 
+def blf_object(kind: int, body: bytes, size: int | None = None, version: int = 1) -> bytes:
+    """One object; `size`: what it claims to have."""
+    times = struct.pack("<LHHQ", 2, 0, 0, 5_000_000_000) + bytes(8 if version == 2 else 0)
+    whole = 16 + len(times) + len(body)
+    head = struct.pack("<4sHHLL", b"LOBJ", 16 + len(times), version, whole if size is None else size, kind)
+    return head + times + body + bytes(-whole % 4)
+
+
+def blf_file(tmp_path: Path, *containers: bytes) -> Path:
+    path, data = blf_of(tmp_path)
+    out = data[:144]
+    for inner in containers:
+        packed = zlib.compress(inner)
+        out += struct.pack("<4sHHLLH6xL4x", b"LOBJ", 16, 1, 32 + len(packed), 10, 2, len(inner)) + packed
+        out += bytes((32 + len(packed)) % 4)
+    path.write_bytes(out)
+    return path
+
+
+ONE = struct.pack("<HBBL8s", 1, 0, 2, 0x12, b"\xf6\x01" + bytes(6))
+
+
+@pytest.mark.parametrize("size", [0, 15, 31, 33, 1000, 5000, 1 << 20, 0xFFFF_FFFF])
+@pytest.mark.parametrize("kind", [1, 10, 65])
+def test_a_size_that_a_blf_object_cannot_have_costs_that_object(kind: int, size: int, tmp_path: Path) -> None:
+    good = blf_object(86, ONE)
+    path = blf_file(tmp_path, good * 3 + blf_object(kind, ONE, size) + good * 3)
+    source, records = read_all(path)
+    assert 6 <= len([r for r in records if isinstance(r, CanFrame) and r.id == 0x12]) <= 7
+    assert source.problem_count
+    assert f"claims {size} bytes" in source.problems[0].text or "header" in source.problems[0].text
+
+
+def test_a_blf_object_that_goes_on_in_the_next_container(tmp_path: Path) -> None:
+    good = blf_object(1, ONE)
+    path = blf_file(tmp_path, good * 2 + good[:20], good[20:] + good)
+    source, records = read_all(path)
+    assert len(records) == 4
+    assert not source.problems
+
+
+def test_every_type_of_blf_object_as_python_can_reads_it(tmp_path: Path) -> None:
+    payload = bytes(range(64))
+    objects = blf_object(1, struct.pack("<HBBL8s", 2, 0x01, 3, 0x8000_0123, payload[:8]))
+    objects += blf_object(86, struct.pack("<HBBL8s", 1, 0x80, 3, 0x7FF, payload[:8]), version=2)
+    objects += blf_object(73, struct.pack("<HHLBBBxLLH2x8s", 1, 0, 0, 0, 0, 2, 0, 0x11, 0, payload[:8]))
+    objects += blf_object(100, struct.pack("<HBBLLBBB5x64s", 1, 1, 9, 0x22, 0, 0, 1, 12, payload))
+    objects += blf_object(101, struct.pack("<BBBBLLLLLLLHBBL", 3, 15, 64, 0, 0x33, 0, 0x1000, 0, 0, 0, 0, 0, 1, 0, 0) + payload)
+    objects += blf_object(101, struct.pack("<BBBBLLLLLLLHBBL", 3, 15, 64, 0, 0x33, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0) + payload[:10])
+    path = blf_file(tmp_path, objects)
+    ours = frames(path)
+    theirs = list(can.LogReader(path))
+    assert len(ours) == len(theirs) == 6
+    for frame, message in zip(ours, theirs, strict=True):
+        assert frame.t_ns is not None
+        assert abs(frame.t_ns - message.timestamp * 1e9) < 1000
+        assert (frame.id, frame.remote, frame.error) == (
+            message.arbitration_id,
+            message.is_remote_frame,
+            message.is_error_frame,
+        )
+        assert frame.data == (b"" if message.is_remote_frame else bytes(message.data))
+        assert frame.port == f"can{message.channel + 1}"
+        assert frame.extended == (message.is_extended_id and not message.is_error_frame)
+        assert frame.fd == message.is_fd
+        assert (frame.direction is Role.REQUEST) == (not message.is_rx)
+
+
+def test_an_identifier_that_no_can_frame_has(tmp_path: Path) -> None:
+    path = tmp_path / "capture.trc"
+    path.write_text(TRC_11.replace("1)         1.2  Rx         0001", "1)         1.2  Rx  -9223372036854775808"))
+    source, records = read_all(path)
+    assert len(records) == 2
+    assert "expected an identifier of 29 bits" in source.problems[0].text
+
+
 def test_blf_objects_outside_containers(tmp_path: Path) -> None:
     path, data = blf_of(tmp_path)
     body = struct.pack("<HBBL8s", 1, 0, 2, 0x12, b"\xf6\x01" + bytes(6))

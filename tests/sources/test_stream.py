@@ -15,7 +15,7 @@ import zstandard
 
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame, Chunk
-from analyzer.sources import open_source, stream
+from analyzer.sources import budget, open_source
 from tests.contracts.source_contract import read_all
 from tests.sources import builders
 
@@ -174,8 +174,8 @@ def test_compressed_twice(tmp_path: Path) -> None:
 def test_bombs_are_refused_in_bounded_memory(
     packed: str, content: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stream, "BOMB_BYTES", 8 << 20)
-    monkeypatch.setattr(stream, "BOMB_RATIO", 150)
+    monkeypatch.setattr(budget, "FREE_BYTES", 8 << 20)
+    monkeypatch.setattr(budget, "BYTES_PER_BYTE", 150)
     size = 48 << 20
     data = content * (size // len(content))
     path = tmp_path / "bomb"
