@@ -72,14 +72,27 @@ def test_not_while_it_runs(tmp_path, capsys):
     assert "is being recorded" in capsys.readouterr().err
 
 
-def test_a_log_that_was_cut_is_not_gone_on_with(tmp_path, capsys):
-    _, broken = killed(tmp_path)
+def test_a_log_that_was_cut_is_written_anew_from_spools_that_hold_it_all(tmp_path, capsys):
+    straight, broken = killed(tmp_path)
     broken.log.write_bytes(broken.log.read_bytes()[:3000])
-    assert main(["recover", str(broken.log)]) == 2
-    assert "it was cut or replaced" in capsys.readouterr().err
-    broken.folder.rename(tmp_path / "away")
     assert main(["recover", str(broken.log)]) == 0
-    assert is_whole(broken.log)
+    assert "it was cut or replaced" in capsys.readouterr().out
+    assert content(broken.log) == content(straight.log)
+    assert sorted(p.name for p in broken.log.parent.iterdir()) == ["out.mcap"]
+
+
+def test_another_log_under_the_name_stays_as_it_is(tmp_path, capsys):
+    straight, broken = killed(tmp_path)
+    with broken.log.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.NONE)
+        writer.start()
+        writer.add_attachment(1, 1, "a.bin", "", random.Random(1).randbytes(100_000))
+        writer.finish()
+    foreign = broken.log.read_bytes()
+    assert main(["recover", str(broken.log)]) == 0
+    assert "is not the log of this recording" in capsys.readouterr().out
+    assert broken.log.read_bytes() == foreign
+    assert content(broken.log.with_name("out-spools.mcap")) == content(straight.log)
 
 
 def test_without_its_spools_what_was_flushed_is_kept(tmp_path, capsys):

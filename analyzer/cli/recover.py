@@ -2,29 +2,34 @@
 
 Without -o it happens in place. Where the folder FILE.spool of the recording is still there, not even the last second is lost;
 without it the log is copied as far as it can be read, also behind damaged places, and takes the place of the old one.
-Works on logs of other programs, too.
+Where the log cannot be gone on with, a second one (FILE-spools.mcap) has all that the folder holds, unless that is everything.
+The folder is removed when the log was read back to its end. Works on logs of other programs, too.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import os
 import shutil
 import sys
 import tempfile
 from pathlib import Path
+
+import msgspec
 
 from analyzer.cli.output import Output
 from analyzer.cli.reading import showing_progress
 from analyzer.cli.signals import Interrupt
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.live import checkpoint, config
+from analyzer.live.config import RecordingConfig
 from analyzer.live.lock import RUNNING, Lock
-from analyzer.live.log_parts import log_of
+from analyzer.live.log_parts import LogParts, log_of
 from analyzer.live.recorder import Recorder
 from analyzer.live.spool import segments, spool_folder, stems
-from analyzer.sinks.mcap_repair import RepairResult, is_whole, repair
-from analyzer.sources.recording_parts import base_of, parts_named
+from analyzer.sinks.mcap_repair import RepairResult, broken_before, repair, unreadable
+from analyzer.sources.recording_parts import base_of, look, parts_named
 from analyzer.sources.times import iso
 from analyzer.values import counted, printable
 
@@ -48,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     path = Path(arguments.file)
     target = _target(arguments)
     folder = path if path.is_dir() and path.name.endswith(".spool") else spool_folder(base_of(path))
-    if (folder / config.NAME).exists():
+    if folder.is_dir():
         if target is None:
             _finish(folder)
         else:
@@ -82,25 +87,107 @@ def _target(arguments: argparse.Namespace) -> Path | None:
 
 def _finish(folder: Path) -> list[Path]:
     """Go on with a recording to the end of its spools; return its logs."""
-    log = log_of(folder, config.load(folder))
-    checkpoint.load(folder)
+    try:
+        told = config.load(folder)
+    except UnreadableError as error:
+        raise UnreadableError(
+            f"{error}. Without it the spools cannot be read. Move {folder} away, and servotap recover repairs the log alone"
+        ) from None
+    log = log_of(folder, told)
     taken = f"{log} is being recorded; stop the recording first"
     with Lock(folder, RUNNING, taken=taken), Interrupt() as interrupt:
-        before = _spooled(folder)
-        recorder = Recorder(folder, final=True, asked=lambda: interrupt.asked, say=_say)
-        try:
-            with showing_progress(f"recovering {log.name}", before, lambda: before - _spooled(folder)):
-                finished = recorder.run(until=lambda: bool(interrupt.asked))
-        finally:
-            recorder.close()
-        if not finished:
+        trouble = _trouble(folder, log, interrupt)
+        if not trouble:
+            paths = _go_on(folder, log, interrupt)
+            what = "went on where the recording had stopped"
+            print(f"{printable(paths[-1].name)}: whole; {what}")
+            return paths
+        print(f"the log cannot be gone on with: {printable(trouble)}")
+        return _from_spools(folder, told, log, interrupt)
+
+
+def _trouble(folder: Path, log: Path, interrupt: Interrupt) -> str:
+    """Read back what the recording had written; return why it cannot be gone on with, or nothing."""
+    try:
+        start = checkpoint.load(folder)
+        if start is None:
+            return f"there is no checkpoint in {folder}" if log.exists() else ""
+        if not start.position:
+            return ""
+        path = log.with_name(start.path)
+        parts = LogParts(folder, config.load(folder))
+        parts.resume(start).abandon()
+        parts.close()
+    except UnreadableError as error:
+        return str(error)
+    place = 0
+
+    def told(at: int) -> None:
+        nonlocal place
+        place = at
+        if interrupt.asked:
             raise KeyboardInterrupt
-    paths = parts_named(log) if recorder.parts.rotating else [log]
-    last = paths[-1]
-    print(
-        f"{printable(last.name)}: whole; went on where the recording had stopped, with {counted(before, 'byte')} of its spools"
+
+    with showing_progress(f"reading {path.name}", start.position, lambda: place):
+        broken = broken_before(path, start.position, told)
+    return f"{path} is damaged: {broken}" if broken else ""
+
+
+def _go_on(folder: Path, log: Path, interrupt: Interrupt) -> list[Path]:
+    """Take all that the spools hold into the log; return its parts. Then the spools are gone."""
+    before = _spooled(folder)
+    recorder = Recorder(folder, final=True, asked=lambda: interrupt.asked, say=_say)
+    try:
+        with showing_progress(f"recovering {log.name}", before, lambda: before - _spooled(folder)):
+            finished = recorder.run(until=lambda: bool(interrupt.asked))
+    finally:
+        recorder.close()
+    if not finished:
+        raise KeyboardInterrupt
+    print(f"took {counted(before, 'byte')} from the spools")
+    if recorder.damaged:
+        print(f"passed {counted(recorder.damaged, 'byte')} of them that {'is' if recorder.damaged == 1 else 'are'} damaged")
+    return parts_named(log) if recorder.parts.rotating else [recorder.parts.path]
+
+
+def _from_spools(folder: Path, told: RecordingConfig, log: Path, interrupt: Interrupt) -> list[Path]:
+    """Make a log of the spools alone. It replaces the old one where they hold all of the recording; else that is repaired."""
+    parts = LogParts(folder, told)
+    mine = not log.exists() or look(log).recording == parts.recording
+    whole = (
+        mine
+        and not parts.rotating
+        and all(
+            any(number == 0 for number, _ in segments(folder, stem)) for stem in (config.CONTROL, *(p.stem for p in told.ports))
+        )
     )
-    return paths
+    second = _free(log.with_name(f"{log.stem}-spools.mcap"))
+    new = folder.rename(spool_folder(second))
+    for pattern in ("checkpoint.*", "index.*"):
+        for path in new.glob(pattern):
+            path.unlink()
+    alone = msgspec.structs.replace(told, log=str(second.absolute()), rotate_bytes=0, rotate_ns=0, keep=0, max_total=0)
+    alone.save(new)
+    paths = _go_on(new, second, interrupt)
+    logs = [log, *parts_named(log)]
+    old = [path for path in logs if path.exists()]
+    if whole:
+        second.replace(log)
+        print(f"{printable(log.name)}: whole; written anew from its spools, which held all of the recording")
+        return [log]
+    for path in old[-1:]:
+        _repair(path, None, replace=True)
+    print(f"{printable(second.name)}: whole; all that the spools held, some of which {printable(log.name)} may have, too")
+    return [*old, *paths]
+
+
+def _free(path: Path) -> Path:
+    """Return a name like this one, of no log and no folder of spools."""
+    free, number = path, 1
+    while os.path.lexists(free) or os.path.lexists(spool_folder(free)):
+        number += 1
+        free = path.with_name(f"{path.stem}-{number}{path.suffix}")
+    return free
 
 
 def _finish_copy(folder: Path, target: Path, replace: bool) -> None:
@@ -124,19 +211,23 @@ def _finish_copy(folder: Path, target: Path, replace: bool) -> None:
                     shutil.copyfile(source, spools / source.name)
             if log.exists():
                 shutil.copyfile(log, copied)
-            _finish(spools)
+            first, *others = _finish(spools)
             if target.exists() and not replace:
                 raise UsageError(f"{target} was created by another program meanwhile; --force replaces it")
-            copied.replace(target)
+            first.replace(target)
+            made = [target]
+            for other in others:
+                made.append(_free(target.with_name(f"{target.stem}-spools.mcap")))
+                other.replace(made[-1])
         finally:
             shutil.rmtree(work, ignore_errors=True)
-    print(f"wrote {target}; {log} and {folder} are as they were")
+    print(f"wrote {printable(', '.join(map(str, made)))}; {log} and {folder} are as they were")
 
 
 def _spooled(folder: Path) -> int:
     """Return how many bytes the spools hold that are not in the log yet."""
     size = 0
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, UnreadableError):
         start = checkpoint.load(folder)
         done = {stem: (s.segment, s.place) for stem, s in start.spools.items()} if start is not None else {}
         for stem in stems(folder):
@@ -156,12 +247,8 @@ def _say(text: str) -> None:
 
 def _repair(path: Path, target: Path | None, replace: bool) -> None:
     """Copy what can be read of a log into a whole one."""
-    if is_whole(path) and target is None:
-        print(f"{printable(path.name)} is whole: nothing was changed")
-        return
     into = target or path
     with Interrupt() as interrupt:
-        output = Output(into, replace or target is None)
         place = 0
 
         def told(at: int) -> None:
@@ -170,10 +257,21 @@ def _repair(path: Path, target: Path | None, replace: bool) -> None:
             if interrupt.asked:
                 raise KeyboardInterrupt
 
+        size = path.stat().st_size
+        if target is None:
+            with showing_progress(f"reading {path.name}", size, lambda: place):
+                whole = not broken_before(path, None, told) and not unreadable(path, told)
+            if whole:
+                print(f"{printable(path.name)} is whole: nothing was changed")
+                return
+        output = Output(into, replace or target is None)
         try:
-            with showing_progress(f"recovering {path.name}", path.stat().st_size, lambda: place):
+            with showing_progress(f"recovering {path.name}", size, lambda: place):
                 outcome = repair(path, output.stream, told)
-            output.stream.flush()
+                output.stream.flush()
+                trouble = unreadable(output.part, told)
+            if trouble:
+                raise UnreadableError(f"{path} was repaired, but the result cannot be read back: {trouble}; it is as it was")
             output.keep()
         except OSError as error:
             output.drop()

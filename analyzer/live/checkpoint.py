@@ -1,6 +1,9 @@
-"""The checkpoint of a recording: all that a process needs to go on where another was killed, in one file, whole or not at all.
+"""The checkpoint of a recording: all that a process needs to go on where another was killed.
 
     after each flush of the log:  place in the log and its index, place in each spool, each bus, and the state of the decoding
+    checkpoint.0, checkpoint.1:   crc32 u32 | MessagePack; written by turns, the one with the greater number counts
+
+Where the newer one is damaged, the one before it counts: what it needs is kept in the spools and in the index.
 
 Going on, the log is cut at that place and the spools are read from theirs, so no byte is lost or stands twice. The state of
 decoding (half frames, open requests) are records of this program, and only those are read back: a folder of spools may come
@@ -13,6 +16,7 @@ from __future__ import annotations
 import io
 import os
 import pickle
+import zlib
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,7 +32,8 @@ from analyzer.framer import _Mark
 from analyzer.records import CanFrame, Frame, Lane, Message
 from analyzer.sinks.object_table import Table, TablePickler, TableUnpickler
 
-NAME = "checkpoint"
+NAMES = ("checkpoint.0", "checkpoint.1")
+_CHECK = 4
 
 
 class BusState(msgspec.Struct, kw_only=True):
@@ -61,14 +66,16 @@ class SpoolState(msgspec.Struct, kw_only=True):
 
 
 class Checkpoint(msgspec.Struct, kw_only=True):
-    """The whole of it. `position` 0: the part was not begun yet."""
+    """The whole of it. `number` counts them; `position` 0: the part was not begun yet."""
 
+    number: int
     part: int
     path: str
     position: int
     previous: str = ""
     begun_ns: int | None = None
     index_length: int = 0
+    index_crc: int = 0
     file: dict[str, Any] = {}
     log: dict[str, Any] = {}
     spools: dict[str, SpoolState] = {}
@@ -84,23 +91,33 @@ class Checkpoint(msgspec.Struct, kw_only=True):
 
     def save(self, folder: Path) -> None:
         """Store it in the folder of the spools. Raises OSError with the one before still there."""
-        part = folder / (NAME + ".part")
+        data = msgspec.msgpack.encode(self)
+        part = folder / "checkpoint.part"
         try:
-            part.write_bytes(msgspec.msgpack.encode(self))
+            part.write_bytes(zlib.crc32(data).to_bytes(_CHECK, "little") + data)
         except OSError:
             part.unlink(missing_ok=True)
             raise
-        os.replace(part, folder / NAME)
+        os.replace(part, folder / NAMES[self.number % 2])
 
 
 def load(folder: Path) -> Checkpoint | None:
-    """Return the checkpoint of a folder, None where there is none. Raises UnreadableError for one that is damaged."""
-    try:
-        return msgspec.msgpack.decode((folder / NAME).read_bytes(), type=Checkpoint)
-    except FileNotFoundError:
-        return None
-    except msgspec.MsgspecError as error:
-        raise UnreadableError(f"{folder / NAME} cannot be read: {error}") from None
+    """Return the checkpoint of a folder, None where there is none. Raises UnreadableError where all are damaged."""
+    found = []
+    damaged = []
+    for path in (folder / name for name in NAMES):
+        try:
+            data = path.read_bytes()
+            if zlib.crc32(data[_CHECK:]) != int.from_bytes(data[:_CHECK], "little"):
+                raise ValueError("its check does not fit")
+            found.append(msgspec.msgpack.decode(data[_CHECK:], type=Checkpoint))
+        except FileNotFoundError:
+            continue
+        except (ValueError, msgspec.MsgspecError) as error:
+            damaged.append(f"{path} cannot be read ({error})")
+    if damaged and not found:
+        raise UnreadableError("; ".join(damaged))
+    return max(found, key=lambda each: each.number, default=None)
 
 
 # --- the state of decoding ------------------------------------------------------------------------------------------

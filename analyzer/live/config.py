@@ -1,17 +1,21 @@
 """The configuration of a recording: a file beside its spools, read by the decoding process and by `servotap recover`.
 
 It is a file instead of arguments: so the log of a killed recording can be finished without knowing how it was started.
+It stands there twice, each time with its CRC.
 """
 
 from __future__ import annotations
 
+import zlib
 from pathlib import Path
 
 import msgspec
 
 from analyzer.errors import UnreadableError
+from analyzer.live.spool import FORMAT
 
 NAME = "recording.json"
+COPY = "recording.copy.json"
 #: Stem of the spool that holds what happened to the recording itself: marks, steps of the wall clock, the end.
 CONTROL = "0-control"
 
@@ -41,7 +45,8 @@ class RecordingConfig(msgspec.Struct, frozen=True, kw_only=True):
 
     `log`: the first (or only) log. `anchor_monotonic_ns`, `anchor_utc_ns`: one moment on both clocks; a record of
     monotonic time t stands in the log at `anchor_utc_ns + t - anchor_monotonic_ns`. `rotate_bytes`, `rotate_ns`, `keep`,
-    `max_total`: 0 means none. `foxglove`: HOST:PORT or empty.
+    `max_total`: 0 means none. `max_spool`: bytes that the spools may have, 0 for any. `mode`: permissions of its files.
+    `foxglove`: HOST:PORT or empty. `spools`: their format; `crc`: of all else.
     """
 
     log: str
@@ -56,9 +61,13 @@ class RecordingConfig(msgspec.Struct, frozen=True, kw_only=True):
     rotate_ns: int = 0
     keep: int = 0
     max_total: int = 0
+    max_spool: int = 0
+    mode: int = 0o666
     foxglove: str = ""
     command: str = ""
     notes: tuple[str, ...] = ()
+    spools: int = 1
+    crc: int = 0
 
     def utc_ns(self, monotonic_ns: int) -> int:
         """Return the log's time of a monotonic time."""
@@ -66,14 +75,29 @@ class RecordingConfig(msgspec.Struct, frozen=True, kw_only=True):
 
     def save(self, folder: Path) -> None:
         """Write it into the folder of the spools, whole or not at all."""
-        part = folder / (NAME + ".part")
-        part.write_bytes(msgspec.json.format(msgspec.json.encode(self), indent=1))
-        part.replace(folder / NAME)
+        told = msgspec.structs.replace(self, spools=FORMAT, crc=0)
+        data = msgspec.json.encode(msgspec.structs.replace(told, crc=zlib.crc32(msgspec.json.encode(told))))
+        for name in (NAME, COPY):
+            part = folder / (NAME + ".part")
+            part.write_bytes(msgspec.json.format(data, indent=1))
+            part.replace(folder / name)
 
 
 def load(folder: Path) -> RecordingConfig:
-    """Return the recording of a folder of spools. Raises UnreadableError where there is none."""
-    try:
-        return msgspec.json.decode((folder / NAME).read_bytes(), type=RecordingConfig)
-    except (OSError, msgspec.MsgspecError) as error:
-        raise UnreadableError(f"{folder / NAME}: expected the configuration of a recording, got: {error}") from None
+    """Return the recording of a folder of spools. Raises UnreadableError where there is none that can be read."""
+    reasons = []
+    for path in (folder / NAME, folder / COPY):
+        try:
+            told = msgspec.json.decode(path.read_bytes(), type=RecordingConfig)
+        except (OSError, msgspec.MsgspecError) as error:
+            reasons.append(f"{path}: expected the configuration of a recording, got: {error}")
+            continue
+        if told.spools != FORMAT and not told.crc:
+            raise UnreadableError(
+                f"{folder} was recorded by another version of servotap, whose spools have format {told.spools}, not {FORMAT}; "
+                "recover it with that version"
+            )
+        if zlib.crc32(msgspec.json.encode(msgspec.structs.replace(told, crc=0))) == told.crc:
+            return told
+        reasons.append(f"{path}: its check does not fit")
+    raise UnreadableError("; ".join(reasons))

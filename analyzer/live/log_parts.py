@@ -58,6 +58,9 @@ class LogParts:
         self.previous = ""
         self._begun_ns: int | None = None
         self._stream: WholeWrites | None = None
+        #: Something else may have written to the log.
+        self.touched = False
+        self._closed: os.stat_result | None = None
         self._index: FileIndex | None = None
         self.file: McapFile
 
@@ -73,10 +76,11 @@ class LogParts:
         previous = self.path.name if before is None else ""
         path = self._path(number)
         if before is None:
-            while path.exists():
+            # A link that leads nowhere has the name, too.
+            while os.path.lexists(path):
                 number += 1
                 path = self._path(number)
-        elif path.exists() and not mine:
+        elif os.path.lexists(path) and not mine:
             raise UsageError(f"{path} exists, and a recording replaces no file")
         was = self.number, self.path
         self.close()
@@ -86,7 +90,7 @@ class LogParts:
         stream: IO[bytes] | None = None
         try:
             # Read, too: what stands there is looked at when a process goes on with it.
-            stream = open(path, "w+b", buffering=0)  # noqa: SIM115
+            stream = self._create(path, mine=mine)
             index = FileIndex(self._index_path(number))
             whole = WholeWrites(stream)
             file = McapFile(whole, profile=PROFILE, library=LIBRARY, index=index, patient=True)
@@ -110,13 +114,16 @@ class LogParts:
             size = self.path.stat().st_size
             if size < start.position:
                 raise UnreadableError(
-                    f"{self.path} has {counted(size, 'byte')}, but {start.position} had been written: it was cut or replaced; "
-                    f"move {self._folder} away to keep its data, then run servotap recover {self.path}"
+                    f"{self.path} has {counted(size, 'byte')}, but {start.position} had been written: it was cut or replaced"
                 )
+            if not self._is_own(self.path):
+                raise UnreadableError(f"{self.path} is not the log of this recording, or is damaged at its beginning")
             self._drop_later()
             stream = open(self.path, "r+b", buffering=0)  # noqa: SIM115
             self._stream = WholeWrites(stream, start.position)
-            self._index = FileIndex(self._index_path(self.number), start.index_length)
+            self._index = FileIndex(self._index_path(self.number), start.index_length, start.index_crc)
+        except ValueError as error:
+            raise UnreadableError(str(error)) from None
         except OSError as error:
             raise UnreadableError(f"{self.path} cannot be resumed: {error.strerror or error}") from None
         self.file = McapFile.resume(self._stream, start.file, self._index, patient=True)
@@ -133,17 +140,79 @@ class LogParts:
             "begun_ns": self._begun_ns,
             "position": self.file.position,
             "index_length": self._index.length,
+            "index_crc": self._index.crc,
             "file": self.file.state(),
         }
 
     def sync(self) -> None:
         """Bring the part onto the disk."""
         if self._stream is not None:
-            os.fsync(self._stream.fileno())
+            self._stream.sync()
+
+    def _create(self, path: Path, *, mine: bool = False) -> IO[bytes]:
+        """Make a file that is not there yet; `mine`: or is replaced. Raises OSError."""
+
+        def opener(name: str, flags: int) -> int:
+            return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0), self._config.mode)
+
+        return open(path, "w+b" if mine else "x+b", buffering=0, opener=opener)
+
+    def keep_hold(self) -> str:
+        """See that the part stands under its name. Where it was deleted, moved or replaced, write all of it anew.
+
+        Returns what was done, or nothing. Raises OSError; then it may be called again.
+        """
+        stream = self._stream
+        if stream is None:
+            return ""
+        was = self.path
+        try:
+            if os.path.samestat(stream.stat(), os.lstat(was)):
+                return ""
+            path = self._other_name()
+        except FileNotFoundError:
+            path = was
+        copy = self._create(path)
+        try:
+            stream.go_over(copy)
+        except OSError:
+            copy.close()
+            path.unlink(missing_ok=True)
+            raise
+        self.path = path
+        what = "deleted or moved" if path == was else "replaced by something else"
+        return f"{was} was {what} while it was being recorded: all of the recording is written anew, to {path}"
+
+    def _other_name(self) -> Path:
+        number = 1
+        while os.path.lexists(path := self.path.with_name(f"{self.path.stem}-recorded-{number}{self.path.suffix}")):
+            number += 1
+        return path
+
+    def lost_hold(self) -> str:
+        """Say what is wrong with the file of the part, which was finished and closed; nothing if nothing is."""
+        try:
+            found = os.lstat(self.path)
+        except OSError as error:
+            return error.strerror or str(error)
+        if self._closed is None or not os.path.samestat(found, self._closed):
+            return "another file has its name"
+        if found.st_size != self.file.position:
+            return f"it has {counted(found.st_size, 'byte')}, and {self.file.position} were written"
+        return ""
+
+    def store_again(self) -> None:
+        """Make the folder of the spools again, as it was deleted. Raises OSError."""
+        self._folder.mkdir(exist_ok=True)
+        self._config.save(self._folder)
+        if self._index is not None:
+            self._index.store_again()
 
     def close(self) -> None:
         """Close the files of the part."""
         if self._stream is not None:
+            self._closed = self._stream.stat()
+            self.touched = self.touched or self._stream.touched
             self._stream.close()
         if self._index is not None:
             self._index.close()

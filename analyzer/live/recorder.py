@@ -34,28 +34,34 @@ from analyzer.live.recording import Recording
 from analyzer.live.snapshot_pipe import SnapshotWriter
 from analyzer.live.snapshot_sink import SnapshotSink
 from analyzer.records import Event
+from analyzer.sinks.mcap_repair import unreadable
 
 #: Time between two looks at the spools, two flushes, two snapshots.
 LOOK_NS = 15_000_000
-FLUSH_NS = 1_000_000_000
+#: What is in the log is not older than a second: this, and the wait for silent ports.
+FLUSH_NS = 700_000_000
 SNAPSHOT_NS = 100_000_000
-#: Between two attempts to write on a full disk; how long it is tried when nothing more comes.
+#: Between two attempts to write on a full disk; how long it is tried once the end was asked for.
 RETRY_S = 0.25
 LAST_TRIES_NS = 10_000_000_000
 #: Without leash and without anything new for this long, no reader is left.
 QUIET_NS = 2_000_000_000
-_FILES = ("*.raw", "checkpoint*", "index.*", settings.NAME + "*", DECODING, RUNNING)
+_FILES = ("*.raw", "checkpoint.*", "index.*", "recording.*", DECODING, RUNNING)
 
 
 class Stalled(ServotapError):
     """The log cannot be written, and nothing more comes that could be waited for."""
 
 
+class Damaged(ServotapError):
+    """The log is not as it was written."""
+
+
 class Recorder:
     """Follows the spools of a folder into its log.
 
     `feed_fd`: where snapshots go. `final`: nobody writes the spools any more. `asked`: says from time to time why to end
-    early, empty for not; `say` takes what a person should read.
+    early, empty for not; `say` takes what a person should read; `check`: says what is wrong with a log that was finished.
     """
 
     def __init__(
@@ -66,19 +72,23 @@ class Recorder:
         final: bool = False,
         asked: Callable[[], str] = lambda: "",
         say: Callable[[str], None] = lambda text: print(f"servotap record: {text}", file=sys.stderr, flush=True),
+        check: Callable[[Path], str] = unreadable,
     ) -> None:
         self.folder = folder
         self.config = settings.load(folder)
         self._say = say
         self._asked = asked
         self._final = final
+        self._read_back = final
+        self._check = check
+        #: Bytes of the spools that were no record, at the end.
+        self.damaged = 0
         self._ending = ""
         self._new_ns = 0
         self._snapshot_ns = 0
         self._feed: SnapshotSink | None = None
         self._writer: SnapshotWriter | None = None
-        self._lock = Lock(folder, DECODING, taken=f"{folder}: another process decodes this recording")
-        self._running = None if final else Lock(folder, RUNNING, shared=True)
+        self._locks = self._taken()
         self.parts = LogParts(folder, self.config, wrap_of(self.config, say) if not final else None)
         if feed_fd is not None:
             self._writer = SnapshotWriter(feed_fd)
@@ -109,7 +119,7 @@ class Recorder:
         """
         recording, merger = self.recording, self.recording.merger
         flushed_ns = self._new_ns = time.monotonic_ns()
-        self._patiently(recording.flush)
+        self._flush()
         flushed_at = recording.parts.file.position
         while True:
             now_ns = time.monotonic_ns()
@@ -117,18 +127,19 @@ class Recorder:
                 self._new_ns = now_ns
             recording.settle(merger.horizon_ns)
             if recording.parts.file.stalled:
-                self._patiently(recording.flush)
+                self._flush()
             if recording.rotation_due:
+                self._patiently(self._keep_hold)
                 recording.rotate(self._patiently)
                 flushed_ns, flushed_at = now_ns, recording.parts.file.position
             # Where much is to be caught up with, whole chunks go out by themselves: a checkpoint stands behind each.
             if now_ns - flushed_ns >= FLUSH_NS or recording.parts.file.position != flushed_at:
                 flushed_ns = now_ns
-                self._patiently(recording.flush)
+                self._flush()
                 flushed_at = recording.parts.file.position
             self._show(now_ns)
             if until():
-                self._patiently(recording.flush)
+                self._flush()
                 return False
             if merger.drained:
                 break
@@ -152,25 +163,42 @@ class Recorder:
             recording.happened("end", reason=self._ending or "the recording was killed; its log was repaired later")
             recording.ended = self._ending or "killed"
             recording.settle(recording.merger.horizon_ns)
+        self.damaged = recording.damaged
+        self._patiently(self._keep_hold)
         recording.finish(self._patiently)
         self._show(time.monotonic_ns(), ended=True)
+        trouble = self.parts.lost_hold()
+        if not trouble and (self._read_back or self.parts.touched):
+            trouble = self._check(self.parts.path)
+        if trouble:
+            raise Damaged(f"{self.parts.path} is not as it was written: {trouble}; {self.folder} is kept")
         remove(self.folder)
         self.close()
+
+    def _flush(self) -> None:
+        self._patiently(self._keep_hold)
+        self._patiently(self.recording.flush)
+
+    def _keep_hold(self) -> None:
+        done = self.parts.keep_hold()
+        if done:
+            self._say(done)
+            self.recording.happened("note", text=done)
 
     def close(self) -> None:
         """Give back what is held; without `run` having ended, all is left as it is."""
         self.recording.abandon()
-        self._lock.close()
-        if self._running is not None:
-            self._running.close()
+        for lock in self._locks:
+            lock.close()
         if self._writer is not None:
             self._writer.close()
 
     # --- writing on a full disk -----------------------------------------------------------------------------------
 
     def _patiently(self, step: Callable[[], None], note: Callable[..., None] | None = None) -> None:
-        """Run a step again and again until it can write."""
+        """Run a step again and again until it can write. Raises Stalled some time after the end was asked for."""
         begun_ns: int | None = None
+        ending_ns: int | None = None
         while True:
             try:
                 step()
@@ -178,23 +206,54 @@ class Recorder:
             except OSError as error:
                 reason = error.strerror or str(error)
                 now_ns = time.monotonic_ns()
+                if self._made_again():
+                    continue
                 if begun_ns is None:
                     begun_ns = now_ns
                     self._say(f"cannot write {self.parts.path}: {reason}; data is buffered next to it, retrying")
                     if self._feed is not None:
                         text = f"cannot write the log: {reason}; data is buffered next to it"
                         self._feed.happened(Event(self.config.utc_ns(now_ns), "", "note", {"text": text}), 0)
-                if self._final and now_ns - begun_ns > LAST_TRIES_NS:
-                    raise Stalled(
-                        f"{self.parts.path} cannot be written: {reason}. Free some space; then "
-                        f"servotap recover {self.parts.path} goes on where it stopped"
-                    ) from None
+                # Asked here: while this waits, nothing else hears of the end.
+                if ending_ns is None and (self._final or self._asked()):
+                    ending_ns = now_ns
+                if ending_ns is not None and now_ns - ending_ns > LAST_TRIES_NS:
+                    raise Stalled(self._stalled(reason)) from None
             self._show(now_ns)
             time.sleep(RETRY_S)
         if begun_ns is not None:
             now_ns = time.monotonic_ns()
             self._say(f"{self.parts.path} is written again after {(now_ns - begun_ns) / 1e9:.1f} s")
             (note or self.recording.happened)("stalled", from_ns=begun_ns, to_ns=now_ns, reason=reason)
+
+    def _made_again(self) -> bool:
+        """Make the folder of the spools again where it was deleted; what its readers had opened can still be read."""
+        if self._open is None or self._final or self.folder.is_dir():
+            return False
+        try:
+            self.parts.store_again()
+            self._lock_again()
+        except OSError:
+            return False
+        text = f"{self.folder} was deleted and is made again"
+        self._say(text)
+        self.recording.happened("note", text=text)
+        return True
+
+    def _lock_again(self) -> None:
+        for lock in self._locks:
+            lock.close()
+        self._locks = self._taken()
+
+    def _taken(self) -> list[Lock]:
+        locks = [Lock(self.folder, DECODING, taken=f"{self.folder}: another process decodes this recording")]
+        return locks if self._final else [*locks, Lock(self.folder, RUNNING, shared=True)]
+
+    def _stalled(self, reason: str) -> str:
+        path = self.parts.path
+        if not self.folder.is_dir():
+            return f"{self.folder} is gone, and what it held is lost; servotap recover {path} repairs what {path} has"
+        return f"{path} cannot be written: {reason}. Free some space; then servotap recover {path} goes on where it stopped"
 
     # --- for viewers -----------------------------------------------------------------------------------------------
 
@@ -207,8 +266,7 @@ class Recorder:
         t_ns = self.config.utc_ns(now_ns)
         self._feed.log = str(self.parts.path)
         self._feed.log_bytes = self.parts.file.position
-        oldest_ns = self.recording.merger.oldest_ns
-        self._feed.behind_ns = 0 if oldest_ns is None else max(0, now_ns - oldest_ns)
+        self._feed.behind_ns = self.recording.merger.behind_ns(now_ns)
         self._writer.offer(self._feed.snapshot(t_ns, ended=ended))
 
 

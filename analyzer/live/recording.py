@@ -17,6 +17,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from analyzer import dialects as registry
 from analyzer import events
 from analyzer.catalogue import Role
@@ -28,8 +30,8 @@ from analyzer.live.checkpoint import Checkpoint, SpoolState
 from analyzer.live.config import CONTROL, PortConfig, RecordingConfig
 from analyzer.live.counts import RecordingCounts
 from analyzer.live.log_parts import LogParts
-from analyzer.live.spool import CanFlag, Record, RecordKind
-from analyzer.live.spool_merge import NEVER_NS, Merger, Spool
+from analyzer.live.spool import CAN_HEAD, NEVER_NS, CanFlag, Record, RecordKind
+from analyzer.live.spool_merge import Merger, Spool
 from analyzer.pipeline import Options, Pipeline, PortSetup, Sink
 from analyzer.port import Setups
 from analyzer.records import CanFrame, Chunk, Comment, Event
@@ -90,6 +92,9 @@ class Recording:
         speeds = {bus.name: bus.load for bus in self.buses.values()}
         found = checkpoint.load(folder)
         start = found if found is not None and found.position else None
+        self._number = 0 if found is None else found.number
+        #: The segment of each spool that the checkpoint before the newest one needs.
+        self._needed = {} if start is None else {stem: s.segment for stem, s in start.spools.items()}
         places = {} if start is None else {stem: (s.segment, s.place) for stem, s in start.spools.items()}
         self.merger = Merger(folder, list(self.follows), places)
         self.spools = {spool.stem: spool for spool in self.merger.spools}
@@ -173,6 +178,8 @@ class Recording:
         self.counts.begin_part()
         self._due_ns = None
         patiently(self._begun_part())
+        # Twice: then neither checkpoint needs the part before.
+        patiently(self.flush)
         patiently(self.flush)
         self.parts.drop_old()
 
@@ -195,12 +202,15 @@ class Recording:
         self.log.tick(self.clock_ns)
         self.log.flush()
         self._save()
-        for spool in self.spools.values():
-            spool.reader.drop_before(spool.position[0])
+        for stem, spool in self.spools.items():
+            spool.reader.drop_before(self._needed.get(stem, 0))
+            self._needed[stem] = spool.position[0]
 
     def finish(self, patiently: Callable[[Callable[[], None]], None]) -> None:
         """Make the log whole: nothing more comes."""
         self._release(NEVER_NS, final=True)
+        for spool in self.spools.values():
+            self._note_damage(spool)
         self.pipeline.close()
         patiently(self.log.flush)
         # Even now the disk may have been full.
@@ -226,7 +236,7 @@ class Recording:
     def _save_beginning(self) -> None:
         """Save which part is about to begin, before its file exists."""
         parts = self.parts
-        Checkpoint(part=parts.number, path=parts.path.name, position=0).save(self.folder)
+        Checkpoint(number=self._number, part=parts.number, path=parts.path.name, position=0).save(self.folder)
 
     def _save(self) -> None:
         """Save the checkpoint, right after the log was flushed. Raises OSError with the checkpoint before still there."""
@@ -237,6 +247,7 @@ class Recording:
             if port is not None and port.framer is not None:
                 state.pending, state.pending_ns = port.framer.pending, bus.last_ns
         Checkpoint(
+            number=self._number + 1,
             **self.parts.state(),
             log=self.log.state(),
             spools={
@@ -258,6 +269,7 @@ class Recording:
             drift_ns=self.drift_ns,
             moved=(self.moved, self.moved_ns),
         ).save(self.folder)
+        self._number += 1
 
     def _resume(self, start: Checkpoint) -> None:
         """Resume from a checkpoint; the log is open already."""
@@ -321,6 +333,9 @@ class Recording:
             return
         kind = record.kind
         follow = self.follows[spool.stem]
+        if not _belongs(record, follow.bus):
+            spool.reader.damaged += len(record.data)
+            return
         if kind == RecordKind.DATA or kind == RecordKind.CAN:
             bus = follow.bus
             assert bus is not None  # the spool of the recording itself has no traffic
@@ -339,11 +354,21 @@ class Recording:
         else:
             self._event(follow, record)
         follow.expected = record.before + (len(record.data) if kind == RecordKind.DATA else kind == RecordKind.CAN)
-        if spool.reader.damaged > spool.damaged:
-            damaged = spool.reader.damaged - spool.damaged
-            self._own.append((follow.bus.name if follow.bus else "", {"event": "damaged", "bytes": damaged}))
-            spool.damaged = spool.reader.damaged
+        self._note_damage(spool)
         spool.position = record.segment, record.end
+
+    def _note_damage(self, spool: Spool) -> None:
+        """Note what was no record in a spool, and has not been noted."""
+        damaged = spool.reader.damaged - spool.damaged
+        if damaged:
+            bus = self.follows[spool.stem].bus
+            self._own.append((bus.name if bus else "", {"event": "damaged", "bytes": damaged}))
+            spool.damaged = spool.reader.damaged
+
+    @property
+    def damaged(self) -> int:
+        """Bytes of the spools that were no record and are passed."""
+        return sum(spool.reader.damaged for spool in self.spools.values())
 
     def _now(self, t_ns: int) -> int:
         """Return the log's time of a record, which never goes back."""
@@ -524,6 +549,19 @@ class Recording:
         bus = self.buses.get(port)
         if bus is not None and bus.detection is not None:
             bus.detection.junk(size)
+
+
+def _belongs(record: Record, bus: Bus | None) -> bool:
+    """Say whether a record is one that a reader of this bus stores; None: of the recording itself."""
+    if record.kind == RecordKind.DATA:
+        return bus is not None and bus.kind == "serial"
+    if record.kind == RecordKind.CAN:
+        return bus is not None and bus.kind == "can" and len(record.data) >= CAN_HEAD.size
+    if record.kind == RecordKind.EVENT:
+        with contextlib.suppress(msgspec.MsgspecError):
+            return bool(record.event)
+        return False
+    return True
 
 
 def _event_values(noted: Mapping[str, Any], utc_ns: Callable[[int], int]) -> dict[str, Any]:

@@ -2,7 +2,9 @@
 
     <log>.spool/<number>-<bus>[-<direction>].<segment>.raw
 
-    record:  magic 0x5A | kind u8 | length u32 | t_ns u64 | before u64 | data      (little endian)
+    record:  magic 0x5B | kind u8 | length u32 | t_ns u64 | before u64 | crc32 u32 | data      (little endian)
+
+The CRC is of all else in the record. What is no whole record is passed and counted; reading goes on at the next one.
 
 One reader writes one spool, whole records only, so a killed reader leaves whole ones but perhaps the last; one consumer
 follows it. A segment is closed when it has grown to `SEGMENT_SIZE`; a consumer deletes the segments that it needs no more,
@@ -43,8 +45,12 @@ end tells them: each reader ends with `closed`, and the decoding process ends wh
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import os
+import re
 import struct
+import zlib
 from collections.abc import Iterator
 from enum import IntEnum
 from pathlib import Path
@@ -52,13 +58,21 @@ from typing import IO, Any, NamedTuple
 
 import msgspec
 
-MAGIC = 0x5A
-HEAD = struct.Struct("<BBIQQ")
+MAGIC = 0x5B
+#: What the configuration of a recording says of its spools; those of format 1 had no CRC.
+FORMAT = 2
+HEAD = struct.Struct("<BBIQQI")
+_CHECKED = struct.Struct("<BBIQQ")
 #: Bytes after which a reader begins a new segment.
 SEGMENT_SIZE = 4 << 20
 #: The longest data of a record.
 DATA_LIMIT = 1 << 20
-_CAN_HEAD = struct.Struct("<IB")
+#: Why nothing more is stored where the spools have reached their limit.
+FULL = "the spools have reached their limit (--max-spool), decoding does not keep up"
+#: Times of records are smaller.
+NEVER_NS = 1 << 63
+CAN_HEAD = struct.Struct("<IB")
+_SEGMENT_NAME = re.compile(r"(?P<stem>\d+-.+)\.\d+\.raw", re.DOTALL)
 
 
 class RecordKind(IntEnum):
@@ -68,6 +82,9 @@ class RecordKind(IntEnum):
     CAN = 2
     EVENT = 3
     IDLE = 4
+
+
+_KINDS = frozenset(RecordKind)
 
 
 class CanFlag(IntEnum):
@@ -92,9 +109,8 @@ class Record(NamedTuple):
 
     @property
     def event(self) -> dict[str, Any]:
-        """The object of an EVENT."""
-        decoded: dict[str, Any] = msgspec.json.decode(self.data)
-        return decoded
+        """The object of an EVENT. Raises MsgspecError where it is none."""
+        return msgspec.json.decode(self.data, type=dict[str, Any])
 
     @property
     def units(self) -> int:
@@ -104,20 +120,19 @@ class Record(NamedTuple):
     @property
     def can(self) -> tuple[int, int, bytes]:
         """Identifier, flags and payload of a CAN record."""
-        can_id, flags = _CAN_HEAD.unpack_from(self.data)
-        return can_id, flags, self.data[_CAN_HEAD.size :]
+        can_id, flags = CAN_HEAD.unpack_from(self.data)
+        return can_id, flags, self.data[CAN_HEAD.size :]
 
 
 def pack(kind: int, t_ns: int, before: int, data: bytes) -> bytes:
     """Return a record as bytes."""
-    return HEAD.pack(MAGIC, kind, len(data), t_ns, before) + data
+    head = _CHECKED.pack(MAGIC, kind, len(data), t_ns, before)
+    return b"%b%b%b" % (head, zlib.crc32(data, zlib.crc32(head)).to_bytes(4, "little"), data)
 
 
 def pack_can(t_ns: int, before: int, can_id: int, flags: int, payload: bytes) -> bytes:
     """Return a CAN record as bytes."""
-    return (
-        HEAD.pack(MAGIC, RecordKind.CAN, _CAN_HEAD.size + len(payload), t_ns, before) + _CAN_HEAD.pack(can_id, flags) + payload
-    )
+    return pack(RecordKind.CAN, t_ns, before, CAN_HEAD.pack(can_id, flags) + payload)
 
 
 def pack_event(t_ns: int, before: int, event: str, **about: Any) -> bytes:
@@ -126,12 +141,16 @@ def pack_event(t_ns: int, before: int, event: str, **about: Any) -> bytes:
 
 
 class SpoolWriter:
-    """Writes one port's records. `folder` exists; `stem` is `<number>-<bus>`. Raises OSError when a write fails."""
+    """Writes one port's records. `folder` exists; `stem` is `<number>-<bus>`. Raises OSError when a write fails.
 
-    def __init__(self, folder: Path, stem: str, *, segment_size: int = SEGMENT_SIZE) -> None:
+    `limit`: bytes of all spools of the folder beyond which no segment is begun, 0 for none.
+    """
+
+    def __init__(self, folder: Path, stem: str, *, segment_size: int = SEGMENT_SIZE, limit: int = 0) -> None:
         self._folder = folder
         self._stem = stem
         self._segment_size = segment_size
+        self.limit = limit
         # A reader that is started again goes on behind what its forerunner left.
         self._segment = max((s for s, _ in segments(folder, stem)), default=-1)
         self._file: IO[bytes] | None = None
@@ -159,6 +178,8 @@ class SpoolWriter:
         self._size = at + len(record)
 
     def _next(self) -> IO[bytes]:
+        if self.limit and size_of(self._folder) >= self.limit:
+            raise OSError(errno.EDQUOT, FULL)
         file = open(self._folder / f"{self._stem}.{self._segment + 1:06d}.raw", "xb", buffering=0)  # noqa: SIM115
         if self._file is not None:
             self._file.close()
@@ -200,58 +221,59 @@ class SpoolReader:
         """Segment and place after the last record given."""
         return self._segment, self._place
 
-    def read(self, most: int = 1 << 20) -> Iterator[Record]:
-        """Yield the whole records that are there now, of about `most` bytes; none only if there is none."""
+    def read(self, most: int = 1 << 20, *, final: bool = False) -> Iterator[Record]:
+        """Yield the whole records that are there now, of about `most` bytes; none only if there is none.
+
+        `final`: no process writes any more, so what is half a record at the end will not become a whole one.
+        """
         taken = given = 0
         # What a consumer left that stopped in the midst stands here still.
         for record in self._split():
             given += 1
             yield record
         while taken < most or not given:
-            data = self._more(max(HEAD.size, min(1 << 18, most - taken)))
-            if not data:
+            if self._file is None and not self._open():
                 return
+            assert self._file is not None
+            size = max(HEAD.size, min(1 << 18, most - taken))
+            data = self._file.read(size)
+            over = False
+            # Only when a younger segment exists is nothing more to come in this one; look once more after seeing it.
+            if not data and (final or self._has_next()):
+                data = self._file.read(size)
+                over = not data
             taken += len(data)
             self._rest += data
-            for record in self._split():
+            for record in self._split(over=over):
                 given += 1
                 yield record
+            if not data and not (over and self._advance()):
+                return
 
-    def _more(self, size: int) -> bytes:
-        """Return further bytes, of the next segment where this one has no more; nothing if there are none."""
-        while True:
-            if self._file is None and not self._open():
-                return b""
-            assert self._file is not None
-            data = self._file.read(size)
-            # Only when a younger segment exists is nothing more to come in this one; look once more after seeing it.
-            if not data and self._has_next():
-                data = self._file.read(size)
-                if not data:
-                    self.damaged += len(self._rest)
-                    self._advance()
-                    continue
-            return data
-
-    def _split(self) -> Iterator[Record]:
+    def _split(self, *, over: bool = False) -> Iterator[Record]:
+        """Yield the whole records of what was read; `over`: nothing follows in this segment."""
         rest, at, limit = self._rest, 0, len(self._rest)
         try:
-            while at + HEAD.size <= limit:
-                magic, kind, length, t_ns, before = HEAD.unpack_from(rest, at)
-                if magic != MAGIC or length > DATA_LIMIT:
-                    found = rest.find(MAGIC, at + 1)
-                    skip = (found if found >= 0 else limit) - at
-                    self.damaged += skip
-                    at += skip
-                    self._place += skip
-                    continue
-                stop = at + HEAD.size + length
-                if stop > limit:
+            while at + HEAD.size <= limit or (over and at < limit):
+                stop = at
+                if at + HEAD.size <= limit:
+                    magic, kind, length, t_ns, before, check = HEAD.unpack_from(rest, at)
+                    if magic == MAGIC and length <= DATA_LIMIT:
+                        stop = at + HEAD.size + length
+                if stop > limit and not over:
                     break
-                self._place += stop - at
-                data = rest[at + HEAD.size : stop]
-                at = stop
-                yield Record(kind, t_ns, before, data, self._segment, self._place)
+                if at < stop <= limit and kind in _KINDS and t_ns < NEVER_NS:
+                    data = rest[at + HEAD.size : stop]
+                    if zlib.crc32(data, zlib.crc32(rest[at : at + _CHECKED.size])) == check:
+                        self._place += stop - at
+                        at = stop
+                        yield Record(kind, t_ns, before, data, self._segment, self._place)
+                        continue
+                found = rest.find(MAGIC, at + 1)
+                skip = (found if found >= 0 else limit) - at
+                self.damaged += skip
+                self._place += skip
+                at += skip
         finally:
             self._rest = rest[at:]
 
@@ -264,7 +286,11 @@ class SpoolReader:
                 return False
             self._segment, path = later[0]
             self._place = 0
-        self._file = open(path, "rb", buffering=0)  # noqa: SIM115
+        try:
+            self._file = open(path, "rb", buffering=0)  # noqa: SIM115
+        except FileNotFoundError:
+            # Its folder was deleted this moment.
+            return False
         self._file.seek(self._place)
         self._rest = b""
         return True
@@ -272,13 +298,13 @@ class SpoolReader:
     def _has_next(self) -> bool:
         return any(n > self._segment for n, _ in segments(self._folder, self._stem))
 
-    def _advance(self) -> None:
-        assert self._file is not None
-        self._file.close()
-        self._file = None
+    def _advance(self) -> bool:
+        """Go over to the next segment; say whether there is one."""
         later = [n for n, _ in segments(self._folder, self._stem) if n > self._segment]
-        self._segment, self._place = later[0], 0
-        self._rest = b""
+        if later:
+            self.close()
+            self._segment, self._place = later[0], 0
+        return bool(later)
 
     def drop_before(self, segment: int) -> None:
         """Delete the segments before one: they are needed no more."""
@@ -298,7 +324,7 @@ def last_record(folder: Path, stem: str) -> Record | None:
     for number, _ in reversed(segments(folder, stem)):
         reader = SpoolReader(folder, stem, (number, 0))
         last = None
-        for record in reader.read(SEGMENT_SIZE + 2 * DATA_LIMIT):
+        for record in reader.read(SEGMENT_SIZE + 2 * DATA_LIMIT, final=True):
             if record.segment != number:
                 break
             last = record
@@ -314,6 +340,17 @@ def spool_folder(log: Path) -> Path:
 
 
 def stems(folder: Path) -> list[str]:
-    """Return the spools of a folder by their stems, in order of their numbers."""
-    found = {name.rsplit(".", 2)[0] for name in os.listdir(folder) if name.endswith(".raw")}
+    """Return the spools of a folder by their stems, in order of their numbers; other files are none."""
+    found = {match["stem"] for name in os.listdir(folder) if (match := _SEGMENT_NAME.fullmatch(name))}
     return sorted(found, key=lambda stem: (int(stem.split("-", 1)[0]), stem))
+
+
+def size_of(folder: Path) -> int:
+    """Return how many bytes the spools of a folder have."""
+    size = 0
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            # The consumer deletes them at any moment.
+            with contextlib.suppress(FileNotFoundError):
+                size += entry.stat().st_size if entry.name.endswith(".raw") else 0
+    return size

@@ -13,15 +13,13 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from analyzer.live.spool import Record, SpoolReader
+from analyzer.live.spool import NEVER_NS, Record, SpoolReader
 
 #: The longest that a silent spool is waited for.
 PATIENCE_NS = 200_000_000
 #: Records of a spool that wait at most before it is not read on, and bytes read at a time.
 WAITING_LIMIT = 20_000
 READ_SIZE = 1 << 16
-#: Beyond every time.
-NEVER_NS = 1 << 63
 
 
 class Spool:
@@ -42,7 +40,7 @@ class Spool:
         if len(self.waiting) >= WAITING_LIMIT:
             return
         before = len(self.waiting)
-        self.waiting.extend(self.reader.read(READ_SIZE))
+        self.waiting.extend(self.reader.read(READ_SIZE, final=now_ns is None))
         if len(self.waiting) > before:
             self.watermark_ns = max(self.watermark_ns, self.waiting[-1].t_ns)
         else:
@@ -69,10 +67,9 @@ class Merger:
         """All records were given, and no process writes any more."""
         return self.horizon_ns >= NEVER_NS and not any(spool.waiting for spool in self.spools)
 
-    @property
-    def oldest_ns(self) -> int | None:
-        """Time of the first record that waits, None if none does."""
-        return min((spool.waiting[0].t_ns for spool in self.spools if spool.waiting), default=None)
+    def behind_ns(self, now_ns: int) -> int:
+        """Return by how much what was given lags behind the readers, beyond the wait for silent ports."""
+        return max(0, now_ns - self.horizon_ns - PATIENCE_NS) if 0 < self.horizon_ns < NEVER_NS else 0
 
     def _certain(self, horizon_ns: int) -> Iterator[tuple[Spool, Record]]:
         while True:

@@ -37,6 +37,8 @@ OPEN_S = 15.0
 END_S = 10.0
 #: Deaths of the decoding process after the end, after which its work is left to `servotap recover`.
 LAST_DEATHS = 3
+#: How long the decoding process, which tells ten times a second how far it is, may say nothing while it finishes the log.
+SILENT_S = 120.0
 #: The longest sleep of the loop: how late the clock is looked at and what is due is started.
 _TURN_S = 0.25
 _SECOND_NS = 1_000_000_000
@@ -214,12 +216,12 @@ class Supervisor:
         finally:
             self._end()
 
-    def _turn(self, seconds: float) -> None:
-        """Wait for something to happen and take it; start what is due."""
+    def _turn(self, seconds: float) -> str:
+        """Wait for something to happen, take it and return what; start what is due."""
         try:
             kind, name, what = self._heard.get(timeout=seconds)
         except queue.Empty:
-            kind, name, what = "wake", "", None
+            kind, name, what = "", "", None
         if kind == "event":
             self._hear_event(name, what)
         elif kind == "snapshot":
@@ -234,10 +236,14 @@ class Supervisor:
             if child.due is not None and child.due <= now:
                 try:
                     child.start()
+                    if child is self._decoder and self.phase == "finishing":
+                        child.slip()
                 except OSError as error:
                     # Out of memory or of processes: perhaps not for long.
                     child.died(1)
+                    self._deaths += self.phase == "finishing"
                     self._on_note("", f"cannot start a process: {error.strerror or error}; retrying")
+        return kind
 
     def _hear_event(self, name: str, event: Mapping[str, Any]) -> None:
         port = self.tallies[name]
@@ -252,8 +258,8 @@ class Supervisor:
             self._gone.add(name)
             return
         if not reader and self.phase == "finishing":
-            if status == 0 or self._given_up:
-                self._decoded = True
+            self._decoded = status == 0
+            if self._decoded or self._given_up:
                 return
             if self._decoder.last_words().startswith(SAYS):
                 # It has given up, and said why; that is no accident.
@@ -309,16 +315,17 @@ class Supervisor:
         self._note_event("end", reason=self.reason)
         with self._control_lock:
             assert self._control is not None
-            stored = self._control.finish()
+            self._control.finish()
             self._control = None
-        if not stored:
-            # It cannot be told in a file: it is told as the death of a supervisor is.
-            self._decoder.slip()
+        # While it cannot write it reads nothing, and so no `end`: it is told as the death of a supervisor is, too.
+        self._decoder.slip()
+        heard = time.monotonic()
         while not self._decoded and self._deaths < LAST_DEATHS:
-            if self._given_up:
+            if self._turn(_TURN_S) or self._decoder.due is not None:
+                heard = time.monotonic()
+            if self._given_up or time.monotonic() - heard > SILENT_S:
                 self._decoder.kill()
                 self._decoder.wait(1.0)
                 break
-            self._turn(_TURN_S)
-        if self.folder.exists() and not self.unfinished:
+        if not self._decoded and not self.unfinished:
             self.unfinished = f"the log is incomplete; servotap recover {self.config.log} finishes it"

@@ -7,8 +7,9 @@ another was killed reads that file. Both hold MCAP records in their final form.
 
 from __future__ import annotations
 
-import io
+import os
 import struct
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Protocol
@@ -49,14 +50,23 @@ class MemoryIndex:
 
 
 class FileIndex:
-    """In a file. `length`: bytes of what is there already and counts; what stands behind them is cut off."""
+    """In a file. `length`: bytes of what is there already and counts; what stands behind them is cut off. `crc`: of these.
 
-    def __init__(self, path: Path, length: int = 0) -> None:
+    Raises ValueError where they are not as they were.
+    """
+
+    def __init__(self, path: Path, length: int = 0, crc: int = 0) -> None:
         self.path = path
         self._stream = open(path, "r+b" if length else "w+b", buffering=0)  # noqa: SIM115
         self._stream.truncate(length)
         self._pending: list[bytes] = []
         self.length = length
+        self.crc = 0
+        for block in self._blocks():
+            self.crc = zlib.crc32(block, self.crc)
+        if self.crc != crc:
+            self.close()
+            raise ValueError(f"{path} is damaged, its check does not fit")
 
     def add(self, record: bytes) -> None:
         """Take a record; it is stored at the next `flush`."""
@@ -70,20 +80,43 @@ class FileIndex:
         write_whole(self._stream, self.length, data)
         self._pending.clear()
         self.length += len(data)
+        self.crc = zlib.crc32(data, self.crc)
 
     def records(self, opcode: int) -> Iterator[bytes]:
         """Yield the records of a kind; what was taken is stored first."""
         self.flush()
-        place = 0
-        with open(self.path, "rb", buffering=_BLOCK) as reader:
-            while place < self.length:
-                head = reader.read(_HEAD.size)
-                kind, size = _HEAD.unpack(head)
+        data = b""
+        for block in self._blocks():
+            data += block
+            at = 0
+            while at + _HEAD.size <= len(data):
+                kind, size = _HEAD.unpack_from(data, at)
+                end = at + _HEAD.size + size
+                if end > len(data):
+                    break
                 if kind == opcode:
-                    yield head + reader.read(size)
-                else:
-                    reader.seek(size, io.SEEK_CUR)
-                place += _HEAD.size + size
+                    yield data[at:end]
+                at = end
+            data = data[at:]
+
+    def _blocks(self) -> Iterator[bytes]:
+        """Yield what is stored; by its descriptor, for the file may have been deleted."""
+        at = 0
+        while at < self.length:
+            self._stream.seek(at)
+            block = self._stream.read(min(_BLOCK, self.length - at))
+            if not block:
+                return
+            yield block
+            at += len(block)
+
+    def store_again(self) -> None:
+        """Write the file anew, as it was deleted. Raises OSError."""
+        data = b"".join(self._blocks())
+        stream = open(self.path, "w+b", buffering=0)  # noqa: SIM115
+        write_whole(stream, 0, data)
+        self._stream.close()
+        self._stream = stream
 
     def close(self) -> None:
         """Close the file."""
@@ -110,17 +143,30 @@ def write_whole(stream: IO[bytes], at: int, data: bytes) -> None:
 
 
 class WholeWrites:
-    """A file of which each write is there as a whole or not at all. `stream`: unbuffered, for reading and writing."""
+    """A file of which each write is there as a whole or not at all. `stream`: unbuffered, for reading and writing.
+
+    `touched`: it was seen that something else may have written to it.
+    """
 
     def __init__(self, stream: IO[bytes], position: int = 0) -> None:
         self._stream = stream
         self.position = position
+        self.touched = False
         stream.truncate(position)
+        self._seen = self._look()
+
+    def _look(self) -> tuple[int, int]:
+        found = os.fstat(self._stream.fileno())
+        return found.st_mtime_ns, found.st_size
 
     def write(self, data: bytes) -> int:
         """Write all of it. Raises OSError with nothing written."""
-        write_whole(self._stream, self.position, data)
-        self.position += len(data)
+        self.touched = self.touched or self._look() != self._seen
+        try:
+            write_whole(self._stream, self.position, data)
+            self.position += len(data)
+        finally:
+            self._seen = self._look()
         return len(data)
 
     def flush(self) -> None:
@@ -130,10 +176,30 @@ class WholeWrites:
         """Take back what stands behind a place."""
         self._stream.truncate(position)
         self.position = position
+        self._seen = self._look()
 
-    def fileno(self) -> int:
-        """Return the descriptor."""
-        return self._stream.fileno()
+    def go_over(self, stream: IO[bytes]) -> None:
+        """Write a copy into another file and go on there. Raises OSError with nothing changed but that file."""
+        at = 0
+        while at < self.position:
+            self._stream.seek(at)
+            block = self._stream.read(min(_BLOCK, self.position - at))
+            if not block:
+                # It was cut: a hole stands for what is gone.
+                break
+            write_whole(stream, at, block)
+            at += len(block)
+        self._stream.close()
+        self._stream = stream
+        self._seen = self._look()
+
+    def stat(self) -> os.stat_result:
+        """Return what the system says of the file."""
+        return os.fstat(self._stream.fileno())
+
+    def sync(self) -> None:
+        """Bring it onto the disk."""
+        os.fsync(self._stream.fileno())
 
     def close(self) -> None:
         """Close the file."""

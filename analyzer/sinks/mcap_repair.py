@@ -1,7 +1,8 @@
 """Repairs an MCAP log: copies all readable chunks unchanged, and makes a new summary.
 
-Works on logs of any program. A chunk that breaks off (a killed process, a full disk) is read up to the break. After unreadable
-bytes, the search goes on for the next valid chunk. Each of these is reported as a `Fault`. Topics whose declaration was lost
+Works on logs of any program. A chunk that breaks off (a killed process, a full disk) is read up to the break, and one of which
+only the head is damaged is read whole, if its check fits. A record is copied only if it is what its kind says. After anything
+else, the search goes on for the next such record. Each of these is reported as a `Fault`. Topics whose declaration was lost
 with a chunk are declared from the old summary, if there is one. Otherwise their messages go to a topic that says so.
 
 Memory is bounded by one chunk and by the index of the new summary.
@@ -9,18 +10,22 @@ Memory is bounded by one chunk and by the index of the new summary.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import re
+import struct
 import time
 import zlib
 from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import zstandard
+from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Header, Metadata, Schema
+from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata, Schema
 
 from analyzer import __version__
 from analyzer.errors import UnreadableError
@@ -32,14 +37,22 @@ from analyzer.values import counted
 
 #: Name of the metadata record that says what was done.
 RECOVERED = "servotap.recovered"
-#: Where a chunk may begin: its head stands before the name of its compression.
-_CHUNK_MARK = re.compile(rb"\x04\x00\x00\x00zstd|\x03\x00\x00\x00lz4|\x0f\x04\x00\x00\x00\x00\x00\x00\x00", re.DOTALL)
-_BEFORE_MARK = scan.HEAD.size + 28
+#: Where a record may begin: kinds that stand before the summary, with a length below 4 GiB.
+_MARK = re.compile(rb"(?=[\x03-\x07\x09\x0c\x0f].{4}\x00{4})", re.DOTALL)
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+#: Bytes of a chunk before its data, and where its check stands.
+_CHUNK_HEAD, _CHUNK_CRC = 48, slice(24, 28)
+_INDEX = struct.Struct("<HI")
 _SEARCH = 1 << 20
 _LAST_OPCODE = 0x0F
 _PRIVATE = 0x80
 _LEVEL = 1
 _LOST = "/lost"
+#: Kinds that the library's reader checks, and the sizes of those that have one.
+_PARSED: dict[int, Any] = {
+    scan.HEADER: Header, scan.SCHEMA: Schema, scan.CHANNEL: Channel, scan.METADATA: Metadata, Opcode.ATTACHMENT: Attachment
+}  # fmt: skip
+_SIZES = {scan.DATA_END: 4, scan.FOOTER: 20}
 
 
 @dataclass(frozen=True)
@@ -66,7 +79,7 @@ class RepairResult:
 
 
 def is_whole(path: Path) -> bool:
-    """Say whether a log was finished. Raises UnreadableError if the file is not an MCAP log."""
+    """Say whether a log was finished: it has its summary. Raises UnreadableError if the file is not an MCAP log."""
     with path.open("rb") as stream:
         if stream.read(len(scan.MAGIC)) != scan.MAGIC:
             raise UnreadableError(f"{path} is not an MCAP log, expected the beginning 89 4D 43 41 50 30 0D 0A")
@@ -78,6 +91,126 @@ def is_whole(path: Path) -> bool:
     # On damaged records the library raises exceptions of any kind.
     except Exception:
         return False
+
+
+def unreadable(path: Path, position: Callable[[int], None] = lambda at: None) -> str:
+    """Read a finished log to its end with the `mcap` library; return what is wrong with it, or nothing."""
+    from mcap.reader import SeekingReader
+    from mcap.stream_reader import StreamReader
+
+    try:
+        with path.open("rb") as stream:
+            reader = SeekingReader(stream, validate_crcs=True, record_size_limit=scan.RECORD_LIMIT)
+            summary = reader.get_summary()
+            if summary is None or summary.statistics is None:
+                return "it has no summary"
+            count = 0
+            if summary.chunk_indexes:
+                for count, _ in enumerate(reader.iter_messages(log_time_order=False), 1):
+                    if count % 4096 == 0:
+                        position(stream.tell())
+            else:
+                stream.seek(0)
+                records = StreamReader(stream, validate_crcs=True, record_size_limit=scan.RECORD_LIMIT).records
+                count = sum(isinstance(record, Message) for record in records)
+            expected = summary.statistics.message_count
+            return "" if count == expected else f"{counted(count, 'message')}, and its summary says {expected}"
+    # As above.
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
+
+
+def broken_before(path: Path, end: int | None = None, position: Callable[[int], None] = lambda at: None) -> str:
+    """Say what is not sound in a log before a place, where a record ends; `None`: before its summary. Nothing if all is."""
+    with path.open("rb") as stream:
+        if stream.read(len(scan.MAGIC)) != scan.MAGIC:
+            return "it does not begin as an MCAP log"
+        at = len(scan.MAGIC)
+        while end is None or at < end:
+            position(at)
+            record = record_at(stream, at)
+            problem = f"it ends at byte {at}" if record is None else unsound(*record)
+            if record is None or problem:
+                return f"byte {at}: {problem}"
+            at += scan.HEAD.size + len(record[1])
+            if end is None and record[0] == scan.DATA_END:
+                return ""
+        return "" if at == end else f"no record ends at byte {end}"
+
+
+def record_at(stream: IO[bytes], at: int) -> tuple[int, bytes] | None:
+    """Return the record at a place, None where there is none."""
+    stream.seek(at)
+    head = stream.read(scan.HEAD.size)
+    if len(head) < scan.HEAD.size:
+        return None
+    opcode, length = scan.HEAD.unpack(head)
+    if not (0 < opcode <= _LAST_OPCODE or opcode >= _PRIVATE) or length > scan.RECORD_LIMIT:
+        return None
+    body = stream.read(length)
+    return (opcode, body) if len(body) == length else None
+
+
+def unsound(opcode: int, body: bytes) -> str:
+    """Say why a record is not what its kind says, or nothing."""
+    try:
+        if opcode == scan.CHUNK:
+            _check_chunk(scan.packed(body))
+        elif opcode in _PARSED:
+            stream = _Exact(body)
+            _PARSED[opcode].read(ReadDataStream(stream))
+            if stream.tell() != len(body):
+                return f"{len(body) - stream.tell()} bytes too many"
+            crc = int.from_bytes(body[-4:], "little")
+            if opcode == Opcode.ATTACHMENT and crc and crc != zlib.crc32(body[:-4]):
+                return "the check of an attachment does not fit"
+        elif opcode == scan.MESSAGE_INDEX:
+            size = _INDEX.unpack_from(body)[1]
+            if size != len(body) - _INDEX.size or size % 16:
+                return f"an index of {size} bytes in a record of {len(body)}"
+        elif opcode in _SIZES and len(body) != _SIZES[opcode]:
+            return f"{len(body)} bytes, expected {_SIZES[opcode]}"
+        elif opcode == scan.MESSAGE:
+            scan.message(body)
+        elif opcode >= _PRIVATE and _chunk_data(body) is not None:
+            return "a chunk under another kind"
+    # As above.
+    except Exception as error:
+        return str(error) or type(error).__name__
+    return ""
+
+
+class _Exact(io.BytesIO):
+    """Bytes of which a reader gets all that it asks for."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Return so many bytes. Raises ValueError where there are fewer."""
+        data = super().read(size)
+        if size is not None and len(data) < size:
+            raise ValueError(f"{size} bytes expected, {len(data)} are left")
+        return data
+
+
+def _check_chunk(chunk: scan.Packed) -> bytes:
+    """Return the data of a chunk. Raises ValueError where something of its head does not fit it, and as `scan.unpack`."""
+    data = scan.unpack(chunk)
+    if len(data) != chunk.size:
+        raise ValueError(f"a chunk of {chunk.size} bytes, got {len(data)}")
+    times = [int.from_bytes(data[at + 6 : at + 14], "little") for opcode, at, _ in scan.walk(data) if opcode == scan.MESSAGE]
+    if times and (min(times), max(times)) != (chunk.start_ns, chunk.end_ns):
+        raise ValueError("the times of a chunk are not those of its messages")
+    return data
+
+
+def _chunk_data(body: bytes) -> bytes | None:
+    """Return the data of a chunk in whose head a byte is damaged, None where the rest does not fit or there is none."""
+    place = body.find(_ZSTD_MAGIC, 0, _CHUNK_HEAD)
+    if place < 0:
+        return None
+    data = _unpack_begin(body[place:])
+    check = zlib.crc32(data).to_bytes(4, "little")
+    # That three bytes of the check fit by chance is as unlikely as that a damaged log looks sound.
+    return data if sum(a != b for a, b in zip(check, body[_CHUNK_CRC], strict=False)) <= 1 else None
 
 
 def repair(path: Path, target: Writable, position: Callable[[int], None] = lambda at: None) -> RepairResult:
@@ -108,12 +241,21 @@ class _Repair:
         #: Top-level messages, which become a chunk of their own.
         self._loose: list[bytes] = []
         self._ended = False
+        #: What stands before is a chunk or an index of one.
+        self._indexing = False
 
     def run(self) -> RepairResult:
         header = Header("", "")
         at = len(scan.MAGIC)
-        first = self._record(at)
-        if first is not None and first[0] == scan.HEADER:
+        self._stream.seek(0)
+        if self._stream.read(at) != scan.MAGIC:
+            if self._search(0) is None:
+                raise UnreadableError(
+                    f"{self._path} is not an MCAP log, expected the beginning 89 4D 43 41 50 30 0D 0A, or any whole record"
+                )
+            self._outcome.faults.append(Fault(0, at, "the beginning of the file is damaged"))
+        first = record_at(self._stream, at)
+        if first is not None and first[0] == scan.HEADER and not unsound(*first):
             header = scan.parsed(first[1], Header.read)
             at += scan.HEAD.size + len(first[1])
         self._file = TakenFile(self._target, header)
@@ -125,7 +267,7 @@ class _Repair:
         outcome = self._outcome
         if not self._ended and not outcome.faults:
             outcome.faults.append(Fault(self._size, 0, "the log ends here, without its summary"))
-        elif self._ended and not is_whole(self._path):
+        elif self._ended and self._begins and not is_whole(self._path):
             outcome.faults.append(Fault(at, 0, "the summary behind the messages is missing or damaged"))
         self._describe()
         self._file.finish()
@@ -133,41 +275,33 @@ class _Repair:
         outcome.first_ns, outcome.last_ns = self._file.times
         return outcome
 
-    def _record(self, at: int) -> tuple[int, bytes] | None:
-        """Return the record at a place, None where there is none."""
-        self._stream.seek(at)
-        head = self._stream.read(scan.HEAD.size)
-        if len(head) < scan.HEAD.size:
-            return None
-        opcode, length = scan.HEAD.unpack(head)
-        if not (0 < opcode <= _LAST_OPCODE or opcode >= _PRIVATE) or length > scan.RECORD_LIMIT:
-            return None
-        body = self._stream.read(length)
-        return (opcode, body) if len(body) == length else None
+    @property
+    def _begins(self) -> bool:
+        """The file begins as a log does."""
+        self._stream.seek(0)
+        return self._stream.read(len(scan.MAGIC)) == scan.MAGIC
 
     def _step(self, at: int) -> int:
         """Deal with the record at a place; return where the next one begins."""
-        record = self._record(at)
+        record = record_at(self._stream, at)
         if record is None:
-            return self._fault(at)
+            return self._fault(at, "")
         opcode, body = record
-        end = at + scan.HEAD.size + len(body)
-        try:
-            if opcode == scan.CHUNK:
-                self._put_loose()
-                chunk = scan.packed(body)
-                data = scan.unpack(chunk)
-                self._copy_chunk(body, chunk, data)
-                self._outcome.chunks += 1
-            else:
-                self._other(opcode, body)
-        # zstandard, lz4 and the library each have errors of their own.
-        except Exception as error:
-            if isinstance(error, OSError):
-                raise
-            what = "a chunk" if opcode == scan.CHUNK else "a record"
-            self._outcome.faults.append(Fault(at, end - at, f"{what} of {end - at} bytes is damaged ({error}) and left out"))
-        return end
+        problem = unsound(opcode, body)
+        # An index of messages behind its chunk, the kind of which was damaged, looks like a message.
+        if opcode == scan.MESSAGE and self._indexing and not unsound(scan.MESSAGE_INDEX, body):
+            problem = "an index under another kind"
+        if problem:
+            return self._fault(at, problem)
+        if opcode == scan.CHUNK:
+            self._put_loose()
+            chunk = scan.packed(body)
+            self._copy_chunk(body, chunk, scan.unpack(chunk))
+            self._outcome.chunks += 1
+        else:
+            self._other(opcode, body)
+        self._indexing = opcode in (scan.CHUNK, scan.MESSAGE_INDEX)
+        return at + scan.HEAD.size + len(body)
 
     def _other(self, opcode: int, body: bytes) -> None:
         if opcode == scan.DATA_END:
@@ -194,72 +328,79 @@ class _Repair:
 
     # --- faults ---------------------------------------------------------------------------------------------------
 
-    def _fault(self, at: int) -> int:
-        """Deal with a place where no record begins: salvage a chunk that breaks off, look for what follows."""
+    def _fault(self, at: int, problem: str) -> int:
+        """Deal with a place where no sound record begins: save what can be saved of it, look for what follows."""
         following = self._search(at + 1)
         end = self._size if following is None else following
-        saved = self._salvage(at, end)
-        text = f"an incomplete record of {counted(end - at, 'byte')}"
-        if saved:
-            text = f"a truncated chunk: {counted(saved, 'message')} read"
+        left_out = f"{counted(end - at, 'byte')} are no whole record"
+        if problem:
+            left_out = f"a record of {counted(end - at, 'byte')} is damaged ({problem}) and left out"
+        text = self._saved(at, end) or left_out
         if following is None:
             text += "; nothing readable follows"
         self._outcome.faults.append(Fault(at, end - at, text))
         return end
 
     def _search(self, at: int) -> int | None:
-        """Return where the next record begins that can be believed: a chunk that checks, or the end of the data."""
-        overlap = _BEFORE_MARK + 16
+        """Return where the next record begins that can be believed."""
         while at < self._size:
             self._tell(at)
             self._stream.seek(at)
-            block = self._stream.read(_SEARCH + overlap)
-            for found in _CHUNK_MARK.finditer(block):
-                mark = at + found.start()
-                if found[0][0] == scan.DATA_END:
-                    if self._record(mark + scan.HEAD.size + 4) is not None:
-                        return mark
-                    continue
-                start = mark - _BEFORE_MARK
-                if start >= at and self._believed(start):
-                    return start
+            block = self._stream.read(_SEARCH + scan.HEAD.size)
+            for found in _MARK.finditer(block):
+                if self._believed(at + found.start()):
+                    return at + found.start()
             at += _SEARCH
         return None
 
     def _believed(self, start: int) -> bool:
-        record = self._record(start)
-        if record is None or record[0] != scan.CHUNK:
+        self._stream.seek(start)
+        head = self._stream.read(scan.HEAD.size)
+        opcode, length = scan.HEAD.unpack(head)
+        end = start + scan.HEAD.size + length
+        if end > self._size or length > scan.RECORD_LIMIT:
             return False
-        try:
-            scan.unpack(scan.packed(record[1]))
-        # As above.
-        except Exception:
+        if opcode != scan.CHUNK and not self._head_at(end):
             return False
-        return True
+        record = record_at(self._stream, start)
+        return record is not None and not unsound(*record)
 
-    def _salvage(self, at: int, end: int) -> int:
-        """Read a chunk that breaks off as far as it goes; return how many messages it gave."""
+    def _head_at(self, at: int) -> bool:
+        """Say whether a record may begin at a place, or nothing any more."""
         self._stream.seek(at)
-        body = self._stream.read(min(end - at, scan.RECORD_LIMIT))[scan.HEAD.size :]
-        mark = body[28:36]
-        if mark != b"\x04\x00\x00\x00zstd" or len(body) < 44:
-            return 0
-        data = _unpack_begin(body[44:])
-        whole = 0
-        records = []
-        try:
-            for opcode, first, stop in scan.walk(data):
-                whole = stop
-                if opcode == scan.MESSAGE:
-                    records.append(scan.message(data[first:stop]))
-        except ValueError:
-            pass  # where it breaks off; what was whole before is kept
-        if not records:
-            return 0
-        data = data[:whole]
-        start_ns, end_ns = min(m.log_ns for m in records), max(m.log_ns for m in records)
-        self._repack(data, start_ns, end_ns)
-        return len(records)
+        head = self._stream.read(scan.HEAD.size)
+        if len(head) < scan.HEAD.size:
+            return not head
+        opcode, length = scan.HEAD.unpack(head)
+        return bool((0 < opcode <= _LAST_OPCODE or opcode >= _PRIVATE) and at + scan.HEAD.size + length <= self._size)
+
+    def _saved(self, at: int, end: int) -> str:
+        """Read a chunk whose head is damaged, or one that breaks off as far as it goes; return what was saved, or nothing."""
+        self._stream.seek(at)
+        head = self._stream.read(scan.HEAD.size)
+        body = self._stream.read(min(max(0, end - at - scan.HEAD.size), scan.RECORD_LIMIT))
+        if len(head) < scan.HEAD.size or len(body) < _CHUNK_HEAD:
+            return ""
+        data = _chunk_data(body)
+        whole = data is not None
+        opcode, length = scan.HEAD.unpack(head)
+        if data is None:
+            # Where nothing is missing something is wrong, and which of the messages cannot be told.
+            if opcode != scan.CHUNK or at + scan.HEAD.size + length <= end or body[28:36] != b"\x04\x00\x00\x00zstd":
+                return ""
+            data = _unpack_begin(body[44:])
+        times = []
+        stop = 0
+        with contextlib.suppress(ValueError):
+            for kind, first, stop in scan.walk(data):
+                if kind == scan.MESSAGE:
+                    times.append(scan.message(data[first:stop]).log_ns)
+        if not times and not whole:
+            return ""
+        self._put_loose()
+        self._repack(data[:stop], min(times, default=0), max(times, default=0))
+        read = f"{counted(len(times), 'message')} read"
+        return f"the head of a chunk is damaged: {read}" if whole else f"a truncated chunk: {read}"
 
     def _repack(self, data: bytes, start_ns: int, end_ns: int) -> None:
         packed = zstandard.ZstdCompressor(level=_LEVEL).compress(data)

@@ -7,8 +7,8 @@ import random
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analyzer.live.spool import RecordKind, SpoolWriter, pack
-from analyzer.live.spool_merge import NEVER_NS, PATIENCE_NS, Merger
+from analyzer.live.spool import NEVER_NS, RecordKind, SpoolWriter, pack
+from analyzer.live.spool_merge import PATIENCE_NS, Merger
 
 MS = 1_000_000
 T0 = 10_000 * MS
@@ -51,7 +51,7 @@ def test_all_of_it_when_nobody_writes_any_more(tmp_path):
         rows += taken(merger, None)
     assert rows == [("1-a", 0), ("1-a", 2), ("2-b", 3), ("1-a", 4), ("1-a", 6), ("1-a", 8)]
     assert merger.horizon_ns == NEVER_NS
-    assert merger.oldest_ns is None
+    assert merger.behind_ns(10**12) == 0
 
 
 @settings(max_examples=50, deadline=None)

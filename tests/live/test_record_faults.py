@@ -141,10 +141,9 @@ def test_after_the_death_of_all_everything_that_was_stored_is_recovered(tmp_path
 
 def test_a_decoding_process_that_cannot_live_leaves_the_raw_bytes_and_says_so(tmp_path):
     with talking(tmp_path) as (recorded, talker):
-        (recorded.folder / "checkpoint").write_bytes(b"nonsense")
-        config = recorded.folder / "recording.json"
-        whole = config.read_bytes()
-        config.write_bytes(b"nonsense")
+        for pattern in ("checkpoint.?", "recording.*"):
+            for path in recorded.folder.glob(pattern):
+                path.write_bytes(b"nonsense")
         os.kill(recorded.pid_of("live.recorder"), signal.SIGKILL)
         recorded.wait_note("the decoding process ended")
         recorded.wait_note("the decoding process ended")
@@ -154,7 +153,6 @@ def test_a_decoding_process_that_cannot_live_leaves_the_raw_bytes_and_says_so(tm
         assert recorded.summary["unfinished"]
         assert recorded.summary["lost"]
         assert recorded.folder.exists()
-        config.write_bytes(whole)
 
 
 # --- unplugged ------------------------------------------------------------------------------------------------------------
