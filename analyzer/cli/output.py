@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import os
+import stat
 import tempfile
 from pathlib import Path
 from typing import IO
 
 from analyzer.errors import UsageError
+from analyzer.live.lock import running
+from analyzer.live.spool import spool_folder
+from analyzer.sources.recording_parts import base_of
 
 
 class Output:
@@ -21,6 +25,8 @@ class Output:
     def __init__(self, target: Path, replace: bool) -> None:
         self.target = target
         self._replace = replace
+        if running(spool_folder(base_of(target))):
+            raise UsageError(f"{target} is being recorded; stop the recording first, or name another file")
         try:
             handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent)
         except OSError as error:
@@ -33,7 +39,12 @@ class Output:
         self.stream.close()
         umask = os.umask(0)
         os.umask(umask)
-        self.part.chmod(0o666 & ~umask)
+        mode = 0o666 & ~umask
+        if self._replace:
+            # What was private stays so.
+            with contextlib.suppress(FileNotFoundError):
+                mode = stat.S_IMODE(self.target.stat().st_mode)
+        self.part.chmod(mode)
         if self._replace:
             self.part.replace(self.target)
             return

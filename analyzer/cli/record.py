@@ -12,6 +12,7 @@ import os
 import shlex
 import shutil
 import signal
+import stat
 import sys
 import threading
 import time
@@ -46,6 +47,8 @@ if TYPE_CHECKING:
     from analyzer.live.supervisor import ReaderMaker, Supervisor
 
 FOXGLOVE = "127.0.0.1:8765"
+#: Some minutes of all buses of a machine while its log cannot be written; a flood fills it in seconds.
+MAX_SPOOL = "1GB"
 #: A Ctrl-C this soon after the one before belongs to it.
 _SAME_PRESS_S = 1.0
 
@@ -92,6 +95,10 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rotate", metavar="SIZE|TIME", help="a new file every 100MB or 10min, or both: 100MB,10min")
     parser.add_argument("--keep", type=positive, default=0, metavar="N", help="with --rotate: keep the last N files")
     parser.add_argument("--max-total", metavar="SIZE", help="delete the oldest files beyond a total SIZE, as 200GB")
+    parser.add_argument(
+        "--max-spool", default=MAX_SPOOL, metavar="SIZE",
+        help=f"what may wait for decoding; more is dropped, counted and told (default {MAX_SPOOL})",
+    )  # fmt: skip
     parser.add_argument("--raw-only", action="store_true", help="store raw traffic without decoding it")
     parser.add_argument("--force", action="store_true", help="replace a log that exists")
     parser.add_argument("--json", action="store_true", help="one line of JSON per second, and a summary")
@@ -210,12 +217,14 @@ def target_of(arguments: argparse.Namespace) -> Path:
         target = target / name
     if target.suffix != ".mcap" and (target.is_file() or not target.exists()):
         raise UsageError(f"got {str(target)!r}, expected a name that ends in .mcap")
-    _check_target(target, arguments.force, parts=bool(arguments.rotate or arguments.max_total))
+    arguments.mode = _check_target(target, arguments.force, parts=bool(arguments.rotate or arguments.max_total))
     return target
 
 
-def _check_target(log: Path, force: bool, *, parts: bool = False) -> None:
+def _check_target(log: Path, force: bool, *, parts: bool = False) -> int | None:
     """Check that a log may be written. Raises UsageError where something is in the way; `force` removes it.
+
+    Returns the permissions of what was removed, for the log that replaces it.
 
     In the way are the log itself, with `parts` the parts of its name, and the spools of an unfinished recording.
     """
@@ -223,6 +232,8 @@ def _check_target(log: Path, force: bool, *, parts: bool = False) -> None:
     from analyzer.live.spool import spool_folder
     from analyzer.sources.recording_parts import parts_named
 
+    if log.is_symlink() and not log.exists():
+        raise UsageError(f"{log} is a link that leads to no file; name the file itself")
     if log.exists() and not log.is_file():
         raise UsageError(f"{log} is not a regular file: cannot write a log there")
     if not log.parent.is_dir():
@@ -238,11 +249,14 @@ def _check_target(log: Path, force: bool, *, parts: bool = False) -> None:
                 f"{folder} exists: a recording to {log} was interrupted; servotap recover {log} repairs it, --force deletes it"
             )
         shutil.rmtree(folder)
+    mode = None
     for path in parts_named(log) if parts else [log]:
         if path.exists():
             if not force:
                 raise UsageError(f"{path} exists; --force replaces it")
+            mode = stat.S_IMODE(path.stat().st_mode)
             path.unlink()
+    return mode
 
 
 def _at_its_speed(endpoint: Endpoint, dialects: Sequence[Dialect], notes: list[str], *, quiet: bool) -> Endpoint:
@@ -300,6 +314,8 @@ def configure(
         rotate_ns=rotate_ns,
         keep=arguments.keep,
         max_total=size_bytes(arguments.max_total) if arguments.max_total else 0,
+        max_spool=size_bytes(arguments.max_spool),
+        mode=arguments.mode,
         foxglove=arguments.foxglove,
         command=shlex.join(["servotap", *sys.argv[1:]]),
         notes=tuple(notes),

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 _SECOND_S = 1.0
+#: Decoding that lags less keeps up: it works in portions.
+_BEHIND_NS = 1_000_000_000
 #: How often the live table is drawn.
 _TABLE_S = 0.25
 
@@ -66,6 +68,29 @@ def counts(supervisor: Supervisor) -> list[tuple[str, str, BusCounts]]:
         if states.get(port.bus) != "lost":
             states[port.bus] = port.state
     return [(bus, state, known.get(bus, BusCounts(bus))) for bus, state in states.items()]
+
+
+def behind(supervisor: Supervisor) -> tuple[float, int]:
+    """Return by how many seconds and about how many frames decoding lags behind what is stored; 0 where it keeps up."""
+    snapshot = supervisor.snapshot
+    if snapshot is None or snapshot.behind_ns <= _BEHIND_NS:
+        return 0.0, 0
+    frames = 0
+    for bus, _, count in counts(supervisor):
+        ports = [port for port in supervisor.tallies.values() if port.bus == bus]
+        stored = sum(port.count or 0 for port in ports)
+        if ports[0].unit == "frames":
+            frames += max(0, stored - count.frames)
+        else:
+            waiting = max(0, stored - count.bytes - count.junk_bytes)
+            frames += round(waiting * count.frames / count.bytes) if count.bytes else 0
+    return snapshot.behind_ns / 1e9, frames
+
+
+def _behind_text(supervisor: Supervisor) -> str:
+    """Return that in words, empty where it keeps up."""
+    seconds, frames = behind(supervisor)
+    return f"decoding is {duration_text(int(seconds * 1e9))} behind, about {counted(frames, 'frame')}" if seconds else ""
 
 
 def _stored(supervisor: Supervisor, bus: str) -> str:
@@ -126,8 +151,8 @@ class LineDisplay:
         snapshot = supervisor.snapshot
         if snapshot is not None:
             parts.append(size_text(snapshot.log_bytes))
-            if snapshot.behind_ns > 1_000_000_000:
-                parts.append(f"decoding {duration_text(snapshot.behind_ns)} behind")
+        if late := _behind_text(supervisor):
+            parts.append(late)
         if supervisor.phase in ("ending", "finishing"):
             parts.append("finishing the log")
         print(printable("  ".join(parts)), flush=True)
@@ -160,6 +185,7 @@ class JsonDisplay(LineDisplay):
     def line(self, supervisor: Supervisor) -> None:
         """Print the counts."""
         snapshot = supervisor.snapshot
+        seconds, frames = behind(supervisor)
         buses = [{"state": state, **msgspec.structs.asdict(count)} for _, state, count in counts(supervisor)]
         ports = [{"bus": p.bus, "endpoint": p.endpoint, p.unit: p.count or 0} for p in supervisor.tallies.values()]
         self._print(
@@ -170,7 +196,8 @@ class JsonDisplay(LineDisplay):
             ports=ports,
             log=supervisor.config.log if snapshot is None else snapshot.log,
             log_bytes=0 if snapshot is None else snapshot.log_bytes,
-            behind=0.0 if snapshot is None else snapshot.behind_ns / 1e9,
+            behind=seconds,
+            behind_frames=frames,
             rules={} if snapshot is None else snapshot.rules,
         )
 
@@ -225,11 +252,9 @@ class TableDisplay(LineDisplay):
                 Text(str((count.errors + count.warnings) or ""), style="red" if count.errors else "yellow"),
             )
         size = size_text(snapshot.log_bytes) if snapshot is not None else "0 B"
-        behind = ""
-        if snapshot is not None and snapshot.behind_ns > 1_000_000_000:
-            behind = f", decoding {duration_text(snapshot.behind_ns)} behind"
+        late = _behind_text(supervisor)
         doing = "finishing the log" if supervisor.phase in ("ending", "finishing") else "Ctrl-C ends it"
-        table.caption = Text(f"{duration_text(int(seconds_of(supervisor) * 1e9))}, {size}{behind}; {doing}")
+        table.caption = Text(f"{duration_text(int(seconds_of(supervisor) * 1e9))}, {size}{late and ', '}{late}; {doing}")
         return table
 
 

@@ -45,8 +45,8 @@ class RecordingConfig(msgspec.Struct, frozen=True, kw_only=True):
 
     `log`: the first (or only) log. `anchor_monotonic_ns`, `anchor_utc_ns`: one moment on both clocks; a record of
     monotonic time t stands in the log at `anchor_utc_ns + t - anchor_monotonic_ns`. `rotate_bytes`, `rotate_ns`, `keep`,
-    `max_total`: 0 means none. `max_spool`: bytes that the spools may have, 0 for any. `mode`: permissions of its files.
-    `foxglove`: HOST:PORT or empty. `spools`: their format; `crc`: of all else.
+    `max_total`: 0 means none. `max_spool`: bytes that the spools may have, 0 for any. `mode`: permissions of the log, if
+    it replaces another. `foxglove`: HOST:PORT or empty. `spools`: their format; `crc`: of all else.
     """
 
     log: str
@@ -62,7 +62,7 @@ class RecordingConfig(msgspec.Struct, frozen=True, kw_only=True):
     keep: int = 0
     max_total: int = 0
     max_spool: int = 0
-    mode: int = 0o666
+    mode: int | None = None
     foxglove: str = ""
     command: str = ""
     notes: tuple[str, ...] = ()

@@ -6,6 +6,7 @@ The index for a part's summary stands in the folder of the spools until the summ
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -89,7 +90,6 @@ class LogParts:
             before()
         stream: IO[bytes] | None = None
         try:
-            # Read, too: what stands there is looked at when a process goes on with it.
             stream = self._create(path, mine=mine)
             index = FileIndex(self._index_path(number))
             whole = WholeWrites(stream)
@@ -151,11 +151,13 @@ class LogParts:
 
     def _create(self, path: Path, *, mine: bool = False) -> IO[bytes]:
         """Make a file that is not there yet; `mine`: or is replaced. Raises OSError."""
-
-        def opener(name: str, flags: int) -> int:
-            return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0), self._config.mode)
-
-        return open(path, "w+b" if mine else "x+b", buffering=0, opener=opener)
+        if path.is_symlink():
+            raise OSError(errno.ELOOP, "a link stands under its name")
+        # Read, too: what stands there is looked at when a process goes on with it.
+        stream = open(path, "w+b" if mine else "x+b", buffering=0)  # noqa: SIM115
+        if self._config.mode is not None:
+            path.chmod(self._config.mode)
+        return stream
 
     def keep_hold(self) -> str:
         """See that the part stands under its name. Where it was deleted, moved or replaced, write all of it anew.

@@ -188,7 +188,7 @@ def main(words: Sequence[str] | None = None) -> int:
         lock = Lock(arguments.folder, RUNNING, shared=True)
         port = make_port(endpoint_of(next(p for p in recording.ports if p.stem == arguments.stem)), arguments.plain)
         before = last_record(arguments.folder, arguments.stem)
-        writer = SpoolWriter(arguments.folder, arguments.stem)
+        writer = SpoolWriter(arguments.folder, arguments.stem, limit=recording.max_spool)
         store = Store(
             writer,
             tell,

@@ -209,6 +209,8 @@ class Store:
 
     def finish(self, wait: Callable[[float], None] = time.sleep) -> bool:
         """Store what is left, for as long as `LAST_TRIES_NS`; what then is left is told, and lost. Say if all is stored."""
+        # A limit is for what comes, not for the rest that is in memory.
+        self._writer.limit = 0
         self.flush()
         until_ns = self._clock() + LAST_TRIES_NS
         while self._waiting and self._clock() < until_ns:

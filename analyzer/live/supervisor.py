@@ -129,7 +129,9 @@ class Supervisor:
         log = Path(config.log)
         if config.rotate_bytes or config.rotate_ns or config.max_total:
             return parts_named(log)
-        return [log] if log.exists() else []
+        # It stands elsewhere if something took its name.
+        last = log if self.snapshot is None or not self.snapshot.log else Path(self.snapshot.log)
+        return [last] if last.exists() else []
 
     @property
     def processes(self) -> Mapping[str, int]:
@@ -141,7 +143,8 @@ class Supervisor:
     def start(self) -> None:
         """Open all ports and begin. Raises UsageError when one cannot be opened; then nothing is left behind."""
         try:
-            self.folder.mkdir(parents=True)
+            # What replaces a private log is private.
+            self.folder.mkdir(0o777 if self.config.mode is None else self.config.mode | 0o700, parents=True)
         except OSError as error:
             raise UsageError(f"cannot write {self.folder}: {error.strerror}") from None
         try:

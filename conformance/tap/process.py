@@ -102,7 +102,8 @@ def _run(arguments: argparse.Namespace, stop: TapStop, tell: Any) -> None:
     adapter = adapter_of(endpoint, Wiring(_SIDES[arguments.rts], _SIDES[arguments.dtr], arguments.rs485))
     stems = {REQUEST: arguments.request, REPLY: arguments.reply}
     before = {direction: last_record(arguments.folder, stem) for direction, stem in stems.items()}
-    storing = Storing({d: _store(arguments.folder, stem, before[d], tell) for d, stem in stems.items()})
+    limit = recording.max_spool
+    storing = Storing({d: _store(SpoolWriter(arguments.folder, s, limit=limit), s, before[d], tell) for d, s in stems.items()})
     successor = any(before.values())
     terminal = Terminal(*arguments.terminal, attended=successor and _others(arguments.terminal[1]))
     named = of_endpoint(endpoint)
@@ -122,9 +123,9 @@ def _run(arguments: argparse.Namespace, stop: TapStop, tell: Any) -> None:
         storing.close(stop.asked or "the tap broke off")
 
 
-def _store(folder: Path, stem: str, before: Record | None, tell: Any) -> Store:
+def _store(writer: SpoolWriter, stem: str, before: Record | None, tell: Any) -> Store:
     return Store(
-        SpoolWriter(folder, stem),
+        writer,
         lambda t_ns, event, about: tell(stem, t_ns, event, about),
         count=0 if before is None else before.before + before.units,
         last_ns=0 if before is None else before.t_ns,
