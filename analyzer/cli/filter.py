@@ -33,6 +33,8 @@ from analyzer.values import factor, near, quote
 
 _LONGEST = 2000
 _DEEPEST = 50
+#: What every number of a message is below, by far.
+_HIGHEST = 1 << 64
 #: A number and the unit behind it, outside of texts: `5ms`, `1.6 A`, `90°`.
 _QUANTITY = re.compile(
     r"""("[^"]*"|'[^']*')|(?<![\w.])((?>0[xXbBoO][0-9a-fA-F]+|(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?))\s*"""
@@ -248,6 +250,8 @@ def parsed(text: str) -> ast.expr:
 
 
 def _constant(value: Any, unit: str = "") -> _Operand:
+    if isinstance(value, (int, float)) and not abs(value) <= _HIGHEST:
+        raise UsageError(f"filter: a number beyond {_HIGHEST:.3g} can never be compared: no field holds as much")
     return _Operand(lambda names: value, constant=value, unit=unit)
 
 

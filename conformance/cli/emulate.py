@@ -255,7 +255,7 @@ def _serial_port(bus: SerialBus, arguments: argparse.Namespace) -> SerialPort:
     if arguments.tcp is not None:
         from conformance.serve.tcp import TcpPort, parse_endpoint
 
-        return TcpPort(*parse_endpoint(arguments.tcp))
+        return TcpPort(*parse_endpoint(arguments.tcp), partial(print, file=sys.stderr, flush=True))
     try:
         from conformance.serve.pty import PtyPort
     except ImportError:

@@ -230,10 +230,15 @@ def _bar(total: int, quiet: bool) -> Iterator[Callable[[SentStep], None] | None]
     done, count = threading.Event(), [0]
 
     def show() -> None:
-        while not done.wait(0.5):
-            of = f" of {total}" if total else ""
-            print(f"\r{count[0]}{of} requests sent", end="", file=sys.stderr, flush=True)
-        print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+        from rich.live import Live
+        from rich.text import Text
+
+        from analyzer.cli.console import Console
+
+        of = f" of {total}" if total else ""
+        with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as live:
+            while not done.wait(0.5):
+                live.update(Text(f"{count[0]}{of} requests sent"), refresh=True)
 
     def advance(sent: SentStep) -> None:
         count[0] += 1

@@ -1,15 +1,16 @@
 """A TCP port as the serial port of emulated drives, for pyserial's `socket://HOST:PORT` and for terminal servers.
 
 Clients come and go. Several clients share the line like several hosts: each hears all replies. There is no line speed, so
-it is always right.
+it is always right. A client too many is refused: its connection is closed at once, and the others go on.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import re
 import socket
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from analyzer.errors import UsageError
 from analyzer.values import quote
@@ -17,6 +18,10 @@ from analyzer.values import quote
 LOOPBACK = "127.0.0.1"
 _ENDPOINT = re.compile(r"(?:(?P<host>\[[0-9A-Fa-f:.%]+\]|[^:\[\]]*):)?(?P<port>\d{1,5})")
 _READ_SIZE = 4096
+#: Clients at one time.
+CLIENTS = 64
+#: `select` takes descriptors below this. `poll` would take all, but it wakes up to 1 ms late, and replies are due sooner.
+_SELECTABLE = 1024
 
 
 def parse_endpoint(text: str) -> tuple[str, int]:
@@ -31,9 +36,12 @@ def parse_endpoint(text: str) -> tuple[str, int]:
 
 
 class TcpPort:
-    """A listening TCP port; port 0 takes a free one. Raises UsageError where it cannot listen."""
+    """A listening TCP port; port 0 takes a free one. Raises UsageError where it cannot listen.
 
-    def __init__(self, host: str, port: int) -> None:
+    `tell` is called with a text when clients are not taken: once, until a client leaves.
+    """
+
+    def __init__(self, host: str, port: int, tell: Callable[[str], None] = lambda text: None) -> None:
         try:
             found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
             self._listener = socket.create_server(found[4][:2], family=found[0], backlog=8)
@@ -44,10 +52,14 @@ class TcpPort:
         self.name = f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
         self.lost = 0
         self._clients: dict[int, socket.socket] = {}
+        self._tell = tell
+        self._told = False
+        #: No client is taken until the next idle time.
+        self._deaf = False
 
     def descriptors(self) -> Sequence[int]:
         """Return the descriptors of the listener and of each client."""
-        return [self._listener.fileno(), *self._clients]
+        return [*self._clients] if self._deaf else [self._listener.fileno(), *self._clients]
 
     def read(self, ready: Sequence[int]) -> bytes:
         """Take new clients, let go those that have left, and return what the others sent."""
@@ -60,11 +72,27 @@ class TcpPort:
         return data
 
     def _accept(self) -> None:
-        with contextlib.suppress(OSError):
+        try:
             client, _ = self._listener.accept()
+        except OSError as error:
+            if error.errno in (errno.EMFILE, errno.ENFILE):
+                # A client that waits for ever would wake the loop for ever.
+                self._deaf = True
+                self._refused("the system has no more descriptors for this process; they wait")
+            return
+        if len(self._clients) >= CLIENTS or client.fileno() >= _SELECTABLE:
+            client.close()
+            self._refused(f"{len(self._clients)} have the line")
+            return
+        with contextlib.suppress(OSError):
             client.setblocking(False)
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._clients[client.fileno()] = client
+        self._clients[client.fileno()] = client
+
+    def _refused(self, why: str) -> None:
+        if not self._told:
+            self._tell(f"{self.name}: clients are not taken: {why}")
+        self._told = True
 
     def _read(self, descriptor: int) -> bytes:
         try:
@@ -75,6 +103,7 @@ class TcpPort:
             data = b""
         if not data:
             self._clients.pop(descriptor).close()
+            self._told = False
         return data
 
     def write(self, data: bytes) -> None:
@@ -91,7 +120,8 @@ class TcpPort:
         return None
 
     def idle(self) -> None:
-        """Do nothing."""
+        """Look for clients again."""
+        self._deaf = False
 
     def close(self) -> None:
         """Close the listener and all clients."""

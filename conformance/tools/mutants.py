@@ -208,16 +208,21 @@ def mutants(
 
 def run_mutants(plan: Plan, *, jobs: int = 1, as_json: bool = False, full: bool = False) -> int:
     """Run all mutants of a plan's dialects and print the table; return 1 if one survived."""
+    from rich.console import Console
+    from rich.live import Live
+
     dialects = list(dict.fromkeys(t.dialect.name for t in plan.targets))
     targets = telling_targets(dialects)
     found: list[Mutant] = []
     total = sum(len(faults_of(registry.get(name))) for name in dialects)
-    for mutant in mutants(targets, jobs=jobs, seed=plan.seed, full=full):
-        found.append(mutant)
-        if as_json:
-            print(msgspec.json.encode(mutant).decode(), flush=True)
-        elif sys.stderr.isatty():
-            print(f"\r{len(found)} of {total} mutants", end="", file=sys.stderr, flush=True)
+    with Live(
+        console=Console(stderr=True, quiet=as_json or not sys.stderr.isatty()), auto_refresh=False, transient=True
+    ) as shown:
+        for mutant in mutants(targets, jobs=jobs, seed=plan.seed, full=full):
+            found.append(mutant)
+            shown.update(f"{len(found)} of {total} mutants", refresh=True)
+            if as_json:
+                print(msgspec.json.encode(mutant).decode(), flush=True)
     if not as_json:
         _print(found, dialects, full=full)
         if full:

@@ -122,3 +122,20 @@ def test_any_text_is_a_filter_or_an_error_of_use(text):
     except UsageError:
         return
     assert made(MESSAGE) in (True, False)
+
+
+@pytest.mark.parametrize("many", [60, 100, 199, 330, 450, 660])
+@pytest.mark.parametrize(
+    "grow", [lambda n: "~" * n + "speed", lambda n: "speed" + ".a" * n, lambda n: "speed" + "()" * n, lambda n: "1" + "+1" * n]
+)
+def test_what_is_nested_deep_is_refused(grow, many):
+    with pytest.raises(UsageError, match="nested deeper than 50"):
+        Filter(grow(many), KNOWN)
+
+
+@pytest.mark.parametrize(
+    "text", [f"latency > 1{'0' * 1000} ms", f"-{'9' * 400} A == speed", "1e400 < speed", f"speed in [0x{'F' * 1900}]"]
+)
+def test_a_number_that_no_field_holds_is_refused(text):
+    with pytest.raises(UsageError, match=r"a number beyond 1\.84e\+19 can never be compared"):
+        Filter(text, KNOWN)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import resource
+import select
 import socket
 import time
 from collections.abc import Iterator
@@ -14,7 +17,7 @@ from analyzer.catalogue import Role
 from analyzer.encoder import build
 from analyzer.errors import UsageError
 from conformance.drives.serial_bus import SerialBus
-from conformance.serve.tcp import TcpPort, parse_endpoint
+from conformance.serve.tcp import CLIENTS, TcpPort, parse_endpoint
 from tests.conformance.drives.served import drives, on_port, wait_for
 
 MKS = dialects.get("mks-rs485")
@@ -65,6 +68,46 @@ def test_a_client_that_leaves_hard_does_not_matter(bus: SerialBus, place: str) -
     time.sleep(0.1)
     assert wait_for(lambda: bus.next_ns() is None)
     assert ask(place) == REPLY
+
+
+def test_clients_too_many_are_let_go_and_the_others_go_on(bus: SerialBus) -> None:
+    told: list[str] = []
+    port = TcpPort("127.0.0.1", 0, told.append)
+    with on_port(bus, port) as place, contextlib.ExitStack() as stack:
+        clients = [stack.enter_context(socket.create_connection(parse_endpoint(place), timeout=5)) for _ in range(CLIENTS + 40)]
+        assert [client.recv(1) for client in clients[CLIENTS:]] == [b""] * 40
+        clients[0].sendall(READ)
+        for client in clients[:CLIENTS]:
+            assert client.recv(6) == REPLY
+        assert told == [f"{place}: clients are not taken: {CLIENTS} have the line"]
+        # One leaves, and there is room for another.
+        clients[1].close()
+        assert wait_for(lambda: len(port._clients) < CLIENTS)
+        assert ask(place) == REPLY
+
+
+def test_without_descriptors_clients_wait_and_the_loop_sleeps(bus: SerialBus) -> None:
+    told: list[str] = []
+    port = TcpPort("127.0.0.1", 0, told.append)
+    with contextlib.closing(port), contextlib.ExitStack() as stack:
+        first = stack.enter_context(socket.create_connection((port.host, port.port), timeout=5))
+        port.read(port.descriptors())
+        waiting = stack.enter_context(socket.create_connection((port.host, port.port), timeout=5))
+        limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (0, limits[1]))
+        try:
+            port.read(port.descriptors())
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+        assert told == [f"{port.name}: clients are not taken: the system has no more descriptors for this process; they wait"]
+        assert not select.select(port.descriptors(), [], [], 0)[0]
+        first.sendall(READ)
+        assert select.select(port.descriptors(), [], [], 5)[0] == port.descriptors()
+        assert port.read(port.descriptors()) == READ
+        port.idle()
+        port.read(port.descriptors())
+        port.write(REPLY)
+        assert waiting.recv(6) == REPLY
 
 
 def test_two_clients_share_the_line(place: str) -> None:
