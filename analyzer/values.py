@@ -51,7 +51,19 @@ def printable(text: str, kept: str = "") -> str:
     """Return a text with its control characters but `kept` made visible: nothing in a capture steers a terminal."""
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() or c in kept else ascii(c)[1:-1] for c in text)
+    return "".join(c if c.isprintable() or c in kept else escaped(c) for c in text)
+
+
+def escaped(text: str) -> str:
+    """Return the characters of a text as escapes: those beyond ASCII as JSON has them, so that JSON stays JSON."""
+    from json.encoder import encode_basestring_ascii
+
+    return "".join(ascii(c)[1:-1] if c < " " else encode_basestring_ascii(c)[1:-1] for c in text)
+
+
+def storable(text: str) -> str:
+    """Return a text that UTF-8 can hold: bytes of a file's name that are none become escapes."""
+    return text.encode("utf-8", "backslashreplace").decode()
 
 
 def counted(count: int, noun: str) -> str:

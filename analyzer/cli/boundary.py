@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import errno
 import os
@@ -19,7 +20,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TextIO, cast
 
-from analyzer.values import printable
+from analyzer.values import escaped, printable
 
 #: Exit status of a fault of servotap, as `EX_SOFTWARE` of sysexits.h.
 FAULT = 70
@@ -30,6 +31,16 @@ _LONGEST = 300
 #: The system has no more descriptors, processes or memory.
 _SHORT = {errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN}
 _UNWRITTEN = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
+
+_ERRORS = "servotap-escape"
+
+
+def _escape(error: UnicodeError) -> tuple[str, int]:
+    assert isinstance(error, UnicodeEncodeError)
+    return escaped(error.object[error.start : error.end]), error.end
+
+
+codecs.register_error(_ERRORS, _escape)
 
 
 class _Clean:
@@ -44,7 +55,7 @@ class _Clean:
         self.rich_proxied_file = stream
         self._colours = stream.isatty()
         with contextlib.suppress(AttributeError):
-            cast(Any, stream).reconfigure(errors="backslashreplace")
+            cast(Any, stream).reconfigure(errors=_ERRORS)
 
     def write(self, text: str) -> int:
         """Write a text, cleaned."""

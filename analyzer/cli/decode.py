@@ -18,7 +18,7 @@ from analyzer import __version__
 from analyzer.cli.output import Output
 from analyzer.cli.reading import OpenCapture, add_reading_arguments, now_text, open_reading, progress
 from analyzer.cli.signals import Interrupt
-from analyzer.errors import ServotapError, UnreadableError, UsageError
+from analyzer.errors import UnreadableError, UsageError
 from analyzer.pipeline import Pipeline, Sink
 from analyzer.records import Severity
 from analyzer.sinks.mcap_log import McapLog
@@ -226,14 +226,14 @@ def _account(total: int, summary: Summary) -> None:
     """Raise if a byte was lost or accounted twice: that would be a fault of this program."""
     accounted = summary.frame_bytes + sum(summary.junk_bytes.values())
     if accounted != total:
-        raise ServotapError(f"internal fault: {total} bytes came in, {accounted} accounted for; please report it")
+        raise RuntimeError(f"{total} bytes came in, {accounted} accounted for")
 
 
 def _report(
     reading: OpenCapture, pipeline: Pipeline, summary: Summary, target: Path, arguments: argparse.Namespace, stopped: str
 ) -> None:
     if arguments.json:
-        import msgspec
+        import json
 
         whole: dict[str, Any] = {
             "file": reading.source.path,
@@ -245,7 +245,7 @@ def _report(
             **summary.as_object(),
             "notes": list(reading.source.notes) + ([stopped] if stopped else []),
         }
-        print(msgspec.json.encode(whole).decode())
+        print(json.dumps(whole))
         return
     from analyzer.cli.summary_text import print_summary
 

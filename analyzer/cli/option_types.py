@@ -13,7 +13,7 @@ from fractions import Fraction
 from typing import NamedTuple
 
 from analyzer.errors import UsageError
-from analyzer.values import addresses, quote
+from analyzer.values import addresses, quote, storable
 
 _SECOND = 1_000_000_000
 DURATIONS = {
@@ -39,6 +39,13 @@ def positive(text: str) -> int:
     if value <= 0:
         raise argparse.ArgumentTypeError(f"expected a number above 0, got {text}")
     return value
+
+
+def utf8(text: str) -> str:
+    """Return a text that is UTF-8: what the parts of a recording tell each other is."""
+    if text != storable(text):
+        raise argparse.ArgumentTypeError(f"expected a name in UTF-8, got {quote(text)}")
+    return text
 
 
 def address(text: str) -> int:

@@ -33,6 +33,7 @@ from analyzer.cli.option_types import (
     milliseconds,
     positive,
     size_bytes,
+    utf8,
 )
 from analyzer.cli.signals import ENDING, handled
 from analyzer.errors import UsageError
@@ -76,13 +77,15 @@ exit status: 0 the log has all traffic, 1 traffic was lost (see the summary), 2 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("endpoints", nargs="*", metavar="[NAME=]ENDPOINT", help="what to record, see below")
+    parser.add_argument("endpoints", nargs="*", type=utf8, metavar="[NAME=]ENDPOINT", help="what to record, see below")
     add_recording_arguments(parser)
 
 
 def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of every command that records."""
-    parser.add_argument("-o", "--output", metavar="OUT.mcap", help="the log, or a folder (default recording-DATE-TIME.mcap)")
+    parser.add_argument(
+        "-o", "--output", type=utf8, metavar="OUT.mcap", help="the log, or a folder (default recording-DATE-TIME.mcap)"
+    )
     parser.add_argument("--dialect", default="auto", metavar="D", help="auto (default), or the dialects on the buses: D,D")
     parser.add_argument("--model", default="", metavar="M", help="42D 57D 28D 35D 42E 57E MF MG MH MS: limits and units")
     parser.add_argument(

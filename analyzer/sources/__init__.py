@@ -19,6 +19,7 @@ from analyzer.errors import UnreadableError, UsageError
 from analyzer.sources.lines import head_lines, is_text
 from analyzer.sources.source import Problem, Record, Source, quote
 from analyzer.sources.stream import BLOCK
+from analyzer.values import storable
 
 __all__ = ["FORMATS", "Format", "Problem", "Record", "Source", "open_source"]
 
@@ -97,7 +98,7 @@ def open_source(path: str | Path, *, format: str | None = None, baud: int | None
     for note in notes:
         source.note(note)
     if len(files) > 1 or files[0] != str(path):
-        source.name = Path(path).name or str(path)
+        source.name = storable(Path(path).name or str(path))
         source.continues_with([Path(file) for file in files[1:]])
     try:
         name = _find(source) if format is None else _forced(source, format)

@@ -24,6 +24,7 @@ from pathlib import Path
 
 from analyzer.errors import UnreadableError
 from analyzer.sources.budget import Budget
+from analyzer.values import storable
 
 #: Bytes of one read.
 BLOCK = 64 * 1024
@@ -49,7 +50,7 @@ class Stream:
 
     def __init__(self, path: str, report: Report) -> None:
         self.path = path
-        self.name = "standard input" if path == "-" else (Path(path).name or path)
+        self.name = "standard input" if path == "-" else storable(Path(path).name or path)
         self._report = report
         self._fd, self.size = _open(path)
         self._closable = path != "-"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from analyzer.cli.reading import add_reading_arguments, open_reading, progress
 from analyzer.errors import UnreadableError, UsageError
-from analyzer.values import near, printable, quote
+from analyzer.values import near, printable, quote, storable
 from conformance.claim import Outcome
 
 if TYPE_CHECKING:
@@ -173,7 +173,7 @@ def _show_json(
     import msgspec
 
     document: dict[str, Any] = {
-        "file": path,
+        "file": storable(path),
         "format": reading.source.format,
         "dialects": list(judge.dialects),
         "times": reading.time_source,

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Role
+from analyzer.cli.option_types import utf8
 from analyzer.cli.record import add_recording_arguments, asked_duration_ns, configure, display_of, record, target_of
 from analyzer.errors import UsageError
 from analyzer.live import profile
@@ -47,7 +48,7 @@ exit status: 0 the log has all traffic, 1 traffic was lost (see the summary), 2 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("endpoint", metavar="[NAME=]ENDPOINT", help="the adapter, see below")
+    parser.add_argument("endpoint", type=utf8, metavar="[NAME=]ENDPOINT", help="the adapter, see below")
     parser.add_argument("--link", required=True, metavar="PATH", help="where the program finds its port: a link to it is made")
     for line in ("rts", "dtr"):
         parser.add_argument(

@@ -20,7 +20,7 @@ from analyzer.cli.boundary import FOLDER, bounded
 from analyzer.cli.console import Console
 
 HOSTILE = "\x1b[2J\x9b31m\x7f\x00\r\b\u202etxt\udcff\u2066é"
-SHOWN = r"\x1b[2J\x9b31m\x7f\x00\r\x08\u202etxt\udcff\u2066é"
+SHOWN = r"\x1b[2J\u009b31m\u007f\x00\r\x08\u202etxt\udcff\u2066é"
 
 
 @pytest.fixture
@@ -161,7 +161,7 @@ def test_what_an_encoding_lacks_is_written_as_an_escape(monkeypatch):
     raw = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(raw, "ascii"))
     assert bounded(lambda words: print("90° …\udcff") or 0, []) == 0
-    assert raw.getvalue() == b"90\\xb0 \\u2026\\udcff\n"
+    assert raw.getvalue() == b"90\\u00b0 \\u2026\\udcff\n"
 
 
 def test_a_nul_in_a_word_is_refused(capsys):
