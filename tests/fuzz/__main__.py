@@ -98,7 +98,10 @@ class Session:
             f"FOUND {finding.target}: {finding.key} (--target {finding.target} --seed {finding.seed} --number {finding.number})"
         )
         save(shrunk(finding, given, self._shrink_s), path)
-        eprint(f"  {path}\n" + "".join(f"  | {line}\n" for line in finding.text.strip().splitlines()[-6:]))
+        lines = finding.text.strip().splitlines()
+        # A stack begins with where it was, a traceback ends with it.
+        shown = lines[:6] if finding.key.startswith("hang") else lines[-6:]
+        eprint(f"  {path}\n" + "".join(f"  | {line}\n" for line in shown))
 
     def _tell(self, workers: dict[int, Worker]) -> None:
         now = self.counts.copy()

@@ -91,10 +91,10 @@ def pieces_changed(
 ) -> list[bytes]:
     """Drop, double, move and change some pieces."""
     pieces = list(pieces)
-    if len(pieces) > 8 and chance.random() < 0.5:
+    if len(pieces) > 8 and chance.random() < 0.8:
         # A short input is quick to run, and has a fault as often as a long one.
         first = chance.randrange(3)
-        stop = chance.randint(first + 1, min(len(pieces), 24))
+        stop = chance.randint(first + 1, min(len(pieces), 16))
         pieces = pieces[:first] + pieces[-(stop - first) :] if chance.random() < 0.2 else pieces[: max(stop, 4)]
     for _ in range(chance.choice((1, 1, 1, 2, 2, 3, 5, 9))):
         if not pieces:
