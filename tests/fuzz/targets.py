@@ -6,7 +6,8 @@ of all proportion. Time and memory are bounded by the engine. Some targets state
     framer    each byte stands in one frame or piece of junk, in order, however the bytes were cut
     pipeline  the same, for any capture, behind its source
     decode    the same, in the log as the library `mcap` reads it
-    recover   the result is read by the library; each record that is whole in the spools stands in it
+    recover   the result is read by the library; each record that is whole in the spools stands in it (where bytes alone
+              were changed, and no checksum made to fit)
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from analyzer.context import Context
 from analyzer.decoder import Decoder
 from analyzer.errors import ServotapError
 from analyzer.framer import Framer
-from analyzer.live import config
+from analyzer.live import config, spool
 from analyzer.live.log_parts import LogParts
 from analyzer.live.recording import Recording
 from analyzer.pipeline import Options, Pipeline
@@ -286,9 +287,42 @@ LOG = "out.mcap"
 def _recover(given: Input, place: Place) -> None:
     lay_out(given, place.folder)
     if run_words(("recover", LOG), place) == 0:
-        with (place.folder / LOG).open("rb") as stream:
-            for _ in make_reader(stream, validate_crcs=True).iter_messages(log_time_order=False):
-                pass
+        for _ in messages(place.folder):
+            pass
+
+
+def messages(folder: Path) -> Iterator[tuple[str, bytes]]:
+    """Yield topic and data of every message of all logs, as the library reads them."""
+    for path in folder.glob("*.mcap"):
+        with path.open("rb") as stream:
+            for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages(log_time_order=False):
+                yield channel.topic, message.data
+
+
+def _recover_bytes(given: Input, place: Place) -> None:
+    """What is whole in the spools must stand in the log: bytes were damaged, so a record is whole if its checksum fits."""
+    wanted = [data for name, text in given.items() if ".spool/1-left." in name for data in whole_records(text)]
+    lay_out(given, place.folder)
+    if run_words(("recover", LOG), place) != 0:
+        return
+    # Of each log the bytes as they came: each record of these recordings has bytes that no other has.
+    stands = b"".join(
+        bytes.fromhex(json.loads(text).get("_raw", "")) for topic, text in messages(place.folder) if topic == "/left/raw"
+    )
+    lost = [data for data in wanted if data not in stands]
+    if lost:
+        raise Fault(f"a whole record of a spool is not in the log: {lost[0].hex(' ')} and {len(lost) - 1} more")
+
+
+def whole_records(data: bytes) -> Iterator[bytes]:
+    """Yield the bytes of each serial record whose checksum fits, wherever it begins."""
+    at = data.find(spool.MAGIC)
+    while at >= 0 and at + spool.HEAD.size <= len(data):
+        magic, kind, size, t_ns, before, _ = spool.HEAD.unpack_from(data, at)
+        payload = data[at + spool.HEAD.size :][:size]
+        if kind == spool.RecordKind.DATA and spool.pack(kind, t_ns, before, payload) == data[at : at + spool.HEAD.size + size]:
+            yield payload
+        at = data.find(magic, at + 1)
 
 
 @cache
@@ -301,8 +335,8 @@ def recordings() -> list[Input]:
                 folder, port("1-left", "left", byte_ns=260_416), port("2-arm", "arm", "can", ("mks-can",)), segment_size=900
             )
             for n in range(12 + seed):
-                spools.data("1-left", 20 * n, sum8("FA 01 32"))
-                spools.data("1-left", 20 * n + 4, sum8("FB 01 32 FE D4"))
+                spools.data("1-left", 20 * n, sum8(f"FA {n + 1:02X} 32"))
+                spools.data("1-left", 20 * n + 4, sum8(f"FB {n + 1:02X} 32 FE D4"))
                 spools.can("2-arm", 20 * n + 2, "001#3031")
             spools.event("1-left", 400, "note", text="seen")
             if seed == 3:
@@ -356,11 +390,18 @@ def _recording_changed(chance: random.Random, given: Input, others: Sequence[Inp
             start = chance.randint(0, len(files[name]))
             files[name] = files[name][:start] + bytes(len(files[name]) - start)
         else:
-            files[name] = mutated(chance, files[name], kind=_KINDS.get(Path(name).name) or kind_of(files[name]))
+            files[name] = mutated(chance, files[name], kind=_kind(name, files[name]))
     return files
 
 
-_KINDS = {"checkpoint": "msgpack", "recording.json": "json"}
+def _bytes_of_recording_changed(chance: random.Random, given: Input, others: Sequence[Input]) -> Input:
+    name = chance.choice(sorted(given))
+    return {**given, name: bytes_changed(chance, given[name], 2)}
+
+
+def _kind(name: str, data: bytes) -> str:
+    return "msgpack" if Path(name).name.startswith("checkpoint") else "json" if name.endswith(".json") else kind_of(data)
+
 
 # --- captures -----------------------------------------------------------------------------------------------------------
 
@@ -507,6 +548,7 @@ TARGETS: dict[str, Target] = {
     "cut": _on_files("cut", INPUT, "--since", "+1s", "-o", "out.mcap", kinds=_LOGS),
     "merge": Target(command("merge", INPUT, "other", "-o", "out.mcap"), _two_logs, _file_changed),
     "recover": Target(_recover, _recording_seeds, _recording_changed, 3.0, 30.0),
+    "recover-bytes": Target(_recover_bytes, recordings, _bytes_of_recording_changed, 3.0, 30.0),
     **{name: Target(_words, partial(_line_seeds, name), _line_changed) for name in lines()},
 }  # fmt: skip
 
@@ -543,4 +585,4 @@ def key_of(fault: str) -> str:
     kind = re.findall(r"^([A-Za-z_.]+)(?::|$)", fault.rstrip().rpartition("\n")[2])
     if own and kind:
         return f"{kind[0].rpartition('.')[2]}-{own[-1]}"
-    return re.sub(r"[^a-z]+", "-", re.sub(r"b?['\"].*", "", fault.splitlines()[-1].lower()))[:50].strip("-") or "fault"
+    return re.sub(r"[^a-z]+", "-", fault.splitlines()[-1].lower().partition(":")[0])[:50].strip("-") or "fault"
