@@ -98,11 +98,11 @@ def pieces_changed(
         pieces = pieces[:first] + pieces[-(stop - first) :] if chance.random() < 0.2 else pieces[: max(stop, 4)]
     for _ in range(chance.choice((1, 1, 1, 2, 2, 3, 5, 9))):
         if not pieces:
-            return pieces
+            break
         # Most often a piece of the front, which decides how the others are read.
         at = chance.randrange(len(pieces)) if chance.random() < 0.7 else chance.randrange(min(4, len(pieces)))
         act = chance.random()
-        if act < 0.70:
+        if act < 0.70 or len(pieces) == 1:
             pieces[at] = change(chance, pieces[at])
         elif act < 0.78:
             del pieces[at]
@@ -115,6 +115,7 @@ def pieces_changed(
             pieces.insert(at, chance.choice(foreign))
         else:
             pieces.insert(at, bytes_changed(chance, pieces[at]))
+        pieces = [piece for piece in pieces if piece]
     return pieces
 
 
@@ -206,7 +207,7 @@ def _joined_lines(chance: Chance, head: bytes, lines: list[bytes]) -> bytes:
     return whole
 
 
-# --- values: JSON, msgpack --------------------------------------------------------------------------------------------
+# --- values: JSON, checkpoints --------------------------------------------------------------------------------------------
 
 VALUES: tuple[Any, ...] = (
     None, True, False, 0, 1, -1, 5, 1.5, -1e308, 1e308, (1 << 53) + 1, 1 << 63, -(1 << 63), "", "x", "\x1b[31m", "0",
@@ -216,7 +217,7 @@ VALUES: tuple[Any, ...] = (
 
 def tree_changed(chance: Chance, tree: Any) -> Any:
     """Return a tree with one node replaced, dropped or renamed."""
-    if isinstance(tree, dict) and tree and chance.random() < 0.9:
+    if isinstance(tree, dict) and tree and chance.random() < 0.97:
         key = chance.choice(list(tree))
         act = chance.random()
         if act < 0.06:
@@ -224,7 +225,7 @@ def tree_changed(chance: Chance, tree: Any) -> Any:
         if act < 0.1:
             return {(chance.choice(TOKENS) if k == key else k): v for k, v in tree.items()}
         return {k: tree_changed(chance, v) if k == key else v for k, v in tree.items()}
-    if isinstance(tree, list) and tree and chance.random() < 0.8:
+    if isinstance(tree, list) and tree and chance.random() < 0.9:
         at = chance.randrange(len(tree))
         act = chance.random()
         if act < 0.2:
@@ -232,9 +233,9 @@ def tree_changed(chance: Chance, tree: Any) -> Any:
         if act < 0.3:
             return tree + [tree[at]] * chance.choice((1, 100))
         return [tree_changed(chance, v) if n == at else v for n, v in enumerate(tree)]
-    if isinstance(tree, int) and not isinstance(tree, bool) and chance.random() < 0.6:
+    if isinstance(tree, int) and not isinstance(tree, bool) and chance.random() < 0.75:
         return chance.choice((*NUMBERS[:-4], tree + 1, tree - 1, -tree, tree * 1000))
-    if isinstance(tree, str) and tree and chance.random() < 0.5:
+    if isinstance(tree, str) and tree and chance.random() < 0.7:
         return text_changed(chance, tree.encode("utf-8", "replace")).decode("utf-8", "replace")
     if isinstance(tree, bytes) and tree and chance.random() < 0.9:
         return bytes_changed(chance, tree)
@@ -255,14 +256,16 @@ def json_changed(chance: Chance, data: bytes) -> bytes:
     return json.dumps(tree_changed(chance, tree)).encode()
 
 
-def msgpack_changed(chance: Chance, data: bytes) -> bytes:
-    """Change a value of msgpack, or its bytes."""
-    if chance.random() < 0.2:
+def checkpoint_changed(chance: Chance, data: bytes) -> bytes:
+    """Change a value of a checkpoint (msgpack behind its CRC), or its bytes."""
+    dice = chance.random()
+    if dice < 0.1:
         return bytes_changed(chance, data)
     try:
-        return msgspec.msgpack.encode(tree_changed(chance, msgspec.msgpack.decode(data)))
+        body = msgspec.msgpack.encode(tree_changed(chance, msgspec.msgpack.decode(data[4:])))
     except (msgspec.MsgspecError, OverflowError, TypeError, ValueError):
-        return bytes_changed(chance, data)
+        body = bytes_changed(chance, data[4:])
+    return zlib.crc32(body).to_bytes(4, "little") + body
 
 
 # --- gzip and zstd layers ---------------------------------------------------------------------------------------------
@@ -624,7 +627,7 @@ CONTAINERS: dict[str, Container] = {
     "mcap": Container(_mcap_split, _mcap_join, _mcap_changed),
     "spool": Container(_spool_split, _plain, _spool_changed),
     "json": Container(lambda data: (b"", [data]), _plain, json_changed),
-    "msgpack": Container(lambda data: (b"", [data]), _plain, msgpack_changed),
+    "checkpoint": Container(lambda data: (b"", [data]), _plain, checkpoint_changed),
 }
 _MAGICS = (
     (b"LOGG", "blf"), (_MCAP_MAGIC, "mcap"), (b"\x0a\x0d\x0d\x0a", "pcapng"), (b"\xd4\xc3\xb2\xa1", "pcap"),

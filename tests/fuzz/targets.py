@@ -395,12 +395,22 @@ def _recording_changed(chance: random.Random, given: Input, others: Sequence[Inp
 
 
 def _bytes_of_recording_changed(chance: random.Random, given: Input, others: Sequence[Input]) -> Input:
+    """Damage a file as a medium does: bits, zeros over a range, an end that is missing. No byte moves."""
     name = chance.choice(sorted(given))
-    return {**given, name: bytes_changed(chance, given[name], 2)}
+    data = bytearray(given[name])
+    at, count = chance.randrange(len(data)), chance.choice((1, 8, 100))
+    act = chance.random()
+    if act < 0.6:
+        data[at] ^= 1 << chance.randrange(8)
+    elif act < 0.8:
+        data[at : at + count] = bytes(len(data[at : at + count]))
+    else:
+        del data[at:]
+    return {**given, name: bytes(data)}
 
 
 def _kind(name: str, data: bytes) -> str:
-    return "msgpack" if Path(name).name.startswith("checkpoint") else "json" if name.endswith(".json") else kind_of(data)
+    return "checkpoint" if Path(name).name.startswith("checkpoint") else "json" if name.endswith(".json") else kind_of(data)
 
 
 # --- captures -----------------------------------------------------------------------------------------------------------
