@@ -67,6 +67,8 @@ _SET_OFF_NS = 500 * MS
 _LOOK_NS, _FAST_LOOK_NS, _QUIET_LOOK_NS = 50 * MS, 150 * MS, 25 * MS
 #: How long a shaft may take to come to rest.
 _REST_NS = 30 * SECOND_NS
+#: A shaft that is as fast as before after this long is not on a ramp, so its end is not waited for.
+NO_RAMP_NS, AS_FAST = 3 * SECOND_NS, 0.95
 #: How often a measurement is taken again whose reply cannot be read.
 _AGAIN = 2
 
@@ -536,13 +538,14 @@ def stop(probe: Probe, acceleration: int = QUICK) -> Exchange:
     raise Inconclusive(f"{probe.dialect.name} has no stop")
 
 
-def wait_standing(probe: Probe, *, limit_ns: int = _REST_NS) -> Sample:
+def wait_standing(probe: Probe, *, limit_ns: int = _REST_NS, stopped: bool = False) -> Sample:
     """Wait until the speed reads 0 and the position stays; return where that is.
 
-    Raises Inconclusive where that does not come within `limit_ns`.
+    Raises Inconclusive where that does not come within `limit_ns`, or where a shaft that was `stopped` goes on as fast.
     """
-    until_ns = probe.gate.now_ns() + limit_ns
-    before, rpm = position(probe), 0.0
+    begun_ns = probe.gate.now_ns()
+    until_ns, no_ramp_ns = begun_ns + limit_ns, begun_ns + NO_RAMP_NS
+    before, rpm, first = position(probe), 0.0, 0.0
     least_ns = _LOOK_NS if probe.noise.live else _QUIET_LOOK_NS
     while True:
         # A fast shaft takes as long as its ramp, which may be steep: there is little to see before.
@@ -551,6 +554,9 @@ def wait_standing(probe: Probe, *, limit_ns: int = _REST_NS) -> Sample:
         if abs(now.value - before.value) <= same(probe) and rpm < 1 + probe.noise.rpm:
             probe.rig.stands_at(now.value)
             return now
+        first = first or rpm
+        if stopped and rpm >= max(1.0, AS_FAST * first) and probe.gate.now_ns() > no_ramp_ns:
+            raise Inconclusive(f"the shaft goes on at {rpm:g} rpm after it was told to stop")
         if probe.gate.now_ns() >= until_ns:
             raise Inconclusive(f"the shaft does not come to rest within {limit_ns / 1e9:.0f} s")
         before = now
@@ -562,7 +568,7 @@ def stand_still(probe: Probe, *, limit_ns: int = _REST_NS) -> Sample:
     Raises Inconclusive where it does not come to rest.
     """
     stop(probe)
-    return wait_standing(probe, limit_ns=limit_ns)
+    return wait_standing(probe, limit_ns=limit_ns, stopped=True)
 
 
 # --- a move and its end -----------------------------------------------------------------------------------------------

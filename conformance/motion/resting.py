@@ -124,7 +124,7 @@ def _lag(probe: Probe) -> float:
     probe.wait(_GOING_NS)
     probe.ask(Verb.STOP_SPEED, {"acceleration": 0}, quiet_ns=0)
     swings = [motion.position(probe).value for _ in range(_SWINGS)]
-    rests = motion.wait_standing(probe).value
+    rests = motion.wait_standing(probe, stopped=True).value
     return max(abs(rests - place) for place in swings)
 
 

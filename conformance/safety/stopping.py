@@ -42,9 +42,6 @@ _SPOT_DEGREES, _SPOT_NS, _TREMBLE_RPM = 0.3, 600_000_000, 3.0
 #: How long a ramp may take, and how long a stop at once.
 _RAMP_NS = 15_000_000_000
 _AT_ONCE_NS = 3_000_000_000
-#: A shaft that is as fast as before after this long is not on a ramp, so its end is not waited for.
-_NO_RAMP_NS = 3_000_000_000
-_AS_FAST = 0.95
 _POWER_SECONDS = 20
 #: Between the stops of several ways to move that are sent to all.
 _STOP_GAP_NS = 20_000_000
@@ -168,7 +165,7 @@ def prove_standing(probe: Probe, limit_ns: int, stands_at: float | None = None, 
             return ""
         failure = f"speed {speed:.4g} rpm, position {position:.4f} deg" + "".join(f" after {b:.4f} deg" for b in before)
         first = first or abs(speed)
-        if abs(speed) >= max(1.0, _AS_FAST * first) and probe.gate.now_ns() > begun_ns + _NO_RAMP_NS:
+        if abs(speed) >= max(1.0, motion.AS_FAST * first) and probe.gate.now_ns() > begun_ns + motion.NO_RAMP_NS:
             return failure
         probe.wait(_PROOF_NS)
     return failure

@@ -125,7 +125,7 @@ def stop_frames(log: bytes) -> list[str]:
 
 
 def test_where_one_way_of_stopping_fails_the_next_is_tried(monkeypatch):
-    monkeypatch.setattr(stopping, "_NO_RAMP_NS", 300_000_000)
+    monkeypatch.setattr("conformance.motion.motion.NO_RAMP_NS", 300_000_000)
     with on_logged_pty(f"{TURNS},{IGNORED}") as port, gate_on(port) as gate:
         set_going(port, gate)
         assert stopping.stop(gate, MKS, 1).failure == ""
@@ -136,7 +136,7 @@ def test_where_one_way_of_stopping_fails_the_next_is_tried(monkeypatch):
 
 
 def test_where_no_way_of_stopping_is_left_all_were_tried_and_the_power_is_cut(tmp_path, monkeypatch, capfd):
-    monkeypatch.setattr(stopping, "_NO_RAMP_NS", 300_000_000)
+    monkeypatch.setattr("conformance.motion.motion.NO_RAMP_NS", 300_000_000)
     with on_logged_pty(f"{TURNS},{IGNORED},fault=emergency-stop-ignored") as port, gate_on(port) as gate:
         set_going(port, gate)
         with pytest.raises(NotStopped, match="NOT STOPPED: mks-rs485@1: speed 60 rpm"):
