@@ -69,6 +69,8 @@ class Condition:
             "settings": tuple(dict.fromkeys(motion.settings(dialect, *self.settings, *settings))),
             "emulated": self.emulated,
             "by_name": self.by_name,
+            # What changes an address may put a drive where another one is.
+            "alone": Risk.LINK in self.risks,
             "models": self.models,
         }
 

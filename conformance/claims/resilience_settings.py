@@ -412,7 +412,7 @@ def _switches_cases(dialect: Dialect) -> Iterator[Case]:
                 continue
             risks = frozenset[Risk]().union(*(known[d.name].risks(d.values) for d in deeds))
             facts = condition.facts(dialect, *risks) | {"commands": tuple(dict.fromkeys(d.name for d in deeds))}
-            facts["alone"] = any(deed.to != _OWN for deed in deeds)
+            facts["alone"] |= any(deed.to != _OWN for deed in deeds)
             given = {"condition": condition, "when": condition.when, "deeds": deeds, "kind": kind}
             yield Case(dialect, given=given, facts=facts)
 

@@ -19,7 +19,8 @@ from conformance.claim import Outcome
 from conformance.drives import make
 from conformance.suite import engine
 from conformance.suite import plan as suite
-from conformance.suite.target import every_emulated
+from conformance.suite.engine import Verdict
+from conformance.suite.target import Target, every_emulated
 from conformance.tools import mutants
 
 FOLDER = Path(__file__).with_name("golden")
@@ -46,23 +47,21 @@ def claims() -> Iterator[str]:
             yield json.dumps(fact, ensure_ascii=False)
 
 
-def verdicts(every: int = 1) -> Iterator[str]:
-    """Yield a line for each verdict on a conforming drive that is not confirmed, and the count of those that are.
-
-    `every`: only each so many of the claims; they are not counted then.
-    """
+def verdicts() -> Iterator[str]:
+    """Yield a line for each verdict on a conforming drive that is not confirmed, and the count of those that are."""
     for target in every_emulated():
         plan = suite.Plan((target,))
         rig = suite.open_rig(plan, target)
-        confirmed = 0
-        for claim in sorted(plan.selected(target), key=lambda c: c.id)[::every]:
-            verdict = engine.run_claim(claim, rig)
-            confirmed += verdict.outcome is Outcome.CONFIRMED
-            if verdict.outcome is not Outcome.CONFIRMED:
-                fact = {"target": target.text, "id": claim.id, "outcome": verdict.outcome.value, "reason": verdict.reason}
-                yield json.dumps(fact, ensure_ascii=False)
-        if every == 1:
-            yield json.dumps({"target": target.text, "confirmed": confirmed})
+        found = [engine.run_claim(claim, rig) for claim in sorted(plan.selected(target), key=lambda c: c.id)]
+        yield from (unconfirmed(target, verdict) for verdict in found if verdict.outcome is not Outcome.CONFIRMED)
+        confirmed = sum(verdict.outcome is Outcome.CONFIRMED for verdict in found)
+        yield json.dumps({"target": target.text, "confirmed": confirmed})
+
+
+def unconfirmed(target: Target, verdict: Verdict) -> str:
+    """Return the line of a verdict."""
+    fact = {"target": target.text, "id": verdict.claim.id, "outcome": verdict.outcome.value, "reason": verdict.reason}
+    return json.dumps(fact, ensure_ascii=False)
 
 
 def faults(every: int = 1, likeliest: int | None = LIKELIEST, jobs: int = 1) -> Iterator[str]:

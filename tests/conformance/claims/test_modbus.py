@@ -10,7 +10,7 @@ from conformance.suite.rig_emulated import EmulatedRig
 from tests.conformance.theme_runs import claims_of, not_confirmed, refuted, run
 
 
-@pytest.mark.parametrize("drive", ["mks-modbus@1,model=42D", "mks-modbus@247,model=57D"])
+@pytest.mark.parametrize("drive", ["mks-modbus@247,model=57D"])
 def test_conforming_drives_confirm_every_claim(drive):
     assert not_confirmed(Theme.MODBUS, drive) == {}
 

@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from analyzer.catalogue import Risk
 from conformance.claim import Outcome, Theme
-from conformance.drives import make
-from conformance.gate.permissions import Allowance
-from conformance.suite import engine
-from conformance.suite.rig_emulated import EmulatedRig
 from tests.conformance import theme_runs
 
 #: Drives beside those of every theme, with the claims that are not about them: another protocol's address, another model.
@@ -19,7 +14,7 @@ _OTHERS = {
 }
 
 
-@pytest.mark.parametrize("drive", [*theme_runs.DRIVES, *_OTHERS])
+@pytest.mark.parametrize("drive", _OTHERS)
 def test_a_drive_as_its_manual_has_it_confirms_every_claim_about_it(drive):
     found = theme_runs.not_confirmed(Theme.READ_BACK, drive)
     assert found.keys() == _OTHERS.get(drive, set())
@@ -78,12 +73,3 @@ def test_a_firmware_without_parameters_is_a_known_quirk():
     verdicts = theme_runs.run(Theme.READ_BACK, "lk-rs485@1,quirk=lk-firmware-235", "parameter/speed_limit")
     assert {v.outcome for v in verdicts.values()} == {Outcome.OBSERVED}
     assert {v.quirks for v in verdicts.values()} == {("lk-firmware-235",)}
-
-
-@pytest.mark.parametrize("drive", theme_runs.DRIVES)
-def test_a_claim_sends_nothing_that_its_risks_do_not_name(drive):
-    specification = make.parse(drive)
-    for claim in theme_runs.claims_of(Theme.READ_BACK, EmulatedRig(specification)):
-        allowance = Allowance(claim.risks | {Risk.READ}, alone=claim.alone, addresses=frozenset({1}))
-        verdict = engine.run_claim(claim, EmulatedRig(specification, allowance=allowance))
-        assert (claim.id, verdict.outcome, verdict.reason) == (claim.id, Outcome.CONFIRMED, "")

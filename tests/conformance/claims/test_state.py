@@ -12,12 +12,6 @@ from conformance.suite import engine
 from conformance.suite.rig_emulated import EmulatedRig
 from tests.conformance import theme_runs
 
-
-@pytest.mark.parametrize("drive", theme_runs.DRIVES)
-def test_a_drive_as_its_manual_has_it_confirms_every_claim(drive):
-    assert theme_runs.not_confirmed(Theme.STATE, drive) == {}
-
-
 FAULTS = (
     ("mks-rs485", "disabled-moves", "mixed"),
     ("mks-modbus", "pulse-mode-moves", "mixed"),
@@ -63,11 +57,3 @@ def test_a_bounded_run_draws_within_its_bounds(drive):
         verdict = engine.run_claim(claim, rig)
         assert (claim.id, verdict.outcome, verdict.reason) == (claim.id, Outcome.CONFIRMED, "")
         assert verdict.measured["steps"] > 80
-
-
-def test_a_claim_sends_nothing_that_its_risks_do_not_name():
-    specification = make.parse("mks-can@1,model=42E")
-    for claim in theme_runs.claims_of(Theme.STATE, EmulatedRig(specification)):
-        allowance = Allowance(claim.risks | {Risk.READ}, alone=claim.alone, addresses=frozenset({1}))
-        verdict = engine.run_claim(claim, EmulatedRig(specification, allowance=allowance))
-        assert (claim.id, verdict.outcome, verdict.reason) == (claim.id, Outcome.CONFIRMED, "")

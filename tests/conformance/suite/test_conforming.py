@@ -1,31 +1,47 @@
-"""Against drives as the manuals have them nothing is refuted, and nothing is left without a verdict."""
+"""Drives as the manuals have them confirm every claim but the few that are kept as observed (`golden/verdicts.jsonl`)."""
 
 from __future__ import annotations
 
 import pytest
 
+from analyzer.catalogue import Risk
 from conformance.claim import Outcome
+from conformance.gate.budget import Budget
+from conformance.gate.permissions import Allowance
 from conformance.suite import engine
 from conformance.suite import plan as suite
+from conformance.suite.rig_emulated import UNLIMITED, EmulatedRig
 from conformance.suite.target import every_emulated
+from tests.conformance import golden
 
 TARGETS = every_emulated()
 #: Parts of the claims, so that workers share them.
-PARTS = 4
+PARTS = 8
+OWN = frozenset({1})
+#: Where the shaft stands then, the bytes of a target read as a frame of another dialect, which needs more.
+MISREAD = {("lk-rs485@1,model=MS", "lk-rs485/motion/move_single_turn_limited/takes-over")}
 
 
 @pytest.mark.parametrize("part", range(PARTS))
 @pytest.mark.parametrize("target", TARGETS, ids=lambda t: t.text)
-def test_a_drive_as_the_manual_has_it_is_not_refuted(target, part):
-    plan = suite.Plan((target,))
-    rig = suite.open_rig(plan, target)
-    # Claims that judge one recording are neighbours: a part is a run of them, so that it is made once.
-    claims = plan.selected(target)
+def test_every_claim_is_confirmed_with_no_more_than_the_risks_that_it_names(target, part):
+    # Claims that judge one recording are neighbours, and have the same risks: a part is a run of them.
+    claims = suite.Plan((target,)).selected(target)
     begin, end = (len(claims) * each // PARTS for each in (part, part + 1))
-    verdicts = [engine.run_claim(claim, rig) for claim in claims[begin:end]]
-    assert verdicts
-    bad = [v for v in verdicts if v.outcome not in (Outcome.CONFIRMED, Outcome.OBSERVED)]
-    assert [(v.claim.id, v.outcome, v.reason) for v in bad] == []
+    rigs: dict[tuple[frozenset[Risk], bool], EmulatedRig] = {}
+    kept, wrong = set(golden.kept("verdicts")), []
+    for claim in claims[begin:end]:
+        allowed = claim.risks | {Risk.READ}, claim.alone
+        if allowed not in rigs:
+            allowance = Allowance(allowed[0], addresses=OWN, alone=claim.alone, budget=Budget(wear=UNLIMITED))
+            rigs[allowed] = EmulatedRig(target.specification, allowance=allowance)
+        verdict = engine.run_claim(claim, rigs[allowed])
+        line = golden.unconfirmed(target, verdict)
+        misread = verdict.outcome is Outcome.NOT_RUN and (target.text, claim.id) in MISREAD
+        if verdict.outcome is not Outcome.CONFIRMED and line not in kept and not misread:
+            wrong.append(line)
+    assert begin < end
+    assert wrong == []
 
 
 def test_every_command_is_looked_at():

@@ -19,7 +19,7 @@ from conformance.suite.rig_emulated import EmulatedRig
 from tests.conformance.quirk_runs import UNSEEN, changes, pairs, run
 
 #: Of the claims that do not name a quirk, each of so many is run with it.
-_SAMPLE = 40
+_SAMPLE = 160
 _before: dict[str, dict[str, Verdict]] = {}
 
 
