@@ -17,6 +17,7 @@ from conformance.claims.declare import Case, Cases
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import expect_speed, expect_stays, of_motion, risks_by
 from conformance.claims.motion_reads import PLACES, angle, around, turn_by
+from conformance.model.lk_parameters import need_room
 from conformance.motion import motion
 from conformance.motion.motion import CALM, MS, SECOND_NS
 from conformance.talk.exchange import Exchange
@@ -89,7 +90,7 @@ def _counts_on(probe: Probe, command: Command) -> None:
         probe.expect(_position(probe), near=value + degrees * 100, within=_NEAR_AS_SENT, refutes=text, exchange=exchange)
 
 
-@_set_position(refuted_by="another place", at_best=Certainty.LIKELY)
+@_set_position(refuted_by="another place", at_best=Certainty.LIKELY, first=need_room)
 def _and_moves(probe: Probe, command: Command) -> None:
     """A move to a position goes by what 95 set, above and below zero, either way."""
     motion.ready_to_move(probe)

@@ -159,6 +159,7 @@ def _settings(probe: Probe, condition: Condition, rows: list[_Row]) -> None:
             held[row.setting.name] = row.setting.read(probe)
         elif row.is_wrong and row.setting.command.verb is Verb.SET_HOME and homing is None:
             # Which way homing goes is told by another one alone; what is set then shows beside what was set before it.
+            _home_by_a_switch(probe)
             probe.do(row.setting.command, row.setting.values[_ONE])
             homing = setting_effects.homing(probe)
             probe.do(row.setting.command, row.setting.values[_OTHER])
@@ -178,6 +179,13 @@ def _settings(probe: Probe, condition: Condition, rows: list[_Row]) -> None:
         if isinstance(row.setting, ReadableSetting):
             _expect_stored(probe, row.setting, held, f"{condition.when}, and other settings behind it")
     expect_effects(probe, [row.setting for row in rows], held, condition.when, homing)
+
+
+def _home_by_a_switch(probe: Probe) -> None:
+    """Let homing go by the switch at its own port: a closed one turns it round, where nothing else leads it elsewhere."""
+    for verb, name in ((Verb.SET_NO_LIMIT_HOME, "home_mode"), (Verb.SET_LIMIT_REMAP, "limit_remap")):
+        if verb in probe.dialect.by_verb:
+            probe.do(verb, {name: 0})
 
 
 def _set(probe: Probe, row: _Row, when: str, held: dict[str, Mapping[str, int]]) -> None:
@@ -266,6 +274,8 @@ def expect_effects(
     if Verb.SET_SUBDIVISION in shown or Verb.SET_RESPOND in shown:
         _expect_move(probe, shown, when)
     if Verb.SET_HOME in shown:
+        if before is not None:
+            _home_by_a_switch(probe)
         seen, wanted = setting_effects.homing(probe), shown[Verb.SET_HOME]["home_speed"]
         text = f"set_home set {when} is another homing"
         probe.expect(seen.rpm, near=wanted, within=max(2.0, wanted * _SPEED_SHARE), unit="rpm", refutes=text)

@@ -195,17 +195,6 @@ def _by_ramp(probe: Probe, command: Command, run: Command) -> None:
     _expect_stood(probe, seen.after, seen.turned, seen.exchange, text)
 
 
-@of_motion(each=_of_motions, refuted_by="a shaft that goes on", risks=risks_of("run"))
-def _at_once(probe: Probe, command: Command, run: Command) -> None:
-    """{command} with acceleration 0 stops the shaft at once."""
-    set_going(probe, run, turns=-5)
-    _expect_turning(motion.speed(probe), CALM / 2)
-    exchange = _ask_stop(probe, command, 0)
-    at_once = motion.position(probe)
-    probe.wait(_LOOK_NS)
-    _expect_halt(probe, exchange, at_once, f"{command.name} with acceleration 0 does not stop the shaft at once")
-
-
 @of_motion(each=_of_motions, refuted_by="a shaft that moves again", risks=risks_of("run"))
 def _stays_stopped(probe: Probe, command: Command, run: Command) -> None:
     """After {command} the shaft stays where it stopped; the motion that it ended is not taken up again."""
@@ -272,42 +261,6 @@ def _stops_all(probe: Probe, command: Command) -> None:
     expect_standing(probe, exchange, f"{command.name} by a broadcast stops nothing")
 
 
-def _in_other_modes(dialect: Dialect) -> Iterator[Case]:
-    """Yield the stop of a run in the work modes below the one in which the suite moves, beside the emergency stop."""
-    for run in dialect.motions(MotionKind.RUN):
-        stops = dialect.stops_of(run)
-        if len(stops) > 1 and motion.of(stops[0]).acceleration:
-            for mode in run.modes[:-1]:
-                yield Case(dialect, stops[0], {"mode": mode, "run": run, "emergency": stops[1]})
-
-
-@of_motion(
-    each=_in_other_modes,
-    name="{command}/in-{mode}",
-    refuted_by="a shaft that stands at once, or turns on",
-    risks=risks_of("run"),
-    at_best=Certainty.LIKELY,
-)
-def _in_mode(probe: Probe, command: Command, mode: str, emergency: Command) -> None:
-    """In mode {mode} {command} stops the shaft by its ramp, and {emergency} stops it at once."""
-    motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
-    motion.run_at(probe, _RPM, QUICK)
-    probe.wait(_SET_OFF_NS)
-    exchange = probe.ask(command, {"acceleration": _SLOW_RAMP}, quiet_ns=0)
-    probe.wait(exchange.sent_ns + _RAMP_NS // 2 - probe.gate.now_ns())
-    seen = motion.speed(probe)
-    text = f"in mode {mode} the shaft does not slow down by the ramp of {command.name}"
-    probe.expect(abs(seen.value), near=_RPM / 2, within=_RPM / 4, unit="rpm", refutes=text, exchange=exchange)
-    probe.wait(exchange.sent_ns + _RAMP_NS + 200 * MS - probe.gate.now_ns())
-    expect_standing(probe, exchange, f"{command.name} does not stop the shaft in mode {mode}")
-    # The other way: the first one is that of the claims of one mode.
-    motion.run_at(probe, -CALM, QUICK)
-    probe.wait(_SET_OFF_NS)
-    _expect_turning(motion.speed(probe), CALM / 2)
-    exchange = probe.ask(emergency)
-    expect_standing(probe, exchange, f"{emergency.name} does not stop the shaft in mode {mode}")
-
-
 # --- the stop of whatever moves ---------------------------------------------------------------------------------------
 
 
@@ -315,24 +268,6 @@ def _emergencies(dialect: Dialect) -> Iterator[Case]:
     for case in _emergency(dialect):
         for run in dialect.motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO):
             yield Case(dialect, case.command, {"run": run})
-
-
-@of_motion(
-    each=_emergencies, name="{command}/ends-{run}", refuted_by="a shaft that goes on, or moves again", risks=risks_of("run")
-)
-def _emergency_ends(probe: Probe, command: Command, run: Command) -> None:
-    """The emergency stop ends {run} at once, and the shaft stays where it is."""
-    set_going(probe, run, turns=_FEW)
-    _expect_turning(motion.speed(probe), CALM / 2)
-    exchange = probe.ask(command, quiet_ns=0)
-    at_once = motion.position(probe)
-    refused = probe.refused(exchange)
-    if refused:
-        motion.stop(probe)
-    text = "the emergency stop is refused"
-    probe.expect("a refusal", holds=not refused, expected="status 1", refutes=text, exchange=exchange)
-    probe.wait(_FEW * SECOND_NS)
-    _expect_halt(probe, exchange, at_once, "the emergency stop does not stop the shaft at once")
 
 
 @of_motion(
@@ -364,12 +299,10 @@ def _name_of_stop(case: Case) -> str:
     return "{command}/{what}-{run}" if case.command and case.command.verb is Verb.EMERGENCY_STOP else "{command}/{what}"
 
 
-def _fast_stops(dialect: Dialect) -> Iterator[Case]:
-    """Yield them for a fast shaft; the manual warns of halting one at once, so that is for emulated drives."""
-    for case in _stops_and_emergency(dialect):
-        assert case.command is not None
-        facts = {"emulated": case.command.verb is Verb.EMERGENCY_STOP, "parameters": {}}
-        yield Case(dialect, case.command, {**case.given, "what": "when-fast"}, facts)
+def _fast_emergencies(dialect: Dialect) -> Iterator[Case]:
+    """Yield the emergency stop for a fast shaft; the manual warns of halting one at once, so that is for emulated drives."""
+    for case in _emergencies(dialect) if dialect.family == "mks" else ():
+        yield Case(dialect, case.command, {**case.given, "what": "when-fast"}, {"emulated": True, "parameters": {}})
 
 
 def _rising_stops(dialect: Dialect) -> Iterator[Case]:
@@ -385,7 +318,7 @@ def _expect_ended(probe: Probe, stop: Command, how: str) -> None:
     expect_standing(probe, exchange, f"{stop.name} does not stop a shaft that {how}")
 
 
-@of_motion(each=_fast_stops, name=_name_of_stop, refuted_by="a shaft that goes on", risks=risks_of("run"))
+@of_motion(each=_fast_emergencies, name=_name_of_stop, refuted_by="a shaft that goes on", risks=risks_of("run"))
 def _when_fast(probe: Probe, command: Command, run: Command) -> None:
     """{command} stops {run} at 1200 rpm, either way."""
     motion.prepare(probe, run)
