@@ -14,9 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
+from conformance.claims import homing
 from conformance.claims.crossed import motions_of
 from conformance.claims.declare import Case
 from conformance.claims.motion_claim import of_motion
@@ -130,7 +131,9 @@ def _try(probe: Probe, row: Row, zero: float, start: Sample) -> Tried:
         seen = motion.speed(probe)
     elif not refused:
         # What is told at its end is not asked into.
-        far = abs(before.value - zero) if row.zero else _NEAR + (0 if row.turn > 0 else abs(before.value - start.value))
+        # A reply that was lost or late let the older motion go on.
+        since = max(0.0, (exchange.sent_ns - before.t_ns) / SECOND_NS * CALM * 6)
+        far = since + abs(before.value - zero) if row.zero else _NEAR + (0 if row.turn > 0 else abs(before.value - start.value))
         lasts_ns = int((far + _SPARE) / 6 / row.rpm * SECOND_NS)
         probe.wait(exchange.sent_ns + lasts_ns - probe.gate.now_ns())
         end = _rest(probe)
@@ -215,3 +218,58 @@ def _ends(tried: Tried, sense: int) -> tuple[float, float]:
     )
     low, high = sorted((tried.before.value, tried.before.value + went))
     return low + sense * tried.wanted - 2, high + sense * tried.wanted + 2
+
+
+# --- homing over a motion -----------------------------------------------------------------------------------------------
+
+#: At what speed homing turns, which is that of no older motion, and how long a shaft is looked at that homes.
+_HOME_RPM, _HOMES_NS = 120, 60 * MS
+
+
+def _homes(dialect: Dialect) -> Iterator[Case]:
+    if Verb.HOME in dialect.by_verb and Verb.SET_HOME in dialect.by_verb and motions_of(dialect):
+        home, sets = dialect.by_verb[Verb.HOME], [dialect.by_verb.get(v) for v in (Verb.SET_HOME, Verb.SET_NO_LIMIT_HOME)]
+        known = [command for command in sets if command is not None]
+        risks = frozenset[Risk]().union(*(c.all_risks for c in (home, *known, *motions_of(dialect)))) - {Risk.UNKNOWN}
+        names = dict.fromkeys(name for c in known for name in c.request_forms[0].layout.named)
+        facts = {
+            "risks": motion.risks(dialect, *risks, Risk.UNBOUNDED, Risk.TORQUE),
+            "settings": motion.settings(dialect, *names),
+        }
+        yield Case(dialect, home, facts=facts | {"parameters": {}})
+
+
+@of_motion(
+    each=_homes,
+    name="{command}/takes-over",
+    refuted_by="a shaft that goes on as before, or a refusal",
+    at_best=Certainty.LIKELY,
+)
+def _home_takes_over(probe: Probe, command: Command) -> None:
+    """Homing takes over from each motion, either way: the shaft turns at the speed of homing, and F1 says so."""
+    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=motion.SUBDIVISION)
+    homing.set_home(probe, home_speed=_HOME_RPM)
+    every = motions_of(probe.dialect)
+    both = [(run, way) for run in every for way in (1, -1) if motion.of(run).kind is MotionKind.RUN]
+    for older, way in (
+        *both,
+        *((move, (-1) ** n) for n, move in enumerate(every) if motion.of(move).kind is not MotionKind.RUN),
+    ):
+        begin = motion.place(probe, older)
+        _begin(probe, older, way * _FAR, way * CALM, begin)
+        probe.wait(_GOING_NS)
+        exchange = probe.ask(command, quiet_ns=0)
+        text, shown = f"{command.name} does not take over from another motion", f"over {older.name}, {'+' if way > 0 else '-'}"
+        told: dict[str, Any] = {"refutes": text, "exchange": exchange, "key": text}
+        refused = not motion.readable(exchange) or probe.refused(exchange)
+        probe.wait(exchange.sent_ns + _RUNS_NS - probe.gate.now_ns())
+        first = motion.position(probe)
+        status = probe.read(Verb.READ_STATUS, "status") if Verb.READ_STATUS in probe.dialect.by_verb else homing.HOMING
+        probe.wait(int(first.t_ns) + _HOMES_NS - probe.gate.now_ns())
+        rpm, spread = motion.speed_between(first, motion.position(probe))
+        probe.ask(Verb.EMERGENCY_STOP)
+        motion.wait_standing(probe)
+        probe.expect("a refusal or no answer", holds=not refused, expected=f"homing, {shown}", **told)
+        within = _HOME_RPM * 2 * CLOCK_SHARE + spread + 2
+        probe.expect(abs(rpm), near=_HOME_RPM, within=within, unit="rpm", expected=f"{_HOME_RPM} rpm, {shown}", **told)
+        probe.expect(f"status {status}", holds=status == homing.HOMING, expected=f"status {homing.HOMING}, {shown}", **told)

@@ -103,7 +103,11 @@ def table(dialect: Dialect) -> tuple[Row, ...]:
 
     together = [("command", "way", "stop"), ("mode", "way", "stop"), ("command", "way", "rpm")]
     found = covering.rows(factors, rises, lambda mode, rpm: rpm <= limits[mode], together=together)
-    return tuple(sorted((Row(**row) for row in found), key=lambda row: row.mode))
+    rows = {Row(**row) for row in found}
+    # The emergency stop of each mode and way is seen by two motions: what hurts is caught twice.
+    twice = [command.name for command in motions_of(dialect)][:2]
+    rows |= {Row(name, way, _EMERGENCY, 60, mode) for name in twice for way in (1, -1) for mode in limits}
+    return tuple(sorted(rows, key=lambda row: (row.mode, row)))
 
 
 def stopped(probe: Probe) -> tuple[Tried, ...]:
@@ -121,7 +125,11 @@ def stopped(probe: Probe) -> tuple[Tried, ...]:
         except Refused as error:
             refused = error
         if refused is not None or not found or not _stands(probe, found[-1]):
-            motion.stand_still(probe)
+            try:
+                motion.stand_still(probe)
+            except Inconclusive:
+                # What does not stop is judged; no row can begin behind it.
+                break
     if refused is not None and not found:
         raise refused
     return tuple(found)

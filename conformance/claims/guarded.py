@@ -385,6 +385,45 @@ def _settings_guarded(probe: Probe, chosen: list[ReadableSetting]) -> None:
             probe.expect(each.read(probe), equal=was, refutes=text, exchange=sent, key=text)
 
 
+@claim(
+    Theme.FRAMING,
+    each=lambda dialect: _with_settings(dialect) if dialect.link.tells_length else (),
+    name="settings/other-length",
+    refuted_by="a value that is stored",
+    section=described_in(Subject.FRAMING),
+    risks=lambda case: case.facts["risks"] | {Risk.UNKNOWN},
+    at_best=Certainty.LIKELY,
+    quirks=may_meet(lk_parameters.OTHER_FIRMWARE),
+    parameters={},
+)
+def _settings_of_one_length(probe: Probe, chosen: list[ReadableSetting]) -> None:
+    """A setting with a byte more or less is not stored."""
+    link = probe.dialect.link
+    for each in chosen:
+        try:
+            was = each.read(probe)
+        except Inconclusive:
+            # Which settings a drive tells is judged elsewhere.
+            continue
+        built = probe.build(each.command, each.other(was), form=each.form)
+        head = link.parse(built.frame, probe.address)
+        data = built.frame[head.start : head.stop]
+        frames = {
+            "a byte more": link.build(each.command, each.form, probe.address, data + b"\0", Role.REQUEST),
+            "a byte less": link.build(each.command, each.form, probe.address, data[:-1], Role.REQUEST),
+        }
+        if link.kind == "can":
+            # On a line the byte would be one of the next frame.
+            frames["a byte behind its check"] = built.frame + b"\0"
+        for what, frame in frames.items():
+            if link.kind != "can" or len(frame) <= _CAN_BYTES:
+                sent = probe.send(built.item(frame), timeout_ns=_SHORT_NS)
+                text = f"{each.name} with {what} is stored"
+                probe.expect(each.read(probe), equal=was, refutes=text, exchange=sent, key=text)
+
+
+#: How long is listened to a setting that is not to be stored, before it is read.
+_SHORT_NS = 20 * motion.MS
 #: The work mode in which the suite moves, as sent.
 _FULL_CONTROL = 5
 #: What switches, stops and turns a drive, in turn; none of it stores anything else than it says.

@@ -26,7 +26,7 @@ from conformance.talk.probe import Probe, Until
 
 _CW, _CCW = 0, 1
 _SWITCH = 3000
-_HOMING = 5
+HOMING = 5
 _LIMIT_NS = 20 * SECOND_NS
 _WAYS = {_CW: -1, _CCW: 1}
 _DIRECTIONS = {"cw": _CW, "ccw": _CCW}
@@ -74,7 +74,7 @@ def find_home(probe: Probe, limit_ns: int = _LIMIT_NS) -> Exchange:
     if probe.refused(exchange):
         raise Inconclusive("homing was refused")
     if not telling:
-        motion.wait_until(probe, lambda: _status_now(probe) != _HOMING, every_ns=200 * MS, limit_ns=limit_ns)
+        motion.wait_until(probe, lambda: _status_now(probe) != HOMING, every_ns=200 * MS, limit_ns=limit_ns)
     return exchange
 
 
@@ -254,7 +254,7 @@ def _status(probe: Probe, command: Command) -> None:
         seen = (during, _status_now(probe))
         _halt(probe)
         text = f"the status does not tell of homing and of its end in {mode} with home_direction {direction}"
-        probe.expect(seen, equal=(_HOMING, 1), refutes=text, exchange=exchange)
+        probe.expect(seen, equal=(HOMING, 1), refutes=text, exchange=exchange)
 
 
 @_of_homing("a shaft that stops at the low level, or runs on")

@@ -19,13 +19,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
-from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Subject
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Subject, Verb
 from analyzer.link import READS, WRITE_MANY, WRITE_ONE
 from analyzer.protocols.modbus import ModbusException
 from conformance.claim import Theme
 from conformance.claims.control_reads import ask_alone, plain_read, received_text
 from conformance.claims.declare import Case, claim, described_in
 from conformance.claims.modbus_frames import expect_exceptions, on_modbus, request
+from conformance.claims.motion_claim import of_motion
+from conformance.motion import motion
 from conformance.talk.exchange import hex_of
 from conformance.talk.garbling import harmless
 from conformance.talk.probe import Probe
@@ -77,7 +79,7 @@ def _other_reads(probe: Probe) -> Asked:
     """Ask for known registers by the other functions that read."""
     own = {c.function for c in probe.dialect.commands}
     for function in sorted(READS - own):
-        for command in _reads(probe.dialect)[:3]:
+        for command in _reads(probe.dialect):
             yield f"function {function:02X}h", function, request(probe, function, command.code, command.quantity)
 
 
@@ -176,6 +178,37 @@ def _refused(probe: Probe, kind: _Denied) -> None:
     # Bytes that begin a frame of another dialect are left to drives that are alone.
     asked = [each for each in kind.make(probe) if harmless(each[-1], probe.address, following, beside=kind.risks)]
     expect_exceptions(probe, [(what, function, frame, kind.code) for what, function, frame in asked])
+
+
+def _turning(dialect: Dialect) -> Iterator[Case]:
+    for case in on_modbus(dialect):
+        if motion.can_move(dialect):
+            yield Case(case.dialect, dialect.by_verb[Verb.RUN_SPEED])
+
+
+@of_motion(
+    theme=Theme.MODBUS,
+    each=_turning,
+    name="exception/turning",
+    refuted_by="another exception, or an answer that is none",
+    section=_with_standard,
+    at_best=Certainty.LIKELY,
+    aspect=None,
+)
+def _refused_while_turning(probe: Probe) -> None:
+    """While the shaft turns a wrong function, register or quantity is refused by the same exceptions as at rest."""
+    motion.ready_to_move(probe)
+    motion.run_at(probe, motion.CALM)
+    read = plain_read(probe.dialect)
+    own, asked = read.function or 0, []
+    for function, register, quantity, code in (
+        (0x03, read.code, read.quantity, FUNCTION),
+        (own, 0x0035, 1, ADDRESS),
+        (own, read.code, read.quantity + 1, VALUE),
+    ):
+        what = f"function {function:02X}h at register {register:04X}h while the shaft turns"
+        asked.append((what, function, request(probe, function, register, quantity), code))
+    expect_exceptions(probe, asked)
 
 
 # --- addresses --------------------------------------------------------------------------------------------------------

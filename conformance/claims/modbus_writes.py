@@ -68,6 +68,25 @@ def _any_risk(case: Case) -> set[Risk]:
     return {Risk.UNKNOWN}.union(*(c.all_risks for c in case["settings"]))
 
 
+def _holding(dialect: Dialect) -> Iterator[Case]:
+    """Yield the settings that decide how the motor holds the shaft; which values they have matters to no other claim."""
+    for case in on_modbus(dialect):
+        verbs = (Verb.SET_CURRENT, Verb.SET_HOLDING_CURRENT, Verb.SET_ENABLE_LEVEL, Verb.SET_WORK_MODE)
+        commands = tuple(dialect.by_verb[verb] for verb in verbs if verb in dialect.by_verb)
+        fields = tuple(name for c in commands for name in c.request_forms[0].layout.named)
+        risks = frozenset[Risk]().union(*(c.all_risks for c in commands)) - {Risk.UNKNOWN}
+        facts = {"settings": fields, "risks": risks, "commands": tuple(c.name for c in commands)}
+        yield Case(case.dialect, given={"settings": commands}, facts=facts)
+
+
+def _all(dialect: Dialect) -> Iterator[Case]:
+    """Yield one case with all of them."""
+    for plain, holding in zip(_both(dialect), _holding(dialect), strict=True):
+        facts = {name: (*plain.facts[name], *holding.facts[name]) for name in ("settings", "commands")}
+        risks = {Risk.SETTING, Risk.UNKNOWN} | holding.facts["risks"]
+        yield Case(dialect, given={"settings": (*plain["settings"], *holding["settings"])}, facts=facts | {"risks": risks})
+
+
 def _plain(probe: Probe, command: Command) -> bytes:
     return probe.build(command, samples.sample(probe.dialect, command)).frame
 
@@ -78,7 +97,7 @@ def _plain_and_edges(probe: Probe, settings: tuple[Command, ...]) -> Iterator[tu
         form, plain = command.request_forms[0], samples.sample(probe.dialect, command)
         edges = [plain | {n: v} for n, field in form.layout.named.items() for v in limits.edges(field) if field.allows(v)]
         # The plain values come last: they stay.
-        for values in (*(each for each in edges if command.risks(each) == {Risk.SETTING}), plain):
+        for values in (*(each for each in edges if command.risks(each) == command.risks(plain)), plain):
             yield command, probe.build(command, values).frame
 
 
@@ -92,6 +111,12 @@ def _echoed(probe: Probe, settings: tuple[Command, ...]) -> None:
     for command, frame in _plain_and_edges(probe, settings):
         expect_answer(probe, ask(probe, frame), frame, f"a write of {command.code:04X}h by 06h")
         probe.wait(probe.rig.write_gap_ns)
+
+
+@_of_writes("other bytes, or silence", each=_holding, name="write_one/echo-of-current")
+def _echoed_of_current(probe: Probe, settings: tuple[Command, ...]) -> None:
+    """A write of what holds the shaft is answered by its own bytes, whichever current, level or mode it has."""
+    _echoed(probe, settings)
 
 
 @_of_writes("other bytes, or silence", each=_several, name="write_many/echo")
@@ -183,15 +208,15 @@ def _one_register(probe: Probe, register: int, value: int) -> bytes:
     return request(probe, 0x10, register, 1, data=b"\x02" + value.to_bytes(2, "big"))
 
 
-@_of_writes("an echo", each=_both, name="function/other_write", at_best=Certainty.OPEN, risks={Risk.SETTING, Risk.UNKNOWN})
+@_of_writes("an echo", each=_all, name="function/other_write", at_best=Certainty.OPEN)
 def _other_function(probe: Probe, settings: tuple[Command, ...]) -> None:
     """A register is written by its own function, 06h or 10h, and not by the other."""
     ask_alone(probe)
     writes: list[Denied] = []
-    for command in [c for c in settings if c.function in WRITE_ONE][:2]:
+    for command in [c for c in settings if c.function in WRITE_ONE]:
         frame = request(probe, 0x10, command.code, 1, data=b"\x02" + _plain(probe, command)[4:-2])
         writes.append((f"{command.code:04X}h by function 10h", 0x10, frame, _ADDRESS))
-    for command in [c for c in settings if c.function in WRITE_MANY][:2]:
+    for command in [c for c in settings if c.function in WRITE_MANY]:
         frame = request(probe, 0x06, command.code, 0)
         writes.append((f"{command.code:04X}h by function 06h", 0x06, frame, _ADDRESS))
     expect_exceptions(probe, writes)

@@ -13,9 +13,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from analyzer.catalogue import Command, Risk, Verb
+from analyzer.catalogue import Command, MotionKind, Risk, Verb
 from conformance.claim import Aspect, Inconclusive, Refuted, Theme
 from conformance.claims.declare import Case, Cases, claim
+from conformance.model.lk_parameters import need_room
 from conformance.motion import motion
 from conformance.motion.motion import SAME, Sample
 from conformance.talk.exchange import Exchange
@@ -60,8 +61,15 @@ def of_motion(
         more = settings(case) if callable(settings) else settings
         return tuple(more) if still else motion.settings(case.dialect, *more)
 
-    facts = {"aspect": Aspect.MOTION, "fields": named, **facts}
+    facts = {"aspect": Aspect.MOTION, "fields": named, "first": _need_room, **facts}
     return claim(theme, each=each, refuted_by=refuted_by, risks=all_risks, settings=all_settings, **facts)
+
+
+def _need_room(probe: Probe) -> None:
+    """Raise Inconclusive where a claim is about a move to a place, and a drive's own limit of the angle is in its way."""
+    commands = (probe.dialect.by_name.get(name) for name in probe.claim.commands)
+    if any(c is not None and c.motion is not None and c.motion.kind is MotionKind.MOVE_TO for c in commands):
+        need_room(probe)
 
 
 def command_of(case: Case) -> Command:

@@ -31,7 +31,6 @@ from conformance.claims.motion_claim import (
     of_motion,
     that_tell_their_end,
 )
-from conformance.model.lk_parameters import need_room
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, QUICK, SECOND_NS, Move, takes_pulses
 from conformance.talk.exchange import Exchange
@@ -203,7 +202,6 @@ def _where_a_position_can_be_set(dialect: Dialect) -> Iterable[Case]:
     each=_where_a_position_can_be_set,
     refuted_by="a shaft that turns the wrong way",
     risks=lambda case: case.dialect.by_name["set_position"].all_risks,
-    first=need_room,
 )
 def _wide(probe: Probe, command: Command) -> None:
     """{command} takes positions of more than 32 bits."""

@@ -25,6 +25,7 @@ from conformance.claims.declare import Case
 from conformance.claims.ranges import of_ranges
 from conformance.claims.requests import with_reserved
 from conformance.model import limits
+from conformance.model.lk_parameters import need_room
 from conformance.motion import motion
 from conformance.motion.motion import MS
 from conformance.talk.acceptance import can_refuse
@@ -232,6 +233,7 @@ def _move(probe: Probe, command: Command, field: Field, limit: int) -> dict[str,
         now = probe.read(moving.counted_by)
         return {moving.direction: 0, moving.distance: (now - 2000) % _TURN, field.name: limit}
     if moving.kind is MotionKind.MOVE_TO:
+        need_room(probe)
         probe.do("set_position", {"position": 0})
     return {moving.distance: 2 * _TURN, field.name: limit}
 

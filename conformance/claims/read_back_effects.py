@@ -20,6 +20,9 @@ from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from conformance.claim import Inconclusive
 from conformance.claims import bench, ranges, setting_effects
 from conformance.claims.declare import Case, commands
+from conformance.claims.known_quirks import may_meet
+from conformance.claims.known_settings import Setting, every_setting, needs
+from conformance.claims.link_changes import NEW_ADDRESS_ANSWERS, OTHER_ADDRESS, change_address
 from conformance.claims.read_back import fields_of, of_read_back
 from conformance.claims.setting_effects import SettingEffect
 from conformance.motion import motion
@@ -57,6 +60,44 @@ def _effect(probe: Probe, command: Command, effect: SettingEffect) -> None:
             exchange=exchange,
             key=f"{command.name} effect",
         )
+
+
+def _grouped(dialect: Dialect) -> Iterator[Case]:
+    """Yield the setting of the group, with all that is set after it."""
+    command, address = (dialect.by_verb.get(verb) for verb in (Verb.SET_GROUP_ADDRESS, Verb.SET_ADDRESS))
+    effect = None if command is None else setting_effects.by_action(dialect, command)
+    if command is not None and address is not None and effect is not None:
+        others = [each for each in every_setting(dialect) if each.command.verb not in (command.verb, Verb.SET_ENABLE_LEVEL)]
+        risks, names = needs(others)
+        facts = effect.needed(dialect, ranges.needs(dialect, command, effect.values), *risks, *address.all_risks)
+        facts["settings"] = tuple(dict.fromkeys((*facts["settings"], *names, *address.request_forms[0].layout.named)))
+        yield Case(dialect, command, {"effect": effect, "others": others, "address": address}, facts | {"parameters": {}})
+
+
+@of_read_back(
+    each=_grouped,
+    name="{command}/stays",
+    refuted_by="another group, or none",
+    fields=fields_of,
+    at_best=Certainty.LIKELY,
+    quirks=may_meet(NEW_ADDRESS_ANSWERS),
+)
+def _group_stays(probe: Probe, command: Command, effect: SettingEffect, others: list[Setting], address: Command) -> None:
+    """A drive stays in its group whatever else is set, another address of its own and its old one too."""
+    assert effect.expected is not None  # a group is known by its address
+    values = effect.values[0]
+    effect.ready(probe)
+    probe.do(command, values)
+    own, other = probe.address, OTHER_ADDRESS - (probe.address == OTHER_ADDRESS)
+    # What some modes refuse is set before the mode.
+    for each in sorted(others, key=lambda each: each.command.verb is Verb.SET_WORK_MODE):
+        probe.ask(each.command, each.values[0])
+    exchange = change_address(probe, address, other)
+    change_address(probe, address, own, at=other)
+    effect.ready(probe)
+    seen, should = effect.see(probe), effect.expected(probe.dialect, values)
+    text = "a drive leaves its group when something else is set"
+    probe.expect(effect.words(seen), holds=seen == should, expected=effect.words(should), refutes=text, exchange=exchange)
 
 
 # --- home -------------------------------------------------------------------------------------------------------------

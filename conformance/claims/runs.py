@@ -10,15 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Trait, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Trait, Verb
 from conformance.claim import Inconclusive
 from conformance.claims.declare import Case, commands, motions
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import expect_speed, has_direction, has_sign, of_motion, risks_by, risks_of
 from conformance.motion import motion
-from conformance.motion.motion import MS, QUICK, SECOND_NS, SUBDIVISION
+from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, SUBDIVISION
 from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import Probe
+from conformance.talk.restarts import restart
 
 #: The speed of runs that last, and that of runs whose direction alone matters: 16 bits hold them in every unit.
 _RPM, _SLOW = 54, 30
@@ -137,19 +138,45 @@ def _direction_settings(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, case.command, {"turns": turns}, facts)
 
 
-@of_motion(each=_direction_settings, refuted_by="", risks=risks_by(Verb.RUN_SPEED), settings=("motor_direction",))
+def _direction_risks(case: Case) -> frozenset[Risk]:
+    more = case.dialect.by_verb[Verb.RESTART].all_risks if case["turns"] and Verb.RESTART in case.dialect.by_verb else set()
+    return frozenset(more) | case.dialect.by_verb[Verb.RUN_SPEED].all_risks
+
+
+@of_motion(each=_direction_settings, refuted_by="", risks=_direction_risks, settings=("motor_direction",))
 def _and_the_bus(probe: Probe, command: Command, turns: bool) -> None:
-    motion.ready_to_move(probe)
-    ways = []
-    for value in (0, 1):
-        probe.do(command, {"motor_direction": value})
-        ways.append(_way(probe, _SLOW))
-    probe.expect(
-        f"{ways[0]:+.1f} and {ways[1]:+.1f} degrees",
-        holds=(ways[0] * ways[1] < 0) is turns,
-        expected="opposite ways" if turns else "one way",
-        refutes="the setting of the motor's direction and motion by the bus",
-    )
+    """What the direction setting does to motion by the bus it does in each mode, and after a restart."""
+    modes = [m for m in reversed(motion.bus_modes(probe.dialect)) if "no_encoder" not in m]
+    motion.ready_to_move(probe, modes[0])
+    text = "the setting of the motor's direction and motion by the bus"
+    probe.do(command, {"motor_direction": 0})
+    plain = _way(probe, _SLOW)
+
+    def expect(when: str) -> None:
+        way = _way(probe, _SLOW)
+        probe.expect(
+            f"{plain:+.1f} and {way:+.1f} degrees",
+            holds=(plain * way < 0) is turns,
+            expected=f"{'opposite ways' if turns else 'one way'} {when}",
+            refutes=text,
+        )
+
+    if not turns:
+        # Where it does not concern the bus it ends nothing that the bus began.
+        motion.run_at(probe, CALM, QUICK)
+        probe.wait(100 * MS)
+        exchange = probe.do(command, {"motor_direction": 1})
+        seen = motion.turning(probe)
+        motion.stand_still(probe)
+        expect_speed(seen, CALM, exchange, "the setting of the motor's direction changes a run that is under way")
+    for mode in modes:
+        motion.ready_to_move(probe, mode)
+        probe.do(command, {"motor_direction": 1})
+        expect(f"in {mode}")
+    if turns and Verb.RESTART in probe.dialect.by_verb:
+        restart(probe)
+        motion.ready_to_move(probe)
+        expect("after a restart")
 
 
 def _directions_of_moves(dialect: Dialect) -> Iterator[Case]:

@@ -15,7 +15,6 @@ from conformance.claims.declare import Case
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import command_of, expect_speed, expect_stays, expect_taken, of_motion
 from conformance.claims.moves import keeps_position, with_max_speed
-from conformance.model.lk_parameters import need_room
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, SUBDIVISION, Sample
 from conformance.talk.exchange import Exchange
@@ -134,13 +133,7 @@ def _after_limited(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, command, {"limited": tuple(c.name for c in limited)}, {"parameters": {}})
 
 
-@of_motion(
-    each=_after_limited,
-    refuted_by="the speed of the move before",
-    at_best=Certainty.LIKELY,
-    settings=("position",),
-    first=need_room,
-)
+@of_motion(each=_after_limited, refuted_by="the speed of the move before", at_best=Certainty.LIKELY, settings=("position",))
 def _own_speed(probe: Probe, command: Command, limited: tuple[str, ...]) -> None:
     """{command} does not keep to the max_speed of any move before it."""
     motion.prepare(probe, command)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from msgspec.structs import replace
+
 from analyzer.catalogue import Command, Verb
 from analyzer.link import WRITE_ONE
 from analyzer.protocols import mks_shared
@@ -15,6 +17,7 @@ from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Outgoing, Request, Values
 from conformance.drives.faults.mks_behaviour import OK, before, clinging, forgetful, mks, own, tuned
 from conformance.drives.faults.places import (
+    CAN,
     MODBUS,
     NATIVE,
     SERIAL,
@@ -23,10 +26,12 @@ from conformance.drives.faults.places import (
     Row,
     Rows,
     answered,
+    body_of,
     every,
     faults,
     frames,
     having,
+    rebuilt,
     request,
     result,
     storing,
@@ -312,7 +317,7 @@ def _halt_first(drive: MksCore, request: Request) -> None:
         drive.motor.halt(drive.now_ns)
 
 
-def _halted_by_save(drive: MksCore, request: Request) -> None:
+def _halted(drive: MksCore, request: Request) -> None:
     drive.motor.halt(drive.now_ns)
 
 
@@ -473,6 +478,85 @@ def _home_told(drive: MksCore) -> None:
     drive.complete = tell  # type: ignore[method-assign]
 
 
+# --- in one condition of two --------------------------------------------------------------------------------------------
+
+
+def _above_127(drive: MksCore, request: Request) -> Values | None:
+    """Say that a stop by a steep ramp began, and do nothing."""
+    return dict(OK) if request.values["acceleration"] > _HALF_BYTE else None
+
+
+def _closed_clockwise(drive: MksCore) -> bool:
+    return "close" in drive.mode and _rpm(drive) < 0
+
+
+def _slow_emergency(drive: MksCore, request: Request) -> Values | None:
+    """Slow a clockwise shaft down by a ramp, in a closed mode."""
+    if not _closed_clockwise(drive):
+        return None
+    begin_run(drive, 0, 0, _EASY)
+    return dict(OK)
+
+
+def _leave_group(drive: MksCore, request: Request) -> None:
+    drive.settings["group_address"] = 0
+
+
+def _turned_open(drive: Drive, command: Command, values: Values) -> Values:
+    turned = "open" in mks(drive).mode and drive.settings["motor_direction"]
+    return values | {"direction": 1 - values["direction"]} if turned else values
+
+
+def _deaf_to_direction(drive: MksCore) -> None:
+    """Run the same way with either setting of the motor's direction."""
+    drive.hooks.request.append(
+        lambda d, command, values: (
+            values | {"direction": 1 - values["direction"]}
+            if command.verb is Verb.RUN_SPEED and d.settings["motor_direction"]
+            else values
+        )
+    )
+
+
+def _long_settings(drive: MksCore) -> None:
+    """Take settings with a byte behind their check."""
+
+    def without_last(frame: Frame) -> Frame | None:
+        can = frame.can
+        if can is None or len(frame.data) < _LEAST_LONG or frame.data[-1]:
+            return None
+        data = frame.data[:-1]
+        fits = drive.dialect.link.fits(data, can.id)
+        return replace(frame, data=data, can=replace(can, data=data), checksum_ok=True) if fits else None
+
+    take = drive._take
+
+    def taken(frame: Frame) -> None:
+        shorter = None if frame.checksum_ok else without_last(frame)
+        message = None if shorter is None else drive.responder.read(shorter)
+        setting = message is not None and message.command is not None and message.command.verb.value.startswith("set_")
+        take(shorter if shorter is not None and setting else frame)
+
+    drive._take = taken  # type: ignore[method-assign]
+
+
+def _echo_byte(drive: Drive, command: Command, outgoing: Outgoing) -> tuple[Outgoing]:
+    """Lose the high byte of an echoed current."""
+    body = bytearray(body_of(drive, outgoing))
+    if body[-2] != _REFUSED:
+        body[-2] = 0
+    return (rebuilt(drive, outgoing, bytes(body)),)
+
+
+def _exceptions_turning(drive: Drive, command: Command, outgoing: Outgoing) -> tuple[Outgoing]:
+    """Tell exception 02 for 01 while the shaft turns."""
+    body = body_of(drive, outgoing)
+    wrong = len(body) == _EXCEPTION and body[1] & 0x80 and body[2] == 1 and _turns(mks(drive))
+    return (rebuilt(drive, outgoing, body[:2] + b"\2") if wrong else outgoing,)
+
+
+#: Accelerations from the top bit on, a slow one; bytes of a frame that is too long at least, of an exception; of a refusal.
+_HALF_BYTE, _EASY, _LEAST_LONG, _EXCEPTION, _REFUSED = 127, 150, 4, 3, 0xFF
 #: What wears out: so many motions. Settings within so long are hasty.
 _MANY, _HASTE_NS = 14, 12_000_000
 _OF_RUN = ("saved_run", "saved_direction", "saved_speed", "saved_acceleration")
@@ -512,13 +596,22 @@ DOING: Rows = {
         Row("homing-always-told", "the end of homing is told with active 0 too", tuned(_home_told), NATIVE),
     ),
     "stop": (
+        Row("steep-stop-ignored", "stops with an acceleration of 128 and more do nothing", before(STOPS, _above_127)),
+        Row("closed-cw-emergency-slow", "F7 is slow in a closed mode, clockwise", before(Verb.EMERGENCY_STOP, _slow_emergency)),
+        Row(
+            "closed-cw-emergency-ignored",
+            "F7 does nothing in a closed mode, clockwise",
+            undone_when(_closed_clockwise, Verb.EMERGENCY_STOP),
+        ),
+        Row("home-over-motion-undone", "91 says that it begins over a motion, and is lost", undone_when(_turns, Verb.HOME)),
+        Row("home-over-motion-refused", "91 is refused while the shaft turns", refused_when(_turns, Verb.HOME)),
         Row("fast-stop-ignored", "stops are ignored above 1000 rpm", undone_when(_faster(_VERY_FAST), _ENDS)),
         Row("rising-stop-ignored", "stops are ignored while the shaft speeds up", undone_when(_rises, _ENDS)),
         Row("emergency-latches", "after F7 motion is refused until the motor is enabled", tuned(_latched)),
     ),
     "enable": (
         Row("enabling-stops", "F3 01 stops a shaft that turns", before(Verb.ENABLE, _halt_first)),
-        Row("saving-stops", "FF C8 stops the shaft", before(Verb.SAVE_SPEED, _halted_by_save)),
+        Row("saving-stops", "FF C8 stops the shaft", before(Verb.SAVE_SPEED, _halted)),
     ),
     "zero": (Row("zero-low-word", "92 clears 16 bits of the position", before(Verb.SET_ZERO, _low_word)),),
     "target": (
@@ -536,6 +629,20 @@ DOING: Rows = {
             Change(request(_turned_by_setting, Verb.MOVE_ABSOLUTE_PULSES).install, SERIAL),
         ),
         Row("restart-turns-round", "after a restart F6 turns the other way", _after_restart(_runs_round)),
+    ),
+    "direction of the motor": (
+        Row(
+            "direction-turns-open-runs",
+            "86 turns runs in the open mode",
+            Change(request(_turned_open, Verb.RUN_SPEED).install, SERIAL),
+        ),
+        Row("direction-ends-motion", "86 stops the shaft", Change(before(Verb.SET_DIRECTION, _halted).install, SERIAL)),
+        Row("direction-lost-by-restart", "after a restart 86 turns no run", _after_restart(_deaf_to_direction), CAN),
+    ),
+    "frames": (
+        Row("long-setting-stored", "settings with a byte behind their check are stored", tuned(_long_settings), CAN),
+        Row("current-echo-low-byte", "the echo of 83 has the low byte alone", frames(_echo_byte, Verb.SET_CURRENT), MODBUS),
+        Row("exception-2-turning", "an unknown function gets exception 02 while turning", frames(_exceptions_turning), MODBUS),
     ),
     "restart": (
         Row("restart-speed-as-sent", "after a restart no speed is one of the subdivision", _after_restart(_speeds_as_sent)),
@@ -569,6 +676,12 @@ DOING: Rows = {
             undone_when(_is_off, Verb.SET_SUBDIVISION),
         ),
         Row("remap-refused-while-turning", "9E is refused while the shaft turns", refused_when(_turns, Verb.SET_LIMIT_REMAP)),
+        Row(
+            "group-left-by-address",
+            "a new address takes the drive out of its group",
+            before(Verb.SET_ADDRESS, _leave_group),
+            having(Verb.SET_GROUP_ADDRESS),
+        ),
         Row(
             "group-deaf-to-all",
             "a drive in a group does not hear broadcasts",

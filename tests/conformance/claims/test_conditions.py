@@ -86,6 +86,18 @@ REFUTED_BY = {
     "zero-status-2-after-homing": "resilience/reads/homed",
     "update-undone": "motion/move_absolute_axis/takes-over",
     "tolerance-capped": "motion/set_stall_tolerance/angle",
+    "steep-stop-ignored": "motion/stop_relative_pulses/crossed-stops",
+    "closed-cw-emergency-slow": "motion/emergency_stop/ends-run_speed",
+    "closed-cw-emergency-ignored": "motion/emergency_stop/ends-move_relative_pulses",
+    "home-over-motion-undone": "motion/home/takes-over",
+    "home-over-motion-refused": "motion/home/takes-over",
+    "group-left-by-address": "read-back/set_group_address/stays",
+    "direction-turns-open-runs": "motion/set_direction/and-the-bus",
+    "direction-ends-motion": "motion/set_direction/and-the-bus",
+    "direction-lost-by-restart": "motion/set_direction/and-the-bus",
+    "long-setting-stored": "framing/settings/other-length",
+    "current-echo-low-byte": "modbus/write_one/echo-of-current",
+    "exception-2-turning": "modbus/exception/turning",
 }
 #: What a fault of the protection and of the angle error is seen by without a hand that holds the shaft.
 LIMP = (

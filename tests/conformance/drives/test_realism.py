@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import math
+import random
 from dataclasses import replace
 
 import msgspec
@@ -149,6 +151,61 @@ def test_an_honest_drive_is_not_accused(drive, real):
     wanted = [c for c in registry.every(rig(drive).dialect) if c.id.endswith(_TELLING)]
     verdicts = run(f"{drive},real={real}", wanted).values()
     assert [f"{v.claim.id}: {v.reason}" for v in verdicts if v.outcome is Outcome.REFUTED] == []
+
+
+def closed(hooks):
+    hooks.setup.append(lambda drive: [drive.limit_switch(side) for side in ("left", "right")])
+
+
+def idle_now_and_then(hooks):
+    chance = random.Random(5)
+    hooks.reply.append(
+        lambda drive, command, each: [msgspec.structs.replace(each, data=b"\xff" * (chance.random() < 0.3) + each.data)]
+    )
+
+
+def beside_the_middle(hooks):
+    """Off by seven counts at most in the places of a turn, where no loop mends it."""
+
+    def read(drive, command, asked, values):
+        if values and "position" in values and "open" in drive.mode:
+            values["position"] += round(7 * math.sin(2 * math.pi * values["position"] / 16384))
+        return values
+
+    hooks.result.append(read)
+
+
+#: Drives of which none contradicts its manual, and a claim that once accused them. No change: the words of the drive are it.
+HONEST = [
+    ("mks-rs485@1,model=42D", closed, "resilience/settings/at-rest"),
+    ("mks-rs485@1,model=57D", closed, "resilience/settings/refused"),
+    ("mks-can@1,model=42E", beside_the_middle, "motion/move_relative_pulses/crossed-ends"),
+    ("mks-modbus@1", idle_now_and_then, "modbus/register/between"),
+    ("mks-modbus@1", idle_now_and_then, "modbus/write_one/echo"),
+    *(
+        ("lk-rs485@1,model=MF,angle_limit=9000", None, claim)
+        for claim in (
+            "motion/move_multi_turn/own-speed",
+            "motion/move_multi_turn/wide",
+            "motion/set_position/and-moves",
+            "motion/move_multi_turn_limited/reaches",
+            "ranges/move_multi_turn_limited/max_speed/width",
+        )
+    ),
+]
+
+
+@pytest.mark.parametrize(("drive", "change", "claim"), HONEST)
+def test_an_honest_drive_of_its_own_kind_is_not_accused(drive, change, claim):
+    specification = make.parse(drive)
+    if change is not None:
+        kind = Fault("honest", (specification.dialect.name,), "as drives are", "", change)
+        specification = replace(specification, faults=(kind,))
+    each = EmulatedRig(specification)
+    (wanted,) = (c for c in registry.every(each.dialect) if c.id.split("/", 1)[1] == claim)
+    verdict = engine.run_claim(wanted, each)
+    assert verdict.outcome is not Outcome.REFUTED, (verdict.reason, verdict.expected, verdict.got)
+    assert "a fault of the claim" not in verdict.reason
 
 
 @pytest.mark.parametrize("fault", ["speed-low-byte-first", "position-half-width"])
