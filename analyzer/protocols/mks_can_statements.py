@@ -328,7 +328,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "3.2.2/bus-modes",
         "In modes X4 and 05 the bus runs the motor.",
         "motion/run_speed/highest-*",
-        "motion/*/in-bus_open",
+        "motion/*/crossed-stops",
         "read-back/set_work_mode/effect",
     ),
     _said("3.2.2/default", "Mode 03 is the default.", "read-back/restore/settings"),
