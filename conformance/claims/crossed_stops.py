@@ -126,13 +126,22 @@ def stopped(probe: Probe) -> tuple[Tried, ...]:
             refused = error
         if refused is not None or not found or not _stands(probe, found[-1]):
             try:
-                motion.stand_still(probe)
+                _come_to_rest(probe)
             except Inconclusive:
                 # What does not stop is judged; no row can begin behind it.
                 break
     if refused is not None and not found:
         raise refused
     return tuple(found)
+
+
+def _come_to_rest(probe: Probe) -> None:
+    """Stop by a ramp, and where that does not stop the shaft by the emergency stop. Raises Inconclusive where none does."""
+    try:
+        motion.stand_still(probe, limit_ns=SECOND_NS)
+    except Inconclusive:
+        probe.ask(Verb.EMERGENCY_STOP)
+        motion.wait_standing(probe)
 
 
 def _stands(probe: Probe, tried: Tried) -> bool:
