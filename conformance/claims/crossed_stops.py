@@ -89,7 +89,7 @@ class Tried:
 
 def table(dialect: Dialect) -> tuple[Row, ...]:
     """Return the rows of all motions."""
-    limits = {m: dialect.mode_speeds.get(m, _FAST) for m in reversed(motion.bus_modes(dialect)) if "no_encoder" not in m}
+    limits = {m: dialect.mode_speeds.get(m, _FAST) for m in reversed(motion.bus_modes(dialect))}
     factors = {
         "command": tuple(command.name for command in motions_of(dialect)),
         "way": (1, -1),
