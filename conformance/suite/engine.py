@@ -56,6 +56,7 @@ def _once(claim: Claim, rig: ClaimRig) -> Verdict:
     finally:
         # Also when a Ctrl-C breaks in: the end of the run stops and puts back once more, so a second one does no harm.
         left = rig.settle(probe)
+    rig.still_there()
     if left and verdict.outcome is Outcome.CONFIRMED:
         return _verdict(claim, probe, Outcome.INCONCLUSIVE, left)
     if left:

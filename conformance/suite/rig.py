@@ -55,6 +55,9 @@ class ClaimRig(Rig, ABC):
     def settle(self, probe: Probe) -> str:
         """End a claim: stop what moves, put back what it changed. Return what could not be done, or nothing."""
 
+    def still_there(self) -> None:
+        """Raise RigFault where the drive has fallen silent for good."""
+
     @abstractmethod
     def close(self) -> None:
         """End the run: everything stopped, put back and closed."""

@@ -35,7 +35,7 @@ from conformance.safety.journal import Entry, Journal
 from conformance.safety.keeper import Keeper
 from conformance.safety.signals import undisturbed
 from conformance.safety.stopping import MAY_MOVE, GuardLost, cut_power, stop_or_cut
-from conformance.suite.preflight import check
+from conformance.suite.preflight import check, find_drive
 from conformance.suite.rig import ClaimRig
 from conformance.suite.target import Target
 from conformance.talk.dialogue import Dialogue
@@ -45,6 +45,22 @@ from conformance.talk.probe import SECOND_NS, Probe, plain_probe
 
 if TYPE_CHECKING:
     from conformance.suite.plan import Plan
+    from conformance.talk.exchange import Exchange
+
+#: How long a drive is silent, whatever it is asked, until that is said, and until it is looked for: no honest drive rests as
+#: long, not even while it starts.
+_SAID_NS, _LOST_NS = 5 * SECOND_NS, 15 * SECOND_NS
+#: As many questions at least: one that goes on for long is not silence.
+_UNANSWERED = 3
+
+
+class DriveSilent(RigFault):
+    """The drive answered, and then nothing any more."""
+
+
+def _clock(ago_ns: int) -> str:
+    """Return the time of day that long ago."""
+    return time.strftime("%H:%M:%S", time.localtime(time.time() - ago_ns / SECOND_NS))
 
 
 class RealRig(ClaimRig):
@@ -92,6 +108,8 @@ class RealRig(ClaimRig):
         self._unheard = ""
         #: Where a claim saw the shaft stand, until something is sent that may move it.
         self._stands_at: float | None = None
+        #: The first of the questions that stayed without an answer, and how many did; whether that was said.
+        self._silent_ns, self._silent_command, self._unanswered, self._said_silent = 0, "", 0, False
         #: Why nothing that moves may be sent, or nothing.
         self._unproved = ""
         self._closed = False
@@ -231,6 +249,40 @@ class RealRig(ClaimRig):
         self.keeper.keep_before(readings)
         if any(reading.risks & MAY_MOVE for reading in readings):
             self._moved, self._ever_moved, self._stands_at = True, True, None
+
+    def exchanged(self, exchange: Exchange) -> None:
+        """Raise DriveSilent where the drive has answered nothing for long, and does not when it is looked for."""
+        if exchange.received:
+            self._unanswered, self._said_silent = 0, False
+        elif exchange.command is not None and exchange.address == self.address:
+            if not self._unanswered:
+                self._silent_ns, self._silent_command = exchange.sent_ns, exchange.command.name
+            self._unanswered += 1
+            if self._unanswered >= _UNANSWERED and self._silence() >= _LOST_NS:
+                self.still_there()
+
+    def _silence(self) -> int:
+        """Return how long the drive has been silent, and say so where that is long."""
+        silent_ns = self._line.now_ns() - self._silent_ns
+        if silent_ns >= _SAID_NS and not self._said_silent:
+            self._said_silent = True
+            print(f"servotap: {self.name}: silent since {_clock(silent_ns)}", file=sys.stderr, flush=True)
+        return silent_ns
+
+    def still_there(self) -> None:
+        """Look for the drive if it did not answer the last question; raise DriveSilent where it stays silent.
+
+        What is judged of a drive whose cable was pulled says nothing about the drive.
+        """
+        # One that was told to speak otherwise is not looked for here.
+        while self._unanswered and not self.keeper.link_changed:
+            if find_drive(self.gate, self.dialect, self.address, widely=False).found is not None:
+                self._unanswered = 0
+            elif (silent_ns := self._silence()) >= _LOST_NS:
+                raise DriveSilent(
+                    f"{self.name} is silent since {_clock(silent_ns)}, from {self._silent_command} on, and is not found any "
+                    "more: look at its power and its wiring; a drive that hangs there hangs again in the next run"
+                )
 
     def stands_at(self, degrees: float) -> None:
         """Take note that a claim saw the shaft stand here."""

@@ -118,6 +118,9 @@ class Rig:
     def before_send(self, item: bytes | CanFrame) -> None:
         """Take note of what is about to leave; a rig that puts things back looks here at what is changed."""
 
+    def exchanged(self, exchange: Exchange) -> None:
+        """Take note of what came back; a rig whose drive may fall silent looks here for when it did."""
+
     def stands_at(self, degrees: float) -> None:
         """Take note that a claim saw the shaft stand here, by its position and its speed."""
 
@@ -304,6 +307,7 @@ class Probe:
         dialogue.collect(exchange, _ENDS[until], timeout_ns, quiet_ns=quiet_ns)
         if built is not None and exchange.answers and len(self.latencies) < _KEPT_LATENCIES:
             self.latencies.append((built.command.name, exchange.answers[0].latency_ns))
+        self.rig.exchanged(exchange)
         return exchange
 
     # --- judging --------------------------------------------------------------------------------------------------
