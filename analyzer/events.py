@@ -9,7 +9,9 @@ Not known here: who notices these things, and how they are stored.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
+
+import msgspec
 
 from analyzer.findings import Issue
 from analyzer.records import Event, Severity
@@ -30,6 +32,72 @@ SECOND = 1_000_000_000
 _IDS_SHOWN = 8
 
 Values = Mapping[str, Any]
+#: A count or a place; the time of a byte; seconds, as many as 30 years have; a time of day, in words.
+Whole = Annotated[int, msgspec.Meta(ge=0, le=(1 << 63) - 1)]
+Nanoseconds = Annotated[int, msgspec.Meta(ge=0, le=1_000_000_000)]
+Seconds = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+BusKind = Literal["", "can", "serial"]
+Moment = Annotated[str, msgspec.Meta(description="UTC")]
+
+
+class Details(msgspec.Struct, rename={"from_": "from"}, omit_defaults=True):
+    """What an event can hold beside its name, bus and text. Counters of a driver are those that rose."""
+
+    endpoint: str = ""
+    kind: BusKind = ""
+    direction: str = ""
+    reason: str = ""
+    cause: str = ""
+    what: str = ""
+    stem: str = ""
+    precision: str = ""
+    host: str = ""
+    system: str = ""
+    version: str = ""
+    recording: str = ""
+    previous: str = ""
+    model: str = ""
+    speed: Whole = 0
+    byte_ns: Nanoseconds = 0
+    offset: Whole = 0
+    bytes: Whole = 0
+    frames: Whole = 0
+    count: Whole = 0
+    overrun: Whole = 0
+    buf_overrun: Whole = 0
+    frame: Whole = 0
+    parity: Whole = 0
+    brk: Whole = 0
+    part: Whole = 0
+    records: Whole = 0
+    gap: Seconds = 0.0
+    step: Seconds = 0.0
+    drift: Seconds = 0.0
+    late: Seconds = 0.0
+    from_: Moment = ""
+    to: Moment = ""
+    dialects: list[str] = []
+    notes: list[str] = []
+    groups: list[Whole] = []
+    ids: list[Whole] = []
+
+
+#: Type of each value that is known, by name.
+TYPES: dict[str, Any] = {field.encode_name: field.type for field in msgspec.structs.fields(Details)}
+
+
+def checked(values: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Return the values of an event that are what they should be, and in words what is wrong with each of the others."""
+    good: dict[str, Any] = {}
+    wrong: list[str] = []
+    for name, value in values.items():
+        try:
+            msgspec.convert(value, TYPES.get(name, Any))
+        except msgspec.ValidationError as error:
+            wrong.append(f"{name}: {error}")
+        else:
+            good[name] = value
+    return good, wrong
 
 
 class EventKind(NamedTuple):

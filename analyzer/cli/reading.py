@@ -11,6 +11,8 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
+
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
 from analyzer.cli.option_types import add_ids_argument, address, ids_of, milliseconds, positive
@@ -22,6 +24,7 @@ from analyzer.framer import SILENCE_NS
 from analyzer.pipeline import Item, Options, Pipeline, PortSetup, Sink
 from analyzer.port import Setups, listed_in
 from analyzer.records import CanFrame, Chunk, Event
+from analyzer.values import quote
 
 if TYPE_CHECKING:
     from analyzer.sources import Source
@@ -77,6 +80,7 @@ class OpenCapture:
         self.model: str = arguments.model or self._said.model
         self._given = self._given_dialects(traffic)
         self._known: dict[str, Dialect] = {}
+        self._kinds: dict[str, str] = {}
         #: Buses whose dialects were chosen apart.
         self.ports: dict[str, PortSetup] = {}
         self._reasons: dict[str, str] = {}
@@ -141,10 +145,10 @@ class OpenCapture:
     def _choose_by_bus(self, traffic: Sequence[Chunk | CanFrame]) -> Choice:
         """Choose for each bus by itself: as the user says, as the recording found it, or by its traffic."""
         known = self._known = registry.by_name(self.model)
-        kinds = {**{item.port: _kind(item) for item in traffic}, **self._said.kinds}
+        self._kinds = kinds = self._said.kinds | {item.port: _kind(item) for item in traffic}
         for bus, kind in kinds.items():
             given = [known.get(d.name, d) for d in self._given if d.bus == kind]
-            said = [known[name] for name in self._said.buses.get(bus, ()) if name in known]
+            said = self._spoken(bus, self._said.buses.get(bus, ()), kind)
             if given:
                 chosen, self._reasons[bus] = tuple(given), "as given"
             elif said:
@@ -157,6 +161,14 @@ class OpenCapture:
             self.ports[bus] = PortSetup(chosen, self._byte_ns(values), listed=self._listed(bus, values))
         return self._all_chosen()
 
+    def _spoken(self, bus: str, names: Sequence[str], kind: str) -> list[Dialect]:
+        """Return the dialects that a recording names for a bus, as far as they are known and can be spoken there."""
+        spoken = [self._known[name] for name in names if name in self._known and self._known[name].bus == kind]
+        if len(spoken) < len(names):
+            others = ", ".join(quote(name) for name in names if name not in {d.name for d in spoken})
+            self.source.note(f"{bus} is said to speak {others}, which no {kind} bus does that is known here: passed over")
+        return spoken
+
     def _all_chosen(self) -> Choice:
         """Return the choices of all buses as one."""
         used = {d.name: d for setup in self.ports.values() for d in setup.dialects}
@@ -167,8 +179,9 @@ class OpenCapture:
 
     def _set_up(self, event: Event) -> PortSetup | None:
         """Return what a bus is from an event on."""
-        kind = str(event.values.get("kind", "serial"))
-        said = Setups(self._known)(event)
+        kind = self._kinds.setdefault(event.port, event.values.get("kind") or "serial")
+        names = [d.name for d in self._spoken(event.port, event.values.get("dialects") or (), kind)]
+        said = Setups(self._known)(msgspec.structs.replace(event, values=event.values | {"dialects": names}))
         given = tuple(self._known.get(d.name, d) for d in self._given if d.bus == kind)
         before = self.ports.get(event.port)
         dialects = given or (said.dialects if said is not None else ())
@@ -237,7 +250,7 @@ class _Said:
             values = item.values
             if item.name in SETUPS:
                 self.buses[item.port] = [str(name) for name in values.get("dialects") or ()]
-                self.kinds[item.port] = str(values.get("kind", "serial"))
+                self.kinds[item.port] = values.get("kind") or "serial"
                 self.values[item.port] = values
             elif item.name == "part":
                 self.model = str(values.get("model", ""))

@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 
+from analyzer import events
 from analyzer.catalogue import Command, Dialect, Form, Role
 from analyzer.codec import shown
 from analyzer.layout import STATE_UNITS, Field, FieldKind
@@ -149,20 +150,20 @@ def raw_schema() -> bytes:
     )
 
 
-_SECONDS = {"type": "number", "unit": "s", "description": "unit s"}
-_UTC = {"type": "string", "description": "UTC"}
-_TEXTS = {"type": "array", "items": {"type": "string"}}
-_NAMED: tuple[tuple[dict[str, Any], str], ...] = (
-    ({"type": "string"}, "endpoint kind direction reason cause what stem precision"),
-    ({"type": "string"}, "host system version recording previous model"),
-    ({"type": "integer"}, "speed byte_ns offset bytes frames count overrun buf_overrun frame parity brk part records"),
-    (_SECONDS, "gap step drift late"),
-    (_UTC, "from to"),
-    (_TEXTS, "dialects notes"),
-    ({"type": "array", "items": {"type": "integer"}}, "groups ids"),
+#: How the values of events stand in a schema, by their type.
+_OF_TYPES: tuple[tuple[Any, dict[str, Any]], ...] = (
+    (str, {"type": "string"}),
+    (events.Nanoseconds, {"type": "integer"}),
+    (events.BusKind, {"type": "string"}),
+    (events.Whole, {"type": "integer"}),
+    (events.Seconds, {"type": "number", "unit": "s", "description": "unit s"}),
+    (events.Moment, {"type": "string", "description": "UTC"}),
+    (list[str], {"type": "array", "items": {"type": "string"}}),
+    (list[events.Whole], {"type": "array", "items": {"type": "integer"}}),
 )
-#: What an event can hold beside its name, bus and text. Counters of a driver are those that rose.
-_EVENT: dict[str, dict[str, Any]] = {name: kind for kind, names in _NAMED for name in names.split()}
+_EVENT: dict[str, dict[str, Any]] = {
+    name: next(schema for known, schema in _OF_TYPES if known == kind) for name, kind in events.TYPES.items()
+}
 _KINDS: dict[str, type | tuple[type, ...]] = {
     "string": str, "integer": int, "number": (int, float), "array": (list, tuple),
 }  # fmt: skip

@@ -13,24 +13,26 @@ none. A log that was not finished is read as far as it goes.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 
 from analyzer.catalogue import Role
 from analyzer.errors import UnreadableError
-from analyzer.events import RESUMED, SETUPS, TOPIC
+from analyzer.events import RESUMED, SETUPS, TOPIC, checked
 from analyzer.records import CanFrame, Chunk, Event, Silence
 from analyzer.sources.coverage import GAP_LIMIT, Coverage, Raw, Waiting
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.recording_parts import clock_of
-from analyzer.sources.source import Record, Source, describe
+from analyzer.sources.source import COMMENT_LIMIT, Record, Source, clean_port, describe
 from analyzer.values import counted
 
 _MAGIC = b"\x89MCAP0\r\n"
 _PROFILE = "servotap"
 _COMMENTS = "/comments"
 _RAW = "raw"
+#: Data bytes of the longest CAN frame.
+CAN_BYTES = 64
 _ROLES = {role.value: role for role in Role}
 
 
@@ -38,8 +40,8 @@ class _Logged(msgspec.Struct):
     """The keys of a message that matter here."""
 
     raw: str | None = msgspec.field(name="_raw", default=None)
-    offset: int | None = msgspec.field(name="_offset", default=None)
-    can_id: int | None = msgspec.field(name="_can_id", default=None)
+    offset: Annotated[int, msgspec.Meta(ge=0, le=1 << 62)] | None = msgspec.field(name="_offset", default=None)
+    can_id: Annotated[int, msgspec.Meta(ge=0, le=0x1FFF_FFFF)] | None = msgspec.field(name="_can_id", default=None)
     can_flags: list[str] = msgspec.field(name="_can_flags", default_factory=list)
     direction: str = msgspec.field(name="_direction", default="")
     silence: bool = msgspec.field(name="_silence", default=False)
@@ -177,7 +179,7 @@ class _Log:
                 return None
             comment = source.comment(t_ns, logged.message)
             # A mark is about all buses.
-            return comment if logged.bus is None else msgspec.structs.replace(comment, port=logged.bus)
+            return comment if logged.bus is None else msgspec.structs.replace(comment, port=clean_port(logged.bus))
         if logged.silence:
             return Silence(t_ns, source.port(lane.bus or None)) if waiting is None else None
         data = bytes.fromhex(logged.raw)
@@ -186,9 +188,11 @@ class _Log:
             direction = _ROLES.get(lane.last, Role.UNKNOWN)
         if logged.can_id is not None:
             flags = logged.can_flags
+            if len(data) > CAN_BYTES:
+                raise ValueError(f"expected a CAN frame of up to {CAN_BYTES} bytes, got {len(data)}")
             return CanFrame(
                 t_ns,
-                source.port(lane.bus or None),
+                source.port(lane.bus or None, "can"),
                 logged.can_id,
                 data,
                 direction,
@@ -202,11 +206,14 @@ class _Log:
         if logged.offset is not None and lane.bus:
             coverage = self._coverage(lane.bus, logged.offset)
             if waiting is not None and lane.is_raw:
-                waiting.add(Raw(coverage, logged.offset, Chunk(t_ns, source.port(lane.bus), data, direction)))
+                waiting.add(Raw(coverage, logged.offset, Chunk(t_ns, self._serial(lane), data, direction)))
                 return None
             first, stop = coverage.fresh(logged.offset, len(data))
             data = data[first:stop]
-        return Chunk(t_ns, source.port(lane.bus or None), data, direction) if data else None
+        return Chunk(t_ns, self._serial(lane), data, direction) if data else None
+
+    def _serial(self, lane: _Lane) -> str:
+        return self._source.port(lane.bus or None, "serial")
 
     def _coverage(self, bus: str, offset: int) -> Coverage:
         """Return what was given of a bus."""
@@ -222,10 +229,16 @@ class _Log:
 
     def _event(self, record: LogMessage) -> Iterator[Record]:
         values: dict[str, Any] = msgspec.json.decode(record.data, type=dict[str, Any])
-        name, bus, text = (str(values.pop(key, "")) for key in ("event", "bus", "text"))
+        name, bus, text = (str(values.pop(key, ""))[:COMMENT_LIMIT] for key in ("event", "bus", "text"))
         details = values.pop("details", None)
         if isinstance(details, str):
             values |= msgspec.json.decode(details, type=dict[str, Any])
+        values, wrong = checked(values)
+        if name in SETUPS and not bus:
+            self._source.problem(f"an event {name!r} of {TOPIC} that names no bus")
+            return
+        if wrong:
+            self._source.problem(f"an event {name!r} of {TOPIC}, left out of it: {'; '.join(wrong)}")
         values["text"] = text
         port = self._source.port(bus) if bus else ""
         event = Event(record.log_ns, port, name, values)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from mcap.records import Channel, Header, Metadata, Schema
 
@@ -20,6 +20,9 @@ from analyzer.sources import mcap_scan as scan
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.source import Source, describe
 from analyzer.sources.tail import Rewound, Tail
+
+if TYPE_CHECKING:
+    from mcap.summary import Summary
 
 LogRecord = Header | Schema | Channel | Metadata | LogMessage
 _READ = {scan.HEADER: Header.read, scan.SCHEMA: Schema.read, scan.CHANNEL: Channel.read, scan.METADATA: Metadata.read}
@@ -93,32 +96,47 @@ def _top(source: Source, reader: Reader, *, magic: bool = True) -> Iterator[LogR
         if length > scan.RECORD_LIMIT:
             raise ValueError(f"a record of {length} bytes, expected at most {scan.RECORD_LIMIT}")
         body = reader.read(length) if length else b""
+        source.stream.budget.record()
         if opcode == scan.CHUNK:
             yield from _chunk(source, body, reader.offset)
-        elif opcode == scan.MESSAGE:
-            yield scan.message(body)
-        elif opcode in _READ:
-            yield scan.parsed(body, _READ[opcode])
+        elif opcode == scan.MESSAGE or opcode in _READ:
+            yield from _record(source, opcode, body, reader.offset)
         elif opcode == scan.DATA_END:
             return
         elif not opcode:
             raise ValueError("a record of kind 0")
 
 
-def _chunk(source: Source, body: bytes, offset: int) -> Iterator[LogRecord]:
-    """Yield the records of a chunk."""
+def _record(source: Source, opcode: int, body: bytes, offset: int) -> Iterator[LogRecord]:
+    """Yield what a record holds; one that is damaged costs itself alone."""
     try:
-        data = scan.unpack(scan.packed(body))
-        places = list(scan.walk(data))
+        taken = scan.message(body) if opcode == scan.MESSAGE else scan.parsed(body, _READ[opcode])
+    # As above.
+    except Exception as error:
+        source.problem(f"a record of the log cannot be read: {describe(error)}", offset=offset)
+        return
+    yield taken
+
+
+def _chunk(source: Source, body: bytes, offset: int) -> Iterator[LogRecord]:
+    """Yield the records of a chunk; one that is damaged gives nothing."""
+    budget = source.stream.budget
+    try:
+        packed = scan.packed(body)
+        data = scan.unpack(packed)
+        if packed.compression:
+            budget.unpacked(len(data))
+        for _ in scan.walk(data):
+            budget.record()
+    except ServotapError:
+        raise
     # As above: zstandard, lz4 and the library each have errors of their own.
     except Exception as error:
         source.problem(f"a chunk of the log cannot be read: {describe(error)}", offset=offset)
         return
-    for opcode, first, stop in places:
-        if opcode == scan.MESSAGE:
-            yield scan.message(data[first:stop])
-        elif opcode in _READ:
-            yield scan.parsed(data[first:stop], _READ[opcode])
+    for opcode, first, stop in scan.walk(data):
+        if opcode == scan.MESSAGE or opcode in _READ:
+            yield from _record(source, opcode, data[first:stop], offset)
 
 
 # --- what a whole log says of itself --------------------------------------------------------------------------------
@@ -142,14 +160,7 @@ def outline_of(source: Source) -> Outline | None:
 
 def outline(path: Path, before_ns: int) -> Outline | None:
     """Return what a log says of itself, with what lies before a time as `skips`; None where it is not whole."""
-    from mcap.reader import SeekingReader
-
-    try:
-        with path.open("rb") as stream:
-            summary = SeekingReader(stream, record_size_limit=scan.RECORD_LIMIT).get_summary()
-    # As above.
-    except Exception:
-        return None
+    summary = summary_of(path)
     if summary is None or summary.statistics is None:
         return None
     # What was said of the buses counts for all that follows, wherever it stands.
@@ -160,6 +171,19 @@ def outline(path: Path, before_ns: int) -> Outline | None:
             skips[index.chunk_start_offset] = index.chunk_length + index.message_index_length
     statistics = summary.statistics
     return Outline(list(summary.channels.values()), skips, statistics.message_start_time, statistics.message_end_time)
+
+
+def summary_of(path: Path) -> Summary | None:
+    """Return the summary of a log; None where it has none that is whole."""
+    from mcap.reader import SeekingReader
+
+    try:
+        with path.open("rb") as stream:
+            reader = SeekingReader(stream, record_size_limit=scan.RECORD_LIMIT, validate_crcs=True)
+            return reader.get_summary()
+    # As above.
+    except Exception:
+        return None
 
 
 def bounds(path: Path) -> tuple[int, int] | None:
@@ -231,6 +255,7 @@ def _marked(source: Source, tail: Tail, places: list[int]) -> Iterator[LogRecord
                 places.append(tail.offset)
                 del places[1:-1000]
             data = tail.read(count)
+            source.stream.budget.read += count
             self.offset = tail.offset
             return data
 

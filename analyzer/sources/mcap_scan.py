@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from typing import IO, Any, NamedTuple, TypeVar, cast
 
+from analyzer.sources import budget
 from analyzer.values import counted
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -20,14 +21,15 @@ HEAD = struct.Struct("<BQ")
 #: Opcodes.
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 1, 2, 3, 4, 5, 6, 7
 METADATA, DATA_END = 12, 15
-#: Bytes of one record, and of one chunk unpacked; this program writes chunks of 1 MiB.
-RECORD_LIMIT = 64 << 20
-UNPACKED_LIMIT = 64 << 20
+#: Bytes of one record, and of one chunk unpacked.
+RECORD_LIMIT = budget.RECORD_LIMIT
+UNPACKED_LIMIT = budget.CONTAINER_LIMIT
 _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQII")
 _LENGTH = struct.Struct("<Q")
 _COMPRESSIONS = ("", "zstd", "lz4")
 _LONGEST_NAME = 16
+_STEP = 1 << 20
 
 T = TypeVar("T")
 
@@ -97,9 +99,15 @@ def unpack(chunk: Packed, *, check: bool = True) -> bytes:
             import lz4.frame  # type: ignore[import-untyped]
 
             opened = lz4.frame.open(io.BytesIO(data))
-        data = opened.read(UNPACKED_LIMIT + 1)
-        if len(data) > UNPACKED_LIMIT:
-            raise ValueError(f"{counted(len(chunk.data), 'byte')} unpacked to more than {UNPACKED_LIMIT >> 20} MiB")
+        # Step by step: a read of the most that may come would take that memory for each small chunk.
+        parts: list[bytes] = []
+        size = 0
+        while part := opened.read(_STEP):
+            parts.append(part)
+            size += len(part)
+            if size > UNPACKED_LIMIT:
+                raise ValueError(f"{counted(len(chunk.data), 'byte')} unpacked to more than {UNPACKED_LIMIT >> 20} MiB")
+        data = b"".join(parts)
     if check and chunk.crc and zlib.crc32(data) != chunk.crc:
         raise ValueError(f"the check of a chunk does not fit: expected {chunk.crc:08x}, got {zlib.crc32(data):08x}")
     return data

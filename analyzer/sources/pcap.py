@@ -53,7 +53,7 @@ def _records(source: Source, order: str, unit: int, link: int) -> Iterator[Recor
     line = Line(source, link, source.port(), "little" if order == "<" else "big")
     take = LINKS[link][1]
     unpack = struct.Struct(order + "LLLL").unpack_from
-    stream = source.stream
+    stream, pay = source.stream, source.stream.budget.record
     stream.exactly(_HEADER_SIZE)
     buffer, at, offset = b"", 0, _HEADER_SIZE
     while True:
@@ -68,6 +68,7 @@ def _records(source: Source, order: str, unit: int, link: int) -> Iterator[Recor
                 break
             taken = take(line, seconds * SECOND_NS + fraction * unit, buffer[at + _RECORD_SIZE : end], None)
             at = end
+            pay()
             if taken is not None:
                 yield taken
         more = stream.block()

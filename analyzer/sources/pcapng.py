@@ -31,6 +31,8 @@ _ENHANCED = 6
 _BLOCK_LIMIT = 16 << 20
 _LEAST_BLOCK = 12
 _COMMENT = 1
+#: Comments of one block that are kept.
+_COMMENTS = 1000
 _APPLICATION = 4
 _OWN = b"servotap "
 _NAME = 2
@@ -124,25 +126,28 @@ def _blocks(source: Source, section: _Section) -> Iterator[tuple[int, bytes]]:
 
 
 def _options(section: _Section, data: bytes) -> dict[int, bytes]:
-    """Return a block's options, the first of each code; of comments, which may be several, all of them in lines."""
+    """Return a block's options, the first of each code; of comments, which may be several, the first ones in lines."""
     found: dict[int, bytes] = {}
+    comments: list[bytes] = []
     at = 0
     while at + 4 <= len(data):
         code, length = struct.unpack_from(section.order + "HH", data, at)
         if code == 0:
             break
-        value = data[at + 4 : at + 4 + length]
-        if code == _COMMENT and code in found:
-            found[code] += b"\n" + value
-        else:
-            found.setdefault(code, value)
+        if code == _COMMENT and len(comments) < _COMMENTS:
+            comments.append(data[at + 4 : at + 4 + length])
+        elif code not in found:
+            found[code] = data[at + 4 : at + 4 + length]
         at += 4 + length + -length % 4
+    if comments:
+        found[_COMMENT] = b"\n".join(comments)
     return found
 
 
 def _records(source: Source) -> Iterator[Record]:
     section = _Section()
     for kind, body in _blocks(source, section):
+        source.stream.budget.record()
         handler = _HANDLERS.get(kind)
         if handler is None:
             continue
@@ -173,7 +178,7 @@ def _begin_interface(source: Source, section: _Section, body: bytes) -> Iterator
     if not name and section.interfaces:
         name = f"{kind}{len(section.interfaces)}"
     order = "little" if section.order == "<" else "big"
-    line = Line(source, link, source.port(name or None), order, told=section.own)
+    line = Line(source, link, source.port(name or None, kind), order, told=section.own)
     resolution = options.get(_RESOLUTION, b"\x06")[:1] or b"\x06"
     base, exponent = (2 if resolution[0] & 0x80 else 10), min(resolution[0] & 0x7F, _FINEST)
     seconds = int.from_bytes(options.get(_OFFSET, b""), "little" if section.order == "<" else "big", signed=True)

@@ -24,6 +24,8 @@ METADATA = "servotap.recording"
 #: Name of the metadata record of a log whose times are not of the epoch: `clock` says what they are.
 CLOCK_METADATA = "servotap.clock"
 _NUMBERED = re.compile(r"(?P<stem>.+)-(?P<number>\d{4,})\.mcap")
+#: Digits of the number of a part, fewer than these.
+_DIGITS = 10
 _MAGIC = b"\x89MCAP0\r\n"
 #: Records that may stand before the one that is looked for.
 _FIRST_FEW = 4
@@ -89,7 +91,7 @@ def look(path: Path) -> Part:
     """Return a log's metadata as a part; any other file is a part of no recording."""
     values = described(path).get(METADATA, {})
     number = values.get("part", "")
-    return Part(path, values.get("recording", ""), int(number) if number.isdigit() else 0)
+    return Part(path, values.get("recording", ""), int(number) if number.isdecimal() and len(number) < _DIGITS else 0)
 
 
 def in_folder(folder: Path) -> tuple[list[Part], list[str]]:

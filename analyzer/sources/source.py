@@ -106,7 +106,7 @@ class Source:
         self._passed = 0
         self.head = b""
         self._records: Iterator[Record] = iter(())
-        self._ports: dict[str | None, str] = {}
+        self._ports: dict[tuple[str | None, str], str] = {}
         self._backward = 0
         self._backward_ns = 0
         self._far = 0
@@ -185,12 +185,13 @@ class Source:
         if len(self.problems) < KEPT_PROBLEMS:
             self.problems.append(Problem(text, line, offset))
 
-    def port(self, name: str | None = None) -> str:
+    def port(self, name: str | None = None, kind: str = "") -> str:
         """Return the port for a capture's own name of a line, or for the only line of a capture that names none.
 
-        A name given by the user takes the place of the first line's; further lines are told apart by their own names.
+        A name given by the user takes the place of the first line's; further lines are told apart by their own names. `kind`:
+        serial or can, where a capture can have both: under one name they are two ports.
         """
-        known = self._ports.get(name)
+        known = self._ports.get((name, kind))
         if known is not None:
             return known
         cleaned = clean_port(name) if name else ""
@@ -199,8 +200,12 @@ class Source:
             port = self.bus if not self._ports else f"{self.bus}_{port}"
         if len(self._ports) >= PORT_LIMIT:
             self.note(f"more than {PORT_LIMIT} lines: the others are taken as one")
-            return next(iter(self._ports.values()))
-        self._ports[name] = port
+            port = next((p for (_, k), p in self._ports.items() if k == kind), f"{port}_{kind}")
+        elif kind and any(p == port and k not in ("", kind) for (_, k), p in self._ports.items()):
+            self.note(f"{port} has serial bytes and CAN frames: they are kept apart as {port} and {port}_{kind}")
+            port = f"{port}_{kind}"
+        if len(self._ports) < 2 * PORT_LIMIT:
+            self._ports[name, kind] = port
         return port
 
     def comment(self, t_ns: int | None, text: str) -> Comment:
@@ -257,7 +262,7 @@ class Source:
     def _odd_time(self, record: Record, t_ns: int, last_ns: int | None) -> Record:
         if abs(t_ns) > LATEST_NS:
             self._impossible += 1
-            return msgspec.structs.replace(record, t_ns=last_ns)
+            return msgspec.structs.replace(record, t_ns=last_ns or 0 if isinstance(record, Event | Silence) else last_ns)
         self._negative |= t_ns < 0
         self._far += t_ns >= FAR_NS
         if last_ns is not None and t_ns < last_ns:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import struct
+import tracemalloc
 from pathlib import Path
 
 import pytest
+import zstandard
 from mcap.writer import CompressionType
 
 from analyzer.catalogue import Role
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame, Chunk, Comment
+from analyzer.sources import budget
 from tests.contracts.source_contract import read_all
 from tests.sources import builders
 
@@ -126,3 +130,114 @@ def test_a_log_of_another_program(tmp_path: Path) -> None:
     path = builders.mcap_log(tmp_path / "log.mcap", [("/imu", 1, {"x": 1})], profile="ros2")
     with pytest.raises(UnreadableError, match="expected an MCAP log of servotap, got one of profile 'ros2'"):
         read_all(path)
+
+
+def recorded(path: Path, *hostile: dict[str, object], kind: str = "serial") -> Path:
+    """A log of a recording with two exchanges, and events between them."""
+    setup = {"event": "port", "bus": "left", "text": "", "kind": kind, "dialects": ["mks-rs485"], "offset": 0}
+    given: list[tuple[str, int, dict[str, object]]] = [("/recording", 1, setup)]
+    given.append(("/left/1/run_speed/request", 2, {"_raw": "FA 01 F6 01 40 02 34", "_offset": 0}))
+    given += [("/recording", 3, event) for event in hostile]
+    given.append(("/left/1/run_speed/reply", 4, {"_raw": "FB 01 F6 01 F3", "_offset": 7}))
+    return builders.mcap_log(path, given)
+
+
+HOSTILE: list[tuple[str, object]] = [
+    ("dialects", 5),
+    ("dialects", [5]),
+    ("dialects", ["nope"]),
+    ("dialects", ["mks-can"]),
+    ("late", 1e308),
+    ("gap", "x"),
+    ("gap", 1e308),
+    ("drift", [1]),
+    ("step", None),
+    ("offset", -1),
+    ("offset", 2**70),
+    ("byte_ns", 1e3),
+    ("byte_ns", 2**60),
+    ("ids", {"a": 1}),
+    ("groups", [2**70]),
+    ("speed", "fast"),
+    ("kind", "spi"),
+    ("kind", 3),
+    ("bytes", -1),
+    ("frames", [[]]),
+    ("count", {}),
+    ("reason", ["\x1b[2J"]),
+    ("bus", [1]),
+    ("details", "{"),
+    ("details", '{"gap": "x"}'),
+    ("event", None),
+]
+
+
+@pytest.mark.parametrize(
+    "name", ["port", "part", "lost", "back", "dropped", "overrun", "bus_error", "clock_step", "clock_drift"]
+)
+def test_a_hostile_event_costs_its_value_alone(name: str, tmp_path: Path) -> None:
+    from analyzer.cli import main
+
+    for n, (key, value) in enumerate(HOSTILE):
+        path = recorded(tmp_path / f"{n}.mcap", {"event": name, "bus": "left", "text": "", key: value})
+        source, records = read_all(path)
+        assert b"".join(r.data for r in records if isinstance(r, Chunk)).hex() == "fa01f601400234fb01f601f3"
+        said = " ".join(source.notes)
+        assert (key in said or "event" in said) or (value in (["nope"], ["mks-can"], None, "{") or key in ("bus", "event"))
+    everything = [{"event": name, "bus": "left", key: value} for key, value in HOSTILE]
+    path = recorded(tmp_path / "all.mcap", *everything)
+    assert main(["decode", str(path), "-o", str(tmp_path / "decoded.mcap")]) == 0
+    assert main(["export", str(path), "-o", str(tmp_path / "decoded.csv")]) == 0
+    assert sum(1 for row in (tmp_path / "decoded.csv").read_text().splitlines() if "run_speed" in row) == 2
+
+
+def test_a_bus_that_has_both_serial_bytes_and_can_frames_is_two(tmp_path: Path) -> None:
+    given: list[tuple[str, int, dict[str, object]]] = [
+        ("/left/1/run_speed/request", 2, {"_raw": "FA 01 F6 01 40 02 34", "_offset": 0}),
+        ("/left/1/run_speed/request", 3, {"_raw": "F6 01 40 02 3A", "_offset": 7, "_can_id": 1}),
+        ("/left/1/run_speed/request", 4, {"_raw": "F6 01 40 02 3A", "_offset": 12, "_can_id": -1}),
+        ("/left/1/run_speed/request", 5, {"_raw": "00" * 65, "_offset": 17, "_can_id": 1}),
+    ]
+    source, records = read_all(builders.mcap_log(tmp_path / "log.mcap", given))
+    assert records == [
+        Chunk(2, "left", bytes.fromhex("FA01F601400234")),
+        CanFrame(3, "left_can", 1, bytes.fromhex("F60140023A")),
+    ]
+    assert source.problem_count == 2
+    assert "left has serial bytes and CAN frames: they are kept apart as left and left_can" in source.notes
+
+
+@pytest.mark.parametrize(
+    ("record", "limit"), [(struct.pack("<BQ", 200, 0), "records"), (bytes((200, 247)) + bytes(254), "bytes")]
+)
+def test_a_chunk_bomb_is_refused_in_bounded_memory(
+    record: bytes, limit: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two kilobytes that are heads of records and nothing else, or records of zeros, in many chunks."""
+    monkeypatch.setattr(budget, "FREE_BYTES", 1 << 20)
+    monkeypatch.setattr(budget, "FREE_RECORDS", 10_000)
+    inner = record * ((200 << 10) // len(record))
+    packed = zstandard.ZstdCompressor().compress(inner)
+    chunk = struct.pack("<QQQII", 0, 0, len(inner), 0, 4) + b"zstd" + struct.pack("<Q", len(packed)) + packed
+    head = struct.pack("<BQ", 1, 20) + struct.pack("<I", 8) + b"servotap" + struct.pack("<I", 4) + b"test"
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n" + head + (struct.pack("<BQ", 6, len(chunk)) + chunk) * 40)
+    tracemalloc.start()
+    try:
+        with pytest.raises(UnreadableError, match=f"became more than \\d+ {limit}, expected .* taken for a decompression bomb"):
+            read_all(path)
+        assert tracemalloc.get_traced_memory()[1] < 8 << 20
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_damaged_record_in_a_chunk_costs_itself(tmp_path: Path) -> None:
+    short = struct.pack("<BQ", 5, 10) + bytes(10)
+    channel = struct.pack("<BQ", 4, 3) + b"\xff\xff\xff"
+    whole = recorded(tmp_path / "log.mcap").read_bytes()
+    at = 8 + 9 + struct.unpack_from("<Q", whole, 9)[0]
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(whole[:at] + short + channel + whole[at:])
+    source, records = read_all(path)
+    assert len([r for r in records if isinstance(r, Chunk)]) == 2
+    assert source.problem_count == 2
