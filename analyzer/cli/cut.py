@@ -15,7 +15,7 @@ from typing import IO, Any
 import msgspec
 from mcap.records import Channel
 
-from analyzer.cli.log_copy import TAGGED, Copy, Log, Taken, write_or_drop
+from analyzer.cli.log_copy import DAMAGED, TAGGED, Copy, Log, Taken, write_or_drop
 from analyzer.cli.reading import showing_progress
 from analyzer.cli.signals import Interrupt
 from analyzer.cli.time_range import WARM_NS, add_time_range_arguments
@@ -154,8 +154,8 @@ class _Cut:
         for taken in self._log.messages(*_EVERYTHING, lambda channel: channel.topic == TOPIC and wanted(channel)):
             if taken.message.log_ns >= self._since_ns:
                 break
-            said = msgspec.json.decode(taken.message.data, type=dict[str, Any])
-            name, bus = said.get("event", ""), said.get("bus", "")
+            said = _said(taken.message)
+            name, bus = str(said.get("event", "")), str(said.get("bus", ""))
             if name in SETUPS or name == "part":
                 # What is said of a bus is whole each time it is said.
                 kept["" if name == "part" else "setup", bus] = taken
@@ -176,7 +176,7 @@ class _Cut:
         """Say whether a message of a topic of all buses is of a wanted one."""
         if not self._buses or taken.channel.topic not in _SHARED:
             return True
-        bus = _bus_of(taken.message)
+        bus = str(_said(taken.message).get("bus", ""))
         return bus == "" or bus in self._buses
 
     def _describe(self, copy: Copy) -> None:
@@ -192,9 +192,9 @@ class _Cut:
         self.said = f"{counted(copy.messages, 'message')} from {iso(first_ns)} to {iso(copy.last_ns)}"
 
 
-def _bus_of(message: LogMessage) -> str:
+def _said(message: LogMessage) -> dict[str, Any]:
+    """Return the values of a message, none of one that is damaged."""
     try:
-        said = msgspec.json.decode(message.data, type=dict[str, Any])
-    except msgspec.MsgspecError:
-        return ""
-    return str(said.get("bus", ""))
+        return msgspec.json.decode(message.data, type=dict[str, Any])
+    except DAMAGED:
+        return {}

@@ -1,7 +1,7 @@
 """What `cut` and `merge` share: the messages of a log in its order, and a log that takes over messages of others.
 
-Whole logs are read through their index, so only what is wanted is unpacked; others as far as they go. Written is by the
-`mcap` library.
+Of whole logs only the chunks that are wanted are read; others are read as far as they go. What is damaged costs itself and is
+noted. Written is by the `mcap` library.
 """
 
 from __future__ import annotations
@@ -11,23 +11,26 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from mcap.reader import SeekingReader
-from mcap.records import Channel, Header, Message, Metadata, Schema
+import msgspec
+from mcap.records import Channel, ChunkIndex, Header, Metadata, Schema
+from mcap.summary import Summary
 from mcap.writer import CompressionType, Writer
 
 from analyzer import __version__
 from analyzer.cli.output import Output
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.sources import Source, open_source
-from analyzer.sources import mcap_scan as scan
-from analyzer.sources.mcap_records import bounds, outline, records
+from analyzer.sources.mcap_records import bounds, records, records_of_part, skips_of, summary_of
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.recording_parts import CLOCK_METADATA
 from analyzer.sources.times import Clock
+from analyzer.values import counted
 
 CHUNK_SIZE = 1 << 20
 #: What a reply says of its request.
-TAGGED = re.compile(rb'"_request_sequence":(\d+)')
+TAGGED = re.compile(rb'"_request_sequence":(\d{1,10})(?!\d)')
+#: What reading the JSON of a message raises where it is damaged: no JSON, no UTF-8, too deep.
+DAMAGED = (msgspec.MsgspecError, ValueError, RecursionError)
 #: Messages after which it is told how far reading has come, for a person who waits.
 _TELL_EVERY = 4096
 #: Messages of an incomplete log that are skipped in search of its declarations.
@@ -53,16 +56,17 @@ class Log:
         self.size = self.source.size or 0
         self.metadata: dict[str, dict[str, str]] = {}
         self.header = Header("", "")
-        self._whole = [outline(file, 0) is not None for file in self.files]
+        self._summaries = {file: summary_of(file) for file in self.files}
+        self._problems: dict[str, None] = {}
         self.read = 0
-        for file, whole in zip(self.files, self._whole, strict=True):
-            if not whole:
+        for file, summary in self._summaries.items():
+            if summary is None or summary.statistics is None:
                 self.source.note(f"{file.name} is incomplete: reading stops where it ends (servotap recover repairs it)")
 
     @property
     def notes(self) -> Sequence[str]:
         """What a person should know of it."""
-        return self.source.notes
+        return [*self.source.notes, *self._problems]
 
     def bounds(self) -> tuple[int, int]:
         """Return the first and last time. Raises UnreadableError for a log without messages."""
@@ -74,8 +78,8 @@ class Log:
     def declared(self) -> list[tuple[Schema | None, Channel]]:
         """Return what the log declares; of an incomplete one, only what stands before its first messages."""
         found: dict[str, tuple[Schema | None, Channel]] = {}
-        for file, whole in zip(self.files, self._whole, strict=True):
-            for schema, channel in _summarised(file) if whole else _first_declared(file):
+        for file, summary in self._summaries.items():
+            for schema, channel in _first_declared(file) if summary is None else _declared(summary):
                 found.setdefault(channel.topic, (schema, channel))
         return list(found.values())
 
@@ -83,41 +87,33 @@ class Log:
         self, since_ns: int, until_ns: int, wanted: Callable[[Channel], bool] = lambda channel: True
     ) -> Iterator[Taken]:
         """Yield the messages of a time range, both ends included, in the order of the log."""
-        for file, whole in zip(self.files, self._whole, strict=True):
-            yield from (self._indexed if whole else self._scanned)(file, since_ns, until_ns, wanted)
+        for file in self.files:
+            yield from self._messages(file, since_ns, until_ns, wanted)
             self.read += file.stat().st_size
 
-    def _indexed(self, file: Path, since_ns: int, until_ns: int, wanted: Callable[[Channel], bool]) -> Iterator[Taken]:
-        with file.open("rb") as stream:
-            reader = SeekingReader(stream, record_size_limit=scan.RECORD_LIMIT)
-            self.header = reader.get_header()
-            for metadata in reader.iter_metadata():
-                self.metadata[metadata.name] = dict(metadata.metadata)
-            summary = reader.get_summary()
-            channels = summary.channels.values() if summary is not None else ()
-            topics = [channel.topic for channel in channels if wanted(channel)]
-            if not topics:
-                return
-            found = reader.iter_messages(
-                topics=topics, starting_at=max(0, since_ns), ending_at=min(until_ns, (1 << 64) - 1), log_time_order=False
-            )
-            statistics = summary.statistics if summary is not None else None
-            first_ns = statistics.message_start_time if statistics is not None else 0
-            span_ns = max(1, statistics.message_end_time - first_ns if statistics is not None else 1)
-            begun, size = self.read, file.stat().st_size
-            for count, (schema, channel, message) in enumerate(found):
-                if not count % _TELL_EVERY:
-                    self.read = begun + size * min(span_ns, message.log_time - first_ns) // span_ns
-                yield Taken(schema, channel, _message(message))
-            self.read = begun
-
-    def _scanned(self, file: Path, since_ns: int, until_ns: int, wanted: Callable[[Channel], bool]) -> Iterator[Taken]:
+    def _messages(self, file: Path, since_ns: int, until_ns: int, wanted: Callable[[Channel], bool]) -> Iterator[Taken]:
+        summary = self._summaries[file]
         schemas: dict[int, Schema] = {}
         channels: dict[int, Channel | None] = {}
+        skips: Mapping[int, int] = {}
+        if summary is not None:
+            schemas |= summary.schemas
+            channels |= {number: channel if wanted(channel) else None for number, channel in summary.channels.items()}
+            numbers = {number for number, channel in channels.items() if channel is not None}
+
+            def is_unwanted(index: ChunkIndex) -> bool:
+                outside = index.message_end_time < since_ns or index.message_start_time > until_ns
+                return outside or (bool(index.message_index_offsets) and not numbers & index.message_index_offsets.keys())
+
+            skips = skips_of(summary, is_unwanted)
+        begun, lost = self.read, 0
         with Source(str(file)) as source:
-            for record in records(source):
+            for count, record in enumerate(records_of_part(source, skips)):
+                if not count % _TELL_EVERY:
+                    self.read = begun + source.position()
                 if isinstance(record, LogMessage):
                     channel = channels.get(record.channel_id)
+                    lost += record.channel_id not in channels
                     if channel is not None and since_ns <= record.log_ns <= until_ns:
                         yield Taken(schemas.get(channel.schema_id), channel, record)
                 elif isinstance(record, Schema):
@@ -128,6 +124,10 @@ class Log:
                     self.metadata[record.name] = dict(record.metadata)
                 else:
                     self.header = record
+            if lost:
+                source.problem(f"{counted(lost, 'message')} of topics whose declarations are lost: left out")
+            self._problems |= dict.fromkeys(f"{file.name}: {problem}" for problem in source.problems)
+        self.read = begun
 
     def close(self) -> None:
         """Close it."""
@@ -144,11 +144,7 @@ def _opened(path: str) -> Source:
     return source
 
 
-def _summarised(file: Path) -> list[tuple[Schema | None, Channel]]:
-    with file.open("rb") as stream:
-        summary = SeekingReader(stream, record_size_limit=scan.RECORD_LIMIT).get_summary()
-    if summary is None:
-        return []
+def _declared(summary: Summary) -> list[tuple[Schema | None, Channel]]:
     return [(summary.schemas.get(channel.schema_id), channel) for channel in summary.channels.values()]
 
 
@@ -167,10 +163,6 @@ def _first_declared(file: Path) -> list[tuple[Schema | None, Channel]]:
                 if count > _FIRST_MESSAGES:
                     break
     return found
-
-
-def _message(message: Message) -> LogMessage:
-    return LogMessage(message.channel_id, message.sequence, message.log_time, message.publish_time, message.data)
 
 
 class Copy:

@@ -18,7 +18,7 @@ from typing import IO, Any
 import msgspec
 from mcap.records import Channel
 
-from analyzer.cli.log_copy import TAGGED, Copy, Log, Taken, write_or_drop
+from analyzer.cli.log_copy import DAMAGED, TAGGED, Copy, Log, Taken, write_or_drop
 from analyzer.cli.reading import showing_progress
 from analyzer.cli.signals import Interrupt
 from analyzer.errors import UsageError
@@ -110,10 +110,13 @@ class _Input:
         return message
 
     def _renamed(self, data: bytes) -> bytes:
+        """Return the JSON of a message with other names and numbers; as it is where it is damaged."""
         try:
-            said = _decode(data)
-        except msgspec.MsgspecError:
+            return msgspec.json.encode(self._with_names(_decode(data)))
+        except (*DAMAGED, OverflowError):
             return data
+
+    def _with_names(self, said: dict[str, Any]) -> dict[str, Any]:
         bus = said.get("bus")
         if isinstance(bus, str) and bus in self.names:
             said["bus"] = self.names[bus]
@@ -123,7 +126,7 @@ class _Input:
         line = said.get("line")
         if isinstance(line, int) and line:
             said["line"] = line + self.shift
-        return msgspec.json.encode(said)
+        return said
 
 
 class _Merge:

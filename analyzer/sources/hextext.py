@@ -43,6 +43,8 @@ _DECIMAL_BYTES = 4
 _DECIMAL_HEADS = 4
 #: How sure a text is whose sentences speak of frames.
 _PROSE_SCORE = 0.35
+#: Frames of one line; each is looked for in all that stands behind the one before.
+_PIECES = 50
 #: A header's lines are collected up to this many bytes.
 _COLLECTED = 1 << 16
 #: Frames kept to know them again in words.
@@ -266,17 +268,22 @@ class _Reader:
 
     def _traffic(self, t_ns: int | None, line: HexLine) -> Iterator[Chunk | Comment]:
         """Yield the bytes of a line, and what stands behind them: often the reply."""
-        behind = self._manner.take(line.note) if line.note else None
-        if behind is None or behind.shape is not Shape.TRAFFIC or not behind.marked:
+        for _ in range(_PIECES):
+            behind = self._manner.take(line.note) if line.note else None
+            if behind is None or behind.shape is not Shape.TRAFFIC or not behind.marked:
+                yield self._chunk(t_ns, line, line.data)
+                if behind is not None and not self._is_idle(line):
+                    yield self._source.comment(t_ns, line.note)
+                return
+            if not line.marked and not behind.worded:
+                # `FA 01 30 2B -> FB 01 F6 01 F3`
+                line, behind = line._replace(role=Role.REQUEST), behind._replace(role=Role.REPLY)
             yield self._chunk(t_ns, line, line.data)
-            if behind is not None and not self._is_idle(line):
-                yield self._source.comment(t_ns, line.note)
-            return
-        if not line.marked and not behind.worded:
-            # `FA 01 30 2B -> FB 01 F6 01 F3`
-            line, behind = line._replace(role=Role.REQUEST), behind._replace(role=Role.REPLY)
+            line = behind
+        self._source.problem(
+            f"expected at most {_PIECES} frames on a line, got more: {quote(line.note)!r} is not read", line=self._lines.number
+        )
         yield self._chunk(t_ns, line, line.data)
-        yield from self._traffic(t_ns, behind)
 
     @staticmethod
     def _is_idle(line: HexLine) -> bool:

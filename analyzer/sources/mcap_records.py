@@ -8,11 +8,11 @@ that lie before the wanted stretch are not even read. A log that is still being 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from mcap.records import Channel, Header, Metadata, Schema
+from mcap.records import Channel, ChunkIndex, Header, Metadata, Schema
 
 from analyzer.errors import ServotapError
 from analyzer.events import TOPIC
@@ -67,7 +67,7 @@ def records(source: Source) -> Iterator[LogRecord]:
         return
     while True:
         outline = outline_of(source) if source.skip_before_ns is not None else None
-        for record in _part(source, _Sequential(source, outline.skips if outline is not None else {})):
+        for record in records_of_part(source, outline.skips if outline is not None else {}):
             yield record
             if isinstance(record, Header) and outline is not None:
                 # The chunks that declared them may not be read.
@@ -76,8 +76,9 @@ def records(source: Source) -> Iterator[LogRecord]:
             return
 
 
-def _part(source: Source, reader: Reader) -> Iterator[LogRecord]:
-    """Yield the records of one part."""
+def records_of_part(source: Source, skips: Mapping[int, int]) -> Iterator[LogRecord]:
+    """Yield the records of the part that is open, but for those at some places (see `skips_of`)."""
+    reader = _Sequential(source, skips)
     try:
         yield from _top(source, reader)
     except (ServotapError, GeneratorExit, Rewound):
@@ -165,12 +166,16 @@ def outline(path: Path, before_ns: int) -> Outline | None:
         return None
     # What was said of the buses counts for all that follows, wherever it stands.
     kept = {c.id for c in summary.channels.values() if c.topic == TOPIC}
-    skips = {}
-    for index in summary.chunk_indexes:
-        if index.message_end_time < before_ns and not kept & set(index.message_index_offsets):
-            skips[index.chunk_start_offset] = index.chunk_length + index.message_index_length
+    skips = skips_of(
+        summary, lambda index: index.message_end_time < before_ns and not kept & index.message_index_offsets.keys()
+    )
     statistics = summary.statistics
     return Outline(list(summary.channels.values()), skips, statistics.message_start_time, statistics.message_end_time)
+
+
+def skips_of(summary: Summary, unwanted: Callable[[ChunkIndex], bool]) -> dict[int, int]:
+    """Return the places of the chunks that are not wanted, and how many bytes each has with its index."""
+    return {i.chunk_start_offset: i.chunk_length + i.message_index_length for i in summary.chunk_indexes if unwanted(i)}
 
 
 def summary_of(path: Path) -> Summary | None:

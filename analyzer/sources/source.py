@@ -201,9 +201,11 @@ class Source:
         if len(self._ports) >= PORT_LIMIT:
             self.note(f"more than {PORT_LIMIT} lines: the others are taken as one")
             port = next((p for (_, k), p in self._ports.items() if k == kind), f"{port}_{kind}")
-        elif kind and any(p == port and k not in ("", kind) for (_, k), p in self._ports.items()):
+        others = {p for (_, k), p in self._ports.items() if k not in ("", kind)}
+        if kind and port in others:
             self.note(f"{port} has serial bytes and CAN frames: they are kept apart as {port} and {port}_{kind}")
-            port = f"{port}_{kind}"
+            while port in others:
+                port += f"_{kind}"
         if len(self._ports) < 2 * PORT_LIMIT:
             self._ports[name, kind] = port
         return port

@@ -23,10 +23,10 @@ from analyzer.layout import STATE_UNITS
 from analyzer.sources.times import SECOND
 from analyzer.table.columns import HEAD, TAIL, Column, Kind, merged, state_columns, suffix, told_apart, units_of_dialects
 from analyzer.table.rows import Recorded, Row, Shape
-from analyzer.values import near, quote
+from analyzer.values import counted, near, quote
 
-#: A table at a rate has at most so many rows: a capture whose clock jumps by years has more.
-MOST_TICKS = 200_000_000
+#: A table at a rate has at most so many rows, and so many more for each message: one whose clock jumps by years has more.
+MOST_TICKS, TICKS_PER_MESSAGE = 1_000_000, 1000
 _SEVERITIES = ("", "info", "warning", "error")
 _LATENCY = TAIL[0]
 #: What values of several forms become in one column.
@@ -209,10 +209,12 @@ class Wide(Table):
         ]
         chosen.check(recorded)
         span_ns = recorded.last_ns - recorded.begin_ns
-        if rate is not None and span_ns * rate / SECOND > MOST_TICKS:
+        most = MOST_TICKS + TICKS_PER_MESSAGE * recorded.count
+        if rate is not None and span_ns * rate / SECOND > most:
             ticks = int(span_ns * rate / SECOND)
             raise UsageError(
-                f"{ticks} rows in {span_ns / SECOND:.0f} s; choose a lower rate, or a time range (--since, --until)"
+                f"{ticks} rows in {span_ns / SECOND:.0f} s, expected {most} at most for {counted(recorded.count, 'message')}; "
+                "choose a lower rate, or a time range (--since, --until)"
             )
 
     def _fed(self, shape: Shape) -> Iterator[tuple[str, Iterable[Column]]]:
