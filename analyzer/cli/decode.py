@@ -10,12 +10,12 @@ import argparse
 import contextlib
 import gc
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from analyzer import __version__
-from analyzer.cli.output import Output
+from analyzer.cli.output import Output, target_of
 from analyzer.cli.reading import OpenCapture, add_reading_arguments, now_text, open_reading, progress
 from analyzer.cli.signals import Interrupt
 from analyzer.errors import UnreadableError, UsageError
@@ -53,7 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Decode each file; return 0, 1 for errors found under --strict, 2 for a file that could not be read."""
     status = 0
-    targets = [_target(path, arguments) for path in arguments.files]
+    targets: list[Path] = []
+    for path in arguments.files:
+        targets.append(_target(path, arguments, targets))
     for path, target in zip(arguments.files, targets, strict=True):
         try:
             summary = decode(path, target, arguments)
@@ -68,7 +70,8 @@ def run(arguments: argparse.Namespace) -> int:
     return status
 
 
-def _target(path: str, arguments: argparse.Namespace) -> Path:
+def _target(path: str, arguments: argparse.Namespace, taken: Sequence[Path]) -> Path:
+    """Return the log of a capture: another one than those that are taken."""
     if arguments.output is None:
         if path == "-":
             raise UsageError("standard input has no file name: name the log with -o")
@@ -79,13 +82,20 @@ def _target(path: str, arguments: argparse.Namespace) -> Path:
         else:
             target = Path(path + ".mcap") if not path.endswith(".mcap") else Path(path[: -len(".mcap")] + ".decoded.mcap")
     else:
-        target = Path(arguments.output)
-        if target.is_symlink():
-            target = target.resolve()
+        target = target_of(Path(arguments.output))
         if target.is_dir():
             target = target / (Path("standard_input" if path == "-" else path).name + ".mcap")
         elif len(arguments.files) > 1:
             raise UsageError(f"-o {arguments.output} is one file for {len(arguments.files)} captures; give a folder")
+    first, number = target, 1
+    while target in taken:
+        number += 1
+        target = first.with_name(f"{first.stem}-{number}.mcap")
+    if target is not first:
+        print(
+            f"note: {printable(str(first))} is the log of another capture: {printable(path)} goes to {printable(target.name)}",
+            file=sys.stderr,
+        )
     if target.exists() and not target.is_file():
         raise UsageError(f"{target} is not a regular file: cannot write a log there")
     if path != "-" and target.exists() and Path(path).exists() and target.samefile(path):

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO
 
 from analyzer.cli.export_table import export_table
-from analyzer.cli.output import Output
+from analyzer.cli.output import Output, target_of
 from analyzer.cli.reading import add_reading_arguments, progress
 from analyzer.cli.signals import Interrupt
 from analyzer.cli.time_range import TimeRange
@@ -153,9 +153,7 @@ def _target(arguments: argparse.Namespace) -> Path | None:
             raise UsageError("standard input has no file name: name the output with -o")
         target = Path(str(Path(arguments.file)).removesuffix(".mcap") + ending)
     else:
-        target = Path(arguments.output)
-        if target.is_symlink():
-            target = target.resolve()
+        target = target_of(Path(arguments.output))
         if target.is_dir():
             name = "standard_input" if arguments.file == "-" else Path(arguments.file).name
             target = target / (name.removesuffix(".mcap") + ending)

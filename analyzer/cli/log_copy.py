@@ -17,7 +17,7 @@ from mcap.summary import Summary
 from mcap.writer import CompressionType, Writer
 
 from analyzer import __version__
-from analyzer.cli.output import Output
+from analyzer.cli.output import Output, target_of
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.sources import Source, open_source
 from analyzer.sources.mcap_records import bounds, records, records_of_part, skips_of, summary_of
@@ -217,6 +217,7 @@ class Copy:
 
 def write_or_drop(target: Path, replace: bool, write: Callable[[IO[bytes]], None]) -> None:
     """Write a file that takes its name only when it is whole. Raises UsageError where it cannot be written."""
+    target = target_of(target)
     if target.exists() and not target.is_file():
         raise UsageError(f"{target} is not a regular file: cannot write a log there")
     if target.exists() and not replace:

@@ -15,6 +15,16 @@ from analyzer.live.spool import spool_folder
 from analyzer.sources.recording_parts import base_of
 
 
+def target_of(path: Path) -> Path:
+    """Return the file that is to be written, behind symbolic links. Raises UsageError for links that lead to themselves."""
+    if not path.is_symlink():
+        return path
+    try:
+        return path.resolve()
+    except (RuntimeError, OSError):
+        raise UsageError(f"{path} is a symbolic link that leads back to itself: remove it, or name another file") from None
+
+
 class Output:
     """A file under construction: it stands beside the target and takes its name only when it is whole.
 

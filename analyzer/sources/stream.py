@@ -14,6 +14,7 @@ What it does not know: what the bytes mean.
 from __future__ import annotations
 
 import codecs
+import errno
 import hashlib
 import os
 import stat
@@ -37,6 +38,9 @@ _ZSTD_WINDOW = 1 << 27
 GZIP_MAGIC = b"\x1f\x8b\x08"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _BOMS = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
+
+#: What is wrong with a symbolic link that cannot be opened.
+_LINK_ERRORS = {errno.ELOOP: "that leads back to itself", errno.ENOENT: "to a file that does not exist"}
 
 Report = Callable[[str], None]
 
@@ -186,6 +190,8 @@ def _open(path: str) -> tuple[int, int | None]:
     except OSError as error:
         if Path(path).is_dir():
             raise UnreadableError(f"{path} is a directory, expected a capture file") from None
+        if Path(path).is_symlink() and error.errno in _LINK_ERRORS:
+            raise UnreadableError(f"{path} is a symbolic link {_LINK_ERRORS[error.errno]}, expected a capture file") from None
         raise UnreadableError(f"{path}: {error.strerror}") from None
     mode = os.fstat(fd).st_mode
     wrong = next((what for test, what in _NO_CAPTURE if test(mode)), None)

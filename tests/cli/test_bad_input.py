@@ -6,6 +6,7 @@ import gzip
 import os
 import random
 import time
+from pathlib import Path
 
 import pytest
 import zstandard
@@ -150,3 +151,41 @@ def test_a_wrong_option_is_told_in_one_line_with_the_near_one(capsys):
     assert "unrecognized arguments: --lmit" in err
     assert "did you mean --limit? (see servotap show --help)" in err
     assert err.count("\n") == 1
+
+
+def test_two_captures_of_one_name_have_a_log_each(tmp_path, capsys):
+    paths = []
+    for name, text in (("a", "TX: FA 01 32 2D\n"), ("b", "TX: FA 01 30 2B\n")):
+        (tmp_path / name).mkdir()
+        path = tmp_path / name / "x.log"
+        path.write_text(text)
+        paths.append(str(path))
+    (tmp_path / "out").mkdir()
+    assert main(["decode", *paths, "-o", str(tmp_path / "out")]) == 0
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["x.log-2.mcap", "x.log.mcap"]
+    err = capsys.readouterr().err
+    assert "x.log.mcap is the log of another capture" in err
+    assert "goes to x.log-2.mcap" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["decode", "loop"], "loop is a symbolic link that leads back to itself, expected a capture file"),
+        (["show", "dangling"], "dangling is a symbolic link to a file that does not exist, expected a capture file"),
+        (["cut", "loop", "-o", "x.mcap"], "loop is a symbolic link that leads back to itself"),
+        (["decode", "x.log", "-o", "loop"], "loop is a symbolic link that leads back to itself: remove it"),
+        (["export", "x.log", "-o", "loop", "--to", "csv"], "loop is a symbolic link that leads back to itself: remove it"),
+        (["cut", "x.mcap", "-o", "loop"], "loop is a symbolic link that leads back to itself: remove it"),
+    ],
+)
+def test_links_that_lead_nowhere(words, said, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("loop").symlink_to("loop2")
+    Path("loop2").symlink_to("loop")
+    Path("dangling").symlink_to("nothing")
+    Path("x.log").write_text("TX: FA 01 32 2D\n")
+    assert main(["decode", "x.log", "-o", "x.mcap"]) == 0
+    capsys.readouterr()
+    assert main(words) == 2
+    assert said in capsys.readouterr().err
