@@ -102,7 +102,7 @@ class Worker:
         self.board = Board()
         self.pipe, told = FORK.Pipe(duplex=False)
         self._stacks = tempfile.TemporaryFile()  # noqa: SIM115
-        self.process = FORK.Process(target=self._run, args=(job, told), daemon=True)
+        self.process = FORK.Process(target=self._run, args=(job, told))
         self.process.start()
         told.close()
         self._woken = 0.0

@@ -491,7 +491,6 @@ def _line(words: Sequence[str]) -> Input:
 
 def _line_changed(chance: random.Random, given: Input, others: Sequence[Input]) -> Input:
     words = list(json.loads(given[INPUT]))
-    first = words[:1]
     for _ in range(chance.choice((1, 1, 2, 3))):
         at = chance.randint(1, len(words)) if len(words) > 1 else len(words)
         act = chance.random()
@@ -506,7 +505,7 @@ def _line_changed(chance: random.Random, given: Input, others: Sequence[Input]) 
         elif at < len(words):
             changed = text_changed(chance, words[at].encode("utf-8", "surrogateescape"))
             words[at] = changed.decode("utf-8", "surrogateescape")
-    return _line(words if _harmless(words) else first)
+    return _line(words) if _harmless(words) else given
 
 
 def _harmless(words: Sequence[str]) -> bool:
@@ -541,8 +540,8 @@ def _on_files(*words: str, kinds: Sequence[str] = (), share: float = 1.0) -> Tar
 
 _LOGS = ("mcap",)
 TARGETS: dict[str, Target] = {
-    "framer": Target(_framer, _bytes_seeds, _bytes_changed, 4.0, 5.0),
-    "pipeline": Target(_pipeline, _file_seeds("decode"), _file_changed, 6.0),
+    "framer": Target(_framer, _bytes_seeds, _bytes_changed, 10.0, 5.0),
+    "pipeline": Target(_pipeline, _file_seeds("decode"), _file_changed, 10.0),
     "decode": Target(_decode, _file_seeds("decode"), _file_changed, 3.0),
     "show": _on_files("show", INPUT),
     "show-json": _on_files("show", INPUT, "--json", "--bytes", "--since", "+1s"),
