@@ -13,7 +13,9 @@ into the corpus under the kind of its fault, its seed and its number. Ends with 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -49,43 +51,52 @@ class Session:
         until = time.monotonic() + seconds
         done: Counter[tuple[int, str]] = Counter()
         workers: dict[int, Worker] = {}
-        while workers or time.monotonic() < until:
-            for slot in range(self._jobs):
-                if slot not in workers and time.monotonic() < until:
-                    starts = {t: slot + self._jobs * done[slot, t] for t in self._targets}
-                    workers[slot] = Worker(fuzzing(self._targets, seed, starts, self._jobs, until, self._seeds))
-            wait([w.pipe for w in workers.values()], 0.5)
-            for slot, worker in list(workers.items()):
-                self._hear(slot, worker, seed, workers, done)
-            if time.monotonic() > self._told + PROGRESS_S:
-                self._told = time.monotonic()
-                self._tell(workers)
+        try:
+            while workers or time.monotonic() < until:
+                for slot in range(self._jobs):
+                    if slot not in workers and time.monotonic() < until:
+                        starts = {t: slot + self._jobs * done[slot, t] for t in self._targets}
+                        workers[slot] = Worker(fuzzing(self._targets, seed, starts, self._jobs, until, self._seeds))
+                wait([w.pipe for w in workers.values()], 0.5)
+                for slot, worker in list(workers.items()):
+                    if self._heard_all(worker):
+                        self._end(slot, workers.pop(slot), seed, done)
+                if time.monotonic() > self._told + PROGRESS_S:
+                    self._told = time.monotonic()
+                    self._tell(workers)
+        finally:
+            for slot, worker in workers.items():
+                worker.process.kill()
+                self._count(slot, worker, done)
 
-    def _hear(self, slot: int, worker: Worker, seed: int, workers: dict[int, Worker], done: Counter[tuple[int, str]]) -> None:
-        ended = False
+    def _heard_all(self, worker: Worker) -> bool:
+        """Take what a worker has found so far; say whether it has ended."""
         while worker.pipe.poll():
             try:
                 self._take(worker.pipe.recv())
             except EOFError:
-                ended = True
-                break
-        if not ended:
-            worker.watch()
-            return
+                return True
+        worker.watch()
+        return False
+
+    def _end(self, slot: int, worker: Worker, seed: int, done: Counter[tuple[int, str]]) -> None:
+        """Note what a worker did that has ended, and what it died of."""
         worker.process.join()
+        self._count(slot, worker, done)
         if worker.died:
             index, number, _ = worker.board.now
             target = list(TARGETS)[index]
             self._take(Finding(target, seed, number, key_of(worker.died), worker.died))
             # The next worker of this slot goes on behind it.
             done[slot, target] = max(done[slot, target], (number - slot) // self._jobs + 1)
+        worker.close()
+
+    def _count(self, slot: int, worker: Worker, done: Counter[tuple[int, str]]) -> None:
         for target in self._targets:
             count, seconds = worker.board.of(list(TARGETS).index(target))
             self.counts[target] += count
             self.seconds[target] += seconds
             done[slot, target] += count
-        worker.close()
-        del workers[slot]
 
     def _take(self, finding: Finding) -> None:
         """Shrink a finding that is new and write it into the corpus."""
@@ -177,8 +188,11 @@ def main() -> int:
     seeds = arguments.seed or [1, int.from_bytes(os.urandom(4), "little")]
     print(f"seeds: {' '.join(map(str, seeds))}; targets: {' '.join(targets)}", flush=True)
     session = Session(targets, arguments.jobs, arguments.corpus, arguments.shrink)
-    for seed in seeds:
-        session.run(seed, arguments.seconds / len(seeds))
+    # Ended early, by Ctrl-C or kill, it tells what it did so far.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with contextlib.suppress(KeyboardInterrupt):
+        for seed in seeds:
+            session.run(seed, arguments.seconds / len(seeds))
     print(session.summary())
     return int(bool(session.found))
 
