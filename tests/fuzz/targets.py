@@ -558,7 +558,7 @@ TARGETS: dict[str, Target] = {
     "merge": Target(command("merge", INPUT, "other", "-o", "out.mcap"), _two_logs, _file_changed),
     "recover": Target(_recover, _recording_seeds, _recording_changed, 3.0, 30.0),
     "recover-bytes": Target(_recover_bytes, recordings, _bytes_of_recording_changed, 3.0, 30.0),
-    **{name: Target(_words, partial(_line_seeds, name), _line_changed) for name in lines()},
+    **{name: Target(_words, partial(_line_seeds, name), _line_changed, seconds=30.0) for name in lines()},
 }  # fmt: skip
 
 
