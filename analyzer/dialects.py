@@ -13,10 +13,10 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
-from importlib.metadata import entry_points
 
+from analyzer import plugins
 from analyzer.catalogue import Command, Dialect
 from analyzer.errors import UsageError
 from analyzer.values import near, quote
@@ -34,13 +34,18 @@ _CODE = re.compile(r"(?:(?:0x)?([0-9a-f]{1,2})[:/])?(?:0x)?([0-9a-f]{1,4})h?", r
 
 @cache
 def _added() -> dict[str, Dialect]:
-    result = {}
-    for point in entry_points(group=GROUP):
-        loaded = point.load()
-        if not isinstance(loaded, Dialect):
-            raise UsageError(f"entry point {point.name} of {GROUP}: expected a Dialect, got {type(loaded).__name__}")
-        result[loaded.name] = loaded
+    result: dict[str, Dialect] = {}
+    for name, found in plugins.loaded(GROUP):
+        dialect = plugins.attempt(f"{name} of {GROUP}", partial(_as_dialect, found))
+        if dialect is not None:
+            result[dialect.name] = dialect
     return result
+
+
+def _as_dialect(found: object) -> Dialect:
+    if not isinstance(found, Dialect):
+        raise UsageError(f"expected a Dialect, got {type(found).__name__}")
+    return found
 
 
 def names() -> list[str]:

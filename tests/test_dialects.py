@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from analyzer import dialects
+from analyzer import dialects, plugins
 from analyzer.errors import UsageError
 
 
@@ -38,15 +38,33 @@ def test_an_unknown_name_says_the_nearest():
 @pytest.mark.usefixtures("_fresh")
 def test_a_package_adds_a_dialect_by_an_entry_point(monkeypatch):
     added = replace(dialects.get("mks-can"), name="extra")
-    point = SimpleNamespace(name="x", load=lambda: added)
-    monkeypatch.setattr(dialects, "entry_points", lambda group: [point] if group == dialects.GROUP else [])
+    point = SimpleNamespace(name="x", value="extra:D", load=lambda: added)
+    monkeypatch.setattr(plugins, "points", lambda group: [point] if group == dialects.GROUP else [])
     dialects._added.cache_clear()
     assert dialects.names()[-1] == "extra"
     assert dialects.get("extra") is added
-    point.load = lambda: "no dialect"
+
+
+def _ends():
+    raise SystemExit(1)
+
+
+@pytest.mark.usefixtures("_fresh")
+@pytest.mark.parametrize(
+    ("load", "why"),
+    [
+        (lambda: "no dialect", "x of servotap.dialects failed and is left out: UsageError: expected a Dialect, got str"),
+        (lambda: 1 / 0, "x (bad:\\x1b) of servotap.dialects failed and is left out: ZeroDivisionError: division by zero"),
+        (_ends, "x (bad:\\x1b) of servotap.dialects failed and is left out: SystemExit: 1"),
+    ],
+)
+def test_a_dialect_that_cannot_be_had_is_named_and_left_out(load, why, monkeypatch, capsys):
+    point = SimpleNamespace(name="x", value="bad:\x1b", load=load)
+    monkeypatch.setattr(plugins, "points", lambda group: [point] if group == dialects.GROUP else [])
     dialects._added.cache_clear()
-    with pytest.raises(UsageError, match="expected a Dialect, got str"):
-        dialects.names()
+    assert "mks-can" in dialects.names()
+    assert len(dialects.names()) == len(dialects._OWN)
+    assert capsys.readouterr().err == f"servotap: {why}\n"
 
 
 def test_a_model_changes_the_dialects_that_know_it_alone():

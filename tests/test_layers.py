@@ -17,6 +17,7 @@ LAYERS = (
     ("analyzer.errors", "analyzer"),
     ("analyzer.layout",),
     ("analyzer.codec", "analyzer.values"),
+    ("analyzer.plugins",),
     ("analyzer.link",),
     ("analyzer.catalogue",),
     ("analyzer.protocols",),

@@ -11,6 +11,7 @@ import difflib
 import os
 import sys
 from collections.abc import Sequence
+from functools import partial
 from importlib import import_module
 from types import ModuleType
 from typing import NoReturn
@@ -36,6 +37,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "completion": ("analyzer.cli.completion", "print what makes your shell complete these commands"),
 }
 GROUP = "servotap.commands"
+#: Packages of this project: what fails in them is a fault of servotap.
+_OWN = ("analyzer.", "conformance.")
 #: Other names of commands.
 _ALIASES = {"catalog": "catalogue"}
 #: What one wants to do -> the commands for it, in the order of the help. Commands that stand nowhere come last.
@@ -61,10 +64,10 @@ A fault of servotap itself ends with status 70; --traceback, or SERVOTAP_TRACEBA
 
 def _added() -> dict[str, tuple[str, str]]:
     """Return the commands of other packages: name -> (module, help)."""
-    from importlib.metadata import entry_points
+    from analyzer.plugins import points
 
     # The text after the blank in an entry point's name would not be valid, so the help comes from the module itself.
-    return {point.name: (point.value.split(":")[0], "") for point in entry_points(group=GROUP)}
+    return {point.name: (point.value.split(":")[0], "") for point in points(GROUP)}
 
 
 def _every_command() -> dict[str, tuple[str, str]]:
@@ -114,13 +117,17 @@ def _main(words: list[str]) -> int:
         print(f"servotap {__version__}")
         return 0
     name, rest = _ALIASES.get(words[0], words[0]), words[1:]
+    from analyzer.plugins import attempt
+
     entry = COMMANDS.get(name) or _added().get(name)
     if entry is None:
         near = difflib.get_close_matches(name, [*COMMANDS, *_added()], 1, 0.4)
         hint = f"; did you mean {near[0]}?" if near else ""
         print(f"servotap: no command {name!r}{hint} (see servotap --help)", file=sys.stderr)
         return 2
-    return _run(name, import_module(entry[0]), rest)
+    load = partial(import_module, entry[0])
+    module = load() if entry[0].startswith(_OWN) else attempt(f"the command {name} ({entry[0]})", load)
+    return 2 if module is None else _run(name, module, rest)
 
 
 def _joined(words: Sequence[str]) -> list[str]:

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from functools import partial
 from importlib import import_module
-from importlib.metadata import entry_points
 from types import ModuleType
 
+from analyzer import plugins
 from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
 from conformance.claim import Claim, Theme
@@ -123,11 +123,14 @@ def _made(dialect: Dialect) -> tuple[Claim, ...]:
 
 
 def _sources() -> list[Source]:
-    return [_source(f"{__name__}.{name}") for name in MODULES] + [_added(p.load()) for p in entry_points(group=GROUP)]
+    added = [_added(name, found) for name, found in plugins.loaded(GROUP)]
+    return [_source(f"{__name__}.{name}") for name in MODULES] + added
 
 
-def _added(loaded: ModuleType | Source) -> Source:
-    return partial(declared_in, loaded.__name__) if isinstance(loaded, ModuleType) else loaded
+def _added(name: str, loaded: ModuleType | Source) -> Source:
+    source = partial(declared_in, loaded.__name__) if isinstance(loaded, ModuleType) else loaded
+
+    return lambda dialect: plugins.attempt(f"{name} of {GROUP}", lambda: list(source(dialect))) or ()
 
 
 def _source(name: str) -> Source:
