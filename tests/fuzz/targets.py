@@ -445,8 +445,10 @@ def _bytes_seeds() -> list[Input]:
 
 
 def _bytes_changed(chance: random.Random, given: Input, others: Sequence[Input]) -> Input:
-    data = given[INPUT] + (chance.choice(others)[INPUT] if chance.random() < 0.3 else b"")
-    return {INPUT: bytes_changed(chance, data, 8)[:1000]}
+    """Damage some frames in a row; most often few, as what is short is quick."""
+    data = given[INPUT] + chance.choice(others)[INPUT]
+    at, size = chance.randrange(len(data)), chance.choice((12, 25, 40, 60, 300))
+    return {INPUT: bytes_changed(chance, data[at : at + size], 1 + size // 12)[:1000]}
 
 
 def _two_logs() -> list[Input]:
