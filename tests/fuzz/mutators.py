@@ -631,5 +631,5 @@ CONTAINERS: dict[str, Container] = {
 }
 _MAGICS = (
     (b"LOGG", "blf"), (_MCAP_MAGIC, "mcap"), (b"\x0a\x0d\x0d\x0a", "pcapng"), (b"\xd4\xc3\xb2\xa1", "pcap"),
-    (b"\x4d\x3c\xb2\xa1", "pcap"), (b"\x1f\x8b", "packed"), (b"\x28\xb5\x2f\xfd", "packed"), (bytes((spool.MAGIC,)), "spool"),
+    (b"\x4d\x3c\xb2\xa1", "pcap"), (b"\x1f\x8b", "packed"), (b"\x28\xb5\x2f\xfd", "packed"),
 )  # fmt: skip

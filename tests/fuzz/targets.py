@@ -164,10 +164,35 @@ def _decode(given: Input, place: Place) -> None:
         check_log(place.folder / "out.mcap", fed(place.folder / INPUT))
 
 
-def fed(path: Path) -> int:
+def _copied(*words: str) -> Run:
+    """Return a target of a command that makes a log, which the library must read."""
+
+    def run(given: Input, place: Place) -> None:
+        lay_out(given, place.folder)
+        if run_words((*words, "-o", "out.mcap"), place) == 0:
+            for _ in messages(place.folder):
+                pass
+
+    return run
+
+
+def _exported(to: str) -> Run:
+    """Return a target of an export whose bytes must be those of the capture, read back."""
+
+    def run(given: Input, place: Place) -> None:
+        lay_out(given, place.folder)
+        if run_words(("export", INPUT, "--to", to, "-o", "out"), place) == 0:
+            before, after = fed(place.folder / INPUT), fed(place.folder / "out", to)
+            if before != after:
+                raise Fault(f"other bytes come back: {before} were exported, {after} read")
+
+    return run
+
+
+def fed(path: Path, format: str | None = None) -> int:
     """Return how many bytes of traffic a capture holds."""
     size = 0
-    with contextlib.suppress(ServotapError), open_source(path) as source:
+    with contextlib.suppress(ServotapError), open_source(path, format=format) as source:
         for item in source:
             if isinstance(item, (Chunk, CanFrame)):
                 size += len(item.data)
@@ -410,7 +435,10 @@ def _bytes_of_recording_changed(chance: random.Random, given: Input, others: Seq
 
 
 def _kind(name: str, data: bytes) -> str:
-    return "checkpoint" if Path(name).name.startswith("checkpoint") else "json" if name.endswith(".json") else kind_of(data)
+    return next((kind for part, kind in _KINDS.items() if part in name), None) or kind_of(data)
+
+
+_KINDS = {"/checkpoint": "checkpoint", ".json": "json", ".raw": "spool"}
 
 
 # --- captures -----------------------------------------------------------------------------------------------------------
@@ -536,8 +564,8 @@ def _capture(name: str) -> bytes:
 # --- the table ------------------------------------------------------------------------------------------------------------
 
 
-def _on_files(*words: str, kinds: Sequence[str] = (), share: float = 1.0) -> Target:
-    return Target(command(*words), _file_seeds("decode", words[0], kinds=kinds), _file_changed, share)
+def _on_files(*words: str, run: Run | None = None, kinds: Sequence[str] = (), share: float = 1.0) -> Target:
+    return Target(run or command(*words), _file_seeds("decode", words[0], kinds=kinds), _file_changed, share)
 
 
 _LOGS = ("mcap",)
@@ -552,12 +580,12 @@ TARGETS: dict[str, Target] = {
     "export-parquet": _on_files("export", INPUT, "-o", "out.parquet", share=0.5),
     "export-xlsx": _on_files("export", INPUT, "-o", "out.xlsx", share=0.5),
     "export-candump": _on_files("export", INPUT, "--to", "candump", "-o", "-"),
-    "export-pcapng": _on_files("export", INPUT, "-o", "out.pcapng"),
+    "export-pcapng": _on_files("export", run=_exported("pcapng")),
     "export-hex": _on_files("export", INPUT, "--to", "hex", "-o", "-"),
     "check": _on_files("check", INPUT, share=0.5),
     "replay": _on_files("replay", INPUT, "--on", "serial:none", "--dry-run", share=0.5),
-    "cut": _on_files("cut", INPUT, "--since", "+1s", "-o", "out.mcap", kinds=_LOGS),
-    "merge": Target(command("merge", INPUT, "other", "-o", "out.mcap"), _two_logs, _file_changed),
+    "cut": _on_files("cut", run=_copied("cut", INPUT, "--since", "+1ms"), kinds=_LOGS),
+    "merge": Target(_copied("merge", INPUT, "other"), _two_logs, _file_changed),
     "recover": Target(_recover, _recording_seeds, _recording_changed, 3.0, 30.0),
     "recover-bytes": Target(_recover_bytes, recordings, _bytes_of_recording_changed, 3.0, 30.0),
     **{name: Target(_words, partial(_line_seeds, name), _line_changed, seconds=30.0) for name in lines()},

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer
 
 from analyzer.errors import ServotapError
 from analyzer.live import checkpoint
@@ -165,3 +166,26 @@ def test_the_framer_of_the_target_loses_nothing_and_would_tell(monkeypatch):
     monkeypatch.setattr(targets._Line, "take", lambda self, pieces: [(0, b"".join(pieces)[1:])])
     (text,) = outcomes("framer", [{INPUT: captures()[0]}])
     assert "other bytes came out" in text
+
+
+def test_a_byte_that_a_log_lacks_is_told(tmp_path):
+    (tmp_path / "log").write_bytes(samples()["mcap"])
+    size = targets.fed(tmp_path / "log")
+    targets.check_log(tmp_path / "log", size)
+    with pytest.raises(Fault, match=f"{size + 1} bytes came in, {size} stand in the log"):
+        targets.check_log(tmp_path / "log", size + 1)
+
+
+@pytest.mark.parametrize("name", ["recover-bytes", "decode", "export-pcapng"])
+def test_a_command_that_loses_all_is_told(name, monkeypatch):
+    def lose(words, place):
+        with (place.folder / words[words.index("-o") + 1] if "-o" in words else place.folder / "out.mcap").open("wb") as stream:
+            writer = Writer(stream)
+            writer.start()
+            writer.finish()
+        return 0
+
+    monkeypatch.setattr(targets, "run_words", lose)
+    given = recordings()[0] if name == "recover-bytes" else {INPUT: captures()[0]}
+    (text,) = outcomes(name, [given])
+    assert "not in the log" in text or "came in" in text or "come back" in text
