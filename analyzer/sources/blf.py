@@ -176,9 +176,11 @@ def _whole(source: Source, buffer: bytearray, *, final: bool) -> Iterator[tuple[
             at = end
             continue
         at += len(_SIGNATURE)
-    if final:
-        _passed(source, len(buffer) - at)
-        at = len(buffer)
+    if final or found < 0:
+        # What is left may end in the beginning of a signature.
+        end = len(buffer) if final else max(at, len(buffer) - len(_SIGNATURE) + 1)
+        _passed(source, end - at)
+        at = end
     del buffer[:at]
 
 

@@ -18,9 +18,17 @@ FREE_RECORDS, RECORDS_PER_BYTE = 1 << 20, 16
 #: Bytes of one record in the file, and of one container or chunk unpacked; writers stay at 1 MiB.
 RECORD_LIMIT = 64 << 20
 CONTAINER_LIMIT = 64 << 20
-#: Of a process that reads a file with a library that has no bounds: bytes of memory and seconds, free and for each MiB.
-CHILD_BYTES, CHILD_BYTES_PER_MIB = 1 << 30, 32 << 20
-CHILD_SECONDS, CHILD_SECONDS_PER_MIB = 20, 5
+#: Bytes that signs for "the same again" may stand for, and how many more for each byte of the file.
+FREE_REPEATED, REPEATED_PER_BYTE = 1 << 20, 16
+#: Of a process that reads a file with a library that has no bounds: bytes of memory and seconds, and more for each MiB.
+CHILD_BYTES, CHILD_BYTES_PER_MIB = 500 << 20, 20 << 20
+CHILD_SECONDS, CHILD_SECONDS_PER_MIB = 20, 10
+
+
+def child_limits(size: int) -> tuple[int, int]:
+    """Return the bytes of memory and the seconds of CPU time for a file of a size."""
+    mib = -(-size // (1 << 20))
+    return CHILD_BYTES + CHILD_BYTES_PER_MIB * mib, CHILD_SECONDS + CHILD_SECONDS_PER_MIB * mib
 
 
 class Budget:
@@ -31,6 +39,7 @@ class Budget:
         self.read = 0
         self._bytes = 0
         self._records = 0
+        self._repeated = 0
 
     def unpacked(self, size: int) -> None:
         """Pay for bytes that came out of a decompressor. Raises UnreadableError where they are too many."""
@@ -52,6 +61,13 @@ class Budget:
         self._records += 1
         if self._records > FREE_RECORDS and self._records > FREE_RECORDS + RECORDS_PER_BYTE * self.read:
             self._refuse("records", FREE_RECORDS, RECORDS_PER_BYTE)
+
+    def repeat(self, size: int) -> bool:
+        """Pay for bytes that a sign for "the same again" stands for; say whether they can be paid."""
+        if self._repeated + size > FREE_REPEATED + REPEATED_PER_BYTE * self.read:
+            return False
+        self._repeated += size
+        return True
 
     def _refuse(self, what: str, free: int, each: int) -> None:
         raise UnreadableError(

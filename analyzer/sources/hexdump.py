@@ -28,8 +28,6 @@ _FRAMED = re.compile(r"[|>].*$")
 _WITH_TEXT = re.compile(r"\s*[0-9A-Fa-f]{4,16}:?\s+(?:[0-9A-Fa-f]{2,4} ?){1,16} {2,}\S")
 #: Characters behind a wider gap than hexdump has between its halves.
 _COLUMN = re.compile(r"\s{3,}\S.*$")
-#: Rows that one `*` may stand for.
-_REPEATED = 1 << 22
 _LONGEST_ROW = 64
 _LONGEST_PACKET = 1 << 16
 #: Share of rows that must follow from the one before; some may be missing.
@@ -75,7 +73,7 @@ def _row(line: str) -> tuple[int, bytes] | None:
 
 def _records(source: Source) -> Iterator[Chunk]:
     packets = sum(1 for line in head_lines(source.head) if (row := _row(line)) is not None and row[0] == 0) > 1
-    lines = Lines(source)
+    lines, budget = Lines(source), source.stream.budget
     port = source.port()
     before, end = b"", 0
     first = True
@@ -98,9 +96,8 @@ def _records(source: Source) -> Iterator[Chunk]:
             packet.clear()
         elif not first and offset > end:
             missing = offset - end
-            if starred and before and missing % len(before) == 0 and missing <= _REPEATED:
-                for _ in range(missing // len(before)):
-                    yield Chunk(None, port, before)
+            if starred and before and missing % len(before) == 0 and budget.repeat(missing):
+                yield Chunk(None, port, before * (missing // len(before)))
             else:
                 source.problem(f"{counted(missing, 'byte')} missing before offset {offset:X}", line=lines.number)
         first = starred = False

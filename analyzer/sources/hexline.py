@@ -162,7 +162,7 @@ _USUAL = re.compile(
 
 _COMMENT_SIGNS = ("#", "//", ";", "%", "*", "--", "/*", "'", "```")
 _ARROW = re.compile(r"-+>")
-_TRAILING = re.compile(r"(?:#|//|;|\(|\||!|--(?=\s)|[-=]+>|→).*", re.DOTALL)
+_TRAILING = re.compile(r"(?:#|//|;|\(|\||!|--(?=\s)|(?<![-=])[-=]++>|→).*", re.DOTALL)
 #: Words behind bytes: `old_data:`, `, 4) = 4`, `OK`.
 _WORDY = re.compile(
     r"(?<=[\s\"'\])},])(?:[A-Za-z_]{2}\w*+(?: data)?\s*[:=]|,\s*\d+\s*\)|[G-Zg-z_][A-Za-z_]{2,}+(?:\s|$)).*", re.DOTALL

@@ -22,6 +22,7 @@ import msgspec
 from analyzer.catalogue import Role
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame
+from analyzer.sources.budget import child_limits
 from analyzer.sources.mf4_child import LENGTH, Batch
 from analyzer.sources.source import Source
 
@@ -34,8 +35,9 @@ import json, os, sys
 sys.path[:] = json.loads(sys.argv[2])
 out = os.fdopen(os.dup(1), "wb")
 os.dup2(2, 1)
+from analyzer.sources.budget import child_limits
 from analyzer.sources.mf4_child import main
-main(sys.argv[1], out)
+main(sys.argv[1], out, *map(int, sys.argv[3:]))
 """
 
 
@@ -65,16 +67,20 @@ def _installed() -> bool:
 def _records(source: Source) -> Iterator[CanFrame]:
     with contextlib.ExitStack() as stack:
         path = stack.enter_context(_as_file(source))
+        size = os.stat(path).st_size
         child = subprocess.Popen(
-            [sys.executable, "-c", _CHILD, os.path.abspath(path), json.dumps(sys.path)],
+            [sys.executable, "-c", _CHILD, os.path.abspath(path), json.dumps(sys.path), *map(str, child_limits(size))],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
+            # Each thread of its libraries would take memory of its own on a machine with many processors.
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
         )
         stack.callback(_end, child)
         assert child.stdout is not None
         for batch in _batches(child.stdout):
             for row in batch.rows:
+                source.stream.budget.record()
                 yield CanFrame(
                     row.t_ns,
                     source.port(f"can{row.channel}" if row.channel is not None else None),
@@ -94,7 +100,11 @@ def _records(source: Source) -> Iterator[CanFrame]:
                 source.problem(f"the MF4 file is damaged: {batch.failure}")
             if batch.last:
                 return
-        source.problem(f"the MF4 file is damaged: asammdf crashed on it (exit code {child.wait()})")
+        memory, seconds = child_limits(size)
+        source.problem(
+            f"the MF4 file is damaged: asammdf crashed on it (exit code {child.wait()}), or needed more than "
+            f"{memory >> 20} MiB or {seconds} s"
+        )
 
 
 def _batches(pipe: IO[bytes]) -> Iterator[Batch]:

@@ -7,6 +7,7 @@ A stream that ends without a batch marked as last means that the process died.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import struct
 from collections.abc import Callable
@@ -42,9 +43,15 @@ class Batch(msgspec.Struct, array_like=True):
     failure: str = ""
 
 
-def main(path: str, out: IO[bytes]) -> None:
-    """Write the frames of a file to `out`."""
+def main(path: str, out: IO[bytes], memory: int, seconds: int) -> None:
+    """Write the frames of a file to `out`, within so many bytes of memory and so much CPU time."""
     logging.disable(logging.CRITICAL)
+    # Windows has no limits of a process.
+    with contextlib.suppress(ImportError):
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
     opened = False
     rows: list[Row] = []
     try:

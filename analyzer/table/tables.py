@@ -26,7 +26,7 @@ from analyzer.table.rows import Recorded, Row, Shape
 from analyzer.values import counted, near, quote
 
 #: A table at a rate has at most so many rows, and so many more for each message: one whose clock jumps by years has more.
-MOST_TICKS, TICKS_PER_MESSAGE = 1_000_000, 1000
+MOST_TICKS, TICKS_PER_MESSAGE = 1_000_000, 200
 _SEVERITIES = ("", "info", "warning", "error")
 _LATENCY = TAIL[0]
 #: What values of several forms become in one column.

@@ -88,3 +88,11 @@ def test_a_text_can_be_read_as_raw_bytes(tmp_path: Path) -> None:
     path = tmp_path / "text"
     path.write_bytes(b"hello")
     assert read_all(path, format="raw", bus="left")[1] == [Chunk(None, "left", b"hello")]
+
+
+def test_a_star_that_stands_for_more_than_the_file_pays_for_is_a_gap(tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    path.write_text("00000000  fa\n*\n00001000  fb\n*\n40000000  fc\n")
+    source, records = read_all(path)
+    assert [len(r.data) for r in records if isinstance(r, Chunk)] == [1, 0xFFF, 1, 1]
+    assert "bytes missing before offset 40000000" in source.problems[0].text
