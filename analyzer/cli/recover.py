@@ -171,9 +171,10 @@ def _from_spools(folder: Path, told: RecordingConfig, log: Path, interrupt: Inte
     paths = _go_on(new, second, interrupt)
     logs = [log, *parts_named(log)]
     old = [path for path in logs if path.exists()]
-    if whole:
+    if whole or not old:
         second.replace(log)
-        print(f"{printable(log.name)}: whole; written anew from its spools, which held all of the recording")
+        what = "which held all of the recording" if whole else "as far as they had it"
+        print(f"{printable(log.name)}: whole; written anew from its spools, {what}")
         return [log]
     for path in old[-1:]:
         _repair(path, None, replace=True)

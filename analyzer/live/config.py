@@ -89,7 +89,7 @@ def load(folder: Path) -> RecordingConfig:
     for path in (folder / NAME, folder / COPY):
         try:
             told = msgspec.json.decode(path.read_bytes(), type=RecordingConfig)
-        except (OSError, msgspec.MsgspecError) as error:
+        except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
             reasons.append(f"{path}: expected the configuration of a recording, got: {error}")
             continue
         if told.spools != FORMAT and not told.crc:

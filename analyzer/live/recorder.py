@@ -43,7 +43,7 @@ FLUSH_NS = 700_000_000
 SNAPSHOT_NS = 100_000_000
 #: Between two attempts to write on a full disk; how long it is tried once the end was asked for.
 RETRY_S = 0.25
-LAST_TRIES_NS = 10_000_000_000
+LAST_TRIES_NS = 2_000_000_000
 #: Without leash and without anything new for this long, no reader is left.
 QUIET_NS = 2_000_000_000
 _FILES = ("*.raw", "checkpoint.*", "index.*", "recording.*", DECODING, RUNNING)

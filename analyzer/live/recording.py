@@ -558,7 +558,7 @@ def _belongs(record: Record, bus: Bus | None) -> bool:
     if record.kind == RecordKind.CAN:
         return bus is not None and bus.kind == "can" and len(record.data) >= CAN_HEAD.size
     if record.kind == RecordKind.EVENT:
-        with contextlib.suppress(msgspec.MsgspecError):
+        with contextlib.suppress(msgspec.MsgspecError, UnicodeDecodeError):
             return bool(record.event)
         return False
     return True

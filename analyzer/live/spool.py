@@ -164,12 +164,17 @@ class SpoolWriter:
         file = self._file
         if file is None or self._size >= self._segment_size:
             file = self._next()
+        elif os.fstat(file.fileno()).st_nlink == 0:
+            file = self._store_again(file)
         at = self._size
         rest = memoryview(record)
         try:
             while rest:
                 # A part is what there was room for; why not for more says the next attempt.
-                rest = rest[file.write(rest) or 0 :]
+                written = file.write(rest)
+                if not written:
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                rest = rest[written:]
         except OSError:
             # Half a record would hide all that follows it.
             file.truncate(at)
@@ -180,11 +185,27 @@ class SpoolWriter:
     def _next(self) -> IO[bytes]:
         if self.limit and size_of(self._folder) >= self.limit:
             raise OSError(errno.EDQUOT, FULL)
-        file = open(self._folder / f"{self._stem}.{self._segment + 1:06d}.raw", "xb", buffering=0)  # noqa: SIM115
+        file = self._create(self._segment + 1)
         if self._file is not None:
             self._file.close()
         self._segment += 1
         self._file, self._size = file, 0
+        return file
+
+    def _create(self, number: int) -> IO[bytes]:
+        return open(self._folder / f"{self._stem}.{number:06d}.raw", "x+b", buffering=0)
+
+    def _store_again(self, deleted: IO[bytes]) -> IO[bytes]:
+        """Write a segment that was deleted anew: its consumer may not have read it. Raises OSError."""
+        deleted.seek(0)
+        data = deleted.read(self._size)
+        file = self._create(self._segment)
+        if file.write(data) != len(data):
+            file.close()
+            Path(file.name).unlink()
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        deleted.close()
+        self._file = file
         return file
 
     def close(self) -> None:
@@ -237,6 +258,8 @@ class SpoolReader:
             assert self._file is not None
             size = max(HEAD.size, min(1 << 18, most - taken))
             data = self._file.read(size)
+            if not data and self._stored_again():
+                data = self._file.read(size)
             over = False
             # Only when a younger segment exists is nothing more to come in this one; look once more after seeing it.
             if not data and (final or self._has_next()):
@@ -293,6 +316,19 @@ class SpoolReader:
             return False
         self._file.seek(self._place)
         self._rest = b""
+        return True
+
+    def _stored_again(self) -> bool:
+        """Go over to the file of this segment that took the place of the one that is open, where that was deleted."""
+        assert self._file is not None
+        if os.fstat(self._file.fileno()).st_nlink:
+            return False
+        path = next((path for number, path in segments(self._folder, self._stem) if number == self._segment), None)
+        if path is None:
+            return False
+        self._file.close()
+        self._file = open(path, "rb", buffering=0)  # noqa: SIM115
+        self._file.seek(self._place + len(self._rest))
         return True
 
     def _has_next(self) -> bool:

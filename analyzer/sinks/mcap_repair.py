@@ -450,24 +450,32 @@ class _Repair:
     def _declare_channel(self, body: bytes) -> None:
         number = int.from_bytes(body[:2], "little")
         if number not in self._channels:
+            schema = int.from_bytes(body[2:4], "little")
+            if schema and schema not in self._schemas:
+                known = (each for _, each in self._old.values() if each is not None)
+                same = (each for each in known if int.from_bytes(each[:2], "little") == schema)
+                self._put_schema(next(same, None) or _any_schema(schema))
             self._channels.add(number)
             self._file.take_channel(body, number)
 
+    def _put_schema(self, body: bytes) -> None:
+        """Declare a schema whose declaration was lost: the new file needs it before its channels."""
+        self._declare_schema(body)
+        self._file.put(scan.SCHEMA, body)
+
     def _declare_lost(self, number: int) -> None:
-        """Declare a channel whose declaration was lost."""
+        """Declare a channel whose declaration was lost; it stands outside of chunks."""
         channel, schema = self._old.get(number, (b"", None))
         if not channel:
-            free = max(self._schemas, default=0) + 1
-            schema = record_bytes(Schema(id=free, data=b'{"type":"object"}', encoding="jsonschema", name="servotap.lost"))[9:]
+            free = next(n for n in range(0xFFFF, 0, -1) if n not in self._schemas)
+            schema = _any_schema(free)
             channel = record_bytes(
                 Channel(id=number, topic=f"{_LOST}/{number}", message_encoding="json", metadata={}, schema_id=free)
-            )[9:]
+            )[scan.HEAD.size :]
             text = f"the declaration of channel {number} is lost: its messages stand on {_LOST}/{number}"
             self._outcome.faults.append(Fault(0, 0, text))
-        # The new file needs them before the messages; both stand outside of chunks.
         if schema is not None and int.from_bytes(schema[:2], "little") not in self._schemas:
-            self._declare_schema(schema)
-            self._file.put(scan.SCHEMA, schema)
+            self._put_schema(schema)
         self._declare_channel(channel)
         self._file.put(scan.CHANNEL, channel)
 
@@ -501,6 +509,12 @@ class _Repair:
         if begun is not None and "servotap" not in self._about:
             self._file.add_metadata("servotap", {**begun, "incomplete": "the recording was killed", "ended": "killed"})
         self._file.add_metadata(RECOVERED, values)
+
+
+def _any_schema(number: int) -> bytes:
+    """Return a schema that fits any message, as the body of a record."""
+    schema = Schema(id=number, data=b'{"type":"object"}', encoding="jsonschema", name="servotap.lost")
+    return record_bytes(schema)[scan.HEAD.size :]
 
 
 def _unpack_begin(data: bytes) -> bytes:

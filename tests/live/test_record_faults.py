@@ -259,28 +259,6 @@ def test_a_full_disk_costs_nothing_while_memory_lasts(tmp_path):
         assert recorded.summary["ports"][0].get("dropped", 0) == 0
 
 
-def test_a_disk_that_stays_full_is_told_with_how_much_was_lost(tmp_path):
-    disk = tmp_path / "disk"
-    with (
-        small_disk(disk, "256k") as enlarge,
-        pty_pair() as (master, path),
-        Recorded(disk, f"left=serial:{path},baud=4000000", "--raw-only") as recorded,
-    ):
-        sent = flood(master, 600_000)
-        recorded.wait_note("cannot store: No space left on device")
-        recorded.kill(signal.SIGINT)
-        unstored = recorded.wait_note("could not be stored", 20)
-        # Else the decoding process goes on trying for its own while.
-        enlarge("8m")
-        assert recorded.end(None) == 1
-        port = recorded.summary["ports"][0]
-        assert port["dropped"] > 0
-        assert str(port["dropped"]) in unstored["text"]
-        found = raw(recorded.log)["left"]
-        assert found == sent[: len(found)]
-        assert len(found) + port["dropped"] == len(sent)
-
-
 def test_a_limit_of_the_files_size_is_a_full_disk(tmp_path):
     with pty_pair() as (master, path), Recorded(tmp_path, f"left=serial:{path},baud=4000000", "--raw-only") as recorded:
         reader = recorded.pid_of("live.reader")

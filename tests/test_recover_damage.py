@@ -1,0 +1,186 @@
+"""Any damaged byte, any prefix: `recover` ends, the `mcap` library reads what it made, and only what was hit is missing."""
+
+from __future__ import annotations
+
+import functools
+import random
+import tempfile
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from analyzer.cli import main
+from analyzer.live import config
+from analyzer.live.log_parts import LogParts
+from analyzer.live.recording import Recording
+from analyzer.live.spool import HEAD, SpoolReader, stems
+from tests.collect import sum8
+from tests.live.spooled import START, Spools, port, read
+
+LOG = "out.mcap"
+SPOOL = f"{LOG}.spool"
+#: Damaged bytes of each kind of file that are tried; all of them take minutes.
+TRIED = 6
+
+
+def frames(count):
+    """Frames that are all different."""
+    return [sum8(f"FB 01 32 {n >> 8:02X} {n & 255:02X}").replace(" ", "").upper() for n in range(count)]
+
+
+@functools.cache
+def killed(whole):
+    """The files of a recording that was killed, and its frames. `whole`: its spools hold it from the beginning."""
+    sent = frames(160)
+    with tempfile.TemporaryDirectory() as folder:
+        spools = Spools(folder, port("1-left", "left", byte_ns=260_416), segment_size=1 << 20 if whole else 500)
+        for n, frame in enumerate(sent):
+            spools.data("1-left", 10 * n, frame)
+        spools.close()
+        told = config.load(spools.folder)
+        recording = Recording(spools.folder, told, LogParts(spools.folder, told))
+        for number, each in enumerate(recording.merger.take(START + 10**12)):
+            recording.take([each])
+            if number % 20 == 19:
+                recording.flush()
+            if number == 110:
+                break
+        recording.abandon()
+        found = {str(p.relative_to(folder)): p.read_bytes() for p in sorted(Path(folder).rglob("*")) if p.is_file()}
+    return found, set(sent)
+
+
+def recovered(files, folder):
+    """The frames of all logs there are after `recover`, each of which the library reads."""
+    for name, data in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+    assert main(["recover", str(folder / LOG)]) == 0
+    assert not list(folder.glob("*.spool"))
+    found = set()
+    for path in folder.glob("*.mcap"):
+        with path.open("rb") as stream:
+            make_reader(stream, validate_crcs=True).get_summary()
+        found |= {
+            v["_raw"].replace(" ", "")
+            for topic, _, v in read(path)
+            if topic.endswith("/raw") or "/lost/" in topic and "_raw" in v
+        }
+    return found
+
+
+def in_chunk(data, at, folder):
+    """The frames of the chunk of a log in which a place lies."""
+    path = folder / "before.mcap"
+    path.write_bytes(data)
+    assert main(["recover", str(path)]) == 0
+    path_data = path.read_bytes()
+    with path.open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    found = set()
+    for chunk in chunks:
+        # `recover` copies chunks unchanged.
+        start = data.find(path_data[chunk.chunk_start_offset : chunk.chunk_start_offset + chunk.chunk_length])
+        if 0 <= start <= at < start + chunk.chunk_length:
+            found = {
+                v["_raw"].replace(" ", "")
+                for topic, message, v in read(path)
+                if topic.endswith("/raw") and chunk.message_start_time <= message.log_time <= chunk.message_end_time
+            }
+    path.unlink()
+    return found
+
+
+def record_at(data, at):
+    """The frame of the record of a spool in which a place lies, as a set."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "1-left.000000.raw").write_bytes(data)
+        records = list(SpoolReader(Path(folder), "1-left").read())
+    return {r.data.hex().upper() for r in records if r.end - len(r.data) - HEAD.size <= at < r.end}
+
+
+@pytest.mark.parametrize("whole", [True, False], ids=["spools-hold-all", "spools-hold-the-end"])
+@pytest.mark.parametrize("kind", ["checkpoint", "index", "recording", "raw", LOG])
+def test_a_damaged_byte_costs_what_it_hit(tmp_path, kind, whole):
+    files, sent = killed(whole)
+    chance = random.Random(f"{kind} {whole}")
+    names = [name for name in files if kind in Path(name).name]
+    assert names
+    for number in range(TRIED):
+        name = chance.choice(names)
+        at = chance.randrange(len(files[name]))
+        data = bytearray(files[name])
+        data[at] ^= 1 << chance.randrange(8)
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        found = recovered({**files, name: bytes(data)}, folder)
+        hit = set()
+        if kind == "raw":
+            hit = record_at(files[name], at)
+        elif kind == LOG and not whole:
+            hit = in_chunk(files[name], at, folder)
+        assert sent - found <= hit, f"{name} byte {at}"
+
+
+@pytest.mark.parametrize("whole", [True, False], ids=["spools-hold-all", "spools-hold-the-end"])
+def test_the_end_of_a_log_that_is_zeros_costs_at_most_that(tmp_path, whole, capsys):
+    """As after a loss of power. The folder goes only when what was in it can be read elsewhere."""
+    files, sent = killed(whole)
+    cut = len(files[LOG]) - 2500
+    found = recovered({**files, LOG: files[LOG][:cut] + bytes(2500)}, tmp_path)
+    assert "cannot be gone on with" in capsys.readouterr().out
+    if whole:
+        assert found == sent
+    else:
+        assert len(sent - found) < 60
+        assert frames(160)[-1] in found
+
+
+def test_any_prefix_of_a_log_recovers(tmp_path):
+    data = killed(True)[0][LOG]
+    before = -1
+    for number, cut in enumerate(sorted(random.Random(5).sample(range(8, len(data)), TRIED))):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        found = recovered({LOG: data[:cut]}, folder)
+        assert len(found) >= before
+        before = len(found)
+    assert before > 60
+
+
+def test_a_stray_file_is_no_spool(tmp_path):
+    files, sent = killed(True)
+    for name in ("notes.raw", "x.000000.raw", "-1-x.0.raw"):
+        files = {**files, f"{SPOOL}/{name}": b"anything"}
+    for name, data in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(data)
+    assert stems(tmp_path / SPOOL) == ["1-left"]
+    assert main(["recover", str(tmp_path / LOG)]) == 0
+    assert sent == {
+        v["_raw"].replace(" ", "")
+        for topic, _, v in read(tmp_path / LOG)
+        if topic.endswith("/raw") or "/lost/" in topic and "_raw" in v
+    }
+
+
+@pytest.mark.parametrize("pattern", ["recording*.json", "checkpoint.?", "*.raw"])
+def test_what_is_missing_is_said_with_what_to_do(tmp_path, pattern, capsys):
+    files, sent = killed(True)
+    files = {name: data for name, data in files.items() if not Path(name).match(pattern)}
+    if pattern == "recording*.json":
+        for name, data in files.items():
+            (tmp_path / name).parent.mkdir(exist_ok=True)
+            (tmp_path / name).write_bytes(data)
+        assert main(["recover", str(tmp_path / LOG)]) == 2
+        assert "repairs the log alone" in capsys.readouterr().err
+        assert (tmp_path / LOG).read_bytes() == files[LOG]
+        return
+    found = recovered(files, tmp_path)
+    if pattern == "checkpoint.?":
+        assert "there is no checkpoint" in capsys.readouterr().out
+        assert found == sent
+    else:
+        assert len(found) >= 100
