@@ -66,7 +66,7 @@ def recovered(files, folder):
         found |= {
             v["_raw"].replace(" ", "")
             for topic, _, v in read(path)
-            if topic.endswith("/raw") or "/lost/" in topic and "_raw" in v
+            if topic.endswith("/raw") or ("/lost/" in topic and "_raw" in v)
         }
     return found
 
@@ -162,7 +162,7 @@ def test_a_stray_file_is_no_spool(tmp_path):
     assert sent == {
         v["_raw"].replace(" ", "")
         for topic, _, v in read(tmp_path / LOG)
-        if topic.endswith("/raw") or "/lost/" in topic and "_raw" in v
+        if topic.endswith("/raw") or ("/lost/" in topic and "_raw" in v)
     }
 
 

@@ -74,3 +74,18 @@ def test_any_row_in_any_steps(tmp_path_factory, seed, count):
     while not merger.drained:
         rows += taken(merger, None)
     assert [ms for _, ms in rows] == sorted(sent)
+
+
+def test_it_says_how_far_it_is_behind_also_of_what_it_has_not_read_yet(tmp_path):
+    a = SpoolWriter(tmp_path, "1-a")
+    for ms in range(5000):
+        put(a, ms)
+    merger = Merger(tmp_path, ["1-a"])
+    now_ns = T0 + 5000 * MS
+    assert merger.behind_ns(now_ns) == 0, "nothing is known yet"
+    list(merger.take(now_ns))
+    first = merger.behind_ns(now_ns)
+    assert 1000 * MS < first < 5000 * MS
+    while merger.horizon_ns < now_ns - 200 * MS:
+        list(merger.take(now_ns))
+    assert merger.behind_ns(now_ns) < first - 1000 * MS

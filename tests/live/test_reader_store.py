@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from analyzer.live.reader_store import RETRY_NS, StatusLine, Store
-from analyzer.live.spool import CanFlag, RecordKind, SpoolReader, SpoolWriter
+from analyzer.live.spool import CanFlag, RecordKind, SpoolReader, SpoolWriter, size_of
 
 STEM = "1-a"
 
@@ -200,3 +200,28 @@ def test_a_status_line_never_waits():
     assert first == b'{"event":"note","t_ns":0,"text":"' + b"x" * 100 + b'"}'
     os.close(read)
     os.close(write)
+
+
+def test_beyond_the_limit_of_all_spools_it_is_dropped_counted_and_told(tmp_path):
+    """A flood: decoding does not keep up, and the disk is not filled."""
+    now_ns, told = [0], []
+    writer = SpoolWriter(tmp_path, STEM, segment_size=100, limit=2000)
+    store = Store(writer, lambda t_ns, event, about: told.append((event, about)), held_limit=300, clock=lambda: now_ns[0])
+    for n in range(100):
+        now_ns[0] += RETRY_NS
+        store.chunk(n + 1, bytes(50))
+        store.flush()
+    assert 2000 <= size_of(tmp_path) < 2300
+    assert store.dropped > 2000
+    # The consumer has come after it.
+    reader = SpoolReader(tmp_path, STEM)
+    stored = sum(len(r.data) for r in reader.read(1 << 20) if r.kind == RecordKind.DATA)
+    reader.drop_before(reader.position[0])
+    now_ns[0] += RETRY_NS
+    store.tick()
+    after = list(reader.read(1 << 20))
+    stored += sum(len(r.data) for r in after if r.kind == RecordKind.DATA)
+    (dropped,) = (r.event for r in after if r.kind == RecordKind.EVENT)
+    assert dropped["bytes"] == store.dropped == 5000 - stored
+    assert "--max-spool" in dropped["reason"]
+    assert [about["bytes"] for event, about in told if event == "dropped"] == [store.dropped]

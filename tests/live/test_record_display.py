@@ -5,8 +5,11 @@ from __future__ import annotations
 import io
 import json
 import sys
+from types import SimpleNamespace
 
-from analyzer.cli.record_display import JsonDisplay, LineDisplay
+from analyzer.cli.record_display import JsonDisplay, LineDisplay, behind
+from analyzer.live.port_status import PortStatus
+from analyzer.live.snapshot import BusCounts, Snapshot
 
 
 class Writes(io.StringIO):
@@ -31,3 +34,25 @@ def test_a_line_is_one_write_so_that_two_threads_never_share_a_line(monkeypatch)
     assert [json.loads(text) for text in out.each] == [{"event": "note", "bus": "left", "text": "cannot store"}]
     assert out.each[0].endswith("}\n")
     assert errors.each == ["left: cannot store\n"]
+
+
+def test_it_says_by_how_much_decoding_is_behind(monkeypatch):
+    """In seconds and frames: of a serial line by the length of those so far, of a CAN bus those that were stored."""
+    buses = [BusCounts("left", frames=100, bytes=700, junk_bytes=50), BusCounts("arm", frames=40)]
+    snapshot = Snapshot(0, 1, buses=buses, behind_ns=2_500_000_000)
+    left = PortStatus(bus="left", endpoint="", count=1450)
+    arm = PortStatus(bus="arm", endpoint="", unit="frames", count=70)
+    supervisor = SimpleNamespace(
+        snapshot=snapshot, tallies={"1": left, "2": arm}, began_ns=0, ended_ns=0, phase="recording",
+        config=SimpleNamespace(raw_only=False, log="x.mcap"),
+    )  # fmt: skip
+    assert behind(supervisor) == (2.5, 130)
+    out = Writes()
+    monkeypatch.setattr(sys, "stdout", out)
+    LineDisplay().line(supervisor)
+    JsonDisplay().line(supervisor)
+    assert "decoding is 2.5 s behind, about 130 frames" in "".join(out.each)
+    told = json.loads(out.each[-1])
+    assert (told["behind"], told["behind_frames"]) == (2.5, 130)
+    supervisor.snapshot = Snapshot(0, 1, buses=buses, behind_ns=900_000_000)
+    assert behind(supervisor) == (0.0, 0)

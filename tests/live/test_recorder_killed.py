@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import contextlib
 import random
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from analyzer.cli import main
-from analyzer.errors import UnreadableError
-from analyzer.live import checkpoint, config
+from analyzer.live import checkpoint, config, recorder
 from analyzer.live.log_parts import LogParts
 from analyzer.live.recording import Recording
+from analyzer.records import Chunk
 from analyzer.sources import open_source
 from tests.collect import sum8
 from tests.conformance.drives.served import wait_for
-from tests.live.spooled import START, Spools, content, decoded_of, metadata, port, raw_of, read, traffic
+from tests.live.spooled import MS, START, UTC, Spools, content, decoded_of, metadata, port, raw_of, read, traffic
 
 LEFT = port("1-left", "left", byte_ns=260_416, speed=38400)
 RIGHT = port("2-right", "right", dialects=())
@@ -184,21 +183,33 @@ def test_a_real_process_killed_at_random_moments(tmp_path):
     assert not spools.folder.exists()
 
 
-def test_what_was_flushed_is_in_the_file_within_a_second(tmp_path):
-    spools = Spools(tmp_path, LEFT)
-    spools.data("1-left", 1, sum8("FA 01 32"))
-    process = start(spools.folder)
-    try:
-        deadline = time.monotonic() + 20
-        size = 0
-        while size < 4 and time.monotonic() < deadline:
-            time.sleep(0.05)
-            if spools.log.exists() and spools.log.stat().st_size:
-                # A log whose head is not whole yet cannot be opened.
-                with contextlib.suppress(UnreadableError), open_source(spools.log) as source:
-                    size = sum(len(item.data) for item in source if hasattr(item, "data"))
-        assert size == 4
-    finally:
-        process.kill()
-        process.wait()
-        process.stderr.close()
+class Killed(Exception):
+    """The process is gone at this moment."""
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_came_is_in_the_file_within_a_second_whenever_it_is_killed(tmp_path, monkeypatch, seed):
+    """On a clock of its own: a silent bus beside one that is never quiet, and death at any moment."""
+    spools = Spools(tmp_path, LEFT, RIGHT)
+    dies_ms = random.Random(seed).randint(1500, 4000)
+    clock = SimpleNamespace(now_ns=START, told_ms=0)
+
+    def sleep(seconds):
+        clock.now_ns += int(seconds * 1e9)
+        while clock.told_ms * MS < clock.now_ns - START:
+            spools.data("1-left", clock.told_ms, sum8("FA 01 32"))
+            clock.told_ms += 5
+
+    def until():
+        if clock.now_ns - START > dies_ms * MS:
+            raise Killed
+        return False
+
+    monkeypatch.setattr(recorder, "time", SimpleNamespace(monotonic_ns=lambda: clock.now_ns, sleep=sleep))
+    process = recorder.Recorder(spools.folder, say=print)
+    with pytest.raises(Killed):
+        process.run(until=until)
+    process.close()
+    with open_source(spools.log) as source:
+        last_ns = max(item.t_ns for item in source if isinstance(item, Chunk))
+    assert clock.now_ns - START - (last_ns - UTC) <= 1000 * MS
