@@ -46,7 +46,7 @@ RETRY_S = 0.25
 LAST_TRIES_NS = 2_000_000_000
 #: Without leash and without anything new for this long, no reader is left.
 QUIET_NS = 2_000_000_000
-_FILES = ("*.raw", "checkpoint.*", "index.*", "recording.*", DECODING, RUNNING)
+_FILES = ("*.raw", "*.taken", "checkpoint.*", "index.*", "recording.*", DECODING, RUNNING)
 
 
 class Stalled(ServotapError):

@@ -68,6 +68,8 @@ class Passing:
         self._lost_ns = 0
         self._counters = counters(adapter.fd) if adapter.has_line else None
         self._counted_ns = self._tick_ns = time.monotonic_ns()
+        #: Called with the direction and the number of bytes that were taken.
+        self.on_taken: Callable[[str, int], None] = lambda direction, size: None
         #: Called with the descriptor of each adapter that was opened again.
         self.on_open: Callable[[int], None] = lambda fd: None
 
@@ -160,6 +162,7 @@ class Passing:
                 gone = "the port disconnected (unplugged?)" if self._adapter.has_line else "the server closed the connection"
                 break
             stamp_ns = time.monotonic_ns()
+            self.on_taken(REPLY, len(data))
             self._give_program(data)
             pieces.append((stamp_ns, data))
         if pieces:
@@ -226,6 +229,7 @@ class Passing:
         now_ns = time.monotonic_ns()
         self._to_adapter[:] = data[written:]
         if written:
+            self.on_taken(REQUEST, written)
             self._sent.add(now_ns, data[:written], self._byte_ns)
 
     # --- settings -------------------------------------------------------------------------------------------------

@@ -32,12 +32,13 @@ from analyzer.live.spool import Record, RecordKind, SpoolWriter, last_record
 from conformance.tap.adapter import Adapter, Wiring, adapter_of
 from conformance.tap.passing import Passing
 from conformance.tap.settings import of_endpoint
-from conformance.tap.storing import REPLY, REQUEST, Storing
+from conformance.tap.storing import REPLY, REQUEST, Storing, Taken
 from conformance.tap.terminal import Terminal
 
 #: A thread of ours that computes gives way after this many seconds when bytes come.
 _SWITCH_S = 0.0005
 _TAKEN_OVER = "the tap's process died and another one has taken over; the program's port and the adapter stayed open"
+_DIED = "the tap's process died before it had stored them; they were passed on"
 _REQUEST_PRECISION = "reckoned: the end of sending, from when the program wrote and the speed of the line"
 _SIDES = {"on": True, "off": False, "leave": None}
 
@@ -104,6 +105,8 @@ def _run(arguments: argparse.Namespace, stop: TapStop, tell: Any) -> None:
     before = {direction: last_record(arguments.folder, stem) for direction, stem in stems.items()}
     limit = recording.max_spool
     storing = Storing({d: _store(SpoolWriter(arguments.folder, s, limit=limit), s, before[d], tell) for d, s in stems.items()})
+    stored = {d: 0 if record is None else record.before + record.units for d, record in before.items()}
+    taken = _taken(arguments.folder / f"{arguments.reply}.taken", stored)
     successor = any(before.values())
     terminal = Terminal(*arguments.terminal, attended=successor and _others(arguments.terminal[1]))
     named = of_endpoint(endpoint)
@@ -111,6 +114,13 @@ def _run(arguments: argparse.Namespace, stop: TapStop, tell: Any) -> None:
     hand_over(adapter.fd)
     passing = Passing(terminal, adapter, storing, stop, named, keep_on=lambda: not stop.terminated)
     passing.on_open = hand_over
+    if taken is not None:
+        passing.on_taken = taken.add
+        for direction, count in (taken.before or {}).items():
+            record = before[direction]
+            if count > stored[direction]:
+                from_ns = record.t_ns if record is not None else time.monotonic_ns()
+                storing.dropped(direction, count - stored[direction], from_ns, _DIED)
     sys.setswitchinterval(_SWITCH_S)
     # What is loaded stays, and need not be looked at again and again.
     gc.collect()
@@ -121,6 +131,14 @@ def _run(arguments: argparse.Namespace, stop: TapStop, tell: Any) -> None:
         adapter.close()
         terminal.close()
         storing.close(stop.asked or "the tap broke off")
+
+
+def _taken(path: Path, stored: dict[str, int]) -> Taken | None:
+    """Return the counts of what is taken; None where they have no place, as on a full disk."""
+    try:
+        return Taken(path, stored)
+    except OSError:
+        return None
 
 
 def _store(writer: SpoolWriter, stem: str, before: Record | None, tell: Any) -> Store:

@@ -28,7 +28,7 @@ from conformance.tap import passing as module
 from conformance.tap.adapter import Adapter, SerialAdapter, TcpAdapter, Wiring, adapter_of
 from conformance.tap.passing import Passing
 from conformance.tap.settings import LineSettings, of_endpoint, of_terminal, set_terminal
-from conformance.tap.storing import REPLY, REQUEST, Storing
+from conformance.tap.storing import REPLY, REQUEST, Storing, Taken
 from conformance.tap.terminal import Terminal
 from tests.conformance.drives.served import wait_for
 
@@ -466,3 +466,17 @@ def test_a_tap_goes_on_without_its_supervisor_while_a_program_is_there(tmp_path:
         tap.terminal.close()
         tap.storing.close("over")
     assert tap.stored(REQUEST) == b"on and on"
+
+
+def test_what_a_tap_had_taken_outlives_it(tmp_path: Path) -> None:
+    place = tmp_path / "2-left.taken"
+    first = Taken(place, {REQUEST: 0, REPLY: 0})
+    assert first.before is None
+    first.add(REQUEST, 7)
+    first.add(REPLY, 30)
+    first.add(REQUEST, 3)
+    # Of these it stored 8 and 30, and then it died.
+    second = Taken(place, {REQUEST: 8, REPLY: 30})
+    assert second.before == second.counts == {REQUEST: 10, REPLY: 30}
+    place.write_bytes(b"damaged")
+    assert Taken(place, {REQUEST: 8, REPLY: 30}).counts == {REQUEST: 8, REPLY: 30}

@@ -121,10 +121,22 @@ def test_a_tap_that_is_killed_lets_go_of_nothing(tmp_path: Path, drive: str) -> 
         ask(port, 5)
         tap.wait_note("has taken over")
         ask(port, 5)
-    assert tap.wait_bytes(15 * (len(READ) + len(REPLY)))
+        assert tap.wait_bytes(15 * (len(READ) + len(REPLY)))
+        # These take 50 ms to send, and are stored then.
+        port.write(bytes(200))
+        wait_for(lambda: port.out_waiting == 0, 1.0)
+        os.kill(tap.pid_of("tap.process"), signal.SIGKILL)
+        tap.wait_note("has taken over")
     tap.finish()
     found = topics(tap.log)
     assert found.count("/left/1/read_speed/request") == found.count("/left/1/read_speed/reply") == 15
+    # What was passed on and not stored is counted.
+    asked = sum(
+        len(bytes.fromhex(v["_raw"])) for t, v in messages(tap.log) if t == "/left/raw" and v.get("_direction") == "request"
+    )
+    dropped = [v for t, v in messages(tap.log) if t == "/recording" and v["event"] == "dropped"]
+    assert asked + sum(v["bytes"] for v in dropped) == 15 * len(READ) + 200
+    assert all("process died" in v["reason"] for v in dropped)
 
 
 def test_decoding_that_is_killed_delays_no_byte(tmp_path: Path, drive: str) -> None:
