@@ -78,7 +78,7 @@ def behind(supervisor: Supervisor) -> tuple[float, int]:
     frames = 0
     for bus, _, count in counts(supervisor):
         ports = [port for port in supervisor.tallies.values() if port.bus == bus]
-        stored = sum(port.count or 0 for port in ports)
+        stored = sum((port.count or 0) - port.dropped for port in ports)
         if ports[0].unit == "frames":
             frames += max(0, stored - count.frames)
         else:

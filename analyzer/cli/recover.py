@@ -27,6 +27,7 @@ from analyzer.live.config import RecordingConfig
 from analyzer.live.lock import RUNNING, Lock
 from analyzer.live.log_parts import LogParts, log_of
 from analyzer.live.recorder import Recorder
+from analyzer.live.recording import Recording
 from analyzer.live.spool import segments, spool_folder, stems
 from analyzer.sinks.mcap_repair import RepairResult, broken_before, repair, unreadable
 from analyzer.sources.recording_parts import base_of, look, parts_named
@@ -115,21 +116,22 @@ def _trouble(folder: Path, log: Path, interrupt: Interrupt) -> str:
         if not start.position:
             return ""
         path = log.with_name(start.path)
-        parts = LogParts(folder, config.load(folder))
-        parts.resume(start).abandon()
+        told = config.load(folder)
+        parts = LogParts(folder, told)
+        Recording(folder, told, parts).abandon()
         parts.close()
     except UnreadableError as error:
         return str(error)
     place = 0
 
-    def told(at: int) -> None:
+    def reached(at: int) -> None:
         nonlocal place
         place = at
         if interrupt.asked:
             raise KeyboardInterrupt
 
     with showing_progress(f"reading {path.name}", start.position, lambda: place):
-        broken = broken_before(path, start.position, told)
+        broken = broken_before(path, start.position, reached)
     return f"{path} is damaged: {broken}" if broken else ""
 
 

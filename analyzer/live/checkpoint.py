@@ -20,7 +20,7 @@ import zlib
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 
@@ -36,18 +36,24 @@ NAMES = ("checkpoint.0", "checkpoint.1")
 _CHECK = 4
 
 
+#: Numbers as their places in a log bound them.
+Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 62)]
+Number2 = Annotated[int, msgspec.Meta(ge=0, lt=1 << 16)]
+Number4 = Annotated[int, msgspec.Meta(ge=0, lt=1 << 32)]
+
+
 class BusState(msgspec.Struct, kw_only=True):
     """One bus. `pending`: bytes that are in the log as they came and not in a frame yet; `pending_ns`: their time."""
 
-    offset: int = 0
-    last_ns: int = 0
+    offset: Count = 0
+    last_ns: Count = 0
     sounded: bool = False
     sent: bool = False
     dialects: list[str] = []
     guessing: bool = False
     reason: str = ""
     pending: bytes = b""
-    pending_ns: int = 0
+    pending_ns: Count = 0
     pending_direction: str = "unknown"
     notes: list[str] = []
     lost: dict[str, int] = {}
@@ -58,36 +64,75 @@ class BusState(msgspec.Struct, kw_only=True):
 class SpoolState(msgspec.Struct, kw_only=True):
     """One spool: where to go on, what should come next, and up to when it was seen to be quiet."""
 
-    segment: int
-    place: int
-    expected: int | None = None
+    segment: Annotated[int, msgspec.Meta(ge=-1, lt=1 << 62)]
+    place: Count
+    expected: Count | None = None
     quiet_ns: int = 0
     ended: bool = False
+
+
+class FileState(msgspec.Struct, kw_only=True, rename=lambda name: f"_{name}"):
+    """What `McapFile.state` returns."""
+
+    position: Count
+    counts: dict[Number2, Count]
+    first_ns: Count
+    last_ns: Count
+    messages: Count
+    chunks: Number4
+    metadata: Number4
+    schemas: Number2
+    channels: Number2
+
+
+class LogState(msgspec.Struct, kw_only=True):
+    """What `RecordingLog.state` returns."""
+
+    last_ns: Count
+    seconds: dict[str, Annotated[list[int | None], msgspec.Meta(min_length=7)]]
+
+
+class CountsState(msgspec.Struct, kw_only=True):
+    """What `RecordingCounts.state` returns."""
+
+    bytes: Count
+    frames: Count
+    frame_bytes: Count
+    junk_bytes: Count
+    marks: Count
+    findings: dict[str, Count]
+    before: dict[str, Count]
 
 
 class Checkpoint(msgspec.Struct, kw_only=True):
     """The whole of it. `number` counts them; `position` 0: the part was not begun yet."""
 
-    number: int
-    part: int
+    number: Count
+    part: Number4
     path: str
-    position: int
+    position: Count
     previous: str = ""
     begun_ns: int | None = None
-    index_length: int = 0
+    index_length: Count = 0
     index_crc: int = 0
-    file: dict[str, Any] = {}
-    log: dict[str, Any] = {}
+    file: FileState | None = None
+    log: LogState | None = None
     spools: dict[str, SpoolState] = {}
     buses: dict[str, BusState] = {}
-    counts: dict[str, Any] = {}
-    clock_ns: int = 0
-    sequence: int = 0
+    counts: CountsState | None = None
+    clock_ns: Count = 0
+    sequence: Count = 0
     digest: str = ""
     decoding: bytes = b""
     ended: str = ""
     drift_ns: int = 0
     moved: tuple[int, int] = (0, 0)
+
+    def __post_init__(self) -> None:
+        if not self.path or Path(self.path).name != self.path or "\0" in self.path:
+            raise ValueError(f"expected the name of a log, got {self.path!r}")
+        if self.position and None in (self.file, self.log, self.counts):
+            raise ValueError("a part of it is missing")
 
     def save(self, folder: Path) -> None:
         """Store it in the folder of the spools. Raises OSError with the one before still there."""

@@ -12,9 +12,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
+import msgspec
+
 from analyzer import __version__
 from analyzer.errors import UnreadableError, UsageError
-from analyzer.live.checkpoint import Checkpoint
+from analyzer.live.checkpoint import Checkpoint, FileState
 from analyzer.live.config import RecordingConfig
 from analyzer.sinks.mcap_file import LogFile, McapFile
 from analyzer.sinks.mcap_index import FileIndex, WholeWrites
@@ -126,7 +128,7 @@ class LogParts:
             raise UnreadableError(str(error)) from None
         except OSError as error:
             raise UnreadableError(f"{self.path} cannot be resumed: {error.strerror or error}") from None
-        self.file = McapFile.resume(self._stream, start.file, self._index, patient=True)
+        self.file = McapFile.resume(self._stream, msgspec.to_builtins(start.file), self._index, patient=True)
         self._begun_ns = start.begun_ns
         return self._wrap(self.file) if self._wrap is not None else self.file
 
@@ -141,7 +143,7 @@ class LogParts:
             "position": self.file.position,
             "index_length": self._index.length,
             "index_crc": self._index.crc,
-            "file": self.file.state(),
+            "file": msgspec.convert(self.file.state(), FileState),
         }
 
     def sync(self) -> None:

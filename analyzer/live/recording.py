@@ -23,10 +23,11 @@ from analyzer import dialects as registry
 from analyzer import events
 from analyzer.catalogue import Role
 from analyzer.detect import Choice
+from analyzer.errors import UnreadableError
 from analyzer.framer import SILENCE_NS
 from analyzer.live import checkpoint
 from analyzer.live.bus import Bus, HeldRecords, buses_of
-from analyzer.live.checkpoint import Checkpoint, SpoolState
+from analyzer.live.checkpoint import Checkpoint, CountsState, LogState, SpoolState
 from analyzer.live.config import CONTROL, PortConfig, RecordingConfig
 from analyzer.live.counts import RecordingCounts
 from analyzer.live.log_parts import LogParts
@@ -108,8 +109,12 @@ class Recording:
         self.pipeline = Pipeline(list(known.values()), sinks, options, on_setup=Setups(known))
         if start is None:
             self._open_part()
-        else:
+            return
+        try:
             self._resume(start)
+        # What it holds may fit each other or not.
+        except (ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
+            raise UnreadableError(f"the checkpoint in {folder} is none of this recording: {error!r}") from None
 
     # --- parts of the log -----------------------------------------------------------------------------------------
 
@@ -249,7 +254,7 @@ class Recording:
         Checkpoint(
             number=self._number + 1,
             **self.parts.state(),
-            log=self.log.state(),
+            log=msgspec.convert(self.log.state(), LogState),
             spools={
                 stem: SpoolState(
                     segment=spool.position[0],
@@ -260,7 +265,7 @@ class Recording:
                 for stem, spool in self.spools.items()
             },
             buses=buses,
-            counts=self.counts.state(),
+            counts=msgspec.convert(self.counts.state(), CountsState),
             clock_ns=self.clock_ns,
             sequence=self.pipeline.sequence,
             digest=self.table.digest,
@@ -273,7 +278,7 @@ class Recording:
 
     def _resume(self, start: Checkpoint) -> None:
         """Resume from a checkpoint; the log is open already."""
-        self.log.restore(start.log, self.parts.file)
+        self.log.restore(msgspec.to_builtins(start.log), self.parts.file)
         for name, state in start.buses.items():
             bus = self.buses.get(name)
             if bus is not None:
@@ -285,7 +290,7 @@ class Recording:
             if stem in self.follows:
                 self.follows[stem].expected = spool.expected
                 self.follows[stem].ended = spool.ended
-        self.counts.restore(start.counts)
+        self.counts.restore(msgspec.to_builtins(start.counts))
         self.clock_ns = start.clock_ns
         self.ended, self.drift_ns = start.ended, start.drift_ns
         self.moved, self.moved_ns = start.moved
