@@ -271,8 +271,17 @@ def checkpoint_changed(chance: Chance, data: bytes) -> bytes:
 # --- gzip and zstd layers ---------------------------------------------------------------------------------------------
 
 
+def _swollen(chance: Chance, data: bytes) -> bytes:
+    """Return data that is to be packed; now and then it is a thousand times as long once unpacked."""
+    if chance.random() > 0.01:
+        return data
+    part = chance.choice((b"\0", data[-chance.randint(1, 200) :], data)) or b"\0"
+    return data + part * (chance.choice((1 << 19, 1 << 21)) // len(part))
+
+
 def packed(chance: Chance, data: bytes) -> bytes:
     """Compress, now and then not to the end, twice or with something behind it."""
+    data = _swollen(chance, data)
     pack: Callable[[bytes], bytes] = chance.choice(
         (lambda d: gzip.compress(d, 1, mtime=0), zstandard.ZstdCompressor().compress)
     )
@@ -349,6 +358,7 @@ def _blf_changed(chance: Chance, piece: bytes) -> bytes:
 def blf_container(chance: Chance, inner: bytes) -> bytes:
     """Return objects in a container; its method and sizes are wrong now and then."""
     method = chance.choice((2, 2, 2, 2, 0))
+    inner = _swollen(chance, inner)
     data = zlib.compress(inner, 1) if method == 2 else inner
     if chance.random() < 0.05:
         method = chance.choice((0, 1, 2, 3))
@@ -544,6 +554,7 @@ def _chunk_changed(chance: Chance, piece: bytes) -> bytes:
 def chunk(chance: Chance, inner: bytes, compression: str = "zstd") -> bytes:
     """Return records in a chunk; its checksum, sizes and times are wrong now and then."""
     compression = chance.choice((compression,) * 6 + ("", "lz4"))
+    inner = _swollen(chance, inner)
     data = _PACKING[compression](inner)
     named = compression if chance.random() < 0.97 else chance.choice(("zstd", "lz4", "", "bz2", "\x1b[31m"))
     crc = chance.choice((0, zlib.crc32(inner), zlib.crc32(inner), zlib.crc32(inner) ^ 1))
