@@ -87,7 +87,8 @@ class Pipeline:
     """Decodes what it is fed and passes it to `sinks`.
 
     `dialects`: all that may be on the buses. `ports`: buses of which more is known. `on_setup`: asked what a bus is set up
-    for when an event says how it is to be read; None where events say nothing.
+    for when an event says how it is to be read; None where events say nothing. `others`: dialects of a bus of another kind, if
+    one comes up.
     """
 
     def __init__(
@@ -98,6 +99,7 @@ class Pipeline:
         *,
         ports: Mapping[str, PortSetup] | None = None,
         on_setup: Callable[[Event], PortSetup | None] | None = None,
+        others: Sequence[Dialect] = (),
     ) -> None:
         self.dialects = tuple(dialects)
         self.sinks = tuple(sinks)
@@ -108,6 +110,7 @@ class Pipeline:
         self._event_sinks = [s for s in self.sinks if isinstance(s, EventSink)]
         self._setups = dict(ports or {})
         self._on_setup = on_setup
+        self._others = tuple(others)
         self.ports: dict[str, Port] = {}
         self.sequence = 0
 
@@ -136,6 +139,9 @@ class Pipeline:
         port = self.ports.get(item.port)
         if port is None:
             setup = self._setups.get(item.port) or usual_setup(self.dialects)
+            kind = "can" if isinstance(item, CanFrame) else "serial"
+            if all(d.bus != kind for d in setup.dialects):
+                setup = usual_setup([d for d in self._others if d.bus == kind] or self.dialects)
             port = self.ports[item.port] = Port(item.port, setup, self.options)
         port.bytes_in += len(item.data)
         return port

@@ -91,6 +91,10 @@ class OpenCapture:
             self.choice = Choice(self._given, (), "as given") if self._given else choose(registry.every(), traffic)
             self.dialects = tuple(registry.for_model(self.choice.dialects, self.model or None))
             self.ports = {bus: PortSetup(self.dialects, listed=ids) for bus, ids in self._ids.by_bus.items()}
+        #: Dialects of a bus of another kind, which may come up late.
+        kinds = {d.bus for d in self.dialects}
+        every = self._known or registry.by_name(self.model)
+        self._others = tuple(d for d in every.values() if d.bus not in kinds)
         #: Characters that an address takes: on CAN it is shown in hexadecimal.
         self.who_width = 5 if any(isinstance(item, CanFrame) for item in traffic) else 4
         self.options = self._options()
@@ -102,12 +106,13 @@ class OpenCapture:
     def pipeline(self, sinks: Sequence[Sink]) -> Pipeline:
         """Return the pipeline that decodes this capture into sinks."""
         on_setup: Callable[[Event], PortSetup | None] | None = self._set_up if self._known else None
-        return Pipeline(self.dialects, self.time_range.sinks(sinks), self.options, ports=self.ports, on_setup=on_setup)
+        wanted = self.time_range.sinks(sinks)
+        return Pipeline(self.dialects, wanted, self.options, ports=self.ports, on_setup=on_setup, others=self._others)
 
     @property
     def possible(self) -> tuple[Dialect, ...]:
-        """All dialects that may come up: a recording can say later that another has joined."""
-        return tuple(self._known.values()) or self.dialects
+        """All dialects that may come up: a recording can say later that another has joined, or have a bus of another kind."""
+        return tuple(self._known.values()) or (*self.dialects, *self._others)
 
     # --- the choice of dialects -----------------------------------------------------------------------------------
 

@@ -9,7 +9,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from analyzer.cli import main
+from analyzer.cli import main, reading
+from tests.sources import builders
 
 FRAMES = ("FA 01 F6 01 40 02 34", "FB 01 F6 01 F3")
 GOOD = 40
@@ -118,3 +119,17 @@ def test_a_rate_at_which_a_few_messages_fill_the_disk_is_refused(tmp_path: Path,
     assert main(["export", str(path), "--rate", "10Hz", "-o", str(tmp_path / "out.csv")]) == 2
     assert "rows in 999999 s, expected" in capsys.readouterr().err
     assert not (tmp_path / "out.csv").exists()
+
+
+@pytest.mark.parametrize("first", ["serial", "can"])
+def test_a_bus_of_another_kind_that_comes_late_is_decoded(
+    first: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    serial = ("/left/1/run_speed/request", 1, {"_raw": "FA 01 F6 01 40 02 34", "_offset": 0})
+    can = ("/can0/1/run_speed/request", 2, {"_raw": "F6 01 40 02 3A", "_offset": 0, "_can_id": 1})
+    given = [serial] * 10 + [can] if first == "serial" else [can, serial]
+    path = builders.mcap_log(tmp_path / "log.mcap", [(topic, n, body) for n, (topic, _, body) in enumerate(given)])
+    assert main(["decode", str(path), "-o", str(tmp_path / "out.mcap")]) == 0
+    with (tmp_path / "out.mcap").open("rb") as stream:
+        topics = {c.topic for _, c, _ in make_reader(stream).iter_messages()}
+    assert {"/left/1/run_speed/request", "/can0/1/run_speed/request"} <= topics
