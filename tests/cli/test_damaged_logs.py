@@ -122,9 +122,8 @@ def test_a_rate_at_which_a_few_messages_fill_the_disk_is_refused(tmp_path: Path,
 
 
 @pytest.mark.parametrize("first", ["serial", "can"])
-def test_a_bus_of_another_kind_that_comes_late_is_decoded(
-    first: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bus_of_another_kind_that_comes_late_is_decoded(first: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reading, "SAMPLE_ITEMS", 5)
     serial = ("/left/1/run_speed/request", 1, {"_raw": "FA 01 F6 01 40 02 34", "_offset": 0})
     can = ("/can0/1/run_speed/request", 2, {"_raw": "F6 01 40 02 3A", "_offset": 0, "_can_id": 1})
     given = [serial] * 10 + [can] if first == "serial" else [can, serial]
