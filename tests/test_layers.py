@@ -17,7 +17,7 @@ LAYERS = (
     ("analyzer.errors", "analyzer"),
     ("analyzer.layout",),
     ("analyzer.codec", "analyzer.values"),
-    ("analyzer.plugins",),
+    ("analyzer.plugins", "analyzer.whole_file"),
     ("analyzer.link",),
     ("analyzer.catalogue",),
     ("analyzer.protocols",),

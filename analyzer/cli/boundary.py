@@ -212,7 +212,8 @@ def _status(command: Callable[[list[str]], int], words: list[str], faults: _Faul
 def _refused(error: Exception) -> str:
     """Return what the system refused; nothing where the error is none of the system."""
     if not isinstance(error, OSError):
-        return ""
+        # pathlib tells a loop of links so, before Python 3.13.
+        return str(error) if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop") else ""
     if error.errno in _SHORT:
         return f"the system has no more for this process: {error.strerror}"
     if error.filename is not None:

@@ -28,10 +28,11 @@ import msgspec
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
-from analyzer.errors import ServotapError, UnreadableError, UsageError
+from analyzer.errors import ServotapError, UsageError
 from analyzer.live import endpoint as endpoints
 from analyzer.live.endpoint import Endpoint
 from analyzer.values import addresses, near, printable, quote
+from analyzer.whole_file import read_whole
 
 FILE = "servotap.toml"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")
@@ -192,12 +193,12 @@ class _File:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._text = path.read_text(encoding="utf-8")
+            self._text = read_whole(path).decode()
             self._whole: dict[str, Any] = tomllib.loads(self._text)
-        except OSError as error:
-            raise UnreadableError(f"{path}: {error.strerror or error}") from None
         except UnicodeDecodeError as error:
             raise UsageError(f"{path}: expected UTF-8, got byte {error.object[error.start]:02X} at {error.start}") from None
+        except RecursionError:
+            raise UsageError(f"{path}: nested too deep for a profile") from None
         except tomllib.TOMLDecodeError as error:
             raise UsageError(f"{path}: {str(error)[:1].lower()}{str(error)[1:]}") from None
         self._tables: dict[str, dict[str, Any]] = {

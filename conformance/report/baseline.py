@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 
 from analyzer.errors import UnreadableError, UsageError
+from analyzer.whole_file import read_whole
 from conformance.claim import Outcome
 from conformance.suite.record import VerdictRecord
 
@@ -59,10 +60,8 @@ def _drive(target: str) -> str:
 def load(path: Path) -> list[Deviation]:
     """Return the deviations of a file. Raises UnreadableError that says what was expected."""
     try:
-        return msgspec.json.decode(path.read_bytes(), type=list[Deviation])
-    except OSError as error:
-        raise UnreadableError(f"{path}: {error.strerror or error}") from None
-    except msgspec.MsgspecError as error:
+        return msgspec.json.decode(read_whole(path), type=list[Deviation])
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise UnreadableError(f"{path}: expected a list of deviations as --write-baseline writes it, got: {error}") from None
 
 

@@ -18,6 +18,7 @@ import msgspec
 from analyzer.catalogue import Command, all_fields
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.values import value_text
+from analyzer.whole_file import read_whole
 from conformance.claim import RigFault
 
 
@@ -76,17 +77,14 @@ class Journal:
 
 def read(path: Path) -> list[Entry]:
     """Return the lines of a journal; a last line that was torn off is left out. Raises UnreadableError."""
-    try:
-        lines = path.read_bytes().split(b"\n")
-    except OSError as error:
-        raise UnreadableError(f"{path}: {error.strerror or error}") from None
+    lines = read_whole(path).split(b"\n")
     entries = []
     for number, line in enumerate(lines, 1):
         if not line.strip():
             continue
         try:
             entries.append(msgspec.json.decode(line, type=Entry))
-        except msgspec.MsgspecError as error:
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
             if number == len(lines):
                 break
             raise UnreadableError(f"{path}: line {number}: expected a line of a journal, got: {error}") from None

@@ -17,6 +17,7 @@ from analyzer.catalogue import Command, Dialect, Risk, Verb, all_fields
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.layout import Field
 from analyzer.values import near, parse_value, quote, refusal
+from analyzer.whole_file import read_whole
 from conformance.talk.probe import Probe
 
 Given = Mapping[str, str]
@@ -25,10 +26,8 @@ Given = Mapping[str, str]
 def load(path: Path) -> dict[str, dict[str, str]]:
     """Return the values of a file by drive (empty name: all drives), as texts. Raises UnreadableError."""
     try:
-        whole = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
-    except OSError as error:
-        raise UnreadableError(f"{path}: {error.strerror or error}") from None
-    except msgspec.MsgspecError as error:
+        whole = msgspec.json.decode(read_whole(path), type=dict[str, Any])
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise UnreadableError(f"{path}: expected a JSON object of settings, got: {error}") from None
     found: dict[str, dict[str, str]] = {}
     for name, value in whole.items():

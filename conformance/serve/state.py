@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from analyzer.errors import UsageError
+from analyzer.whole_file import read_whole
 from conformance.drives.drive import Drive
 
 _KIND = "drives"
@@ -31,14 +32,8 @@ def load(path: str) -> dict[str, Settings]:
     Raises UsageError for a file that is not one of these.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
-    except FileNotFoundError:
-        return {}
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"cannot read {path}: {error}") from None
-    try:
-        return _drives(json.loads(text))
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        return _drives(json.loads(read_whole(Path(path)))) if os.path.lexists(path) else {}
+    except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError, RecursionError) as error:
         raise UsageError(f"{path} does not hold the state of drives: {type(error).__name__}: {error}") from None
 
 
