@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import os
+import re
 import sys
 from collections.abc import Sequence
 from functools import partial
@@ -39,6 +40,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 GROUP = "servotap.commands"
 #: Packages of this project: what fails in them is a fault of servotap.
 _OWN = ("analyzer.", "conformance.")
+_NO_VALUE = re.compile(r"(--[\w-]+=|-\w=?)--")
 #: Other names of commands.
 _ALIASES = {"catalog": "catalogue"}
 #: What one wants to do -> the commands for it, in the order of the help. Commands that stand nowhere come last.
@@ -171,6 +173,10 @@ def _run(name: str, module: ModuleType, words: Sequence[str]) -> int:
     )
     parser.add_argument("--traceback", action="store_true", help=argparse.SUPPRESS)
     module.add_arguments(parser)
+    # argparse takes a value `--` for the mark of the end of options, and gives an empty list instead.
+    wrong = next((word for word in words if _NO_VALUE.fullmatch(word)), None)
+    if wrong is not None:
+        parser.error(f"argument {wrong[:-2].rstrip('=')}: expected a value, got --")
     # Options may stand among the positional arguments: `frame D@1 run_speed --reply status=1`.
     parsed = parser.parse_intermixed_args(_joined(words))
     try:

@@ -215,3 +215,11 @@ def test_every_command_stands_in_the_boundary(monkeypatch, faults, capsys):
     names = [*COMMANDS, *(point.name for point in entry_points(group=cli.GROUP))]
     assert {name: main([name]) for name in names} == dict.fromkeys(names, 70)
     assert len(faults()) == len(names)
+
+
+@pytest.mark.parametrize("word", ["--filter=--", "--dialect=--"])
+def test_the_mark_of_the_end_of_options_is_no_value(word, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["show", "x", word])
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.startswith(f"servotap show: argument {word[:-3]}: expected a value, got --")

@@ -173,7 +173,7 @@ def test_lists(capsys: pytest.CaptureFixture[str], what: str) -> None:
         (("mks-rs485@1,model=42d,current=99999", "--pty"), "current: got 99999 mA, expected 0..3000 mA"),
         (("mks-rs485@1,curent=1", "--pty"), "has no setting 'curent'; did you mean current"),
         (("mks-rs485@1", "--pty", "--wire-fault", "flop=0.1"), "no wire fault 'flop'; did you mean flip"),
-        (("mks-rs485@1", "--pty", "--state", "/"), "cannot read /"),
+        (("mks-rs485@1", "--pty", "--state", "/"), "/: Is a directory"),
         (("mks-rs485@1", "--pty", "--log", "/no/such/folder/a.mcap"), "cannot write /no/such/folder/a.mcap"),
         (("mks-rs485@1", "--tcp", "x"), "expected HOST:PORT"),
     ],
