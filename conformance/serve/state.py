@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from analyzer.cli.output import Output
 from analyzer.errors import UsageError
 from analyzer.whole_file import read_whole
 from conformance.drives.drive import Drive
@@ -61,15 +61,12 @@ class StateFile:
         text = self._text()
         if text == self._written:
             return
+        output = Output(self.path, replace=True)
         try:
-            handle, name = tempfile.mkstemp(prefix=f".{self.path.name}.", dir=self.path.parent)
-            with os.fdopen(handle, "w", encoding="utf-8") as stream:
-                stream.write(text)
-            umask = os.umask(0)
-            os.umask(umask)
-            os.chmod(name, 0o666 & ~umask)
-            os.replace(name, self.path)
+            output.stream.write(text.encode())
+            output.keep()
         except OSError as error:
+            output.drop()
             raise UsageError(f"cannot write {self.path}: {error.strerror}") from None
         self._written = text
 
