@@ -227,3 +227,15 @@ def test_memory_does_not_grow_with_the_file(tmp_path: Path) -> None:
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < peaks[0] * 1.2
+
+
+@pytest.mark.parametrize("line", [b"\n", b"TX: FA 01 32 2D\n"])
+def test_too_many_lines_for_each_byte_are_refused(line: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(budget, "FREE_RECORDS", 1000)
+    path = tmp_path / "lines.gz"
+    path.write_bytes(gzip.compress(line * 8_000, 9))
+    with pytest.raises(UnreadableError, match=r"became more than .* records, .*; if it is harmless, unpack it"):
+        read_all(path, format="hex")
+    path.write_bytes(line * 8_000)
+    if line.strip():
+        assert len(read_all(path, format="hex")[1]) == 8_000
