@@ -467,6 +467,10 @@ def _file_changed(chance: random.Random, given: Input, others: Sequence[Input]) 
     return {name: mutated(chance, data, other=other.get(INPUT, b"")) for name, data in given.items()}
 
 
+def _mf4_seeds() -> list[Input]:
+    return [{INPUT: (CAPTURES / "mks_can.mf4").read_bytes()}, *(given for _, given in entries("mf4"))]
+
+
 def _bytes_seeds() -> list[Input]:
     frames = b"".join(frame for _, _, frame in vectors())
     return [{INPUT: frames[at : at + 150]} for at in range(0, len(frames), 100)] + [given for _, given in entries("framer")]
@@ -584,6 +588,7 @@ TARGETS: dict[str, Target] = {
     "export-hex": _on_files("export", INPUT, "--to", "hex", "-o", "-"),
     "check": _on_files("check", INPUT, share=0.5),
     "replay": _on_files("replay", INPUT, "--on", "serial:none", "--dry-run", share=0.5),
+    "mf4": Target(command("show", INPUT), _mf4_seeds, _file_changed, 0.3),
     "cut": _on_files("cut", run=_copied("cut", INPUT, "--since", "+1ms"), kinds=_LOGS),
     "merge": Target(_copied("merge", INPUT, "other"), _two_logs, _file_changed),
     "recover": Target(_recover, _recording_seeds, _recording_changed, 3.0, 30.0),
