@@ -385,6 +385,18 @@ def _recording_seeds() -> list[Input]:
     return [*recordings(), *(given for _, given in entries("recover"))]
 
 
+#: Files that have no place in a folder of spools.
+_STRAYS = (
+    "notes.raw",
+    "x.000000.raw",
+    "1-left.000009.raw",
+    "9-x.000001.raw",
+    "-1-x.0.raw",
+    "1-left.1e9.raw",
+    "checkpoint.part",
+)
+
+
 def _recording_changed(chance: random.Random, given: Input, others: Sequence[Input]) -> Input:
     """Damage some files of a recording, or drop, double or swap them."""
     files = dict(given)
@@ -397,17 +409,7 @@ def _recording_changed(chance: random.Random, given: Input, others: Sequence[Inp
             other = chance.choice(sorted(files))
             files[name], files[other] = files[other], files[name]
         elif act < 0.13:
-            stray = chance.choice(
-                (
-                    "notes.raw",
-                    "x.000000.raw",
-                    "1-left.000009.raw",
-                    "9-x.000001.raw",
-                    "-1-x.0.raw",
-                    "1-left.1e9.raw",
-                    "checkpoint.part",
-                )
-            )
+            stray = chance.choice(_STRAYS)
             files[f"{LOG}.spool/{stray}"] = files[name]
         elif act < 0.25:
             files[name] = files[name][: chance.randint(0, len(files[name]))]
