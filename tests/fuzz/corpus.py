@@ -49,6 +49,11 @@ def entries(target: str, folder: Path = FOLDER) -> Iterator[tuple[str, Input]]:
         yield path.name, load(path)
 
 
+def quick(target: str) -> list[Input]:
+    """Return the entries of a target that mutations begin with: all but those that are replayed alone, as they take long."""
+    return [given for name, given in entries(target) if not name.endswith(".slow")]
+
+
 def captures() -> list[bytes]:
     """Return the captures of this project that are small and quick to read; MF4 takes a process for each."""
     paths = sorted(p for p in CAPTURES.iterdir() if p.suffix not in (".py", ".md", ".golden", ".mf4"))

@@ -48,7 +48,7 @@ from analyzer.sources import FORMATS, open_source
 from analyzer.transactions import Transactions
 from tests.bytestreams import SERIAL, vectors
 from tests.collect import Collect, sum8
-from tests.fuzz.corpus import CAPTURES, INPUT, Input, captures, entries, lay_out
+from tests.fuzz.corpus import CAPTURES, INPUT, Input, captures, lay_out, quick
 from tests.fuzz.mutators import TOKENS, VALUES, bytes_changed, kind_of, mutated, text_changed
 from tests.live.spooled import START, Spools, port
 from tests.sources.builders import SAMPLES
@@ -382,7 +382,7 @@ def recordings() -> list[Input]:
 
 
 def _recording_seeds() -> list[Input]:
-    return [*recordings(), *(given for _, given in entries("recover"))]
+    return [*recordings(), *quick("recover")]
 
 
 #: Files that have no place in a folder of spools.
@@ -458,7 +458,7 @@ def _file_seeds(*targets: str, kinds: Sequence[str] = ()) -> Callable[[], list[I
 
     def seeds() -> list[Input]:
         made = [*captures(), *samples().values()]
-        found = [given for target in targets for _, given in entries(target) if list(given) == [INPUT]]
+        found = [given for target in targets for given in quick(target) if list(given) == [INPUT]]
         return [*({INPUT: data} for data in made if not kinds or kind_of(data) in kinds), *found]
 
     return seeds
@@ -470,12 +470,12 @@ def _file_changed(chance: random.Random, given: Input, others: Sequence[Input]) 
 
 
 def _mf4_seeds() -> list[Input]:
-    return [{INPUT: (CAPTURES / "mks_can.mf4").read_bytes()}, *(given for _, given in entries("mf4"))]
+    return [{INPUT: (CAPTURES / "mks_can.mf4").read_bytes()}, *quick("mf4")]
 
 
 def _bytes_seeds() -> list[Input]:
     frames = b"".join(frame for _, _, frame in vectors())
-    return [{INPUT: frames[at : at + 150]} for at in range(0, len(frames), 100)] + [given for _, given in entries("framer")]
+    return [{INPUT: frames[at : at + 150]} for at in range(0, len(frames), 100)] + quick("framer")
 
 
 def _bytes_changed(chance: random.Random, given: Input, others: Sequence[Input]) -> Input:
@@ -518,7 +518,7 @@ def lines() -> dict[str, list[Input]]:
 
 
 def _line_seeds(name: str) -> list[Input]:
-    return [*lines()[name], *(given for _, given in entries(name))]
+    return [*lines()[name], *quick(name)]
 
 
 def _line(words: Sequence[str]) -> Input:
