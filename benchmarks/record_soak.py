@@ -1,12 +1,15 @@
 #!/usr/bin/env python3
 """A long recording at full rates: three serial ports and a CAN bus, checked frame by frame against what was sent.
 
-    python benchmarks/record_soak.py [--seconds S] [--folder F] [--faults]
+    python benchmarks/record_soak.py [--seconds S] [--folder F] [--faults] [--baud N] [--can-rate FRAMES]
 
     left    mks-rs485    256000 baud      25.6 kB/s     pseudo-terminals
     right   mks-modbus   256000 baud      25.6 kB/s
     axis    lk-rs485    2000000 baud       200 kB/s
     arm     mks-can     1 Mbit/s         16000 frames/s udp_multicast
+
+With --baud all serial lines run full at that rate (`--baud 115200`: 11.5 kB/s each). The curve is printed at the end: memory,
+how far decoding is behind, frames a second, the size of the log, what was lost.
 
 With --faults a reader and the decoding process are killed now and then. The run passes if the log has all sent
 bytes and frames in order, each decoded once, with no finding. Also, no process may grow in memory by more than 20 % (and
@@ -49,10 +52,21 @@ class Body(msgspec.Struct):
     raw: str = msgspec.field(name="_raw", default="")
 
 
-def start(stack, seconds):
+def buses_at(baud, can_rate):
+    """The buses, their serial lines at another rate, the CAN bus with other traffic, where that was said."""
+    found = {}
+    for bus, (dialect, own, rate) in BUSES.items():
+        if dialect == "mks-can":
+            found[bus] = (dialect, own, can_rate or rate)
+        else:
+            found[bus] = (dialect, baud, baud // 10) if baud else (dialect, own, rate)
+    return found
+
+
+def start(stack, buses, seconds):
     """The endpoints, and what begins to send."""
     endpoints, senders = [], {}
-    for bus, (dialect, baud, rate) in BUSES.items():
+    for bus, (dialect, baud, rate) in buses.items():
         if dialect == "mks-can":
             endpoints.append(f"{bus}=can:udp_multicast:{GROUP},port={PORT},bitrate={baud}")
             words = ("can", "--group", GROUP, "--port", PORT, "--rate", rate, "--seconds", seconds)
@@ -113,10 +127,12 @@ def main():
     parser.add_argument("--seconds", type=float, default=600.0)
     parser.add_argument("--folder", type=Path, help="where the log goes; about 1 MB a second")
     parser.add_argument("--faults", action="store_true")
+    parser.add_argument("--baud", type=int, help="rate of the serial lines, instead of those above")
+    parser.add_argument("--can-rate", type=int, help="frames a second, instead of 16000")
     arguments = parser.parse_args()
     with ExitStack() as stack:
         folder = arguments.folder or Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        endpoints, waiting = start(stack, arguments.seconds)
+        endpoints, waiting = start(stack, buses_at(arguments.baud, arguments.can_rate), arguments.seconds)
         dialects = ",".join(dialect for dialect, _, _ in BUSES.values())
         recording = Recording(folder / "soak.mcap", *endpoints, "--dialect", dialects)
         time.sleep(0.5)
@@ -134,12 +150,33 @@ def main():
         sent = {bus: sender.wait() for bus, sender in senders.items()}
         processor = dict(recording.cpu)
         memory = {name: list(seen) for name, seen in recording.memory.items()}
+        curve(recording, arguments.seconds)
         took = recording.finish()
         wrong = report(recording, sent, processor, memory, took, killed, arguments.seconds)
     for text in wrong:
         print(f"WRONG: {text}")
     print("every frame is there, in order, once" if not wrong else "NOT AS SENT")
     return 1 if wrong else 0
+
+
+def curve(recording, seconds):
+    """Print how it went over time, in about twenty lines."""
+    names = list(recording.memory)
+    print(
+        "  ".join(
+            ("   s", *(f"{name[:12]:>12}" for name in names), " behind s", "behind frames", "  frames/s", "log MB", "lost")
+        )
+    )
+    step = max(1, round(seconds / 20))
+    for count in recording.counts[step - 1 :: step]:
+        at = int(count["seconds"])
+        memory = [seen[min(at, len(seen) - 1)] / (1 << 20) for seen in (recording.memory[name] for name in names)]
+        rate = sum(bus.get("frame_rate", 0.0) for bus in count["buses"])
+        lost = sum(1 for note in recording.notes if "lost" in note["text"])
+        print(
+            f"{at:4}  " + "  ".join(f"{size:8.1f} MiB" for size in memory)
+            + f"  {count['behind']:9.1f}  {count['behind_frames']:13}  {rate:10.0f}  {count['log_bytes'] / 1e6:6.1f}  {lost:4}"
+        )  # fmt: skip
 
 
 def report(recording, sent, processor, memory, took, killed, seconds):

@@ -291,3 +291,12 @@ def test_killed_when_the_log_was_whole_and_its_spools_still_there(tmp_path):
     assert main(["recover", str(spools.log)]) == 0
     assert content(spools.log) == whole
     assert not spools.folder.exists()
+
+
+def test_a_private_log_stays_private(tmp_path):
+    for name, act in (("alone", shutil.rmtree), ("spools", lambda folder: (folder / "index.0001").unlink())):
+        _, broken = killed(tmp_path / name)
+        act(broken.folder)
+        broken.log.chmod(0o600)
+        assert main(["recover", str(broken.log)]) == 0
+        assert broken.log.stat().st_mode & 0o777 == 0o600

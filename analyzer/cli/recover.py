@@ -12,6 +12,7 @@ import argparse
 import contextlib
 import os
 import shutil
+import stat
 import sys
 import tempfile
 from pathlib import Path
@@ -168,7 +169,10 @@ def _from_spools(folder: Path, told: RecordingConfig, log: Path, interrupt: Inte
     for pattern in ("checkpoint.*", "index.*"):
         for path in new.glob(pattern):
             path.unlink()
-    alone = msgspec.structs.replace(told, log=str(second.absolute()), rotate_bytes=0, rotate_ns=0, keep=0, max_total=0)
+    mode = stat.S_IMODE(log.stat().st_mode) if log.exists() else told.mode
+    alone = msgspec.structs.replace(
+        told, log=str(second.absolute()), mode=mode, rotate_bytes=0, rotate_ns=0, keep=0, max_total=0
+    )
     alone.save(new)
     paths = _go_on(new, second, interrupt)
     logs = [log, *parts_named(log)]

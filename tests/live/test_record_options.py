@@ -6,12 +6,15 @@ import argparse
 import re
 import shlex
 import shutil
+import stat
 
 import pytest
 
 from analyzer.cli import option_types, record
 from analyzer.errors import UsageError
 from analyzer.live.config import RecordingConfig
+from analyzer.live.log_parts import LogParts
+from analyzer.live.spool import spool_folder
 
 
 def parsed(*words):
@@ -221,3 +224,44 @@ def test_who_is_a_drive_is_said_for_all_buses_or_by_bus(tmp_path):
     assert [port.ids for port in configured(tmp_path, *endpoints).ports] == [None, None]
     with pytest.raises(UsageError, match="--ids: no bus 'amr'; did you mean arm"):
         configured(tmp_path, *endpoints, "--ids", "amr=7")
+
+
+def test_a_log_that_replaces_a_private_one_is_private(tmp_path):
+    old = tmp_path / "a.mcap"
+    old.write_bytes(b"old")
+    old.chmod(0o600)
+    config = configured(tmp_path, "serial:/dev/ttyUSB0,baud=9600", "-o", str(old), "--force")
+    assert config.mode == 0o600
+    spool_folder(old).mkdir()
+    parts = LogParts(spool_folder(old), config)
+    parts.begin(1, lambda: None).abandon()
+    parts.close()
+    assert stat.S_IMODE(old.stat().st_mode) == 0o600
+
+
+def test_a_link_that_leads_nowhere_or_in_a_circle_is_no_log(tmp_path):
+    for name, target in (("dangling", tmp_path / "none" / "x.mcap"), ("circle", tmp_path / "circle.mcap")):
+        link = tmp_path / f"{name}.mcap"
+        link.symlink_to(target)
+        for force in ((), ("--force",)):
+            with pytest.raises(UsageError, match="a link that leads to no file"):
+                configured(tmp_path, "serial:/dev/ttyUSB0,baud=9600", "-o", str(link), *force)
+        assert link.is_symlink()
+
+
+def test_a_part_is_never_written_through_a_link(tmp_path):
+    config = configured(tmp_path, "serial:/dev/ttyUSB0,baud=9600", "--rotate", "1MB")
+    folder = spool_folder(tmp_path / "a.mcap")
+    folder.mkdir()
+    parts = LogParts(folder, config)
+    parts.begin(1, lambda: None).abandon()
+    (tmp_path / "a-0002.mcap").symlink_to(tmp_path / "elsewhere")
+    parts.begin(2).abandon()
+    parts.close()
+    assert parts.path.name == "a-0003.mcap"
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_what_may_wait_for_decoding(tmp_path):
+    assert configured(tmp_path, "serial:/dev/ttyUSB0,baud=9600").max_spool == 10**9
+    assert configured(tmp_path, "serial:/dev/ttyUSB0,baud=9600", "--max-spool", "50MB").max_spool == 50 * 10**6
