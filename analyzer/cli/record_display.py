@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import threading
@@ -25,6 +26,12 @@ _SECOND_S = 1.0
 _BEHIND_NS = 1_000_000_000
 #: How often the live table is drawn.
 _TABLE_S = 0.25
+
+
+def _out(text: str) -> None:
+    """Print a line in one write. A recording goes on though the reader of its output has gone, or its disk is full."""
+    with contextlib.suppress(OSError):
+        print(text + "\n", end="", flush=True)
 
 
 class Display(Protocol):
@@ -125,7 +132,7 @@ class LineDisplay:
     def begin(self, supervisor: Supervisor) -> None:
         """Print what is recorded."""
         buses = ", ".join(dict.fromkeys(p.bus for p in supervisor.tallies.values()))
-        print(f"recording {printable(buses)} to {printable(supervisor.config.log)}; Ctrl-C ends it", flush=True)
+        _out(f"recording {printable(buses)} to {printable(supervisor.config.log)}; Ctrl-C ends it")
 
     def watch(self, supervisor: Supervisor, thread: threading.Thread) -> None:
         """Print a line a second."""
@@ -155,7 +162,7 @@ class LineDisplay:
             parts.append(late)
         if supervisor.phase in ("ending", "finishing"):
             parts.append("finishing the log")
-        print(printable("  ".join(parts)), flush=True)
+        _out(printable("  ".join(parts)))
 
     def end(self, summary: Summary) -> None:
         """Print how it ended."""
@@ -168,7 +175,7 @@ class JsonDisplay(LineDisplay):
     @staticmethod
     def _print(event: str, **about: Any) -> None:
         # In one write: two threads that say something at once must not share a line.
-        print(msgspec.json.encode({"event": event, **about}).decode() + "\n", end="", flush=True)
+        _out(msgspec.json.encode({"event": event, **about}).decode())
 
     def note(self, bus: str, text: str) -> None:
         """Print a note."""

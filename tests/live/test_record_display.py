@@ -36,6 +36,16 @@ def test_a_line_is_one_write_so_that_two_threads_never_share_a_line(monkeypatch)
     assert errors.each == ["left: cannot store\n"]
 
 
+def test_a_reader_of_the_output_that_has_gone_does_not_end_a_recording(monkeypatch):
+    class Gone(io.StringIO):
+        def write(self, text):
+            raise BrokenPipeError
+
+    monkeypatch.setattr(sys, "stdout", Gone())
+    JsonDisplay().note("left", "cannot store")
+    LineDisplay().begin(SimpleNamespace(tallies={}, config=SimpleNamespace(log="x.mcap")))
+
+
 def test_it_says_by_how_much_decoding_is_behind(monkeypatch):
     """In seconds and frames: of a serial line by the length of those so far, of a CAN bus those that were stored."""
     buses = [BusCounts("left", frames=100, bytes=700, junk_bytes=50), BusCounts("arm", frames=40)]
