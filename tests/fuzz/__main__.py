@@ -103,9 +103,9 @@ class Session:
         if (finding.target, finding.key) in self.found:
             return
         given = made(finding.target, finding.seed, finding.number, self._seeds[finding.target])
-        if finding.key.startswith("hang") and not outcomes(finding.target, [given])[0]:
-            # A busy machine charges a process for more than it worked.
-            eprint(f"slow once, not again: --target {finding.target} --seed {finding.seed} --number {finding.number}")
+        if finding.key.startswith(("hang", "MemoryError")) and not outcomes(finding.target, [given])[0]:
+            # A busy machine charges a process for more than it worked, and inputs before this one have left memory behind.
+            eprint(f"{finding.key} once, not again: --target {finding.target} --seed {finding.seed} --number {finding.number}")
             return
         self.found[finding.target, finding.key] = finding
         path = self._corpus / finding.target / f"{finding.key}-{finding.seed}-{finding.number}"

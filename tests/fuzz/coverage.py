@@ -48,14 +48,17 @@ def main(target: str, seconds: str, seed: str, corpus: str) -> None:
             )
 
     def mutate(data: bytes, limit: int, number: int) -> bytes:
-        return TARGETS[target].mutate(random.Random(number), {INPUT: data}, seeds)[INPUT][:limit]
+        if data == b"\n":
+            return seeds[number % len(seeds)][INPUT]
+        made = TARGETS[target].mutate(random.Random(number), {INPUT: data}, seeds)[INPUT]
+        return made if len(made) <= limit else data
 
     with scratch() as name, scratch() as work, heard() as said:
         folder, kept = Path(name), Path(work)
         for number, each in enumerate(seeds):
             (kept / str(number)).write_bytes(each[INPUT])
         options = (
-            f"-max_total_time={int(float(seconds))}", f"-seed={int(seed) & 0x7FFFFFFF or 1}", f"-max_len={SIZE_LIMIT}",
+            f"-max_total_time={int(float(seconds))}", f"-seed={int(seed) & 0x7FFFFFFF or 1}", f"-max_len={SIZE_LIMIT}", "-len_control=0",
             f"-timeout={int(TARGETS[target].seconds) * 4}", f"-artifact_prefix={Path(corpus).resolve() / target}/coverage-",
         )  # fmt: skip
         (Path(corpus) / target).mkdir(parents=True, exist_ok=True)

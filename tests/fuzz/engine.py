@@ -28,7 +28,7 @@ from tests.fuzz.corpus import INPUT, Input
 from tests.fuzz.targets import TARGETS, attempt, heard, key_of
 
 #: Memory that inputs may take beside what the program takes by itself.
-MEMORY = 1 << 30
+MEMORY = 2 << 30
 WRITTEN = 256 << 20
 #: A worker that waits without working is given up after so long.
 WAITING_S = 60.0

@@ -556,7 +556,10 @@ def _harmless(words: Sequence[str]) -> bool:
 
 
 def _words(given: Input, place: Place) -> None:
-    words = [word.replace("\0", "") for word in json.loads(given[INPUT])]
+    try:
+        words = [str(word).replace("\0", "") for word in json.loads(given[INPUT])]
+    except (ValueError, TypeError):
+        return  # shrinking and libFuzzer cut it anywhere
     for name, capture in FILES.items():
         (place.folder / name).write_bytes(_capture(capture))
     run_words(words, place)
