@@ -58,8 +58,9 @@ def main(target: str, seconds: str, seed: str, corpus: str) -> None:
         for number, each in enumerate(seeds):
             (kept / str(number)).write_bytes(each[INPUT])
         options = (
-            f"-max_total_time={int(float(seconds))}", f"-seed={int(seed) & 0x7FFFFFFF or 1}", f"-max_len={SIZE_LIMIT}", "-len_control=0",
-            f"-timeout={int(TARGETS[target].seconds) * 4}", f"-artifact_prefix={Path(corpus).resolve() / target}/coverage-",
+            f"-max_total_time={int(float(seconds))}", f"-seed={int(seed) & 0x7FFFFFFF or 1}", f"-max_len={SIZE_LIMIT}",
+            "-len_control=0", f"-timeout={int(TARGETS[target].seconds) * 4}",
+            f"-artifact_prefix={Path(corpus).resolve() / target}/coverage-",
         )  # fmt: skip
         (Path(corpus) / target).mkdir(parents=True, exist_ok=True)
         atheris.Setup(["fuzz", *options, work], run, custom_mutator=mutate)
