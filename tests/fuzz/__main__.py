@@ -24,7 +24,7 @@ from multiprocessing.connection import wait
 from pathlib import Path
 
 from tests.fuzz.corpus import FOLDER, INPUT, Input, entries, save
-from tests.fuzz.engine import Finding, Worker, eprint, fuzzing, made, outcomes, shrunk, warm
+from tests.fuzz.engine import MUTATOR, Finding, Worker, eprint, fuzzing, made, outcomes, shrunk, warm
 from tests.fuzz.targets import TARGETS, key_of
 
 PROGRESS_S = 10.0
@@ -101,6 +101,10 @@ class Session:
     def _take(self, finding: Finding) -> None:
         """Shrink a finding that is new and write it into the corpus."""
         if (finding.target, finding.key) in self.found:
+            return
+        if finding.key == MUTATOR:
+            self.found[finding.target, finding.key] = finding
+            eprint(f"FOUND {finding.text} (--target {finding.target} --seed {finding.seed} --number {finding.number})")
             return
         given = made(finding.target, finding.seed, finding.number, self._seeds[finding.target])
         if finding.key.startswith(("hang", "MemoryError")) and not outcomes(finding.target, [given])[0]:

@@ -35,6 +35,8 @@ WAITING_S = 60.0
 #: A target runs so long before another takes its turn, and a worker before a fresh one takes its place.
 TURN_S = 0.25
 LIFE_S = 60.0
+#: What a mutator that raised is told by.
+MUTATOR = "mutator"
 FORK = multiprocessing.get_context("fork")
 
 
@@ -177,7 +179,13 @@ def fuzzing(
                     number = numbers[target]
                     board.begin(index, number)
                     timed(target)
-                    text = attempt(target, made(target, seed, number, seeds[target]), folder, said)
+                    try:
+                        given = made(target, seed, number, seeds[target])
+                    except Exception as error:
+                        # A fault of the mutator ends no run of hours, but it is told, and the run fails.
+                        text = f"{MUTATOR}: {error!r}"
+                    else:
+                        text = attempt(target, given, folder, said)
                     signal.setitimer(signal.ITIMER_PROF, 0)
                     numbers[target] += step
                     count += 1

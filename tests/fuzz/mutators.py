@@ -531,16 +531,9 @@ def _taken_apart(piece: bytes) -> tuple[str, list[bytes]]:
 
 
 _DAMAGED = (
-    McapError,
-    struct.error,
-    KeyError,
-    UnicodeError,
-    zstandard.ZstdError,
-    RuntimeError,
-    EOFError,
-    ValueError,
-    MemoryError,
-)
+    McapError, struct.error, KeyError, UnicodeError, zstandard.ZstdError, RuntimeError, EOFError, ValueError, MemoryError,
+    OverflowError,
+)  # fmt: skip
 
 
 def _chunk_changed(chance: Chance, piece: bytes) -> bytes:
@@ -589,7 +582,7 @@ def _rewritten(chance: Chance, pieces: list[bytes]) -> bytes:
                 about = mcap.records.Metadata.read(stream)
                 writer.add_metadata(about.name, about.metadata)
         writer.finish()
-    except (*_DAMAGED, IndexError, OverflowError):
+    except (*_DAMAGED, IndexError):
         return b""
     return out.getvalue()
 

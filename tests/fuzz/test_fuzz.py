@@ -18,6 +18,7 @@ from analyzer.live import checkpoint
 from analyzer.live.spool import SpoolReader
 from analyzer.sources import open_source
 from tests.fuzz import engine, targets
+from tests.fuzz.__main__ import Session
 from tests.fuzz.corpus import INPUT, captures
 from tests.fuzz.engine import Finding, made, outcomes, shrunk
 from tests.fuzz.mutators import kind_of, mutated, packed
@@ -166,6 +167,14 @@ def test_the_framer_of_the_target_loses_nothing_and_would_tell(monkeypatch):
     monkeypatch.setattr(targets._Line, "take", lambda self, pieces: [(0, b"".join(pieces)[1:])])
     (text,) = outcomes("framer", [{INPUT: captures()[0]}])
     assert "other bytes came out" in text
+
+
+def test_a_mutator_that_raises_is_told_and_ends_nothing(monkeypatch, tmp_path):
+    monkeypatch.setitem(TARGETS, "framer", TARGETS["framer"]._replace(mutate=lambda *_: 1 / 0))
+    session = Session(["framer"], 1, tmp_path, 1)
+    session.run(1, 0.3)
+    assert list(session.found) == [("framer", "mutator")]
+    assert session.counts["framer"] > 0
 
 
 def test_a_byte_that_a_log_lacks_is_told(tmp_path):
