@@ -29,6 +29,7 @@ LAYERS = (
     ("analyzer.port",),
     ("analyzer.pipeline",),
     ("analyzer.detect",),
+    ("analyzer.diagnosis",),
     ("analyzer.sources", "analyzer.sinks", "analyzer.reference", "analyzer.export", "analyzer.page", "analyzer.table"),
     ("analyzer.live",),
     ("analyzer.cli", "analyzer.view", "analyzer.__main__"),

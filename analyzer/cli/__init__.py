@@ -22,6 +22,7 @@ from analyzer.cli.boundary import bounded
 COMMANDS: dict[str, tuple[str, str]] = {
     "record": ("analyzer.cli.record", "record serial ports and CAN buses into one crash-safe, decoded MCAP log"),
     "decode": ("analyzer.cli.decode", "decode a capture into an annotated MCAP log, with a summary"),
+    "diagnose": ("analyzer.cli.diagnose", "say what is wrong on a bus: the cause, the evidence, the next step"),
     "show": ("analyzer.cli.show", "show the decoded frames of a capture or a log as a table"),
     "view": ("analyzer.cli.view", "view a capture or a log in the terminal: frames, counts, findings, a plot"),
     "recover": ("analyzer.cli.recover", "repair the log of an interrupted recording"),
@@ -45,7 +46,7 @@ _NO_VALUE = re.compile(r"(--[\w-]+=|-\w=?)--")
 _ALIASES = {"catalog": "catalogue"}
 #: What one wants to do -> the commands for it, in the order of the help. Commands that stand nowhere come last.
 _PURPOSES: dict[str, tuple[str, ...]] = {
-    "look": ("decode", "show", "view", "explain", "catalogue"),
+    "look": ("decode", "diagnose", "show", "view", "explain", "catalogue"),
     "record": ("record", "tap", "ports", "recover", "cut", "merge", "export"),
     "drive": ("scan", "init", "send", "stop", "frame", "replay", "emulate"),
     "test": ("test", "check", "rerun", "restore"),

@@ -1,0 +1,91 @@
+"""Say what is wrong on a bus: the cause, the evidence and the next step.
+
+At most three causes, the likeliest first. A capture with nothing wrong says so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+from typing import Any
+
+from analyzer.cli.reading import add_reading_arguments, open_reading, progress
+from analyzer.cli.signals import Interrupt
+from analyzer.diagnosis.diagnose import Diagnosis, diagnosis
+from analyzer.diagnosis.watch import Watch
+from analyzer.errors import UnreadableError
+from analyzer.values import counted, printable
+
+EXAMPLES = """\
+exit status: 0 nothing wrong, or no cause found; 1 a cause was found; 2 wrong use, or a file that cannot be read.
+
+examples:
+  servotap diagnose capture.log
+  servotap diagnose monday.log tuesday.log --json
+  echo "> FA 01 F6 00 00 02 F9" | servotap diagnose -
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("files", nargs="+", metavar="FILE", help="captures and logs; - reads standard input")
+    add_reading_arguments(parser)
+    parser.add_argument("--json", action="store_true", help="print one JSON object per file")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Diagnose each file; return 0, 1 for a cause that was found, 2 for a file that could not be read."""
+    status = 0
+    for path in arguments.files:
+        try:
+            names, found = _diagnose(path, arguments)
+        except UnreadableError as error:
+            if arguments.json:
+                print(json.dumps({"file": path, "dialect": None, "verdict": "unreadable", "causes": [], "why": str(error)}))
+            else:
+                print(f"servotap diagnose: {printable(str(error))}", file=sys.stderr)
+            status = 2
+            continue
+        if arguments.json:
+            print(json.dumps(_object(path, names, found)))
+        else:
+            for line in lines(found):
+                print(printable(line if len(arguments.files) == 1 else f"{path}: {line}"))
+        status = max(status, 1 if found.causes else 0)
+    return status
+
+
+def _diagnose(path: str, arguments: argparse.Namespace) -> tuple[str, Diagnosis]:
+    reading = open_reading(path, arguments)
+    watch = Watch()
+    with contextlib.closing(reading.source), Interrupt() as interrupt:
+        pipeline = reading.pipeline([watch])
+        with progress(reading.source, f"diagnosing {reading.source.name}"):
+            for item in interrupt.items(reading):
+                watch.take(item)
+                pipeline.feed(item)
+        pipeline.close()
+    return ",".join(d.name for d in reading.dialects), diagnosis(watch, reading.dialects)
+
+
+def _object(path: str, dialect: str, found: Diagnosis) -> dict[str, Any]:
+    return {"file": path, "dialect": dialect, "verdict": found.verdict, "causes": found.as_objects()}
+
+
+def lines(found: Diagnosis) -> list[str]:
+    """Return a diagnosis for people."""
+    if found.verdict == "ok":
+        return ["nothing wrong was found"]
+    if not found.causes:
+        return [f"{counted(found.troubles, 'thing')} went wrong, and no cause shows in the bytes"]
+    told = []
+    for number, each in enumerate(found.causes, 1):
+        suspicion = each.suspicion
+        told += [
+            f"{number}. {suspicion.say} ({suspicion.cause}, {suspicion.confidence.value}, {each.share:.0%} of the trouble)",
+            f"   evidence: {suspicion.evidence}",
+            f"   next: {suspicion.next}",
+        ]
+    return told

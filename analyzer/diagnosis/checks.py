@@ -1,0 +1,211 @@
+"""Requests whose bytes are right but for their check: forgotten, or computed by another rule.
+
+A rule is named where it gives the checks of two different requests, or one check of 16 bits. One sum of 8 bits counts where
+its sender got no other right.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from functools import reduce
+from typing import NamedTuple
+
+from analyzer.diagnosis.reader import Reader
+from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
+from analyzer.link.modbus import modbus_crc
+from analyzer.records import Role
+from analyzer.values import counted
+
+
+class Rule(NamedTuple):
+    """A way to compute a check: of a frame without its check and its CAN identifier, the bytes that it appends."""
+
+    name: str
+    cause: str
+    of: Callable[[bytes, int], bytes]
+
+
+def _byte(value: int) -> bytes:
+    return bytes((value & 0xFF,))
+
+
+def _crc16(data: bytes, value: int, poly: int) -> int:
+    """Return a CRC of 16 bits that shifts to the left."""
+    for byte in data:
+        value ^= byte << 8
+        for _ in range(8):
+            value = (value << 1 ^ (poly if value & 0x8000 else 0)) & 0xFFFF
+    return value
+
+
+def _crc8(data: bytes) -> int:
+    value = 0
+    for byte in data:
+        value ^= byte
+        for _ in range(8):
+            value = (value << 1 ^ (0x07 if value & 0x80 else 0)) & 0xFF
+    return value
+
+
+def _arc(data: bytes) -> int:
+    """Return the CRC of Modbus begun with 0 instead of FFFF."""
+    value = 0
+    for byte in data:
+        value ^= byte
+        for _ in range(8):
+            value = value >> 1 ^ (0xA001 if value & 1 else 0)
+    return value
+
+
+def _xor(data: bytes) -> int:
+    return reduce(int.__xor__, data, 0)
+
+
+_RULE = "wrong_checksum_rule"
+#: Rules that people take instead of the right one, the commonest first.
+RULES = (
+    Rule("the CRC with its bytes swapped", "crc_swapped", lambda b, i: modbus_crc(b).to_bytes(2, "big")),
+    Rule("the sum without the head byte", _RULE, lambda b, i: _byte(sum(b[1:]))),
+    Rule("the sum without the CAN identifier", _RULE, lambda b, i: _byte(sum(b))),
+    Rule("the XOR of all bytes", _RULE, lambda b, i: _byte(_xor(b))),
+    Rule("the sum of all bytes, in 8 bits", _RULE, lambda b, i: _byte(sum(b) + i)),
+    Rule("a Modbus CRC", _RULE, lambda b, i: modbus_crc(b).to_bytes(2, "little")),
+    Rule("the CRC without the address", _RULE, lambda b, i: modbus_crc(b[1:]).to_bytes(2, "little")),
+    Rule("the CRC without the address, high byte first", _RULE, lambda b, i: modbus_crc(b[1:]).to_bytes(2, "big")),
+    Rule("the sum without head and address", _RULE, lambda b, i: _byte(sum(b[2:]))),
+    Rule("the XOR without the head byte", _RULE, lambda b, i: _byte(_xor(b[1:]))),
+    Rule("the XOR with the CAN identifier", _RULE, lambda b, i: _byte(_xor(b) ^ i ^ i >> 8)),
+    Rule("the two's complement of the sum", _RULE, lambda b, i: _byte(-sum(b) - i)),
+    Rule("the inverted sum", _RULE, lambda b, i: _byte(~(sum(b) + i))),
+    Rule("a CRC-8", _RULE, lambda b, i: _byte(_crc8(b))),
+    Rule("the CRC begun with 0 instead of FFFF", _RULE, lambda b, i: _arc(b).to_bytes(2, "little")),
+    Rule("a CRC-16/CCITT", _RULE, lambda b, i: _crc16(b, 0xFFFF, 0x1021).to_bytes(2, "big")),
+    Rule("a CRC-16/CCITT, low byte first", _RULE, lambda b, i: _crc16(b, 0xFFFF, 0x1021).to_bytes(2, "little")),
+    Rule("a CRC-16/XMODEM", _RULE, lambda b, i: _crc16(b, 0, 0x1021).to_bytes(2, "big")),
+    Rule("the sum of all bytes, in 16 bits", _RULE, lambda b, i: (sum(b) & 0xFFFF).to_bytes(2, "big")),
+    Rule("the sum of all bytes, in 16 bits, low byte first", _RULE, lambda b, i: (sum(b) & 0xFFFF).to_bytes(2, "little")),
+)
+_LONGEST_CHECK = 2
+
+
+class Failing(NamedTuple):
+    """A request that fails by its check alone. `rules`: those that give what it has; `right`: the frame as it should be."""
+
+    trouble: Trouble
+    right: bytes
+    name: str
+    size: int
+    rules: tuple[Rule, ...]
+
+
+def look(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect the host's checks."""
+    failing = [found for t in scene.damaged if t.stretch is not None and (found := failing_by_check(scene, t, t.stretch))]
+    missing = [each for each in failing if each.size == 0]
+    wrong = [each for each in failing if each.size]
+    # One that is right shows that the host can: what fails then is a damaged frame, unless a rule says how.
+    sound = [p for p in scene.pieces if p.is_request and p.sound and "bad_checksum" not in p.rules]
+    if missing and _deliberate(missing, bool(sound)):
+        yield _said(
+            "missing_checksum", Confidence.CERTAIN if len(missing) > 1 or missing[0].right[:1] == b"\xfa" else Confidence.LIKELY,
+            missing, "is sent without its checksum", "Put the checksum behind it",
+        )  # fmt: skip
+    named = _named(wrong, bool(sound))
+    for rule, each in named.items():
+        sure = len({f.right for f in each}) > 1 or each[0].size > 1
+        confidence = Confidence.CERTAIN if sure else Confidence.LIKELY
+        yield _said(rule.cause, confidence, each, f"carries {rule.name}", "Compute the check as the manual says")
+    taken = {f.trouble for each in named.values() for f in each}
+    rest = [f for f in wrong if f.trouble not in taken]
+    if rest and _deliberate(rest, bool(sound)):
+        again = len(rest) > len({f.right for f in rest})
+        yield _said(
+            "wrong_checksum", Confidence.LIKELY if again or not sound else Confidence.POSSIBLE, rest,
+            "has a checksum that is not the manual's", "Replace the check",
+        )  # fmt: skip
+
+
+def _deliberate(failing: list[Failing], some_right: bool) -> bool:
+    """Say whether frames fail by a rule and not by chance: the same one again, or all of them."""
+    return not some_right or len(failing) > len({f.right for f in failing})
+
+
+def _named(wrong: list[Failing], some_right: bool) -> dict[Rule, list[Failing]]:
+    fitting: dict[Rule, list[Failing]] = defaultdict(list)
+    for failing in wrong:
+        for rule in failing.rules:
+            fitting[rule].append(failing)
+    named: dict[Rule, list[Failing]] = {}
+    left = {id(f) for f in wrong}
+    for rule in sorted(fitting, key=lambda r: (-len(fitting[r]), RULES.index(r))):
+        own = [f for f in fitting[rule] if id(f) in left]
+        different = len({f.right for f in own})
+        if different > 1 or (own and (own[0].size > 1 or not some_right or len(own) > 2)):
+            named[rule] = own
+            left -= {id(f) for f in own}
+    return named
+
+
+def failing_by_check(scene: Scene, trouble: Trouble, stretch: Stretch) -> Failing | None:
+    """Return a stretch as a request whose check alone is wrong or missing."""
+    if stretch.direction is Role.REPLY:
+        return None
+    data, can_id = stretch.data, stretch.can_id
+    for size in range(1, _LONGEST_CHECK + 1):
+        found = _with_check(scene.reader, trouble, data[: len(data) - size], data[len(data) - size :], can_id)
+        if found is not None and (found.rules or stretch.ends):
+            return found
+    return _with_check(scene.reader, trouble, data, b"", can_id) if stretch.ends and stretch.opens else None
+
+
+def _with_check(reader: Reader, trouble: Trouble, body: bytes, got: bytes, can_id: int | None) -> Failing | None:
+    """Return the request that a body is with the right check behind it, if it is one."""
+    if len(body) < (1 if can_id is not None else 3):
+        return None
+    for right in _completions(reader, body, can_id):
+        if right == body + got:
+            continue
+        rules = tuple(rule for rule in RULES if got and rule.of(body, can_id or 0) == got)
+        for reading in reader.readings(right, can_id):
+            # Without its own check a frame of a code or register that is not listed could be anything.
+            strong = reading.listed or (rules and len(got) > 1)
+            lost = len(right) - len(body)
+            if reading.message.role is Role.REPLY or not strong or (not rules and got and len(got) != lost):
+                continue
+            return Failing(trouble, right, reading.name, len(got), rules)
+    return None
+
+
+def _completions(reader: Reader, body: bytes, can_id: int | None) -> Iterator[bytes]:
+    """Yield a body with the checks of each dialect: behind it, and those within it."""
+    for dialect in reader.dialects:
+        link = dialect.link
+        whole = link.completed(body, can_id)
+        yield whole
+        first, *others = link.checks(whole, can_id)
+        if others:
+            # The head has a check of its own: wrong, or forgotten.
+            at = first.start
+            yield link.completed(link.completed(body[:at]) + body[at + 1 :], can_id)
+            yield link.completed(link.completed(body[:at]) + body[at:], can_id)
+
+
+def _said(cause: str, confidence: Confidence, failing: list[Failing], what: str, todo: str) -> Suspicion:
+    first = failing[0]
+    stretch = first.trouble.stretch
+    assert stretch is not None  # only damaged bytes fail by their check
+    got, right = shown(stretch.data, stretch.can_id), shown(first.right, stretch.can_id)
+    frames = tuple(
+        Shown(f.trouble.offset, shown(f.trouble.stretch.data, stretch.can_id), shown(f.right, f.trouble.stretch.can_id))
+        for f in failing
+        if f.trouble.stretch is not None
+    )
+    names = ", ".join(dict.fromkeys(f.name for f in failing))
+    return Suspicion(
+        cause, confidence, [f.trouble for f in failing],
+        f"The host's request {names} {what}, so no drive takes it.",
+        f"{got} at byte {first.trouble.offset}; right is {right}; {counted(len(failing), 'time')}",
+        f"{todo}: send {right}",
+        frames,
+    )  # fmt: skip

@@ -1,0 +1,57 @@
+"""Ask the hypotheses about what a watch has kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from analyzer.catalogue import Dialect
+from analyzer.diagnosis import checks
+from analyzer.diagnosis.ranking import Ranked, ranked
+from analyzer.diagnosis.scene import Scene, Suspicion
+from analyzer.diagnosis.watch import Watch
+
+#: A row a subject: each is asked about a scene, and yields what it suspects.
+HYPOTHESES: tuple[Callable[[Scene], Iterator[Suspicion]], ...] = (checks.look,)
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What is wrong in a capture. `verdict`: ok, trouble, unknown; `troubles`: how many things are wrong."""
+
+    verdict: str
+    causes: tuple[Ranked, ...]
+    troubles: int
+
+    def as_objects(self) -> list[dict[str, Any]]:
+        """Return the causes for JSON."""
+        return [
+            {
+                "cause": each.suspicion.cause,
+                "confidence": each.suspicion.confidence.value,
+                "share": round(each.share, 3),
+                "count": len(each.suspicion.troubles),
+                "say": each.suspicion.say,
+                "evidence": each.suspicion.evidence,
+                "next": each.suspicion.next,
+                "first_offset": min((t.offset for t in each.suspicion.troubles), default=0),
+                "frames": [
+                    {"offset": f.offset, "bytes": f.data, **({"right": f.right} if f.right else {})}
+                    for f in each.suspicion.frames[:_MOST_FRAMES]
+                ],
+            }
+            for each in self.causes
+        ]
+
+
+_MOST_FRAMES = 20
+
+
+def diagnosis(watch: Watch, dialects: Sequence[Dialect]) -> Diagnosis:
+    """Return what is wrong in a capture that a watch has seen."""
+    scenes = watch.scenes(dialects)
+    troubles = [trouble for scene in scenes for trouble in scene.troubles]
+    suspicions = [each for scene in scenes for hypothesis in HYPOTHESES for each in hypothesis(scene)]
+    causes = tuple(ranked(suspicions, troubles))
+    return Diagnosis("trouble" if causes else "unknown" if troubles else "ok", causes, len(troubles))

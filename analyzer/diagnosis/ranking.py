@@ -1,0 +1,47 @@
+"""The one place where causes are weighed against each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from analyzer.diagnosis.scene import Confidence, Suspicion, Trouble
+
+#: Causes that are told.
+MOST = 3
+_WEIGHT = {Confidence.CERTAIN: 1.0, Confidence.LIKELY: 0.7, Confidence.POSSIBLE: 0.4}
+#: A cause that explains less than this of what no likelier one does is not told.
+_LEAST_NEW = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Ranked:
+    """A cause and the share of the trouble that it explains."""
+
+    suspicion: Suspicion
+    share: float
+
+
+def ranked(suspicions: Iterable[Suspicion], troubles: Sequence[Trouble]) -> list[Ranked]:
+    """Return the causes that are told, the likeliest first.
+
+    What a certain cause explains needs no other; what is only possible is told beside its equals.
+    """
+    total = len(troubles)
+    weighed = sorted(
+        (Ranked(each, len(set(each.troubles)) / total if total else 1.0) for each in suspicions),
+        key=lambda r: (-_WEIGHT[r.suspicion.confidence] * r.share, -_WEIGHT[r.suspicion.confidence]),
+    )
+    told: list[Ranked] = []
+    explained: set[Trouble] = set()
+    for each in weighed:
+        own = set(each.suspicion.troubles)
+        new = own - explained
+        if any(t.suspicion.cause == each.suspicion.cause for t in told):
+            continue
+        if told and total and len(new) < max(1, _LEAST_NEW * total):
+            continue
+        told.append(each)
+        if each.suspicion.confidence is not Confidence.POSSIBLE:
+            explained |= own
+    return told[:MOST]

@@ -1,0 +1,73 @@
+"""Whether bytes are a frame of the catalogue: asked of bytes that were changed, to see whether the change makes them one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cache
+from typing import NamedTuple
+
+from analyzer import dialects as registry
+from analyzer.catalogue import Dialect, Role
+from analyzer.decoder import Decoder
+from analyzer.link import Slicer
+from analyzer.records import CanFrame, Frame, Message
+
+
+class Reading(NamedTuple):
+    """Bytes as a frame of a dialect. `listed`: its command and values are those of the manual."""
+
+    dialect: Dialect
+    message: Message
+    listed: bool
+
+    @property
+    def name(self) -> str:
+        """The command, for people."""
+        return "a frame" if self.message.command is None else self.message.command.name
+
+
+class Reader:
+    """Reads single frames in any of its dialects; what is open on the bus plays no part."""
+
+    def __init__(self, dialects: Sequence[Dialect]) -> None:
+        self.dialects = tuple(dialects)
+        self._decoders = {d.name: Decoder(d) for d in dialects}
+        self._slicers: dict[str, Slicer] = {
+            d.name: d.link.slicer(d.commands, lambda a, f: 0) for d in dialects if d.bus == "serial"
+        }
+
+    @staticmethod
+    @cache
+    def of_bus(kind: str) -> Reader:
+        """Return the reader of all dialects of a kind of bus."""
+        return Reader([d for d in registry.every() if d.bus == kind])
+
+    def readings(self, data: bytes, can_id: int | None = None, role: Role = Role.UNKNOWN) -> Iterator[Reading]:
+        """Yield each dialect in which bytes are exactly one frame whose checks fit."""
+        for dialect in self.dialects:
+            slicer = self._slicers.get(dialect.name)
+            if slicer is None:
+                fits = can_id is not None and len(data) >= dialect.link.shortest and dialect.link.fits(data, can_id)
+            else:
+                fits = len(data) > 1 and data[0] in slicer.heads and len(data) in slicer.lengths(data, 0, len(data))
+            if fits:
+                yield self._read(dialect, data, can_id, role)
+
+    def _read(self, dialect: Dialect, data: bytes, can_id: int | None, role: Role) -> Reading:
+        can = None if can_id is None else CanFrame(None, "", can_id, data, role)
+        message, _ = self._decoders[dialect.name].decode(Frame("", 0, 0, 0, data, dialect, role, True, can))
+        fallback = message.command in dialect.fallbacks.values()
+        return Reading(dialect, message, message.form is not None and not message.violations and not fallback)
+
+    def best(self, data: bytes, can_id: int | None = None, role: Role = Role.UNKNOWN) -> Reading | None:
+        """Return the reading that the catalogue lists, or one whose check leaves no doubt; None where there is none."""
+        found = None
+        for reading in self.readings(data, can_id, role):
+            if role is not Role.UNKNOWN and reading.message.role not in (role, Role.UNKNOWN):
+                continue
+            if reading.listed:
+                return reading
+            slicer = self._slicers.get(reading.dialect.name)
+            if slicer is not None and slicer.strong_check:
+                found = found or reading
+        return found

@@ -1,0 +1,275 @@
+"""What a diagnosis looks at: one bus with what the pipeline made of its bytes, and the troubles on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cached_property
+
+from analyzer.catalogue import Dialect, Role
+from analyzer.diagnosis.reader import Reader
+from analyzer.records import CanFrame, Finding, Message
+
+
+class Confidence(StrEnum):
+    """How sure a cause is."""
+
+    CERTAIN = "certain"
+    LIKELY = "likely"
+    POSSIBLE = "possible"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece:
+    """Bytes and what they were taken for. `message` None: junk. `asked_by`: the number of the request that it answers."""
+
+    offset: int
+    data: bytes
+    t_ns: int
+    sequence: int
+    message: Message | None
+    asked_by: int | None = None
+    rules: frozenset[str] = frozenset()
+
+    @property
+    def stop(self) -> int:
+        """Where the bytes end on the bus."""
+        return self.offset + len(self.data)
+
+    @property
+    def can(self) -> CanFrame | None:
+        """The CAN frame, if it is one."""
+        return None if self.message is None else self.message.frame.can
+
+    @property
+    def is_request(self) -> bool:
+        """Whether it is a known request."""
+        return self.message is not None and self.message.role is Role.REQUEST
+
+    @property
+    def is_reply(self) -> bool:
+        """Whether it is a known reply."""
+        return self.message is not None and self.message.role is Role.REPLY
+
+    @property
+    def sound(self) -> bool:
+        """Whether it is a frame with nothing wrong in its bytes."""
+        return self.message is not None and not self.rules & DAMAGED
+
+    @property
+    def answered(self) -> bool:
+        """Whether it is a request without a finding that no reply came."""
+        return self.is_request and "unanswered" not in self.rules
+
+
+@dataclass(frozen=True, slots=True)
+class Read:
+    """Bytes that came at once: a line of a log, a read of a port. `firm`: the capture itself says where it ends."""
+
+    offset: int
+    stop: int
+    t_ns: int | None
+    direction: Role
+    firm: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretch:
+    """Damaged bytes in a row, up to sound frames or the limits of a read.
+
+    `opens`, `ends`: it begins or ends where a read does; so what stands there is all that was sent.
+    """
+
+    offset: int
+    data: bytes
+    t_ns: int
+    direction: Role
+    opens: bool
+    ends: bool
+    pieces: tuple[Piece, ...]
+
+    @property
+    def stop(self) -> int:
+        """Where it ends on the bus."""
+        return self.offset + len(self.data)
+
+    @property
+    def can_id(self) -> int | None:
+        """The identifier of the CAN frame that it is."""
+        can = self.pieces[0].can
+        return None if can is None else can.id
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trouble:
+    """One thing that is wrong: `rule` of the findings, or `damaged` for a stretch."""
+
+    rule: str
+    offset: int
+    stretch: Stretch | None = None
+    piece: Piece | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A frame that a cause is about. `right`: what it should be, as hex text; empty where it is not known."""
+
+    offset: int
+    data: str
+    right: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Suspicion:
+    """A cause, with what it explains. `clue` True: it rests on no trouble of its own, for it says why there is too little."""
+
+    cause: str
+    confidence: Confidence
+    troubles: Sequence[Trouble]
+    say: str
+    evidence: str
+    next: str
+    frames: tuple[Shown, ...] = ()
+
+
+#: Rules of findings that say that the bytes of a frame are not as the manual has them.
+DAMAGED = frozenset(("bad_checksum", "unknown_command", "wrong_length", "short_package", "foreign_can_frame"))
+#: Rules of findings that are a trouble by themselves, apart from damaged bytes.
+_TROUBLE = frozenset(
+    ("unanswered", "silent_address", "unsolicited_reply", "duplicate_reply", "failed_status", "modbus_exception",
+     "refused_write", "host_echo", "other_dialect", "can_error_frame", "out_of_range", "unknown_choice")
+)  # fmt: skip
+
+
+@dataclass(eq=False)
+class Scene:
+    """One bus: its pieces near trouble in their order, the limits of its reads, and what is found wrong.
+
+    `frames`: all that came by, kept or not. `timed`: the capture has times.
+    """
+
+    bus: str
+    dialects: tuple[Dialect, ...]
+    pieces: Sequence[Piece]
+    reads: Sequence[Read]
+    findings: Sequence[Finding]
+    frames: int
+    timed: bool
+    reader: Reader = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.reader = Reader.of_bus("can" if any(p.can is not None for p in self.pieces) else "serial")
+
+    @cached_property
+    def directed(self) -> bool:
+        """Whether the capture says who sent what."""
+        return any(read.direction is not Role.UNKNOWN for read in self.reads)
+
+    @cached_property
+    def _read_by_offset(self) -> dict[int, Read]:
+        return {read.offset: read for read in self.reads}
+
+    @cached_property
+    def limits(self) -> frozenset[int]:
+        """Where the capture says that a sending begins or ends."""
+        found: set[int] = set()
+        before: Read | None = None
+        for read in self.reads:
+            pause = before is None or before.stop != read.offset or before.direction is not read.direction
+            if before is not None and before.t_ns is not None and read.t_ns is not None:
+                pause |= read.t_ns - before.t_ns > PAUSE_NS + SLOW_BYTE_NS * (read.stop - read.offset)
+            if pause or read.firm or (before is not None and before.firm):
+                found.add(read.offset)
+            before = read
+        if before is not None:
+            found.add(before.stop)
+        return frozenset(found)
+
+    def direction(self, offset: int) -> Role:
+        """Return who sent the byte at an offset, as the capture says."""
+        from bisect import bisect_right
+
+        at = bisect_right(self._starts, offset) - 1
+        read = self.reads[at] if at >= 0 else None
+        return read.direction if read is not None and offset < read.stop else Role.UNKNOWN
+
+    @cached_property
+    def _starts(self) -> list[int]:
+        return [read.offset for read in self.reads]
+
+    @cached_property
+    def stretches(self) -> tuple[Stretch, ...]:
+        """All damaged bytes."""
+        return tuple(self._stretches())
+
+    def _stretches(self) -> Iterator[Stretch]:
+        run: list[Piece] = []
+        for piece in self.pieces:
+            if run and (piece.offset != run[-1].stop or piece.offset in self.limits or piece.can is not None or piece.sound):
+                yield from self._cut(run)
+                run = []
+            if not piece.sound:
+                run.append(piece)
+        if run:
+            yield from self._cut(run)
+
+    def _cut(self, run: list[Piece]) -> Iterator[Stretch]:
+        """Yield the stretches of pieces in a row: a piece of junk can reach over the limits of reads."""
+        first, last = run[0].offset, run[-1].stop
+        data = b"".join(piece.data for piece in run)
+        if run[0].can is not None:
+            yield Stretch(first, data, run[0].t_ns, run[0].can.direction, True, True, tuple(run))
+            return
+        at = first
+        for stop in (*sorted(n for n in self.limits if first < n < last), last):
+            inside = tuple(p for p in run if p.offset < stop and p.stop > at)
+            part = data[at - first : stop - first]
+            yield Stretch(at, part, inside[0].t_ns, self.direction(at), at in self.limits, stop in self.limits, inside)
+            at = stop
+
+    @cached_property
+    def troubles(self) -> tuple[Trouble, ...]:
+        """All that is wrong, each once: what only follows from another is left out."""
+        damaged = [Trouble("damaged", s.offset, s) for s in self.stretches]
+        by_sequence = {piece.sequence: piece for piece in self.pieces}
+        following = self._followed()
+        others = []
+        for found in self.findings:
+            piece = by_sequence.get(found.sequence)
+            if found.rule not in _TROUBLE or (piece is not None and not piece.sound):
+                continue
+            # A request is unanswered where its reply came damaged.
+            if found.rule in ("unanswered", "silent_address") and found.sequence in following:
+                continue
+            others.append(Trouble(found.rule, found.offset, None, piece))
+        return (*damaged, *others)
+
+    def _followed(self) -> frozenset[int]:
+        """Return the numbers of the requests behind which damaged bytes come before anything else."""
+        starts = {s.offset: s for s in self.stretches}
+        return frozenset(
+            piece.sequence
+            for piece in self.pieces
+            if piece.is_request and piece.stop in starts and starts[piece.stop].direction is not Role.REQUEST
+        )
+
+    def of(self, *rules: str) -> list[Trouble]:
+        """Return the troubles of some rules."""
+        return [trouble for trouble in self.troubles if trouble.rule in rules]
+
+    @cached_property
+    def damaged(self) -> list[Trouble]:
+        """The troubles that are damaged bytes."""
+        return self.of("damaged")
+
+
+#: A longer pause in a capture with times ends what was sent; slow lines and adapters hold bytes back.
+PAUSE_NS = 8_000_000
+SLOW_BYTE_NS = 1_041_667
+
+
+def shown(data: bytes, can_id: int | None = None) -> str:
+    """Return bytes as people write them."""
+    text = data.hex(" ").upper()
+    return text if can_id is None else f"{can_id:03X} {text}"

@@ -1,0 +1,101 @@
+"""A sink that keeps what stands near trouble, so that a diagnosis can look at it once the capture has ended."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Sequence
+
+from analyzer.catalogue import Dialect, Role
+from analyzer.diagnosis.scene import Piece, Read, Scene
+from analyzer.pipeline import Entry, Item
+from analyzer.records import CanFrame, Chunk, Comment, Finding, Frame, Junk, Lane, Message
+
+#: Frames and reads that are kept before and behind a trouble.
+_NEAR = 256
+#: Frames with what stands near them, and findings, of which more would show nothing new.
+_MOST_KEPT = 20_000
+_MOST_FINDINGS = 5_000
+
+_Kept = tuple[Lane | Message | None, Frame | Junk, int, int | None]
+
+
+class Watch:
+    """Keeps what stands near trouble. Feed it the items of the source by `take`, before the pipeline gets them."""
+
+    def __init__(self) -> None:
+        self._near: deque[_Kept] = deque(maxlen=_NEAR)
+        self._kept: list[_Kept] = []
+        self._reads_near: deque[tuple[Chunk, int]] = deque(maxlen=2 * _NEAR)
+        self._reads: list[tuple[Chunk, int]] = []
+        self._offsets: Counter[str] = Counter()
+        self._findings: list[Finding] = []
+        self.frames = 0
+        self.timed = False
+
+    def take(self, item: Item) -> None:
+        """Take an item of the source."""
+        if isinstance(item, Chunk):
+            offset = self._offsets[item.port]
+            self._offsets[item.port] = offset + len(item.data)
+            self._reads_near.append((item, offset))
+            self.timed |= item.t_ns is not None
+        elif isinstance(item, CanFrame):
+            self.timed |= item.t_ns is not None
+
+    def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
+        """Take a frame that is in order."""
+        self._near.append((lane, frame, sequence, request_sequence))
+        self.frames += 1
+
+    def entry(self, entry: Entry) -> None:
+        """Take a decoded frame."""
+        if entry.message.role is not Role.FOREIGN:
+            self._near.append((entry.message, entry.message.frame, entry.sequence, entry.request_sequence))
+            self.frames += 1
+
+    def junk(self, junk: Junk, sequence: int, topic: str) -> None:
+        """Take bytes that are no frame."""
+        self._near.append((None, junk, sequence, None))
+
+    def finding(self, found: Finding) -> None:
+        """Take a finding: what stands near it is kept."""
+        if len(self._findings) < _MOST_FINDINGS:
+            self._findings.append(found)
+            self._keep()
+
+    def comment(self, comment: Comment) -> None:
+        """Take a comment: it says nothing here."""
+
+    def _keep(self) -> None:
+        if len(self._kept) < _MOST_KEPT:
+            self._kept.extend(self._near)
+            self._reads.extend(self._reads_near)
+        self._near.clear()
+        self._reads_near.clear()
+
+    def scenes(self, dialects: Sequence[Dialect]) -> list[Scene]:
+        """Return the buses, as far as they were kept."""
+        self._keep()
+        rules: dict[int, set[str]] = {}
+        for found in self._findings:
+            rules.setdefault(found.sequence, set()).add(found.rule)
+        pieces: dict[str, list[Piece]] = {}
+        for what, where, sequence, asked_by in self._kept:
+            message = what.message(where) if isinstance(what, Lane) and isinstance(where, Frame) else what
+            assert not isinstance(message, Lane)
+            own = frozenset(rules.get(sequence, ()))
+            piece = Piece(where.offset, where.data, where.first_ns, sequence, message, asked_by, own)
+            pieces.setdefault(where.port, []).append(piece)
+        return [
+            Scene(
+                bus, tuple(dialects), found,
+                [
+                    Read(offset, offset + len(chunk.data), chunk.t_ns, chunk.direction, chunk.burst)
+                    for chunk, offset in self._reads
+                    if chunk.port == bus
+                ],
+                [f for f in self._findings if f.port == bus],
+                self.frames, self.timed,
+            )
+            for bus, found in pieces.items()
+        ]  # fmt: skip
