@@ -180,10 +180,12 @@ class Transactions:
         same = self._repeated(message)
         if same is not None:
             gap = frame.first_ns - same.t_ns
-            if frame.role is Role.REPLY or gap <= ECHO_NS:
+            if frame.role is Role.REPLY or (self._timed and gap <= ECHO_NS):
                 context.echoes += 1
-                return Paired(issues=(Issue("host_echo", f"the request once more after {gap / 1e6:.3f} ms"),))
-            earlier += self._give_up(same, RequestOutcome.RETRIED, f"the host repeated it after {gap / 1e6:.1f} ms")
+                after = f" after {gap / 1e6:.3f} ms" if self._timed else ""
+                return Paired(issues=(Issue("host_echo", f"the request once more{after}"),))
+            after = f" after {gap / 1e6:.1f} ms" if self._timed else ""
+            earlier += self._give_up(same, RequestOutcome.RETRIED, f"the host repeated it{after}")
         request = Request.of(message, sequence, topic)
         running = context.open.get(message.address)
         if running and command is not None and command.moves:
@@ -219,7 +221,7 @@ class Transactions:
         if request is None or request.frame.data != message.frame.data or request.state is not State.WAITING:
             return None
         silent = request.outcome is RequestOutcome.SILENT
-        return None if silent and message.frame.first_ns - request.t_ns > ECHO_NS else request
+        return None if silent and message.frame.role is not Role.REPLY and not (self._timed and message.frame.first_ns - request.t_ns <= ECHO_NS) else request
 
     def _is_to_many(self, message: Message) -> bool:
         command = message.command
@@ -243,6 +245,7 @@ class Transactions:
 
     def _reply(self, message: Message, asked: Request | None) -> Paired:
         context = self.context
+        asked = asked or self._from_new_address(message)
         if asked is None:
             return self._unasked(message)
         if context.echoes >= 2 and self._is_echo(message, asked):
@@ -261,6 +264,17 @@ class Transactions:
             issues.append(Issue("duplicate_reply", "the interim reply once more"))
         self._advance(asked, message, meaning)
         return Paired(asked, latency, first, tuple(issues), tuple(earlier))
+
+    def _from_new_address(self, message: Message) -> Request | None:
+        """Return the open request that gave the sender of a reply its address: either of the two may answer it."""
+        frame = message.frame
+        head = frame.dialect.link.parse(frame.data, frame.can.id if frame.can else None)
+        for requests in self.context.open.values():
+            for request in requests:
+                field = request.command.sets(Effect.ADDRESS) if request.command is not None else ""
+                if field and request.state is State.WAITING and request.message.values.get(field) == message.address:
+                    return request if answers(request, head.function, head.code, message.data) is not None else None
+        return None
 
     def _is_echo(self, message: Message, asked: Request) -> bool:
         """Say whether a reply that is byte for byte its request is the host's echo: only on a bus known to echo."""

@@ -254,6 +254,11 @@ class Scene:
             if piece.is_request and piece.stop in starts and starts[piece.stop].direction is not Role.REQUEST
         )
 
+    def often(self, count: int, role: Role) -> bool:
+        """Say whether what happened to so many frames of a sender is no chance: often, or to the only one."""
+        others = sum(piece.sound and piece.message is not None and piece.message.role is role for piece in self.pieces)
+        return (count > 1 and count >= _OFTEN * others) or (count == 1 and others <= 1)
+
     def of(self, *rules: str) -> list[Trouble]:
         """Return the troubles of some rules."""
         return [trouble for trouble in self.troubles if trouble.rule in rules]
@@ -264,6 +269,8 @@ class Scene:
         return self.of("damaged")
 
 
+#: The share of a sender's frames from which on something is no chance.
+_OFTEN = 0.2
 #: A longer pause in a capture with times ends what was sent; slow lines and adapters hold bytes back.
 PAUSE_NS = 8_000_000
 SLOW_BYTE_NS = 1_041_667

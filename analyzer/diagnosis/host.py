@@ -1,0 +1,86 @@
+"""What the host does with what it gets: it reads too little, or it gets its own bytes back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from analyzer.catalogue import Role
+from analyzer.diagnosis.checks import failing_by_check
+from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
+from analyzer.records import Message
+from analyzer.values import counted
+
+
+def look(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect the host."""
+    yield from _cut(scene)
+    yield from _echo(scene)
+
+
+def _echo(scene: Scene) -> Iterator[Suspicion]:
+    echoes = scene.of("host_echo")
+    if not scene.often(len(echoes), Role.REQUEST):
+        return
+    first = echoes[0]
+    data = "" if first.piece is None else shown(first.piece.data)
+    yield Suspicion(
+        "echo", Confidence.CERTAIN if len(echoes) > 1 else Confidence.LIKELY, echoes,
+        "What the host receives begins with what it has sent: its own bytes come back.",
+        f"the request {data} comes once more, at byte {first.offset}; {counted(len(echoes), 'time')}",
+        "Switch the receiver off while sending (tie RE to DE), or drop as many bytes as were sent before reading the reply",
+        tuple(Shown(e.offset, shown(e.piece.data)) for e in echoes if e.piece is not None),
+    )  # fmt: skip
+
+
+def _cut(scene: Scene) -> Iterator[Suspicion]:
+    cut: list[tuple[Trouble, bytes, int]] = []
+    for trouble in scene.damaged:
+        stretch = trouble.stretch
+        if stretch is None or stretch.direction is Role.REQUEST or not stretch.ends or not stretch.opens:
+            continue
+        asked = asked_before(scene, stretch)
+        wanted = _wanted(asked, stretch.data) if asked is not None else 0
+        # What the capture ends in may have gone on.
+        if wanted and (scene.directed or stretch.stop != scene.pieces[-1].stop):
+            cut.append((trouble, stretch.data, wanted))
+    if not scene.often(len(cut), Role.REPLY):
+        return
+    first, data, wanted = cut[0]
+    yield Suspicion(
+        "reply_cut", Confidence.CERTAIN if len(cut) > 1 else Confidence.LIKELY, [t for t, _, _ in cut],
+        "The host reads only a part of the reply.",
+        f"{shown(data)} at byte {first.offset} has {counted(len(data), 'byte')} of {wanted}; {counted(len(cut), 'time')}",
+        f"Read until {wanted} bytes are there or a timeout has passed, not what has come by the time of one read",
+        tuple(Shown(t.offset, shown(d)) for t, d, _ in cut),
+    )  # fmt: skip
+
+
+def asked_before(scene: Scene, stretch: Stretch) -> Message | None:
+    """Return the request that comes last before a stretch, mended if its check alone was wrong."""
+    found: Message | None = None
+    for piece in scene.pieces:
+        if piece.offset >= stretch.offset:
+            break
+        if piece.is_request and piece.sound:
+            found = piece.message
+    for trouble in scene.damaged:
+        if trouble.stretch is not None and trouble.stretch.stop == stretch.offset:
+            failing = failing_by_check(scene, trouble, trouble.stretch)
+            reading = scene.reader.best(failing.right) if failing is not None else None
+            found = reading.message if reading is not None else found
+    return found
+
+
+def _wanted(asked: Message, data: bytes) -> int:
+    """Return how many bytes the reply to a request has, if these are its beginning; else 0."""
+    command, link = asked.command, asked.frame.dialect.link
+    if command is None or command.code < 0 or link.kind == "can" or len(data) < 2:
+        return 0
+    for form in command.reply_forms:
+        if form.layout.open_ended:
+            continue
+        whole = link.build(command, form, asked.address, bytes(form.layout.byte_length), Role.REPLY)
+        sure = min(len(data), link.parse(whole).start)
+        if len(data) < len(whole) and data[:sure] == whole[:sure]:
+            return len(whole)
+    return 0

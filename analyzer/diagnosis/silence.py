@@ -1,0 +1,206 @@
+"""Nobody answers, or the drive refuses: who is asked, in which dialect, and what was set before."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from analyzer.catalogue import Command, Dialect, Risk, Role, Verb
+from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.dialects import drive_name
+from analyzer.encoder import build
+from analyzer.layout import Effect
+from analyzer.records import Message
+from analyzer.values import counted, identifier
+
+
+class _Asked(NamedTuple):
+    """The requests to one drive that were not answered."""
+
+    dialect: Dialect
+    address: int
+    troubles: list[Trouble]
+
+
+def look(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect whom the host asks, and what the drive is set to."""
+    answering: dict[int, str] = {}
+    for piece in scene.pieces:
+        if piece.message is not None and piece.message.role is Role.REPLY and "bad_checksum" not in piece.rules:
+            answering.setdefault(piece.message.address, piece.message.frame.dialect.name)
+    for asked in _unanswered(scene):
+        yield from _nobody(scene, asked, answering)
+    yield from _to_all(scene)
+    yield from _respond(scene)
+    yield from _refused(scene)
+
+
+def _unanswered(scene: Scene) -> Iterator[_Asked]:
+    found: dict[tuple[str, int], _Asked] = {}
+    for trouble in scene.of("unanswered", "other_dialect", "silent_address"):
+        message = trouble.piece.message if trouble.piece is not None else None
+        if message is None:
+            continue
+        dialect = message.frame.dialect
+        asked = found.setdefault((dialect.name, message.address), _Asked(dialect, message.address, []))
+        asked.troubles.append(trouble)
+    yield from found.values()
+
+
+def _nobody(scene: Scene, asked: _Asked, answering: dict[int, str]) -> Iterator[Suspicion]:
+    dialect, address = asked.dialect, asked.address
+    who = identifier(address) if dialect.bus == "can" else str(address)
+    first = asked.troubles[0]
+    assert first.piece is not None  # kept with its piece
+    evidence = f"{_bytes(first.piece)} at byte {first.offset}; {counted(len(asked.troubles), 'request')} unanswered"
+    frames = tuple(Shown(t.offset, _bytes(t.piece)) for t in asked.troubles if t.piece is not None)
+    if address in answering:
+        if answering[address] != dialect.name:
+            yield Suspicion(
+                "wrong_dialect", Confidence.CERTAIN, asked.troubles,
+                f"The host speaks {dialect.name} to address {who}, and the drive speaks {answering[address]}.",
+                f"{evidence}; its replies are {answering[address]}",
+                f"Speak {answering[address]} to it, or switch the drive over",
+                frames,
+            )  # fmt: skip
+        return
+    # Damaged bytes may be the replies: what they come from says why none is read.
+    if any(s.direction is not Role.REQUEST for s in scene.stretches):
+        return
+    others = sorted(a for a, name in answering.items() if name == dialect.name)
+    if others:
+        there = ", ".join(identifier(a) if dialect.bus == "can" else str(a) for a in others[:4])
+        yield Suspicion(
+            "wrong_address", Confidence.LIKELY, asked.troubles,
+            f"Nobody answers at address {who}; {there} does.",
+            f"{evidence}; replies come from {there}",
+            f"Look up the address in the drive's menu, or ask {drive_name(dialect, others[0])}; if two drives are there, "
+            f"check the wiring and the power of the one that is silent",
+            frames,
+        )  # fmt: skip
+        return
+    if len(asked.troubles) > 1 or len(scene.pieces) == 1:
+        yield Suspicion(
+            "no_reply", Confidence.LIKELY if len(asked.troubles) > 1 else Confidence.POSSIBLE, asked.troubles,
+            f"The requests to address {who} are right, and nobody answers.",
+            evidence,
+            _order(dialect),
+            frames,
+        )  # fmt: skip
+
+
+def _order(dialect: Dialect) -> str:
+    """Return what to try where the bytes cannot tell, in this order."""
+    tried = ["the drive's power, and a common ground"]
+    if dialect.bus == "can":
+        tried += ["CAN_H and CAN_L swapped, and 120 Ohm at both ends", "the bit rate in the drive's menu"]
+    else:
+        tried += ["A and B swapped", f"the baud rate in the drive's menu (the default is {dialect.baud_rates[0]})"]
+    tried.append("the address in the drive's menu")
+    if dialect.siblings:
+        tried.append(f"the dialect: the drive may be set to {' or '.join(dialect.siblings)}")
+    return f"Try in this order: {', then '.join(tried)}; `servotap scan PORT` tries speeds, addresses and dialects by itself"
+
+
+def _to_all(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect reads that are sent to all: no drive may answer them."""
+    sent = [
+        piece
+        for piece in scene.pieces
+        if (m := piece.message) is not None and piece.is_request and piece.sound and m.command is not None
+        and m.address == m.frame.dialect.broadcast and m.command.reply_forms and _reads(m)
+    ]  # fmt: skip
+    if not sent:
+        return
+    message = sent[0].message
+    assert message is not None and message.command is not None  # chosen so above
+    dialect = message.frame.dialect
+    right = build(dialect, message.command, dialect.addresses[0])
+    yield Suspicion(
+        "broadcast_no_reply", Confidence.CERTAIN, scene.of("unanswered"),
+        f"{message.command.name} is sent to address {dialect.broadcast}, which is all drives: none answers it.",
+        f"{_bytes(sent[0])} at byte {sent[0].offset}; {counted(len(sent), 'time')}",
+        f"Ask one drive: {shown(right, dialect.link.identifier(message.command, dialect.addresses[0]))}",
+        tuple(Shown(p.offset, _bytes(p)) for p in sent),
+    )  # fmt: skip
+
+
+def _reads(message: Message) -> bool:
+    assert message.command is not None  # asked of known commands
+    return message.command.risks(message.values) == frozenset((Risk.READ,))
+
+
+def _respond(scene: Scene) -> Iterator[Suspicion]:
+    for trouble in scene.of("silent_address"):
+        message = trouble.piece.message if trouble.piece is not None else None
+        if message is None:
+            continue
+        dialect, address = message.frame.dialect, message.address
+        answered = [p for p in scene.pieces if p.is_reply and p.message is not None and p.message.address == address]
+        setting = dialect.effect(Effect.RESPOND)
+        if not answered or setting is None or trouble.piece is None:
+            continue
+        command, field = setting
+        active = command.sets(Effect.ACTIVE)
+        right = build(dialect, command, address, {field.name: 1, **({active: 1} if active else {})})
+        frame = shown(right, dialect.link.identifier(command, address))
+        yield Suspicion(
+            "respond_off", Confidence.LIKELY, [trouble],
+            f"Address {message.who} answers reads and no motion command: respond is off.",
+            f"{_bytes(trouble.piece)} at byte {trouble.offset} has no reply, and reads do",
+            f"Switch replies on: send {frame}; if it is a group address, no reply is right (--group {address})",
+            (Shown(trouble.offset, _bytes(trouble.piece), frame),),
+        )  # fmt: skip
+
+
+def _refused(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect the work mode where every motion command of a drive is refused."""
+    refused: dict[tuple[str, int], list[Trouble]] = defaultdict(list)
+    done: set[tuple[str, int]] = set()
+    asked = {p.sequence: p for p in scene.pieces if p.is_request}
+    failed = {t.piece.sequence: t for t in scene.of("failed_status", "refused_write") if t.piece is not None}
+    for piece in scene.pieces:
+        if not piece.is_reply or piece.message is None or piece.message.command is None:
+            continue
+        message = piece.message
+        request = asked.get(piece.asked_by or 0)
+        command = request.message.command if request is not None and request.message is not None else message.command
+        if command is None or not _needs_mode(command):
+            continue
+        drive = (message.frame.dialect.name, message.address)
+        if piece.sequence in failed:
+            refused[drive].append(failed[piece.sequence])
+        else:
+            done.add(drive)
+    for drive, troubles in refused.items():
+        if drive in done or (len(troubles) == 1 and len(scene.pieces) > 4):
+            continue
+        first = troubles[0].piece
+        assert first is not None and first.message is not None and first.message.command is not None
+        dialect, address = first.message.frame.dialect, first.message.address
+        changed = dialect.effect(Effect.WORK_MODE)
+        if changed is None:
+            continue
+        setter, field = changed
+        mode = next(m for m in (*first.message.command.modes, "") if not m or m.lower() in field.choice_names.values())
+        value = next((v for v, name in field.choice_names.items() if name == mode.lower()), None)
+        if value is None:
+            continue
+        frame = shown(build(dialect, setter, address, {field.name: value}), dialect.link.identifier(setter, address))
+        yield Suspicion(
+            "refused_mode", Confidence.LIKELY, troubles,
+            f"Address {first.message.who} refuses motion while it answers: it is in a mode that takes pulses, not the bus.",
+            f"{_bytes(first)} at byte {first.offset} reports a refusal; {counted(len(troubles), 'time')}, and none succeeds",
+            f"Change the work mode to {mode}: send {frame}; then enable the motor and move. If it is in that mode, ask for a "
+            f"stall: `{Verb.READ_PROTECTION}`",
+            tuple(Shown(t.offset, _bytes(t.piece)) for t in troubles if t.piece is not None),
+        )  # fmt: skip
+
+
+def _needs_mode(command: Command) -> bool:
+    return bool(command.modes) and (command.moves or command.verb is Verb.ENABLE)
+
+
+def _bytes(piece: Piece | None) -> str:
+    return "" if piece is None else shown(piece.data, None if piece.can is None else piece.can.id)
