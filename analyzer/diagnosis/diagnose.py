@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from analyzer.catalogue import Dialect
-from analyzer.diagnosis import checks, host, silence, spoiled
+from analyzer.diagnosis import checks, host, line, silence, spoiled
 from analyzer.diagnosis.ranking import Ranked, ranked
 from analyzer.diagnosis.scene import Scene, Suspicion
 from analyzer.diagnosis.watch import Watch
 
 #: A row a subject: each is asked about a scene, and yields what it suspects.
-HYPOTHESES: tuple[Callable[[Scene], Iterator[Suspicion]], ...] = (checks.look, spoiled.look, host.look, silence.look)
+HYPOTHESES: tuple[Callable[[Scene], Iterator[Suspicion]], ...] = (checks.look, spoiled.look, host.look, silence.look, line.look)
 
 
 @dataclass(frozen=True)

@@ -183,8 +183,8 @@ def _refused(scene: Scene) -> Iterator[Suspicion]:
         if changed is None:
             continue
         setter, field = changed
-        mode = next(m for m in (*first.message.command.modes, "") if not m or m.lower() in field.choice_names.values())
-        value = next((v for v, name in field.choice_names.items() if name == mode.lower()), None)
+        mode = next((m for m in reversed(first.message.command.modes) if m in field.choice_names.values()), "")
+        value = next((v for v, name in field.choice_names.items() if name == mode), None)
         if value is None:
             continue
         frame = shown(build(dialect, setter, address, {field.name: value}), dialect.link.identifier(setter, address))
