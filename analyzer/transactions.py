@@ -221,7 +221,13 @@ class Transactions:
         if request is None or request.frame.data != message.frame.data or request.state is not State.WAITING:
             return None
         silent = request.outcome is RequestOutcome.SILENT
-        return None if silent and message.frame.role is not Role.REPLY and not (self._timed and message.frame.first_ns - request.t_ns <= ECHO_NS) else request
+        return (
+            None
+            if silent
+            and message.frame.role is not Role.REPLY
+            and not (self._timed and message.frame.first_ns - request.t_ns <= ECHO_NS)
+            else request
+        )
 
     def _is_to_many(self, message: Message) -> bool:
         command = message.command

@@ -247,6 +247,22 @@ def findings() -> str:
     )
 
 
+def troubles() -> str:
+    """Return the page of causes."""
+    from analyzer.diagnosis.causes import CAUSES
+
+    lines = [
+        "# Troubles and their causes",
+        "",
+        "`servotap diagnose FILE` names these, with the evidence in the capture and the next step. It asks only where",
+        "something is wrong, and names no cause where the bytes show none.",
+    ]
+    for cause in CAUSES.values():
+        lines += ["", f"## {cause.id}", "", cause.wrong, "", f"- What it looks like: {cause.looks}", f"- Why: {cause.why}"]
+        lines += [f"- What to do: {cause.todo}", f"- Example: `{cause.example}`"]
+    return "\n".join([*lines, ""])
+
+
 def statements() -> str:
     """Return the page of what the manuals say, and the share of it that has claims."""
     from analyzer import dialects
@@ -287,6 +303,7 @@ def main() -> int:
             ROOT / "docs" / "show.svg": picture,
             ROOT / "docs" / "findings.md": findings,
             ROOT / "docs" / "statements.md": statements,
+            ROOT / "docs" / "troubles.md": troubles,
         }
         made = {path: make() for path, make in makers.items() if not arguments.pages or path.name in arguments.pages}
     old = [path for path, text in made.items() if not path.exists() or path.read_text() != text]

@@ -36,7 +36,7 @@ def test_the_two_commands_and_the_files_exist():
         assert (ROOT / link).exists(), link
 
 
-@pytest.mark.parametrize("page", ["findings", "statements"])
+@pytest.mark.parametrize("page", ["findings", "statements", "troubles"])
 def test_a_page_that_is_made_is_up_to_date(page):
     assert (ROOT / "docs" / f"{page}.md").read_text() == getattr(make, page)(), f"python docs/make.py {page}.md"
 

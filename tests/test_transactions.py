@@ -257,3 +257,15 @@ def test_a_reply_that_was_read_together_with_its_request_has_no_latency():
     sink = serial("mks-rs485", (0, ASK_SPEED + " " + sum8("FB 01 32 00 64")), (50, ASK_SPEED), (53, sum8("FB 01 32 00 64")))
     replies = [entry for entry in sink.entries if entry.request_sequence is not None]
     assert [entry.latency_ns is None for entry in replies] == [True, False]
+
+
+def test_equal_requests_without_times_are_no_echo():
+    sink = serial("mks-rs485", ASK_SPEED, ASK_SPEED, timed=False)
+    assert sink.rules == ["unanswered", "unanswered"]
+    assert sink.findings[0].text.endswith("the host repeated it")
+
+
+def test_a_new_address_may_answer_the_request_that_gave_it():
+    sink = serial("mks-rs485", (0, "FA 01 8B 05 8B"), (5, "FB 05 8B 01 8C"), (10, "FA 05 32 31"))
+    assert [f.rule for f in sink.findings if f.severity > "info"] == []
+    assert sink.entries[1].request_sequence == 1

@@ -18,6 +18,8 @@ from analyzer import __version__
 from analyzer.cli.output import Output, target_of
 from analyzer.cli.reading import OpenCapture, add_reading_arguments, now_text, open_reading, progress
 from analyzer.cli.signals import Interrupt
+from analyzer.diagnosis.diagnose import Diagnosis, diagnosis, lines
+from analyzer.diagnosis.watch import Watch
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.pipeline import Pipeline, Sink
 from analyzer.records import Severity
@@ -165,12 +167,14 @@ def _decode(path: str, target: Path, reading: OpenCapture, arguments: argparse.N
     with contextlib.closing(reading.source), Interrupt() as interrupt:
         output = Output(target, arguments.force)
         sinks = _Sinks(reading, output)
-        pipeline = reading.pipeline(sinks.given)
+        watch = Watch()
+        pipeline = reading.pipeline((*sinks.given, watch))
         stopped = ""
         try:
             try:
                 with progress(reading.source, f"decoding {reading.source.name}"):
                     for item in interrupt.items(reading):
+                        watch.take(item)
                         pipeline.feed(item)
                 if interrupt.asked:
                     stopped = f"stopped by {interrupt.asked}"
@@ -191,6 +195,8 @@ def _decode(path: str, target: Path, reading: OpenCapture, arguments: argparse.N
             output.drop()
             raise
     _report(reading, pipeline, summary, target, arguments, stopped)
+    if not arguments.json:
+        _tell_causes(diagnosis(watch, reading.dialects))
     if stopped.startswith("stopped"):
         raise KeyboardInterrupt
     return summary
@@ -237,6 +243,12 @@ def _account(total: int, summary: Summary) -> None:
     accounted = summary.frame_bytes + sum(summary.junk_bytes.values())
     if accounted != total:
         raise RuntimeError(f"{total} bytes came in, {accounted} accounted for")
+
+
+def _tell_causes(found: Diagnosis) -> None:
+    """Say what is wrong, where a cause was found."""
+    for line in lines(found) if found.causes else ():
+        print(printable(line))
 
 
 def _report(

@@ -13,10 +13,10 @@ from typing import Any
 
 from analyzer.cli.reading import add_reading_arguments, open_reading, progress
 from analyzer.cli.signals import Interrupt
-from analyzer.diagnosis.diagnose import Diagnosis, diagnosis
+from analyzer.diagnosis.diagnose import Diagnosis, diagnosis, lines
 from analyzer.diagnosis.watch import Watch
 from analyzer.errors import UnreadableError
-from analyzer.values import counted, printable
+from analyzer.values import printable
 
 EXAMPLES = """\
 exit status: 0 nothing wrong, or no cause found; 1 a cause was found; 2 wrong use, or a file that cannot be read.
@@ -72,20 +72,3 @@ def _diagnose(path: str, arguments: argparse.Namespace) -> tuple[str, Diagnosis]
 
 def _object(path: str, dialect: str, found: Diagnosis) -> dict[str, Any]:
     return {"file": path, "dialect": dialect, "verdict": found.verdict, "causes": found.as_objects()}
-
-
-def lines(found: Diagnosis) -> list[str]:
-    """Return a diagnosis for people."""
-    if found.verdict == "ok":
-        return ["nothing wrong was found"]
-    if not found.causes:
-        return [f"{counted(found.troubles, 'thing')} went wrong, and no cause shows in the bytes"]
-    told = []
-    for number, each in enumerate(found.causes, 1):
-        suspicion = each.suspicion
-        told += [
-            f"{number}. {suspicion.say} ({suspicion.cause}, {suspicion.confidence.value}, {each.share:.0%} of the trouble)",
-            f"   evidence: {suspicion.evidence}",
-            f"   next: {suspicion.next}",
-        ]
-    return told

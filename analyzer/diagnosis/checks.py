@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterator
 from functools import reduce
 from typing import NamedTuple
 
+from analyzer.catalogue import Role
 from analyzer.diagnosis.reader import Reader
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.link.modbus import modbus_crc
-from analyzer.records import Role
 from analyzer.values import counted
 
 
@@ -87,6 +87,8 @@ RULES = (
     Rule("the sum of all bytes, in 16 bits, low byte first", _RULE, lambda b, i: (sum(b) & 0xFFFF).to_bytes(2, "little")),
 )
 _LONGEST_CHECK = 2
+#: Bytes before a frame that are looked for.
+_STRAY = 3
 
 
 class Failing(NamedTuple):
@@ -107,10 +109,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     # One that is right shows that the host can: what fails then is a damaged frame, unless a rule says how.
     sound = [p for p in scene.pieces if p.is_request and p.sound and "bad_checksum" not in p.rules]
     if missing and _deliberate(missing, bool(sound)):
-        yield _said(
-            "missing_checksum", Confidence.CERTAIN if len(missing) > 1 or missing[0].right[:1] == b"\xfa" else Confidence.LIKELY,
-            missing, "is sent without its checksum", "Put the checksum behind it",
-        )  # fmt: skip
+        confidence = Confidence.CERTAIN if len(missing) > 1 else Confidence.LIKELY
+        yield _said("missing_checksum", confidence, missing, "is sent without its checksum", "Put the checksum behind it")
     named = _named(wrong, bool(sound))
     for rule, each in named.items():
         sure = len({f.right for f in each}) > 1 or each[0].size > 1
@@ -152,6 +152,9 @@ def failing_by_check(scene: Scene, trouble: Trouble, stretch: Stretch) -> Failin
     if stretch.direction is Role.REPLY:
         return None
     data, can_id = stretch.data, stretch.can_id
+    # Bytes too many before a sound frame are no matter of its check.
+    if can_id is None and any(scene.reader.best(data[size:]) is not None for size in range(1, _STRAY + 1)):
+        return None
     for size in range(1, _LONGEST_CHECK + 1):
         found = _with_check(scene.reader, trouble, data[: len(data) - size], data[len(data) - size :], can_id)
         if found is not None and (found.rules or stretch.ends):

@@ -11,8 +11,9 @@ from analyzer.diagnosis import checks, host, line, silence, spoiled
 from analyzer.diagnosis.ranking import Ranked, ranked
 from analyzer.diagnosis.scene import Scene, Suspicion
 from analyzer.diagnosis.watch import Watch
+from analyzer.values import counted
 
-#: A row a subject: each is asked about a scene, and yields what it suspects.
+#: A row a subject: each is asked about a scene, and yields what it suspects. What costs most comes last.
 HYPOTHESES: tuple[Callable[[Scene], Iterator[Suspicion]], ...] = (checks.look, spoiled.look, host.look, silence.look, line.look)
 
 
@@ -48,10 +49,35 @@ class Diagnosis:
 _MOST_FRAMES = 20
 
 
+def suspected(scene: Scene) -> Iterator[Suspicion]:
+    """Yield what all hypotheses suspect; each is told what those before it explain."""
+    for hypothesis in HYPOTHESES:
+        for each in hypothesis(scene):
+            scene.explained.update(each.troubles)
+            yield each
+
+
 def diagnosis(watch: Watch, dialects: Sequence[Dialect]) -> Diagnosis:
     """Return what is wrong in a capture that a watch has seen."""
     scenes = watch.scenes(dialects)
     troubles = [trouble for scene in scenes for trouble in scene.troubles]
-    suspicions = [each for scene in scenes for hypothesis in HYPOTHESES for each in hypothesis(scene)]
+    suspicions = [each for scene in scenes for each in suspected(scene)]
     causes = tuple(ranked(suspicions, troubles))
     return Diagnosis("trouble" if causes else "unknown" if troubles else "ok", causes, len(troubles))
+
+
+def lines(found: Diagnosis) -> list[str]:
+    """Return a diagnosis for people."""
+    if found.verdict == "ok":
+        return ["nothing wrong was found"]
+    if not found.causes:
+        return [f"{counted(found.troubles, 'thing')} went wrong, and no cause shows in the bytes"]
+    told = []
+    for number, each in enumerate(found.causes, 1):
+        suspicion = each.suspicion
+        told += [
+            f"{number}. {suspicion.say} ({suspicion.cause}, {suspicion.confidence.value}, {each.share:.0%} of the trouble)",
+            f"   evidence: {suspicion.evidence}",
+            f"   next: {suspicion.next}",
+        ]
+    return told

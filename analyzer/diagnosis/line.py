@@ -12,7 +12,7 @@ levels but for the pauses between them, and few pauses make whole bytes, and few
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from math import ceil
 from typing import NamedTuple
@@ -51,20 +51,23 @@ class _Fit(NamedTuple):
 
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the line, where no frame explains the bytes."""
-    garbled = [t for t in scene.damaged if t.stretch is not None and t.stretch.can_id is None and len(t.stretch.data) > 1]
+    left = [t for t in scene.damaged if t not in scene.explained]
+    garbled = [t for t in left if t.stretch is not None and t.stretch.can_id is None and len(t.stretch.data) > 1]
     garbled = garbled[:_MOST_STRETCHES]
     sound = sum(p.sound for p in scene.pieces)
     # A line that is set up wrongly lets nothing through.
     if not garbled or sound > len(garbled):
         return
     reader = scene.reader
-    yield from _said(_fits(garbled, lambda data: _unshifted(reader, data, inverted=True)), "inverted_lines", _INVERTED)
-    yield from _said(_fits(garbled, lambda data: _unshifted(reader, data, inverted=False)), "lost_start", _LOST)
-    yield from _said(_fits(garbled, lambda data: _of_seven(reader, data)), "wrong_parity", _PARITY)
-    yield from _wrong_baud(garbled)
+    found = [
+        *_said(_fits(garbled, lambda data: _unshifted(reader, data, inverted=True)), "inverted_lines", _INVERTED),
+        *_said(_fits(garbled, lambda data: _unshifted(reader, data, inverted=False)), "lost_start", _LOST),
+        *_said(_fits(garbled, lambda data: _of_seven(reader, data)), "wrong_parity", _PARITY),
+    ]
+    yield from found or _wrong_baud(garbled)
 
 
-def _fits(garbled: list[Trouble], mend) -> list[_Fit]:  # type: ignore[no-untyped-def]
+def _fits(garbled: list[Trouble], mend: Callable[[bytes], bytes | None]) -> list[_Fit]:
     found = []
     for trouble in garbled:
         assert trouble.stretch is not None  # chosen so
@@ -89,7 +92,7 @@ _INVERTED = _Words(
 _LOST = _Words(
     "The receiver misses the first start bit, and reads the frame from its next low level on.",
     "{} is {} without its first start bit",
-    "Switch the receiver on before the sender begins, and the sender's driver a bit time before its first start bit; bias the line",
+    "Switch the receiver on before the sender begins, and the driver a bit time before the first start bit; bias the line",
 )
 _PARITY = _Words(
     "One side uses seven data bits with parity, the other eight without.",
@@ -109,10 +112,13 @@ def _said(fits: list[_Fit], cause: str, words: _Words) -> Iterator[Suspicion]:
         words.say,
         f"{text}, at byte {first.trouble.offset}; {counted(len(fits), 'time')}",
         words.next,
-        tuple(
-            Shown(f.trouble.offset, shown(f.trouble.stretch.data), shown(f.frame)) for f in fits if f.trouble.stretch is not None
-        ),
+        _frames(fits),
     )  # fmt: skip
+
+
+def _frames(fits: list[_Fit]) -> tuple[Shown, ...]:
+    read = [(f, f.trouble.stretch.data) for f in fits if f.trouble.stretch is not None]
+    return tuple(Shown(fit.trouble.offset, shown(data), shown(fit.frame)) for fit, data in read)
 
 
 # --- the same speed: levels from bytes -----------------------------------------------------------------------------------
@@ -169,7 +175,8 @@ def _ended(levels: list[int], high: int) -> Iterator[list[int]]:
         yield levels[:stop]
         stop -= _BITS
     if rest := -len(levels) % _BITS:
-        yield levels + [high] * (rest - 1) + [1]
+        for lows in range(rest):
+            yield levels + [1 - high] * lows + [high] * (rest - 1 - lows) + [1]
 
 
 def _framed(levels: list[int], first: int) -> bool:
@@ -301,9 +308,7 @@ def _wrong_baud(garbled: list[Trouble]) -> Iterator[Suspicion]:
         f"{shown(first.trouble.stretch.data)} is {shown(first.frame)} read so, at byte {first.trouble.offset}; "
         f"{counted(len(fits), 'time')}",
         f"Set both sides to one speed; the ratio fits {several}. `servotap record PORT:auto` finds the speed",
-        tuple(
-            Shown(f.trouble.offset, shown(f.trouble.stretch.data), shown(f.frame)) for f in fits if f.trouble.stretch is not None
-        ),
+        _frames(fits),
     )  # fmt: skip
 
 
@@ -317,7 +322,8 @@ def _levels() -> tuple[tuple[bytes, str], ...]:
 def sampled(levels: str, ratio: float, late: tuple[float, float] = (0.0, 0.0), heads: bytes = b"") -> bytes:
     """Return what a receiver reads of levels whose sender is `ratio` times as fast; after them the line is idle.
 
-    `late`: how far behind the middle of start bits, and of others, it samples, in bits of the sender. `heads`: nothing else is looked for.
+    `late`: how far behind the middle of start bits, and of others, it samples, in bits of the sender. `heads`: nothing that
+    begins otherwise is looked for.
     """
     last = len(levels)
     idle = levels + "1" * (int(10 * ratio) + 2)

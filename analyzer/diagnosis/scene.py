@@ -157,6 +157,7 @@ class Scene:
     frames: int
     timed: bool
     reader: Reader = field(init=False)
+    explained: set[Trouble] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.reader = Reader.of_bus("can" if any(p.can is not None for p in self.pieces) else "serial")
@@ -234,10 +235,14 @@ class Scene:
         damaged = [Trouble("damaged", s.offset, s) for s in self.stretches]
         by_sequence = {piece.sequence: piece for piece in self.pieces}
         following = self._followed()
+        # A capture of one side alone shows what it shows.
+        asked = any(piece.is_request for piece in self.pieces)
         others = []
         for found in self.findings:
             piece = by_sequence.get(found.sequence)
             if found.rule not in _TROUBLE or (piece is not None and not piece.sound):
+                continue
+            if not asked and found.rule in ("unsolicited_reply", "duplicate_reply"):
                 continue
             # A request is unanswered where its reply came damaged.
             if found.rule in ("unanswered", "silent_address") and found.sequence in following:
@@ -256,7 +261,8 @@ class Scene:
 
     def often(self, count: int, role: Role) -> bool:
         """Say whether what happened to so many frames of a sender is no chance: often, or to the only one."""
-        others = sum(piece.sound and piece.message is not None and piece.message.role is role for piece in self.pieces)
+        roles = (role,) if role in (Role.REQUEST, Role.REPLY) else tuple(Role)
+        others = sum(piece.sound and piece.message is not None and piece.message.role in roles for piece in self.pieces)
         return (count > 1 and count >= _OFTEN * others) or (count == 1 and others <= 1)
 
     def of(self, *rules: str) -> list[Trouble]:

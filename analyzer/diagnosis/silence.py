@@ -114,7 +114,8 @@ def _to_all(scene: Scene) -> Iterator[Suspicion]:
     if not sent:
         return
     message = sent[0].message
-    assert message is not None and message.command is not None  # chosen so above
+    assert message is not None
+    assert message.command is not None  # chosen so above
     dialect = message.frame.dialect
     right = build(dialect, message.command, dialect.addresses[0])
     yield Suspicion(
@@ -177,7 +178,9 @@ def _refused(scene: Scene) -> Iterator[Suspicion]:
         if drive in done or (len(troubles) == 1 and len(scene.pieces) > 4):
             continue
         first = troubles[0].piece
-        assert first is not None and first.message is not None and first.message.command is not None
+        assert first is not None
+        assert first.message is not None
+        assert first.message.command is not None  # a reply of a known command
         dialect, address = first.message.frame.dialect, first.message.address
         changed = dialect.effect(Effect.WORK_MODE)
         if changed is None:

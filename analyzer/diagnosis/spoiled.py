@@ -36,13 +36,13 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         yield _said(
             "lost_start", lost, "The first bytes of {} are missing.",
             "{} becomes the whole frame {} with its first bytes back",
-            "Receive from before the drive answers: switch the RS485 driver to receiving as soon as the last stop bit is out, and "
+            "Receive before the drive answers: switch the RS485 driver round as soon as the last stop bit is out, and "
             "do not clear the input after sending",
         )  # fmt: skip
     if scene.often(len(leading), Role.REPLY):
         yield _said(
             "leading_glitch", leading, "Stray bytes stand before {}.", "{} stands before the whole frame {}",
-            "Bias the line (pull A up and B down, 120 Ohm at both ends), and drop bytes before a head; the frame itself is whole",
+            "Bias the line (A up, B down, 120 Ohm at both ends), and drop bytes before a head; the frame itself is whole",
         )  # fmt: skip
     if scene.often(len(trailing), Role.REPLY):
         yield _said(

@@ -1,0 +1,319 @@
+"""Each cause on made traffic, and silence on clean and merely noisy traffic."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import random
+from itertools import islice
+from pathlib import Path
+
+import pytest
+
+from analyzer import dialects as registry
+from analyzer.catalogue import Role
+from analyzer.cli import main
+from analyzer.detect import choose
+from analyzer.diagnosis.causes import CAUSES
+from analyzer.diagnosis.diagnose import diagnosis
+from analyzer.diagnosis.watch import Watch
+from analyzer.encoder import assemble, build
+from analyzer.pipeline import Options, Pipeline
+from analyzer.records import CanFrame, Chunk
+from conformance.drives.serial_bus import SerialBus
+from tests.conformance.drives.served import drives
+from tests.diagnosis.spoiled_line import Format, both, levels, received
+
+ROOT = Path(__file__).parents[2]
+_SPEC = importlib.util.spec_from_file_location("make_captures", ROOT / "captures" / "make.py")
+captures = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(captures)
+
+NATIVE, MODBUS, CAN, LK = (registry.get(n) for n in ("mks-rs485", "mks-modbus", "mks-can", "lk-rs485"))
+
+
+def diagnosed(items):
+    chosen = choose(registry.every(), items).dialects
+    watch = Watch()
+    pipeline = Pipeline(chosen, [watch], Options(timed=any(item.t_ns is not None for item in items)))
+    for item in items:
+        watch.take(item)
+        pipeline.feed(item)
+    pipeline.close()
+    return diagnosis(watch, chosen)
+
+
+def lines(*rows):
+    """Return the chunks of rows: `> FA 01` was sent, `< FB 01` received, without a mark either; bytes are taken so."""
+    roles = {">": Role.REQUEST, "<": Role.REPLY}
+    found = []
+    for number, row in enumerate(rows):
+        mark, text = ("", row) if isinstance(row, bytes) else row if isinstance(row, tuple) else (row[:1], row.strip("<> "))
+        data = text if isinstance(text, bytes) else bytes.fromhex(text)
+        found.append(Chunk(number * 10_000_000, "bus", data, roles.get(mark, Role.UNKNOWN), True))
+    return found
+
+
+def told(*rows):
+    return [each.suspicion for each in diagnosed(lines(*rows)).causes]
+
+
+def first(*rows):
+    found = told(*rows)
+    return found[0].cause if found else None
+
+
+def exchanged(drive, *requests):
+    """Return rows of requests and the replies of an emulated drive."""
+    bus = SerialBus(drives(drive))
+    rows = []
+    for request in requests:
+        bus.send(request)
+        reply = b""
+        while (chunk := bus.receive(50_000_000)) is not None:
+            reply += chunk.data
+        rows += [(">", request), *([("<", reply)] if reply else [])]
+    return rows
+
+
+def changed(rows, mark, change):
+    return [(m, change(data) if m == mark else data) for m, data in rows]
+
+
+READS = [build(NATIVE, name, 1) for name in ("read_encoder_carry", "read_speed", "read_pulses", "read_protection")]
+LK_READS = [build(LK, name, 1) for name in ("read_state_1", "read_state_2", "read_state_3")]
+
+
+# --- the examples of the issue -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("rows", "causes", "right"),
+    [
+        (["FA 01 F6 00 00 02 F9"], ["wrong_checksum_rule"], "FA 01 F6 00 00 02 F3"),
+        (["7F 7E FF FF EB 75 19"], ["inverted_lines"], "01 03 00 00 00 0A C5 CD"),
+        (["40 40 40 41 64 F1"], ["lost_start"], "01 01 01 05 91 8B"),
+        (["01 03 00 00 00 01 C0 A1"], ["wrong_checksum_rule"], "01 03 00 00 00 01 84 0A"),
+        (
+            ["> 01 10 00 F5 00 04 08 00 64 00 00 00 00 00 00", "< 01 10 00"],
+            ["missing_checksum", "reply_cut"],
+            "01 10 00 F5 00 04 08 00 64 00 00 00 00 00 00 DC B1",
+        ),
+    ],
+)
+def test_examples(rows, causes, right):
+    found = told(*rows)
+    assert [each.cause for each in found] == causes
+    assert found[0].frames[0].right == right or right in found[0].evidence
+
+
+def test_the_rule_is_named():
+    assert "the sum without the head byte" in told("FA 01 F6 00 00 02 F9")[0].say
+    assert "the CRC without the address, high byte first" in told("01 03 00 00 00 01 C0 A1")[0].say
+
+
+# --- checks --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dialect", [NATIVE, MODBUS, LK], ids=lambda d: d.name)
+def test_a_missing_checksum(dialect):
+    whole = [build(dialect, name, 1) for name in ("read_encoder_carry", "read_speed") if name in dialect.by_name]
+    whole += [build(dialect, c, 1) for c in dialect.commands if c.verb.startswith("read_state")]
+    cut = [frame[: -2 if dialect is MODBUS else -1] for frame in whole]
+    found = told(*((">", frame) for frame in cut))
+    assert found[0].cause == "missing_checksum"
+    assert found[0].frames[0].right == whole[0].hex(" ").upper()
+
+
+@pytest.mark.parametrize(
+    ("rule", "cause"),
+    [
+        (lambda body: bytes((sum(body[1:]) & 0xFF,)), "wrong_checksum_rule"),
+        (lambda body: bytes((body[0] ^ body[1] ^ body[2],)), "wrong_checksum_rule"),
+        (lambda body: captures.crc16(body), "wrong_checksum_rule"),
+        (lambda body: b"\x77", "wrong_checksum"),
+    ],
+)
+def test_native_checks(rule, cause):
+    assert first(*((">", frame[:-1] + rule(frame[:-1])) for frame in READS)) == cause
+
+
+def test_a_swapped_crc():
+    asked = [build(MODBUS, name, 1) for name in ("read_encoder_carry", "read_speed")]
+    found = told(*((">", frame[:-2] + frame[:-3:-1]) for frame in asked))
+    assert (found[0].cause, found[0].confidence) == ("crc_swapped", "certain")
+
+
+def test_one_sum_for_both_of_lingkong():
+    frames = [assemble(LK, "run_speed", 1, {"speed": speed}).frame for speed in (1000, -300)]
+    rows = [(">", f[:4] + f[5:-1] + bytes((sum(f[:4] + f[5:-1]) & 0xFF,))) for f in frames]
+    found = told(*rows)
+    assert found[0].cause == "wrong_checksum_rule"
+    assert found[0].frames[0].right == frames[0].hex(" ").upper()
+
+
+def test_a_can_sum_without_the_identifier():
+    sent = [(3, build(CAN, name, 3)) for name in ("read_encoder_carry", "read_speed", "read_pulses")]
+    items = [
+        CanFrame(n * 5_000_000, "can0", i, data[:-1] + bytes((sum(data[:-1]) & 0xFF,))) for n, (i, data) in enumerate(sent)
+    ]
+    found = diagnosed(items).causes[0].suspicion
+    assert (found.cause, found.frames[0].right) == ("wrong_checksum_rule", f"003 {sent[0][1].hex(' ').upper()}")
+
+
+# --- edges, and what the host reads --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [
+        (lambda reply: reply[1:], "lost_start"),
+        (lambda reply: b"\xff" + reply, "leading_glitch"),
+        (lambda reply: b"\x00\x00" + reply, "leading_glitch"),
+        (lambda reply: reply + b"\x00", "trailing_glitch"),
+        (lambda reply: reply[:3], "reply_cut"),
+    ],
+)
+@pytest.mark.parametrize(("drive", "reads"), [("mks-rs485@1", READS), ("lk-rs485@1,baud=38400", LK_READS)])
+def test_spoiled_replies(change, cause, drive, reads):
+    assert first(*changed(exchanged(drive, *reads), "<", change)) == cause
+
+
+def test_an_echo_needs_a_direction_or_times():
+    rows = exchanged("mks-rs485@1", *READS)
+    echoing = [("<", rows[i - 1][1] + data) if mark == "<" else (mark, data) for i, (mark, data) in enumerate(rows)]
+    assert first(*echoing) == "echo"
+    untimed = [Chunk(None, "bus", 2 * READS[0], burst=True)]
+    assert "echo" not in [c.suspicion.cause for c in diagnosed(untimed).causes]
+
+
+# --- the line ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("spoil", "cause"),
+    [
+        (lambda line: received(line, inverted=True), "inverted_lines"),
+        (lambda line: received(line, 0.5), "wrong_baud"),
+        (lambda line: received(line, 2 / 3), "wrong_baud"),
+        (lambda line: received(line, 115200 / 38400), "wrong_baud"),
+        (lambda line: received(line, form=Format(7)), "wrong_parity"),
+    ],
+)
+@pytest.mark.parametrize("reads", [READS, LK_READS], ids=["mks", "lk"])
+def test_a_line_that_is_set_up_wrongly(spoil, cause, reads):
+    if (cause, reads) == ("wrong_parity", LK_READS):
+        reads = READS
+    found = told(*(spoil(levels(frame)) for frame in reads))
+    assert found, [spoil(levels(frame)).hex(" ") for frame in reads]
+    assert found[0].cause == cause, found
+
+
+def test_a_receiver_that_misses_the_first_start_bit():
+    asked = [build(MODBUS, name, 1) for name in ("read_encoder_carry", "read_speed")]
+    assert first(*(received(levels(frame), missed=1) for frame in asked)) == "lost_start"
+
+
+# --- silence -------------------------------------------------------------------------------------------------------------
+
+
+def test_nobody_answers():
+    found = told(*((">", frame) for frame in READS))
+    assert [each.cause for each in found] == ["no_reply"]
+    assert "swapped" in found[0].next
+
+
+def test_another_address_answers():
+    rows = [*exchanged("mks-rs485@1", *READS), (">", build(NATIVE, "read_speed", 2)), (">", build(NATIVE, "read_pulses", 2))]
+    assert first(*rows, *exchanged("mks-rs485@1", *READS)) == "wrong_address"
+
+
+def test_the_drive_speaks_another_dialect():
+    speed = build(MODBUS, "read_speed", 1)
+    rows = [*exchanged("mks-modbus@1", speed, speed, speed, speed), *((">", frame) for frame in READS)]
+    assert first(*rows) == "wrong_dialect"
+
+
+def test_a_read_of_all_is_not_answered():
+    assert first((">", build(NATIVE, "read_speed", 0))) == "broadcast_no_reply"
+
+
+def test_motion_is_refused_in_pulse_mode():
+    run = [build(NATIVE, "run_speed", 1, {"speed": speed, "acceleration": 2}) for speed in (100, 200, 300)]
+    found = told(*exchanged("mks-rs485@1,work_mode=cr_vfoc", READS[1], *run))
+    assert found[0].cause == "refused_mode"
+    assert build(NATIVE, "set_work_mode", 1, {"work_mode": 5}).hex(" ").upper() in found[0].next
+
+
+def test_replies_to_motion_are_switched_off():
+    run = [build(NATIVE, "run_speed", 1, {"speed": speed, "acceleration": 2}) for speed in (100, 200, 300)]
+    rows = exchanged("mks-rs485@1,work_mode=sr_vfoc,respond=0", READS[0], *run, READS[1], *run, READS[2])
+    assert first(*rows) == "respond_off"
+
+
+# --- silence of the diagnosis ---------------------------------------------------------------------------------------------
+
+
+def generated(name, seed, frames):
+    found = []
+    for number, (address, data) in enumerate(islice(captures.exchanges(name, seed), frames)):
+        t_ns = number * 5_000_000
+        can = registry.get(name).bus == "can"
+        found.append(CanFrame(t_ns, "bus", address, data) if can else Chunk(t_ns, "bus", data))
+    return found
+
+
+@pytest.mark.parametrize("name", registry.names())
+def test_clean_traffic_is_not_accused(name):
+    for seed in range(10):
+        assert diagnosed(generated(name, seed, 60)).verdict == "ok"
+
+
+@pytest.mark.parametrize("name", ["mks-rs485", "mks-modbus", "lk-rs485"])
+def test_noise_alone_is_no_cause(name):
+    for seed in range(10):
+        chance = random.Random(seed)
+        items = []
+        for item in generated(name, seed, 100):
+            data = bytearray(item.data)
+            if chance.random() < 0.03:
+                data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
+            items.append(Chunk(item.t_ns, item.port, bytes(data)))
+        assert not diagnosed(items).causes
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "captures").glob("*.log")), ids=lambda p: p.name)
+def test_the_captures_have_no_cause(path, capsys):
+    assert main(["diagnose", str(path)]) == 0
+
+
+def test_two_senders_at_once_are_no_fault_of_a_check():
+    line = both(levels(READS[0]), levels(READS[1][1:]))
+    rows = exchanged("mks-rs485@1", *READS, *READS)
+    assert "wrong_checksum" not in [each.cause for each in told(*rows, received(line), *rows)]
+
+
+# --- the command ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_command_tells_people_and_programs(tmp_path, capsys):
+    path = tmp_path / "a.txt"
+    path.write_text("> FA 01 F6 00 00 02 F9\n")
+    assert main(["diagnose", str(path)]) == 1
+    assert "wrong_checksum_rule" in capsys.readouterr().out
+    assert main(["diagnose", "--json", str(path), str(tmp_path / "none")]) == 2
+    found, missing = map(json.loads, capsys.readouterr().out.splitlines())
+    assert (found["verdict"], found["causes"][0]["cause"], found["causes"][0]["share"]) == ("trouble", "wrong_checksum_rule", 1)
+    assert missing["verdict"] == "unreadable"
+
+
+def test_nothing_wrong_is_one_line(tmp_path, capsys):
+    path = tmp_path / "a.txt"
+    path.write_text("> FA 01 30 2B\n< FB 01 30 00 00 00 01 20 00 4D\n")
+    assert main(["diagnose", str(path)]) == 0
+    assert capsys.readouterr().out == "nothing wrong was found\n"
+
+
+def test_each_cause_of_the_table_is_tested():
+    own = Path(__file__).read_text()
+    assert [cause for cause in CAUSES if f'"{cause}"' not in own] == []
