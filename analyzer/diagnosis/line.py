@@ -22,18 +22,20 @@ from analyzer.catalogue import Dialect, Role
 from analyzer.codec import codec
 from analyzer.diagnosis.reader import Reader
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Suspicion, Trouble, shown
-from analyzer.link.modbus import modbus_crc
+from analyzer.link.modbus import FUNCTIONS, modbus_crc
 from analyzer.values import counted
 
 _BITS = 10
+#: Longer stretches are noise without end.
+_READ = 256
 #: Bytes that must fit where one stretch alone speaks.
 _LEAST = 4
 #: Longer stretches are no single frame, and more of them would say the same.
 _LONGEST = 40
-_MOST_STRETCHES = 40
+_MOST_STRETCHES = 12
 #: Addresses of the frames that are tried, and the steps of a search through pauses.
 _ADDRESSES = range(1, 17)
-_MOST_STEPS = 20_000
+_MOST_STEPS = 600
 #: Speeds that are in use.
 _RATES = (9600, 19200, 25000, 38400, 57600, 115200, 256000, 500000, 1000000)
 #: A sender's speed over the receiver's, from which on bytes are read otherwise.
@@ -52,7 +54,7 @@ class _Fit(NamedTuple):
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the line, where no frame explains the bytes."""
     left = [t for t in scene.damaged if t not in scene.explained]
-    garbled = [t for t in left if t.stretch is not None and t.stretch.can_id is None and len(t.stretch.data) > 1]
+    garbled = [t for t in left if t.stretch is not None and t.stretch.can_id is None and 1 < len(t.stretch.data) <= _READ]
     garbled = garbled[:_MOST_STRETCHES]
     sound = sum(p.sound for p in scene.pieces)
     # A line that is set up wrongly lets nothing through.
@@ -144,7 +146,7 @@ def _unshifted(reader: Reader, data: bytes, *, inverted: bool) -> bytes | None:
             # It may reach into the idle line behind the frame, so what stands there is looked at later.
             yield more
             return
-        if not _framed(more, len(levels)):
+        if not _framed(more, len(levels)) or not _begins(reader, more):
             return
         # A low stop bit is a framing error, and the byte is passed on all the same; then the line has to go high again.
         for lows in range(_BITS):
@@ -166,6 +168,14 @@ def _unshifted(reader: Reader, data: bytes, *, inverted: bool) -> bytes | None:
                 if _framed(whole, 0) and _is_frame(reader, frame := _bytes(whole)) and frame != data:
                     return frame
     return None
+
+
+def _begins(reader: Reader, levels: list[int]) -> bool:
+    """Say whether the first two bytes of levels can begin a frame, as far as they are there."""
+    if len(levels) < 2 * _BITS:
+        return True
+    first, second = _bytes(levels[: 2 * _BITS])
+    return first in reader.heads or (first < 248 and second & 0x7F in FUNCTIONS)
 
 
 def _ended(levels: list[int], high: int) -> Iterator[list[int]]:
@@ -198,7 +208,7 @@ def _is_frame(reader: Reader, data: bytes) -> bool:
         return False
     if any(reading.listed for reading in reader.readings(data)):
         return True
-    return 1 <= data[1] & 0x7F <= 0x17 and modbus_crc(data[:-2]) == data[-2] | data[-1] << 8 and 0 < data[0] < 248
+    return data[1] & 0x7F in FUNCTIONS and modbus_crc(data[:-2]) == data[-2] | data[-1] << 8 and 0 < data[0] < 248
 
 
 # --- seven bits ----------------------------------------------------------------------------------------------------------

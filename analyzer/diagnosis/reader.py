@@ -31,6 +31,8 @@ class Reader:
 
     def __init__(self, dialects: Sequence[Dialect]) -> None:
         self.dialects = tuple(dialects)
+        #: First bytes that are a head of their own.
+        self.heads = frozenset().union(*(d.link.first_bytes for d in dialects))
         self._decoders = {d.name: Decoder(d) for d in dialects}
         self._slicers: dict[str, Slicer] = {
             d.name: d.link.slicer(d.commands, lambda a, f: 0) for d in dialects if d.bus == "serial"

@@ -271,10 +271,14 @@ class Scene:
 
     @cached_property
     def damaged(self) -> list[Trouble]:
-        """The troubles that are damaged bytes."""
-        return self.of("damaged")
+        """The troubles that are damaged bytes, as far as they can be one frame; of very many the first."""
+        found = [trouble for trouble in self.of("damaged") if len(trouble.stretch.data if trouble.stretch else b"") <= _LONG]
+        return found[:_MOST_DAMAGED]
 
 
+#: No frame of any dialect is longer, and more stretches show nothing new.
+_LONG = 300
+_MOST_DAMAGED = 1000
 #: The share of a sender's frames from which on something is no chance.
 _OFTEN = 0.2
 #: A longer pause in a capture with times ends what was sent; slow lines and adapters hold bytes back.
