@@ -6,14 +6,14 @@ its sender got no other right.
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from functools import reduce
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
 from analyzer.diagnosis.reader import Reader
-from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
+from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.link.modbus import modbus_crc
 from analyzer.values import counted
 
@@ -24,6 +24,11 @@ class Rule(NamedTuple):
     name: str
     cause: str
     of: Callable[[bytes, int], bytes]
+
+    @property
+    def strong(self) -> bool:
+        """Whether one frame is evidence: a CRC of 16 bits; the high byte of a sum is mostly 0."""
+        return len(self.of(b"\1\2\3", 0)) > 1 and "sum" not in self.name
 
 
 def _byte(value: int) -> bytes:
@@ -83,8 +88,8 @@ RULES = (
     Rule("a CRC-16/CCITT", _RULE, lambda b, i: _crc16(b, 0xFFFF, 0x1021).to_bytes(2, "big")),
     Rule("a CRC-16/CCITT, low byte first", _RULE, lambda b, i: _crc16(b, 0xFFFF, 0x1021).to_bytes(2, "little")),
     Rule("a CRC-16/XMODEM", _RULE, lambda b, i: _crc16(b, 0, 0x1021).to_bytes(2, "big")),
-    Rule("the sum of all bytes, in 16 bits", _RULE, lambda b, i: (sum(b) & 0xFFFF).to_bytes(2, "big")),
-    Rule("the sum of all bytes, in 16 bits, low byte first", _RULE, lambda b, i: (sum(b) & 0xFFFF).to_bytes(2, "little")),
+    Rule("the sum of all bytes in 16 bits", _RULE, lambda b, i: (sum(b) & 0xFFFF).to_bytes(2, "big")),
+    Rule("the sum of all bytes in 16 bits, low byte first", _RULE, lambda b, i: (sum(b) & 0xFFFF).to_bytes(2, "little")),
 )
 _LONGEST_CHECK = 2
 #: Bytes before a frame that are looked for.
@@ -108,17 +113,16 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     wrong = [each for each in failing if each.size]
     # One that is right shows that the host can: what fails then is a damaged frame, unless a rule says how.
     sound = [p for p in scene.pieces if p.is_request and p.sound and "bad_checksum" not in p.rules]
-    if missing and _deliberate(missing, bool(sound)):
+    if missing := _deliberate(missing, sound):
         confidence = Confidence.CERTAIN if len(missing) > 1 else Confidence.LIKELY
         yield _said("missing_checksum", confidence, missing, "is sent without its checksum", "Put the checksum behind it")
     named = _named(wrong, bool(sound))
     for rule, each in named.items():
-        sure = len({f.right for f in each}) > 1 or each[0].size > 1
+        sure = len({f.right for f in each}) > 1 or rule.strong
         confidence = Confidence.CERTAIN if sure else Confidence.LIKELY
         yield _said(rule.cause, confidence, each, f"carries {rule.name}", "Compute the check as the manual says")
     taken = {f.trouble for each in named.values() for f in each}
-    rest = [f for f in wrong if f.trouble not in taken]
-    if rest and _deliberate(rest, bool(sound)):
+    if rest := _deliberate([f for f in wrong if f.trouble not in taken], sound):
         again = len(rest) > len({f.right for f in rest})
         yield _said(
             "wrong_checksum", Confidence.LIKELY if again or not sound else Confidence.POSSIBLE, rest,
@@ -126,9 +130,13 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         )  # fmt: skip
 
 
-def _deliberate(failing: list[Failing], some_right: bool) -> bool:
-    """Say whether frames fail by a rule and not by chance: the same one again, or all of them."""
-    return not some_right or len(failing) > len({f.right for f in failing})
+def _deliberate(failing: list[Failing], sound: list[Piece]) -> list[Failing]:
+    """Return the frames that fail by design and not by chance: all of them, or one that fails again and is never right."""
+    if not sound:
+        return failing
+    right = {piece.data for piece in sound}
+    again = Counter(f.right for f in failing)
+    return [f for f in failing if again[f.right] > 1 and f.right not in right]
 
 
 def _named(wrong: list[Failing], some_right: bool) -> dict[Rule, list[Failing]]:
@@ -141,7 +149,7 @@ def _named(wrong: list[Failing], some_right: bool) -> dict[Rule, list[Failing]]:
     for rule in sorted(fitting, key=lambda r: (-len(fitting[r]), RULES.index(r))):
         own = [f for f in fitting[rule] if id(f) in left]
         different = len({f.right for f in own})
-        if different > 1 or (own and (own[0].size > 1 or not some_right or len(own) > 2)):
+        if different > 1 or (own and (rule.strong or not some_right or len(own) > 2)):
             named[rule] = own
             left -= {id(f) for f in own}
     return named

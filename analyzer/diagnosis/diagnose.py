@@ -7,14 +7,23 @@ from dataclasses import dataclass
 from typing import Any
 
 from analyzer.catalogue import Dialect
-from analyzer.diagnosis import checks, host, line, silence, spoiled
+from analyzer.diagnosis import can_bus, checks, host, line, requests, silence, spoiled, wrapped
 from analyzer.diagnosis.ranking import Ranked, ranked
 from analyzer.diagnosis.scene import Scene, Suspicion
 from analyzer.diagnosis.watch import Watch
 from analyzer.values import counted
 
 #: A row a subject: each is asked about a scene, and yields what it suspects. What costs most comes last.
-HYPOTHESES: tuple[Callable[[Scene], Iterator[Suspicion]], ...] = (checks.look, spoiled.look, host.look, silence.look, line.look)
+HYPOTHESES: tuple[Callable[[Scene], Iterator[Suspicion]], ...] = (
+    wrapped.look,
+    checks.look,
+    requests.look,
+    spoiled.look,
+    host.look,
+    silence.look,
+    can_bus.look,
+    line.look,
+)
 
 
 @dataclass(frozen=True)

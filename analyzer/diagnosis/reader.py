@@ -55,6 +55,10 @@ class Reader:
             if fits:
                 yield self._read(dialect, data, can_id, role)
 
+    def closed(self, data: bytes) -> bool:
+        """Say whether bytes are a frame of the catalogue that lacks its check."""
+        return any(reading.listed for d in self.dialects if len(data) > 2 for reading in self.readings(d.link.completed(data)))
+
     def _read(self, dialect: Dialect, data: bytes, can_id: int | None, role: Role) -> Reading:
         can = None if can_id is None else CanFrame(None, "", can_id, data, role)
         message, _ = self._decoders[dialect.name].decode(Frame("", 0, 0, 0, data, dialect, role, True, can))

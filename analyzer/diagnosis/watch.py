@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Sequence
 
-from analyzer.catalogue import Dialect, Role
+from analyzer.catalogue import Dialect
 from analyzer.diagnosis.scene import Piece, Read, Scene
 from analyzer.pipeline import Entry, Item
 from analyzer.records import CanFrame, Chunk, Comment, Finding, Frame, Junk, Lane, Message
@@ -49,9 +49,8 @@ class Watch:
 
     def entry(self, entry: Entry) -> None:
         """Take a decoded frame."""
-        if entry.message.role is not Role.FOREIGN:
-            self._near.append((entry.message, entry.message.frame, entry.sequence, entry.request_sequence))
-            self.frames += 1
+        self._near.append((entry.message, entry.message.frame, entry.sequence, entry.request_sequence))
+        self.frames += 1
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
         """Take bytes that are no frame."""

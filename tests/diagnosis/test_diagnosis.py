@@ -251,6 +251,78 @@ def test_replies_to_motion_are_switched_off():
     assert first(*rows) == "respond_off"
 
 
+# --- content, dress, CAN -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("body", "cause", "right"),
+    [
+        ("01 03 00 32 00 01", "wrong_function", "01 04 00 32 00 01"),
+        ("01 04 00 1E 00 03", "decimal_as_hex", "01 04 00 30 00 03"),
+        ("01 04 00 35 00 01", "wrong_register", "01 04 00 34 00 01"),
+        ("01 04 00 30 00 01", "wrong_length", "01 04 00 30 00 03"),
+    ],
+)
+def test_registers(body, cause, right):
+    data = bytes.fromhex(body)
+    found = told((">", data + captures.crc16(data)))
+    assert found[0].cause == cause
+    assert found[0].frames[0].right.startswith(right)
+
+
+def test_a_code_that_is_not_listed_and_not_answered():
+    unknown = captures.sum8(bytes.fromhex("FA 01 2F"))
+    asked, answered = bytes.fromhex("FA 01 2F") + unknown, bytes.fromhex("FB 01 2F 01 2C")
+    assert first((">", asked), (">", asked)) == "unknown_command"
+    assert first((">", asked), ("<", answered), (">", asked), ("<", answered)) != "unknown_command"
+
+
+@pytest.mark.parametrize(
+    ("row", "cause"),
+    [
+        ("> 46 41 30 31 33 30 32 42", "text_mode"),
+        ("< EF BF BD 01 30 00 00 00 01 20 00 4D", "text_mode"),
+        ("> C3 BA 01 30 2B", "text_mode"),
+        ("> 00 01 00 00 00 06 01 04 00 30 00 03", "tcp_framing"),
+    ],
+)
+def test_dresses(row, cause):
+    assert first(row) == cause
+
+
+def can(*rows):
+    """Return CAN frames of rows `001#3031`; eight digits are an identifier of 29 bits, from 20000000 on an error frame."""
+    found = []
+    for number, row in enumerate(rows):
+        name, _, data = row.partition("#")
+        value = int(name, 16)
+        error = bool(value & 0x20000000)
+        extended = len(name) == 8 and not error
+        found.append(CanFrame(number * MS, "can0", value & 0x1FFFFFFF, bytes.fromhex(data), extended=extended, error=error))
+    return found
+
+
+MS = 1_000_000
+GOOD = ["001#3233", "001#32006497"]
+
+
+@pytest.mark.parametrize(
+    ("rows", "cause"),
+    [
+        (["20000020#0000000000000000"] * 3, "can_no_ack"),
+        (["20000008#0000040000000000", "20000008#0000020000000000"], "can_wrong_bitrate"),
+        ([*GOOD, "20000008#0000040000000000", *GOOD, "20000008#0000040000000000", *GOOD], "can_bit_errors"),
+        (["20000008#0000040000000000"] + ["20000040#0000000000000000"] * 3, "can_bus_off"),
+        (["141#9A00000000000000", "241#9A20000000000000"], "unsupported_dialect"),
+        (["00000001#3031", "00000001#3233"], "can_extended_id"),
+        (GOOD, None),
+    ],
+)
+def test_can(rows, cause):
+    found = diagnosed(can(*rows)).causes
+    assert (found[0].suspicion.cause if found else None) == cause
+
+
 # --- silence of the diagnosis ---------------------------------------------------------------------------------------------
 
 
