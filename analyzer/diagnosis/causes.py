@@ -132,6 +132,14 @@ CAUSES = {
             "FA 02 30 2C unanswered, FA 01 30 2B answered",
         ),
         Cause(
+            "address_changed",
+            "The drive was given another address, and is still asked at the old one.",
+            "A set_address is answered, and requests to the old address are not.",
+            "The new address counts at once.",
+            "Ask at the new address.",
+            "> FA 01 8B 05 8B    < FB 05 8B 01 8C    > FA 01 30 2B",
+        ),
+        Cause(
             "wrong_dialect",
             "The host speaks one dialect, and the drive another.",
             "An address answers in one dialect and is silent in the other.",

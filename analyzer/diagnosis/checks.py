@@ -27,8 +27,8 @@ class Rule(NamedTuple):
 
     @property
     def strong(self) -> bool:
-        """Whether one frame is evidence: a CRC of 16 bits; the high byte of a sum is mostly 0."""
-        return len(self.of(b"\1\2\3", 0)) > 1 and "sum" not in self.name
+        """Whether one frame is evidence: a CRC of 16 bits; the high byte of a sum is mostly 0, and a lost bit is any."""
+        return len(self.of(b"\1\2\3", 0)) > 1 and "sum" not in self.name and self.cause != "wrong_parity"
 
 
 def _byte(value: int) -> bytes:
@@ -63,6 +63,10 @@ def _arc(data: bytes) -> int:
     return value
 
 
+def _seven(crc: int) -> bytes:
+    return bytes((crc & 0x7F, crc >> 8 & 0x7F))
+
+
 def _xor(data: bytes) -> int:
     return reduce(int.__xor__, data, 0)
 
@@ -88,6 +92,7 @@ RULES = (
     Rule("a CRC-16/CCITT", _RULE, lambda b, i: _crc16(b, 0xFFFF, 0x1021).to_bytes(2, "big")),
     Rule("a CRC-16/CCITT, low byte first", _RULE, lambda b, i: _crc16(b, 0xFFFF, 0x1021).to_bytes(2, "little")),
     Rule("a CRC-16/XMODEM", _RULE, lambda b, i: _crc16(b, 0, 0x1021).to_bytes(2, "big")),
+    Rule("the right CRC with bit 7 of its bytes lost", "wrong_parity", lambda b, i: _seven(modbus_crc(b))),
     Rule("the sum of all bytes in 16 bits", _RULE, lambda b, i: (sum(b) & 0xFFFF).to_bytes(2, "big")),
     Rule("the sum of all bytes in 16 bits, low byte first", _RULE, lambda b, i: (sum(b) & 0xFFFF).to_bytes(2, "little")),
 )
@@ -120,7 +125,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     for rule, each in named.items():
         sure = len({f.right for f in each}) > 1 or rule.strong
         confidence = Confidence.CERTAIN if sure else Confidence.LIKELY
-        yield _said(rule.cause, confidence, each, f"carries {rule.name}", "Compute the check as the manual says")
+        todo = "Set both sides to 8N1" if rule.cause == "wrong_parity" else "Compute the check as the manual says"
+        yield _said(rule.cause, confidence, each, f"carries {rule.name}", todo)
     taken = {f.trouble for each in named.values() for f in each}
     if rest := _deliberate([f for f in wrong if f.trouble not in taken], sound):
         again = len(rest) > len({f.right for f in rest})

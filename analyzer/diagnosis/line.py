@@ -30,6 +30,8 @@ _BITS = 10
 _READ = 256
 #: Bytes that must fit where one stretch alone speaks.
 _LEAST = 4
+#: Or so many different ones.
+_DISTINCT = 2
 #: Longer stretches are no single frame, and more of them would say the same.
 _LONGEST = 40
 _MOST_STRETCHES = 12
@@ -66,7 +68,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         *_said(_fits(garbled, lambda data: _unshifted(reader, data, inverted=False)), "lost_start", _LOST),
         *_said(_fits(garbled, lambda data: _of_seven(reader, data)), "wrong_parity", _PARITY),
     ]
-    yield from found or _wrong_baud(garbled)
+    yield from found or _wrong_parity(garbled) or _wrong_baud(garbled)
 
 
 def _fits(garbled: list[Trouble], mend: Callable[[bytes], bytes | None]) -> list[_Fit]:
@@ -98,7 +100,7 @@ _LOST = _Words(
 )
 _PARITY = _Words(
     "One side uses seven data bits with parity, the other eight without.",
-    "{} is {} with bit 7 lost or taken by the parity",
+    "{} is {} to a receiver of another format",
     "Set both sides to 8 data bits, no parity, 1 stop bit (8N1)",
 )
 
@@ -279,6 +281,15 @@ def _ratios() -> tuple[float, ...]:
     return tuple(found)
 
 
+def _wrong_parity(garbled: list[Trouble]) -> list[Suspicion]:
+    """Suspect a receiver that takes a parity bit where there is none: bytes without a pause run into each other."""
+    wanted = {t.stretch.data: t for t in garbled if t.stretch is not None and len(t.stretch.data) >= _LEAST - 1}
+    fits = {read: frame for frame, levels in _levels() if (read := sampled(levels, 1.0, bits=9)) in wanted and read != frame}
+    if len(fits) < _DISTINCT:
+        return []
+    return list(_said([_Fit(wanted[read], frame) for read, frame in fits.items()], "wrong_parity", _PARITY))
+
+
 def _wrong_baud(garbled: list[Trouble]) -> Iterator[Suspicion]:
     """Suspect the speed: render what is likely to be sent at each, and look for it."""
     by_ratio: dict[float, list[_Fit]] = defaultdict(list)
@@ -329,11 +340,11 @@ def _levels() -> tuple[tuple[bytes, str], ...]:
     return tuple((frame, "1" + "".join(characters[byte] for byte in frame)) for frame in _likely())
 
 
-def sampled(levels: str, ratio: float, late: tuple[float, float] = (0.0, 0.0), heads: bytes = b"") -> bytes:
+def sampled(levels: str, ratio: float, late: tuple[float, float] = (0.0, 0.0), heads: bytes = b"", bits: int = 8) -> bytes:
     """Return what a receiver reads of levels whose sender is `ratio` times as fast; after them the line is idle.
 
     `late`: how far behind the middle of start bits, and of others, it samples, in bits of the sender. `heads`: nothing that
-    begins otherwise is looked for.
+    begins otherwise is looked for. `bits`: of a byte, with a parity.
     """
     last = len(levels)
     idle = levels + "1" * (int(10 * ratio) + 2)
@@ -353,5 +364,5 @@ def sampled(levels: str, ratio: float, late: tuple[float, float] = (0.0, 0.0), h
         if not found and heads and byte not in heads:
             return b""
         found.append(byte)
-        at = edge + 9.5 * ratio
+        at = edge + (bits + 1.5) * ratio
     return bytes(found)

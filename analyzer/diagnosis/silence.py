@@ -14,6 +14,9 @@ from analyzer.layout import Effect
 from analyzer.records import Message
 from analyzer.values import counted, identifier
 
+#: Findings of a reply that refuses.
+_FAILED = frozenset(("failed_status", "refused_write", "modbus_exception"))
+
 
 class _Asked(NamedTuple):
     """The requests to one drive that were not answered."""
@@ -55,6 +58,18 @@ def _nobody(scene: Scene, asked: _Asked, answering: dict[int, str]) -> Iterator[
     assert first.piece is not None  # kept with its piece
     evidence = f"{_bytes(first.piece)} at byte {first.offset}; {counted(len(asked.troubles), 'request')} unanswered"
     frames = tuple(Shown(t.offset, _bytes(t.piece)) for t in asked.troubles if t.piece is not None)
+    moved = _moved(scene, dialect, address)
+    if moved is not None and moved[0].offset < first.offset:
+        setting, new = moved
+        later = [t for t in asked.troubles if t.offset > setting.offset]
+        yield Suspicion(
+            "address_changed", Confidence.CERTAIN, later,
+            f"The drive was given the address {new}, and is still asked at {who}.",
+            f"{_bytes(setting)} at byte {setting.offset} sets it; {counted(len(later), 'request')} after it unanswered",
+            f"Ask {drive_name(dialect, new)}",
+            (Shown(setting.offset, _bytes(setting)), *frames),
+        )  # fmt: skip
+        return
     if address in answering:
         if answering[address] != dialect.name:
             yield Suspicion(
@@ -88,6 +103,19 @@ def _nobody(scene: Scene, asked: _Asked, answering: dict[int, str]) -> Iterator[
             _order(dialect),
             frames,
         )  # fmt: skip
+
+
+def _moved(scene: Scene, dialect: Dialect, address: int) -> tuple[Piece, int] | None:
+    """Return the answered request that took an address from a drive, and the new address."""
+    answered = {piece.asked_by for piece in scene.pieces if piece.is_reply and not piece.rules & _FAILED}
+    for piece in reversed(scene.pieces):
+        message = piece.message
+        if message is None or message.command is None or not piece.is_request or piece.sequence not in answered:
+            continue
+        new = message.values.get(message.command.sets(Effect.ADDRESS))
+        if new is not None and message.address == address and message.frame.dialect is dialect and new != address:
+            return piece, new
+    return None
 
 
 def _order(dialect: Dialect) -> str:

@@ -82,9 +82,9 @@ def _with_start(scene: Scene, stretch: Stretch, heads: Iterable[bytes]) -> tuple
         return None
     for head in heads:
         whole = head + stretch.data
-        for reading in scene.reader.readings(whole, role=stretch.direction):
-            if reading.listed and len(whole) > 3 + len(head):
-                return whole, reading.message.role
+        reading = scene.reader.best(whole, role=stretch.direction) if len(whole) > 3 + len(head) else None
+        if reading is not None:
+            return whole, reading.message.role
     return None
 
 

@@ -198,12 +198,11 @@ def test_an_echo_needs_a_direction_or_times():
         (lambda line: received(line, 2 / 3), "wrong_baud"),
         (lambda line: received(line, 115200 / 38400), "wrong_baud"),
         (lambda line: received(line, form=Format(7)), "wrong_parity"),
+        (lambda line: received(line, form=Format(8, even=True)), "wrong_parity"),
     ],
 )
 @pytest.mark.parametrize("reads", [READS, LK_READS], ids=["mks", "lk"])
 def test_a_line_that_is_set_up_wrongly(spoil, cause, reads):
-    if (cause, reads) == ("wrong_parity", LK_READS):
-        reads = READS
     found = told(*(spoil(levels(frame)) for frame in reads))
     assert found, [spoil(levels(frame)).hex(" ") for frame in reads]
     assert found[0].cause == cause, found
@@ -232,6 +231,13 @@ def test_the_drive_speaks_another_dialect():
     speed = build(MODBUS, "read_speed", 1)
     rows = [*exchanged("mks-modbus@1", speed, speed, speed, speed), *((">", frame) for frame in READS)]
     assert first(*rows) == "wrong_dialect"
+
+
+@pytest.mark.parametrize("reply", ["< FB 05 8B 01 8C", "< FB 01 8B 01 88"])
+def test_the_old_address_is_asked(reply):
+    rows = ["> FA 01 8B 05 8B", reply, "> FA 01 30 2B", "> FA 01 32 2D", "> FA 01 33 2E"]
+    assert first(*rows) == "address_changed"
+    assert told(*rows[:2]) == []
 
 
 def test_a_read_of_all_is_not_answered():
