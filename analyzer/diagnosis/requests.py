@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice, pairwise
 
 from analyzer.catalogue import Dialect, Role
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
@@ -14,6 +15,7 @@ _READS = (0x03, 0x04)
 
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect what the requests ask for."""
+    yield from islice(_short(scene), 1)
     found: dict[str, list[tuple[Trouble, Piece, str, bytes]]] = {}
     for trouble in scene.damaged:
         piece = trouble.stretch.pieces[0] if trouble.stretch is not None else None
@@ -36,6 +38,32 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             tuple(
                 Shown(t.offset, shown(p.data, can_id), shown(r, can_id) if r else "") for t, p, _, r in rows
             ),
+        )  # fmt: skip
+
+
+def _short(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect a request that lacks a field where it then looks like its own reply, as on CAN: two of those in a row."""
+    unasked = {t.piece: t for t in scene.of("unsolicited_reply", "duplicate_reply") if t.piece is not None}
+    for one, other in pairwise(scene.pieces):
+        asked, message = one.message, other.message
+        if one not in unasked or other not in unasked or asked is None or message is None or asked.command is None:
+            continue
+        link = asked.frame.dialect.link
+        if asked.address != message.address or asked.command is not message.command or link.kind != "can":
+            continue
+        form = asked.command.request_forms[0]
+        lacking = form.layout.byte_length - len(asked.data)
+        # A command that is answered twice shows two replies in a row by itself.
+        if lacking <= 0 or asked.command.replies.interim:
+            continue
+        right = link.build(asked.command, form, asked.address, asked.data + bytes(lacking), Role.REQUEST)
+        yield Suspicion(
+            "wrong_length", Confidence.LIKELY, [unasked[one], unasked[other]],
+            f"{asked.command.name} is sent with {counted(len(asked.data), 'byte')} of data; the manual has "
+            f"{form.layout.byte_length}.",
+            f"{shown(one.data, asked.address)} and {shown(other.data, asked.address)} follow each other at byte {one.offset}",
+            f"Send {shown(right, asked.address)}, with the values that you mean",
+            (Shown(one.offset, shown(one.data, asked.address), shown(right, asked.address)),),
         )  # fmt: skip
 
 

@@ -84,6 +84,9 @@ def _nobody(scene: Scene, asked: _Asked, answering: dict[int, str]) -> Iterator[
     if any(s.direction is not Role.REQUEST for s in scene.stretches):
         return
     others = sorted(a for a, name in answering.items() if name == dialect.name)
+    if others and len(asked.troubles) == 1:
+        # Asked once, as a search for drives does.
+        return
     if others:
         there = ", ".join(identifier(a) if dialect.bus == "can" else str(a) for a in others[:4])
         yield Suspicion(

@@ -227,6 +227,11 @@ def test_another_address_answers():
     assert first(*rows, *exchanged("mks-rs485@1", *READS)) == "wrong_address"
 
 
+def test_a_search_for_drives_is_no_wrong_address():
+    rows = [(">", build(NATIVE, "read_speed", address)) for address in range(2, 9)]
+    assert told(*rows, *exchanged("mks-rs485@1", *READS)) == []
+
+
 def test_the_drive_speaks_another_dialect():
     speed = build(MODBUS, "read_speed", 1)
     rows = [*exchanged("mks-modbus@1", speed, speed, speed, speed), *((">", frame) for frame in READS)]
@@ -321,6 +326,7 @@ GOOD = ["001#3233", "001#32006497"]
         (["20000008#0000040000000000"] + ["20000040#0000000000000000"] * 3, "can_bus_off"),
         (["141#9A00000000000000", "241#9A20000000000000"], "unsupported_dialect"),
         (["00000001#3031", "00000001#3233"], "can_extended_id"),
+        (["001#8C008D", "001#8C018E", *GOOD], "wrong_length"),
         (GOOD, None),
     ],
 )
