@@ -87,7 +87,10 @@ TYPES: dict[str, Any] = {field.encode_name: field.type for field in msgspec.stru
 
 
 def checked(values: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Return the values of an event that are what they should be, and in words what is wrong with each of the others."""
+    """Return the values of an event that are what they should be, and in words what is wrong with each of the others.
+
+    The others are kept as they came, in `details`: nothing is judged by them.
+    """
     good: dict[str, Any] = {}
     wrong: list[str] = []
     for name, value in values.items():
@@ -95,6 +98,7 @@ def checked(values: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
             msgspec.convert(value, TYPES.get(name, Any))
         except msgspec.ValidationError as error:
             wrong.append(f"{name}: {error}")
+            good.setdefault("details", {})[name] = value
         else:
             good[name] = value
     return good, wrong

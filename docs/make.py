@@ -42,9 +42,13 @@ def live(text: str) -> list[tuple[str, str]]:
     return commands(text.replace("```console\n", "```other\n").replace("```console live\n", "```console\n"))
 
 
+#: Lines of progress come as often as the machine is quick.
+PROGRESS = re.compile(r"^\d+ s  .*\n", re.MULTILINE)
+
+
 def masked(output: str) -> str:
-    """Return output with its numbers and blanks made alike."""
-    return re.sub(r"[ \t]+", " ", re.sub(r"\d+(?:[.:]\d+)*", "0", output))
+    """Return output without progress, its numbers and blanks made alike."""
+    return re.sub(r"[ \t]+", " ", re.sub(r"\d+(?:[.:]\d+)*", "0", PROGRESS.sub("", output)))
 
 
 def alike(output: str, old: str) -> bool:
@@ -142,8 +146,7 @@ def play(drive: str, blocks: list[tuple[str, str, str]], folder: Path) -> Iterat
     def told(output: str) -> str:
         for name, there in stands.items():
             output = output.replace(there, name)
-        # Lines of progress come as often as the machine is quick.
-        return "".join(line for line in output.replace(f"{folder}/", "").splitlines(True) if not re.match(r"\d+ s  ", line))
+        return PROGRESS.sub("", output.replace(f"{folder}/", ""))
 
     path = folder / "drive.txt"
     with path.open("wb") as said:

@@ -20,6 +20,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -29,7 +30,7 @@ from analyzer.live.config import PortConfig
 from analyzer.live.endpoint import Endpoint, parse
 from analyzer.live.lock import RUNNING, Lock
 from analyzer.live.reader_port import LEASH, Lost, Opened, Port, Stop, Unopened
-from analyzer.live.reader_store import StatusLine, Store
+from analyzer.live.reader_store import StatusLine, Store, Taken
 from analyzer.live.spool import RecordKind, SpoolWriter, last_record
 
 FIRST_RETRY_S = 0.1
@@ -154,6 +155,7 @@ class Reader:
             store.event("back", now_ns, gap_ns=now_ns - lost_ns, from_ns=lost_ns, reason="", **about)
 
 
+_DIED = "the reader process died between reading and storing them"
 _TAKEN_OVER = (
     "the reader process died and another one took over the port; the kernel buffered the traffic in between, whose times are "
     "those of the end of that wait"
@@ -197,6 +199,13 @@ def main(words: Sequence[str] | None = None) -> int:
             last_ns=0 if before is None else before.t_ns,
             idle=before is not None and before.kind != RecordKind.DATA,
         )
+        if port.unit == "bytes":
+            taken = Taken.at(arguments.folder / f"{arguments.stem}.taken", {arguments.stem: store.count})
+            if taken is not None:
+                store.on_taken = partial(taken.add, arguments.stem)
+                lost = 0 if taken.before is None else taken.before[arguments.stem] - store.count
+                if lost > 0 and before is not None:
+                    store.lose(lost, before.t_ns, before.t_ns, _DIED)
         # What is loaded stays, and need not be looked at again and again.
         gc.collect()
         gc.freeze()

@@ -12,9 +12,12 @@ from __future__ import annotations
 
 import contextlib
 import io
+import mmap
+import struct
 import time
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -43,6 +46,40 @@ class StatusLine:
                 self._file.write(msgspec.json.encode({"event": event, "t_ns": t_ns, **about}) + b"\n")
 
 
+class Taken:
+    """How much a process has taken of each stream, in memory that outlives it: a file of a u64 for each stream.
+
+    `before`: the counts that a process which died has left, None where there was none.
+    """
+
+    _COUNT = struct.Struct("<Q")
+
+    def __init__(self, path: Path, stored: dict[str, int]) -> None:
+        size = self._COUNT.size
+        self._places = {direction: at * size for at, direction in enumerate(stored)}
+        left = path.read_bytes() if path.exists() else b""
+        whole = len(left) == size * len(stored)
+        self.before = {d: self._COUNT.unpack_from(left, at)[0] for d, at in self._places.items()} if whole else None
+        self.counts = dict(self.before or stored)
+        # Written, not only made as long: on a full disk an error here, not a death at the first byte.
+        path.write_bytes(b"".join(self._COUNT.pack(count) for count in self.counts.values()))
+        with path.open("r+b") as stream:
+            self._memory = mmap.mmap(stream.fileno(), 0)
+
+    @classmethod
+    def at(cls, path: Path, stored: dict[str, int]) -> Taken | None:
+        """Return the counts; None where they have no place, as on a full disk."""
+        try:
+            return cls(path, stored)
+        except OSError:
+            return None
+
+    def add(self, direction: str, size: int) -> None:
+        """Count what was taken, before anything is done with it."""
+        self.counts[direction] += size
+        self._COUNT.pack_into(self._memory, self._places[direction], self.counts[direction])
+
+
 class Store:
     """Stores what one port brings. `unit`: `bytes` or `frames`, what `count` counts; `count`: from a forerunner on.
 
@@ -68,6 +105,8 @@ class Store:
         self.count = count
         self.last_ns = last_ns
         self.idle = idle
+        #: Called with the number of bytes that were read, before anything is done with them.
+        self.on_taken: Callable[[int], None] = lambda size: None
         #: Chunks (or frames) taken.
         self.records = 0
         self._told = count
@@ -125,6 +164,11 @@ class Store:
         self._batch.append(pack_event(t_ns, self.count, event, **about))
         self.flush()
         self._tell(t_ns, event, about)
+
+    def lose(self, count: int, from_ns: int, to_ns: int, reason: str) -> None:
+        """Note that so much was read and is not stored."""
+        self.count += count
+        self.event("dropped", to_ns, **{self._unit: count}, from_ns=from_ns, to_ns=to_ns, reason=reason)
 
     def _stamp(self, t_ns: int) -> int:
         if t_ns < self.last_ns:

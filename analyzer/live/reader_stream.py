@@ -51,8 +51,11 @@ def settle(pieces: Sequence[Piece], byte_ns: int, floor_ns: int, *, after_idle: 
     return settled
 
 
-def drain(fd: int) -> tuple[list[Piece], str | None]:
-    """Return what is there now, read by read with stamps, and why the port is gone, `None` if it is not."""
+def drain(fd: int, on_taken: Callable[[int], None]) -> tuple[list[Piece], str | None]:
+    """Return what is there now, read by read with stamps, and why the port is gone, `None` if it is not.
+
+    `on_taken` is called with the number of bytes of each read.
+    """
     pieces: list[Piece] = []
     size = 0
     while size < DRAIN_LIMIT:
@@ -65,6 +68,7 @@ def drain(fd: int) -> tuple[list[Piece], str | None]:
         stamp_ns = time.monotonic_ns()
         if not data:
             return pieces, ""
+        on_taken(len(data))
         pieces.append((stamp_ns, data))
         size += len(data)
     return pieces, None
@@ -79,7 +83,7 @@ def listen_to_stream(
     """
 
     def take(ready: bool) -> int:
-        pieces, gone = drain(fd)
+        pieces, gone = drain(fd, store.on_taken)
         if pieces:
             _store(store, pieces, byte_ns)
         if gone is not None:
@@ -100,7 +104,7 @@ def _last_reads(fd: int, store: Store, byte_ns: int, tick: Callable[[int], None]
     """Take what had come before the end."""
     until_ns = time.monotonic_ns() + LAST_READS_NS
     while True:
-        pieces, gone = drain(fd)
+        pieces, gone = drain(fd, store.on_taken)
         if pieces:
             _store(store, pieces, byte_ns)
         if not pieces or gone is not None or time.monotonic_ns() > until_ns:

@@ -183,6 +183,9 @@ def event_values(values: Mapping[str, Any]) -> dict[str, Any]:
     for name, value in values.items():
         if name == "text":
             continue  # it stands beside them
+        if name == "details" and isinstance(value, Mapping):
+            others |= value
+            continue
         wanted = _EVENT.get(name)
         fits = wanted is not None and isinstance(value, _KINDS[wanted["type"]]) and not isinstance(value, bool)
         (known if fits else others)[name] = value

@@ -41,7 +41,8 @@ class _Logged(msgspec.Struct):
 
     raw: str | None = msgspec.field(name="_raw", default=None)
     offset: Annotated[int, msgspec.Meta(ge=0, le=1 << 62)] | None = msgspec.field(name="_offset", default=None)
-    can_id: Annotated[int, msgspec.Meta(ge=0, le=0x1FFF_FFFF)] | None = msgspec.field(name="_can_id", default=None)
+    # An error frame has a bit above the 29 of an identifier.
+    can_id: Annotated[int, msgspec.Meta(ge=0, le=0x3FFF_FFFF)] | None = msgspec.field(name="_can_id", default=None)
     can_flags: list[str] = msgspec.field(name="_can_flags", default_factory=list)
     direction: str = msgspec.field(name="_direction", default="")
     silence: bool = msgspec.field(name="_silence", default=False)

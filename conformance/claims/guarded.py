@@ -354,12 +354,12 @@ def _guarded_by_length(probe: Probe, command: Command, guarded: Guarded) -> None
 # --- settings ---------------------------------------------------------------------------------------------------------
 
 
-def _with_settings(dialect: Dialect) -> Iterator[Case]:
-    """Yield the settings of a dialect that can be read, all together."""
+def _with_settings(dialect: Dialect, *more: Risk) -> Iterator[Case]:
+    """Yield the settings of a dialect that can be read, all together. `more`: risks beside those of setting them."""
     chosen = readable_settings(dialect)
     if chosen:
         risks, names = needs(chosen)
-        yield Case(dialect, given={"chosen": chosen}, facts={"risks": risks, "settings": names})
+        yield Case(dialect, given={"chosen": chosen}, facts={"risks": risks | set(more), "settings": names})
 
 
 @claim(
@@ -387,11 +387,10 @@ def _settings_guarded(probe: Probe, chosen: list[ReadableSetting]) -> None:
 
 @claim(
     Theme.FRAMING,
-    each=lambda dialect: _with_settings(dialect) if dialect.link.tells_length else (),
+    each=lambda dialect: _with_settings(dialect, Risk.UNKNOWN) if dialect.link.tells_length else (),
     name="settings/other-length",
     refuted_by="a value that is stored",
     section=described_in(Subject.FRAMING),
-    risks=lambda case: case.facts["risks"] | {Risk.UNKNOWN},
     at_best=Certainty.LIKELY,
     quirks=may_meet(lk_parameters.OTHER_FIRMWARE),
     parameters={},

@@ -27,12 +27,12 @@ from analyzer.live.lock import RUNNING, Lock
 from analyzer.live.reader import endpoint_of, hand_over
 from analyzer.live.reader_port import Stop, Unopened
 from analyzer.live.reader_serial import holders
-from analyzer.live.reader_store import StatusLine, Store
+from analyzer.live.reader_store import StatusLine, Store, Taken
 from analyzer.live.spool import Record, RecordKind, SpoolWriter, last_record
 from conformance.tap.adapter import Adapter, Wiring, adapter_of
 from conformance.tap.passing import Passing
 from conformance.tap.settings import of_endpoint
-from conformance.tap.storing import REPLY, REQUEST, Storing, Taken
+from conformance.tap.storing import REPLY, REQUEST, Storing
 from conformance.tap.terminal import Terminal
 
 #: A thread of ours that computes gives way after this many seconds when bytes come.
@@ -106,7 +106,7 @@ def _run(arguments: argparse.Namespace, stop: TapStop, tell: Any) -> None:
     limit = recording.max_spool
     storing = Storing({d: _store(SpoolWriter(arguments.folder, s, limit=limit), s, before[d], tell) for d, s in stems.items()})
     stored = {d: 0 if record is None else record.before + record.units for d, record in before.items()}
-    taken = _taken(arguments.folder / f"{arguments.reply}.taken", stored)
+    taken = Taken.at(arguments.folder / f"{arguments.reply}.taken", stored)
     successor = any(before.values())
     terminal = Terminal(*arguments.terminal, attended=successor and _others(arguments.terminal[1]))
     named = of_endpoint(endpoint)
@@ -131,14 +131,6 @@ def _run(arguments: argparse.Namespace, stop: TapStop, tell: Any) -> None:
         adapter.close()
         terminal.close()
         storing.close(stop.asked or "the tap broke off")
-
-
-def _taken(path: Path, stored: dict[str, int]) -> Taken | None:
-    """Return the counts of what is taken; None where they have no place, as on a full disk."""
-    try:
-        return Taken(path, stored)
-    except OSError:
-        return None
 
 
 def _store(writer: SpoolWriter, stem: str, before: Record | None, tell: Any) -> Store:

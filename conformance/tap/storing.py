@@ -9,13 +9,10 @@ not fit are counted, and an event marks their place. Events of the adapter stand
 
 from __future__ import annotations
 
-import mmap
 import queue
-import struct
 import threading
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 from analyzer.live.reader_store import Store
@@ -25,32 +22,6 @@ REQUEST = "request"
 REPLY = "reply"
 #: Bytes that may wait for the thread.
 QUEUE_LIMIT = 64 << 20
-
-
-class Taken:
-    """How many bytes of each direction the tap has taken, in memory that outlives its process: a file of two u64.
-
-    `before`: the counts that a process which died has left, None where there was none.
-    """
-
-    _COUNT = struct.Struct("<Q")
-
-    def __init__(self, path: Path, stored: dict[str, int]) -> None:
-        size = self._COUNT.size
-        self._places = {direction: at * size for at, direction in enumerate(stored)}
-        left = path.read_bytes() if path.exists() else b""
-        whole = len(left) == size * len(stored)
-        self.before = {d: self._COUNT.unpack_from(left, at)[0] for d, at in self._places.items()} if whole else None
-        self.counts = dict(self.before or stored)
-        # Written, not only made as long: on a full disk an error here, not a death at the first byte.
-        path.write_bytes(b"".join(self._COUNT.pack(count) for count in self.counts.values()))
-        with path.open("r+b") as stream:
-            self._memory = mmap.mmap(stream.fileno(), 0)
-
-    def add(self, direction: str, size: int) -> None:
-        """Count bytes, before anything is done with them."""
-        self.counts[direction] += size
-        self._COUNT.pack_into(self._memory, self._places[direction], self.counts[direction])
 
 
 class Storing:
@@ -134,9 +105,7 @@ class Storing:
         self._taken += size
 
     def _drop(self, direction: str, count: int, from_ns: int, to_ns: int, reason: str = "the disk did not keep up") -> None:
-        store = self._stores[direction]
-        store.count += count
-        store.event("dropped", to_ns, bytes=count, from_ns=from_ns, to_ns=to_ns, reason=reason)
+        self._stores[direction].lose(count, from_ns, to_ns, reason)
 
     def _flush(self) -> None:
         for store in self._stores.values():

@@ -68,7 +68,7 @@ def test_a_short_run_fits_into_90_seconds_and_fills_them(target: Target) -> None
 
 
 def test_a_slower_line_gets_fewer_claims() -> None:
-    fast, slow = (parse("lk-rs485@1,model=MF", f"serial:none,baud={rate}") for rate in (115200, 9600))
+    fast, slow = (parse("mks-modbus@1,model=42D", f"serial:none,baud={rate}") for rate in (115200, 9600))
     counts = [len(Plan((t,), _EVERYTHING, short=True).selected(t)) for t in (fast, slow)]
     assert counts[0] > counts[1] > 0
 
