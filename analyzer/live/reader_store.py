@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import mmap
 import struct
 import time
 from collections import deque
@@ -47,7 +46,7 @@ class StatusLine:
 
 
 class Taken:
-    """How much a process has taken of each stream, in memory that outlives it: a file of a u64 for each stream.
+    """How much a process has taken of each stream, in a file that outlives it: a u64 for each stream.
 
     `before`: the counts that a process which died has left, None where there was none.
     """
@@ -63,8 +62,7 @@ class Taken:
         self.counts = dict(self.before or stored)
         # Written, not only made as long: on a full disk an error here, not a death at the first byte.
         path.write_bytes(b"".join(self._COUNT.pack(count) for count in self.counts.values()))
-        with path.open("r+b") as stream:
-            self._memory = mmap.mmap(stream.fileno(), 0)
+        self._file = path.open("r+b", buffering=0)
 
     @classmethod
     def at(cls, path: Path, stored: dict[str, int]) -> Taken | None:
@@ -77,7 +75,10 @@ class Taken:
     def add(self, direction: str, size: int) -> None:
         """Count what was taken, before anything is done with it."""
         self.counts[direction] += size
-        self._COUNT.pack_into(self._memory, self._places[direction], self.counts[direction])
+        # Where it cannot be kept, a death tells less; the bytes themselves come first.
+        with contextlib.suppress(OSError):
+            self._file.seek(self._places[direction])
+            self._file.write(self._COUNT.pack(self.counts[direction]))
 
 
 class Store:
