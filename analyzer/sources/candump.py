@@ -113,6 +113,9 @@ def _special(source: Source, line: int, t_ns: int, found: re.Match[str]) -> CanF
     if kind in ("X", "x"):
         source.problem(f"CAN XL is not supported: {quote(found[0].strip())!r}", line=line)
         return None
+    if kind in ("R", "r") and data:
+        source.problem(f"a remote frame carries no data: {quote(found[0].strip())!r}", line=line)
+        return None
     return CanFrame(
         t_ns,
         source.port(name),
