@@ -17,7 +17,7 @@ from analyzer.live.log_parts import LogParts
 from analyzer.live.recording import Recording
 from analyzer.sinks.mcap_repair import is_whole, repair
 from tests.collect import sum8
-from tests.live.spooled import START, Spools, content, decoded_of, metadata, port, raw_of, read
+from tests.live.spooled import Spools, content, decoded_of, metadata, port, raw_of, read
 from tests.live.test_recorder_killed import ARM, LEFT, RIGHT, fill
 
 
@@ -30,15 +30,7 @@ def killed(tmp_path, steps=300, **about):
     for spools in (straight, broken):
         fill(spools, 11)
     straight.record()
-    told = config.load(broken.folder)
-    recording = Recording(broken.folder, told, LogParts(broken.folder, told))
-    for number, each in enumerate(recording.merger.take(START + 10**12)):
-        recording.take([each])
-        if number % 100 == 99:
-            recording.flush()
-        if number == steps:
-            break
-    recording.abandon()
+    broken.record_and_be_killed(steps, flush_every=100)
     return straight, broken
 
 

@@ -11,12 +11,9 @@ import pytest
 from mcap.reader import make_reader
 
 from analyzer.cli import main
-from analyzer.live import config
-from analyzer.live.log_parts import LogParts
-from analyzer.live.recording import Recording
 from analyzer.live.spool import HEAD, SpoolReader, stems
 from tests.collect import sum8
-from tests.live.spooled import START, Spools, port, read
+from tests.live.spooled import Spools, port, read
 
 LOG = "out.mcap"
 SPOOL = f"{LOG}.spool"
@@ -38,15 +35,7 @@ def killed(whole):
         for n, frame in enumerate(sent):
             spools.data("1-left", 10 * n, frame)
         spools.close()
-        told = config.load(spools.folder)
-        recording = Recording(spools.folder, told, LogParts(spools.folder, told))
-        for number, each in enumerate(recording.merger.take(START + 10**12)):
-            recording.take([each])
-            if number % 20 == 19:
-                recording.flush()
-            if number == 110:
-                break
-        recording.abandon()
+        spools.record_and_be_killed(110, flush_every=20)
         found = {str(p.relative_to(folder)): p.read_bytes() for p in sorted(Path(folder).rglob("*")) if p.is_file()}
     return found, set(sent)
 

@@ -8,8 +8,11 @@ from pathlib import Path
 
 from mcap.reader import make_reader
 
+from analyzer.live import config
 from analyzer.live.config import CONTROL, PortConfig, RecordingConfig
+from analyzer.live.log_parts import LogParts
 from analyzer.live.recorder import Recorder
+from analyzer.live.recording import Recording
 from analyzer.live.spool import RecordKind, SpoolWriter, pack, pack_can, pack_event, spool_folder
 from tests.collect import sum8
 
@@ -84,6 +87,18 @@ class Spools:
         said = []
         Recorder(self.folder, say=said.append, **options).run()
         return said
+
+    def record_and_be_killed(self, after, flush_every):
+        """Record up to a record, and leave everything as a process that is killed then leaves it."""
+        told = config.load(self.folder)
+        recording = Recording(self.folder, told, LogParts(self.folder, told))
+        for number, each in enumerate(recording.merger.take(START + 10**12)):
+            recording.take([each])
+            if number % flush_every == flush_every - 1:
+                recording.flush()
+            if number == after:
+                break
+        recording.abandon()
 
 
 def read(path):
