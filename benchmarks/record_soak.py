@@ -155,7 +155,7 @@ def main():
         wrong = report(recording, sent, processor, memory, took, killed, arguments.seconds)
     for text in wrong:
         print(f"WRONG: {text}")
-    print("every frame is there, in order, once" if not wrong else "NOT AS SENT")
+    print("WRONG" if wrong else "every frame is there, in order, once")
     return 1 if wrong else 0
 
 
