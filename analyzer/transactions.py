@@ -221,6 +221,8 @@ class Transactions:
         if request is None or request.frame.data != message.frame.data or request.state is not State.WAITING:
             return None
         silent = request.outcome is RequestOutcome.SILENT
+        if not silent and request.outcome is not RequestOutcome.OPEN:
+            return None
         return (
             None
             if silent

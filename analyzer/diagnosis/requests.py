@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator
 from itertools import islice, pairwise
+from typing import NamedTuple
 
 from analyzer.catalogue import Dialect, Role
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
@@ -11,34 +13,95 @@ from analyzer.link.modbus import FUNCTIONS
 from analyzer.values import counted
 
 _READS = (0x03, 0x04)
+_LOOK_UP = "Look the command up: `servotap catalogue` lists what the manual has"
+#: What each exception of the standard says is wrong, by its code.
+_EXCEPTIONS = {
+    0x01: ("wrong_function", "it does not have this function", "Look up which function the register has (03, 04, 06 or 10)"),
+    0x02: (
+        "wrong_register", "there is no such register, or the quantity reaches over the last one",
+        "Look the register up: many manuals count from 1, from 40001, or in hexadecimal",
+    ),
+    0x03: ("value_out_of_range", "a value or quantity is not allowed", "Look up the range of the register and the quantity"),
+    0x05: ("too_fast", "it has taken the request and needs longer", "Wait, and ask again later"),
+    0x06: ("too_fast", "it is busy with the request before", "Wait for the end of what runs, then ask again"),
+    0x0A: ("no_reply", "the gateway has no path to the unit", "Set the gateway's serial side up, and its unit identifiers"),
+    0x0B: ("no_reply", "the unit behind the gateway does not answer", "Check the unit's address, speed, wires and power"),
+}  # fmt: skip
+#: Requests of a capture in which one refusal is what it is about.
+_FEW = 4
+#: First registers of each kind in the numbering of old controllers.
+_NUMBERED = (10001, 30001, 40001)
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect what the requests ask for."""
     yield from islice(_short(scene), 1)
-    found: dict[str, list[tuple[Trouble, Piece, str, bytes]]] = {}
-    for trouble in scene.damaged:
-        piece = trouble.stretch.pieces[0] if trouble.stretch is not None else None
-        if (
-            piece is None
-            or piece.message is None
-            or piece.message.role is not Role.REQUEST
-            or not piece.message.frame.checksum_ok
-        ):
+    found: dict[tuple[str, str], list[_Wrong]] = {}
+    for troubles, piece, refusal in _failing(scene):
+        why = _why(scene, piece, refusal)
+        if why is not None:
+            key = (why.cause, why.say if why.by_exception else "")
+            found.setdefault(key, []).append(_Wrong(troubles, piece, refusal, why))
+    asked = sum(piece.is_request for piece in scene.pieces)
+    for (cause, _), rows in found.items():
+        first = rows[0]
+        # One refusal in long traffic is an answer like any other.
+        if first.why.by_exception and len(rows) == 1 and asked > _FEW:
             continue
-        if (why := _why(scene, piece)) is not None:
-            found.setdefault(why[0], []).append((trouble, piece, *why[1:]))
-    for cause, rows in found.items():
-        first, piece, say, right = rows[0]
-        can_id = None if piece.can is None else piece.can.id
+        can_id = None if first.piece.can is None else first.piece.can.id
+        met = ", with no good reply" if first.refusal is None else f", answered {shown(first.refusal.data)}"
+        met = "" if first.refusal is first.piece else met
+        right = first.why.right
         yield Suspicion(
-            cause, Confidence.CERTAIN if len(rows) > 1 else Confidence.LIKELY, [t for t, _, _, _ in rows], say,
-            f"{shown(piece.data, can_id)} at byte {first.offset}, with no good reply; {counted(len(rows), 'time')}",
-            f"Send {shown(right, can_id)}" if right else "Look the command up: `servotap catalogue` lists what the manual has",
+            cause, Confidence.CERTAIN if len(rows) > 1 else Confidence.LIKELY, [t for w in rows for t in w.troubles],
+            first.why.say,
+            f"{shown(first.piece.data, can_id)} at byte {first.piece.offset}{met}; {counted(len(rows), 'time')}",
+            first.why.next or (f"Send {shown(right, can_id)}" if right else _LOOK_UP),
             tuple(
-                Shown(t.offset, shown(p.data, can_id), shown(r, can_id) if r else "") for t, p, _, r in rows
+                Shown(w.piece.offset, shown(w.piece.data, can_id), shown(w.why.right, can_id) if w.why.right else "")
+                for w in rows
             ),
         )  # fmt: skip
+
+
+class _Why(NamedTuple):
+    """What is wrong with a request. `by_exception`: the drive says so itself, so that one sentence is for one of its codes."""
+
+    cause: str
+    say: str
+    right: bytes = b""
+    next: str = ""
+    by_exception: bool = False
+
+
+class _Wrong(NamedTuple):
+    """A request that failed. `refusal`: the exception that answers it."""
+
+    troubles: list[Trouble]
+    piece: Piece
+    refusal: Piece | None
+    why: _Why
+
+
+def _failing(scene: Scene) -> Iterator[tuple[list[Trouble], Piece, Piece | None]]:
+    """Yield the requests whose bytes are sound as far as their check goes, and which met with no good reply."""
+    own: dict[int, list[Trouble]] = defaultdict(list)
+    for trouble in scene.troubles:
+        pieces = trouble.stretch.pieces[:1] if trouble.stretch is not None else (trouble.piece,)
+        for piece in pieces:
+            if piece is not None:
+                own[piece.sequence].append(trouble)
+    refusals = {p.asked_by: p for p in scene.pieces if p.asked_by is not None and "modbus_exception" in p.rules}
+    for piece in scene.pieces:
+        refusal = refusals.get(piece.sequence)
+        message = piece.message
+        if message is None or not piece.is_request or not message.frame.checksum_ok:
+            if piece.is_reply and piece.asked_by is None and "modbus_exception" in piece.rules:
+                yield own[piece.sequence], piece, piece
+            continue
+        troubles = own[piece.sequence] + (own[refusal.sequence] if refusal is not None else [])
+        if troubles:
+            yield troubles, piece, refusal
 
 
 def _short(scene: Scene) -> Iterator[Suspicion]:
@@ -67,10 +130,12 @@ def _short(scene: Scene) -> Iterator[Suspicion]:
         )  # fmt: skip
 
 
-def _why(scene: Scene, piece: Piece) -> tuple[str, str, bytes] | None:
-    """Return a cause, what is wrong, and the right frame, for a request that no drive has answered well."""
+def _why(scene: Scene, piece: Piece, refusal: Piece | None) -> _Why | None:
+    """Return what is wrong with a request that no drive has answered well."""
     message = piece.message
     assert message is not None  # a request
+    if piece is refusal:
+        return _refused(scene, None, piece)
     at = scene.pieces.index(piece)
     replies = [p for p in scene.pieces[at + 1 :] if p.asked_by == piece.sequence] or [
         p
@@ -88,35 +153,83 @@ def _why(scene: Scene, piece: Piece) -> tuple[str, str, bytes] | None:
         if command is not None and reads:
             right = dialect.link.build(command, command.request_forms[0], message.address, b"", Role.REQUEST)
         what = "quantity" if reads else "length"
-        return "wrong_length", f"A request of code {head.code or 0:02X} has another {what} than the manual's.", right
-    if "unknown_command" not in piece.rules:
+        return _Why("wrong_length", f"A request of code {head.code or 0:02X} has another {what} than the manual's.", right)
+    if "unknown_command" in piece.rules:
+        if head.function is None:
+            return _Why("unknown_command", f"The manual does not list the code {head.code or 0:02X}.")
+        if head.function in FUNCTIONS and head.code is not None and _about_register(refusal):
+            found = _register(dialect, data, head.function, head.code)
+            if found is not None:
+                return found
+    if refusal is not None:
+        return _refused(scene, piece, refusal)
+    return _silent_function(scene, piece) if head.function in _READS else None
+
+
+def _refused(scene: Scene, piece: Piece | None, refusal: Piece) -> _Why | None:
+    """Return what the drive itself says is wrong: the code of its exception. `piece`: the request, if it is known."""
+    assert refusal.message is not None  # an exception
+    code = refusal.message.values.get("exception", 0)
+    if code not in _EXCEPTIONS:
         return None
-    if head.function is None:
-        return "unknown_command", f"The manual does not list the code {head.code or 0:02X}.", b""
-    if head.function not in FUNCTIONS or head.code is None:
+    cause, say, todo = _EXCEPTIONS[code]
+    right = b""
+    if piece is not None and len(piece.data) == 8:
+        function, register = piece.data[1], int.from_bytes(piece.data[2:4], "big")
+        if cause == "wrong_function" and function in _READS:
+            right = _with(refusal.message.frame.dialect, piece.data, sum(_READS) - function, register)
+        elif cause == "wrong_register" and register:
+            first = max((n for n in _NUMBERED if n <= register), default=1)
+            right = _with(refusal.message.frame.dialect, piece.data, function, register - first)
+    asked = f" to {shown(piece.data)}" if piece is not None else ""
+    return _Why(
+        cause, f"The device refuses by exception {code:02X}: {say}.", right,
+        f"{todo}{f': try {shown(right)}' if right else ''}{'' if asked else '; the request itself is not in the capture'}",
+        True,
+    )  # fmt: skip
+
+
+def _about_register(refusal: Piece | None) -> bool:
+    """Say whether a refusal, if there is one, is of the function or the register."""
+    return refusal is None or refusal.message is None or refusal.message.values.get("exception") in (0x01, 0x02)
+
+
+def _silent_function(scene: Scene, piece: Piece) -> _Why | None:
+    """Suspect the function where the same address answers the other one that reads, and never this."""
+    message = piece.message
+    assert message is not None  # a request
+    answered = {p.asked_by for p in scene.pieces if p.is_reply and not _refuses(p)}
+    asked = [p for p in scene.pieces if p.is_request and p.data[:1] == piece.data[:1] and len(p.data) == 8]
+    function = piece.data[1]
+    good = {p.data[1] for p in asked if p.sequence in answered}
+    if function in good or sum(_READS) - function not in good:
         return None
-    return _register(dialect, data, head.function, head.code)
+    other = sum(_READS) - function
+    right = _with(message.frame.dialect, piece.data, other, int.from_bytes(piece.data[2:4], "big"))
+    return _Why("wrong_function", f"Function {function:02X} is never answered, and {other:02X} is.", right)
+
+
+def _with(dialect: Dialect, data: bytes, function: int, register: int) -> bytes:
+    """Return a request of a standard function with another function and register."""
+    return dialect.link.completed(bytes((data[0], function)) + register.to_bytes(2, "big") + data[4:-2])
 
 
 def _refuses(piece: Piece) -> bool:
     return bool(piece.rules & {"modbus_exception", "refused_write", "failed_status"})
 
 
-def _register(dialect: Dialect, data: bytes, function: int, register: int) -> tuple[str, str, bytes] | None:
+def _register(dialect: Dialect, data: bytes, function: int, register: int) -> _Why | None:
     """Return what is wrong with a register that the function does not know."""
     known = {(c.function, c.code) for c in dialect.commands}
-
-    def frame(other_function: int, other: int) -> bytes:
-        return dialect.link.completed(bytes((data[0], other_function)) + other.to_bytes(2, "big") + data[4:-2])
-
     for other in _READS:
         if function in _READS and other != function and (other, register) in known:
             say = f"Register {register:04X} is read by function {other:02X}, not {function:02X}."
-            return "wrong_function", say, frame(other, register)
+            return _Why("wrong_function", say, _with(dialect, data, other, register))
     meant = int(str(register), 16) if len(str(register)) <= 4 else 0
     if register > 9 and (function, meant) in known:
         say = f"The register {register:04X} is {register} in decimal: meant is {meant:04X}, in hexadecimal."
-        return "decimal_as_hex", say, frame(function, meant)
+        return _Why("decimal_as_hex", say, _with(dialect, data, function, meant))
     if register and (function, register - 1) in known:
-        return "wrong_register", f"Register {register:04X} is one above {register - 1:04X}.", frame(function, register - 1)
+        say = f"Register {register:04X} is one above {register - 1:04X}."
+        return _Why("wrong_register", say, _with(dialect, data, function, register - 1))
     return None

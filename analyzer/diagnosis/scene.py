@@ -54,8 +54,13 @@ class Piece:
 
     @property
     def sound(self) -> bool:
-        """Whether it is a frame with nothing wrong in its bytes."""
-        return self.message is not None and not self.rules & DAMAGED
+        """Whether it is a frame with nothing wrong in its bytes; of a standard function, the register may be unknown."""
+        message = self.message
+        if message is None:
+            return False
+        damaged = self.rules & DAMAGED
+        standard = message.command in message.frame.dialect.fallbacks.values()
+        return not damaged or (standard and damaged == {"unknown_command"} and message.frame.checksum_ok)
 
     @property
     def answered(self) -> bool:

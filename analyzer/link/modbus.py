@@ -233,6 +233,8 @@ class _ModbusSlicer(Slicer):
             return False
         if modbus_crc(data[:-2]) != data[-2] | data[-1] << 8:
             return False
+        if data[1] in READS and size not in (8, 5 + data[2]) and size < 5 + data[2]:
+            return False
         # A frame that lost the 00 at its end checks too.
         return self.look(data + b"\0", 0, size + 1, True) != size + 1
 
