@@ -49,7 +49,7 @@ RULES: dict[str, Rule] = {
         Rule("short_package", _E, "a package shorter than 52 bytes: its padding zeros were lost"),
         Rule("unanswered", _E, "a request without the reply that the manual promises"),
         Rule("silent_address", _I, "an address that does not answer motion commands: respond = 0, or a group (see --group)"),
-        Rule("late_reply", _W, "a reply that came after the limit (see --late)"),
+        Rule("late_reply", _W, "a reply that came after the limit (see --late), or behind a further request, time after time"),
         Rule("unsolicited_reply", _W, "a reply without a request"),
         Rule("duplicate_reply", _W, "a repeated reply"),
         Rule("answered_broadcast", _E, "a reply to a broadcast or a group, which the manual forbids"),

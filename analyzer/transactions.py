@@ -32,6 +32,8 @@ from analyzer.records import Frame, Lane, Message, Severity
 GIVE_UP = 5
 #: The same bytes again within this time are an echo: no host repeats a request so soon.
 ECHO_NS = 3_000_000
+#: So many replies in a row that answer an earlier request are no chance.
+BEHIND = 3
 #: Open requests kept per address.
 MOST_OPEN = 64
 
@@ -60,7 +62,7 @@ class Transactions:
     """Pairs the messages of one port. `late_ns`: a first reply later than this is late; `timed` False: times say nothing."""
 
     #: What it knows of the traffic beside its context.
-    STATE = ("_answers_motion", "_check_ns", "_last", "_last_is_reply", "_last_reply", "_told_silent")
+    STATE = ("_answers_motion", "_behind", "_check_ns", "_last", "_last_is_reply", "_last_reply", "_told_silent")
 
     def __init__(self, context: Context, *, late_ns: int = 1_000_000_000, half_duplex: bool = True, timed: bool = True) -> None:
         self.context = context
@@ -72,6 +74,8 @@ class Transactions:
         self._last_is_reply = False
         self._last_reply: dict[int, bytes] = {}
         self._answers_motion: set[int] = set()
+        #: Replies in a row that answer an earlier request than the last one.
+        self._behind = 0
         self._told_silent: set[int] = set()
 
     def _latency(self, frame: Frame, request: Request) -> int | None:
@@ -166,6 +170,7 @@ class Transactions:
             context.borrowed -= 1
         if command.silenced:
             self._answers_motion.add(address)
+        self._behind = 0
         context.speaks[address] = lane.dialect
         self._last_reply[address] = frame.data
         self._last = frame
@@ -265,6 +270,9 @@ class Transactions:
         issues: list[Issue] = []
         if first and latency is not None and latency > self.late_ns:
             issues.append(Issue("late_reply", f"after {latency / 1e6:.1f} ms, limit {self.late_ns / 1e6:g} ms"))
+        self._behind = self._behind + 1 if first and self.half_duplex and asked is not context.last_request else 0
+        if self._behind >= BEHIND:
+            issues.append(Issue("late_reply", f"it answers an earlier request, as the {self._behind - 1} before it do"))
         meaning, problem = meaning_of(message, asked.command)
         if problem is not None:
             issues.append(problem)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from analyzer.catalogue import Dialect
-from analyzer.diagnosis import can_bus, checks, host, line, requests, silence, spoiled, wrapped
+from analyzer.diagnosis import can_bus, checks, host, line, pace, requests, silence, spoiled, wrapped
 from analyzer.diagnosis.ranking import Ranked, ranked
 from analyzer.diagnosis.scene import Scene, Suspicion
 from analyzer.diagnosis.watch import Watch
@@ -20,6 +20,7 @@ HYPOTHESES: tuple[Callable[[Scene], Iterator[Suspicion]], ...] = (
     requests.look,
     spoiled.look,
     host.look,
+    pace.look,
     silence.look,
     can_bus.look,
     line.look,

@@ -29,7 +29,7 @@ def ranked(suspicions: Iterable[Suspicion], troubles: Sequence[Trouble]) -> list
     """
     total = len(troubles)
     weighed = sorted(
-        (Ranked(each, len(set(each.troubles)) / total if total else 1.0) for each in suspicions),
+        (Ranked(each, min(1.0, len(set(each.troubles)) / total) if total else 1.0) for each in suspicions),
         key=lambda r: (-_WEIGHT[r.suspicion.confidence] * r.share, -_WEIGHT[r.suspicion.confidence]),
     )
     told: list[Ranked] = []

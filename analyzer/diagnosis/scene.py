@@ -142,7 +142,7 @@ class Suspicion:
 DAMAGED = frozenset(("bad_checksum", "unknown_command", "wrong_length", "short_package", "foreign_can_frame"))
 #: Rules of findings that are a trouble by themselves, apart from damaged bytes.
 _TROUBLE = frozenset(
-    ("unanswered", "silent_address", "unsolicited_reply", "duplicate_reply", "failed_status", "modbus_exception",
+    ("unanswered", "silent_address", "unsolicited_reply", "duplicate_reply", "late_reply", "failed_status", "modbus_exception",
      "refused_write", "host_echo", "other_dialect", "can_error_frame", "out_of_range", "unknown_choice")
 )  # fmt: skip
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 
 from analyzer import dialects as registry
+from analyzer.catalogue import Role
 from analyzer.encoder import build
 from analyzer.link.modbus import modbus_crc
-from tests.diagnosis.test_diagnosis import exchanged, first, told
+from analyzer.records import Chunk
+from tests.diagnosis.test_diagnosis import READS, diagnosed, exchanged, first, told
 
 NATIVE, MODBUS, CAN, LK = (registry.get(n) for n in ("mks-rs485", "mks-modbus", "mks-can", "lk-rs485"))
 
@@ -51,3 +55,78 @@ def test_the_function_that_nobody_answers():
     found = told(*good, *good, *[(">", rtu("11 03 01 00 00 01"))] * 2, *good)
     assert found[0].cause == "wrong_function"
     assert found[0].frames[0].right == rtu("11 04 01 00 00 01").hex(" ").upper()
+
+
+# --- when the host writes and reads ----------------------------------------------------------------------------------------
+
+MS = 1_000_000
+POLLS = {
+    "mks-rs485@1": [build(NATIVE, n, 1) for n in ("read_encoder_carry", "read_speed", "read_pulses", "read_protection")] * 2,
+    "mks-modbus@1": [build(MODBUS, n, 1) for n in ("read_encoder_carry", "read_speed", "read_pulses")] * 3,
+    "lk-rs485@1,baud=38400": [build(LK, n, 1) for n in ("read_state_1", "read_state_2", "read_state_3")] * 3,
+}
+
+
+@pytest.mark.parametrize("drive", POLLS)
+def test_replies_one_behind(drive):
+    rows = exchanged(drive, *POLLS[drive])
+    sent, received = rows[::2], rows[1::2]
+    behind = [sent[0], *(row for pair in zip(sent[1:], received, strict=False) for row in pair)]
+    found = told(*behind)
+    assert (found[0].cause, found[0].confidence) == ("late_reply", "certain")
+
+
+@pytest.mark.parametrize("drive", POLLS)
+@pytest.mark.parametrize("stray", [b"\x00", b"\xff\xff\xff"])
+def test_reads_out_of_step(drive, stray):
+    rows = exchanged(drive, *POLLS[drive][:1] * 8)
+    stream = stray + b"".join(data for mark, data in rows if mark == "<")
+    size = len(rows[1][1])
+    reads = [stream[at : at + size] for at in range(0, len(stream) - size, size)]
+    shifted = [row for (_, sent), read in zip(rows[::2], reads, strict=False) for row in ((">", sent), ("<", read))]
+    assert first(*shifted) == "read_misaligned"
+
+
+@pytest.mark.parametrize("drive", POLLS)
+def test_a_host_that_reads_too_early(drive):
+    rows = exchanged(drive, *POLLS[drive][:1] * 8)
+    size = len(rows[1][1])
+    stream = b"".join(data for mark, data in rows if mark == "<")
+    cuts = [0, *range(size - 3, len(stream), size)]
+    reads = [stream[a:b] for a, b in pairwise(cuts)]
+    early = [row for (_, sent), read in zip(rows[::2], reads, strict=False) for row in ((">", sent), ("<", read))]
+    assert first(*early) == "reply_cut"
+
+
+@pytest.mark.parametrize("at", [1, 2, 5])
+def test_requests_in_two_parts(at):
+    sent = [part for frame in POLLS["mks-modbus@1"][:3] for part in ((">", frame[:at]), (">", frame[at:]))]
+    assert first(*sent) == "split_frame"
+
+
+def test_a_reply_in_two_reads_whose_first_part_checks():
+    assert first("> 01 04 00 00 00 01 31 CA", "< 01 04 02 03 01 78", "< 00") == "split_frame"
+    asked = [(">", READS[0])] + [("<", part) for part in (b"\xfb\x01\x30\x00\x00", b"\x00\x01\x20\x00\x4d")]
+    assert told(*asked) == []
+    assert first(*asked * 3) == "split_frame"
+
+
+def burst(pause_ms, gap_ms):
+    """Return items: after each pause four requests, a gap between them, of which the first is answered."""
+    items, now = [], 0
+    for _ in range(4):
+        now += pause_ms * MS
+        start = now
+        for number, data in enumerate(READS[:4]):
+            now = start + number * gap_ms * MS
+            items.append(Chunk(now, "bus", data, Role.REQUEST, True))
+        items.append(Chunk(now + 3 * MS, "bus", exchanged("mks-rs485@1", READS[0])[1][1], Role.REPLY, True))
+    return items
+
+
+def test_requests_that_come_too_soon():
+    causes = diagnosed(burst(100, 1)).causes
+    assert causes[0].suspicion.cause == "too_fast"
+    assert "none later than 1 ms" in causes[0].suspicion.evidence
+    slow = diagnosed(burst(1000, 300)).causes
+    assert "too_fast" not in [each.suspicion.cause for each in slow]

@@ -1,0 +1,172 @@
+"""Requests with all that came back before the next one, whatever was made of it: the view of one who reads a log by hand.
+
+The pipeline pairs what is sound. Here bytes are kept as they were read, so that a reply can be found that reaches over two
+reads, stands in a later one, or belongs to an earlier request.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import NamedTuple
+
+from analyzer.catalogue import Role
+from analyzer.diagnosis.scene import Piece, Scene
+from analyzer.link import READS, Link
+from analyzer.records import Message
+
+#: Requests back that a reply is looked for.
+_BACK = 8
+#: Exchanges that are looked at: more of the same shows nothing new.
+_MOST = 2000
+_SHORTEST = 3
+
+
+class Turn(NamedTuple):
+    """Bytes of one sender, as the host wrote or read them at once. `message`: the frame that they are."""
+
+    offset: int
+    data: bytes
+    t_ns: int
+    role: Role
+    message: Message | None
+    piece: Piece | None
+
+    @property
+    def stop(self) -> int:
+        """Where the bytes end on the bus."""
+        return self.offset + len(self.data)
+
+
+class Exchange(NamedTuple):
+    """A request and what came back before the next one."""
+
+    request: Turn
+    received: list[Turn]
+
+    @property
+    def data(self) -> bytes:
+        """All that came back."""
+        return b"".join(turn.data for turn in self.received)
+
+
+class Awaited(NamedTuple):
+    """How a reply begins, and how long it is."""
+
+    head: bytes
+    size: int
+    link: Link
+
+    def stands(self, data: bytes, at: int) -> bool:
+        """Say whether the whole reply stands there and its check fits."""
+        stop = at + self.size
+        return stop <= len(data) and data.startswith(self.head, at) and self.link.fits(data[at:stop])
+
+
+class Placed(NamedTuple):
+    """A sound reply among all that was received. `read`: the turn in which it begins; `shift`: bytes before it in this turn;
+    `back`: how many requests were sent between the one that it answers and itself; `crosses`: it ends in a later turn.
+    """
+
+    read: Turn
+    shift: int
+    back: int
+    crosses: bool
+
+
+def awaited(message: Message) -> list[Awaited]:
+    """Return the replies that a request can have."""
+    command, dialect, data = message.command, message.frame.dialect, message.frame.data
+    if command is None or dialect.bus == "can":
+        return []
+    if command in dialect.fallbacks.values():
+        if data[1] in READS:
+            quantity = int.from_bytes(data[4:6], "big")
+            count = (quantity + 7) // 8 if data[1] < min(READS) + 2 else 2 * quantity
+            return [Awaited(bytes((data[0], data[1], count & 0xFF)), 5 + count, dialect.link)]
+        return [Awaited(data[:4], 8, dialect.link)]
+    found = []
+    for form in command.reply_forms:
+        wanted = form.request_values or {}
+        if form.layout.open_ended or any(message.values.get(n) != v for n, v in wanted.items()):
+            continue
+        whole = dialect.link.build(command, form, message.address, bytes(form.layout.byte_length), Role.REPLY)
+        found.append(Awaited(whole[: dialect.link.parse(whole).start], len(whole), dialect.link))
+    return found
+
+
+@lru_cache(maxsize=1)
+def chains(scene: Scene) -> tuple[tuple[Exchange, ...], ...]:
+    """Return the exchanges of a serial bus, in rows without a gap."""
+    rows: list[list[Exchange]] = []
+    before: Turn | None = None
+    for turn in _turns(scene):
+        if before is None or before.stop != turn.offset:
+            rows.append([])
+        before = turn
+        if turn.role is Role.REQUEST:
+            rows[-1].append(Exchange(turn, []))
+        elif rows[-1]:
+            rows[-1][-1].received.append(turn)
+    return tuple(tuple(row[:_MOST]) for row in rows if row)
+
+
+def _turns(scene: Scene) -> Iterator[Turn]:
+    """Yield what was sent at once: up to the limits of reads, and of sound frames where those do not tell."""
+    run: list[Piece] = []
+    for piece in scene.pieces:
+        if piece.can is not None:
+            return
+        if run and run[-1].stop != piece.offset:
+            yield from _cut(scene, run)
+            run = []
+        run.append(piece)
+    if run:
+        yield from _cut(scene, run)
+
+
+def _cut(scene: Scene, run: list[Piece]) -> Iterator[Turn]:
+    first, last = run[0].offset, run[-1].stop
+    data = b"".join(piece.data for piece in run)
+    limits = {n for n in scene.limits if first < n < last}
+    for piece in run:
+        if piece.message is not None and scene.direction(piece.offset) is not Role.REPLY:
+            limits |= {piece.offset, piece.stop}
+    whole = {(piece.offset, piece.stop): piece for piece in run}
+    by_start = sorted(run, key=lambda p: p.offset)
+    at, index = first, 0
+    for stop in (*sorted(n for n in limits if first < n < last), last):
+        while by_start[index].stop <= at:
+            index += 1
+        own = whole.get((at, stop))
+        message = own.message if own is not None else None
+        role = scene.direction(at)
+        if role is Role.UNKNOWN and message is not None:
+            role = message.role
+        yield Turn(at, data[at - first : stop - first], by_start[index].t_ns, role, message, own)
+        at = stop
+
+
+@lru_cache(maxsize=1)
+def placed(scene: Scene) -> tuple[Placed, ...]:
+    """Return the sound replies among what was received, wherever they stand."""
+    return tuple(found for chain in chains(scene) for found in _place(chain))
+
+
+def _place(chain: tuple[Exchange, ...]) -> Iterator[Placed]:
+    stream = b"".join(exchange.data for exchange in chain)
+    reads = [(turn, number) for number, exchange in enumerate(chain) for turn in exchange.received]
+    wanted = [awaited(e.request.message) if e.request.message is not None else [] for e in chain]
+    start = at = 0
+    for turn, number in reads:
+        stop = start + len(turn.data)
+        while at < stop:
+            size = back = 0
+            for back in range(min(number, _BACK) + 1):
+                size = next((a.size for a in wanted[number - back] if a.stands(stream, at)), 0)
+                if size:
+                    break
+            if size:
+                yield Placed(turn, at - start, back, at + size > stop)
+            at += size or 1
+        start = stop

@@ -1,0 +1,221 @@
+"""When the host writes and reads: too early, too late, in parts, or out of step with what comes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+from analyzer.catalogue import Role
+from analyzer.diagnosis.exchanges import Exchange, Turn, awaited, chains, placed
+from analyzer.diagnosis.scene import Confidence, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.values import counted
+
+#: Replies to an earlier request from which on it is no chance.
+_LATE = 3
+#: Of the requests so many must be answered at all.
+_ANSWERED = 0.6
+#: Reads out of step from which on it is no chance, and their share of all reads.
+_SHIFTED = 2
+_SHIFTED_SHARE = 0.2
+#: A pause before a request that any drive stands; and one that only a drive that stores a setting needs.
+_SHORT_NS = 20_000_000
+_LONG_NS = 1_000_000_000
+#: Parts in which one frame is written.
+_PARTS = 3
+
+
+def look(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect when the host writes and reads."""
+    if not chains(scene):
+        return
+    yield from _late(scene)
+    yield from _misaligned(scene)
+    yield from _split(scene)
+    yield from _split_replies(scene)
+    yield from _too_fast(scene)
+
+
+def _late(scene: Scene) -> Iterator[Suspicion]:
+    found = placed(scene)
+    late = [p for p in found if p.back and not p.shift]
+    asked = sum(len(chain) for chain in chains(scene))
+    if len(late) < _LATE or len(found) < _ANSWERED * (asked - 1) or 2 * len(late) < len(found):
+        return
+    first = late[0]
+    back = counted(first.back, "request")
+    yield Suspicion(
+        "late_reply", Confidence.CERTAIN,
+        scene.of("unanswered", "unsolicited_reply", "late_reply", "duplicate_reply", "silent_address")
+        or [Trouble("late_reply", p.read.offset) for p in late],
+        f"Each reply answers an earlier request: the host is {back} ahead of what it reads.",
+        f"{shown(first.read.data)} at byte {first.read.offset} answers the request before; {counted(len(late), 'time')}",
+        "Wait longer for each reply (adapters hold bytes back up to 16 ms), and clear the input once before the next request",
+        tuple(Shown(p.read.offset, shown(p.read.data)) for p in late),
+    )  # fmt: skip
+
+
+def _misaligned(scene: Scene) -> Iterator[Suspicion]:
+    if not scene.directed:
+        return
+    crosses = [p for p in placed(scene) if p.crosses]
+    crossing = {p.read.offset: p.shift for p in crosses if p.shift}
+    reads = shifted = 0
+    first: tuple[Turn, int] | None = None
+    troubles: list[Trouble] = []
+    by_offset = {t.stretch.offset: t for t in scene.damaged if t.stretch is not None}
+    for chain in chains(scene):
+        for exchange in chain:
+            for turn in exchange.received:
+                reads += 1
+                shift = crossing.get(turn.offset, 0) or _shift(exchange, turn)
+                if shift:
+                    shifted += 1
+                    first = first or (turn, shift)
+                    troubles += [by_offset[turn.offset]] if turn.offset in by_offset else []
+    if first is None or shifted < _SHIFTED or shifted < _SHIFTED_SHARE * reads:
+        return
+    turn, shift = first
+    if crosses and not crosses[0].shift:
+        yield Suspicion(
+            "reply_cut", Confidence.CERTAIN, troubles or [Trouble("damaged", turn.offset)],
+            "The host reads too early: a part of each reply is left, and opens its next read.",
+            f"{shown(crosses[0].read.data)} at byte {crosses[0].read.offset} is the beginning of a reply, and "
+            f"{shown(turn.data)} begins with the end of one; {counted(shifted, 'time')}",
+            "Read until the length of the reply is there or a timeout has passed; clear the input before each request",
+            tuple(Shown(t.offset, shown(t.stretch.data)) for t in troubles if t.stretch is not None),
+        )  # fmt: skip
+        return
+    yield Suspicion(
+        "read_misaligned", Confidence.CERTAIN if crossing else Confidence.LIKELY,
+        troubles or [Trouble("damaged", turn.offset)],
+        "The host's reads are out of step: each begins with the end of the reply before, and misses the end of its own.",
+        f"{shown(turn.data)} at byte {turn.offset} is out of step by {counted(shift, 'byte')}; {counted(shifted, 'time')}",
+        "Clear the input before each request, and look for the head of a reply instead of counting bytes",
+        tuple(Shown(t.offset, shown(t.stretch.data)) for t in troubles if t.stretch is not None),
+    )  # fmt: skip
+
+
+def _shift(exchange: Exchange, turn: Turn) -> int:
+    """Return by how many bytes the reply stands too late in a read that is as long as the reply is; 0 where it does not."""
+    message = exchange.request.message
+    for reply in awaited(message) if message is not None else ():
+        at = turn.data.find(reply.head, 1)
+        missing = at + reply.size - len(turn.data)
+        # The first byte of a CRC, or all of the head and more, is there.
+        if at > 0 and len(turn.data) == reply.size and 0 < missing < reply.size - len(reply.head):
+            body = turn.data[at:]
+            check = reply.link.completed(body[: reply.size - 2])[-2:] if missing == 1 else b""
+            if not check or len(check) < 2 or check[0] == body[-1]:
+                return at
+    return 0
+
+
+def _split(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect requests that are written in parts: none is a frame, and together they are."""
+    found: list[tuple[list[Turn], bytes]] = []
+    for chain in chains(scene):
+        requests = [exchange.request for exchange in chain]
+        at = 0
+        while at < len(requests):
+            parts = _parts(scene, requests[at : at + _PARTS])
+            if parts:
+                found.append((requests[at : at + parts], b"".join(r.data for r in requests[at : at + parts])))
+            at += parts or 1
+    if not found:
+        return
+    parts_, whole = found[0]
+    offsets = {turn.offset for turns, _ in found for turn in turns}
+    troubles = [t for t in scene.troubles if t.offset in offsets]
+    yield Suspicion(
+        "split_frame", Confidence.CERTAIN if len(found) > 1 else Confidence.LIKELY,
+        troubles or [Trouble("damaged", parts_[0].offset)],
+        "One frame is written (or read) in parts, with a pause between them: each part is taken for a frame of its own.",
+        f"{' + '.join(shown(turn.data) for turn in parts_)} at byte {parts_[0].offset} is {shown(whole)}; "
+        f"{counted(len(found), 'time')}",
+        "Write a whole frame by one call; at the receiver, join what comes until the length fits or the line was silent",
+        tuple(Shown(turns[0].offset, shown(turns[0].data), shown(data)) for turns, data in found),
+    )  # fmt: skip
+
+
+def _split_replies(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect replies that come in two reads where the host then fails: the first part checks, or it asks again."""
+    found: list[tuple[Turn, Turn]] = []
+    again: list[tuple[Turn, Turn]] = []
+    for chain in chains(scene):
+        for exchange, after in zip(chain, (*chain[1:], None), strict=True):
+            message, reads = exchange.request.message, exchange.received
+            if (
+                message is None
+                or len(reads) != 2
+                or not any(a.size == len(exchange.data) and a.stands(exchange.data, 0) for a in awaited(message))
+            ):
+                continue
+            one, other = reads
+            if any(c.ok and len(c.expected) > 1 for c in message.frame.dialect.link.checks(one.data)):
+                found.append((one, other))
+            elif after is not None and after.request.data == exchange.request.data:
+                again.append((one, other))
+    found += again if len(again) > 1 else []
+    if not found:
+        return
+    one, other = found[0]
+    yield Suspicion(
+        "split_frame", Confidence.LIKELY, [Trouble("damaged", one.offset) for one, _ in found],
+        "A reply comes in two reads, and the host takes the first for the whole.",
+        f"{shown(one.data)} + {shown(other.data)} at byte {one.offset} are one reply; {counted(len(found), 'time')}",
+        "Join what is read until the length of the reply is there: its byte count tells it",
+        tuple(Shown(a.offset, shown(a.data), shown(a.data + b.data)) for a, b in found),
+    )  # fmt: skip
+
+
+def _parts(scene: Scene, turns: list[Turn]) -> int:
+    """Return of how many turns, none of them a frame, one frame consists; 0 where they are none."""
+    data = b""
+    for number, turn in enumerate(turns, 1):
+        if turn.piece is not None and turn.piece.sound:
+            return 0
+        data += turn.data
+        reading = scene.reader.best(data) if number > 1 else None
+        if reading is not None and reading.message.role is not Role.REPLY:
+            return number
+    return 0
+
+
+def _too_fast(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect the pace where the requests that fail are those that came soonest after what was before them."""
+    if not scene.timed:
+        return
+    unanswered = {t.piece.sequence: t for t in scene.of("unanswered", "silent_address") if t.piece is not None}
+    answered = {piece.asked_by for piece in scene.pieces if piece.is_reply}
+    failing: list[tuple[int, Turn]] = []
+    good: list[int] = []
+    names: set[str] = set()
+    for chain in chains(scene):
+        for before, exchange in pairwise(chain):
+            request = exchange.request
+            if request.piece is None or request.message is None or request.message.command is None:
+                continue
+            last = before.received[-1] if before.received else before.request
+            pause = request.t_ns - last.t_ns
+            if request.piece.sequence in unanswered:
+                failing.append((pause, request))
+            elif request.piece.sequence in answered:
+                good.append(pause)
+                names.add(request.message.command.name)
+    if len(failing) < _SHIFTED or len(good) < _SHIFTED:
+        return
+    longest = max(pause for pause, _ in failing)
+    same = all(r.message is not None and r.message.command and r.message.command.name in names for _, r in failing)
+    if min(good) < 2 * longest or longest > (_LONG_NS if same else _SHORT_NS):
+        return
+    pause, request = failing[0]
+    yield Suspicion(
+        "too_fast", Confidence.LIKELY,
+        [unanswered[r.piece.sequence] for _, r in failing if r.piece is not None],
+        "The host sends the next request too soon: only those that come after a pause are answered.",
+        f"{shown(request.data)} at byte {request.offset} comes {pause / 1e6:.3g} ms after what was before it and has no reply; "
+        f"{counted(len(failing), 'request')} like it, none later than {longest / 1e6:.3g} ms; those that are answered come "
+        f"after {min(good) / 1e6:.3g} ms or more",
+        f"Wait for each reply, and then {2 * longest / 1e6:.3g} ms, before the next request",
+        tuple(Shown(r.offset, shown(r.data)) for _, r in failing),
+    )  # fmt: skip
