@@ -3,11 +3,15 @@
 Rule: `receive` gives only frames of other senders. Some interfaces (`HANDS_BACK`) return each sent frame to its sender, once
 and in order. So sent frames are remembered until they return. The identifier alone is not enough: MKS replies have the
 identifier of their request, and may have the same bytes.
+
+What an adapter says that cannot be read is counted, and told on standard error: the first at once, the count at the end.
+Lines that python-can itself passes over (of an unknown letter) are not seen here.
 """
 
 from __future__ import annotations
 
 import contextlib
+import sys
 import time
 from collections import deque
 from typing import Any
@@ -17,7 +21,7 @@ import can
 from analyzer.catalogue import Role
 from analyzer.errors import ServotapError, UsageError
 from analyzer.records import CanFrame
-from analyzer.values import quote
+from analyzer.values import printable, quote
 
 #: Interfaces of python-can that return frames to their sender, even if told not to.
 HANDS_BACK = frozenset({"udp_multicast"})
@@ -46,6 +50,8 @@ class CanPort:
         self._hands_back = interface in HANDS_BACK or bool(options.get("receive_own_messages"))
         self._failures = 0
         self.lost = 0
+        #: What the adapter said that could not be read, and why the last of it could not.
+        self.unread, self._why = 0, ""
 
     def receive(self, timeout_ns: int) -> CanFrame | None:
         """Return the next frame of the others, None after the timeout.
@@ -57,12 +63,19 @@ class CanPort:
         # A line of garbage on an adapter's port raises from deep inside.
         except Exception as error:
             self._failures += 1
+            self._not_read(f"{type(error).__name__}: {error}")
             if self._failures >= _FAILURES:
-                raise ServotapError(f"{self.name} is gone: {type(error).__name__}: {error}") from None
+                raise ServotapError(f"{self.name} is gone: {self._why}") from None
+            # python-can keeps a line that is no text, and every later one would fail with it.
+            getattr(self._bus, "_buffer", bytearray()).clear()
             time.sleep(0.01)
             return None
         self._failures = 0
         if message is None:
+            return None
+        # CAN FD has lengths that python-can rounds; a remote frame has a length and no data.
+        if not message.is_remote_frame and not message.is_fd and len(message.data or b"") != message.dlc:
+            self._not_read(f"a frame of length {message.dlc} has {len(message.data or b'')} bytes")
             return None
         frame = CanFrame(
             None,
@@ -78,6 +91,11 @@ class CanPort:
         # Some interfaces mark what is handed back, others do not; either way it has come back once.
         returned = self._hands_back and self._returned(frame)
         return None if returned or not message.is_rx else frame
+
+    def _not_read(self, why: str) -> None:
+        self.unread, self._why = self.unread + 1, why
+        if self.unread == 1:
+            print(f"servotap: {self.name} said what cannot be read: {printable(why)}", file=sys.stderr, flush=True)
 
     def _returned(self, frame: CanFrame) -> bool:
         """Say whether a frame is one of ours that has come back."""
@@ -121,6 +139,10 @@ class CanPort:
             raise ServotapError(f"{self.name} does not send: {type(error).__name__}: {error}") from None
 
     def close(self) -> None:
-        """Close the interface."""
+        """Close the interface; it may be done twice."""
+        if self.unread > 1:
+            text = f"servotap: {self.name} said {self.unread} things that cannot be read, the last: {printable(self._why)}"
+            print(text, file=sys.stderr, flush=True)
+        self.unread = 0
         with contextlib.suppress(Exception):
             self._bus.shutdown()

@@ -28,6 +28,7 @@ import msgspec
 
 from analyzer import dialects
 from analyzer.catalogue import Dialect, Risk, Verb
+from analyzer.cli.boundary import bounded
 from analyzer.errors import ServotapError
 from analyzer.live import endpoint as endpoints
 from analyzer.records import CanFrame
@@ -405,4 +406,5 @@ def _answer(stream: IO[bytes], answer: say.Answer) -> bool:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    # It writes to the terminal of the suite.
+    sys.exit(bounded(lambda words: main(), sys.argv[1:]))

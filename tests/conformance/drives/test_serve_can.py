@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import uuid
 from collections.abc import Iterator
 from typing import Any
@@ -15,8 +16,9 @@ from analyzer.encoder import build
 from analyzer.errors import UsageError
 from conformance.drives.can_bus import CanBus
 from conformance.serve.can import CanPort, parse_endpoint
+from conformance.serve.pty import PtyPort
 from tests.conformance.drives.plain_drive import PlainDrive
-from tests.conformance.drives.served import Bridge, Emulated, drives, on_can
+from tests.conformance.drives.served import Bridge, Emulated, drives, on_can, wait_for
 
 MKS = dialects.get("mks-can")
 READ = build(MKS, "read_speed", 1)
@@ -84,6 +86,29 @@ def test_slcan_over_a_pair_of_terminals() -> None:
                 assert answers(host) == [(1, REPLY)]
     finally:
         bridge.close()
+
+
+def test_what_an_adapter_says_that_cannot_be_read_is_counted_and_told(capsys: pytest.CaptureFixture[str]) -> None:
+    with contextlib.closing(PtyPort()) as terminal:
+        port = CanPort("slcan", terminal.path, sleep_after_open=0)
+        good = b"t0013" + REPLY[:3].hex().encode() + b"\r"
+        # No identifier, no text (which python-can would keep, and fail with for good), a payload that breaks off.
+        said = [b"tXY83\r", b"\xff\x1b\r", good, b"t001801\r", good]
+        terminal.write(b"".join(said))
+        got: list[bytes] = []
+
+        def heard_both() -> bool:
+            frame = port.receive(10_000_000)
+            got.extend([] if frame is None else [frame.data])
+            return len(got) == 2
+
+        assert wait_for(heard_both), got
+        assert got == [REPLY[:3]] * 2
+        assert port.unread == 3
+        assert capsys.readouterr().err.count("\n") == 1
+        port.close()
+        port.close()
+    assert "said 3 things that cannot be read, the last: a frame of length 8 has 1 bytes" in capsys.readouterr().err
 
 
 def test_serial_over_a_pair_of_terminals() -> None:

@@ -12,11 +12,15 @@ import pytest
 
 from analyzer import dialects
 from analyzer.catalogue import Risk
+from analyzer.cli.boundary import FOLDER
 from analyzer.live import endpoint as endpoints
 from conformance.bus import open_line
 from conformance.gate.gate import Allowance, Gate
 from conformance.motion import motion
 from conformance.safety import journal
+from conformance.safety import messages as say
+from conformance.safety.guarded import GuardedLine
+from conformance.safety.stopping import GuardLost
 from conformance.talk.probe import plain_probe
 from tests.conformance.drives.served import on_pty, wait_for
 
@@ -25,6 +29,7 @@ ROOT = Path(__file__).parents[3]
 SUITE = """
 import os, signal, sys, time
 from analyzer.catalogue import Risk
+from analyzer.cli.boundary import FOLDER
 from conformance.motion import motion
 from conformance.suite import plan as suite
 from conformance.gate.gate import Allowance
@@ -147,3 +152,16 @@ def test_a_torn_last_line_of_a_journal_is_left_out(tmp_path):
     entry = b'{"event":"change","target":"mks-can@1","command":"set_work_mode","address":1,"values":{"work_mode":2}}\n'
     path.write_bytes(entry + b'{"event":"back","tar')
     assert len(journal.open_changes(journal.read(path))) == 1
+
+
+def test_what_the_guard_prints_steers_no_terminal(tmp_path, monkeypatch, capfd):
+    (tmp_path / "sitecustomize.py").write_text(
+        "import conformance.bus\ndef fails(endpoint): raise RuntimeError('\\x1b[2J')\nconformance.bus.open_line = fails\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setenv(FOLDER, str(tmp_path))
+    with pytest.raises(GuardLost):
+        GuardedLine(endpoints.parse("serial:/dev/none,baud=38400"), say.Begin("serial:/dev/none,baud=38400", (), ()))
+    error = capfd.readouterr().err
+    assert error.count("\n") == 1
+    assert "a fault of servotap: RuntimeError: \\x1b[2J;" in error
