@@ -206,7 +206,7 @@ def _frame(source: Source, kind: int, data: bytes, start_ns: int) -> CanFrame | 
     t_ns = start_ns + ticks * (10_000 if flags == _TEN_MICROSECONDS else 1)
     port = source.port(f"can{channel}" if channel else None)
     role = Role.REQUEST if sent else Role.UNKNOWN
-    return CanFrame(t_ns, port, number & _ID_MASK, b"" if remote else payload, role, extended and not error, remote, error, fd)
+    return source.carried(CanFrame(t_ns, port, number & _ID_MASK, payload, role, extended and not error, remote, error, fd))
 
 
 _Taken = tuple[int, int, bytes, bool, bool, bool, bool, bool]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 from analyzer.records import CanFrame
 from analyzer.sources.can_library import Tap, frames
 from analyzer.sources.lines import Lines, head_lines
-from analyzer.sources.source import Source
+from analyzer.sources.source import Source, quote
 from analyzer.sources.times import number_ns
 
 if TYPE_CHECKING:
@@ -42,7 +42,10 @@ def _records(source: Source) -> Iterator[CanFrame]:
     tap = Tap(Lines(source), lambda line: False, lambda line: bool(line.strip()) and line.strip() != _HEADER, (_HEADER,))
 
     def place(message: Message) -> tuple[int | None, str]:
-        stamp = tap.line.partition(",")[0]
+        stamp, *_, data = tap.line.split(",")
+        if message.is_remote_frame and data.strip():
+            # python-can leaves it out itself.
+            source.problem(f"a remote frame carries no data, got {quote(data.strip())}, which is left out", line=tap.number)
         try:
             t_ns = number_ns(stamp.strip())
         except ValueError:

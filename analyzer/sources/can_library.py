@@ -45,7 +45,7 @@ def frame(message: Message, t_ns: int | None, port: str) -> CanFrame:
         t_ns,
         port,
         message.arbitration_id,
-        b"" if message.is_remote_frame else bytes(message.data),
+        bytes(message.data or b""),
         Role.UNKNOWN if message.is_rx else Role.REQUEST,
         message.is_extended_id and not message.is_error_frame,
         message.is_remote_frame,
@@ -123,7 +123,7 @@ def frames(
     while True:
         try:
             for message in reader(tap):
-                yield frame(message, *place(message))
+                yield source.carried(frame(message, *place(message)), tap.number)
             break
         except ServotapError:
             raise

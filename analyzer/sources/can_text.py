@@ -214,7 +214,8 @@ def _timed(source: Source, line: _Line, number: int, clock: StampClock, minutes:
         t_ns = None
     if t_ns is not None:
         t_ns = minutes(t_ns)
-    return msgspec.structs.replace(line.frame, t_ns=t_ns, port=source.port(can_name(line.port)))
+    frame = source.carried(line.frame, number)
+    return msgspec.structs.replace(frame, t_ns=t_ns, port=source.port(can_name(line.port)))
 
 
 def _joined(lines: Iterable[str]) -> Iterator[str]:
@@ -296,9 +297,7 @@ def _of(found: re.Match[str], stamp: Stamp, role: Role, decimal: bool) -> _Line 
     if groups.get("time"):
         stamp = Stamp("clock" if ":" in groups["time"] else "seconds", groups["time"])
     extended = bool(groups.get("extended")) or number > _STANDARD or "extended" in (groups.get("before") or "").lower()
-    frame = CanFrame(
-        None, "", number, b"" if remote else data, role, extended and not error, remote, error, len(data) > _CAN_BYTES
-    )
+    frame = CanFrame(None, "", number, data, role, extended and not error, remote, error, len(data) > _CAN_BYTES)
     # Two digits, or more than tools pad with zeros: 17 can be 0x17, or 0x11.
     open_id = (
         groups["id"].isdecimal() and number >= _ALIKE and len(groups["id"]) not in _PADDED and "0x" not in found[0].lower()

@@ -105,7 +105,10 @@ def _special(source: Source, line: int, t_ns: int, found: re.Match[str]) -> CanF
     """Return a frame of the log form that is no plain data frame: FD, remote, error."""
     _, _, name, ident, data, tail, mark = found.groups()
     number, direction, kind = int(ident, 16), _ROLES[mark], tail[:1]
-    if kind == "#" and not data and len(tail) >= 2:
+    if (kind == "#" and data) or number > _ID_MASK | _ERROR_FLAG:
+        source.problem(f"{_EXPECTED}, got {quote(found[0].strip())!r}", line=line)
+        return None
+    if kind == "#" and len(tail) >= 2:
         data = tail[2:]
     if len(data) & 1:
         source.problem(f"expected two hex digits a byte, got {quote(data[-5:])!r} at the end", line=line)

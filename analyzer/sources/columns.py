@@ -29,6 +29,7 @@ from analyzer.sources.marks import role_of_name
 from analyzer.sources.source import Source, quote
 from analyzer.sources.stamps import Stamp, StampClock, stamp_of
 from analyzer.sources.times import SECOND, number_ns
+from analyzer.values import counted
 
 #: What columns are called, in small letters and without anything but letters and digits.
 _NAMES: dict[str, tuple[str, ...]] = {
@@ -60,6 +61,8 @@ _BEFORE = re.compile(r"x\|\s*")
 _ID_MASK = 0x1FFF_FFFF
 _STANDARD = 0x7FF
 _CAN_BYTES = 64
+#: Length codes beyond 8 and the bytes of CAN FD that they stand for; a classic frame then has 8.
+_CODED = {9: 12, 10: 16, 11: 20, 12: 24, 13: 32, 14: 48, 15: 64}
 #: Lines among which the heading must be.
 _HEADING_LINES = 10
 _LEAST_SHARE = 0.5
@@ -177,15 +180,20 @@ def _named(cells: Iterable[tuple[str, Any]]) -> Row:
 def _bytes_in(row: Row) -> list[tuple[bytes, Role]]:
     """Return the bytes of a row and who sent them."""
     mark = role_of_name(str(row.get("mark", "")))
-    if "id" in row and _length(row, 1) == 0:
-        return [(b"", mark)]
     if "cells" in row:
-        data = written.read(" ".join(cell.rjust(2, "0") for cell in row["cells"]))
-        return [] if data is None else [(data.data[: _length(row, len(data.data))], mark)]
+        cells = written.read(" ".join(cell.rjust(2, "0") for cell in row["cells"]))
+        return [] if cells is None else [(_filled(cells.data, _length(row, len(cells.data))), mark)]
     found = [(_data(row[name]), role_of_name(name)) for name in _SENT if name in row]
     if "data" in row:
-        found.insert(0, (_data(row["data"]), mark))
-    return [(data, role) for data, role in found if data]
+        data = _data(row["data"])
+        found.insert(0, (_filled(data, _length(row, len(data))) if data and "id" in row else data, mark))
+    taken = [(data, role) for data, role in found if data]
+    return taken or ([(b"", mark)] if "id" in row and _length(row, 1) == 0 else [])
+
+
+def _filled(data: bytes, length: int) -> bytes:
+    """Return bytes without the zeros that fill them up beyond their length."""
+    return data if any(data[length:]) else data[:length]
 
 
 def _data(value: Any) -> bytes | None:
@@ -319,4 +327,10 @@ def _records(source: Source, table: _Table, is_can: bool, times: _Times) -> Iter
             extended = str(row.get("extended", "")).lower() in _TRUE or number > _STANDARD
             remote = str(row.get("remote", "")).lower() in _TRUE
             direction = role if role is Role.REQUEST else Role.UNKNOWN
-            yield CanFrame(t_ns, port, number, b"" if remote else data, direction, extended, remote, False, len(data) > 8)
+            length = _length(row, len(data))
+            if not remote and len(data) != length and not (length in _CODED and len(data) in (8, _CODED[length])):
+                source.problem(
+                    f"expected {counted(length, 'byte')}, got {len(data)}; the frame has them all", line=lines.number
+                )
+            frame = CanFrame(t_ns, port, number, data, direction, extended, remote, False, len(data) > 8)
+            yield source.carried(frame, lines.number)

@@ -97,7 +97,11 @@ def _records(source: Source) -> Iterator[Chunk]:
         elif not first and offset > end:
             missing = offset - end
             if starred and before and missing % len(before) == 0 and budget.repeat(missing):
-                yield Chunk(None, port, before * (missing // len(before)))
+                # Within a packet the repeated rows stand behind those before them.
+                if packets:
+                    packet += before * (missing // len(before))
+                else:
+                    yield Chunk(None, port, before * (missing // len(before)))
             else:
                 source.problem(f"{counted(missing, 'byte')} missing before offset {offset:X}", line=lines.number)
         first = starred = False

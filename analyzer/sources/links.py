@@ -80,17 +80,18 @@ def _can(line: Line, t_ns: int | None, data: bytes, outgoing: bool | None, order
     bits = int.from_bytes(data[:4], "big" if order == "big" else "little")
     length = data[4]
     extended = bool(bits & _EXTENDED)
-    return CanFrame(
+    taken = CanFrame(
         t_ns,
         line.port,
         bits & (0x1FFF_FFFF if extended or bits & _ERROR else 0x7FF),
-        b"" if bits & _REMOTE else data[_CAN_HEADER : _CAN_HEADER + length],
+        data[_CAN_HEADER : _CAN_HEADER + length],
         line.can_role(outgoing),
         extended,
         bool(bits & _REMOTE),
         bool(bits & _ERROR),
         bool(data[5] & _FD_FLAG) or length > 8 or len(data) == _FD_SIZE,
     )
+    return line.source.carried(taken) if taken.remote else taken
 
 
 def _cooked(line: Line, t_ns: int | None, data: bytes, outgoing: bool | None) -> Taken:

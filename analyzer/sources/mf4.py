@@ -81,17 +81,10 @@ def _records(source: Source) -> Iterator[CanFrame]:
         for batch in _batches(child.stdout):
             for row in batch.rows:
                 source.stream.budget.record()
-                yield CanFrame(
-                    row.t_ns,
-                    source.port(f"can{row.channel}" if row.channel is not None else None),
-                    row.id,
-                    row.data,
-                    Role.REQUEST if row.sent else Role.UNKNOWN,
-                    row.extended,
-                    row.remote,
-                    row.error,
-                    row.fd,
-                )
+                port = source.port(f"can{row.channel}" if row.channel is not None else None)
+                role = Role.REQUEST if row.sent else Role.UNKNOWN
+                taken = CanFrame(row.t_ns, port, row.id, row.data, role, row.extended, row.remote, row.error, row.fd)
+                yield source.carried(taken)
             if batch.failure and not batch.opened:
                 raise UnreadableError(
                     f"{source.name}: the MF4 file is damaged or broken off, expected a whole one: {batch.failure}"

@@ -59,13 +59,15 @@ def _records(source: Source, order: str, unit: int, link: int) -> Iterator[Recor
     while True:
         # One record is whole in the buffer as a rule; the buffer grows only where one is not.
         while len(buffer) - at >= _RECORD_SIZE:
-            seconds, fraction, stored, _ = unpack(buffer, at)
+            seconds, fraction, stored, original = unpack(buffer, at)
             if stored > _RECORD_LIMIT:
                 source.problem(f"a record of {stored} bytes, expected at most {_RECORD_LIMIT}", offset=offset + at)
                 return
             end = at + _RECORD_SIZE + stored
             if end > len(buffer):
                 break
+            if stored < original:
+                source.problem(f"a record was cut when it was captured: {stored} of {original} bytes", offset=offset + at)
             taken = take(line, seconds * SECOND_NS + fraction * unit, buffer[at + _RECORD_SIZE : end], None)
             at = end
             pay()

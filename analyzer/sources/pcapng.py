@@ -210,7 +210,8 @@ def _give(
 
 
 def _enhanced(source: Source, section: _Section, body: bytes) -> Iterator[Record]:
-    number, high, low, stored, _ = struct.unpack_from(section.order + "LLLLL", body)
+    number, high, low, stored, original = struct.unpack_from(section.order + "LLLLL", body)
+    _tell_cut(source, stored, original)
     interface = section.interface(number)
     if stored > len(body) - 20:
         source.problem(f"a record of {stored} bytes in a block that has {len(body) - 20}")
@@ -221,7 +222,8 @@ def _enhanced(source: Source, section: _Section, body: bytes) -> Iterator[Record
 
 
 def _old(source: Source, section: _Section, body: bytes) -> Iterator[Record]:
-    number, _, high, low, stored, _ = struct.unpack_from(section.order + "HHLLLL", body)
+    number, _, high, low, stored, original = struct.unpack_from(section.order + "HHLLLL", body)
+    _tell_cut(source, stored, original)
     interface = section.interface(number)
     if stored > len(body) - 20:
         source.problem(f"a record of {stored} bytes in a block that has {len(body) - 20}")
@@ -234,7 +236,14 @@ def _simple(source: Source, section: _Section, body: bytes) -> Iterator[Record]:
     original = struct.unpack_from(section.order + "L", body)[0]
     interface = section.interface(0)
     longest = interface.longest if interface is not None and interface.longest else original
-    yield from _give(source, interface, 0, None, body[4 : 4 + min(original, longest)], {}, section.order)
+    stored = min(original, longest)
+    _tell_cut(source, min(stored, len(body) - 4), original)
+    yield from _give(source, interface, 0, None, body[4 : 4 + stored], {}, section.order)
+
+
+def _tell_cut(source: Source, stored: int, original: int) -> None:
+    if stored < original:
+        source.problem(f"a record was cut when it was captured: {stored} of {original} bytes")
 
 
 _HANDLERS: dict[int, Callable[[Source, _Section, bytes], Iterator[Record]]] = {

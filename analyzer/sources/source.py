@@ -185,6 +185,15 @@ class Source:
         if len(self.problems) < KEPT_PROBLEMS:
             self.problems.append(Problem(text, line, offset))
 
+    def carried(self, frame: CanFrame, line: int | None = None) -> CanFrame:
+        """Return a frame with what it carries: a remote one carries nothing, and data that stands there is told."""
+        if not frame.remote or not frame.data:
+            return frame
+        # Formats that print or keep eight bytes whatever a frame has fill them with zeros.
+        if any(frame.data):
+            self.problem(f"a remote frame carries no data, got {quote(frame.data.hex(' ').upper())}, which is left out", line)
+        return msgspec.structs.replace(frame, data=b"")
+
     def port(self, name: str | None = None, kind: str = "") -> str:
         """Return the port for a capture's own name of a line, or for the only line of a capture that names none.
 

@@ -1,0 +1,90 @@
+"""What stands in a capture is given on or named: no byte is left out without a word."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import pytest
+
+from analyzer.records import CanFrame, Chunk
+from tests.contracts.source_contract import read_all
+from tests.sources.builders import block, pcap_file, section, socketcan
+from tests.sources.test_hexdump_and_raw import canonical
+
+T = 1_682_894_455_899_123_456
+CSV = "time,id,dlc,data,rtr\n0.001,0x001,3,F6 01 F8,0\n"
+CELLS = "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4\n1000,00000001,false,Rx,0,3,F6,01,F8\n"
+LOG = "(1.0) can0 001#F601F8\n"
+PYTHON_CAN = "timestamp,arbitration_id,extended,remote,error,dlc,data\n1.0,0x1,0,0,0,3,9gH4\n"
+PRINTED = "Timestamp: 1.0    ID: 0001    S Rx    DL:  3    f6 01 f8    Channel: can0\n"
+WHOLE, REMOTE = "the frame has them all", "a remote frame carries no data, got F6 01 F8"
+
+
+@pytest.mark.parametrize(
+    ("text", "data", "said"),
+    [
+        (CSV + "0.002,0x001,0,F6 01 F8,0", "F6 01 F8", f"line 3: expected 0 bytes, got 3; {WHOLE}"),
+        (CSV + "0.002,0x001,2,F6 01 F8,0", "F6 01 F8", f"line 3: expected 2 bytes, got 3; {WHOLE}"),
+        (CSV + "0.002,0x001,8,F6 01 F8,0", "F6 01 F8", f"line 3: expected 8 bytes, got 3; {WHOLE}"),
+        (CSV + "0.002,0x001,2,F6 01 00 00,0", "F6 01", ""),
+        (CSV + "0.002,0x001,9,F6 01 F8 00 00 00 00 00,0", "F6 01 F8 00 00 00 00 00", ""),
+        (CSV + "0.002,0x001,0,,0", "", ""),
+        (CSV + "0.002,0x001,3,F6 01 F8,1", "", f"line 3: {REMOTE}"),
+        (CSV + "0.002,0x001,3,00 00 00,1", "", ""),
+        (CELLS + "2000,00000001,false,Rx,0,0,F6,01,F8", "F6 01 F8", f"line 3: expected 0 bytes, got 3; {WHOLE}"),
+        (CELLS + "2000,00000001,false,Rx,0,2,F6,01,F8,00", "F6 01 F8 00", f"line 3: expected 2 bytes, got 4; {WHOLE}"),
+        (CELLS + "2000,00000001,false,Rx,0,2,F6,01,00,00", "F6 01", ""),
+        (LOG + "(1.1) can0 001#F601F8#11", None, "line 2: expected '(seconds) interface ID#data'"),
+        (LOG + "(1.1) can0 40000001#F601F8", None, "line 2: expected '(seconds) interface ID#data'"),
+        (PYTHON_CAN + "1.1,0x1,0,1,0,3,9gH4", "", "line 3: a remote frame carries no data, got 9gH4"),
+        (PRINTED * 3 + PRINTED.replace("S Rx", "S Rx R"), "", f"line 4: {REMOTE}"),
+    ],
+)  # fmt: skip
+def test_lines(text: str, data: str | None, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "capture.txt"
+    path.write_text(text.rstrip("\n") + "\n")
+    source, records = read_all(path)
+    last = [r for r in records if isinstance(r, CanFrame)][-1]
+    assert last.data == bytes.fromhex("F6 01 F8" if data is None else data)
+    assert "; ".join(map(str, source.problems)).startswith(said)
+    assert len(source.problems) == bool(said)
+
+
+@pytest.mark.parametrize("kind", ["pcap", "enhanced", "old", "simple"])
+def test_a_record_that_was_cut_when_it_was_captured(kind: str, tmp_path: Path) -> None:
+    data = bytes.fromhex("FB0130FFFFFFFF2269B3")
+    if kind == "pcap":
+        written = pcap_file(147, [(T, data[:6])])
+        written = written[:36] + struct.pack("<L", len(data)) + written[40:]
+    else:
+        cut = {
+            "enhanced": lambda: block(6, struct.pack("<LLLLL", 0, 0, 9, 6, 10) + data[:6] + bytes(2)),
+            "old": lambda: block(2, struct.pack("<HHLLLL", 0, 0, 0, 9, 6, 10) + data[:6] + bytes(2)),
+            "simple": lambda: block(3, struct.pack("<L", 10) + data[:6] + bytes(2)),
+        }[kind]()
+        described = block(1, struct.pack("<HHL", 147, 0, 6 if kind == "simple" else 0))
+        written = section() + described + cut
+    path = tmp_path / "capture.bin"
+    path.write_bytes(written)
+    source, records = read_all(path)
+    assert [r.data for r in records if isinstance(r, Chunk)] == [data[:6]]
+    (problem,) = source.problems
+    assert "a record was cut when it was captured: 6 of 10 bytes" in str(problem)
+
+
+def test_a_remote_frame_with_data_in_a_pcap(tmp_path: Path) -> None:
+    path = tmp_path / "capture.pcap"
+    path.write_bytes(pcap_file(227, [(T, socketcan(0x40000001, b"\xf6\x01\xf8")), (T, socketcan(0x40000001, bytes(3)))]))
+    source, records = read_all(path)
+    assert records == [CanFrame(T, "can", 1, b"", remote=True)] * 2
+    assert [REMOTE in str(problem) for problem in source.problems] == [True]
+
+
+def test_rows_of_a_second_dump_that_a_star_stands_for(tmp_path: Path) -> None:
+    data = bytes(range(16)) + b"\xaa" * 64 + b"\x01"
+    rows = canonical(data).splitlines(keepends=True)
+    starred = "".join([*rows[:2], "*\n", *rows[5:]])
+    path = tmp_path / "dump.txt"
+    path.write_text(starred * 2)
+    assert b"".join(r.data for r in read_all(path)[1] if isinstance(r, Chunk)) == data * 2
