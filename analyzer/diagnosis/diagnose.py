@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from analyzer.catalogue import Dialect
-from analyzer.diagnosis import can_bus, checks, host, line, pace, requests, silence, spoiled, wrapped
+from analyzer.diagnosis import can_bus, checks, host, line, pace, quirks, requests, silence, spoiled, values, wrapped
 from analyzer.diagnosis.ranking import Ranked, ranked
 from analyzer.diagnosis.scene import Scene, Suspicion
 from analyzer.diagnosis.watch import Watch
@@ -19,9 +19,11 @@ HYPOTHESES: tuple[Callable[[Scene], Iterator[Suspicion]], ...] = (
     checks.look,
     requests.look,
     spoiled.look,
+    values.look,
     host.look,
     pace.look,
     silence.look,
+    quirks.look,
     can_bus.look,
     line.look,
 )

@@ -11,9 +11,13 @@ from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion,
 from analyzer.dialects import drive_name
 from analyzer.encoder import build
 from analyzer.layout import Effect
+from analyzer.link import FUNCTIONS, modbus_crc
 from analyzer.records import Message
 from analyzer.values import counted, identifier
 
+#: Requests without a reply, and their share, from which on a drive that answers others has fallen silent.
+_AGAIN = 2
+_OFTEN = 0.2
 #: Findings of a reply that refuses.
 _FAILED = frozenset(("failed_status", "refused_write", "modbus_exception"))
 
@@ -35,6 +39,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     for asked in _unanswered(scene):
         yield from _nobody(scene, asked, answering)
     yield from _to_all(scene)
+    yield from _to_none(scene)
     yield from _respond(scene)
     yield from _refused(scene)
 
@@ -58,15 +63,16 @@ def _nobody(scene: Scene, asked: _Asked, answering: dict[int, str]) -> Iterator[
     assert first.piece is not None  # kept with its piece
     evidence = f"{_bytes(first.piece)} at byte {first.offset}; {counted(len(asked.troubles), 'request')} unanswered"
     frames = tuple(Shown(t.offset, _bytes(t.piece)) for t in asked.troubles if t.piece is not None)
-    moved = _moved(scene, dialect, address)
-    if moved is not None and moved[0].offset < first.offset:
-        setting, new = moved
-        later = [t for t in asked.troubles if t.offset > setting.offset]
+    switched = _switched(scene, dialect, address)
+    if switched is not None:
+        setting, cause, what, todo = switched
+        later = [t for t in asked.troubles if t.offset >= setting.offset]
         yield Suspicion(
-            "address_changed", Confidence.CERTAIN, later,
-            f"The drive was given the address {new}, and is still asked at {who}.",
-            f"{_bytes(setting)} at byte {setting.offset} sets it; {counted(len(later), 'request')} after it unanswered",
-            f"Ask {drive_name(dialect, new)}",
+            cause, Confidence.CERTAIN, later,
+            f"The drive was {what}, and is still asked at {who} as before.",
+            f"{_bytes(setting)} at byte {setting.offset} sets it; "
+            f"{counted(len({t.offset for t in later}), 'request')} after it unanswered",
+            todo,
             (Shown(setting.offset, _bytes(setting)), *frames),
         )  # fmt: skip
         return
@@ -79,6 +85,8 @@ def _nobody(scene: Scene, asked: _Asked, answering: dict[int, str]) -> Iterator[
                 f"Speak {answering[address]} to it, or switch the drive over",
                 frames,
             )  # fmt: skip
+        else:
+            yield from _falls_silent(scene, asked, who)
         return
     # Damaged bytes may be the replies: what they come from says why none is read.
     if any(s.direction is not Role.REQUEST for s in scene.stretches):
@@ -108,16 +116,72 @@ def _nobody(scene: Scene, asked: _Asked, answering: dict[int, str]) -> Iterator[
         )  # fmt: skip
 
 
-def _moved(scene: Scene, dialect: Dialect, address: int) -> tuple[Piece, int] | None:
-    """Return the answered request that took an address from a drive, and the new address."""
-    answered = {piece.asked_by for piece in scene.pieces if piece.is_reply and not piece.rules & _FAILED}
-    for piece in reversed(scene.pieces):
+def _falls_silent(scene: Scene, asked: _Asked, who: str) -> Iterator[Suspicion]:
+    """Suspect the line or the power where a drive answers at times; or its firmware, where it never answers one command."""
+    if any(s.direction is not Role.REQUEST for s in scene.stretches):
+        return
+    left = [t for t in asked.troubles if t not in scene.explained and t.rule == "unanswered"]
+    of_drive = [
+        p for p in scene.pieces
+        if p.is_request and p.message is not None and p.message.address == asked.address
+        and p.message.frame.dialect is asked.dialect
+    ]  # fmt: skip
+    if len(left) < _AGAIN or len(left) < _OFTEN * len(of_drive):
+        return
+    silent = {t.piece.sequence for t in left if t.piece is not None}
+    good = {p.data for p in of_drive if p.sequence not in silent}
+    first = left[0]
+    replies = [p.offset for p in scene.pieces if p.is_reply and p.message is not None and p.message.address == asked.address]
+    stops = bool(replies) and max(replies) < first.offset
+    yield Suspicion(
+        "no_reply", Confidence.LIKELY if stops else Confidence.POSSIBLE, left,
+        f"Address {who} has answered, and then stops." if stops else f"Address {who} answers at times, and at times not.",
+        f"{_bytes(first.piece)} at byte {first.offset} has no reply; {counted(len(left), 'request')} of {len(of_drive)}"
+        + ("" if stops or first.piece is None or first.piece.data not in good else ", and the same request is answered, too"),
+        "Look for what changed: power, a loose wire, a stall or a restart of the drive, another program at the port; then wait "
+        "longer for replies and between requests",
+        tuple(Shown(t.offset, _bytes(t.piece)) for t in left),
+    )  # fmt: skip
+
+
+def _switched(scene: Scene, dialect: Dialect, address: int) -> tuple[Piece, str, str, str] | None:
+    """Return the setting after which a drive answers no more as it was asked: its cause, what it did, and what to do."""
+    replies = {p.asked_by: p for p in scene.pieces if p.is_reply and p.asked_by is not None}
+    for at in range(len(scene.pieces) - 1, -1, -1):
+        piece = scene.pieces[at]
         message = piece.message
-        if message is None or message.command is None or not piece.is_request or piece.sequence not in answered:
+        if message is None or message.command is None or not piece.is_request or not message.command.effects:
             continue
-        new = message.values.get(message.command.sets(Effect.ADDRESS))
-        if new is not None and message.address == address and message.frame.dialect is dialect and new != address:
-            return piece, new
+        own = replies.get(piece.sequence)
+        if message.address != address or message.frame.dialect is not dialect or (own is not None and own.rules & _FAILED):
+            continue
+        after = [
+            p for p in scene.pieces[at + 1 :]
+            if p is not own and p.message is not None and p.message.address == address and p.message.frame.dialect is dialect
+        ]  # fmt: skip
+        # One that is not answered itself counts where the drive has answered before.
+        before = own is not None or any(p.is_reply and p.message and p.message.address == address for p in scene.pieces[:at])
+        if not before or any(p.is_reply for p in after) or not any(p.is_request for p in after):
+            continue
+        for effect, name in message.command.effects.items():
+            found = _effect(dialect, effect, message.values.get(name))
+            if found is not None and not (effect is Effect.ADDRESS and message.values.get(name) == address):
+                return piece, *found
+    return None
+
+
+def _effect(dialect: Dialect, effect: Effect, value: int | None) -> tuple[str, str, str] | None:
+    """Return what a setting does to who answers: the cause of the silence, what was done, and what to do."""
+    if value is None:
+        return None
+    if effect is Effect.ADDRESS:
+        return "address_changed", f"given the address {value}", f"Ask {drive_name(dialect, value)}"
+    if effect is Effect.DIALECT and (other := dialect.switched(value)) != dialect.name:
+        return "wrong_dialect", f"switched to {other}", f"Speak {other} to it"
+    if effect is Effect.BAUD_RATE and value in dialect.rates:
+        rate = dialect.rates[value]
+        cause = "can_wrong_bitrate" if dialect.bus == "can" else "wrong_baud"
+        return cause, f"set to {rate} bit/s", f"Open the port at {rate} bit/s"
     return None
 
 
@@ -158,20 +222,49 @@ def _to_all(scene: Scene) -> Iterator[Suspicion]:
     )  # fmt: skip
 
 
+def _to_none(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect Modbus frames to an address that no unit can have."""
+    troubles = [t for t in scene.damaged if t.stretch is not None and t.stretch.can_id is None and _beyond(t.stretch.data)]
+    if not troubles or troubles[0].stretch is None:
+        return
+    data = troubles[0].stretch.data
+    yield Suspicion(
+        "wrong_address", Confidence.CERTAIN if len(troubles) > 1 else Confidence.LIKELY, troubles,
+        f"Address {data[0]} is none of a Modbus unit: those end at {_MODBUS_LAST}.",
+        f"{shown(data)} at byte {troubles[0].offset}; {counted(len(troubles), 'time')}",
+        f"Ask at the unit's own address: for 1 send {shown(_at_one(data))}",
+        tuple(Shown(t.offset, shown(t.stretch.data), shown(_at_one(t.stretch.data))) for t in troubles if t.stretch),
+    )  # fmt: skip
+
+
+def _beyond(data: bytes) -> bool:
+    return len(data) > _MODBUS_SHORTEST and data[0] > _MODBUS_LAST and data[1] in FUNCTIONS and modbus_crc(data) == 0
+
+
+def _at_one(data: bytes) -> bytes:
+    body = b"\1" + data[1:-2]
+    return body + modbus_crc(body).to_bytes(2, "little")
+
+
+_MODBUS_LAST = 247
+_MODBUS_SHORTEST = 5
+
+
 def _reads(message: Message) -> bool:
     assert message.command is not None  # asked of known commands
     return message.command.risks(message.values) == frozenset((Risk.READ,))
 
 
 def _respond(scene: Scene) -> Iterator[Suspicion]:
-    for trouble in scene.of("silent_address"):
+    answering = {p.message.address for p in scene.pieces if p.is_reply and p.message is not None}
+    troubles = [t for t in scene.of("silent_address") if t.piece is not None] or list(_silenced(scene))
+    for trouble in troubles:
         message = trouble.piece.message if trouble.piece is not None else None
-        if message is None:
+        if message is None or trouble.piece is None:
             continue
         dialect, address = message.frame.dialect, message.address
-        answered = [p for p in scene.pieces if p.is_reply and p.message is not None and p.message.address == address]
         setting = dialect.effect(Effect.RESPOND)
-        if not answered or setting is None or trouble.piece is None:
+        if address not in answering or setting is None:
             continue
         command, field = setting
         active = command.sets(Effect.ACTIVE)
@@ -184,6 +277,23 @@ def _respond(scene: Scene) -> Iterator[Suspicion]:
             f"Switch replies on: send {frame}; if it is a group address, no reply is right (--group {address})",
             (Shown(trouble.offset, _bytes(trouble.piece), frame),),
         )  # fmt: skip
+
+
+def _silenced(scene: Scene) -> Iterator[Trouble]:
+    """Yield the first motion command without a reply behind a setting that switches replies off: the pipeline expects that."""
+    off: set[tuple[str, int]] = set()
+    answered = {piece.asked_by for piece in scene.pieces if piece.is_reply}
+    for piece in scene.pieces:
+        message = piece.message
+        if message is None or message.command is None or not piece.is_request:
+            continue
+        drive = (message.frame.dialect.name, message.address)
+        value = message.values.get(message.command.sets(Effect.RESPOND))
+        if value is not None and piece.sequence in answered:
+            (off.discard if value else off.add)(drive)
+        elif drive in off and message.command.silenced and piece.sequence not in answered:
+            yield Trouble("silent_address", piece.offset, None, piece)
+            return
 
 
 def _refused(scene: Scene) -> Iterator[Suspicion]:

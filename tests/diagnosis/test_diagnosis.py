@@ -367,8 +367,9 @@ def test_noise_alone_is_no_cause(name):
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "captures").glob("*.log")), ids=lambda p: p.name)
-def test_the_captures_have_no_cause(path, capsys):
-    assert main(["diagnose", str(path)]) == 0
+def test_the_captures_are_accused_of_their_wrong_value_alone(path, capsys):
+    main(["diagnose", "--json", str(path)])
+    assert {each["cause"] for each in json.loads(capsys.readouterr().out)["causes"]} <= {"value_out_of_range"}
 
 
 def test_two_senders_at_once_are_no_fault_of_a_check():

@@ -130,3 +130,125 @@ def test_requests_that_come_too_soon():
     assert "none later than 1 ms" in causes[0].suspicion.evidence
     slow = diagnosed(burst(1000, 300)).causes
     assert "too_fast" not in [each.suspicion.cause for each in slow]
+
+
+# --- settings after which a drive is asked as before ------------------------------------------------------------------------
+
+READ = READS[0]
+
+
+@pytest.mark.parametrize(
+    ("setting", "values", "cause"),
+    [
+        ("set_baud_rate", {"baud_rate": 6}, "wrong_baud"),
+        ("set_modbus", {"modbus": 1}, "wrong_dialect"),
+        ("set_address", {"new_address": 9}, "address_changed"),
+    ],
+)
+def test_a_setting_after_which_nobody_answers(setting, values, cause):
+    changing = build(NATIVE, setting, 1, values)
+    rows = [*exchanged("mks-rs485@1", READ), (">", changing), ("<", b"\xfb\x01" + changing[2:3] + b"\x01")]
+    rows[-1] = ("<", NATIVE.link.completed(rows[-1][1]))
+    assert first(*rows, (">", READ), (">", READS[1])) == cause
+    assert told(*rows, *exchanged("mks-rs485@1", READ, READ)) == []
+
+
+def test_respond_is_switched_off_in_the_capture():
+    off = build(NATIVE, "set_respond", 1, {"respond": 0, "active": 0})
+    run = build(NATIVE, "run_speed", 1, {"speed": 100, "acceleration": 2})
+    rows = exchanged("mks-rs485@1,work_mode=sr_vfoc", READ, off, run, READ, run, READ)
+    assert first(*rows) == "respond_off"
+    assert told(*exchanged("mks-rs485@1,work_mode=sr_vfoc", READ, off, READ)) == []
+
+
+def test_a_drive_that_answers_at_times():
+    one, other = exchanged("mks-rs485@1", READ), [(">", READ)]
+    found = told(*one, *other, *one, *other, *other, *one)
+    assert (found[0].cause, found[0].confidence) == ("no_reply", "possible")
+    found = told(*one, *one, *other, (">", READS[1]), (">", READS[2]))
+    assert "then stops" in found[0].say
+    assert told(*one, *other, *one, *one) == []
+
+
+def test_an_address_that_no_unit_can_have():
+    assert first(*[(">", rtu("F8 04 00 00 00 01"))] * 2) == "wrong_address"
+
+
+# --- what no manual says ----------------------------------------------------------------------------------------------------
+
+
+def test_a_second_reply_to_settings():
+    settings = [build(NATIVE, "set_current", 1, {"current": mA}) for mA in (800, 1200)]
+    rows = exchanged("mks-rs485@1", READ, *settings, READ)
+    twice = [row for mark, data in rows for row in [(mark, data)] * (1 + (mark == "<" and data[2] == 0x83))]
+    assert first(*twice) == "firmware_quirk"
+
+
+@pytest.mark.parametrize("reply", ["01 03 00 00 07 00 08", "01 03 00 04 00 07 00 08"])
+def test_a_byte_count_that_lies(reply):
+    assert first((">", rtu("01 03 00 00 00 02")), ("<", rtu(reply))) == "firmware_quirk"
+
+
+def test_a_command_that_is_never_answered():
+    rows = exchanged("mks-rs485@1", *READS[:3])
+    silent = (">", build(NATIVE, "read_angle_error", 1))
+    assert first(*rows, silent, *rows, silent, *rows) == "firmware_quirk"
+
+
+# --- values -----------------------------------------------------------------------------------------------------------------
+
+
+def sent(dialect, *requests):
+    return [(">", build(dialect, name, 1, values)) for name, values in requests]
+
+
+def word(frame, at, data, dialect=NATIVE):
+    """Return a frame with other bytes at a place, and its check anew."""
+    size = 2 if dialect is MODBUS else 1
+    return dialect.link.completed((frame[:at] + data + frame[at + len(data) :])[:-size])
+
+
+RUNS = [build(NATIVE, "run_speed", 1, {"speed": 300, "acceleration": 2}), build(NATIVE, "set_current", 1, {"current": 800})]
+
+
+def test_a_value_out_of_range():
+    found = told((">", word(RUNS[1], 3, b"\x17\x70")))
+    assert found[0].cause == "value_out_of_range"
+    assert "0..5200 mA" in found[0].say
+
+
+def test_a_choice_that_is_not_listed():
+    assert first((">", word(build(NATIVE, "set_work_mode", 1, {"work_mode": 5}), 3, b"\x0b"))) == "value_out_of_range"
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        [word(RUNS[0], 3, b"\x2c\x01"), word(RUNS[1], 3, b"\xe8\x03")],
+        [word(RUNS[1], 3, b"\x40\x06")],
+        [word(build(LK, "run_speed", 1, {"speed": 0}), 5, speed, LK) for speed in (b"\0\0\x8c\xa0", b"\0\0\x46\x50")],
+        [word(build(MODBUS, "set_current", 1, {"current": 0}), 4, b"\x40\x06", MODBUS)],
+    ],
+)
+def test_swapped_bytes(rows):
+    found = told(*((">", row) for row in rows))
+    assert found[0].cause == "wrong_byte_order"
+    assert found[0].frames[0].right
+
+
+@pytest.mark.parametrize("speed", [-300, -50, -1])
+@pytest.mark.parametrize("dialect", [NATIVE, MODBUS], ids=lambda d: d.name)
+def test_a_negative_speed_as_two_s_complement(dialect, speed):
+    right = build(dialect, "run_speed", 1, {"speed": -speed, "acceleration": 2, "direction": 1})
+    at = 9 if dialect is MODBUS else 3
+    wrong = word(right, at, speed.to_bytes(2, "big", signed=True), dialect)
+    wrong = word(wrong, 7, b"\0", dialect) if dialect is MODBUS else wrong
+    found = told((">", wrong))
+    assert (found[0].cause, found[0].frames[0].right) == ("unit_or_sign", right.hex(" ").upper())
+
+
+@pytest.mark.parametrize("dialect", [NATIVE, MODBUS, LK], ids=lambda d: d.name)
+def test_round_values_are_in_order(dialect):
+    speeds = [(">", build(dialect, "run_speed", 1, {"speed": speed})) for speed in (1, 100, 256, 1000, 2560, 3000)]
+    rows = [row for pair in speeds for row in (pair,)]
+    assert {each.cause for each in told(*rows)} <= {"no_reply"}

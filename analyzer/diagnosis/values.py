@@ -1,0 +1,242 @@
+"""Values of requests: out of range, with their bytes swapped, or with a sign where the manual has a bit for the direction.
+
+The ranges and the fields are the catalogue's. What is in range can be odd still: people send round numbers, so of two readings
+of the same bytes the rounder one is meant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from analyzer.codec import codec
+from analyzer.codec import shown as number
+from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.layout import Field, FieldKind, Layout, Order
+from analyzer.records import Message
+from analyzer.values import counted
+
+#: By so many digits a reading has to be rounder than the other.
+_ROUNDER = 2
+#: Digits of a round number, by the bytes of its field: most of what people send.
+_ROUND = {2: 2, 3: 3, 4: 4, 8: 5}
+#: The weight from which on swapped bytes are no chance; a value out of range whose bytes swapped are in it weighs double.
+_ENOUGH = 2
+_RANGE = frozenset(("out_of_range", "unknown_choice"))
+
+
+class Word(NamedTuple):
+    """Bytes that a host packs as one number: a field, or what fills up its bytes with it. `field`: the number itself."""
+
+    start: int
+    stop: int
+    layout: Layout
+    field: Field
+
+    def value(self, data: bytes) -> int:
+        """Return the number."""
+        return int(codec(self.layout).wire(data)[self.field.name])
+
+    def allowed(self, data: bytes) -> bool:
+        """Say whether the manual allows it, and what fills it up."""
+        return not codec(self.layout).broken(data)
+
+
+class Odd(NamedTuple):
+    """A value that is not as the manual has it. `right`: the own data as meant."""
+
+    piece: Piece
+    message: Message
+    got: str
+    meant: str
+    right: bytes
+    weight: int
+
+
+def look(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect the values that the host sends."""
+    swapped: dict[tuple[str, bytes], Odd] = {}
+    signed: dict[tuple[str, bytes], Odd] = {}
+    kept = 0
+    seen: set[tuple[str, bytes]] = set()
+    sent: list[tuple[Piece, Message]] = []
+    for piece in scene.pieces:
+        message = piece.message
+        if message is None or not piece.is_request or message.form is None or message.command is None:
+            continue
+        if piece.rules & {"bad_checksum", "wrong_length", "unknown_command"} or message.command.slots is not None:
+            continue
+        sent.append((piece, message))
+        key = (message.command.name, message.data)
+        if key in seen:
+            continue
+        seen.add(key)
+        for word in _words(message.form.layout):
+            weight = _weight(word, message.data[word.start : word.stop])
+            kept -= min(weight, 0)
+            if weight > 0:
+                swapped[key] = _swapped(piece, message, word, weight)
+            if (odd := _signed(piece, message, word)) is not None:
+                signed[key] = odd
+    by_swap = sum(odd.weight for odd in swapped.values())
+    if by_swap < _ENOUGH or by_swap <= 2 * kept:
+        swapped = {}
+    signed = {key: odd for key, odd in signed.items() if key not in swapped}
+    yield from _said(
+        scene, sent, "wrong_byte_order", swapped, "The bytes of the values stand in the wrong order.",
+        "Pack the values the other way round",
+    )  # fmt: skip
+    yield from _said(
+        scene, sent, "unit_or_sign", signed,
+        "A negative number is sent as two's complement, and the manual has a bit for the direction.",
+        "Set the direction bit and send the amount",
+    )  # fmt: skip
+    yield from _out_of_range(scene, {**swapped, **signed})
+
+
+def _said(
+    scene: Scene, sent: list[tuple[Piece, Message]], cause: str, odd: dict[tuple[str, bytes], Odd], say: str, todo: str
+) -> Iterator[Suspicion]:
+    if not odd:
+        return
+    first = next(iter(odd.values()))
+    troubles, frames = [], []
+    for piece, message in sent:
+        assert message.command is not None  # chosen so above
+        found = odd.get((message.command.name, message.data))
+        if found is not None:
+            troubles += _troubles(scene, piece) or [Trouble(cause, piece.offset, None, piece)]
+            frames.append(Shown(piece.offset, shown(piece.data, _id(piece)), shown(_frame(found), _id(piece))))
+    yield Suspicion(
+        cause, Confidence.CERTAIN if len(odd) > 1 else Confidence.LIKELY, troubles, say,
+        f"{shown(first.piece.data, _id(first.piece))} at byte {first.piece.offset} says {first.got}; meant is {first.meant}; "
+        f"{counted(len(frames), 'time')}",
+        f"{todo}: {shown(_frame(first), _id(first.piece))}",
+        tuple(frames),
+    )  # fmt: skip
+
+
+def _out_of_range(scene: Scene, explained: dict[tuple[str, bytes], Odd]) -> Iterator[Suspicion]:
+    found: list[tuple[Piece, str]] = []
+    troubles: list[Trouble] = []
+    for piece in scene.pieces:
+        message = piece.message
+        if message is None or not piece.is_request or not piece.sound or not piece.rules & _RANGE or message.command is None:
+            continue
+        if (message.command.name, message.data) in explained:
+            continue
+        found.append((piece, next(v.text for v in message.violations if v.rule in _RANGE)))
+        troubles += _troubles(scene, piece)
+    if not found or not troubles:
+        return
+    piece, text = found[0]
+    yield Suspicion(
+        "value_out_of_range", Confidence.CERTAIN if len(found) > 1 else Confidence.LIKELY, troubles,
+        f"A value is outside the range of the manual: {text}.",
+        f"{shown(piece.data, _id(piece))} at byte {piece.offset}; {counted(len(found), 'time')}",
+        "Send a value within the range; if it should be in it, look at its unit",
+        tuple(Shown(p.offset, shown(p.data, _id(p))) for p, _ in found),
+    )  # fmt: skip
+
+
+def _troubles(scene: Scene, piece: Piece) -> list[Trouble]:
+    """Return the troubles of a request and of the replies to it."""
+    return [
+        t for t in scene.troubles
+        if t.piece is not None and (t.piece is piece or (t.piece.asked_by == piece.sequence and t.piece.is_reply))
+    ]  # fmt: skip
+
+
+def _words(layout: Layout) -> tuple[Word, ...]:
+    """Return the numbers of more than a byte, each with the bits that fill up its bytes; found once, and kept with it."""
+    kept: tuple[Word, ...] | None = layout.__dict__.get("_words")
+    if kept is None:
+        kept = layout.__dict__["_words"] = tuple(_found_words(layout))
+    return kept
+
+
+def _found_words(layout: Layout) -> Iterator[Word]:
+    run: list[Field] = []
+    start = 0
+    for offset, field in layout:
+        if not run:
+            start = offset
+        run.append(field)
+        stop = offset + field.bit_width
+        if start % 8 or stop % 8 or not field.bit_width:
+            continue
+        numbers = [f for f in run if f.bit_width > 8 and f.choices is None and f.kind in (FieldKind.UINT, FieldKind.INT)]
+        if len(numbers) == 1 and numbers[0].fixed is None and stop - start in {8 * size for size in _ROUND}:
+            yield Word(start // 8, stop // 8, Layout(*run), numbers[0])
+        run = []
+
+
+def _digits(value: int) -> int:
+    """Return how many digits of a number are not zeros at its end; a power of two is as round as a power of ten."""
+    if value and not abs(value) & (abs(value) - 1):
+        return 1
+    return len(str(abs(value)).rstrip("0"))
+
+
+def _weight(word: Word, data: bytes) -> int:
+    """Return how much speaks for swapped bytes; below 0: against."""
+    other = data[::-1]
+    if other == data:
+        return 0
+    sound, sound_swapped = word.allowed(data), word.allowed(other)
+    digits, swapped = _digits(word.value(data)), _digits(word.value(other))
+    if sound and (not sound_swapped or digits + _ROUNDER <= swapped):
+        return -1
+    rounder = sound_swapped and swapped <= _ROUND[len(data)] and swapped + _ROUNDER <= digits
+    # Among four bytes a number that is much rounder the other way is none by chance.
+    much = len(data) > 2 and swapped + 2 * _ROUNDER <= digits
+    return int(rounder) * (2 if not sound or much else 1)
+
+
+def _swapped(piece: Piece, message: Message, word: Word, weight: int) -> Odd:
+    data = message.data
+    right = bytearray(data)
+    if message.form is not None:
+        for each in _words(message.form.layout):
+            part = data[each.start : each.stop]
+            # What is in order both ways is packed like the rest.
+            right[each.start : each.stop] = part[::-1] if each.allowed(part[::-1]) else part
+    got = data[word.start : word.stop]
+    return Odd(piece, message, _text(word, word.value(got)), _text(word, word.value(got[::-1])), bytes(right), weight)
+
+
+def _signed(piece: Piece, message: Message, word: Word) -> Odd | None:
+    """Return a number that is negative if its bytes are one of two's complement, where the manual has an unsigned one."""
+    field, command = word.field, message.command
+    direction = command.motion.direction if command is not None and command.motion is not None else ""
+    if field.kind is not FieldKind.UINT or not direction or message.form is None:
+        return None
+    data = message.data[word.start : word.stop]
+    value = int.from_bytes(data, "little" if field.order is Order.LITTLE else "big", signed=True)
+    rounder = len(data) > 2 and _digits(value) + 2 * _ROUNDER <= _digits(word.value(data))
+    if not (value < 0 and -value <= field.high and (not word.allowed(data) or rounder)):
+        return None
+    values = {name: v for name, v in message.values.items() if isinstance(v, int | bytes)}
+    for each in _words(message.form.layout):
+        part = message.data[each.start : each.stop]
+        other = int.from_bytes(part, "little" if each.field.order is Order.LITTLE else "big", signed=True)
+        if other < 0 and not each.allowed(part):
+            values[each.field.name] = -other
+    right = codec(message.form.layout).encode({**values, field.name: -value, direction: 1})
+    return Odd(piece, message, _text(word, word.value(data)), _text(word, value), right, _ENOUGH)
+
+
+def _text(word: Word, value: int) -> str:
+    unit = f" {word.field.unit}" if word.field.unit else ""
+    return f"{word.field.name} {number(word.field.physical(value))}{unit}"
+
+
+def _frame(odd: Odd) -> bytes:
+    message = odd.message
+    assert message.command is not None
+    assert message.form is not None  # a request of a known form
+    return message.frame.dialect.link.build(message.command, message.form, message.address, odd.right, message.role)
+
+
+def _id(piece: Piece) -> int | None:
+    return None if piece.can is None else piece.can.id
