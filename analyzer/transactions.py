@@ -185,11 +185,13 @@ class Transactions:
         same = self._repeated(message)
         if same is not None:
             gap = frame.first_ns - same.t_ns
-            if frame.role is Role.REPLY or (self._timed and gap <= ECHO_NS):
+            # A time that runs backwards says nothing of the time between them.
+            timed = self._timed and gap >= 0
+            if frame.role is Role.REPLY or (timed and gap <= ECHO_NS):
                 context.echoes += 1
-                after = f" after {gap / 1e6:.3f} ms" if self._timed else ""
+                after = f" after {gap / 1e6:.3f} ms" if timed else ""
                 return Paired(issues=(Issue("host_echo", f"the request once more{after}"),))
-            after = f" after {gap / 1e6:.1f} ms" if self._timed else ""
+            after = f" after {gap / 1e6:.1f} ms" if timed else ""
             earlier += self._give_up(same, RequestOutcome.RETRIED, f"the host repeated it{after}")
         request = Request.of(message, sequence, topic)
         running = context.open.get(message.address)

@@ -269,3 +269,9 @@ def test_a_new_address_may_answer_the_request_that_gave_it():
     sink = serial("mks-rs485", (0, "FA 01 8B 05 8B"), (5, "FB 05 8B 01 8C"), (10, "FA 05 32 31"))
     assert [f.rule for f in sink.findings if f.severity > "info"] == []
     assert sink.entries[1].request_sequence == 1
+
+
+def test_the_same_bytes_under_an_earlier_time_are_no_echo():
+    sink = serial("mks-rs485", (5000, ASK_SPEED), (50, ASK_SPEED), (53, SPEED))
+    assert sink.rules == ["unanswered"]
+    assert sink.findings[0].text.endswith("the host repeated it")

@@ -4,7 +4,8 @@
     /<bus>/<address>/state                       position, speed, current ... from any reply that carries them
     /<bus>/unknown  /<bus>/foreign  /<bus>/junk  /<bus>/stats    /findings  /comments  /recording
 
-`log_time` is the time of the last byte and never decreases; `publish_time` is the estimated start on the wire.
+`log_time` is the time of the last byte and never decreases; `publish_time` is the estimated start on the wire. Where the times
+of a capture run backwards, `_backward_ns` says how far a message's own time lies before its `log_time`.
 """
 
 from __future__ import annotations
@@ -103,16 +104,13 @@ class McapLog:
     def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
         """Write a frame that is in order, and the state it carries."""
         kept = self._lanes.get(lane.topic)
-        if kept is None or kept.odd:
+        log_ns = frame.last_ns
+        if kept is None or kept.odd or log_ns < self._last_ns:
             first = not lane.is_request
             self.entry(Entry(lane.message(frame), sequence, lane.topic, (), latency_ns, request_sequence, first))
             return
         data = frame.data
-        log_ns = frame.last_ns
-        if log_ns > self._last_ns:
-            self._last_ns = log_ns = min(log_ns, _LATEST_NS)
-        else:
-            log_ns = self._last_ns
+        self._last_ns = log_ns = min(log_ns, _LATEST_NS)
         own = data[lane.start : lane.stop]
         start, raw = lane.json(own), hexlify(data, " ").upper()
         if request_sequence is None:
@@ -157,13 +155,10 @@ class McapLog:
         lane = self._lanes.get(entry.topic)
         if lane is None:
             lane = self._open_lane(entry.topic, message)
-        log_ns = frame.last_ns
-        if log_ns > self._last_ns:
-            self._last_ns = log_ns = min(log_ns, _LATEST_NS)
-        else:
-            log_ns = self._last_ns
-        if form is None or lane.odd or entry.findings or frame.can is not None:
-            data = self._odd(entry, lane)
+        log_ns = self._clock(frame.last_ns)
+        backward_ns = log_ns - frame.last_ns
+        if form is None or lane.odd or entry.findings or frame.can is not None or backward_ns > 0:
+            data = self._odd(entry, lane, backward_ns)
         else:
             start, raw = codec(form.layout).json(message.data), hexlify(frame.data, " ").upper()
             ok = b"true" if frame.checksum_ok else b"false"
@@ -197,8 +192,11 @@ class McapLog:
         byte_ns, bit_ns = second.speed
         second.wire_ns += size * byte_ns if frame.can is None else (CAN_OVERHEAD_BITS + 8 * size) * bit_ns
 
-    def _odd(self, entry: Entry, lane: _Topic) -> bytes:
-        """Return the JSON of a message that is more than its fields: unknown, with findings, a package, on CAN."""
+    def _odd(self, entry: Entry, lane: _Topic, backward_ns: int) -> bytes:
+        """Return the JSON of a message that is more than its fields: unknown, with findings, a package, on CAN.
+
+        `backward_ns`: how far its time lies before the one under which it is logged.
+        """
         message = entry.message
         frame = message.frame
         shown = physical(message)
@@ -214,6 +212,8 @@ class McapLog:
         if message.role is not Role.FOREIGN:
             shown["_checksum_ok"] = frame.checksum_ok
         shown["_offset"] = frame.offset
+        if backward_ns > 0:
+            shown["_backward_ns"] = backward_ns
         if entry.findings:
             shown["_findings"] = [f.rule for f in entry.findings]
         if entry.request_sequence is not None:
@@ -242,6 +242,8 @@ class McapLog:
             "_offset": junk.offset,
         }
         log_ns = self._clock(junk.last_ns)
+        if junk.last_ns < log_ns:
+            data["_backward_ns"] = log_ns - junk.last_ns
         self._file.add_message(lane.channel, sequence, log_ns, max(0, junk.first_ns), _encode(data))
         second = self._second(junk.port, log_ns)
         second.junk_bytes += len(junk.data)

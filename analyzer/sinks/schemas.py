@@ -20,6 +20,7 @@ _RESERVED: dict[str, dict[str, Any]] = {
     "_raw": {"type": "string", "description": "bytes of the frame, hex"},
     "_checksum_ok": {"type": "boolean"},
     "_offset": {"type": "integer", "description": "bytes of this bus before the frame"},
+    "_backward_ns": {"type": "integer", "unit": "ns", "description": "its own time lies so far before log_time"},
     "_findings": {"type": "array", "items": {"type": "string"}, "description": "rules broken, as far as known here"},
 }
 _REPLY: dict[str, dict[str, Any]] = {
@@ -116,7 +117,7 @@ def foreign_schema() -> bytes:
     """Return the schema of frames of nodes that are no drives."""
     who = {"type": "string", "description": "on CAN the identifier in hexadecimal, else the address"}
     size = {"type": "integer", "description": "data bytes"}
-    own = {name: _RESERVED[name] for name in ("_raw", "_offset")}
+    own = {name: _RESERVED[name] for name in ("_raw", "_offset", "_backward_ns")}
     return _object(
         "Frames that are not of this dialect", {"address": {"type": "integer"}, "who": who, "length": size, **own, **_CAN}
     )
@@ -127,7 +128,7 @@ def junk_schema() -> bytes:
     return _object(
         "Bytes that belong to no frame",
         {"reason": {"type": "string"}, "length": {"type": "integer"}, "_raw": _RESERVED["_raw"]}
-        | {"_offset": _RESERVED["_offset"]},
+        | {name: _RESERVED[name] for name in ("_offset", "_backward_ns")},
     )
 
 

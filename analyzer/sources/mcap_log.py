@@ -45,6 +45,7 @@ class _Logged(msgspec.Struct):
     can_id: Annotated[int, msgspec.Meta(ge=0, le=0x3FFF_FFFF)] | None = msgspec.field(name="_can_id", default=None)
     can_flags: list[str] = msgspec.field(name="_can_flags", default_factory=list)
     direction: str = msgspec.field(name="_direction", default="")
+    backward_ns: Annotated[int, msgspec.Meta(ge=0)] = msgspec.field(name="_backward_ns", default=0)
     silence: bool = msgspec.field(name="_silence", default=False)
     findings: list[str] = msgspec.field(name="_findings", default_factory=list)
     message: str = ""
@@ -162,7 +163,7 @@ class _Log:
                 yield from self._event(record)
                 return
             logged = self._decode(record.data)
-            taken = self._traffic(lane, record.log_ns, logged)
+            taken = self._traffic(lane, record.log_ns - logged.backward_ns, logged)
         except (msgspec.MsgspecError, ValueError, RecursionError) as error:
             source.problem(f"a message of {lane.topic}: {describe(error)}")
             return

@@ -11,6 +11,7 @@ import zstandard
 from mcap.writer import CompressionType
 
 from analyzer.catalogue import Role
+from analyzer.cli import main
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame, Chunk, Comment
 from analyzer.sources import budget
@@ -176,7 +177,6 @@ HOSTILE: list[tuple[str, object]] = [
     "name", ["port", "part", "lost", "back", "dropped", "overrun", "bus_error", "clock_step", "clock_drift"]
 )
 def test_a_hostile_event_costs_its_value_alone(name: str, tmp_path: Path) -> None:
-    from analyzer.cli import main
 
     for n, (key, value) in enumerate(HOSTILE):
         path = recorded(tmp_path / f"{n}.mcap", {"event": name, "bus": "left", "text": "", key: value})
@@ -241,3 +241,14 @@ def test_a_damaged_record_in_a_chunk_costs_itself(tmp_path: Path) -> None:
     source, records = read_all(path)
     assert len([r for r in records if isinstance(r, Chunk)]) == 2
     assert source.problem_count == 2
+
+
+def test_times_that_run_backwards_come_back_as_they_were(tmp_path: Path) -> None:
+    capture, log = tmp_path / "capture.log", tmp_path / "log.mcap"
+    rows = [(0, "FA 01 30 2B"), (1, "FB 01 30 FF FF FF FF 22 69 B3"), (59, "FA 01 31 2C"), (2, "FA 01 32 2D"), (3, "00 FF")]
+    capture.write_text("".join(f"2026-03-02 09:00:{second:02d}.000 {data}\n" for second, data in rows))
+    assert main(["decode", str(capture), "-o", str(log)]) == 0
+    given, again = (read_all(path)[1] for path in (capture, log))
+    assert [(r.t_ns, r.data) for r in again if isinstance(r, Chunk)] == [
+        (r.t_ns, r.data) for r in given if isinstance(r, Chunk)
+    ]
