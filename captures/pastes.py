@@ -828,7 +828,7 @@ returns:
 
 please advise how to proceed
 """,
-        f"- ? {_MODBUS}",
+        f"- > {_MODBUS}",
         f"- < {_MODBUS_REPLY}",
     ),
 )

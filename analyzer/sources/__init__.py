@@ -194,5 +194,6 @@ def _unknown(source: Source, scores: dict[str, float]) -> str:
     near = f"the nearest is {FORMATS[best].title} ({scores[best]:.0%})" if scores[best] > 0 else "no format comes close"
     return (
         f"{source.name} is not a recognised capture format ({seems}{shown}). Tried: {', '.join(scores)}; {near}. "
-        "--format NAME reads it as that format anyway"
+        "In text, frames are expected as FA 01 30 2B, FA:01:30:2B, 0xFA, 0x01, [FA][01], \\xFA\\x01 or 250, 1, 48, 43, and "
+        "on CAN as 001#3031. --format NAME reads it as that format anyway"
     )

@@ -78,7 +78,12 @@ SHAPES: tuple[Shape, ...] = (
         rf"(?P<port>\d{{1,2}})\s+(?P<id>[0-9A-F]{{8}})(?P<extended>\s+X)?(?P<remote>\s+R)?\s+(?P<length>\d)\s+(?P<data>(?:[0-9A-F]{{2}}\s+){{0,8}})(?P<time>\d+\.\d+)\s+"
         rf"{_MARK}",
     ),
-    _shape("cansend", r"(?P<mark>cansend)\s+(?P<port>\S+)\s+(?P<id>[0-9A-F]{3,8})#(?P<data>[0-9A-F.]*)", near=r".*\bcansend\s"),
+    # In a sentence or a script too, with words behind it.
+    _shape(
+        "cansend",
+        r".*?\b(?P<mark>cansend)\s+(?P<port>\S+)\s+(?P<id>[0-9A-F]{3,8})#(?P<data>[0-9A-F.]*)(?![0-9A-Z#]).*",
+        near=r".*\bcansend\s",
+    ),
     _shape("hash", r"(?:(?P<port>[A-Za-z]\w{1,15})\s+)?(?P<id>[0-9A-F]{3}|[0-9A-F]{8})#(?P<data>(?:[0-9A-F]{2}\.?)*)"),
     _shape(
         "candump",
@@ -89,14 +94,14 @@ SHAPES: tuple[Shape, ...] = (
     _shape(
         "id-data",
         rf"(?:(?P<before>.*?)(?<![A-Za-z]))?(?:can[\s_-]?)?id\s*[:=]?\s*{_ID}\b[\s,;|]*(?:(?:(?P<extended>ext\w*)|std|standard)[\s,;|]*)?"
-        rf"(?:(?:dlc|dl|len|length|size)\s*[:=]?\s*{_LENGTH}\b[\s,;|]*)?(?:(?:data|payload|bytes?|msg|message)\s*[:=]?[\s\[{{]*)"
-        rf"{_DATA}[\]}}\s]*",
+        rf"(?:(?:dlc|dl|len|length|size)\s*[:=]?\s*{_LENGTH}\b[\s,;|]*)?(?:(?:data|payload|bytes?|msg|message)(?:\[0\.\.\d\])?\s*[:=]?[\s\[{{]*)"
+        rf"{_DATA}[\]}}\s]*(?:\((?P<port>[a-z]+\d+)\)\s*)?",
         near=r"\s*(?:\S+\s+)?id\s*[:=]",
     ),
     _shape("id-length", r"(?P<id>[0-9A-F]{1,8})\s+(?P<length>[0-8])(?P<data>(?:\s+[0-9A-F]{1,2}){0,8})\s*", sure=False),
     _shape(
         "id",
-        r"(?:0x)?(?P<id>[0-7][0-9A-F]{2}|[01][0-9A-F]{7})\s*:?\s+(?P<data>[0-9A-F]{2}(?:\s[0-9A-F]{2}){0,7})\s*",
+        r"(?:0x)?(?P<id>[0-7][0-9A-F]{2}|[01][0-9A-F]{7})\s*:?\s+(?P<data>[0-9A-F]{2}(?:\s[0-9A-F]{2}){0,7})(?:\s*|(?:\s{2,}|\s*[#(;]).*)",
         sure=False,
     ),
 )
@@ -119,6 +124,8 @@ _STANDARD = 0x7FF
 _ALIKE = 10
 _PADDED = (3, 4, 8)
 _ID_MASK = 0x1FFF_FFFF
+_EXTENDED_FLAG, _REMOTE_FLAG, _ERROR_FLAG = 0x8000_0000, 0x4000_0000, 0x2000_0000
+_FLAGGED = 0xFFFF_FFFF
 _SLCAN_ID = {"t": 3, "T": 8, "r": 3, "R": 8}
 _SLCAN_STAMP = 4
 _SAMPLE_LINES = 400
@@ -161,7 +168,7 @@ def _fits(shape: Shape, lines: list[str], taken: list[str]) -> bool:
     """Say whether the lines of a shape that other texts have too can be nothing else: with letters, and all but a heading."""
     heading = len(lines) - len(taken)
     named = heading and re.search(r"\bID\b", " ".join(lines[:heading])) is not None
-    letters = any(re.search(r"[A-Fa-f]", line) for line in taken)
+    letters = any(re.search(r"[A-Fa-f]|\b0x", line) for line in taken)
     return len(taken) > 1 and letters and (heading == 0 or (heading <= 3 and bool(named)))
 
 
@@ -284,7 +291,7 @@ def _of(found: re.Match[str], stamp: Stamp, role: Role, decimal: bool) -> _Line 
     if (
         data is None
         or (len(data) > _CAN_BYTES and len(data) not in _FD_BYTES)
-        or number > _ID_MASK
+        or number > _FLAGGED
         or (length is not None and int(length) != len(data) and not remote)
     ):
         return None
@@ -297,6 +304,10 @@ def _of(found: re.Match[str], stamp: Stamp, role: Role, decimal: bool) -> _Line 
     if groups.get("time"):
         stamp = Stamp("clock" if ":" in groups["time"] else "seconds", groups["time"])
     extended = bool(groups.get("extended")) or number > _STANDARD or "extended" in (groups.get("before") or "").lower()
+    if number > _ID_MASK:
+        # SocketCAN's own numbers: the three bits above are flags.
+        error, remote = bool(number & _ERROR_FLAG), bool(number & _REMOTE_FLAG)
+        extended, number = bool(number & _EXTENDED_FLAG) or number & _ID_MASK > _STANDARD, number & _ID_MASK
     frame = CanFrame(None, "", number, data, role, extended and not error, remote, error, len(data) > _CAN_BYTES)
     # Two digits, or more than tools pad with zeros: 17 can be 0x17, or 0x11.
     open_id = (

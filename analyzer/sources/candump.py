@@ -31,7 +31,8 @@ _SCREEN = re.compile(
     r"(?:\s+(remote request)|((?:\s+[0-9A-Fa-f]{2})*))(?:\s+ERRORFRAME|\s+'.*')?\s*$"
 )
 _EITHER = re.compile(f"(?:{_LOG.pattern})|(?:{_SCREEN.pattern})")
-_ERROR_TEXT = re.compile(r"\t\S")
+_ERROR_TEXT = re.compile(r"(?:(?:\t| {2,})[a-z][a-z-]*|[a-z]+(?:-[a-z]+)+)(?:\{.*)?\s*$")
+_KNOWN = re.compile(f"(?:{_EITHER.pattern})|(?:{_ERROR_TEXT.pattern})")
 _DATED = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)\.(\d{1,9})$")
 
 _EXTENDED_DIGITS = 3
@@ -45,7 +46,8 @@ _EXPECTED = "expected '(seconds) interface ID#data' or 'interface ID [length] da
 
 def score(head: bytes) -> float:
     """Say how sure it is that these bytes are candump's, 0..1."""
-    return 0.95 * share(head, _EITHER)
+    # The words below an error frame are candump's too, and the command that was typed comes before.
+    return 0.95 * share(head, _KNOWN)
 
 
 def read(source: Source) -> Iterator[CanFrame | Comment]:

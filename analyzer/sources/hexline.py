@@ -46,7 +46,8 @@ class HexLine(NamedTuple):
     `stamp`: its time as printed. `role`: who sent, by words and signs. `sign`: the sign before the bytes, or the brackets
     around each of them. `worded`: a word says who sent. `name`: of the bus line. `number`: it stands before the bytes.
     `led`: no colon parts it from them.
-    `note`: a comment behind the bytes. `text`: what could not be understood, if anything. `radix`: how sure the bytes are.
+    `note`: a comment behind the bytes. `passed`: words before the mark. `text`: what could not be understood, if anything.
+    `radix`: how sure the bytes are.
     """
 
     shape: Shape
@@ -62,6 +63,7 @@ class HexLine(NamedTuple):
     number: int | None = None
     led: bool = False
     radix: Radix = Radix.HEX
+    passed: str = ""
 
     @property
     def marked(self) -> bool:
@@ -162,7 +164,7 @@ _USUAL = re.compile(
 
 _COMMENT_SIGNS = ("#", "//", ";", "%", "*", "--", "/*", "'", "```")
 _ARROW = re.compile(r"-+>")
-_TRAILING = re.compile(r"(?:#|//|;|\(|\||!|--(?=\s)|(?<![-=])[-=]++>|→).*", re.DOTALL)
+_TRAILING = re.compile(r"(?:#|//|;|\(|\||!|--(?=\s)|(?<![-=])[-=]++>|<[-=]+|[→←]|>\s*\d+ bytes?\b).*", re.DOTALL)
 #: Words behind bytes: `old_data:`, `, 4) = 4`, `OK`.
 _WORDY = re.compile(
     r"(?<=[\s\"'\])},])(?:[A-Za-z_]{2}\w*+(?: data)?\s*[:=]|,\s*\d+\s*\)|[G-Zg-z_][A-Za-z_]{2,}+(?:\s|$)).*", re.DOTALL
@@ -242,6 +244,7 @@ class _Peeler:
         #: Words in brackets of their own, which may be the name of who logs.
         self.tags: list[str] = []
         self.declared = self.ascii = self.spoken = False
+        self.passed = ""
         self.number: int | None = None
 
     @property
@@ -278,6 +281,7 @@ class _Peeler:
                 number=self.number,
                 led=self.led,
                 radix=found.radix,
+                passed=self.passed,
                 **taken,  # type: ignore[arg-type]
             )
         if not rest and (self.stamp.kind or self.marked) and not self.spoken:
@@ -322,7 +326,8 @@ class _Peeler:
         return True
 
     def _pass(self, end: int) -> None:
-        """Keep the time among the words that stand before a distant mark."""
+        """Keep the words that stand before a distant mark, and the time among them."""
+        self.passed = self.text[self.at : end]
         if not self.stamp.kind and (time := _DISTANT_TIME.search(self.text, self.at, end)) is not None:
             self._take(time)
 

@@ -3,7 +3,8 @@
 Rules: each line of traffic is a burst of its own; lines of bytes below a header (a line with only a time or a mark)
 are one. `Tx`, `Send` and `>` mean that the host sent, `Rx`, `Recv` and `<` that the drive did; in a log that marks
 every line as received they mean nothing, for a listener wrote it. Lines of words are comments, broken lines are
-problems. In a text without a line of traffic the frames that its sentences speak of are read (see `prose.py`).
+problems. In a text that is no log the frames that its sentences speak of are read (see `prose.py`), frames that stand field by
+field below each other, and rows of dumps; words above bytes that have no mark say who sent them.
 
 What one line cannot tell, all lines together can (`_Manner`): whether `>` is a quotation, whether numbers are decimal,
 whether each line is one byte, whether `->` is only the sign between time and text. Each such guess is a note.
@@ -15,14 +16,16 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import groupby
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
 from analyzer.records import Chunk, Comment
 from analyzer.sources.hexline import HexLine, Shape, bytes_of, take_apart
 from analyzer.sources.lines import Lines, head_lines
-from analyzer.sources.prose import quotations
+from analyzer.sources.marks import ReceivedMarks
+from analyzer.sources.prose import Quotation, mentions, quotations, told
 from analyzer.sources.source import Source, quote
 from analyzer.sources.stamps import StampClock
 from analyzer.sources.written import Radix, decimal
@@ -43,6 +46,25 @@ _DECIMAL_BYTES = 4
 _DECIMAL_HEADS = 4
 #: How sure a text is whose sentences speak of frames.
 _PROSE_SCORE = 0.35
+#: Bytes from which on a line of a text that is no log counts.
+_SAID_BYTES = 3
+#: Lines that name the fields of a frame one by one, or that write its bytes one by one.
+_FIELD = re.compile(
+    r"\s*(?P<call>[\w.>-]+\b[Ww]rite\(\s*)?(?P<bytes>(?:0[xX])?[0-9A-Fa-f]{2}(?:[ ,]+(?:0[xX])?[0-9A-Fa-f]{2}){0,3})"
+    r"(?(call)\s*\)[;\s]*(?P<end>)|[\s:,;#/=-]+(?P<name>[^\W\d_]{3}.*))"
+)
+_REMARKS = ("#", "//", ";")
+_OPEN = ("{", "[", "(", ",")
+_LIST_ITEMS = r"(?:(?:0[xX])?[0-9A-Fa-f]{1,3}(?![0-9A-Fa-f])\s*+,?\s*+)*+"
+_LIST = re.compile(rf"[=(:]\s*+(?:new\s+\w+\[\d*\]\s*+|bytes\(|bytearray\(|Buffer\.from\()?[\[{{]\s*+{_LIST_ITEMS}$")
+_GOES_ON = re.compile(rf"\s*+{_LIST_ITEMS}(?:[\]}})][\]}});,\s]*)?(?:(?://|#|/\*).*)?")
+_SPOILT = re.compile(r"[\s,:-]{0,2}(?:0x\w{1,2}|\d\w?|\w\d)\b")
+_WORDS = re.compile(r"[^\W\d_]{3,}")
+_LABEL = re.compile(r"data|bytes?|hex|frame|buffer|message|msg|payload|raw", re.IGNORECASE)
+_LEAST_FIELDS, _FIELD_BYTES = 3, 2
+#: A row of a dump among words.
+_DUMP_ROW = re.compile(r"\W*([0-9A-Fa-f]{4,8}):?\s{1,3}((?:[0-9A-Fa-f]{2}(?:\s{1,2}|$|(?=\s*\|)))+)")
+_DUMP_END = re.compile(r"\s*[0-9A-Fa-f]{4,8}\s*")
 #: Frames of one line; each is looked for in all that stands behind the one before.
 _PIECES = 50
 #: A header's lines are collected up to this many bytes.
@@ -68,13 +90,14 @@ def score(head: bytes) -> float:
     parts = [take_apart(line) for line in lines]
     traffic = [p for p in parts if p.shape is Shape.TRAFFIC]
     counted = sum(1 for p in parts if p.shape is not Shape.COMMENT or not p.text.startswith(("#", "//", ";")))
-    said = _PROSE_SCORE if any(quotations(p.text) for p in parts if p.shape is Shape.COMMENT) else 0.0
+    plain = any(len(p.data) >= _SAID_BYTES and (p.marked or _HEX_LETTER.search(p.data.hex())) for p in traffic)
+    said = _PROSE_SCORE if plain or _says(parts) or _has_fields(lines) else 0.0
     if not traffic or not counted:
         return said
     ratio = len(traffic) / counted
     marked = sum(1 for p in traffic if p.marked and len(p.data) > 1)
     # Rows of decimal numbers pass for hex; real traffic is not free of letters for long.
-    letters = any(_HEX_LETTER.search(p.data.hex()) for p in traffic)
+    letters = any(_HEX_LETTER.search(p.data.hex()) for p in traffic) or "0x" in "".join(lines)
     if not letters and not marked and sum(len(p.data) for p in traffic) > 4:
         return 0.1
     if not marked and _is_table([p for p in traffic if p.radix is Radix.DECIMAL]):
@@ -82,6 +105,25 @@ def score(head: bytes) -> float:
     if ratio >= _LEAST_SHARE or (marked >= _MARKED_LINES and ratio >= _LEAST_MARKED_SHARE):
         return 0.4 + 0.5 * min(1.0, ratio)
     return max(said, 0.25 * ratio / _LEAST_SHARE)
+
+
+def _says(parts: Sequence[HexLine]) -> bool:
+    return any(quotations(p.text) for p in parts if p.shape in (Shape.COMMENT, Shape.BROKEN))
+
+
+def _has_fields(lines: Sequence[str]) -> bool:
+    """Say whether lines below each other name the fields of a frame."""
+    return any(
+        _is_frame(list(rows))
+        for named, rows in groupby((_FIELD.match(line) for line in lines), key=lambda row: row is not None)
+        if named
+    )
+
+
+def _is_frame(rows: Sequence[re.Match[str] | None]) -> bool:
+    """Say whether rows are fields, rather than frames with words behind them."""
+    short = sum(1 for row in rows if row is not None and len(row["bytes"].split()) <= _FIELD_BYTES)
+    return len(rows) >= _LEAST_FIELDS and 2 * short > len(rows)
 
 
 def read(source: Source) -> Iterator[Chunk | Comment]:
@@ -130,6 +172,10 @@ class _Manner(NamedTuple):
     led: bool = False
     #: There is no line of a log: sentences are read.
     prose: bool = False
+    #: Frames stand field by field, a line each.
+    fields: bool = False
+    #: All bytes stand in comments of a program.
+    commented: bool = False
 
     @classmethod
     def of(cls, lines: Sequence[str]) -> _Manner:
@@ -141,14 +187,17 @@ class _Manner(NamedTuple):
         traffic = [p for p in parts if p.shape is Shape.TRAFFIC]
         roles = [p.role for p in parts if p.shape in (Shape.TRAFFIC, Shape.HEADER)]
         stamped = [p for p in parts if p.stamp.kind]
+        prose = not any(p.stamp.kind or p.marked for p in traffic)
         return cls(
             quoted=quoted,
             decimal=any(p.radix is Radix.DECIMAL for p in traffic),
             arrow=bool(stamped) and all(p.stamp.kind == "clock" and p.sign == _ARROW for p in stamped),
-            brackets={"each[", "each<"} <= {p.sign for p in traffic},
+            brackets=all(any(sign in line for line in lines) for sign in ("][", "><")),
             led=len(traffic) > 1 and all(p.led for p in traffic[:2]),
             deaf=roles.count(Role.REPLY) >= _LISTENER_LINES and Role.REQUEST not in roles,
-            prose=not any(p.stamp.kind or p.marked for p in traffic),
+            prose=prose,
+            fields=prose and _has_fields(lines),
+            commented=prose and not traffic and not _says([p for p in parts if not p.text.startswith("#")]),
         )
 
     def take(self, text: str) -> HexLine:
@@ -180,6 +229,24 @@ class _Manner(NamedTuple):
             yield "nothing tells whether the bytes are hexadecimal or decimal: they are read as hexadecimal"
 
 
+def _whole_lists(lines: Iterable[str]) -> Iterator[str]:
+    """Yield the lines; one in which a list of bytes begins comes with those that go on with it."""
+    held: list[str] = []
+    for line in lines:
+        if held:
+            if len(held) < _PIECES and _GOES_ON.fullmatch(line):
+                held.append(line)
+                continue
+            yield " ".join(held)
+            held.clear()
+        if line.endswith(_OPEN) and _LIST.search(line):
+            held.append(line)
+        else:
+            yield line
+    if held:
+        yield " ".join(held)
+
+
 def _is_quoted(lines: Sequence[str]) -> bool:
     """Say whether `>` is a quotation: it stands before words too, or before another mark or time."""
     if len(lines) < 2 or not all(_QUOTED.match(line) for line in lines):
@@ -203,6 +270,12 @@ class _Reader:
         self._running: int | None = None
         self._passed = 0
         self._known: set[bytes] = set()
+        self._fields: list[re.Match[str]] = []
+        self._rows = bytearray()
+        #: Who sent the bytes below words, and whether any came.
+        self._above = Role.UNKNOWN
+        self._below = False
+        self._marks = ReceivedMarks()
 
     def records(self) -> Iterator[Chunk | Comment]:
         """Yield the records of all lines."""
@@ -210,7 +283,15 @@ class _Reader:
             yield from self._single_bytes()
             return
         source = self._source
-        for text in self._lines:
+        prose = self._manner.prose
+        for text in _whole_lists(self._lines):
+            if prose:
+                if self._is_part(text):
+                    continue
+                yield from self._end_parts()
+                # It may begin the next one.
+                if self._is_part(text):
+                    continue
             line = self._manner.take(text)
             if self._header is not None:
                 plain = line.shape is Shape.TRAFFIC and not line.marked and not line.stamp.kind
@@ -224,17 +305,24 @@ class _Reader:
                     continue
                 yield from self._end_header()
             if line.shape is Shape.BLANK:
+                if self._below:
+                    self._above = Role.UNKNOWN
                 continue
             t_ns = self._time(line)
-            if line.shape is Shape.TRAFFIC:
+            if line.shape is Shape.TRAFFIC and line.passed and (said := self._better(text, line)):
+                yield from self._quoted(t_ns, text, said)
+            elif line.shape is Shape.TRAFFIC:
                 self._check_count(line)
-                yield from self._traffic(t_ns, line)
+                yield from self._traffic(t_ns, self._told_above(line) if prose else line)
             elif line.shape is Shape.HEADER:
                 self._header, self._header_ns = line, t_ns
             elif line.shape is Shape.COMMENT:
                 yield from self._words(t_ns, line)
+            elif (said := mentions(text, self._manner.brackets)) and _SPOILT.match(text, said[-1].end) is None:
+                yield from self._quoted(t_ns, text, said)
             else:
                 source.problem(f"expected hex bytes, got {quote(line.text.strip())!r}", line=self._lines.number)
+        yield from self._end_parts()
         yield from self._end_header()
         if self._passed:
             source.note(f"{counted(self._passed, 'line')} of words with bytes in them: not read, only the lines of traffic are")
@@ -251,20 +339,82 @@ class _Reader:
 
     def _words(self, t_ns: int | None, line: HexLine) -> Iterator[Chunk | Comment]:
         """Yield a line of words, and the frames that it speaks of where there is no log."""
-        said = quotations(line.text) if not line.text.startswith("#") else []
+        said = mentions(line.text, self._manner.brackets) if not line.text.startswith("#") or self._manner.commented else []
+        if self._manner.prose and not said and _WORDS.search(line.text):
+            self._above, self._below = told(line.text), False
         if not said or not self._manner.prose:
             # Programs print again in words what they sent and received.
-            self._passed += any(each.data not in self._known for each in said)
+            self._passed += any(each.data not in self._known for each in said if not each.left)
             yield self._source.comment(t_ns, line.text)
             return
-        columns = ", ".join(str(each.column) for each in said)
-        where = f"line {self._lines.number}, column{'s' * (len(said) > 1)} {columns}"
+        yield from self._quoted(t_ns, line.text, said)
+
+    def _better(self, text: str, line: HexLine) -> list[Quotation]:
+        """Return what a line of words speaks of, where that is more than the bytes behind its last mark."""
+        said = mentions(text, self._manner.brackets)
+        more = quotations(line.passed) or any(len(each.data) > len(line.data) for each in said if not each.left)
+        return said if more else []
+
+    def _quoted(self, t_ns: int | None, text: str, said: Sequence[Quotation]) -> Iterator[Chunk | Comment]:
+        """Yield a line of words with the frames that it speaks of."""
+        number = self._lines.number
+        for each in said:
+            if each.left:
+                self._source.note(f"line {number}, column {each.column}: {each.data.hex(' ').upper()} is left out: {each.left}")
+        frames = [each for each in said if not each.left]
+        if not frames:
+            yield self._source.comment(t_ns, text)
+            return
+        columns = ", ".join(str(each.column) for each in frames)
+        where = f"line {number}, column{'s' * (len(frames) > 1)} {columns}"
         if not self._said:
             self._source.note(f"frames stand in sentences, the first in {where}: who sent is told by the word before")
-        self._said += len(said)
-        yield self._source.comment(t_ns, f"{where}: {line.text}")
-        for each in said:
-            yield Chunk(t_ns, self._source.port(), each.data, each.role, True)
+        self._said += len(frames)
+        yield self._source.comment(t_ns, f"{where}: {text}")
+        alone = all(_LABEL.fullmatch(word) for word in _WORDS.findall(text))
+        for each in frames:
+            self._known.add(each.data)
+            role = self._marks(self._above) if each.role is Role.UNKNOWN and alone else each.role
+            self._marks(role)
+            yield Chunk(t_ns, self._source.port(), each.data, role, True)
+
+    def _told_above(self, line: HexLine) -> HexLine:
+        """Return a line with the sender that words behind it or above it name."""
+        self._below = True
+        if line.marked or line.role is not Role.UNKNOWN:
+            self._marks(line.role)
+            return line
+        behind = told(line.note)
+        return line._replace(role=self._marks(self._above if behind is Role.UNKNOWN else behind))
+
+    def _is_part(self, text: str) -> bool:
+        """Take a line that is the next field of a frame, or the next row of a dump; say whether it is one."""
+        field = _FIELD.match(text) if self._manner.fields and not self._rows else None
+        if field is not None:
+            if self._fields and field["name"] and field["name"] == self._fields[0]["name"]:
+                return False
+            self._fields.append(field)
+            return True
+        row = _DUMP_ROW.match(text)
+        if row is None and self._rows and _DUMP_END.fullmatch(text) is not None:
+            return int(text, 16) == len(self._rows)
+        if row is None or self._fields or int(row[1], 16) != len(self._rows):
+            return False
+        self._rows += bytes.fromhex(row[2])
+        return True
+
+    def _end_parts(self) -> Iterator[Chunk | Comment]:
+        """Yield the frame of the fields or rows so far."""
+        if self._rows:
+            yield Chunk(None, self._source.port(), bytes(self._rows), self._marks(self._above), True)
+            self._rows.clear()
+        rows, self._fields = self._fields, []
+        if _is_frame(rows):
+            digits = re.sub("0[xX]|[ ,]", "", "".join(row["bytes"] for row in rows))
+            role = Role.REQUEST if rows[0]["call"] else self._marks(self._above)
+            yield Chunk(None, self._source.port(), bytes.fromhex(digits), role, True)
+        for row in rows:
+            yield self._source.comment(None, row[0])
 
     def _traffic(self, t_ns: int | None, line: HexLine) -> Iterator[Chunk | Comment]:
         """Yield the bytes of a line, and what stands behind them: often the reply."""
@@ -272,8 +422,11 @@ class _Reader:
             behind = self._manner.take(line.note) if line.note else None
             if behind is None or behind.shape is not Shape.TRAFFIC or not behind.marked:
                 yield self._chunk(t_ns, line, line.data)
-                if behind is not None and not self._is_idle(line):
-                    yield self._source.comment(t_ns, line.note)
+                if behind is None or self._is_idle(line):
+                    return
+                said = [] if line.note.startswith(_REMARKS) else mentions(line.note)
+                said = [each for each in said if each.data not in self._known]
+                yield from self._quoted(t_ns, line.note, said) if said else (self._source.comment(t_ns, line.note),)
                 return
             if not line.marked and not behind.worded:
                 # `FA 01 30 2B -> FB 01 F6 01 F3`

@@ -1,10 +1,14 @@
-"""Frames in sentences: what a forum post says of bytes, with where it stands and who is said to have sent it.
+"""Frames anywhere in text: what a forum post, a console or a program says of bytes, where they stand and who sent them.
 
     If I send FA 01 30 2B it answers with FB 01 30 00 00 00 01 20 00 4D, but `FA01F601400234` does nothing.
+    Response from instrument: '\\x01\\x84\\x02\\xc2\\xc1' (01 84 02 C2 C1) (5 bytes), roundtrip time: 30.1 ms
+    halcmd: [FA][01][30][2B]        serial.write([250, 1, 48, 43])        instead of 02 03 02 00 07 BD 86
 
-Rules: at least three bytes of two digits, separated alike, with a letter or `0x` among them, or five without; digits without a
-gap only in capitals, in quotes or in backticks, so that no word, time, address of a network card or hash is taken for a frame.
-The last word before the bytes in the same sentence says who sent, by `marks.py` or one of the verbs below.
+Rules: at least three bytes, written alike, with a letter or a sign of hexadecimal among them, or five without; two where a
+sign or a verb stands directly before them. Digits without a gap only in capitals, in quotes, or behind a word for bytes.
+Times, dates, addresses of network cards and of memory, and hashes are no frames. What a sentence says did not come, or should
+have, is left out.
+Who sent is told by the last word before the bytes in the same sentence (`marks.py` and the verbs below), else by a sign.
 """
 
 from __future__ import annotations
@@ -14,52 +18,207 @@ from typing import NamedTuple
 
 from analyzer.catalogue import Role
 from analyzer.sources import written
-from analyzer.sources.marks import WORDS, role_of
+from analyzer.sources.marks import ACTIONS, MATTERS, SIGNS, SPEAKERS, role_of
 
 #: Verbs of people, beside the words of logs.
 _VERBS = {
-    **dict.fromkeys(("ask", "asked", "write", "writing", "type", "typed"), "send"),
-    **dict.fromkeys(("get", "gets", "got", "getting", "see", "returning", "responding", "answering", "back"), "reply"),
-}
-_BYTE = r"(?:0[xX][0-9A-Fa-f]{1,2}|[0-9A-Fa-f]{2})"
+    **dict.fromkeys(("ask", "asked", "asks", "write", "writes", "writing", "type", "typed", "transmits"), "send"),
+    **dict.fromkeys(
+        ("get", "gets", "getting", "see", "sees", "shows", "gives", "output", "return", "returning", "responding",
+         "answering", "back", "comes", "respond"),
+        "reply",
+    ),
+}  # fmt: skip
+_MARKED = r"(?:0[xX][0-9A-Fa-f]{1,2})"
+_PAIR = r"[0-9A-Fa-f]{2}"
+_PAIRS = rf"(?:{_PAIR}){{1,2}}"
+_NOTHING_BEFORE = r"(?<![\w.:/+@#-])"
+_ITEM = r"(?:0[xX])?(?:[0-9A-Fa-f]{1,2}|\d{3})"
+#: Ways to write bytes inside a text; the names of groups tell apart what is checked further.
 _RUN = re.compile(
-    rf"(?<![\w.:/+-]){_BYTE}(?:(?P<gap>, ?|[ :-]){_BYTE})(?:(?P=gap){_BYTE})+(?![\w])"
-    r"|(?<=[`'\"])(?:[0-9A-Fa-f]{2}){3,40}(?=[`'\"])"
-    r"|(?<![\w.:/#-])(?=[0-9A-F]*\d)(?=\d*[A-F])(?:[0-9A-F]{2}){4,40}(?![\w-])"
+    # A string of a program with escapes in it.
+    r"""(?P<string>b?'(?:[^'\\]|\\.)*?\\x[0-9A-Fa-f]{2}(?:[^'\\]|\\.)*'|b?"(?:[^"\\]|\\.)*?\\x[0-9A-Fa-f]{2}(?:[^"\\]|\\.)*")"""
+    r"|(?P<escapes>(?:\\x[0-9A-Fa-f]{2})+)"
+    # Each byte in brackets.
+    rf"|(?P<each>(?:\[{_ITEM}\]\s*){{2,}}|(?:<{_ITEM}>\s*){{2,}})"
+    rf"|(?P<list>[\[({{]\s*-?{_ITEM}(?:\s*,\s*-?{_ITEM})+\s*,?\s*[\])}}])"
+    rf"|(?P<pairs>{_NOTHING_BEFORE}(?:{_MARKED}(?:(?:, ?|[ :-]){_MARKED})+"
+    rf"|{_PAIR}(?:(?: {{1,2}}{_PAIRS})+|(?:[,;] ?{_PAIR})+|(?::{_PAIR})+|(?:-{_PAIR})+|(?:\t{_PAIR})+|(?:\|{_PAIR})+))"
+    r"(?![\w:]))"
+    r"|(?P<quoted>(?<=[`'\"])(?:[0-9A-Fa-f]{2}){3,}(?=[`'\"]))"
+    rf"|(?P<digits>{_NOTHING_BEFORE}(?=[0-9A-Fa-f]*\d)(?=\d*[A-Fa-f])(?:[0-9A-Fa-f]{{2}}){{4,}}(?![\w/-]))"
 )
-_LETTER = re.compile(r"[A-Fa-f]|0[xX]")
+_LETTER = re.compile(r"[A-Fa-f]|0[xX]|\\x")
 _NETWORK_CARD = re.compile(r"(?:[0-9A-Fa-f]{2}[:-]){5}[0-9A-Fa-f]{2}")
-_UNLETTERED = 5
-_WORD = re.compile(r"[^\W\d_]+")
+_TIME = re.compile(r"[0-2]\d:[0-5]\d:[0-5]\d(?::\d+)*")
+_UNLETTERED, _LEAST, _LEAST_DIRECT = 5, 3, 2
+_THREE_DIGITS = 100
+#: Digits that stand for themselves: MD5, SHA-1, SHA-256.
+_HASHES = (32, 40, 64)
+#: A word for bytes before long digits in small letters.
+_BYTES_WORD = re.compile(
+    r"(?:hex|data|bytes?|frame|msg|message|packet|buffer|payload|raw|dump|tx|rx|sent|recv|received)\W*$", re.I
+)
+_WORD = re.compile(r"(?:[^\W\d_]|(?<=\w)['\u2019](?=\w))+")
 _SENTENCE = re.compile(r"[.!?;]\s")
+_SIGN = re.compile(rf"(?:^|(?<=[\s\])|]))({'|'.join(map(re.escape, sorted(SIGNS, key=len, reverse=True)))})[\s:<\[({{'\"]*$")
+_NOT = frozenset(("not", "never", "no", "cannot", "without"))
+_WISHED = re.compile(
+    r"\b(?:instead of|rather than|expect\w*|should|shall|supposed to|must be|correct\w*|ought)\b", re.IGNORECASE
+)
+#: Who answers gives nothing away of what was sent: these take the request as their object.
+_TOWARDS = frozenset(("answer", "answers", "respond", "responds", "reply", "replies", "react", "reacts"))
+#: "To read": what is sent in order to read.
+_PURPOSE = frozenset(("read", "get", "see", "return"))
 
 
 class Quotation(NamedTuple):
-    """Bytes in a sentence. `column` counts from 1."""
+    """Bytes in a text. `column` counts from 1. `left`: why they are no traffic; empty where they are. `end`: behind them."""
 
     column: int
     data: bytes
     role: Role
+    end: int
+    left: str = ""
 
 
 def quotations(line: str) -> list[Quotation]:
     """Return the frames that a line of words speaks of."""
-    found = []
+    return [each for each in mentions(line) if not each.left]
+
+
+def mentions(line: str, libmodbus: bool = False) -> list[Quotation]:
+    """Return the runs of bytes of a line in their order, with those that are left out.
+
+    `libmodbus`: bytes in `[]` were sent, those in `<>` received.
+    """
+    found: list[Quotation] = []
     begin = 0
+    brackets = {"[": Role.REQUEST, "<": Role.REPLY} if libmodbus else {}
     for run in _RUN.finditer(line):
-        text = run[0]
-        data = written.read(text)
-        if data is None or not any(c.isdigit() for c in text) or _NETWORK_CARD.fullmatch(text):
+        data = _data(run)
+        if data is None:
             continue
-        if _LETTER.search(text) is None and len(data.data) < _UNLETTERED:
+        before = line[begin : run.start()]
+        sentence = _SENTENCE.split(before)[-1]
+        sign = _SIGN.search(before)
+        left = _no_frame(run, data, before, sentence, sign is not None)
+        if left is None:
             continue
-        sentence = _SENTENCE.split(line[begin : run.start()])[-1]
         begin = run.end()
-        found.append(Quotation(run.start() + 1, data.data, _who(sentence)))
+        if found and found[-1].data == data and len(before) <= _AGAIN and not found[-1].left:
+            # The same bytes in another way of writing.
+            continue
+        role = told(sentence)
+        if role is Role.UNKNOWN and sign is not None:
+            role = role_of((), sign[1])
+        role = brackets.get(run[0][0], role) if run.lastgroup == "each" else role
+        found.append(Quotation(run.start() + 1, data, role, run.end(), left or _not_sent(sentence, role)))
     return found
 
 
-def _who(before: str) -> Role:
-    words = [_VERBS.get(word, word) for word in _WORD.findall(before.lower())]
-    said = [word for word in words if word in WORDS]
-    return role_of(said[-1:])
+#: Characters between bytes and the same bytes again.
+_AGAIN = 25
+
+
+def _data(run: re.Match[str]) -> bytes | None:
+    """Return the bytes of a run."""
+    text = run[0]
+    kind = run.lastgroup
+    if kind == "string":
+        return _string(text)
+    if kind in ("quoted", "digits"):
+        return bytes.fromhex(text)
+    if kind == "pairs" and "0x" not in text.lower():
+        return bytes.fromhex(re.sub(r"[^0-9A-Fa-f]", "", text))
+    found = written.read(text)
+    return None if found is None else found.data
+
+
+def _string(text: str) -> bytes | None:
+    """Return the bytes of a string as programs print it, its other characters as they stand."""
+    inner = text[text.index(text[-1]) + 1 : -1]
+    try:
+        return _ESCAPE.sub(
+            lambda found: chr(int(found[1], 16)) if found[1] else _ESCAPES.get(found[2], found[2]), inner
+        ).encode("latin-1")
+    except UnicodeEncodeError:
+        return None
+
+
+_ESCAPE = re.compile(r"\\(?:x([0-9A-Fa-f]{2})|(.))")
+_ESCAPES = {"n": "\n", "r": "\r", "t": "\t", "0": "\0", "a": "\a", "b": "\b", "f": "\f", "v": "\v"}
+
+
+def _no_frame(run: re.Match[str], data: bytes, before: str, sentence: str, signed: bool) -> str | None:
+    """Return why a run is no frame; empty where it is one, None where it is no bytes at all."""
+    text, kind = run[0], run.lastgroup
+    lettered = _LETTER.search(text) is not None
+    if kind in ("string", "escapes", "each"):
+        return "" if len(data) >= _LEAST else None
+    if kind == "list":
+        return "" if len(data) > _LEAST and (lettered or any(value >= _THREE_DIGITS for value in data)) else None
+    # Words of two letters are none in capitals.
+    if text != text.upper() and not any(c.isdigit() for c in text):
+        return None
+    if kind == "quoted":
+        return "a hash" if len(text) in _HASHES else ""
+    if kind == "digits":
+        small = text != text.upper()
+        if len(text) in _HASHES and not signed:
+            return "a hash"
+        return "" if not small or signed or _BYTES_WORD.search(before) is not None else None
+    words = _WORD.findall(sentence.lower())
+    direct = signed or (bool(words) and sentence.rstrip(" :='\"`(").lower().endswith(words[-1]) and words[-1] in _SAID)
+    if _NETWORK_CARD.fullmatch(text) and not direct:
+        return "the address of a network card"
+    if _TIME.fullmatch(text):
+        return None
+    # Bytes are printed with their zeros, numbers of people without.
+    if not lettered and not direct and re.search(r"\b0", text) is None:
+        return None
+    least = _LEAST_DIRECT if direct and lettered else _LEAST if lettered or direct else _UNLETTERED
+    return "" if len(data) >= least else None
+
+
+#: Who "wrote" above a quotation wrote a post.
+_SAID = frozenset((*ACTIONS, *MATTERS, *_VERBS)) - {"wrote"}
+
+
+def told(text: str) -> Role:
+    """Return who sent, by the last word of a text that tells, with who does it before it."""
+    words = _WORD.findall(text.lower().replace("\u2019", "'"))
+    at = next((n for n in range(len(words) - 1, -1, -1) if words[n] in _SAID), None)
+    if at is None:
+        speakers = [n for n, word in enumerate(words) if word in SPEAKERS]
+        if not speakers:
+            return Role.UNKNOWN
+        role = role_of((words[speakers[-1]],))
+        return _OTHER[role] if "to" in words[speakers[-1] - 2 : speakers[-1]] else role
+    word = words[at]
+    if at and words[at - 1] == "to" and word in _PURPOSE:
+        return Role.REQUEST
+    if word in _TOWARDS and _denied(words[:at]):
+        return Role.REQUEST
+    if word in _VERBS:
+        return Role.REQUEST if _VERBS[word] == "send" else Role.REPLY
+    speakers_before = [w for w in words[max(0, at - 3) : at] if w in SPEAKERS]
+    return role_of([*speakers_before[-1:], word])
+
+
+_OTHER = {Role.REQUEST: Role.REPLY, Role.REPLY: Role.REQUEST, Role.UNKNOWN: Role.UNKNOWN}
+
+
+def _denied(words: list[str]) -> bool:
+    return any(word in _NOT or word.endswith("n't") for word in words[-4:])
+
+
+def _not_sent(sentence: str, role: Role) -> str:
+    """Return why the bytes that a sentence speaks of did not come; empty where they did."""
+    if role is not Role.REQUEST and _WISHED.search(sentence) is not None:
+        return "what should have come"
+    words = _WORD.findall(sentence.lower().replace("\u2019", "'"))
+    at = next((n for n in range(len(words) - 1, -1, -1) if words[n] in _SAID), None)
+    if at is not None and role is Role.REPLY and _denied(words[:at]):
+        return "what did not come"
+    return ""

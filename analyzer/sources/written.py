@@ -1,8 +1,8 @@
 """Bytes as people and tools write them: one table of ways, and what tells hexadecimal from decimal.
 
-    FA 01 F6   fa01f6   FA:01:F6   FA-01-F6   0xFA, 0x1, 0xF6   {0xFA, 0x01}   FAh 01h   $FA $01   FA 1 F6
+    FA 01 F6   fa01f6   FA:01:F6   FA-01-F6   0xFA, 0x1, 0xF6   {0xFA, 0x01}   FAh 01h   $FA $01   16#FA &HFA   FA 1 F6
     <FA><01><F6>   [fa][01][f6]   {FA}{01}{F6}   'fa', '01', 'f6'   <Buffer fa 01 f6>   bytes([0xFA, 1, 0xF6])
-    b'\\xfa\\x01'   "\\xfa\\x01%"   "\\372\\1"   250 1 246   [250, 1, 246]   -6 1 -10   (-6 is FA)
+    b'\\xfa\\x01'   "\\xfa\\x01%"   "\\372\\1"   250 1 246   [250, 1, 246]   -6 1 -10   (-6 is FA)   250-1-246
 
 Rules: two digits a byte are hexadecimal. Numbers are decimal only where one of them cannot be a byte in hexadecimal: it has
 three digits or a sign. Single digits without a letter among them (`1 4 0 30`) can be either; the whole text decides.
@@ -45,9 +45,11 @@ _HEX_LETTER = re.compile(r"[A-Fa-f]")
 _DAYTIME = re.compile(r"[0-2]?\d:[0-5]\d:[0-5]\d")
 _NUMBER = re.compile(r"-?\d{1,3}")
 _ESCAPE = re.compile(r"\\(?:x[0-9A-Fa-f]{2}|[0-7])")
+#: `10-15-0-204`, as modbus_tk prints it: no signs.
+_DASHED = re.compile(r"\d{1,3}(?:-\d{1,3})+")
 _QUOTES = str.maketrans("", "", "'\"")
 #: Digits alone, as they stand in a decimal text.
-_DIGITS = re.compile(r"-?\d{1,3}(?:[\s,;]+-?\d{1,3})*[\s,;]*")
+_DIGITS = re.compile(r"-?\d{1,3}(?:[\s,;]+-?\d{1,3})*[\s,;]*|\d{1,3}(?:-\d{1,3})+")
 
 
 def _bare(text: str) -> Written | None:
@@ -60,7 +62,7 @@ def _bare(text: str) -> Written | None:
 
 
 def _marked(text: str) -> Written:
-    return Written(bytes(int(token, 16) for token in _TOKEN.findall(re.sub(r"0[xX]|\\[xX]|[$hH]", " ", text))))
+    return Written(bytes(int(token, 16) for token in _TOKEN.findall(re.sub(r"0[xX]|\\[xX]|16#|&[hH]|[$hH]", " ", text))))
 
 
 def _each(text: str) -> Written | None:
@@ -91,7 +93,7 @@ def decimal(text: str) -> bytes | None:
     text = _unwrapped(text.strip())
     if _DIGITS.fullmatch(text) is None:
         return None
-    values = [int(token) for token in _NUMBER.findall(text)]
+    values = [int(token) for token in (text.split("-") if _DASHED.fullmatch(text) else _NUMBER.findall(text))]
     return bytes(value & 0xFF for value in values) if all(-128 <= value <= 255 for value in values) else None
 
 
@@ -102,7 +104,7 @@ def _decimal(text: str) -> Written | None:
 
 #: What bytes begin with, however they are written: most words do not.
 _BEGIN = re.compile(
-    r"[\[{(<\"'\\$-]|[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])|0[xX]|\d{3}|[0-9A-Fa-f]{4}|[0-9A-Fa-f]{2}[hH]|b['\"]|byte|list|new|Buffer"
+    r"[\[{(<\"'\\$&-]|16#|[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])|0[xX]|\d{3}|[0-9A-Fa-f]{4}|[0-9A-Fa-f]{2}[hH]|b['\"]|byte|list|new|Buffer"
 )
 _GAP = r"(?:\s*[,;|_-]\s*|\s+|:)"
 #: Ways to write bytes, the first that fits wins. Plain pairs of digits are read before these.
@@ -113,12 +115,13 @@ _WAYS: tuple[tuple[re.Pattern[str], Callable[[str], Written | None]], ...] = tup
         (r"'(?:[^'\\]|\\.)*+'", _escaped),
         (r'"(?:[^"\\]|\\.)*+"', _escaped),
         (r"(?:(['\"])(?:0[xX])?[0-9A-Fa-f]{1,2}\1[\s,;]*){2,}", _quoted),
-        (r"(?:[\[<{(]\s*(?:0[xX])?[0-9A-Fa-f]{1,2}\s*[\]>})]\s*){2,}", _each),
+        (r"(?:[\[<{(]\s*(?:(?:0[xX])?[0-9A-Fa-f]{1,2}|\d{3})\s*[\]>})]\s*){2,}", _each),
         (rf"[0-9A-Fa-f]{{1,2}}(?:{_GAP}[0-9A-Fa-f]{{1,2}})*[\s,;:|_-]*", _bare),
-        (r"(?:(?:0[xX]|\\[xX]|\$)[0-9A-Fa-f]{1,2}[\s,;:|-]*)+", _marked),
+        (r"(?:(?:0[xX]|\\[xX]|\$|16#|&[hH])[0-9A-Fa-f]{1,2}[\s,;:|-]*)+", _marked),
         (r"(?:[0-9A-Fa-f]{2}[hH][\s,;]*)+", _marked),
         (r"0[xX](?:[0-9A-Fa-f]{2})+", lambda text: Written(bytes.fromhex(text[2:]))),
         (r"(?=.*(?:\d{3}|-\d))-?\d{1,3}(?:[\s,;]+-?\d{1,3})+[\s,;]*", _decimal),
+        (r"(?=.*\d{3})\d{1,3}(?:-\d{1,3})+", _decimal),
     )
 )
 

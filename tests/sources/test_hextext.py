@@ -337,7 +337,7 @@ AS_TYPED = [
     ("0:00:01\tW\tFA 01 32 2D\n0:00:02\tR\tFB 01 32 01 40 6F\n", [1, 2], (REQUEST, REPLY)),
     # Words behind the bytes; a list over several lines.
     ("send: 0xfa 0x1 0x32 0x2d\nrecv: 0xfb 0x1 0x32 0x1 0x40 0x6f extra data: \n", [None, None], (REQUEST, REPLY)),
-    ("uint8_t run[] = { 0xFA, 0x01,\n   0x32, 0x2D };\n", [None, None], (U, U)),
+    ("uint8_t run[] = { 0xFA, 0x01,\n   0x32, 0x2D };\n", [None], (U,)),
 ]
 
 
