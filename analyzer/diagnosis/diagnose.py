@@ -7,7 +7,21 @@ from dataclasses import dataclass
 from typing import Any
 
 from analyzer.catalogue import Dialect
-from analyzer.diagnosis import can_bus, checks, host, line, pace, quirks, requests, silence, spoiled, values, wrapped
+from analyzer.diagnosis import (
+    can_bus,
+    checks,
+    echo,
+    host,
+    line,
+    pace,
+    quirks,
+    requests,
+    senders,
+    silence,
+    spoiled,
+    values,
+    wrapped,
+)
 from analyzer.diagnosis.ranking import Ranked, ranked
 from analyzer.diagnosis.scene import Scene, Suspicion
 from analyzer.diagnosis.watch import Watch
@@ -20,12 +34,14 @@ HYPOTHESES: tuple[Callable[[Scene], Iterator[Suspicion]], ...] = (
     requests.look,
     spoiled.look,
     values.look,
+    echo.look,
     host.look,
     pace.look,
     silence.look,
     quirks.look,
     can_bus.look,
     line.look,
+    senders.look,
 )
 
 

@@ -62,6 +62,11 @@ class Awaited(NamedTuple):
         stop = at + self.size
         return stop <= len(data) and data.startswith(self.head, at) and self.link.fits(data[at:stop])
 
+    def begins(self, data: bytes) -> bool:
+        """Say whether bytes can be its beginning."""
+        size = min(len(data), len(self.head))
+        return len(data) <= self.size and data[:size] == self.head[:size]
+
 
 class Placed(NamedTuple):
     """A sound reply among all that was received. `read`: the turn in which it begins; `shift`: bytes before it in this turn;
@@ -93,6 +98,11 @@ def awaited(message: Message) -> list[Awaited]:
         whole = dialect.link.build(command, form, message.address, bytes(form.layout.byte_length), Role.REPLY)
         found.append(Awaited(whole[: dialect.link.parse(whole).start], len(whole), dialect.link))
     return found
+
+
+def replies_to(piece: Piece | None) -> list[Awaited]:
+    """Return the replies that a piece can have, if it is a request."""
+    return [] if piece is None or piece.message is None else awaited(piece.message)
 
 
 @lru_cache(maxsize=1)

@@ -14,22 +14,6 @@ from analyzer.values import counted
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the host."""
     yield from _cut(scene)
-    yield from _echo(scene)
-
-
-def _echo(scene: Scene) -> Iterator[Suspicion]:
-    echoes = scene.of("host_echo")
-    if not scene.often(len(echoes), Role.REQUEST):
-        return
-    first = echoes[0]
-    data = "" if first.piece is None else shown(first.piece.data)
-    yield Suspicion(
-        "echo", Confidence.CERTAIN if len(echoes) > 1 else Confidence.LIKELY, echoes,
-        "What the host receives begins with what it has sent: its own bytes come back.",
-        f"the request {data} comes once more, at byte {first.offset}; {counted(len(echoes), 'time')}",
-        "Switch the receiver off while sending (tie RE to DE), or drop as many bytes as were sent before reading the reply",
-        tuple(Shown(e.offset, shown(e.piece.data)) for e in echoes if e.piece is not None),
-    )  # fmt: skip
 
 
 def _cut(scene: Scene) -> Iterator[Suspicion]:

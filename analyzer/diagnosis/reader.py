@@ -9,7 +9,7 @@ from typing import NamedTuple
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect, Role
 from analyzer.decoder import Decoder
-from analyzer.link import Slicer
+from analyzer.link import MORE, READS, Slicer
 from analyzer.records import CanFrame, Frame, Message
 
 
@@ -55,6 +55,30 @@ class Reader:
             if fits:
                 yield self._read(dialect, data, can_id, role)
 
+    def begins(self, data: bytes, most: int) -> bool:
+        """Say whether bytes can be a frame of so many bytes at most, or its beginning, as far as heads and lengths tell."""
+        return any(
+            data[0] in slicer.heads and any(size in (MORE, len(data)) for size in slicer.damaged(data, 0, len(data)))
+            for slicer in self._slicers.values()
+            if not slicer.strong_check or _short(data, most)
+        )
+
+    def within(self, data: bytes, role: Role = Role.UNKNOWN) -> Iterator[tuple[int, Reading]]:
+        """Yield the frames that stand in bytes, each with its place, from left to right."""
+        at = 0
+        while at + _SHORTEST <= len(data):
+            stops = {
+                at + size
+                for slicer in self._slicers.values()
+                if data[at] in slicer.heads
+                for size in slicer.lengths(data, at, len(data))
+                if size >= _SHORTEST
+            }
+            found = next((r for stop in sorted(stops, reverse=True) if (r := self.best(data[at:stop], role=role))), None)
+            if found is not None:
+                yield at, found
+            at += len(found.message.frame.data) if found is not None else 1
+
     def closed(self, data: bytes) -> bool:
         """Say whether bytes are a frame of the catalogue that lacks its check."""
         return any(reading.listed for d in self.dialects if len(data) > 2 for reading in self.readings(d.link.completed(data)))
@@ -77,3 +101,15 @@ class Reader:
             if slicer is not None and slicer.strong_check:
                 found = found or reading
         return found
+
+
+def _short(data: bytes, most: int) -> bool:
+    """Say whether a frame of Modbus can be so short: a reply tells its length, and a request asks for little."""
+    if len(data) < 3 or data[1] not in READS or 5 + data[2] <= most:
+        return True
+    return len(data) < 5 or (data[4] == 0 and len(data) <= _MODBUS_REQUEST)
+
+
+_MODBUS_REQUEST = 8
+#: No frame is shorter.
+_SHORTEST = 4

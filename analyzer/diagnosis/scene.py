@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -81,7 +82,7 @@ class Read:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretch:
-    """Damaged bytes in a row, up to sound frames or the limits of a read.
+    """Bytes in a row within the limits of a read; those of a trouble are damaged, and end at sound frames too.
 
     `opens`, `ends`: it begins or ends where a read does; so what stands there is all that was sent.
     """
@@ -194,8 +195,6 @@ class Scene:
 
     def direction(self, offset: int) -> Role:
         """Return who sent the byte at an offset, as the capture says."""
-        from bisect import bisect_right
-
         at = bisect_right(self._starts, offset) - 1
         read = self.reads[at] if at >= 0 else None
         return read.direction if read is not None and offset < read.stop else Role.UNKNOWN
@@ -209,13 +208,33 @@ class Scene:
         """All damaged bytes."""
         return tuple(self._stretches())
 
+    @cached_property
+    def requests(self) -> list[Piece]:
+        """All sound requests."""
+        return [piece for piece in self.pieces if piece.is_request and piece.sound]
+
+    def asked_before(self, offset: int) -> Piece | None:
+        """Return the last sound request before a place on the bus."""
+        at = bisect_left(self.requests, offset, key=lambda piece: piece.offset)
+        return self.requests[at - 1] if at else None
+
+    @cached_property
+    def bursts(self) -> tuple[Stretch, ...]:
+        """All bytes, damaged or not, between the limits of what was sent at once."""
+        return tuple(self._runs(lambda piece: False))
+
     def _stretches(self) -> Iterator[Stretch]:
+        yield from self._runs(lambda piece: piece.sound)
+
+    def _runs(self, left_out: Callable[[Piece], bool]) -> Iterator[Stretch]:
+        """Yield pieces in a row, between those that are left out and the limits of reads."""
         run: list[Piece] = []
         for piece in self.pieces:
-            if run and (piece.offset != run[-1].stop or piece.offset in self.limits or piece.can is not None or piece.sound):
+            out = left_out(piece)
+            if run and (piece.offset != run[-1].stop or piece.offset in self.limits or piece.can is not None or out):
                 yield from self._cut(run)
                 run = []
-            if not piece.sound:
+            if not out:
                 run.append(piece)
         if run:
             yield from self._cut(run)

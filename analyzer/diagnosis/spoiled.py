@@ -3,52 +3,87 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import NamedTuple
 
 from analyzer.catalogue import Role
-from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown
+from analyzer.diagnosis.exchanges import replies_to
+from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.framer import GLITCHES
 from analyzer.values import counted
 
-#: Bytes of one glitch.
-_GLITCH_BYTES = 3
+#: Bytes of one glitch: of those that a pulse makes, and of any others, where a frame stands in the same read.
+_GLITCH_BYTES = 8
+_STRAY_BYTES = 3
 #: Bytes that a receiver misses while it wakes up.
 _LOST_BYTES = 3
+#: Bytes that a reply must show before it is one that only lacks its end.
+_LEAST_OF_REPLY = 5
+#: A sender's frames of which one with a glitch is no chance.
+_OFTEN = 10
+
+
+class _Edge(NamedTuple):
+    """A glitch or a missing start: `stray` what is too much (empty: missing), and the whole frame."""
+
+    trouble: Trouble
+    stray: bytes
+    frame: bytes
+    role: Role
+
+
+class _Part(NamedTuple):
+    """Bytes of a burst: a frame, or those between frames."""
+
+    data: bytes
+    role: Role
+    trouble: Trouble | None
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the edges of frames."""
-    leading: list[tuple[Trouble, bytes, Role]] = []
-    trailing: list[tuple[Trouble, bytes, Role]] = []
-    lost: list[tuple[Trouble, bytes, Role]] = []
+    leading: list[_Edge] = []
+    trailing: list[_Edge] = []
+    lost: list[_Edge] = []
     heads = _heads(scene)
-    before = {p.stop: p for p in scene.pieces if p.sound and p.can is None}
-    behind = {p.offset: p for p in scene.pieces if p.sound and p.can is None}
+    parts = _parts(scene)
     for trouble in scene.damaged:
         stretch = trouble.stretch
         if stretch is None or stretch.can_id is not None:
             continue
         found = _with_start(scene, stretch, heads)
         if found is not None:
-            lost.append((trouble, *found))
-        elif (edge := _glitch(scene, stretch, before, behind)) is not None:
-            (leading if edge[0] else trailing).append((trouble, *edge[1:]))
-    if scene.often(len(lost), lost[0][2] if lost else Role.REPLY):
+            lost.append(_Edge(trouble, b"", *found))
+    missing = {edge.trouble for edge in lost}
+    for number, part in enumerate(parts):
+        if part.trouble is None or part.trouble in missing:
+            continue
+        before = parts[number - 1] if number else None
+        behind = parts[number + 1] if number + 1 < len(parts) else None
+        if (edge := _glitch(scene, part, before, behind)) is not None:
+            (leading if edge[0] else trailing).append(edge[1])
+    if lost and scene.often(len(lost), lost[0].role):
         yield _said(
             "lost_start", lost, "The first bytes of {} are missing.",
-            "{} becomes the whole frame {} with its first bytes back",
+            f"{shown(_stretch(lost[0]).data)} becomes the whole frame {shown(lost[0].frame)} with its first bytes back",
             "Receive before the drive answers: switch the RS485 driver round as soon as the last stop bit is out, and "
             "do not clear the input after sending",
         )  # fmt: skip
-    if scene.often(len(leading), Role.REPLY):
+    frames = sum(piece.sound for piece in scene.pieces)
+    if leading and len(leading) * _OFTEN >= frames:
         yield _said(
-            "leading_glitch", leading, "Stray bytes stand before {}.", "{} stands before the whole frame {}",
+            "leading_glitch", leading, "Stray bytes stand before {}.",
+            f"{shown(leading[0].stray)} stands before the whole frame {shown(leading[0].frame)}",
             "Bias the line (A up, B down, 120 Ohm at both ends), and drop bytes before a head; the frame itself is whole",
         )  # fmt: skip
-    if scene.often(len(trailing), Role.REPLY):
+    if trailing and len(trailing) * _OFTEN >= frames:
         yield _said(
-            "trailing_glitch", trailing, "Stray bytes stand behind {}.", "{} stands behind the whole frame {}",
+            "trailing_glitch", trailing, "Stray bytes stand behind {}.",
+            f"{shown(trailing[0].stray)} stands behind the whole frame {shown(trailing[0].frame)}",
             "Release the driver only after the last stop bit and bias the line; take as many bytes as the frame has",
         )  # fmt: skip
+
+
+# --- a start that is missing --------------------------------------------------------------------------------------------
 
 
 def _heads(scene: Scene) -> tuple[bytes, ...]:
@@ -59,21 +94,12 @@ def _heads(scene: Scene) -> tuple[bytes, ...]:
             for size in range(1, _LOST_BYTES):
                 found[piece.data[:size]] = None
                 # What a request asks for tells how its reply begins.
-                if piece.is_request and (head := _reply_head(piece)):
-                    found[head[:size]] = None
+                for reply in replies_to(piece) if piece.is_request else ():
+                    found[reply.head[:size]] = None
     for dialect in scene.reader.dialects:
         for first in dialect.link.first_bytes:
             found[bytes((first,))] = None
     return tuple(found)
-
-
-def _reply_head(piece: Piece) -> bytes:
-    message = piece.message
-    if message is None or message.command is None or not message.command.reply_forms or message.command.code < 0:
-        return b""
-    form = message.command.reply_forms[0]
-    data = bytes(form.layout.byte_length)
-    return message.frame.dialect.link.build(message.command, form, message.address, data, Role.REPLY)
 
 
 def _with_start(scene: Scene, stretch: Stretch, heads: Iterable[bytes]) -> tuple[bytes, Role] | None:
@@ -88,41 +114,86 @@ def _with_start(scene: Scene, stretch: Stretch, heads: Iterable[bytes]) -> tuple
     return None
 
 
-def _glitch(
-    scene: Scene, stretch: Stretch, before: dict[int, Piece], behind: dict[int, Piece]
-) -> tuple[bool, bytes, Role] | None:
-    """Return whether bytes before a frame are a glitch (or behind it), the frame, and who sent it."""
-    data = stretch.data
-    if len(data) <= _GLITCH_BYTES and GLITCHES.issuperset(data):
-        after, earlier = behind.get(stretch.stop), before.get(stretch.offset)
-        # In one read with it, or where nothing else is known the next frame.
-        if after is not None and after.message is not None and not stretch.ends:
-            return True, after.data, after.message.role
-        if earlier is not None and earlier.message is not None and not stretch.opens:
-            return False, earlier.data, earlier.message.role
+# --- glitches -----------------------------------------------------------------------------------------------------------
+
+
+def _parts(scene: Scene) -> list[_Part]:
+    """Return the bytes in their order: frames, also those within damaged bytes, and what stands between them."""
+    damaged = {t.stretch.offset: t for t in scene.damaged if t.stretch is not None and t.stretch.can_id is None}
+    found: list[tuple[int, _Part]] = [
+        (piece.offset, _Part(piece.data, piece.message.role, None))
+        for piece in scene.pieces
+        if piece.sound and piece.message is not None and piece.can is None
+    ]
+    if not found and not damaged:
+        return []
+    for offset, trouble in damaged.items():
+        assert trouble.stretch is not None  # chosen so
+        data, at = trouble.stretch.data, 0
+        for start, reading in scene.reader.within(data, trouble.stretch.direction):
+            if start > at:
+                found.append((offset + at, _Part(data[at:start], Role.UNKNOWN, trouble)))
+            frame = reading.message.frame.data
+            found.append((offset + start, _Part(frame, reading.message.role, None)))
+            at = start + len(frame)
+        if at < len(data):
+            found.append((offset + at, _Part(data[at:], Role.UNKNOWN, trouble)))
+    return [part for _, part in sorted(found, key=lambda each: each[0])]
+
+
+def _glitch(scene: Scene, part: _Part, before: _Part | None, behind: _Part | None) -> tuple[bool, _Edge] | None:
+    """Return whether bytes stand before a frame (or behind it), and the glitch."""
+    trouble, data = part.trouble, part.data
+    assert trouble is not None  # asked of damaged bytes
+    stretch = trouble.stretch
+    assert stretch is not None  # damaged bytes
+    pulse = GLITCHES.issuperset(data)
+    if (cut := _cut(scene, trouble, stretch)) is not None and data == stretch.data:
+        return True, cut
+    if len(data) > (_GLITCH_BYTES if pulse else _STRAY_BYTES):
         return None
-    for size in range(1, min(_GLITCH_BYTES + 1, len(data) - 3)):
-        for is_leading, frame, cut in ((True, data[size:], data[:size]), (False, data[:-size], data[-size:])):
-            if not GLITCHES.issuperset(cut):
-                continue
-            reading = scene.reader.best(frame, role=stretch.direction)
-            if reading is not None:
-                return is_leading, frame, reading.message.role
+    whole_burst = stretch.opens and stretch.ends and data == stretch.data
+    if not pulse and whole_burst:
+        return None
+    opens = stretch.opens and stretch.data.startswith(data)
+    ends = stretch.ends and stretch.data.endswith(data)
+    after = behind if behind is not None and behind.trouble is None and (whole_burst or not ends) else None
+    earlier = before if before is not None and before.trouble is None and (whole_burst or not opens) else None
+    if after is not None and earlier is not None:
+        # Between a request and its reply the line was switched round; behind a reply the driver was switched off.
+        is_leading = earlier.role is not Role.REPLY
+        return is_leading, _Edge(trouble, data, *(after if is_leading else earlier)[:2])
+    if after is not None:
+        return True, _Edge(trouble, data, *after[:2])
+    return (False, _Edge(trouble, data, *earlier[:2])) if earlier is not None else None
+
+
+def _cut(scene: Scene, trouble: Trouble, stretch: Stretch) -> _Edge | None:
+    """Return a glitch before a reply that lacks as many bytes at its end: the host reads as many as the reply has."""
+    asked = scene.asked_before(stretch.offset) if stretch.ends else None
+    for reply in replies_to(asked):
+        for size in range(1, min(_GLITCH_BYTES, len(stretch.data) - _LEAST_OF_REPLY) + 1):
+            rest = stretch.data[size:]
+            pulse = GLITCHES.issuperset(stretch.data[:size])
+            if pulse and rest.startswith(reply.head) and reply.size - size <= len(rest) < reply.size:
+                return _Edge(trouble, stretch.data[:size], rest, Role.REPLY)
     return None
 
 
-def _said(cause: str, found: list[tuple[Trouble, bytes, Role]], say: str, evidence: str, todo: str) -> Suspicion:
-    first, frame, _ = found[0]
-    roles = {role for _, _, role in found}
+def _stretch(edge: _Edge) -> Stretch:
+    assert edge.trouble.stretch is not None  # found in damaged bytes
+    return edge.trouble.stretch
+
+
+def _said(cause: str, found: list[_Edge], say: str, evidence: str, todo: str) -> Suspicion:
+    roles = {edge.role for edge in found}
     whose = "replies" if roles == {Role.REPLY} else "requests" if roles == {Role.REQUEST} else "frames"
-    assert first.stretch is not None  # found in damaged bytes
-    text = evidence.format(shown(first.stretch.data), shown(frame))
     return Suspicion(
         cause,
         Confidence.CERTAIN if len(found) > 1 else Confidence.LIKELY,
-        [trouble for trouble, _, _ in found],
+        list(dict.fromkeys(edge.trouble for edge in found)),
         say.format(whose),
-        f"{text}, at byte {first.offset}; {counted(len(found), 'time')}",
+        f"{evidence}, at byte {found[0].trouble.offset}; {counted(len(found), 'time')}",
         todo,
-        tuple(Shown(t.offset, shown(t.stretch.data), shown(whole)) for t, whole, _ in found if t.stretch is not None),
+        tuple(Shown(e.trouble.offset, shown(_stretch(e).data), shown(e.frame)) for e in found),
     )

@@ -354,7 +354,7 @@ def test_clean_traffic_is_not_accused(name):
 
 
 @pytest.mark.parametrize("name", ["mks-rs485", "mks-modbus", "lk-rs485"])
-def test_noise_alone_is_no_cause(name):
+def test_noise_is_no_other_cause(name):
     for seed in range(10):
         chance = random.Random(seed)
         items = []
@@ -363,7 +363,7 @@ def test_noise_alone_is_no_cause(name):
             if chance.random() < 0.03:
                 data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
             items.append(Chunk(item.t_ns, item.port, bytes(data)))
-        assert not diagnosed(items).causes
+        assert {each.suspicion.cause for each in diagnosed(items).causes} <= {"noise"}
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "captures").glob("*.log")), ids=lambda p: p.name)

@@ -1,0 +1,174 @@
+"""What a receiver reads of the levels on a line when it is set up otherwise than the sender, and the way back.
+
+    sender      0 dddddddd 1 0 dddddddd 1     ten cells a byte, without pauses, high when idle
+    receiver        0 dddddddd 1 1 1 0 dddd   an edge begins a byte wherever it comes, each bit is sampled in its middle
+
+The way back: the bytes that were read say which cells were high, all but a few (stop bits, parities, what an edge skips). Cells
+are set one after the other, both ways where nothing says which, and a way ends as soon as the receiver would read otherwise.
+What is left are very few rows of cells, and fewer whose bytes are a frame with the right check.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from math import ceil
+from typing import NamedTuple
+
+#: Cells that a byte has: start, eight bits, stop.
+CELLS = 10
+#: Cells that are set in one search, before it is given up.
+_MOST_STEPS = 12_000
+#: Steps after which what was found is good enough.
+_STEPS = 1500
+
+
+class Line(NamedTuple):
+    """A receiver against a sender of 8N1.
+
+    `ratio`: the sender's speed over its own. `parity`: it takes one bit more for a parity. `missed`: it listens only from
+    this cell on, and a low level then looks like a start bit. `late`: how far behind the middle it samples, in cells.
+    """
+
+    ratio: float = 1.0
+    inverted: bool = False
+    parity: int = 0
+    missed: int = 0
+    late: float = 0.0
+
+
+#: A receiver that is set up as the sender.
+AS_SENT = Line()
+_TURNED = str.maketrans("01", "10")
+
+
+class _Ear(NamedTuple):
+    """A receiver on its way: `edge` -1 where it waits for one from `at` on; else `bit` is the next that it samples."""
+
+    edge: int
+    at: float
+    bit: int
+    read: int
+
+
+def _listen(line: Line, cells: list[int], ear: _Ear, wanted: bytes) -> _Ear | None:
+    """Return the receiver after the cells so far; None where it has read something else than `wanted`."""
+    edge, at, bit, read = ear
+    high = 0 if line.inverted else 1
+    while True:
+        if edge < 0:
+            place = max(ceil(at), 1)
+            while place < len(cells) and not (
+                cells[place] != high and (cells[place - 1] == high or (place == line.missed and read == 0))
+            ):
+                place += 1
+            if place >= len(cells):
+                return _Ear(-1, place, 0, read)
+            edge, bit = place, 0
+        place = int(edge + (bit + 0.5) * line.ratio + line.late)
+        if place >= len(cells):
+            return _Ear(edge, at, bit, read)
+        seen = cells[place] == high
+        if bit == 0:
+            if seen:
+                edge, at = -1, edge + 1
+                continue
+            if read == len(wanted):
+                return None
+        elif seen != bool(wanted[read] >> (bit - 1) & 1):
+            return None
+        bit += 1
+        if bit == 9:
+            at = edge + (8 + line.parity + 1.5) * line.ratio
+            edge, read = -1, read + 1
+
+
+def levels(data: bytes, line: Line = AS_SENT, gap: int = 0) -> str:
+    """Return the levels of bytes as a receiver sees them, a character a cell, behind an idle line.
+
+    `gap`: idle cells between bytes.
+    """
+    cells = "1" + "".join("0" + f"{byte:08b}"[::-1] + "1" + "1" * gap for byte in data)
+    seen = "1" * (1 + line.missed) + cells[1 + line.missed :]
+    return seen.translate(_TURNED) if line.inverted else seen
+
+
+def read(seen: str, line: Line, late: tuple[float, float] = (0.0, 0.0), heads: bytes = b"") -> bytes:
+    """Return what a receiver reads of levels; behind them the line is idle.
+
+    `late`: how far behind the middle of start bits, and of others, it samples, in cells. `heads`: nothing that begins
+    otherwise is looked for.
+    """
+    ratio, last = line.ratio, len(seen)
+    idle = seen + ("0" if line.inverted else "1") * (int(10 * ratio) + 2)
+    found = bytearray()
+    places = [(bit + 1.5) * ratio + late[1] for bit in range(8)]
+    middle = ratio / 2 + late[0]
+    at = 1.0
+    while (edge := seen.find("10", ceil(at) - 1, last) + 1) > 0:
+        if idle[int(edge + middle)] == "1":
+            # Too short for a start bit.
+            at = edge + 1
+            continue
+        byte = 0
+        for bit, place in enumerate(places):
+            if idle[int(edge + place)] == "1":
+                byte |= 1 << bit
+        if not found and heads and byte not in heads:
+            return b""
+        found.append(byte)
+        at = edge + (8 + line.parity + 1.5) * ratio
+    return bytes(found)
+
+
+def unread(
+    heard: bytes, line: Line, begins: Callable[[bytes], bool], whole: Callable[[bytes], bool]
+) -> tuple[bytes, int] | None:
+    """Return the frame that was sent where a receiver reads `heard` or its beginning, and how many bytes of it were read.
+
+    `begins`: whether bytes can begin a frame. Of several the one that takes most of what was read.
+    """
+    best: tuple[bytes, int] | None = None
+    for sent, taken, steps in _ways(heard, line, begins):
+        if best is not None and steps > _STEPS:
+            break
+        if (best is None or taken > best[1]) and sent != heard[:taken] and whole(sent):
+            best = sent, taken
+            if taken == len(heard):
+                break
+    return best
+
+
+def _ways(heard: bytes, line: Line, begins: Callable[[bytes], bool]) -> Iterator[tuple[bytes, int, int]]:
+    """Yield each row of whole bytes that is read as `heard` or its beginning, how much of it, and the steps so far."""
+    # Cell 0 is the idle line before the frame; a receiver that wakes up late misses what comes before.
+    idle = [1] * (int(12 * line.ratio) + 2)
+    waiting = [([1], _Ear(-1, 1 + line.missed if line.missed else 1, 0, 0))]
+    line = line._replace(missed=line.missed + 1 if line.missed else 0)
+    steps = 0
+    while waiting:
+        cells, ear = waiting.pop()
+        steps += 1
+        if steps > _MOST_STEPS:
+            return
+        sent, place = divmod(len(cells) - 1, CELLS)
+        if place == 0 and sent:
+            data = _bytes(cells)
+            if sent > 1 and not begins(data):
+                continue
+            if sent > 3 and ear.read:
+                rest = _listen(line, cells + idle, ear, heard)
+                if rest is not None and rest.edge < 0:
+                    yield data, rest.read, steps
+        choice = (0,) if place == 0 else (1,) if place == CELLS - 1 else (0, 1)
+        # What brings the next edge soonest is tried first: that is the last in the list.
+        if ear.edge < 0 and (cells[-1] == 1) is line.inverted:
+            choice = choice[::-1]
+        for cell in choice:
+            grown = [*cells, cell]
+            after = _listen(line, grown, ear, heard)
+            if after is not None:
+                waiting.append((grown, after))
+
+
+def _bytes(cells: list[int]) -> bytes:
+    return bytes(sum(cells[at + 1 + bit] << bit for bit in range(8)) for at in range(1, len(cells) - CELLS + 1, CELLS))

@@ -1,0 +1,219 @@
+"""Who spoils what: two senders at once, a second host, two drives of one address, or noise that comes anywhere.
+
+An exchange is a request with what came back. Where the damage falls tells the cause: on the replies of one address alone; on
+what comes while the host has sent again; on starts whose ends are right; on anything. That a second host is there shows by its
+requests: they are among what the host receives.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from difflib import SequenceMatcher
+from itertools import takewhile
+from typing import NamedTuple
+
+from analyzer.catalogue import Role
+from analyzer.diagnosis.exchanges import replies_to
+from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown
+from analyzer.values import counted
+
+#: Damaged replies of one address, and good exchanges of others, that are no chance; the share of its replies.
+_REPLIES, _OTHERS, _SHARE = 2, 2, 0.3
+#: Damaged replies with sound heads that speak for two drives where no other address is on the bus.
+_HEADS, _MOST_OF = 5, 0.5
+#: Bytes at the end of a reply that are right where its start was spoiled.
+_TAIL, _LENGTHS = 4, 2
+#: Damaged stretches that make noise likely, and how alike they must be to a frame of the bus.
+_NOISE, _ALIKE, _MOST_ALIKE = 3, 0.6, 200
+#: Of so many frames on the bus one must be damaged.
+_RARE = 200
+
+
+class _Spoiled(NamedTuple):
+    """Damaged bytes. `asked`: the request right before them, whose reply they should be."""
+
+    trouble: Trouble
+    stretch: Stretch
+    asked: Piece | None
+
+
+def look(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect the senders."""
+    spoiled = [
+        _Spoiled(t, t.stretch, _asked(scene, t.stretch))
+        for t in scene.damaged
+        if t.stretch is not None and t.stretch.can_id is None
+    ]
+    found = list(_two_masters(scene, spoiled))
+    spoiled = [each for each in spoiled if each.trouble not in scene.explained]
+    if not found and spoiled:
+        found = [*_two_drives(scene, spoiled), *_too_early(scene, spoiled), *_late_driver(scene, spoiled)]
+    yield from found or _noise(scene, spoiled)
+
+
+def _asked(scene: Scene, stretch: Stretch) -> Piece | None:
+    """Return the request that damaged bytes follow, with nothing between."""
+    asked = scene.asked_before(stretch.offset)
+    return asked if asked is not None and asked.stop == stretch.offset and stretch.direction is not Role.REQUEST else None
+
+
+def _of(spoiled: Sequence[_Spoiled]) -> tuple[list[Trouble], tuple[Shown, ...]]:
+    return [s.trouble for s in spoiled], tuple(Shown(s.stretch.offset, shown(s.stretch.data)) for s in spoiled)
+
+
+def _sure(count: int) -> Confidence:
+    return Confidence.CERTAIN if count > 2 else Confidence.LIKELY
+
+
+def _two_masters(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
+    """Suspect a second host: requests among what the host receives, which it has not sent."""
+    own, others = [], []
+    for piece in scene.requests:
+        direction = scene.direction(piece.offset)
+        if direction is Role.REQUEST:
+            own.append(piece.data)
+        elif direction is Role.REPLY and piece.data not in own[-2:]:
+            others.append(piece)
+    # One that the host sends too may have gone astray.
+    if not own or not others or (len(others) == 1 and others[0].data in own):
+        return
+    first = others[0]
+    damage = [s for s in spoiled if s.stretch.direction is Role.REPLY]
+    troubles, frames = _of(damage)
+    yield Suspicion(
+        "two_masters", _sure(len(others) + 1), troubles,
+        "A second host is on the bus: the host receives requests that it has not sent.",
+        f"{shown(first.data)}, received at byte {first.offset}; {counted(len(others), 'time')}"
+        + (f"; of what it received {counted(len(damage), 'frame')} came damaged" if damage else ""),
+        "Let one host speak alone: disconnect the other, or have it ask through the first",
+        (*(Shown(p.offset, shown(p.data)) for p in others), *frames),
+    )  # fmt: skip
+
+
+def _two_drives(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
+    """Suspect two drives of one address: damage in its replies alone."""
+    damaged: dict[int, list[_Spoiled]] = defaultdict(list)
+    for each in spoiled:
+        if each.asked is None or each.asked.message is None:
+            # Damage elsewhere is not of one drive.
+            return
+        damaged[each.asked.message.address].append(each)
+    if len(damaged) != 1:
+        return
+    address, own = damaged.popitem()
+    replies = [p.message.address for p in scene.pieces if p.is_reply and p.sound and p.message is not None]
+    good, others = replies.count(address), len(replies) - replies.count(address)
+    share = len(own) / (len(own) + good)
+    heads = sum(_head_is_right(each) for each in own)
+    alone = others >= _OTHERS and len(own) >= _REPLIES and share >= _SHARE
+    if not alone and not (heads == len(own) >= _HEADS and share >= _MOST_OF):
+        return
+    troubles, frames = _of(own)
+    first = own[0]
+    assert first.asked is not None  # kept with its request
+    yield Suspicion(
+        "duplicate_address", _sure(min(len(own), others)) if alone else Confidence.POSSIBLE, troubles,
+        f"Two drives have the address {address} and answer at once.",
+        f"{shown(first.stretch.data)} at byte {first.stretch.offset} answers {shown(first.asked.data)}; "
+        f"{len(own)} of {len(own) + good} replies of address {address} damaged"
+        + (f", none of {others} of others" if others else ", all with sound heads"),
+        f"Disconnect one drive after the other and ask address {address} again; give each drive its own address. "
+        "If only one has it, look at its wire and its connector",
+        frames,
+    )  # fmt: skip
+
+
+def _head_is_right(spoiled: _Spoiled) -> bool:
+    assert spoiled.asked is not None  # of one address
+    return any(spoiled.stretch.data.startswith(reply.head) for reply in replies_to(spoiled.asked))
+
+
+def _too_early(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
+    """Suspect a host that sends again while a reply is coming: two sendings in a row, and then damage."""
+    bursts = scene.bursts if scene.directed else ()
+    hasty = {
+        burst.offset
+        for before, last, burst in zip(bursts, bursts[1:], bursts[2:], strict=False)
+        if (before.direction, last.direction, burst.direction) == (Role.REQUEST, Role.REQUEST, Role.REPLY)
+    }
+    own = [each for each in spoiled if each.stretch.offset in hasty]
+    if len(own) < _REPLIES or len(own) < len(spoiled) / 2:
+        return
+    troubles, frames = _of(own)
+    yield Suspicion(
+        "collision", _sure(len(own)), troubles,
+        "The host sends its next request while the reply to the one before is still coming: they collide.",
+        f"two requests in a row, then {shown(own[0].stretch.data)} at byte {own[0].stretch.offset}; "
+        f"{counted(len(own), 'time')}",
+        "Wait for the reply, or for the timeout, before sending again",
+        frames,
+    )  # fmt: skip
+
+
+def _late_driver(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
+    """Suspect a driver that is still on when the reply begins: its start is spoiled, and its end is right."""
+    replies = {p.data for p in scene.pieces if p.sound and p.can is None and (p.is_reply or not scene.directed)}
+    own = []
+    for each in spoiled:
+        for reply in replies:
+            same = _same(each.stretch.data[::-1], reply[::-1])
+            near = abs(len(each.stretch.data) - len(reply)) <= _LENGTHS
+            # More than one byte at the start is spoiled, or one is too many or too few.
+            spoiled_start = len(each.stretch.data) - same > 1 or len(each.stretch.data) != len(reply)
+            if near and spoiled_start and max(_TAIL, len(reply) / 2) <= same < min(len(each.stretch.data), len(reply)):
+                own.append((each, reply))
+                break
+    if not own or len(own) < len(spoiled) / 2 or any(_same(e.stretch.data, r) for e, r in own):
+        return
+    troubles, frames = _of([each for each, _ in own])
+    first, reply = own[0]
+    yield Suspicion(
+        "collision", _sure(len(own)), troubles,
+        "Two senders collide at the start of the reply: the host's driver is still on when the drive begins.",
+        f"{shown(first.stretch.data)} at byte {first.stretch.offset} ends as {shown(reply)} does, and begins otherwise; "
+        f"{counted(len(own), 'time')}",
+        "Switch the host's driver off (DE low) as soon as its last stop bit is out: wait for the transmitter to be empty, not "
+        "for a fixed time",
+        frames,
+    )  # fmt: skip
+
+
+def _same(one: bytes, other: bytes) -> int:
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(one, other, strict=False)))
+
+
+def _noise(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
+    """Suspect noise: frames that resemble sound ones are damaged here and there, and most get through."""
+    sound = [p.data for p in scene.pieces if p.sound and p.can is None]
+    # What never gets through is no noise; what does once in very many is no trouble.
+    if not spoiled or len(sound) < len(spoiled) or len(spoiled) * _RARE < scene.frames:
+        return
+    known = list(dict.fromkeys(sound))[:_MOST_ALIKE]
+    alike = [(each, frame) for each in spoiled if (frame := _alike(each, known)) is not None]
+    if len(alike) < _ALIKE * len(spoiled):
+        return
+    first, frame = alike[0]
+    troubles, frames = _of(spoiled)
+    places = "one frame is" if len(spoiled) == 1 else f"{len(spoiled)} frames are"
+    yield Suspicion(
+        "noise", Confidence.LIKELY if len(spoiled) >= _NOISE else Confidence.POSSIBLE, troubles,
+        f"Noise on the line: {places} damaged, here and there, and the others get through.",
+        f"{shown(first.stretch.data)} at byte {first.stretch.offset} resembles {shown(frame)}; "
+        f"{counted(len(spoiled), 'time')}, {counted(len(sound), 'frame')} near them sound",
+        "Check the ground between host and drives, the termination (120 Ohm at both ends only) and the bias; lay the bus away "
+        "from motor cables, shield it, and repeat what fails",
+        frames,
+    )  # fmt: skip
+
+
+def _alike(spoiled: _Spoiled, known: Sequence[bytes]) -> bytes | None:
+    """Return the sound frame that damaged bytes resemble most, if they do."""
+    matcher = SequenceMatcher(autojunk=False)
+    matcher.set_seq2(spoiled.stretch.data.decode("latin-1"))
+    best: tuple[float, bytes] = (_ALIKE, b"")
+    for frame in known:
+        matcher.set_seq1(frame.decode("latin-1"))
+        if matcher.real_quick_ratio() > best[0] and matcher.quick_ratio() > best[0]:
+            best = max(best, (matcher.ratio(), frame))
+    return best[1] or None

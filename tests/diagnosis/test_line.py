@@ -1,0 +1,193 @@
+"""What the line does to bytes: traffic of our drives and of any other device, through a line that spoils it."""
+
+import random
+
+import pytest
+
+from analyzer.diagnosis.bits import Line, levels, read, unread
+from analyzer.diagnosis.reader import Reader
+from tests.diagnosis.spoiled_line import STEPS, both, received
+from tests.diagnosis.spoiled_line import levels as on_the_line
+from tests.diagnosis.test_diagnosis import LK_READS, NATIVE, READS, build, captures, changed, exchanged, first, told
+
+SERIAL = Reader.of_bus("serial")
+
+
+def modbus(text):
+    body = bytes.fromhex(text)
+    return body + captures.crc16(body)
+
+
+#: A device that is not in the catalogue: a meter at address 17.
+METER = [
+    (">", modbus("11 03 01 31 00 02")),
+    ("<", modbus("11 03 04 12 34 00 56")),
+    (">", modbus("11 04 02 00 00 01")),
+    ("<", modbus("11 04 02 0B C1")),
+    (">", modbus("11 03 01 35 00 03")),
+    ("<", modbus("11 03 06 00 01 FF FE 41 20")),
+]
+NATIVES = exchanged("mks-rs485@1", *READS)
+SPEEDS = exchanged("mks-rs485@2", *(build(NATIVE, name, 2) for name in ("read_speed", "read_pulses", "read_protection")))
+
+
+def spoiled(rows, mark="<", **how):
+    return changed(rows, mark, lambda data: received(on_the_line(data), **how))
+
+
+# --- the way back from bytes ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("line", [Line(inverted=True), Line(missed=1), Line(parity=1), Line(0.5)], ids=str)
+@pytest.mark.parametrize("data", [bytes.fromhex("FA 01 30 2B"), READS[1], modbus("01 04 00 30 00 03")], ids=bytes.hex)
+def test_bytes_are_led_back_to_their_frame(line, data):
+    heard = read(levels(data, line), line)
+    found = unread(heard, line, lambda begun: SERIAL.begins(begun, 12), lambda sent: SERIAL.best(sent) is not None)
+    assert heard == data or found == (data, len(heard))
+
+
+@pytest.mark.parametrize("how", [{"inverted": True}, {"missed": 1}, {"ratio": 0.5}], ids=str)
+def test_both_receivers_read_the_same(how):
+    line = Line(**how)
+    for data in READS + LK_READS:
+        assert read(levels(data, line), line) == received(on_the_line(data), **how)
+
+
+# --- set up wrongly ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("how", "cause"), [({"inverted": True}, "inverted_lines"), ({"missed": 1}, "lost_start"), ({"ratio": 0.5}, "wrong_baud")]
+)
+@pytest.mark.parametrize("rows", [METER, NATIVES], ids=["meter", "native"])
+def test_replies_of_any_device(rows, how, cause):
+    assert first(*spoiled(rows, **how)) == cause
+
+
+def test_request_and_reply_in_one_stretch():
+    rows = [received(on_the_line(sent), inverted=True) + received(on_the_line(came), inverted=True) for sent, came in
+            zip([d for m, d in NATIVES if m == ">"], [d for m, d in NATIVES if m == "<"], strict=True)]  # fmt: skip
+    assert first(*rows) == "inverted_lines"
+
+
+def test_what_is_sent_explains_what_is_read():
+    sent = bytes.fromhex("01 03 00 00 07 04 08")
+    assert first((">", sent), ("<", read(levels(sent, Line(inverted=True), gap=10), Line(inverted=True)))) == "inverted_lines"
+
+
+def test_seven_bits_in_one_stream():
+    stream = b"".join(data for _, data in NATIVES)
+    assert first(bytes(byte & 0x7F for byte in stream)) == "wrong_parity"
+
+
+def test_other_bytes_are_no_frame_on_a_wrong_line():
+    chance = random.Random(3)
+    assert told(*(chance.randbytes(chance.randrange(5, 14)) for _ in range(6))) == []
+
+
+# --- edges ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [
+        (lambda data: b"\x00" + data, "leading_glitch"),
+        (lambda data: b"\xf8\x14\x00" + data, "leading_glitch"),
+        (lambda data: b"\x00" * 8 + data, "leading_glitch"),
+        (lambda data: b"\x00" + data[:-1], "leading_glitch"),
+        (lambda data: data + b"\xff\x00", "trailing_glitch"),
+        (lambda data: data[1:], "lost_start"),
+    ],
+)
+def test_edges_of_any_device(change, cause):
+    assert first(*changed(METER, "<", change)) == cause
+
+
+def test_a_glitch_between_request_and_reply_of_a_stream():
+    stream = b"".join(b"\x00" + data if mark == "<" else data for mark, data in METER)
+    assert first(stream) == "leading_glitch"
+
+
+def test_both_edges_are_told_and_the_glitch_alone_is_named():
+    found = told(*changed(METER, "<", lambda data: b"\x00" + data + b"\xff"))
+    assert [each.cause for each in found] == ["leading_glitch", "trailing_glitch"]
+    assert found[0].evidence.startswith("00 stands before the whole frame 11 03 04")
+
+
+# --- echo ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [5, 7])
+def test_an_echo_that_the_host_cuts(size):
+    rows = [(mark, sent) for _, sent in METER[::2] for mark, sent in ((">", sent), ("<", sent[:size]))]
+    assert first(*rows) == "echo"
+
+
+def test_a_write_that_comes_back_is_its_reply():
+    write = modbus("11 06 01 31 00 02")
+    assert "echo" not in [each.cause for each in told((">", write), ("<", write), (">", write), ("<", write))]
+
+
+# --- several senders -----------------------------------------------------------------------------------------------------
+
+
+def test_a_second_host_with_sound_frames():
+    others = [("<", build(NATIVE, "read_speed", 3)), ("<", bytes.fromhex("FB 03 32 00 64 94"))]
+    assert first(*NATIVES, *others, *NATIVES, *others) == "two_masters"
+    # A listener that is no host receives all requests.
+    assert told(*(("<", data) for _, data in [*NATIVES, *others])) == []
+
+
+def test_a_second_host_over_replies():
+    rows = []
+    for number, (sent, came) in enumerate(zip(NATIVES[::2], NATIVES[1::2], strict=True)):
+        other = build(NATIVE, "read_speed", 3)
+        line = both(on_the_line(came[1]), [1] * 14 * STEPS + on_the_line(other))
+        rows += [sent, ("<", received(line))] if number % 2 else [sent, came, ("<", other)]
+    assert first(*rows, *rows) == "two_masters"
+
+
+@pytest.mark.parametrize("skew", [6, 14, 181])
+def test_two_drives_of_one_address(skew):
+    rows = []
+    for speed in (100, -200, 301, -4, 77):
+        one, other = (bytes.fromhex("FB 01 32") + value.to_bytes(2, "big", signed=True) for value in (speed, 0))
+        line = both(on_the_line(one + captures.sum8(one)), [1] * skew + on_the_line(other + captures.sum8(other)))
+        rows += [(">", build(NATIVE, "read_speed", 1)), ("<", received(line)), *SPEEDS]
+    found = told(*rows)
+    assert [each.cause for each in found] == ["duplicate_address"]
+    assert "address 1" in found[0].say
+
+
+def test_the_host_does_not_wait():
+    rows = []
+    for number, (sent, came) in enumerate(zip(NATIVES[::2], NATIVES[1::2], strict=True)):
+        early = NATIVES[(2 * number + 2) % len(NATIVES)]
+        line = both(on_the_line(came[1]), [1] * 6 * STEPS + on_the_line(early[1]))
+        rows += [sent, early, ("<", received(line)), early, NATIVES[(2 * number + 3) % len(NATIVES)]]
+    assert first(*rows) == "collision"
+
+
+def test_the_driver_stays_on():
+    spoiled_start = b"\xc5\x30" + METER[1][1][3:]
+    assert first(METER[0], ("<", spoiled_start), *METER[:4], METER[0], ("<", spoiled_start)) == "collision"
+
+
+@pytest.mark.parametrize("rows", [NATIVES * 6, METER * 6], ids=["native", "meter"])
+@pytest.mark.parametrize("marked", [True, False])
+def test_spikes_here_and_there(rows, marked):
+    chance = random.Random(7)
+    found = []
+    for mark, data in rows:
+        line = on_the_line(data)
+        if chance.random() < 0.3:
+            at = chance.randrange(len(line) - STEPS)
+            line[at : at + STEPS] = [0] * STEPS
+        found.append((mark if marked else "", received(line)))
+    assert first(*found) == "noise"
+
+
+@pytest.mark.parametrize("rows", [METER, NATIVES, [*NATIVES, *SPEEDS]])
+def test_sound_frames_of_any_device_have_no_cause(rows):
+    assert told(*rows, *rows) == []
+    assert told(b"".join(data for _, data in rows)) == []
