@@ -1,22 +1,53 @@
-"""A CAN bus on which frames fail, or whose frames are of other identifiers than the drives'."""
+"""A CAN bus on which frames fail, or whose frames are of other identifiers than the drives'.
+
+An error frame has SocketCAN's classes in its identifier, and in its data where and how a frame failed, with the counters of
+errors as they stood. Files that keep no classes (ASC, BLF, TRC) show only that there were errors.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
+from typing import NamedTuple
 
-from analyzer.catalogue import Dialect
-from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, shown
+from analyzer.catalogue import Dialect, Role
+from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
 from analyzer.records import CanFrame
 from analyzer.values import counted, identifier
 
-#: Classes of error frames as SocketCAN has them, and what of their data says where and how a frame failed.
-_PROTOCOL, _NO_ACK, _BUS_OFF = 0x08, 0x20, 0x40
-_BIT_ERRORS = 0x01 | 0x02 | 0x04 | 0x08 | 0x10
-_TYPE, _PLACE = 2, 3
-_ACK_SLOT = 0x19
+#: Classes of error frames as SocketCAN has them.
+_CONTROLLER, _PROTOCOL, _NO_ACK, _BUS_OFF, _BUS_ERROR = 0x04, 0x08, 0x20, 0x40, 0x80
+#: Where their data say what happened.
+_STATE, _TYPE, _PLACE, _SENT_COUNTER, _RECEIVED_COUNTER = 1, 2, 3, 6, 7
+_ACK_PLACES = (0x19, 0x1B)
+#: Kinds of errors: in the form or the stuffing of a frame, and in a bit that was sent.
+_FORM_OR_STUFF, _SENT_BIT = 0x02 | 0x04, 0x01 | 0x08 | 0x10
+_KINDS = {0x01: "single bit", 0x02: "form", 0x04: "stuff", 0x08: "dominant bit", 0x10: "recessive bit"}
+#: Without an acknowledge the counter of a sender goes up to here, and no further.
+_PASSIVE = 128
+_SENDER_PASSIVE = 0x20
 #: Identifiers of RMD motors: requests, and replies.
 _RMD = (range(0x141, 0x161), range(0x241, 0x261))
+#: What CANopen adds to the number of a node.
+_CANOPEN = (0x180, 0x200, 0x280, 0x300, 0x380, 0x400, 0x480, 0x500, 0x580, 0x600, 0x700)
+_NODES = range(1, 0x80)
 _LEAST = 2
+_LONGEST = 8
+
+
+class _Errors(NamedTuple):
+    """Error frames by what they say."""
+
+    #: Nobody acknowledged.
+    silent: list[Piece]
+    #: A frame was destroyed.
+    garbled: list[Piece]
+    #: The adapter gave up.
+    off: list[Piece]
+    #: Nothing but that there was an error.
+    bare: list[Piece]
+    #: The sender's counter stands where it does without an acknowledge.
+    stuck: list[Piece]
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
@@ -25,64 +56,128 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     if not frames:
         return
     errors = [(p, can) for p, can in frames if can.error]
-    # What the adapter received shows that speed and wires are right; what it sent itself shows nothing.
-    heard = [p for p in scene.pieces if p.can is not None and not p.can.error and p.is_reply]
-    if len(errors) >= _LEAST:
-        yield from _errors(scene, errors, heard)
+    data = [(p, can) for p, can in frames if not can.error]
+    # What came from others shows that speed and wires are right; what the adapter sent itself shows nothing.
+    heard = [p for p, can in data if p.is_reply or (can.direction is not Role.REQUEST and not p.is_request)]
+    if errors:
+        yield from _errors(scene, _sorted(errors), heard)
     dialects = [d for d in scene.reader.dialects if d.bus == "can"]
-    known = [p for p, can in frames if not can.error and p.message is not None and p.message.command is not None]
-    if not known:
-        yield from _others([(p, can) for p, can in frames if not can.error], dialects)
+    if not any(p.is_reply and p.message is not None and p.message.command is not None for p, _ in data):
+        yield from _others(scene, data, dialects)
 
 
-def _errors(scene: Scene, errors: list[tuple[Piece, CanFrame]], heard: list[Piece]) -> Iterator[Suspicion]:
-    silent = [p for p, can in errors if can.id & _NO_ACK or (can.id & _PROTOCOL and can.data[_PLACE : _PLACE + 1] == b"\x19")]
-    garbled = [p for p, can in errors if can.id & _PROTOCOL and p not in silent and any(can.data[_TYPE : _TYPE + 1])]
-    off = [p for p, can in errors if can.id & _BUS_OFF]
-    rows = (
-        (
-            "can_no_ack", [] if heard or garbled else silent,
-            "Nobody acknowledges: the adapter is alone on the bus, as far as it can tell.",
-            "Look at the drive's power, CAN_H and CAN_L (not swapped), 120 Ohm at both ends, and the drive's bit rate",
-        ),
-        (
-            "can_wrong_bitrate", [] if heard else garbled,
+def _sorted(errors: list[tuple[Piece, CanFrame]]) -> _Errors:
+    found = _Errors([], [], [], [], [])
+    for piece, can in errors:
+        at = dict(enumerate(can.data))
+        # SocketCAN's have eight bytes always.
+        if len(can.data) < _LONGEST:
+            found.bare.append(piece)
+        elif can.id & _BUS_OFF:
+            found.off.append(piece)
+        elif can.id & _NO_ACK or (
+            can.id & _PROTOCOL and at.get(_PLACE) in _ACK_PLACES and not at.get(_TYPE, 0) & _FORM_OR_STUFF
+        ):
+            found.silent.append(piece)
+        elif can.id & _PROTOCOL and at.get(_TYPE):
+            found.garbled.append(piece)
+        elif can.id & _CONTROLLER and at.get(_STATE, 0) & _SENDER_PASSIVE and at.get(_SENT_COUNTER) == _PASSIVE:
+            found.stuck.append(piece)
+        elif can.id & _BUS_ERROR:
+            found.bare.append(piece)
+    return found
+
+
+def _errors(scene: Scene, errors: _Errors, heard: list[Piece]) -> Iterator[Suspicion]:
+    all_errors = scene.of("can_error_frame")
+    unanswered = scene.of("unanswered", "silent_address")
+    kinds = Counter(p.data[_TYPE] for p in errors.garbled)
+    on_sending = bool(kinds) and not any(kind & _FORM_OR_STUFF for kind in kinds)
+    certain = Confidence.CERTAIN
+    garbled = len(errors.garbled) >= _LEAST
+    if errors.off:
+        yield _suspicion(
+            "can_bus_off", certain, [*all_errors, *unanswered], errors.off, heard,
+            "The adapter has switched itself off the bus after too many errors: nothing is sent or received any more.",
+            "Mend what makes the errors: first the bit rate (500 kbit/s is the drive's default), then CAN_H and CAN_L, then "
+            "120 Ohm at both ends. Then restart the interface: `ip link set can0 down`, and up with restart-ms 100",
+        )  # fmt: skip
+    if errors.silent and not heard and not garbled and not errors.off:
+        yield _suspicion(
+            "can_no_ack", certain if len(errors.silent) >= _LEAST else Confidence.LIKELY, [*all_errors, *unanswered],
+            errors.silent, heard, "Nobody acknowledges: the adapter is alone on the bus, as far as it can tell.", _ALONE,
+        )  # fmt: skip
+    elif errors.silent and heard and len(errors.silent) >= _LEAST:
+        own = _of(all_errors, errors.silent)
+        yield _suspicion(
+            "can_no_ack", Confidence.LIKELY, own, errors.silent, heard,
+            "For a time nobody acknowledged: all other nodes were off the bus or without power.", _ALONE,
+        )  # fmt: skip
+    elif errors.stuck and not heard and not garbled and not errors.off:
+        yield _suspicion(
+            "can_no_ack", Confidence.LIKELY, [*all_errors, *unanswered], errors.stuck, heard,
+            "The counter of the sender's errors stands at 128, as it does where nobody acknowledges.", _ALONE,
+        )  # fmt: skip
+    if garbled and not heard and not on_sending:
+        yield _suspicion(
+            "can_wrong_bitrate", Confidence.LIKELY if errors.off else certain, [*_of(all_errors, errors.garbled), *unanswered],
+            errors.garbled, heard,
             "No frame gets through, and stuff, form or bit errors come: the nodes run at different bit rates.",
             "Set the adapter to the drive's bit rate (500 kbit/s is the default), with the same sample point",
-        ),
-        (
-            "can_bit_errors", garbled if heard else [],
-            "Frames get through, and others are destroyed on the line.",
-            "Look at the termination (60 Ohm between CAN_H and CAN_L), the length of stubs, the common ground and the shield",
-        ),
-        (
-            "can_bus_off", off,
-            "The adapter has switched itself off the bus after too many errors.",
-            "Mend what makes the errors, then restart the interface: `ip link set can0 down`, and up with restart-ms 100",
-        ),
-    )  # fmt: skip
-    troubles = {t.piece: t for t in scene.of("can_error_frame") if t.piece is not None}
-    others = {t.piece: t for t in scene.of("unanswered") if t.piece is not None}
-    for cause, found, say, todo in rows:
-        if not found or (cause == "can_bit_errors" and len(found) < _LEAST):
-            continue
-        own = [troubles[p] for p in found if p in troubles]
-        if cause in ("can_no_ack", "can_wrong_bitrate"):
-            own += others.values()
-        first = found[0]
-        yield Suspicion(
-            cause, Confidence.CERTAIN if len(found) > 1 or cause == "can_bus_off" else Confidence.LIKELY, own, say,
-            f"error frame of class 0x{first.can.id if first.can else 0:X}, data {shown(first.data)}; "
-            f"{counted(len(found), 'time')}; replies: {len(heard)}",
-            todo,
+        )  # fmt: skip
+    elif garbled:
+        say = (
+            "Bits that the adapter sends come back changed: somebody else drives the line, or it is short or open."
+            if on_sending
+            else "Frames get through, and others are destroyed on the line."
+        )
+        yield _suspicion(
+            "can_bit_errors", certain, _of(all_errors, errors.garbled), errors.garbled, heard, say,
+            "Look at the termination (60 Ohm between CAN_H and CAN_L without power), the length of stubs, the common ground "
+            "and the shield; then compare bit rates and sample points",
+        )  # fmt: skip
+    if len(errors.bare) >= _LEAST and not (errors.silent or garbled or errors.off):
+        cause, say = (
+            ("can_bit_errors", "Frames get through, and others are destroyed on the line.")
+            if heard
+            else ("can_no_ack", "Only errors come: nobody acknowledges, or the nodes run at different bit rates.")
+        )
+        yield _suspicion(
+            cause, Confidence.LIKELY if heard else Confidence.POSSIBLE, all_errors, errors.bare, heard, say,
+            f"{_ALONE}; `candump -e any,0:0,#FFFFFFFF` shows what kind of errors they are",
         )  # fmt: skip
 
 
-def _others(frames: list[tuple[Piece, CanFrame]], dialects: list[Dialect]) -> Iterator[Suspicion]:
+_ALONE = "Look at the drive's power, CAN_H and CAN_L (not swapped), 120 Ohm at both ends, and the drive's bit rate"
+
+
+def _of(troubles: list[Trouble], pieces: list[Piece]) -> list[Trouble]:
+    return [trouble for trouble in troubles if trouble.piece in pieces]
+
+
+def _suspicion(
+    cause: str, confidence: Confidence, troubles: list[Trouble], errors: list[Piece], heard: list[Piece], say: str, todo: str
+) -> Suspicion:
+    first, last = errors[0], errors[-1]
+    kinds = sorted({name for p in errors for bit, name in _KINDS.items() if p.data[_TYPE : _TYPE + 1] and p.data[_TYPE] & bit})
+    counters = last.data[_SENT_COUNTER : _RECEIVED_COUNTER + 1]
+    told = f" ({', '.join(kinds)} errors)" if kinds else ""
+    told += f"; counters of errors at the end: {counters[0]} sent, {counters[1]} received" if any(counters) else ""
+    return Suspicion(
+        cause, confidence, troubles, say,
+        f"error frame of class 0x{first.can.id if first.can else 0:X}, data {shown(first.data) or 'none'}{told}; "
+        f"{counted(len(errors), 'time')}; frames of others: {len(heard)}",
+        todo,
+    )  # fmt: skip
+
+
+def _others(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[Dialect]) -> Iterator[Suspicion]:
+    """Suspect who the frames are for, where no drive says anything."""
+    checked = [d for d in dialects if d.link.checked]
     extended = [
         (p, can)
         for p, can in frames
-        if can.extended and any(d.link.checked and len(p.data) > 1 and d.link.fits(p.data, can.id & 0x7FF) for d in dialects)
+        if can.extended and any(len(p.data) > 1 and d.link.fits(p.data, can.id & 0x7FF) for d in checked)
     ]
     if len(extended) > 1 and len(extended) * 2 > len(frames):
         piece, can = extended[0]
@@ -93,13 +188,101 @@ def _others(frames: list[tuple[Piece, CanFrame]], dialects: list[Dialect]) -> It
             f"Send standard frames: {right}",
             (Shown(piece.offset, shown(piece.data), right),),
         )  # fmt: skip
-    motors = [(p, can) for p, can in frames if any(can.id in ids for ids in _RMD) and len(can.data) == 8 and not can.extended]
+        return
+    standard = [(p, can) for p, can in frames if not can.extended and not can.remote]
+    motors = [
+        (p, can)
+        for p, can in standard
+        if any(can.id in ids for ids in _RMD) and can.data and not any(d.link.fits(p.data, can.id) for d in checked)
+    ]
     if len(motors) > 1 and len(motors) * 2 > len(frames):
         piece, can = motors[0]
+        short = "" if len(can.data) == _LONGEST else ", and shorter than theirs, which have eight bytes each"
         yield Suspicion(
             "unsupported_dialect", Confidence.LIKELY, (),
-            "These are frames of RMD motors on CAN, a dialect that is not known here.",
-            f"identifier {identifier(can.id)} with 8 bytes: {shown(piece.data)}; {counted(len(motors), 'frame')}",
+            f"These are frames of RMD and LK motors on CAN, a dialect that is not known here{short}.",
+            f"identifier {identifier(can.id)} with {counted(len(can.data), 'byte')}: {shown(piece.data)}; "
+            f"{counted(len(motors), 'frame')}",
             "Use the manual of the motor's maker; MKS drives answer at identifiers 1 to 7FF with a sum as their last byte",
             tuple(Shown(p.offset, shown(p.data, c.id)) for p, c in motors[:4]),
         )  # fmt: skip
+        return
+    yield from _wrong_identifier(scene, standard, checked)
+    yield from _padded(scene, standard, checked)
+
+
+def _wrong_identifier(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[Dialect]) -> Iterator[Suspicion]:
+    """Suspect requests that go to a number which CANopen makes of an address, or whose sums are those of another."""
+    own = [(p, can) for p, can in frames if can.direction is not Role.REPLY and len(p.data) > 1]
+    fitting = [(p, can) for p, can in own if p.is_request and p.sound]
+    for group, meant in ((fitting, _node), (own, _summed)):
+        for dialect in dialects:
+            found = [(p, can, node) for p, can in group if (node := meant(scene, p, can, dialect)) is not None]
+            # One sum fits some number always: two different frames must agree.
+            agree = len({(can.id, node) for _, can, node in found}) == 1 and len({p.data for p, _, _ in found}) >= _LEAST
+            if not agree or len(found) < len(own):
+                continue
+            piece, can, node = found[0]
+            why = (
+                f"it is {node} + {can.id - node:X} (hex), a number of CANopen; these drives listen to their address alone."
+                if group is fitting
+                else f"the sums of the frames are those of identifier {identifier(node)}."
+            )
+            right = [shown(dialect.link.completed(p.data[:-1], node), node) for p, _, _ in found]
+            yield Suspicion(
+                "can_wrong_id", Confidence.LIKELY, scene.of("damaged", "unanswered", "silent_address"),
+                f"Nobody answers at identifier {identifier(can.id)}: {why}",
+                f"{shown(piece.data, can.id)} at byte {piece.offset}; {counted(len(found), 'frame')}, no reply",
+                f"Send to the drive's address (1 by default): {right[0]}",
+                tuple(Shown(p.offset, shown(p.data, c.id), r) for (p, c, _), r in zip(found, right, strict=True)),
+            )  # fmt: skip
+            return
+
+
+def _node(scene: Scene, piece: Piece, can: CanFrame, dialect: Dialect) -> int | None:
+    """Return the node that CANopen makes an identifier of."""
+    return next((can.id - base for base in _CANOPEN if can.id - base in _NODES), None)
+
+
+def _summed(scene: Scene, piece: Piece, can: CanFrame, dialect: Dialect) -> int | None:
+    """Return the identifier that the last byte is the sum with, where it is another and the rest is a request."""
+    body = piece.data[:-1]
+    node = (piece.data[-1] - dialect.link.completed(body, 0)[-1]) & 0xFF
+    if not node or node == can.id & 0xFF:
+        return None
+    reading = scene.reader.best(piece.data, node, Role.REQUEST)
+    return node if reading is not None and reading.listed else None
+
+
+def _padded(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[Dialect]) -> Iterator[Suspicion]:
+    """Suspect requests that are filled up to eight bytes: a drive of such a dialect takes its own lengths alone."""
+    found = [
+        (p, can, right, name)
+        for p, can in frames
+        if len(p.data) == _LONGEST and can.direction is not Role.REPLY and not p.is_reply
+        for right, name in _shorter(scene, p.data, can.id, dialects)
+    ]
+    if not found or len(found) * 2 < len(frames):
+        return
+    piece, can, right, name = found[0]
+    sent = can.direction is Role.REQUEST or len(found) >= _LEAST
+    yield Suspicion(
+        "wrong_length", Confidence.LIKELY if sent else Confidence.POSSIBLE, scene.of("damaged", "unanswered", "silent_address"),
+        f"{name} is filled up to eight bytes; on CAN it has {len(right)}, the last one its sum.",
+        f"{shown(piece.data, can.id)} at byte {piece.offset}; {counted(len(found), 'frame')}",
+        f"Send {shown(right, can.id)}",
+        tuple(Shown(p.offset, shown(p.data, c.id), shown(r, c.id)) for p, c, r, _ in found),
+    )  # fmt: skip
+
+
+def _shorter(scene: Scene, data: bytes, can_id: int, dialects: list[Dialect]) -> Iterator[tuple[bytes, str]]:
+    """Yield the request that eight bytes begin with, where all but the last byte behind it are zero."""
+    for dialect in dialects:
+        if dialect.link.fits(data, can_id):
+            continue
+        for size in range(len(data) - 1, 1, -1):
+            right = dialect.link.completed(data[: size - 1], can_id)
+            reading = scene.reader.best(right, can_id, Role.REQUEST)
+            if reading is not None and reading.listed and not any(data[size:-1]):
+                yield right, reading.name
+                return

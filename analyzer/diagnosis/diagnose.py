@@ -30,6 +30,7 @@ from analyzer.values import counted
 #: A row a subject: each is asked about a scene, and yields what it suspects. What costs most comes last.
 HYPOTHESES: tuple[Callable[[Scene], Iterator[Suspicion]], ...] = (
     wrapped.look,
+    can_bus.look,
     checks.look,
     requests.look,
     spoiled.look,
@@ -39,7 +40,6 @@ HYPOTHESES: tuple[Callable[[Scene], Iterator[Suspicion]], ...] = (
     pace.look,
     silence.look,
     quirks.look,
-    can_bus.look,
     line.look,
     senders.look,
 )
@@ -91,13 +91,16 @@ def diagnosis(watch: Watch, dialects: Sequence[Dialect]) -> Diagnosis:
     troubles = [trouble for scene in scenes for trouble in scene.troubles]
     suspicions = [each for scene in scenes for each in suspected(scene)]
     causes = tuple(ranked(suspicions, troubles))
-    return Diagnosis("trouble" if causes else "unknown" if troubles else "ok", causes, len(troubles))
+    known = any(p.message is not None and p.message.command is not None for scene in scenes for p in scene.pieces)
+    return Diagnosis("trouble" if causes else "ok" if known and not troubles else "unknown", causes, len(troubles))
 
 
 def lines(found: Diagnosis) -> list[str]:
     """Return a diagnosis for people."""
     if found.verdict == "ok":
         return ["nothing wrong was found"]
+    if not found.causes and not found.troubles:
+        return ["no frame of a known dialect came, so nothing can be said of it"]
     if not found.causes:
         return [f"{counted(found.troubles, 'thing')} went wrong, and no cause shows in the bytes"]
     told = []

@@ -1,0 +1,108 @@
+"""CAN: error frames of every kind of adapter and file, identifiers that no drive listens to, frames of others."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from analyzer.catalogue import Role
+from analyzer.cli import main
+from analyzer.diagnosis.scene import Confidence
+from analyzer.records import CanFrame
+from tests.diagnosis.test_diagnosis import can, diagnosed
+
+GOOD = ["001#3233", "001#32006497"]
+STUFF, RECESSIVE, NO_ACK = "20000088#0000040000000000", "20000088#0000900000000000", "20000020#0000000000008000"
+WARNING, PASSIVE, OFF = "20000004#0008000000006000", "20000004#0020000000008000", "20000040#0000000000000000"
+ACK_SLOT = "20000088#0000001900000000"
+
+
+def causes(items):
+    return [each.suspicion for each in diagnosed(items).causes]
+
+
+def first(*rows):
+    found = causes(can(*rows))
+    return found[0].cause if found else None
+
+
+@pytest.mark.parametrize(
+    ("rows", "cause"),
+    [
+        (["001#3132", *[NO_ACK] * 4], "can_no_ack"),
+        (["001#3132", *[ACK_SLOT] * 3], "can_no_ack"),
+        (["001#3132", WARNING, PASSIVE, PASSIVE], "can_no_ack"),
+        (["001#3132", WARNING, PASSIVE, OFF], "can_bus_off"),
+        ([STUFF] * 8, "can_wrong_bitrate"),
+        (["001#3132", *[RECESSIVE] * 3, PASSIVE], "can_bit_errors"),
+        # Frames of others show that speed and wires are right.
+        (["00316F13#4353", "0030A301#", STUFF, STUFF], "can_bit_errors"),
+        ([*GOOD * 3, NO_ACK, NO_ACK, *GOOD], "can_no_ack"),
+        # One destroyed frame among many is the bus at work.
+        ([*GOOD * 20, STUFF, *GOOD], None),
+    ],
+)
+def test_error_frames(rows, cause):
+    assert first(*rows) == cause
+
+
+def test_errors_without_a_class_leave_the_cause_open():
+    bare = [CanFrame(n * 1_000_000, "can0", 0, b"", error=True) for n in range(5)]
+    (found,) = causes(bare)
+    assert (found.cause, found.confidence) == ("can_no_ack", Confidence.POSSIBLE)
+    assert causes([*can(*GOOD * 3), *bare])[0].cause == "can_bit_errors"
+
+
+def test_bus_off_explains_the_silence_and_the_bit_rate_stands_behind_it():
+    found = diagnosed(can("001#3132", STUFF, STUFF, STUFF, OFF)).causes
+    assert [each.suspicion.cause for each in found][:1] == ["can_bus_off"]
+    assert found[0].share == 1
+
+
+@pytest.mark.parametrize(
+    ("rows", "right"),
+    [
+        (["201#3132", "201#3A3B", "201#F301F5"], "001 31 32"),
+        (["602#3133", "602#3A3C"], "002 31 33"),
+        # Sums of identifier 3, sent to 1.
+        (["001#3134", "001#3A3D", "001#F301F7"], "003 31 34"),
+    ],
+)
+def test_an_identifier_that_no_drive_listens_to(rows, right):
+    (found,) = causes(can(*rows))
+    assert found.cause == "can_wrong_id"
+    assert found.frames[0].right == right
+
+
+def test_a_drive_that_answers_at_a_high_identifier_is_in_order():
+    assert first("201#3233", "201#32006497") is None
+
+
+def test_frames_of_lk_motors_that_are_too_short():
+    (found,) = causes(can("141#88", "141#9A"))
+    assert found.cause == "unsupported_dialect"
+    assert "eight bytes" in found.say
+
+
+def test_a_request_that_is_filled_up_to_eight_bytes():
+    (found,) = causes([CanFrame(0, "can0", 1, bytes.fromhex("F600640200000055"), Role.REQUEST)])
+    assert (found.cause, found.frames[0].right) == ("wrong_length", "001 F6 00 64 02 5D")
+
+
+def test_a_bus_of_others_is_not_called_in_order(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "others.log"
+    path.write_text("".join(f"({n}.0) can0 705#05\n({n}.5) can0 185#0102030405060708\n" for n in range(9)))
+    assert main(["diagnose", str(path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "unknown"
+    assert main(["diagnose", str(path)]) == 0
+    assert "no frame of a known dialect" in capsys.readouterr().out
+
+
+def test_candump_with_its_words_below_error_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "errors.txt"
+    error = " (000.002)  can0  RX - -  20000020   [8]  00 00 00 00 00 00 80 00   ERRORFRAME\n\tno-acknowledgement-on-tx\n"
+    path.write_text(" (000.001)  can0  TX - -  001   [2]  31 32\n" + 3 * (error + "\terror-counter-tx-rx{{128}{0}}\n"))
+    assert main(["diagnose", str(path)]) == 1
+    assert "(can_no_ack, certain, 100% of the trouble)" in capsys.readouterr().out
