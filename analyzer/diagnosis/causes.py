@@ -364,6 +364,14 @@ CAUSES = {
             "20000040#0000000000000000",
         ),
         Cause(
+            "can_wrong_id",
+            "Frames go to an identifier that no drive listens to.",
+            "Nobody answers; the frames are right for another identifier.",
+            "CANopen adds 0x200 and other numbers to an address, and these drives do not; or the sum is that of another drive.",
+            "Send to the drive's address, with the sum over that identifier.",
+            "201#3132 for 001#3132",
+        ),
+        Cause(
             "can_extended_id",
             "Frames have identifiers of 29 bits; the drives take 11 bits.",
             "The data and the sum fit a standard frame of the same number.",
