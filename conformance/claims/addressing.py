@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Role, Subject, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Form, MotionKind, Risk, Role, Subject, Verb
+from analyzer.codec import codec
 from analyzer.link import HeadLink, LkLink
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.addressing_many import read_of, send_to
@@ -211,6 +212,39 @@ def _setting_of_another(probe: Probe, command: Command) -> None:
 
 #: Twice the subdivision at which the suite counts pulses.
 _FINER = 2 * motion.SUBDIVISION
+
+
+def _with_room(dialect: Dialect) -> Iterator[Case]:
+    """Yield the motions of serial drives whose data has room for a whole request."""
+    size = len(_own_read(dialect, dialect.addresses[0]))
+    moves = dialect.motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO) if dialect.bus == "serial" else ()
+    fit = [(each, form) for each in moves for form in each.request_forms[:1] if form.layout.byte_length >= size]
+    if fit:
+        risks = frozenset[Risk]().union(*(each.all_risks for each, _ in fit)) - {Risk.UNKNOWN}
+        yield Case(dialect, given={"moves": fit}, facts={"risks": risks})
+
+
+def _own_read(dialect: Dialect, address: int) -> bytes:
+    read = plain_read(dialect)
+    form = read.request_forms[0]
+    return dialect.link.build(read, form, address, codec(form.layout).encode({}), Role.REQUEST)
+
+
+@_addressing("an answer to what its data read like", each=_with_room, name="other/inside", at_best=Certainty.LIKELY)
+def _inside_request(probe: Probe, moves: list[tuple[Command, Form]]) -> None:
+    """A move of another drive whose data read like a request to this drive is not answered."""
+    ask_first(probe)
+    dialect, own = probe.dialect, probe.address
+    inner = _own_read(dialect, own)
+    for command, form in moves:
+        size = form.layout.byte_length
+        for address in _chosen(probe, _neighbours(dialect, own))[:2]:
+            frame = dialect.link.build(command, form, address, inner.rjust(size, b"\0"), Role.REQUEST)
+            sent = probe.send(frame)
+            text = f"what the data of a {command.name} to another drive read like is answered"
+            expected = f"silence after {hex_of(frame)}"
+            probe.expect(received_text(sent), holds=sent.silent, expected=expected, refutes=text, exchange=sent)
+
 
 # --- another address for the drive ------------------------------------------------------------------------------------
 

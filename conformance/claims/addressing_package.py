@@ -130,6 +130,12 @@ def _two_of_one(dialect: Dialect, package: Command, own: int) -> list[Slot]:
     return [_move(dialect, own), EMPTY, _move(dialect, own, _OTHER)]
 
 
+def _two_kinds_of_one(dialect: Dialect, package: Command, own: int) -> list[Slot]:
+    # Neither command can say that it is the one that was executed, where both were.
+    pulses = {"command": Verb.MOVE_RELATIVE_PULSES.value, "direction": 0, "speed": 60, "acceleration": 200, "pulses": STEP}
+    return [_move(dialect, own), {"address": own, **pulses}, EMPTY, EMPTY, {"address": own, **pulses}]
+
+
 def _for_others(dialect: Dialect, package: Command, own: int) -> list[Slot]:
     assert package.slots is not None
     return [_move(dialect, a) for a in _others(dialect, own, package.slots.count)]
@@ -165,6 +171,14 @@ _ROWS: tuple[tuple[str, Slots, int, str, str, Certainty], ...] = (
         _ONE,
         "Of two slots for one drive only the first is executed.",
         "the move of the second slot, or of both",
+        Certainty.CERTAIN,
+    ),
+    (
+        "first_of_kinds",
+        _two_kinds_of_one,
+        _ONE,
+        "Of slots for one drive with different commands only the first is executed.",
+        "the effect of another slot, or of all",
         Certainty.CERTAIN,
     ),
     ("others", _for_others, 0, "A package for other drives is not executed.", "a move", Certainty.CERTAIN),

@@ -6,13 +6,15 @@ Rules kept here:
 - The shaft turns slowly, but for one fast run. Homing and calibrating are begun as they are: they risk what the catalogue
   says.
 - Entering and leaving judges nothing.
+- The work modes take turns, so that what is wrong in one of them shows in some conditions.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from typing import Any
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
@@ -42,7 +44,8 @@ _Step = Callable[[Probe], object]
 class Condition:
     """A condition of a drive. `enter` brings the drive into it, `leave` out of it; `risks` of both, beside those of motion.
 
-    `settings`: what it sets itself. `stands`: the shaft stands, and nothing is under way. `steady`: it turns at one speed.
+    `mode`: the work mode in which it is tried, "" for any. `rpm`: how fast the shaft turns, where that is fast. `settings`:
+    what it sets itself. `stands`: the shaft stands, and nothing is under way. `steady`: it turns at one speed.
     `stays`: what is stored stays as it is. `without`: reads whose reply the manual does not promise in it. `changes`: flags
     that read otherwise in it.
     """
@@ -52,6 +55,8 @@ class Condition:
     enter: _Step
     leave: _Step
     risks: frozenset[Risk] = frozenset()
+    mode: str = ""
+    rpm: int = 0
     settings: tuple[str, ...] = ()
     emulated: bool = False
     by_name: bool = False
@@ -183,7 +188,7 @@ def _motions(dialect: Dialect) -> Iterator[Condition]:
             facts: dict[str, Any] = {"models": command.models, "steady": kind is MotionKind.RUN}
             yield Condition(command.name, when, enter, _stop, command.all_risks, **facts)
     if dialect.ramp is not None:
-        yield Condition("fast", f"while the shaft turns at {_FAST} rpm", _turn_fast, _stop, steady=True)
+        yield Condition("fast", f"while the shaft turns at {_FAST} rpm", _turn_fast, _stop, rpm=_FAST, steady=True)
         yield Condition("speeding-up", "while the shaft speeds up", _speed_up, _stop)
         yield Condition("slowing-down", "while the shaft slows down", _slow_down, _nothing)
     yield Condition("stopped", "after a stop", _turn_and_stop, _nothing, stands=True)
@@ -249,8 +254,12 @@ def _others(dialect: Dialect) -> Iterator[Condition]:
 
 
 def every(dialect: Dialect) -> Iterator[Condition]:
-    """Yield the conditions in which a drive of a dialect can be, beside at rest."""
-    if motion.can_move(dialect):
-        yield from _motions(dialect)
-        yield from _tasks(dialect)
-        yield from _others(dialect)
+    """Yield the conditions in which a drive of a dialect can be, beside at rest: each in one of the work modes, in turn."""
+    if not motion.can_move(dialect):
+        return
+    modes = [mode for mode in motion.bus_modes(dialect) if "no_encoder" not in mode]
+    for number, each in enumerate(chain(_motions(dialect), _tasks(dialect), _others(dialect))):
+        fit = [mode for mode in modes if each.rpm <= dialect.mode_speeds.get(mode, each.rpm)]
+        # What hands do to the shaft, and what wears, is not promised of an open loop.
+        own = each.emulated or each.by_name or "work_mode" in each.settings
+        yield each if own or not fit else replace(each, mode=fit[number % len(fit)])

@@ -39,7 +39,8 @@ _SPEEDS, _HIGHEST = (20, 150, 900, 1700, 3000), 3000
 _ACCELERATIONS, _AT_ONCE_MOST = (255, 0, 56, 200, 248, 253), 150
 #: Nothing, within a turn, whole turns.
 _TURNS = (0.21, 0.0, 1.0, 6.0, 21.0)
-_SUBDIVISIONS = (SUBDIVISION, 8, 256)
+#: Those at which a speed is what is sent, and others, the finest one last.
+_SUBDIVISIONS = (SUBDIVISION, 64, 32, 8, 256)
 #: The longest ramp and the longest move, and for how long a run keeps its speed.
 _RAMP_NS, _MOVE_NS, _STEADY_NS = 450 * MS, 900 * MS, 110 * MS
 #: The shortest ramp on which a change of speed is seen.
@@ -274,7 +275,8 @@ def crossed(probe: Probe, command: Command) -> tuple[Tried, ...]:
                 ready = (row.mode, row.subdivision)
                 sent = motion.finest(probe) if row.subdivision == _SUBDIVISIONS[-1] else row.subdivision
                 motion.ready_to_move(probe, row.mode, subdivision=sent)
-                rest = ()
+                # A shaft that stood still stands; it is looked at anew.
+                rest = _rest(probe) if _stands(rest) else ()
             if not _stands(rest):
                 motion.stand_still(probe)
                 rest = _rest(probe)

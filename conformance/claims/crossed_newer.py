@@ -17,10 +17,11 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
+from conformance.claim import Inconclusive
 from conformance.claims import homing
 from conformance.claims.crossed import motions_of
 from conformance.claims.declare import Case
-from conformance.claims.motion_claim import of_motion
+from conformance.claims.motion_claim import expect_speed, of_motion
 from conformance.model import covering
 from conformance.motion import motion
 from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, Sample
@@ -220,6 +221,35 @@ def _ends(tried: Tried, sense: int) -> tuple[float, float]:
     return low + sense * tried.wanted - 2, high + sense * tried.wanted + 2
 
 
+@of_motion(
+    each=_cases, name="{command}/again-and-again", refuted_by="a shaft that goes where an older one led it, or at its speed"
+)
+def _again_and_again(probe: Probe, command: Command) -> None:
+    """The last of many {command}, each sent while the one before is carried out, is the one that holds."""
+    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=motion.SUBDIVISION)
+    start, begin = motion.wait_standing(probe), motion.place(probe, command)
+    runs = motion.of(command).kind is MotionKind.RUN
+    for degrees, rpm in _UPDATES:
+        exchange = _begin(probe, command, degrees, rpm, begin)
+        probe.wait(_GOING_NS)
+    text = f"the last of many {command.name} does not hold"
+    last, speed = _UPDATES[-1]
+    seen = motion.speed(probe)
+    if runs:
+        motion.stand_still(probe)
+    else:
+        lasts_ns = int((abs(last) + _SPARE + sum(abs(d) for d, _ in _UPDATES[:-1])) / 6 / speed * SECOND_NS)
+        end = motion.wait_standing(probe, limit_ns=lasts_ns + SECOND_NS)
+        if motion.of(command).kind is MotionKind.MOVE_TO:
+            went, within = end.value - start.value, motion.miss(probe) + 1
+            probe.expect(abs(went), near=last, within=within, unit="degrees", refutes=text, exchange=exchange)
+    expect_speed(seen, speed, exchange, f"{text}: its speed", share=2 * CLOCK_SHARE)
+
+
+#: Where each of them leads (degrees from where the first one began), and how fast (rpm).
+_UPDATES = ((300, 60), (350, 110), (280, 70), (310, 40), (260, 90))
+
+
 # --- homing over a motion -----------------------------------------------------------------------------------------------
 
 #: At what speed homing turns, which is that of no older motion, and how long a shaft is looked at that homes.
@@ -273,3 +303,38 @@ def _home_takes_over(probe: Probe, command: Command) -> None:
         within = _HOME_RPM * 2 * CLOCK_SHARE + spread + 2
         probe.expect(abs(rpm), near=_HOME_RPM, within=within, unit="rpm", expected=f"{_HOME_RPM} rpm, {shown}", **told)
         probe.expect(f"status {status}", holds=status == homing.HOMING, expected=f"status {homing.HOMING}, {shown}", **told)
+
+
+def _ends_of_homing(dialect: Dialect) -> Iterator[Case]:
+    """Yield what ends homing: the emergency stop, and disabling the motor."""
+    for case in _homes(dialect):
+        assert case.command is not None
+        for verb, values in ((Verb.EMERGENCY_STOP, {}), (Verb.ENABLE, {"enabled": 0})):
+            command = dialect.by_verb.get(verb)
+            if command is not None:
+                facts = {**case.facts, "risks": case.facts["risks"] | command.all_risks}
+                yield Case(dialect, command, {"home": case.command, "values": values}, facts)
+
+
+@of_motion(each=_ends_of_homing, name="{command}/ends-{home}", refuted_by="a shaft that goes on", at_best=Certainty.LIKELY)
+def _ends_homing(probe: Probe, command: Command, home: Command, values: dict[str, int]) -> None:
+    """{command} ends homing, whichever way it goes: the shaft stands."""
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    for direction in (0, 1):
+        homing.set_home(probe, home_speed=_HOME_RPM, home_direction=direction)
+        first = motion.position(probe)
+        begun = probe.ask(home, quiet_ns=0)
+        probe.wait(begun.sent_ns + _RUNS_NS - probe.gate.now_ns())
+        turning = abs(motion.position(probe).value - first.value) > 1 + first.noise
+        exchange = probe.ask(command, values, quiet_ns=0)
+        probe.wait(_HOMES_NS)
+        at = motion.position(probe)
+        probe.wait(_HOMES_NS)
+        went = motion.position(probe).value - at.value
+        motion.stop(probe, 0)
+        motion.switch(probe, True)
+        if not turning:
+            raise Inconclusive("homing does not turn the shaft")
+        most = motion.same(probe) + probe.noise.swing
+        text = f"{command.name} does not end homing"
+        probe.expect(abs(went), at_most=most, unit="degrees", refutes=text, exchange=exchange)

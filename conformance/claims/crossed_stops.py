@@ -12,6 +12,7 @@ Rules kept here:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -61,17 +62,20 @@ class Row(NamedTuple):
 class Tried:
     """A row that was tried. `before`: where the shaft was before the stop was sent; `sense`: which way it turned.
 
-    `at`, `end`: where it was when the stop was to be over, and a while later. `told`: the statuses of the stop.
+    `start`, `at`, `end`: where it was first, when the stop was to be over, and a while later. `told`: the statuses of the stop.
+    `pulses`: the count of pulses at `start` and at `end`, where the dialect has one.
     """
 
     row: Row
     stop: Exchange
     refused: bool
+    start: Sample
     before: Sample
     sense: int
     at: Sample
     end: Sample
     told: tuple[int, ...]
+    pulses: tuple[int, ...]
 
     @property
     def between(self) -> tuple[float, float]:
@@ -151,6 +155,8 @@ def _stands(probe: Probe, tried: Tried) -> bool:
 def _try(probe: Probe, row: Row) -> Tried:
     command = probe.command(row.command)
     runs = motion.of(command).kind is MotionKind.RUN
+    counted = Verb.READ_PULSES in probe.dialect.by_verb
+    pulses = [probe.read(Verb.READ_PULSES)] if counted else []
     start = motion.position(probe)
     degrees = row.way * 360 * (_FAST_TURNS if row.rpm == _FAST else _TURNS)
     motion.begin(probe, command, degrees, rpm=row.way * row.rpm if runs else row.rpm, acceleration=_STEEP, quiet_ns=0)
@@ -174,9 +180,11 @@ def _try(probe: Probe, row: Row) -> Tried:
     at = motion.position(probe)
     probe.wait(_LOOK_NS)
     end = motion.position(probe)
+    pulses += [probe.read(Verb.READ_PULSES)] if counted else []
     told = tuple(motion.statuses(probe.traffic[since:], stop)) if stop.replies.status else ()
     went = before.value - start.value
-    return Tried(row, exchange, refused, before, 0 if abs(went) < 2 else 1 if went > 0 else -1, at, end, told)
+    sense = 0 if abs(went) < 2 else 1 if went > 0 else -1
+    return Tried(row, exchange, refused, start, before, sense, at, end, told, tuple(pulses))
 
 
 # --- what is judged -----------------------------------------------------------------------------------------------------
@@ -270,3 +278,32 @@ def _at_once(probe: Probe, command: Command, run: Command) -> None:
 def _emergency(probe: Probe, command: Command, run: Command) -> None:
     """The emergency stop ends {run} at once, either way, in each mode, and the shaft stays where it is."""
     _expect_stopped(probe, command, run, lambda row: row.stop == _EMERGENCY)
+
+
+def _counts_pulses(dialect: Dialect) -> Iterator[Case]:
+    if any(_every(dialect)) and Verb.READ_PULSES in dialect.by_verb:
+        yield Case(dialect, dialect.by_verb[Verb.READ_PULSES], facts=_facts(dialect))
+
+
+@_of_stops(each=_counts_pulses, name="{command}/behind-stops", refuted_by="a count that is not where the shaft stands")
+def _pulses_behind(probe: Probe, command: Command) -> None:
+    """Behind every stop of every motion {command} has changed as far as the shaft has turned, and the same way."""
+    turn = motion.units_per_turn(probe.dialect, probe.command(Verb.MOVE_RELATIVE_PULSES), SUBDIVISION)
+    sense = 0.0
+    for tried in probe.recorded(stopped):
+        if tried.refused or not tried.sense or not _stands(probe, tried):
+            continue
+        counted = (tried.pulses[1] - tried.pulses[0]) * 360 / turn
+        went = tried.end.value - tried.start.value
+        # The sense of pulses is not told: it is that of the first row.
+        sense = sense or math.copysign(1, counted * went)
+        text = f"{command.name} tells another way than the shaft has turned behind a stop"
+        probe.expect(
+            counted * sense,
+            near=went,
+            within=_BESIDE + motion.miss(probe) + probe.noise.swing,
+            unit="degrees",
+            expected=f"{went:.5g} degrees: {tried.row}",
+            refutes=text,
+            key=text,
+        )

@@ -71,6 +71,23 @@ def set_rate(probe: Probe, rate: int) -> None:
     probe.ask(found[0], {found[1].name: code})
 
 
+def visit_another_rate(probe: Probe) -> None:
+    """Bring the drive and this end to another speed and back. Raises NotRun where this end cannot be there."""
+    before = probe.gate.line.endpoint.bits_per_second
+    other = next(rate for rate in probe.dialect.rates.values() if rate != before)
+    # A drive that has changed is not found again by an end that cannot follow.
+    for rate in (other, before):
+        follow(probe, rate)
+    set_rate(probe, other)
+    follow(probe, other)
+    try:
+        probe.wait(SETTLE_NS)
+        set_rate(probe, before)
+    finally:
+        follow(probe, before)
+    probe.wait(SETTLE_NS)
+
+
 def ask_in(
     probe: Probe, other: Dialect, what: str, values: dict[str, int] | None = None, *, address: int | None = None
 ) -> bytes:

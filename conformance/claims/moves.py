@@ -44,6 +44,9 @@ _FAR, _FINE = 70_000, 256
 _EDGE = 2_147_480_000
 #: How far a shaft may go beyond its target on the way, in degrees.
 _OVERSHOOT = 2.0
+#: Short moves, in units, and their way; how often each is asked for, and how long one takes.
+_STEPS = ((1, 1), (1, -1), (2, -1), (3, 1), (5, -1), (7, 1), (7, -1), (14, 1))
+_SO_MANY, _STEP_NS = 5, 25 * MS
 #: Moves whose replies are looked at for their sums.
 _MANY = 300
 
@@ -240,6 +243,40 @@ def _again(probe: Probe, command: Command, signed: bool) -> None:
     moves = [motion.follow(probe, command, 11.18, acceleration=QUICK) for _ in range(5)]
     whole = Move(command, moves[-1].exchange, sum(m.asked for m in moves), moves[0].start, moves[-1].end)
     _expect_way(probe, whole, signed, f"{command.name}: {len(moves)} moves do not add up", times=len(moves))
+
+
+@of_motion(each=_counted, refuted_by="a shaft that stays, or goes elsewhere", at_best=Certainty.LIKELY)
+def _steps(probe: Probe, command: Command) -> None:
+    """{command} by few units at a time, either way, goes as far as it was asked to: no step is too short."""
+    motion.prepare(probe, command)
+    turn = motion.units_per_turn(probe.dialect, command)
+    stands = motion.wait_standing(probe)
+    for units, way in _STEPS:
+        step = way * units * 360 / turn
+        if units * 360 / turn <= motion.near(probe.dialect):
+            # A shaft may miss its target by as much.
+            continue
+        begin = motion.place(probe, command)
+        for number in range(_SO_MANY):
+            # To a place it is one step more each time.
+            start = begin + number * way * units if _takes_place(command) else begin
+            done = Until.DONE if motion.of(command).tells_end else Until.REPLY
+            exchange = motion.ask(probe, command, step, acceleration=QUICK, start=start, until=done, quiet_ns=0)
+            expect_taken(probe, exchange, f"{command.name} by {units} units is refused")
+            probe.wait(0 if motion.of(command).tells_end else _STEP_NS)
+        before, stands = stands, motion.wait_standing(probe)
+        within = (1 if _takes_place(command) else _SO_MANY) * motion.near(probe.dialect) + motion.miss(probe)
+        text = f"{command.name} by few units at a time goes elsewhere"
+        probe.expect(
+            abs(stands.value - before.value),
+            near=_SO_MANY * abs(step),
+            within=within,
+            unit="degrees",
+            expected=f"{_SO_MANY * abs(step):.3g} degrees: {_SO_MANY} times {way * units:+d}",
+            refutes=text,
+            exchange=exchange,
+            key=text,
+        )
 
 
 @of_motion(

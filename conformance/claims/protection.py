@@ -300,6 +300,19 @@ def _limp(probe: Probe, command: Command) -> None:
     _expect(probe, exchange, 0, "3E reads protected after 3D")
 
 
+@_without_hands("3E that reads 1", each=commands(Verb.SET_PROTECTION))
+def _off_again(probe: Probe) -> None:
+    """With the protection on and off again a motor without current is not protected: 3E reads 0."""
+    for protection in (1, 0):
+        _prepare(probe, protection)
+    exchange, _ = _limp_move(probe, _TURNS * 360)
+    protected = _is_protected(probe)
+    _end_limp(probe)
+    probe.do(Verb.ENABLE, {"enabled": 1})
+    text = "a protection that was switched on and off again acts on"
+    probe.expect(protected, equal=0, refutes=text, exchange=exchange)
+
+
 @_without_hands("3E that reads otherwise", each=commands(Verb.RELEASE_PROTECTION), at_best=Certainty.LIKELY)
 def _limp_either_way(probe: Probe) -> None:
     """A motor without current is protected whichever way it was to turn, from rest and from a run."""

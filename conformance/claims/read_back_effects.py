@@ -17,18 +17,22 @@ from collections.abc import Iterator
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
+from analyzer.layout import Field
 from conformance.claim import Inconclusive
-from conformance.claims import bench, ranges, setting_effects
+from conformance.claims import bench, kept_effects, ranges, setting_effects
 from conformance.claims.declare import Case, commands
+from conformance.claims.kept_effects import Kept
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.known_settings import Setting, every_setting, needs
-from conformance.claims.link_changes import NEW_ADDRESS_ANSWERS, OTHER_ADDRESS, change_address
+from conformance.claims.link_changes import NEW_ADDRESS_ANSWERS, OTHER_ADDRESS, change_address, visit_another_rate
 from conformance.claims.read_back import fields_of, of_read_back
 from conformance.claims.setting_effects import SettingEffect
+from conformance.model import limits
 from conformance.motion import motion
 from conformance.motion.motion import MS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
+from conformance.talk.settings import LINK_EFFECTS
 
 _SPEED_SHARE = 0.06
 
@@ -70,7 +74,8 @@ def _grouped(dialect: Dialect) -> Iterator[Case]:
         others = [each for each in every_setting(dialect) if each.command.verb not in (command.verb, Verb.SET_ENABLE_LEVEL)]
         risks, names = needs(others)
         facts = effect.needed(dialect, ranges.needs(dialect, command, effect.values), *risks, *address.all_risks)
-        facts["settings"] = tuple(dict.fromkeys((*facts["settings"], *names, *address.request_forms[0].layout.named)))
+        names += tuple(field.name for of in LINK_EFFECTS for _, field in dialect.effects(of))
+        facts["settings"] = tuple(dict.fromkeys((*facts["settings"], *names)))
         yield Case(dialect, command, {"effect": effect, "others": others, "address": address}, facts | {"parameters": {}})
 
 
@@ -83,7 +88,7 @@ def _grouped(dialect: Dialect) -> Iterator[Case]:
     quirks=may_meet(NEW_ADDRESS_ANSWERS),
 )
 def _group_stays(probe: Probe, command: Command, effect: SettingEffect, others: list[Setting], address: Command) -> None:
-    """A drive stays in its group whatever else is set, another address of its own and its old one too."""
+    """A drive stays in its group whatever else is set, another address or speed of its own and its old one too."""
     assert effect.expected is not None  # a group is known by its address
     values = effect.values[0]
     effect.ready(probe)
@@ -94,10 +99,43 @@ def _group_stays(probe: Probe, command: Command, effect: SettingEffect, others: 
         probe.ask(each.command, each.values[0])
     exchange = change_address(probe, address, other)
     change_address(probe, address, own, at=other)
+    visit_another_rate(probe)
     effect.ready(probe)
     seen, should = effect.see(probe), effect.expected(probe.dialect, values)
     text = "a drive leaves its group when something else is set"
     probe.expect(effect.words(seen), holds=seen == should, expected=effect.words(should), refutes=text, exchange=exchange)
+
+
+def _fields_with_hands(dialect: Dialect) -> Iterator[Case]:
+    for command, row in kept_effects.rows(dialect):
+        if row.hands:
+            facts = row.effect.needed(dialect, ranges.needs(dialect, command, [row.values]), *motion.risks(dialect))
+            facts |= {"parameters": {"field": row.name}, "emulated": True}
+            yield Case(dialect, command, {"row": row}, facts)
+
+
+def _usual(field: Field, value: int) -> int:
+    """Return the default of a field; where none is printed, of a choice another one, and else the value."""
+    if field.default is not None:
+        return int(field.default)
+    return next((other for other in limits.listed(field) or () if other != value), value)
+
+
+@of_read_back(each=_fields_with_hands, name="{command}/{row}-and-back", refuted_by="an effect that stays", fields=fields_of)
+def _and_back(probe: Probe, command: Command, row: Kept) -> None:
+    """With {row} set and set back the drive does what it did before."""
+    plain = {name: _usual(command.request_forms[0].layout.named[name], value) for name, value in row.values.items()}
+    seen = []
+    for values in (plain, row.values, plain):
+        motion.ready_to_move(probe)
+        row.effect.ready(probe)
+        exchange = probe.do(command, ranges.plain(probe, command, command.request_forms[0], **values))
+        seen.append(row.effect.see(probe))
+    first, other, again = seen
+    kept_effects.need_difference(probe, row, other, first)
+    text = f"{row.name} that is set back acts on"
+    holds, expected = row.effect.same(first, again), row.effect.words(first)
+    probe.expect(row.effect.words(again), holds=holds, expected=expected, refutes=text, exchange=exchange)
 
 
 # --- home -------------------------------------------------------------------------------------------------------------

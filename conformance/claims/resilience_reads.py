@@ -46,7 +46,7 @@ def _conditions(dialect: Dialect) -> Iterator[Case]:
 )
 def _reads(probe: Probe, state: Condition) -> None:
     """Every read is answered by its own reply {when}, and what is stored reads as before."""
-    motion.ready_to_move(probe)
+    motion.ready_to_move(probe, state.mode)
     at_rest = [(c, values, probe.ask(c, values, quiet_ns=0)) for c, values in every_read(probe.dialect)]
     readable = [(c, values, e) for c, values, e in at_rest if _tells(probe, e) and c.verb not in state.without]
     if not readable:

@@ -163,7 +163,7 @@ def _settings(probe: Probe, condition: Condition, rows: list[_Row]) -> None:
             probe.do(row.setting.command, row.setting.values[_ONE])
             homing = setting_effects.homing(probe)
             probe.do(row.setting.command, row.setting.values[_OTHER])
-    motion.ready_to_move(probe)
+    motion.ready_to_move(probe, condition.mode)
     condition.enter(probe)
     turning = motion.speed(probe) if condition.steady else None
     for row in rows:
@@ -430,7 +430,7 @@ def _switches_cases(dialect: Dialect) -> Iterator[Case]:
 @_in_conditions(each=_switches_cases, name="{kind}/{condition}", refuted_by="a refusal, silence, or no effect of it")
 def _switches(probe: Probe, condition: Condition, deeds: list[_Deed]) -> None:
     """What switches a drive, sets its zero or writes its ports does so {when}."""
-    motion.ready_to_move(probe)
+    motion.ready_to_move(probe, condition.mode)
     motion.follow(probe, motion.any_move(probe.dialect, at_speed=True), 100, rpm=120)
     condition.enter(probe)
     for deed in deeds:

@@ -438,6 +438,20 @@ def _clean(probe: Probe, command: Command) -> None:
     _turning(probe, _RPM)
     probe.do(command, _KEEP)
     probe.do(command, _FORGET)
+    _expect_forgotten(probe, command)
+
+
+@of_read_back(each=_saved_runs, name="{command}/clean-at-rest", refuted_by="a shaft that turns", rests_on=(Doubt.VALUES,))
+def _clean_at_rest(probe: Probe, command: Command) -> None:
+    """A run that was forgotten when the shaft stood does not begin after a restart."""
+    _turning(probe, -_RPM)
+    probe.do(command, _KEEP)
+    motion.stand_still(probe)
+    probe.do(command, _FORGET)
+    _expect_forgotten(probe, command)
+
+
+def _expect_forgotten(probe: Probe, command: Command) -> None:
     built = probe.build(command, _KEEP)
     for check in probe.dialect.link.checks(built.frame, probe.address):
         changed = bytearray(built.frame)

@@ -15,6 +15,7 @@ from conformance.claims.declare import Case, commands, needing
 from conformance.claims.motion_claim import expect_stays, of_motion, risks_by
 from conformance.motion import motion
 from conformance.motion.motion import CALM, QUICK, SECOND_NS
+from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
 #: What reads 0 after 92: the quantity in words, the read, and its fields.
@@ -46,15 +47,23 @@ def _quantities(dialect: Dialect) -> Iterator[Case]:
             yield Case(dialect, case.command, {"what": what}, _surety(what == "pulses"))
 
 
-@of_motion(each=_quantities, name="{command}/{what}", refuted_by="another number")
-def _reads_zero(probe: Probe, command: Command, what: str) -> None:
-    """After 92 the {what} reads 0."""
-    verb, names = _ZEROED[what]
-    # Beyond 16 bits of counts too, above and below zero.
+def zeroed(probe: Probe, command: Command) -> list[tuple[Exchange, dict[str, Exchange]]]:
+    """Give 92 beyond 16 bits of counts, above and below zero, and return what each read tells then."""
+    found = []
     for degrees in (468, -2412):
         _away(probe, degrees)
         exchange = probe.do(command)
-        values = probe.reply(probe.ask(verb)).values
+        reads = {what: verb for what, (verb, _) in _ZEROED.items() if verb in probe.dialect.by_verb}
+        found.append((exchange, {what: probe.ask(verb) for what, verb in reads.items()}))
+    return found
+
+
+@of_motion(each=_quantities, name="{command}/{what}", refuted_by="another number")
+def _reads_zero(probe: Probe, command: Command, what: str) -> None:
+    """After 92 the {what} reads 0."""
+    names = _ZEROED[what][1]
+    for exchange, told in probe.recorded(zeroed, command):
+        values = probe.reply(told[what]).values
         total = sum(values[n] * (probe.dialect.counts_per_turn if n == "carry" else 1) for n in names)
         probe.expect(
             ", ".join(f"{n} {values[n]}" for n in names),

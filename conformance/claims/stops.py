@@ -25,14 +25,15 @@ from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
-#: 10 ms for each rpm: from 120 rpm the shaft needs 1.2 s.
-_SLOW_RAMP, _RPM, _RAMP_NS = 56, 120, 1200 * MS
+#: 6 ms for each rpm: from 120 rpm the shaft needs 0.72 s.
+_SLOW_RAMP, _RPM, _RAMP_NS = 136, 120, 720 * MS
 #: How long the shaft is given to come to its speed, and how long it is looked at whether it stands.
 _SET_OFF_NS, _LOOK_NS = 250 * MS, 150 * MS
 #: How long a shaft that was stopped has to come to rest.
 _RESTS_NS = 500 * MS
-#: How long five turns at 120 rpm last. A move of a few turns at 60 rpm, here of one, lasts as many seconds.
-_LEFT_NS, _FEW = 2500 * MS, 1
+#: The turns of a motion that is stopped so, and how long they last at 120 rpm. A move of a few turns at 60 rpm, here of one,
+#: lasts as many seconds.
+_RAMP_TURNS, _LEFT_NS, _FEW = 4, 2000 * MS, 1
 #: The replies to a stop: when it begins, and when the shaft stands.
 _BOTH = 2
 _emergency = commands(Verb.EMERGENCY_STOP)
@@ -42,7 +43,7 @@ _lk_stop = commands(Verb.STOP)
 def set_going(probe: Probe, run: Command, rpm: int = CALM, turns: int = 5) -> Exchange:
     """Begin a run, or a move that is too long to end by itself, and let the shaft come to its speed."""
     motion.prepare(probe, run)
-    # Five turns: at 120 rpm 2.5 s, of which a late reply may take 0.7 and the ramp down 1.2.
+    # Four turns: at 120 rpm 2 s, of which a late reply may take 0.7 and the ramp down as much.
     rpm = -rpm if turns < 0 and motion.of(run).kind is MotionKind.RUN else rpm
     exchange = motion.begin(probe, run, turns * 360, rpm=rpm, acceleration=QUICK)
     probe.wait(_SET_OFF_NS)
@@ -130,7 +131,7 @@ class StopOnRamp:
 
 def stopped_by_ramp(probe: Probe, run: Command, stop: Command) -> StopOnRamp:
     """Set the shaft going and stop it by the slow ramp; nothing is asked while the end of the stop may be told."""
-    set_going(probe, run, _RPM)
+    set_going(probe, run, _RPM, _RAMP_TURNS)
     before = motion.speed(probe)
     since = len(probe.traffic)
     exchange = _ask_stop(probe, stop, _SLOW_RAMP)
@@ -155,7 +156,7 @@ def stopped_by_ramp(probe: Probe, run: Command, stop: Command) -> StopOnRamp:
         rests = motion.wait_standing(probe, limit_ns=_RAMP_NS)
     except Inconclusive:
         motion.stop(probe, 0)
-    # What is left of a move of five turns would take so long.
+    # What is left of such a move would take so long.
     probe.wait(exchange.sent_ns + _LEFT_NS - probe.gate.now_ns())
     later = motion.position(probe)
     statuses = _replies(probe, since, stop)

@@ -47,6 +47,7 @@ FAULTS = (
     "conformance.drives.faults.generic",
     "conformance.drives.faults.mks",
     "conformance.drives.faults.mks_conditions",
+    "conformance.drives.faults.mks_sequences",
     "conformance.drives.faults.lk",
 )
 QUIRKS = ("conformance.drives.mks.quirks", "conformance.drives.lk.quirks")

@@ -5,12 +5,24 @@ from __future__ import annotations
 import pytest
 
 from conformance.claim import Outcome
-from conformance.drives.faults.mks_conditions import FAULTS
+from conformance.drives.faults import mks_conditions, mks_sequences
 from conformance.suite import engine, plan
 from conformance.suite.rig_emulated import EmulatedRig
 from conformance.suite.target import EMULATED, parse
 
+FAULTS = (*mks_conditions.FAULTS, *mks_sequences.FAULTS)
 REFUTED_BY = {
+    "stops-lose-pulses": "motion/read_pulses/behind-stops",
+    "homing-unstopped": "motion/emergency_stop/ends-home",
+    "cleaned-turning-alone": "read-back/save_speed/clean-at-rest",
+    "third-target-lost": "motion/move_absolute_axis/again-and-again",
+    "package-of-two-codes": "addressing/package/first_of_kinds",
+    "protection-stays": "motion/set_protection/off-again",
+    "group-left-by-speed": "read-back/set_group_address/stays",
+    "holding-refused-open": "resilience/settings/run_speed",
+    "short-moves-undone": "motion/move_relative_pulses/steps",
+    "moves-scaled-at-64": "motion/move_relative_pulses/crossed-speed",
+    "inner-request-obeyed": "addressing/other/inside",
     "check-ff-passes": "framing/run_speed/wrong_check",
     "check-0-passes": "framing/move_absolute_pulses/wrong_check",
     "check-next-passes": "framing/move_relative_axis/wrong_check",

@@ -17,7 +17,7 @@ from analyzer.catalogue import Role
 from analyzer.codec import codec
 from analyzer.encoder import build
 from conformance.drives.drive import Fault
-from conformance.drives.faults import mks_conditions
+from conformance.drives.faults import mks_conditions, mks_sequences
 from conformance.drives.make import every_fault
 from conformance.drives.mks.quirks import QUIRKS
 from conformance.drives.mks.state import is_setting
@@ -773,7 +773,7 @@ def differs(name, theme="", faults=(), quirks=()):
 
 
 #: Those that show in one condition alone are shown by the claims that refute them (claims/test_conditions.py).
-_OF_CONDITIONS = {fault.name for fault in mks_conditions.FAULTS}
+_OF_CONDITIONS = {fault.name for fault in (*mks_conditions.FAULTS, *mks_sequences.FAULTS)}
 FAULTY = [(fault, name) for fault in FAULTS for name in NAMES if name in fault.dialects and fault.name not in _OF_CONDITIONS]
 QUIRKY = [(quirk, name) for quirk in QUIRKS for name in NAMES if name in quirk.dialects]
 

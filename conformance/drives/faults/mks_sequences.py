@@ -1,0 +1,159 @@
+"""Faults of the MKS drives that show behind something else alone: behind a stop, another update, a setting that is undone.
+
+Also those that need a value that few send: a step of a few units, a frame in the data of another one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from msgspec.structs import replace
+
+from analyzer.catalogue import Command, Verb
+from analyzer.decoder import Slot
+from analyzer.protocols import mks_shared
+from analyzer.records import Frame
+from conformance.drives.drive import Drive, Request, Values
+from conformance.drives.faults.mks_behaviour import OK, before, mine, slots, tuned
+from conformance.drives.faults.mks_conditions import refused_when, undone_when
+from conformance.drives.faults.places import NATIVE, SERIAL, Change, Row, Rows, faults, having, request, storing
+from conformance.drives.mks.core import STOPS, Activity, MksCore
+from conformance.drives.mks.motion import TARGETS
+from conformance.drives.mks.paths import Number, divided
+
+#: Steps that are too short for a drive; updates that it takes; pulses that it loses behind a stop.
+_SHORTEST, _UPDATES, _LOST = 6, 2, 40
+_SCALED = 64
+
+
+def _short(drive: Drive, command: Command, values: Values) -> Values:
+    name = "pulses" if "pulses" in values else "position"
+    return values | {name: 0} if abs(values[name]) < _SHORTEST else values
+
+
+def _loses_pulses(drive: MksCore, request: Request) -> None:
+    if drive.motor.speed(drive.now_ns):
+        drive.memory.pulse_zero += _LOST * drive.pulse_counts
+
+
+def _scaled_moves(drive: MksCore) -> None:
+    """Reckon the speed of moves by a subdivision at which it is what is sent."""
+    plain = drive.real_speed
+
+    def scaled(speed: int) -> Number:
+        return divided(speed * 16, _SCALED) if drive.subdivision == _SCALED else plain(speed)
+
+    for verb in TARGETS:
+        obey = drive.behaviours[verb]
+
+        def slow(core: MksCore, asked: Request, obey: Callable[[MksCore, Request], Values | None] = obey) -> Values | None:
+            core.real_speed = scaled  # type: ignore[method-assign]
+            try:
+                return obey(core, asked)
+            finally:
+                core.real_speed = plain  # type: ignore[method-assign]
+
+        drive.behaviours[verb] = slow
+
+
+def _few_updates(verb: Verb) -> Change:
+    """Take so many moves that take over from one another, and no more."""
+
+    def change(drive: MksCore) -> None:
+        taken, obey = 0, drive.behaviours[verb]
+
+        def behave(core: MksCore, asked: Request) -> Values | None:
+            nonlocal taken
+            taken = taken + 1 if core.doing(Activity.MOVE) and core.motor.speed(core.now_ns) else 0
+            return dict(OK) if taken > _UPDATES else obey(core, asked)
+
+        drive.behaviours[verb] = behave
+
+    return tuned(change, having(verb))
+
+
+def _on_alone(drive: Drive, name: str, value: int) -> tuple[str, int] | None:
+    return None if name == "protection" and not value else (name, value)
+
+
+def _open(drive: MksCore) -> bool:
+    return "open" in drive.mode
+
+
+def _homes(drive: MksCore) -> bool:
+    return drive.doing(Activity.HOME)
+
+
+def _by_code(address: int, every: list[Slot], wanted: list[Slot]) -> list[Slot]:
+    """Return the first slot of each code."""
+    return list({slot.code: slot for slot in reversed(mine(address, every))}.values())[::-1]
+
+
+def _kept_at_rest(drive: MksCore, request: Request) -> Values | None:
+    """Say that the run is cleaned, and keep it, where the shaft stands."""
+    cleans = request.values["save_state"] == mks_shared.SaveState.CLEAN
+    return dict(OK) if cleans and not drive.motor.speed(drive.now_ns) else None
+
+
+def _leave_group(drive: MksCore, request: Request) -> None:
+    drive.settings["group_address"] = 0
+
+
+def _inner_requests(drive: MksCore) -> None:
+    """Find a request to the drive anywhere in a frame that is for another one."""
+    take = drive._take
+
+    def within(frame: Frame) -> bytes | None:
+        link, data = drive.dialect.link, frame.data
+        head = link.parse(data)
+        if head.address == drive.address:
+            return None
+        ends = ((first, last) for first in range(2, len(data)) for last in range(first + 4, len(data)))
+        pieces = (data[first:last] for first, last in ends)
+        return next((p for p in pieces if link.fits(p) and link.parse(p).address == drive.address), None)
+
+    def taken(frame: Frame) -> None:
+        inner = within(frame) if frame.can is None else None
+        take(frame if inner is None else replace(frame, data=inner, checksum_ok=True))
+
+    drive._take = taken  # type: ignore[method-assign]
+
+
+SEQUENCES: Rows = {
+    "behind a stop": (
+        Row("stops-lose-pulses", f"33 loses {_LOST} pulses at each stop of a turning shaft", before(STOPS, _loses_pulses)),
+        Row("homing-unstopped", "F7 says success and does not end homing", undone_when(_homes, Verb.EMERGENCY_STOP)),
+        Row(
+            "cleaned-turning-alone",
+            "FF CA cleans the kept run while the shaft turns alone",
+            before(Verb.SAVE_SPEED, _kept_at_rest),
+        ),
+    ),
+    "one of many": (
+        Row("third-target-lost", "of targets that follow one another the third is lost", _few_updates(Verb.MOVE_ABSOLUTE_AXIS)),
+        Row("package-of-two-codes", "of the own slots of a package the first of each code is executed", slots(_by_code)),
+    ),
+    "undone": (
+        Row("protection-stays", "88 00 is answered, and the protection acts on", storing(_on_alone, "protection")),
+        Row(
+            "group-left-by-speed",
+            "8A takes the drive out of its group",
+            before(Verb.SET_BAUD_RATE, _leave_group),
+            having(Verb.SET_GROUP_ADDRESS),
+        ),
+    ),
+    "in one mode": (
+        Row("holding-refused-open", "9B is refused in an open mode", refused_when(_open, Verb.SET_HOLDING_CURRENT), SERIAL),
+    ),
+    "few send it": (
+        Row(
+            "short-moves-undone",
+            f"moves by fewer than {_SHORTEST} units turn nothing",
+            request(_short, (Verb.MOVE_RELATIVE_PULSES, Verb.MOVE_RELATIVE_AXIS)),
+        ),
+        Row("moves-scaled-at-64", "at 64 subdivisions moves go at a quarter of their speed", tuned(_scaled_moves)),
+        Row("inner-request-obeyed", "a request in the data of another drive's is obeyed", tuned(_inner_requests), NATIVE),
+    ),
+}
+
+FAULTS = faults(SEQUENCES)
