@@ -26,7 +26,7 @@ from conformance.talk.probe import Probe
 
 _RPM = 120
 #: More counts than 24 signed bits hold, in turns.
-_WIDE_TURNS = 600
+_WIDE_TURNS = 545
 #: The angle error of a loop that holds its place, at most, in degrees.
 _LAG = 1.0
 #: What the version tells of the bare encoder.
