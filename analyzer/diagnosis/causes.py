@@ -244,6 +244,14 @@ CAUSES = {
             "46 41 30 31 33 30 32 42 for FA 01 30 2B",
         ),
         Cause(
+            "adapter_framing",
+            "A frame is wrapped in the frames of an adapter.",
+            "The bytes on the serial line are an adapter's own commands, with CAN frames inside.",
+            "The program speaks to a USB-CAN adapter, and the capture (or the drive) gets its serial side.",
+            "Use the adapter's driver, or capture on the CAN side.",
+            "41 54 00 20 00 00 02 31 32 0D 0A",
+        ),
+        Cause(
             "tcp_framing",
             "A frame has the header of Modbus TCP and no CRC.",
             "00 01 00 00 00 06 stands before it; a drive on RTU is silent.",

@@ -8,11 +8,13 @@ from typing import Any
 
 from analyzer.catalogue import Dialect
 from analyzer.diagnosis import (
+    adapters,
     can_bus,
     checks,
     echo,
     host,
     line,
+    other_makers,
     pace,
     quirks,
     requests,
@@ -31,6 +33,8 @@ from analyzer.values import counted
 HYPOTHESES: tuple[Callable[[Scene], Iterator[Suspicion]], ...] = (
     wrapped.look,
     can_bus.look,
+    adapters.look,
+    other_makers.look,
     checks.look,
     requests.look,
     spoiled.look,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from analyzer.catalogue import Role
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
 from analyzer.link import READS, modbus_crc
 from analyzer.values import counted
@@ -82,6 +83,9 @@ def _byte_count(scene: Scene) -> Iterator[Suspicion]:
 
 def _never_answered(scene: Scene) -> Iterator[Suspicion]:
     """Suspect a firmware without a command that is never answered, where all others are."""
+    if any(s.direction is not Role.REQUEST for s in scene.stretches):
+        # Damaged bytes may be its replies.
+        return
     silent: dict[str, list[Trouble]] = {}
     for trouble in scene.of("unanswered"):
         if trouble in scene.explained or trouble.piece is None or trouble.piece.message is None:

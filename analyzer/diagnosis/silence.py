@@ -11,7 +11,7 @@ from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion,
 from analyzer.dialects import drive_name
 from analyzer.encoder import build
 from analyzer.layout import Effect
-from analyzer.link import FUNCTIONS, modbus_crc
+from analyzer.link import FUNCTIONS, WRITE_ONE, modbus_crc
 from analyzer.records import Message
 from analyzer.values import counted, identifier
 
@@ -40,6 +40,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         yield from _nobody(scene, asked, answering)
     yield from _to_all(scene)
     yield from _to_none(scene)
+    yield from _from_new(scene)
     yield from _respond(scene)
     yield from _refused(scene)
 
@@ -224,7 +225,11 @@ def _to_all(scene: Scene) -> Iterator[Suspicion]:
 
 def _to_none(scene: Scene) -> Iterator[Suspicion]:
     """Suspect Modbus frames to an address that no unit can have."""
-    troubles = [t for t in scene.damaged if t.stretch is not None and t.stretch.can_id is None and _beyond(t.stretch.data)]
+    troubles = [
+        t for t in scene.damaged
+        if t.stretch is not None and t.stretch.can_id is None and t.stretch.direction is not Role.REPLY
+        and _beyond(t.stretch.data)
+    ]  # fmt: skip
     if not troubles or troubles[0].stretch is None:
         return
     data = troubles[0].stretch.data
@@ -235,6 +240,22 @@ def _to_none(scene: Scene) -> Iterator[Suspicion]:
         f"Ask at the unit's own address: for 1 send {shown(_at_one(data))}",
         tuple(Shown(t.offset, shown(t.stretch.data), shown(_at_one(t.stretch.data))) for t in troubles if t.stretch),
     )  # fmt: skip
+
+
+def _from_new(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect a new address where the reply to a write of one register comes from the address that it writes."""
+    for trouble in scene.of("unsolicited_reply"):
+        data = b"" if trouble.piece is None else trouble.piece.data
+        if len(data) != _WRITE_ONE or data[1] != min(WRITE_ONE - {5}) or int.from_bytes(data[4:6], "big") != data[0]:
+            continue
+        yield Suspicion(
+            "address_changed", Confidence.LIKELY, [trouble],
+            f"The unit was given the address {data[0]}, and answers from it at once.",
+            f"{shown(data)} at byte {trouble.offset} writes {data[0]}, and comes from {data[0]}",
+            f"Ask at address {data[0]} from here on: the write is done, whatever a library reports",
+            (Shown(trouble.offset, shown(data)),),
+        )  # fmt: skip
+        return
 
 
 def _beyond(data: bytes) -> bool:
@@ -248,6 +269,7 @@ def _at_one(data: bytes) -> bytes:
 
 _MODBUS_LAST = 247
 _MODBUS_SHORTEST = 5
+_WRITE_ONE = 8
 
 
 def _reads(message: Message) -> bool:

@@ -198,10 +198,6 @@ def test_a_command_that_is_never_answered():
 # --- values -----------------------------------------------------------------------------------------------------------------
 
 
-def sent(dialect, *requests):
-    return [(">", build(dialect, name, 1, values)) for name, values in requests]
-
-
 def word(frame, at, data, dialect=NATIVE):
     """Return a frame with other bytes at a place, and its check anew."""
     size = 2 if dialect is MODBUS else 1
