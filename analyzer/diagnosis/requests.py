@@ -10,7 +10,6 @@ from typing import NamedTuple
 from analyzer.catalogue import Dialect, Role
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
 from analyzer.link.modbus import FUNCTIONS
-from analyzer.records import CanFrame
 from analyzer.values import counted
 
 _READS = (0x03, 0x04)
@@ -30,11 +29,8 @@ _EXCEPTIONS = {
 }  # fmt: skip
 #: Requests of a capture in which one refusal is what it is about.
 _FEW = 4
-#: Zeros behind a frame that are no glitch; and bytes of a full CAN frame.
+#: Zeros behind a frame that are no glitch.
 _PADDING = 4
-_FULL = 8
-#: Identifiers that neither RMD motors nor CANopen nodes have.
-_MINE = range(0x001, 0x141)
 #: First registers of each kind in the numbering of old controllers.
 _NUMBERED = (10001, 30001, 40001)
 
@@ -138,16 +134,9 @@ def _short(scene: Scene) -> Iterator[Suspicion]:
 
 
 def _padded(scene: Scene) -> Iterator[Suspicion]:
-    """Suspect requests that are filled up with bytes that the manual does not have: zeros, or all eight of a CAN frame."""
+    """Suspect requests that are filled up with zeros."""
     before = {p.stop: p for p in scene.pieces if p.is_request and p.sound and p.can is None}
     found: list[tuple[Trouble, bytes, bytes]] = []
-    full = [p for p in scene.pieces if p.can is not None and not p.can.error]
-    for piece in full:
-        if piece.can is not None and piece.can.id in _MINE and (right := _shorter(scene, piece.can)):
-            found.append((Trouble("damaged", piece.offset, None, piece), piece.data, right))
-    if len(found) < len(full):
-        # Others send whole frames there: what looks padded is theirs.
-        found = []
     for trouble in scene.damaged:
         stretch = trouble.stretch
         if stretch is None or stretch.direction is Role.REPLY or stretch.can_id is not None:
@@ -158,33 +147,17 @@ def _padded(scene: Scene) -> Iterator[Suspicion]:
     sizes = {len(data) for _, data, _ in found}
     zeros = max((len(data) - len(right) for _, data, right in found), default=0)
     # A glitch behind a frame reads as few zeros, in frames of any length.
-    sure = bool(full) or zeros >= _PADDING or len({len(right) for _, _, right in found}) > 1
+    sure = zeros >= _PADDING or len({len(right) for _, _, right in found}) > 1
     if not found or len(sizes) > 1 or not sure:
         return
     first, data, right = found[0]
-    can_id = first.piece.can.id if first.piece is not None and first.piece.can is not None else None
     yield Suspicion(
         "wrong_length", Confidence.CERTAIN if len(found) > 1 else Confidence.LIKELY, [t for t, _, _ in found],
         f"The request is filled up to {counted(len(data), 'byte')}; the manual has {len(right)}.",
-        f"{shown(data, can_id)} at byte {first.offset}; {counted(len(found), 'time')}",
-        f"Send as many bytes as the command has: {shown(right, can_id)}",
-        tuple(Shown(t.offset, shown(d, can_id), shown(r, can_id)) for t, d, r in found),
+        f"{shown(data)} at byte {first.offset}; {counted(len(found), 'time')}",
+        f"Send as many bytes as the command has: {shown(right)}",
+        tuple(Shown(t.offset, shown(d), shown(r)) for t, d, r in found),
     )  # fmt: skip
-
-
-def _shorter(scene: Scene, can: CanFrame) -> bytes:
-    """Return the request that the beginning of a full CAN frame is, with its check; nothing where there is none."""
-    data = can.data
-    if len(data) != _FULL or can.extended or can.remote:
-        return b""
-    for dialect in scene.reader.dialects:
-        for command in dialect.by_code.get(data[0], ()):
-            sizes = {form.layout.byte_length for form in command.request_forms}
-            for size in sorted(sizes, reverse=True):
-                whole = dialect.link.completed(data[: 1 + size], can.id)
-                if len(whole) < _FULL and not any(data[len(whole) : -1]) and _FULL - 2 not in sizes:
-                    return whole
-    return b""
 
 
 def _why(scene: Scene, piece: Piece, refusal: Piece | None) -> _Why | None:
