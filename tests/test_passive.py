@@ -63,6 +63,8 @@ NOT_TO_A_BUS = {
 }
 #: Opens files of a recording to lock them.
 LOCKS = "analyzer/live/lock.py"
+#: Maps the memory that a reader and its successor share.
+MEMORY = "analyzer/live/reader_hand.py"
 #: The calls that set a serial port up.
 IOCTLS = {"TIOCMBIC", "TCGETS2", "TCSETS2", "TIOCGICOUNT"}
 #: What is used of an object that could write: its name in the file -> attributes.
@@ -120,7 +122,7 @@ def opens(source):
             yield module
         if first == "socket" and source.name not in SOCKETS:
             yield module
-        if first in ("pty", "tty", "ctypes", "mmap", "usb"):
+        if first in ("pty", "tty", "ctypes", "usb") or (first == "mmap" and source.name != MEMORY):
             yield module
     for called, _ in source.calls:
         # `Bus` alone is also what a recording knows of one.

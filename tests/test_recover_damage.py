@@ -11,7 +11,8 @@ import pytest
 from mcap.reader import make_reader
 
 from analyzer.cli import main
-from analyzer.live.spool import HEAD, SpoolReader, stems
+from analyzer.cli.recover import _unbroken
+from analyzer.live.spool import HEAD, RecordKind, SpoolReader, SpoolWriter, pack, segments, stems
 from tests.collect import sum8
 from tests.live.spooled import Spools, port, read
 
@@ -173,3 +174,23 @@ def test_what_is_missing_is_said_with_what_to_do(tmp_path, pattern, capsys):
         assert found == sent
     else:
         assert len(found) >= 100
+
+
+@pytest.mark.parametrize(
+    ("befores", "deleted", "unbroken"),
+    [
+        ((0, 2, 4), (), True),
+        ((0, 2, 4), (0,), False),
+        ((0, 2, 4), (1,), False),
+        ((0, 2, 6), (), False),
+        ((4,), (), False),
+        ((), (), False),
+    ],
+)
+def test_spools_hold_all_of_a_recording_where_nothing_is_missing_in_their_count(befores, deleted, unbroken, tmp_path):
+    writer = SpoolWriter(tmp_path, "1-a", segment_size=1)
+    for before in befores:
+        writer.write(pack(RecordKind.DATA, before, before, b"xx"))
+    for number in deleted:
+        dict(segments(tmp_path, "1-a"))[number].unlink()
+    assert _unbroken(tmp_path, "1-a") is unbroken

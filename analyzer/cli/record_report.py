@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,18 +46,19 @@ def summarize(supervisor: Supervisor) -> Summary:
     config, snapshot = supervisor.config, supervisor.snapshot
     files = [str(path) for path in supervisor.files]
     ports = list(supervisor.tallies.values())
+    buses = {} if snapshot is None else {b.bus: msgspec.to_builtins(b) for b in snapshot.buses}
     return Summary(
         reason=supervisor.reason,
         seconds=(supervisor.ended_ns - supervisor.began_ns) / 1e9,
         ports=ports,
-        buses={} if snapshot is None else {b.bus: msgspec.to_builtins(b) for b in snapshot.buses},
+        buses=buses,
         rules={} if snapshot is None else dict(sorted(snapshot.rules.items(), key=lambda item: -item[1])),
         others=_others_of(snapshot),
         files=files,
         bytes=sum(Path(name).stat().st_size for name in files),
         decoder_restarts=supervisor.decoder_restarts,
         unfinished=supervisor.unfinished,
-        lost=bool(supervisor.unfinished) or any(port.lost for port in ports),
+        lost=bool(supervisor.unfinished) or any(port.lost or _missing(port, ports, buses) for port in ports),
         utc_ns=config.utc_ns(0),
     )
 
@@ -71,7 +73,7 @@ def as_text(summary: Summary) -> list[str]:
         rows.append(
             (
                 port.bus, port.endpoint, count, str(counts.get("frames", "")), str(counts.get("junk_bytes", 0) or ""),
-                _lost(port), _garbled(port),
+                _lost(port, _missing(port, summary.ports, summary.buses)), _garbled(port),
             )
         )  # fmt: skip
     lines += [printable(line) for line in columns(rows)]
@@ -105,8 +107,14 @@ def _others(bus: str, counts: dict[str, int]) -> str:
     return f"{bus}: not of this dialect: {', '.join(named[:_OTHERS_NAMED])}{more}"
 
 
-def _lost(port: PortStatus) -> str:
-    parts = []
+def _missing(port: PortStatus, ports: Sequence[PortStatus], buses: Mapping[str, Mapping[str, Any]]) -> int:
+    """Return how much more decoding missed in the spools of a port's bus than its readers have told."""
+    told = sum(each.dropped + each.kernel_dropped for each in ports if each.bus == port.bus)
+    return max(0, int(buses.get(port.bus, {}).get("lost", 0)) - told)
+
+
+def _lost(port: PortStatus, missing: int) -> str:
+    parts = [f"{missing} {port.unit} missing in the spools"] if missing else []
     gaps = [gap for gap in port.gaps if not gap.kept]
     if gaps:
         parts.append(f"{counted(port.gap_count - len(port.gaps) + len(gaps), 'gap')}")

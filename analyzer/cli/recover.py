@@ -29,7 +29,7 @@ from analyzer.live.lock import RUNNING, Lock
 from analyzer.live.log_parts import LogParts, log_of
 from analyzer.live.recorder import Recorder
 from analyzer.live.recording import Recording
-from analyzer.live.spool import segments, spool_folder, stems
+from analyzer.live.spool import SpoolReader, segments, spool_folder, stems
 from analyzer.sinks.mcap_repair import RepairResult, broken_before, repair, unreadable
 from analyzer.sources.recording_parts import base_of, look, parts_named
 from analyzer.sources.times import iso
@@ -158,11 +158,7 @@ def _from_spools(folder: Path, told: RecordingConfig, log: Path, interrupt: Inte
     parts = LogParts(folder, told)
     mine = not log.exists() or look(log).recording == parts.recording
     whole = (
-        mine
-        and not parts.rotating
-        and all(
-            any(number == 0 for number, _ in segments(folder, stem)) for stem in (config.CONTROL, *(p.stem for p in told.ports))
-        )
+        mine and not parts.rotating and all(_unbroken(folder, stem) for stem in (config.CONTROL, *(p.stem for p in told.ports)))
     )
     second = _free(log.with_name(f"{log.stem}-spools.mcap"))
     new = folder.rename(spool_folder(second))
@@ -186,6 +182,22 @@ def _from_spools(folder: Path, told: RecordingConfig, log: Path, interrupt: Inte
         _repair(path, None, replace=True)
     print(f"{printable(second.name)}: whole; all that the spools held, some of which {printable(log.name)} may have, too")
     return [*old, *paths]
+
+
+def _unbroken(folder: Path, stem: str) -> bool:
+    """Say whether a spool holds all that its readers stored since the beginning."""
+    reader = SpoolReader(folder, stem)
+    expected = 0
+    found = True
+    while found:
+        found = False
+        for record in reader.read(final=True):
+            # What its reader could not store, it has told.
+            if record.before != expected and not record.data.startswith(b'{"event":"dropped"'):
+                return False
+            found, expected = True, record.before + record.units
+    # The first reader begins with 0; a spool that was deleted whole says nothing of what it held.
+    return any(number == 0 for number, _ in segments(folder, stem))
 
 
 def _free(path: Path) -> Path:

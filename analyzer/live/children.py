@@ -26,6 +26,7 @@ from typing import IO, Any
 import msgspec
 
 from analyzer.live import snapshot
+from analyzer.live.reader_hand import Hand
 from analyzer.live.snapshot import Snapshot
 
 #: A child that lived this long is started again at once when it dies; one that did not, after a while that grows.
@@ -36,6 +37,8 @@ LAST_WAIT_S = 5.0
 _LAST_WORDS = 20
 #: How a line on standard error begins that is for people.
 SAYS = "servotap record: "
+#: Numbers of segments for each start of a reader: none is used twice, whatever was deleted meanwhile.
+SEGMENTS = 1_000_000
 #: Readers go before everything else where that is allowed (root); elsewhere decoding goes after them.
 READER_NICE = -10
 DECODER_NICE = 5
@@ -60,6 +63,8 @@ class Child(ABC):
         self._heard = heard
         self._nice = nice
         self._handed = tuple(handed)
+        #: Told where its segments begin, as one that stores.
+        self._stores = False
         self._process: subprocess.Popen[bytes] | None = None
         self._leash: socket.socket | IO[bytes] | None = None
         self._words: deque[str] = deque(maxlen=_LAST_WORDS)
@@ -92,6 +97,8 @@ class Child(ABC):
         if kept is not None:
             words += ["--adopt", str(kept)]
             handed += (kept,)
+        if self._stores and self.restarts:
+            words += ["--first-segment", str(self.restarts * SEGMENTS)]
         self._drop_leash()
         self._words.clear()
         # A socket, for descriptors come back on it; elsewhere than on Unix a pipe.
@@ -231,7 +238,18 @@ class ReaderChild(Child):
 
     def __init__(self, folder: Path, stem: str, heard: MessageQueue, *, plain: bool = False) -> None:
         command = [*_PYTHON, "-m", "analyzer.live.reader", str(folder), stem]
-        super().__init__(stem, command + ["--plain"] * plain, heard, READER_NICE)
+        self._hand = Hand.make()
+        handed = [] if self._hand is None else [self._hand]
+        command += [*(["--plain"] * plain), *(f"--hand={fd}" for fd in handed)]
+        super().__init__(stem, command, heard, READER_NICE, handed)
+        self._stores = True
+
+    def close(self) -> None:
+        """Give back what is held."""
+        super().close()
+        hand, self._hand = self._hand, None
+        if hand is not None:
+            os.close(hand)
 
     def _hear(self, line: bytes) -> None:
         try:

@@ -1,6 +1,6 @@
 """A reader process: it waits for one port, reads, stamps and stores.
 
-    python -m analyzer.live.reader FOLDER STEM [--adopt FD] [--plain]
+    python -m analyzer.live.reader FOLDER STEM [--adopt FD] [--hand FD] [--first-segment N] [--plain]
 
 FOLDER holds the recording's configuration, STEM names the spool there. Events are told on standard output too, one line of
 JSON each, beside the spool. Standard input ends when the supervisor does: then, or at SIGTERM, the reader takes what has
@@ -20,7 +20,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -29,8 +28,10 @@ from analyzer.live import config
 from analyzer.live.config import PortConfig
 from analyzer.live.endpoint import Endpoint, parse
 from analyzer.live.lock import RUNNING, Lock
+from analyzer.live.reader_hand import Hand
 from analyzer.live.reader_port import LEASH, Lost, Opened, Port, Stop, Unopened
-from analyzer.live.reader_store import StatusLine, Store, Taken
+from analyzer.live.reader_store import StatusLine, Store
+from analyzer.live.reader_stream import take_over
 from analyzer.live.spool import RecordKind, SpoolWriter, last_record
 
 FIRST_RETRY_S = 0.1
@@ -145,7 +146,8 @@ class Reader:
         about = {"notes": list(opened.notes), "precision": opened.precision}
         if kept:
             # At the time of what the other one stored last: what has waited since then comes after it.
-            gap_ns = time.monotonic_ns() - (lost_ns or 0)
+            assert lost_ns is not None  # what is adopted was another's
+            gap_ns = time.monotonic_ns() - lost_ns
             store.event("note", store.last_ns, text=_TAKEN_OVER, from_ns=lost_ns, gap_ns=gap_ns, kept=True)
             return
         now_ns = time.monotonic_ns()
@@ -155,7 +157,6 @@ class Reader:
             store.event("back", now_ns, gap_ns=now_ns - lost_ns, from_ns=lost_ns, reason="", **about)
 
 
-_DIED = "the reader process died between reading and storing them"
 _TAKEN_OVER = (
     "the reader process died and another one took over the port; the kernel buffered the traffic in between, whose times are "
     "those of the end of that wait"
@@ -177,6 +178,8 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("folder", type=Path)
     parser.add_argument("stem")
     parser.add_argument("--adopt", type=int)
+    parser.add_argument("--hand", type=int)
+    parser.add_argument("--first-segment", type=int, default=0)
     parser.add_argument("--plain", action="store_true")
     arguments = parser.parse_args(words)
     stop = Stop()
@@ -188,28 +191,32 @@ def main(words: Sequence[str] | None = None) -> int:
     try:
         recording = config.load(arguments.folder)
         lock = Lock(arguments.folder, RUNNING, shared=True)
-        port = make_port(endpoint_of(next(p for p in recording.ports if p.stem == arguments.stem)), arguments.plain)
+        endpoint = endpoint_of(next(p for p in recording.ports if p.stem == arguments.stem))
+        port = make_port(endpoint, arguments.plain)
         before = last_record(arguments.folder, arguments.stem)
-        writer = SpoolWriter(arguments.folder, arguments.stem, limit=recording.max_spool)
+        stored = 0 if before is None else before.before + before.units
+        hand = None if arguments.hand is None else Hand(arguments.hand)
+        left = None if hand is None else hand.left(stored)
+        last_ns = max(0 if before is None else before.t_ns, 0 if left is None else left.last_ns)
         store = Store(
-            writer,
+            SpoolWriter(arguments.folder, arguments.stem, limit=recording.max_spool, first=arguments.first_segment),
             tell,
             unit=port.unit,
-            count=0 if before is None else before.before + before.units,
-            last_ns=0 if before is None else before.t_ns,
+            count=stored if left is None else left.stored,
+            last_ns=last_ns,
             idle=before is not None and before.kind != RecordKind.DATA,
+            hand=hand,
         )
-        if port.unit == "bytes":
-            taken = Taken.at(arguments.folder / f"{arguments.stem}.taken", {arguments.stem: store.count})
-            if taken is not None:
-                store.on_taken = partial(taken.add, arguments.stem)
-                lost = 0 if taken.before is None else taken.before[arguments.stem] - store.count
-                if lost > 0 and before is not None:
-                    store.lose(lost, before.t_ns, before.t_ns, _DIED)
+        # Its spool may have been deleted, and it may have left nothing else.
+        forerunner_ns = (
+            (last_ns or time.monotonic_ns()) if arguments.first_segment or arguments.adopt is not None or last_ns else None
+        )
+        if left is not None:
+            take_over(store, left, endpoint.byte_ns)
         # What is loaded stays, and need not be looked at again and again.
         gc.collect()
         gc.freeze()
-        Reader(port, store, stop, hand_over).run(arguments.adopt, None if before is None else before.t_ns)
+        Reader(port, store, stop, hand_over).run(arguments.adopt, forerunner_ns)
         lock.close()
     except (Unopened, ServotapError) as error:
         tell(time.monotonic_ns(), "failed", {"reason": str(error)})

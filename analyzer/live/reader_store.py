@@ -12,15 +12,14 @@ from __future__ import annotations
 
 import contextlib
 import io
-import struct
 import time
 from collections import deque
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from analyzer.live.reader_hand import Hand
 from analyzer.live.spool import RecordKind, SpoolWriter, pack, pack_can, pack_event
 
 #: Bytes of records kept in memory while they cannot be stored.
@@ -45,46 +44,11 @@ class StatusLine:
                 self._file.write(msgspec.json.encode({"event": event, "t_ns": t_ns, **about}) + b"\n")
 
 
-class Taken:
-    """How much a process has taken of each stream, in a file that outlives it: a u64 for each stream.
-
-    `before`: the counts that a process which died has left, None where there was none.
-    """
-
-    _COUNT = struct.Struct("<Q")
-
-    def __init__(self, path: Path, stored: dict[str, int]) -> None:
-        size = self._COUNT.size
-        self._places = {direction: at * size for at, direction in enumerate(stored)}
-        left = path.read_bytes() if path.exists() else b""
-        whole = len(left) == size * len(stored)
-        self.before = {d: self._COUNT.unpack_from(left, at)[0] for d, at in self._places.items()} if whole else None
-        self.counts = dict(self.before or stored)
-        # Written, not only made as long: on a full disk an error here, not a death at the first byte.
-        path.write_bytes(b"".join(self._COUNT.pack(count) for count in self.counts.values()))
-        self._file = path.open("r+b", buffering=0)
-
-    @classmethod
-    def at(cls, path: Path, stored: dict[str, int]) -> Taken | None:
-        """Return the counts; None where they have no place, as on a full disk."""
-        try:
-            return cls(path, stored)
-        except OSError:
-            return None
-
-    def add(self, direction: str, size: int) -> None:
-        """Count what was taken, before anything is done with it."""
-        self.counts[direction] += size
-        # Where it cannot be kept, a death tells less; the bytes themselves come first.
-        with contextlib.suppress(OSError):
-            self._file.seek(self._places[direction])
-            self._file.write(self._COUNT.pack(self.counts[direction]))
-
-
 class Store:
     """Stores what one port brings. `unit`: `bytes` or `frames`, what `count` counts; `count`: from a forerunner on.
 
-    `tell` is called with each event. `last_ns`: time of the last record; `idle`: the last one was IDLE.
+    `tell` is called with each event. `last_ns`: time of the last record; `idle`: the last one was IDLE. `hand`: learns what is
+    taken and what is stored.
     """
 
     def __init__(
@@ -97,6 +61,7 @@ class Store:
         last_ns: int = 0,
         idle: bool = False,
         held_limit: int = HELD_LIMIT,
+        hand: Hand | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._writer = writer
@@ -106,8 +71,7 @@ class Store:
         self.count = count
         self.last_ns = last_ns
         self.idle = idle
-        #: Called with the number of bytes that were read, before anything is done with them.
-        self.on_taken: Callable[[int], None] = lambda size: None
+        self.hand = hand
         #: Chunks (or frames) taken.
         self.records = 0
         self._told = count
@@ -188,6 +152,11 @@ class Store:
 
     def flush(self) -> None:
         """Store what was taken; what cannot be stored is held, or dropped and counted."""
+        self._flush()
+        if self.hand is not None:
+            self.hand.keep(self.count, self.last_ns, stored=not self._waiting)
+
+    def _flush(self) -> None:
         if not self._batch:
             if self._waiting:
                 self._retry()

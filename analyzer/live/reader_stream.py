@@ -14,18 +14,18 @@ chunk's time, so the first chunk after a pause is cut behind its first byte wher
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections.abc import Callable, Sequence
 
 from analyzer.framer import SLOWEST_BYTE_NS
+from analyzer.live.reader_hand import DRAIN_LIMIT, READ_SIZE, Left
 from analyzer.live.reader_port import IDLE_NS, Lost, Stop, listen, readable
 from analyzer.live.reader_store import Store
 
-READ_SIZE = 1 << 16
-#: Bytes read in a row before they are stored; what a tty of Linux holds at most.
-DRAIN_LIMIT = 1 << 17
 #: How long a reader that is to end goes on reading what keeps coming.
 LAST_READS_NS = 200_000_000
+_DIED = "the reader process died before it could store them"
 
 Piece = tuple[int, bytes]
 
@@ -51,16 +51,20 @@ def settle(pieces: Sequence[Piece], byte_ns: int, floor_ns: int, *, after_idle: 
     return settled
 
 
-def drain(fd: int, on_taken: Callable[[int], None]) -> tuple[list[Piece], str | None]:
-    """Return what is there now, read by read with stamps, and why the port is gone, `None` if it is not.
-
-    `on_taken` is called with the number of bytes of each read.
-    """
+def drain(fd: int, store: Store) -> tuple[list[Piece], str | None]:
+    """Return what is there now, read by read with stamps, and why the port is gone, `None` if it is not."""
     pieces: list[Piece] = []
     size = 0
+    hand = store.hand
+    if hand is not None:
+        hand.begin(store.count)
     while size < DRAIN_LIMIT:
+        waiting = None if hand is None else _waiting(fd)
+        if pieces and waiting == 0:
+            break
         try:
-            data = os.read(fd, READ_SIZE)
+            # Nothing waits where the port has ended, and only a read tells.
+            data = os.read(fd, READ_SIZE) if hand is None or waiting is None else hand.read(fd, min(waiting or 1, READ_SIZE))
         except BlockingIOError:
             return pieces, None
         except OSError as error:
@@ -68,10 +72,28 @@ def drain(fd: int, on_taken: Callable[[int], None]) -> tuple[list[Piece], str | 
         stamp_ns = time.monotonic_ns()
         if not data:
             return pieces, ""
-        on_taken(len(data))
         pieces.append((stamp_ns, data))
         size += len(data)
     return pieces, None
+
+
+def _waiting(fd: int) -> int | None:
+    """Return how many bytes wait to be read; None where the port does not say."""
+    from fcntl import ioctl
+    from termios import FIONREAD
+
+    try:
+        return int.from_bytes(ioctl(fd, FIONREAD, bytes(4)), sys.byteorder)
+    except OSError:
+        return None
+
+
+def take_over(store: Store, left: Left, byte_ns: int) -> None:
+    """Store what a reader that died has left, and tell what it has lost."""
+    if left.lost:
+        store.lose(left.lost, left.last_ns, left.last_ns, _DIED)
+    if left.data:
+        _store(store, [(max(left.t_ns, left.last_ns), left.data)], byte_ns)
 
 
 def listen_to_stream(
@@ -83,7 +105,7 @@ def listen_to_stream(
     """
 
     def take(ready: bool) -> int:
-        pieces, gone = drain(fd, store.on_taken)
+        pieces, gone = drain(fd, store)
         if pieces:
             _store(store, pieces, byte_ns)
         if gone is not None:
@@ -104,7 +126,7 @@ def _last_reads(fd: int, store: Store, byte_ns: int, tick: Callable[[int], None]
     """Take what had come before the end."""
     until_ns = time.monotonic_ns() + LAST_READS_NS
     while True:
-        pieces, gone = drain(fd, store.on_taken)
+        pieces, gone = drain(fd, store)
         if pieces:
             _store(store, pieces, byte_ns)
         if not pieces or gone is not None or time.monotonic_ns() > until_ns:

@@ -267,6 +267,7 @@ class Recorder:
         self._feed.log = str(self.parts.path)
         self._feed.log_bytes = self.parts.file.position
         self._feed.behind_ns = self.recording.merger.behind_ns(now_ns)
+        self._feed.lost = {name: sum(bus.lost.values()) for name, bus in self.recording.buses.items()}
         self._writer.offer(self._feed.snapshot(t_ns, ended=ended))
 
 

@@ -56,7 +56,7 @@ class Follow:
         self.role = Role(port.direction) if port is not None else Role.UNKNOWN
         self.byte_ns = port.byte_ns if port is not None else 0
         #: `before` of the next record.
-        self.expected: int | None = None
+        self.expected: int | None = 0
         #: Its reader has ended.
         self.ended = False
 

@@ -77,7 +77,8 @@ class FindingLine(msgspec.Struct, omit_defaults=True, gc=False):
 class BusCounts(msgspec.Struct, omit_defaults=True, gc=False):
     """Counts of one bus since the beginning, and rates over about the last second.
 
-    `foreign`: of its frames, those of nodes that are no drives; `bytes`: in frames; `load`: share 0..1 of the time in
+    `lost`: bytes or frames that came in and are not in the log; `foreign`: of its frames, those of nodes that are no drives;
+    `bytes`: in frames; `load`: share 0..1 of the time in
     which the line was busy, None where its speed is not known.
     """
 
@@ -90,6 +91,7 @@ class BusCounts(msgspec.Struct, omit_defaults=True, gc=False):
     warnings: int = 0
     infos: int = 0
     foreign: int = 0
+    lost: int = 0
     frame_rate: float = 0.0
     byte_rate: float = 0.0
     load: float | None = None

@@ -81,14 +81,15 @@ class SnapshotSink:
     """A sink to be watched. Used from one thread.
 
     `byte_ns`: bus -> time of one byte on a serial line, `bit_ns`: bus -> time of one bit of a CAN bus, for the load, where
-    they are known; the empty name stands for every other bus. `log`, `log_bytes` and `behind_ns` are for its owner to set;
-    they go into each snapshot.
+    they are known; the empty name stands for every other bus. `log`, `log_bytes`, `behind_ns` and `lost` (by bus) are for its
+    owner to set; they go into each snapshot.
     """
 
     def __init__(self, *, byte_ns: Mapping[str, int] | None = None, bit_ns: Mapping[str, int] | None = None) -> None:
         self.log = ""
         self.log_bytes = 0
         self.behind_ns = 0
+        self.lost: dict[str, int] = {}
         self._byte_ns = dict(byte_ns or {})
         self._bit_ns = dict(bit_ns or {})
         self._rows: dict[object, _Row] = {}
@@ -315,8 +316,7 @@ class SnapshotSink:
             )  # fmt: skip
         return result
 
-    @staticmethod
-    def _bus_counts(name: str, bus: _Bus) -> BusCounts:
+    def _bus_counts(self, name: str, bus: _Bus) -> BusCounts:
         frame_rate, byte_rate, load = bus.rates
         severities = bus.severities
         return BusCounts(
@@ -329,6 +329,7 @@ class SnapshotSink:
             warnings=severities[Severity.WARNING],
             infos=severities[Severity.INFO],
             foreign=bus.foreign,
+            lost=self.lost.get(name, 0),
             frame_rate=round(frame_rate, 2),
             byte_rate=round(byte_rate, 2),
             load=None if load is None else round(load, 4),

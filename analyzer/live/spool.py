@@ -146,13 +146,14 @@ class SpoolWriter:
     `limit`: bytes of all spools of the folder beyond which no segment is begun, 0 for none.
     """
 
-    def __init__(self, folder: Path, stem: str, *, segment_size: int = SEGMENT_SIZE, limit: int = 0) -> None:
+    def __init__(self, folder: Path, stem: str, *, segment_size: int = SEGMENT_SIZE, limit: int = 0, first: int = 0) -> None:
         self._folder = folder
         self._stem = stem
         self._segment_size = segment_size
         self.limit = limit
-        # A reader that is started again goes on behind what its forerunner left.
+        # A reader that is started again goes on behind what its forerunner left, also where that was deleted.
         self._segment = max((s for s, _ in segments(folder, stem)), default=-1)
+        self._segment = max(self._segment, first - 1)
         self._file: IO[bytes] | None = None
         self._size = 0
 

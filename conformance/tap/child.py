@@ -25,6 +25,7 @@ class TapChild(Child):
         command = [sys.executable, "-P", "-m", "conformance.tap.process", str(folder), *stems]
         command += ["--terminal", *map(str, ends), *options]
         super().__init__(stems[1], command, heard, READER_NICE, handed=ends)
+        self._stores = True
 
     def _hear(self, line: bytes) -> None:
         try:

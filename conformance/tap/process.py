@@ -27,12 +27,12 @@ from analyzer.live.lock import RUNNING, Lock
 from analyzer.live.reader import endpoint_of, hand_over
 from analyzer.live.reader_port import Stop, Unopened
 from analyzer.live.reader_serial import holders
-from analyzer.live.reader_store import StatusLine, Store, Taken
+from analyzer.live.reader_store import StatusLine, Store
 from analyzer.live.spool import Record, RecordKind, SpoolWriter, last_record
 from conformance.tap.adapter import Adapter, Wiring, adapter_of
 from conformance.tap.passing import Passing
 from conformance.tap.settings import of_endpoint
-from conformance.tap.storing import REPLY, REQUEST, Storing
+from conformance.tap.storing import REPLY, REQUEST, Storing, Taken
 from conformance.tap.terminal import Terminal
 
 #: A thread of ours that computes gives way after this many seconds when bytes come.
@@ -94,6 +94,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--dtr", choices=tuple(_SIDES), default="leave")
     parser.add_argument("--rs485", action="store_true")
     parser.add_argument("--adopt", type=int)
+    parser.add_argument("--first-segment", type=int, default=0)
     return parser
 
 
@@ -104,7 +105,9 @@ def _run(arguments: argparse.Namespace, stop: TapStop, tell: Any) -> None:
     stems = {REQUEST: arguments.request, REPLY: arguments.reply}
     before = {direction: last_record(arguments.folder, stem) for direction, stem in stems.items()}
     limit = recording.max_spool
-    storing = Storing({d: _store(SpoolWriter(arguments.folder, s, limit=limit), s, before[d], tell) for d, s in stems.items()})
+    first = arguments.first_segment
+    writers = {d: SpoolWriter(arguments.folder, s, limit=limit, first=first) for d, s in stems.items()}
+    storing = Storing({d: _store(writers[d], s, before[d], tell) for d, s in stems.items()})
     stored = {d: 0 if record is None else record.before + record.units for d, record in before.items()}
     taken = Taken.at(arguments.folder / f"{arguments.reply}.taken", stored)
     successor = any(before.values())
@@ -147,7 +150,7 @@ def _open(adapter: Adapter, adopted: int | None, stop: Stop, storing: Storing, b
     """Open the adapter, or take it over from a process that died, and tell which."""
     if adopted is not None:
         adapter.adopt(adopted)
-        from_ns = before.t_ns if before is not None else 0
+        from_ns = before.t_ns if before is not None else time.monotonic_ns()
         gap_ns = time.monotonic_ns() - from_ns
         storing.event(REPLY, "note", text=_TAKEN_OVER, from_ns=from_ns, gap_ns=gap_ns, kept=True)
         return

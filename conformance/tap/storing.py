@@ -9,10 +9,14 @@ not fit are counted, and an event marks their place. Events of the adapter stand
 
 from __future__ import annotations
 
+import contextlib
+import os
 import queue
+import struct
 import threading
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 from analyzer.live.reader_store import Store
@@ -22,6 +26,42 @@ REQUEST = "request"
 REPLY = "reply"
 #: Bytes that may wait for the thread.
 QUEUE_LIMIT = 64 << 20
+
+
+class Taken:
+    """How much a process has taken of each stream, in a file that outlives it: a u64 for each stream.
+
+    `before`: the counts that a process which died has left, None where there was none.
+    """
+
+    _COUNT = struct.Struct("<Q")
+
+    def __init__(self, path: Path, stored: dict[str, int]) -> None:
+        size = self._COUNT.size
+        self._places = {direction: at * size for at, direction in enumerate(stored)}
+        left = path.read_bytes() if path.exists() else b""
+        whole = len(left) == size * len(stored)
+        self.before = {d: self._COUNT.unpack_from(left, at)[0] for d, at in self._places.items()} if whole else None
+        self.counts = dict(self.before or stored)
+        # In place: a death here leaves the counts of before. On a full disk this is an error, not a death at the first byte.
+        self._file = open(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+b", buffering=0)  # noqa: SIM115
+        self._file.write(b"".join(self._COUNT.pack(count) for count in self.counts.values()))
+
+    @classmethod
+    def at(cls, path: Path, stored: dict[str, int]) -> Taken | None:
+        """Return the counts; None where they have no place, as on a full disk."""
+        try:
+            return cls(path, stored)
+        except OSError:
+            return None
+
+    def add(self, direction: str, size: int) -> None:
+        """Count what was taken, before anything is done with it."""
+        self.counts[direction] += size
+        # Where it cannot be kept, a death tells less; the bytes themselves come first.
+        with contextlib.suppress(OSError):
+            self._file.seek(self._places[direction])
+            self._file.write(self._COUNT.pack(self.counts[direction]))
 
 
 class Storing:

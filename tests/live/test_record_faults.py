@@ -70,26 +70,39 @@ def finish(recorded, talker, status=0):
 # --- killed ---------------------------------------------------------------------------------------------------------------
 
 
-def test_a_reader_killed_again_and_again_costs_nothing_but_what_it_had_in_hand_and_that_is_told(tmp_path):
+def test_a_reader_killed_again_and_again_costs_no_byte(tmp_path):
     with talking(tmp_path) as (recorded, talker):
         for _ in range(3):
             os.kill(recorded.pid_of("live.reader"), signal.SIGKILL)
             recorded.wait_note("another one took over the port")
             seen = recorded.count()
             assert recorded.wait_bytes(seen + BLOCK)
-        talker.__exit__()
-        assert recorded.wait_bytes(len(talker.sent)), (recorded.count(), len(talker.sent), recorded.lines)
-        status = recorded.end()
+        finish(recorded, talker)
         port = recorded.summary["ports"][0]
         assert port["restarts"] == 3
-        assert [gap["kept"] for gap in port["gaps"] if gap["kept"]] == [True] * 3
-        assert status == bool(recorded.summary["lost"]), recorded.lines[-3:]
-    told = sum(e.get("bytes", 0) for e in events(recorded.log) if e["event"] == "dropped")
-    assert bool(told) == bool(recorded.summary["lost"])
-    stored = raw(recorded.log)["left"]
-    assert len(stored) + told == len(talker.sent)
-    assert told or stored == talker.sent
+        assert [gap["kept"] for gap in port["gaps"]] == [True] * 3
+        assert not recorded.summary["lost"]
+    assert raw(recorded.log) == {"left": talker.sent}
     assert [e["event"] for e in events(recorded.log)].count("restarted") == 3
+
+
+def test_a_spool_deleted_while_its_reader_is_dead_costs_no_more_than_was_in_it(tmp_path):
+    with talking(tmp_path) as (recorded, talker):
+        # Decoding is killed too, or it would read on in the file that it has open.
+        os.kill(recorded.pid_of("live.recorder"), signal.SIGKILL)
+        os.kill(recorded.pid_of("live.reader"), signal.SIGKILL)
+        for path in recorded.folder.glob("1-left.*.raw"):
+            path.unlink()
+        recorded.wait_note("another one took over the port")
+        seen = recorded.count()
+        # More than stood in the segment that is gone.
+        assert recorded.wait_bytes(2 * seen + BLOCK)
+        finish(recorded, talker, 1)
+    stored = raw(recorded.log)["left"]
+    told = sum(e.get("bytes", 0) for e in events(recorded.log) if e["event"] == "missing")
+    assert len(stored) + told == len(talker.sent)
+    at = next(n for n, (a, b) in enumerate(zip(stored, talker.sent, strict=False)) if a != b)
+    assert stored[at:] == talker.sent[at + told :]
 
 
 def test_the_decoding_process_killed_again_and_again_costs_no_byte(tmp_path):

@@ -240,3 +240,16 @@ def test_spools_of_a_folder_by_their_numbers(tmp_path):
     assert stems(tmp_path) == ["0-control", "2-b", "2-b.1", "10-a"]
     assert len(segments(tmp_path, "2-b")) == 1
     assert spool_folder(tmp_path / "x.mcap") == tmp_path / "x.mcap.spool"
+
+
+def test_a_number_of_a_segment_is_not_used_again_though_it_was_deleted(tmp_path):
+    """Or a consumer goes on in a new segment at the place that it had reached in the old one."""
+    first = SpoolWriter(tmp_path, STEM)
+    first.write(pack(RecordKind.DATA, 1, 0, b"old"))
+    reader = SpoolReader(tmp_path, STEM)
+    assert [r.data for r in reader.read()] == [b"old"]
+    first.close()
+    for _, path in segments(tmp_path, STEM):
+        path.unlink()
+    SpoolWriter(tmp_path, STEM, first=1_000_000).write(pack(RecordKind.DATA, 2, 3, b"new"))
+    assert [(r.segment, r.data) for r in reader.read()] == [(1_000_000, b"new")]

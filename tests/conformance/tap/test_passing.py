@@ -20,7 +20,7 @@ import serial
 
 from analyzer.live.endpoint import Endpoint, parse
 from analyzer.live.reader_port import Stop, Unopened
-from analyzer.live.reader_store import Store, Taken
+from analyzer.live.reader_store import Store
 from analyzer.live.spool import Record, RecordKind, SpoolReader, SpoolWriter
 from conformance.serve.line_speed import line_speed
 from conformance.serve.pty import PtyPort
@@ -28,7 +28,7 @@ from conformance.tap import passing as module
 from conformance.tap.adapter import Adapter, SerialAdapter, TcpAdapter, Wiring, adapter_of
 from conformance.tap.passing import Passing
 from conformance.tap.settings import LineSettings, of_endpoint, of_terminal, set_terminal
-from conformance.tap.storing import REPLY, REQUEST, Storing
+from conformance.tap.storing import REPLY, REQUEST, Storing, Taken
 from conformance.tap.terminal import Terminal
 from tests.conformance.drives.served import wait_for
 

@@ -1,0 +1,105 @@
+"""What a reader has in hand, taken from its port and not stored yet: in memory that outlives it.
+
+    numbers, u64 each | bytes as they were read | filling
+
+The memory is the supervisor's; each reader of a port inherits it. The kernel puts the bytes of a read there itself. So there
+is no instant at which a reader can be killed and its successor does not find them. Before a read, the memory says how many
+bytes it will take: as many as are waiting. Random bytes, the filling, stand in their place. If they still stand there, the
+read did not happen. That this is wrong, all bytes being those of the filling, has a chance of one in 256 for a single byte.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import time
+from typing import NamedTuple
+
+#: Bytes read in a row before they are stored; what a tty of Linux holds at most.
+DRAIN_LIMIT = 1 << 17
+READ_SIZE = 1 << 16
+_ROOM = DRAIN_LIMIT + READ_SIZE
+_NUMBERS = 8
+_HEAD = _NUMBERS * 8
+#: Places of the numbers: units stored, and taken at all; time of the last record. Units before the bytes in hand, how many
+#: these are, how many with those of the read under way, and when that began.
+_STORED, _TAKEN, _LAST_NS, _BEFORE, _SIZE, _WANTED, _READ_NS = range(7)
+
+
+class Left(NamedTuple):
+    """What a reader that died has left.
+
+    `stored`: bytes or frames in its spool; `lost`: behind these, taken and gone. `data`: behind these, in hand; `t_ns`: by
+    when they had come.
+    """
+
+    stored: int
+    last_ns: int
+    lost: int
+    data: bytes
+    t_ns: int
+
+
+class Hand:
+    """The memory behind a descriptor that `make` has returned."""
+
+    def __init__(self, fd: int) -> None:
+        memory = memoryview(mmap.mmap(fd, _HEAD + 2 * _ROOM))
+        self._numbers = memory[:_HEAD].cast("Q")
+        self._room = memory[_HEAD : _HEAD + _ROOM]
+        self._filling = memory[_HEAD + _ROOM :]
+
+    @staticmethod
+    def make() -> int | None:
+        """Return a descriptor of new memory; None on a system that has none of this kind."""
+        if not hasattr(os, "memfd_create"):
+            return None
+        fd = os.memfd_create("servotap-hand")
+        os.ftruncate(fd, _HEAD + 2 * _ROOM)
+        with mmap.mmap(fd, 0) as memory:
+            memory[-_ROOM:] = os.urandom(_ROOM)
+        return fd
+
+    def keep(self, taken: int, last_ns: int, *, stored: bool) -> None:
+        """Note how much was taken, up to when, and whether all of it is stored."""
+        numbers = self._numbers
+        numbers[_TAKEN], numbers[_LAST_NS] = taken, last_ns
+        if stored:
+            numbers[_STORED] = taken
+
+    def begin(self, before: int) -> None:
+        """Empty it. `before`: units that the port has brought before what is read now."""
+        numbers = self._numbers
+        numbers[_WANTED] = numbers[_SIZE] = 0
+        numbers[_BEFORE] = before
+
+    def read(self, fd: int, size: int) -> bytes:
+        """Read as many bytes as are known to wait. Raises OSError."""
+        numbers = self._numbers
+        at = numbers[_SIZE]
+        end = at + size
+        room = self._room[at:end]
+        room[:] = self._filling[at:end]
+        numbers[_READ_NS], numbers[_WANTED] = time.monotonic_ns(), end
+        try:
+            done = os.readv(fd, [room])
+        except OSError:
+            numbers[_WANTED] = at
+            raise
+        numbers[_SIZE] = at + done
+        return bytes(room[:done])
+
+    def left(self, stored: int) -> Left | None:
+        """Return what the reader before this one has left, None where there was none. `stored`: as its spool shows it."""
+        numbers = self._numbers
+        if not numbers[_LAST_NS]:
+            return None
+        size, wanted = numbers[_SIZE], numbers[_WANTED]
+        if wanted > size and self._room[size:wanted] != self._filling[size:wanted]:
+            size = wanted
+        # The spool may be gone, or be a record ahead of what is noted.
+        stored = max(stored, numbers[_STORED])
+        before = numbers[_BEFORE]
+        data = bytes(self._room[min(size, max(0, stored - before)) : size])
+        lost = max(before + size, numbers[_TAKEN]) - stored - len(data)
+        return Left(stored, numbers[_LAST_NS], max(0, lost), data, numbers[_READ_NS])
