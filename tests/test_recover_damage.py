@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import random
 import tempfile
 from pathlib import Path
@@ -194,3 +195,28 @@ def test_spools_hold_all_of_a_recording_where_nothing_is_missing_in_their_count(
     for number in deleted:
         dict(segments(tmp_path, "1-a"))[number].unlink()
     assert _unbroken(tmp_path, "1-a") is unbroken
+
+
+@pytest.mark.parametrize("name", [".", "", "./", "/"])
+def test_a_folder_is_no_log(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["recover", name]) == 2
+    assert "is a folder, expected a log" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["recover", "decode", "test"])
+def test_what_is_no_file_is_not_replaced(command, tmp_path, capsys):
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    link = tmp_path / "link"
+    link.symlink_to(fifo)
+    capture = str(Path(__file__).parents[1] / "captures" / "mks_rs485.mcap")
+    for target in map(str, (fifo, link)):
+        words = (
+            [capture, "-o", target]
+            if command != "test"
+            else ["mks-rs485@1", "--claim", "*/shape/read_speed/code", "--log", target]
+        )
+        assert main([command, *words, "--force"]) == 2
+        assert "is not a regular file" in capsys.readouterr().err
+    assert fifo.is_fifo()

@@ -35,6 +35,8 @@ class Output:
     def __init__(self, target: Path, replace: bool) -> None:
         self.target = target
         self._replace = replace
+        if target.exists() and not target.is_file():
+            raise UsageError(f"{target} is not a regular file: name a file")
         if running(spool_folder(base_of(target))):
             raise UsageError(f"{target} is being recorded; stop the recording first, or name another file")
         try:

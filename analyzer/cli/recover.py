@@ -52,7 +52,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Make the log whole; return 0."""
-    path = Path(arguments.file)
+    # `.` and the like have a name only once they are resolved.
+    path = Path(arguments.file) if Path(arguments.file).name else Path(arguments.file).resolve()
+    if not path.name:
+        raise UsageError(f"{path} is a folder, expected a log, or a folder of spools (*.spool)")
     target = _target(arguments)
     folder = path if path.is_dir() and path.name.endswith(".spool") else spool_folder(base_of(path))
     if folder.is_dir():

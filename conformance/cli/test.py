@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 from analyzer import __version__
 from analyzer.cli.reading import now_text
-from analyzer.errors import ServotapError
+from analyzer.errors import ServotapError, UsageError
 from analyzer.live import profile
 from conformance.claim import NotStopped, Outcome, RigFault, worst
 from conformance.cli.endpoint import say_rate
@@ -74,6 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--failures", metavar="FOLDER", help="a small log of each refuted claim, for servotap rerun")
     parser.add_argument("--baseline", metavar="FILE", help="accept the deviations listed there")
     parser.add_argument("--write-baseline", metavar="FILE", help="write the refuted claims as a baseline")
+    parser.add_argument("--force", action="store_true", help="replace a log that exists, or another file in place of a report")
     parser.add_argument("--json", action="store_true", help="one JSON object a verdict, then one of the run")
 
 
@@ -84,8 +85,27 @@ def _jobs(text: str) -> int:
     return value
 
 
+#: What the outputs that a later run replaces begin with; no other file is replaced.
+_BEGINNINGS = {"report": b"<", "junitxml": b"<", "write_baseline": b"["}
+
+
+def _keep_others(arguments: argparse.Namespace) -> None:
+    """Raise UsageError where an output would replace a log, or a file of another kind."""
+    for name in ("log", *_BEGINNINGS):
+        path = Path(getattr(arguments, name) or "")
+        if arguments.force or not path.is_file():
+            continue
+        with path.open("rb") as stream:
+            begins = stream.read(1)
+        if name == "log":
+            raise UsageError(f"{path} exists; --force replaces it")
+        if begins not in (b"", _BEGINNINGS[name]):
+            raise UsageError(f"{path} exists and is not what --{name.replace('_', '-')} writes; --force replaces it")
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Test; return the exit status."""
+    _keep_others(arguments)
     plan = plan_of(arguments)
     if arguments.list:
         return _list(plan)

@@ -13,6 +13,7 @@ from typing import Any
 
 import msgspec
 
+from analyzer.cli.output import Output
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.whole_file import read_whole
 from conformance.claim import Outcome
@@ -72,11 +73,12 @@ def save(path: Path, records: Iterable[VerdictRecord]) -> int:
         for r in records
         if r.refuted
     ]
-    part = path.with_name(path.name + ".part")
+    output = Output(path, True)
     try:
-        part.write_bytes(msgspec.json.format(msgspec.json.encode(deviations), indent=1) + b"\n")
-        part.replace(path)
+        output.stream.write(msgspec.json.format(msgspec.json.encode(deviations), indent=1) + b"\n")
+        output.keep()
     except OSError as error:
+        output.drop()
         raise UsageError(f"cannot write {path}: {error.strerror or error}") from None
     return len(deviations)
 

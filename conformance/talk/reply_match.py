@@ -34,6 +34,8 @@ COUNTS = frozenset({"length", "byte count"})
 NAMES: Mapping[str, str] = {"function": CODE}
 #: The most replies that are looked for behind one request.
 _MOST = 4
+#: Bytes in which a reply is looked for: on a line that is flooded there is no end to them.
+_SEARCHED = 512
 _HALF = 2
 
 
@@ -192,7 +194,7 @@ def replies(exchange: Exchange, dialect: Dialect) -> Replies:
     for unit in _units(exchange, dialect):
         rest = unit.data
         while rest and possible:
-            found = _closest(dialect, possible, rest, unit.can_id) if len(readings) < _MOST else None
+            found = _closest(dialect, possible, rest[:_SEARCHED], unit.can_id) if len(readings) < _MOST else None
             if found is None:
                 break
             if found.offset:

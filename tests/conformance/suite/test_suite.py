@@ -236,3 +236,17 @@ def test_one_place_is_for_all_drives_and_several_are_for_each():
     with pytest.raises(UsageError, match="twice"):
         target.parse_all(["mks-rs485@1", "mks-rs485@1"], ["serial:/dev/a"])
     assert {t.dialect.name for t in target.parse_all([], [])} == {"mks-rs485", "mks-modbus", "mks-can", "lk-rs485"}
+
+
+@pytest.mark.parametrize(
+    ("option", "kept"), [("--log", b"\x89MCAP"), ("--report", b"PK"), ("--junitxml", b"PK"), ("--write-baseline", b"PK")]
+)
+def test_a_file_of_another_kind_is_replaced_only_when_told(option, kept, tmp_path, capsys):
+    path = tmp_path / "kept"
+    path.write_bytes(kept)
+    words = ["test", "mks-rs485@1", "--claim", "*/shape/read_speed/code", option, str(path)]
+    assert main(words) == 2
+    assert "--force replaces it" in capsys.readouterr().err
+    assert path.read_bytes() == kept
+    assert main([*words, "--force"]) == 0
+    assert path.read_bytes() != kept

@@ -13,6 +13,7 @@ from analyzer.records import CanFrame, Chunk
 from conformance.bus.emulated import EmulatedLine
 from conformance.drives import make
 from conformance.gate.gate import Allowance, Gate, Refused
+from conformance.talk import reply_match
 from conformance.talk.dialogue import MS, Dialogue, Until
 from conformance.talk.exchange import Completion, Exchange
 
@@ -144,3 +145,20 @@ def test_who_is_asked_is_a_drive_whatever_it_answers():
     exchange = talk.ask(CanFrame(None, "host", 0x701, build(can, "read_speed", 0x701)), 50 * MS)
     assert exchange.foreign == []
     assert exchange.others[0].rules == ("bad_checksum", "unknown_command")
+
+
+@pytest.mark.parametrize("flood", [b"\0", b"\xfb\x01\x32"])
+def test_a_flood_costs_no_more_than_what_a_reply_can_stand_in(flood: bytes, monkeypatch: pytest.MonkeyPatch):
+    looked_at = 0
+    checks = type(MKS.link).checks
+
+    def counted(link: Any, frame: bytes, can_id: int | None = None) -> Any:
+        nonlocal looked_at
+        looked_at += len(frame)
+        return checks(link, frame, can_id)
+
+    monkeypatch.setattr(type(MKS.link), "checks", counted)
+    exchange = Exchange(READ, 0, MKS.by_name["read_speed"], 1, received=flood * 50_000)
+    found = reply_match.replies(exchange, MKS)
+    assert sum(len(r.data) for r in found.readings) + sum(map(len, found.leftover)) == len(exchange.received)
+    assert looked_at < 2_000_000
