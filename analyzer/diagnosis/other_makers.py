@@ -10,8 +10,8 @@ from analyzer.diagnosis.scene import Confidence, Scene, Shown, Suspicion, Troubl
 from analyzer.link.modbus import modbus_crc
 from analyzer.values import counted
 
-#: Frames of one make from which on they are no chance.
-_ENOUGH = 2
+#: Different frames of a make without a check from which on they are no chance.
+_ENOUGH = 3
 #: The share of the damaged sendings that have to be of one make.
 _SHARE = 0.6
 
@@ -104,7 +104,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             sent.append((Trouble("damaged", piece.offset, None, piece), piece.data))
     for make in MAKES:
         found = [(trouble, data) for trouble, data in sent if make.is_frame(data)]
-        if len({data for _, data in found}) < _ENOUGH + (not make.sure) or len(found) < _SHARE * len(sent):
+        if len({data for _, data in found}) < (1 if make.sure else _ENOUGH) or len(found) < _SHARE * len(sent):
             continue
         first, data = found[0]
         yield Suspicion(

@@ -39,6 +39,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect what the requests ask for."""
     yield from islice(_short(scene), 1)
     yield from _padded(scene)
+    yield from _promised(scene)
     found: dict[tuple[str, str], list[_Wrong]] = {}
     for troubles, piece, refusal in _failing(scene):
         why = _why(scene, piece, refusal)
@@ -157,6 +158,37 @@ def _padded(scene: Scene) -> Iterator[Suspicion]:
         f"{shown(data)} at byte {first.offset}; {counted(len(found), 'time')}",
         f"Send as many bytes as the command has: {shown(right)}",
         tuple(Shown(t.offset, shown(d), shown(r)) for t, d, r in found),
+    )  # fmt: skip
+
+
+def _promised(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect requests whose head is sound, and whose length is none of the command's."""
+    found: list[tuple[Trouble, bytes, bytes, str]] = []
+    for trouble in scene.damaged:
+        stretch = trouble.stretch
+        if stretch is None or stretch.direction is Role.REPLY or not (stretch.opens and stretch.ends):
+            continue
+        for dialect in scene.reader.dialects:
+            link, data = dialect.link, stretch.data
+            if not link.tells_length or stretch.can_id is not None or data[0] not in link.first_bytes:
+                continue
+            head = link.parse(data)
+            commands = dialect.by_code.get(head.code or 0, ())
+            rights = [link.build(c, f, head.address, bytes(f.layout.byte_length), Role.REQUEST) for c in commands
+                      for f in c.request_forms]  # fmt: skip
+            start = head.start
+            listed = any(len(r) - 1 <= len(data) <= len(r) and data[:start] == r[:start] for r in rights)
+            if rights and link.checks(data)[0].ok and not listed:
+                found.append((trouble, data, rights[0], commands[0].name))
+    if not found:
+        return
+    first, data, right, name = found[0]
+    yield Suspicion(
+        "wrong_length", Confidence.CERTAIN if len(found) > 1 else Confidence.LIKELY, [t for t, _, _, _ in found],
+        f"{name} is sent with a length that is not the manual's: a drive waits for what its head promises.",
+        f"{shown(data)} at byte {first.offset}; {counted(len(found), 'time')}",
+        f"Send {shown(right)}" + (", with the values that you mean" if len(right) > len(data) else ""),
+        tuple(Shown(t.offset, shown(d), shown(r)) for t, d, r, _ in found),
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion,
 from analyzer.dialects import drive_name
 from analyzer.encoder import build
 from analyzer.layout import Effect
-from analyzer.link import FUNCTIONS, WRITE_ONE, modbus_crc
+from analyzer.link import FUNCTIONS, modbus_crc
 from analyzer.records import Message
 from analyzer.values import counted, identifier
 
@@ -244,22 +244,30 @@ def _to_none(scene: Scene) -> Iterator[Suspicion]:
 
 def _from_new(scene: Scene) -> Iterator[Suspicion]:
     """Suspect a new address where the reply to a write of one register comes from the address that it writes."""
-    for trouble in scene.of("unsolicited_reply"):
-        data = b"" if trouble.piece is None else trouble.piece.data
-        if len(data) != _WRITE_ONE or data[1] != min(WRITE_ONE - {5}) or int.from_bytes(data[4:6], "big") != data[0]:
+    asked = any(piece.is_request for piece in scene.pieces)
+    for piece in scene.pieces:
+        data, message = piece.data, piece.message
+        if "unsolicited_reply" not in piece.rules or message is None or len(data) != _WRITE_ONE or piece.can is not None:
+            continue
+        by_chance = data[0] == 1 or not (asked or len(scene.pieces) == 1)
+        unknown = message.command in message.frame.dialect.fallbacks.values()
+        if not unknown or by_chance or data[1] != _WRITES or int.from_bytes(data[4:6], "big") != data[0]:
             continue
         yield Suspicion(
-            "address_changed", Confidence.LIKELY, [trouble],
+            "address_changed", Confidence.LIKELY if asked else Confidence.POSSIBLE,
+            [t for t in scene.troubles if t.piece is piece] or [Trouble("unsolicited_reply", piece.offset, None, piece)],
             f"The unit was given the address {data[0]}, and answers from it at once.",
-            f"{shown(data)} at byte {trouble.offset} writes {data[0]}, and comes from {data[0]}",
+            f"{shown(data)} at byte {piece.offset} writes {data[0]}, and comes from {data[0]}",
             f"Ask at address {data[0]} from here on: the write is done, whatever a library reports",
-            (Shown(trouble.offset, shown(data)),),
+            (Shown(piece.offset, shown(data)),),
         )  # fmt: skip
         return
 
 
 def _beyond(data: bytes) -> bool:
-    return len(data) > _MODBUS_SHORTEST and data[0] > _MODBUS_LAST and data[1] in FUNCTIONS and modbus_crc(data) == 0
+    known = len(data) > _MODBUS_SHORTEST and data[0] > _MODBUS_LAST and data[1] in FUNCTIONS
+    # A CRC that fits still does with a 00 behind it.
+    return known and modbus_crc(data) == 0 and modbus_crc(data[:-1]) != 0
 
 
 def _at_one(data: bytes) -> bytes:
@@ -270,6 +278,7 @@ def _at_one(data: bytes) -> bytes:
 _MODBUS_LAST = 247
 _MODBUS_SHORTEST = 5
 _WRITE_ONE = 8
+_WRITES = 0x06
 
 
 def _reads(message: Message) -> bool:

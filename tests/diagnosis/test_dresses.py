@@ -130,3 +130,12 @@ def test_other_makes(rows):
 def test_a_new_address_that_answers():
     asked, told_by = (rmd(bytes.fromhex(text)) for text in ("01 06 40 03 00 17", "17 06 40 03 00 17"))
     assert first((">", asked), ("<", told_by)) == "address_changed"
+
+
+@pytest.mark.parametrize("row", ["> 3E 80 01 04 C3", "> 3E A2 01 02 E3 10 27 37"])
+def test_a_head_that_promises_another_length(row):
+    assert first(row) == "wrong_length"
+
+
+def test_a_glitch_behind_a_foreign_frame_is_no_address():
+    assert "wrong_address" not in [each.cause for each in told("FE 04 00 03 00 01 D5 C5 00")]

@@ -184,7 +184,7 @@ def test_a_second_reply_to_settings():
     assert first(*twice) == "firmware_quirk"
 
 
-@pytest.mark.parametrize("reply", ["01 03 00 00 07 00 08", "01 03 00 04 00 07 00 08"])
+@pytest.mark.parametrize("reply", ["01 03 00 00 07 00 08", "01 03 00 04 00 07 00 09"])
 def test_a_byte_count_that_lies(reply):
     assert first((">", rtu("01 03 00 00 00 02")), ("<", rtu(reply))) == "firmware_quirk"
 
