@@ -18,7 +18,8 @@ from conformance.claims.declare import Case, Cases, claim, described_in
 from conformance.claims.known_reads import every_read
 from conformance.claims.setting_effects import differing
 from conformance.claims.stops import expect_standing
-from conformance.motion import effects, motion
+from conformance.gate.gate import Item
+from conformance.motion import effects, motion, ramp
 from conformance.motion.effects import STEP_NS, Change, Observable
 from conformance.motion.motion import MOVES
 from conformance.talk import restarts
@@ -286,6 +287,51 @@ def _turns_and_stops(probe: Probe, many: _Many, run: Command, stop: Command) -> 
         motion.stand_still(probe)
         text = f"a drive in a group no longer answers {run.name} to its own address"
         probe.expect(received_text(own), holds=not own.silent, expected="a reply", refutes=text, exchange=own)
+
+
+def _ramped(dialect: Dialect) -> Iterator[Case]:
+    """Yield each address of several drives with all motions whose ramp is known."""
+    chosen = dialect.motions(MotionKind.RUN, *MOVES) if dialect.ramp is not None else ()
+    for many in _addresses(dialect) if chosen else ():
+        risks = many.risks(dialect) | motion.risks(dialect, *(risk for command in chosen for risk in command.all_risks))
+        facts = {"risks": risks, "settings": motion.settings(dialect, *many.settings)}
+        yield Case(dialect, given={"many": many, "what": many.what, "chosen": chosen}, facts=facts)
+
+
+@_addressing("another speed, or another way", _ramped, name="{many}/as-sent")
+def _as_sent(probe: Probe, many: _Many, chosen: tuple[Command, ...]) -> None:
+    """Motion by {what} keeps to what is sent: its way, and its ramp at the begin and at the end of a run."""
+    for command in chosen:
+        motion.prepare(probe, command)
+        to = many.join(probe)
+        begin = motion.position(probe)
+        runs = motion.of(command).kind is MotionKind.RUN
+        how: dict[str, Any] = {"rpm": -motion.CALM if runs else motion.CALM, "acceleration": _RAMP}
+        values = motion.values_of(probe.dialect, command, -_WAY, start=motion.place(probe, command), **how)
+        _expect_on_ramp(probe, probe.build(command, values, address=to).item(), 0, f"{command.name} by {many.what}")
+        if runs:
+            probe.wait(STEP_NS)
+            stop = probe.dialect.stops_of(command)[0]
+            ended = probe.build(stop, {"acceleration": _RAMP}, address=to).item()
+            _expect_on_ramp(probe, ended, motion.CALM, f"{stop.name} by {many.what}")
+        end = motion.wait_standing(probe)
+        if not runs:
+            went, text = abs(end.value - begin.value), f"{command.name} by {many.what} goes another way than was sent"
+            probe.expect(went, near=_WAY, within=motion.miss(probe), unit="degrees", refutes=text)
+
+
+#: A ramp of 5 ms for a rpm, a way on which a move has its speed for a while, and when the ramp is looked at.
+_RAMP, _WAY, _ON_RAMP_NS = 156, 150, 110_000_000
+#: By how much a speed on its way may be off the law (rpm).
+_BESIDE = 15
+
+
+def _expect_on_ramp(probe: Probe, item: Item, first: int, what: str) -> None:
+    sent = probe.send(item, timeout_ns=_ON_RAMP_NS)
+    seen = motion.speed(probe)
+    gone = min(motion.CALM, (seen.t_ns - sent.sent_ns) / ramp.step_ns(_RAMP))
+    text = f"{what} does not keep to the acceleration that was sent"
+    probe.expect(abs(seen.value), near=abs(first - gone), within=_BESIDE, unit="rpm", refutes=text, exchange=sent)
 
 
 def _group_changes(dialect: Dialect) -> Iterator[Case]:

@@ -1,4 +1,4 @@
-"""Conditions of a drive: at rest, in motion of each kind, off, stopped, protected; how a claim brings it there and out.
+"""Conditions of a drive: at rest, moving in each way, off, stopped, restarted, protected; how a claim brings it there and out.
 
 A bug often shows in one condition alone. So claims about reads and about settings are made for each of them.
 
@@ -25,7 +25,7 @@ from conformance.claims.stops import endless
 from conformance.model import limits
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, QUICK
-from conformance.talk import samples
+from conformance.talk import restarts, samples
 from conformance.talk.probe import Probe
 
 #: The speed of the fast run, in rpm.
@@ -235,6 +235,12 @@ def _others(dialect: Dialect) -> Iterator[Condition]:
         facts = {"settings": ("work_mode",), "without": (Verb.READ_STATUS,), "changes": (Verb.READ_ENABLED,)}
         facts |= {"stands": True, "stays": False}
         yield Condition("pulse-mode", "in a pulse mode", _pulse_mode, _bus_mode, risks(Verb.SET_WORK_MODE), **facts)
+    if Verb.RESTART in verbs:
+        facts = {"stands": True, "changes": (Verb.READ_ENABLED, Verb.READ_ZERO_STATUS)}
+        yield Condition("restarted", "after a restart", restarts.restart, _nothing, risks(Verb.RESTART), **facts)
+    else:
+        facts = {"emulated": True, "stands": True, "stays": False}
+        yield Condition("restarted", "after its power was cut", restarts.power_cycle, _nothing, **facts)
     if Verb.SET_GROUP_ADDRESS in verbs:
         facts = {"settings": ("group_address",), "stands": True, "stays": False}
         yield Condition("grouped", "in a group", join, _nothing, risks(Verb.SET_GROUP_ADDRESS), **facts)

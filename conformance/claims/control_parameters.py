@@ -234,6 +234,44 @@ def _speed_ramp(probe: Probe, run: Command) -> None:
         probe.expect(seen, near=180, within=5, unit="deg/s2", refutes="the speed rises by another ramp", exchange=exchange)
 
 
+@of_motion(
+    each=commands(Verb.WRITE_PARAMETER),
+    name="{command}/speed-ramp-at-once",
+    theme=Theme.TIMING,
+    refuted_by="a change of speed by the ramp of before",
+    settings=("speed_ramp",),
+    own=lambda case: {Risk.SETTING},
+    risks=risks_by(Verb.RUN_SPEED),
+    rests_on=(Doubt.EFFECT,),
+    quirks=may_meet(_FIRMWARE),
+)
+def _ramp_at_once(probe: Probe) -> None:
+    """A speed ramp that is written while the shaft turns holds for the next change of speed, before the shaft stood."""
+    kept = _parameter(probe, "speed_ramp")
+    if kept is None:
+        return
+    motion.ready_to_move(probe)
+    for ramp in (12_000, 24_000):
+        _set(probe, "speed_ramp", kept)
+        motion.run_at(probe, 10)
+        probe.wait(300 * MS)
+        _set(probe, "speed_ramp", ramp)
+        first, _ = motion.mean_speed(probe, 100 * MS)
+        before = motion.position(probe)
+        exchange = motion.run_at(probe, 40)
+        probe.wait(1_800 * MS)
+        last, _ = motion.mean_speed(probe, 100 * MS)
+        after = motion.position(probe)
+        motion.stand_still(probe)
+        _set(probe, "speed_ramp", kept)
+        if abs(last - first) < 10:
+            raise Inconclusive("the speed does not change to 40 rpm")
+        took = _ramp_time(before, first * 6, exchange.sent_ns, after, last * 6)
+        seen = (last - first) * 6 / took if took > 1e-4 else float("inf")
+        text = "the speed of a shaft that turned when its ramp was written changes by another ramp"
+        probe.expect(seen, near=ramp / 100, within=ramp / 500, unit="deg/s2", refutes=text, exchange=exchange)
+
+
 #: The ramp by which speeds change, as sent and in deg/s2, and the speeds in rpm: faster, slower and back, on both sides of 0.
 _CHANGE_RAMP, _CHANGES = 36_000, (60, 30, -30, -60, -30, 30, 0)
 #: By how much a ramp may be shorter than that from rest, for friction helps a motor that slows down.

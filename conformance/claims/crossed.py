@@ -33,8 +33,8 @@ from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE, TOLD_LATE_NS
 from conformance.talk.probe import Probe, Until
 
-#: Slow, middle, above 1500 and the highest; a mode that has a lower limit takes the highest for its own.
-_SPEEDS, _HIGHEST = (20, 150, 900, 1700, 3000), 3000
+#: Very slow, slow, middle, above 1500 and the highest; a mode that has a lower limit takes the highest for its own.
+_SPEEDS, _HIGHEST = (4, 20, 150, 900, 1700, 3000), 3000
 #: As sent, from the steepest on; 0 is for slow shafts.
 _ACCELERATIONS, _AT_ONCE_MOST = (255, 0, 56, 200, 248, 253), 150
 #: Nothing, within a turn, whole turns.
@@ -61,6 +61,7 @@ _READS = (
     Verb.READ_ENABLED,
     Verb.READ_PROTECTION,
     Verb.READ_ZERO_STATUS,
+    Verb.READ_IO,
 )
 
 

@@ -386,10 +386,16 @@ def _torque(seen: _Seen) -> int | None:
 
 def _expect_torque(probe: Probe, seen: _Seen) -> None:
     name = next(n for n in _STRENGTHS if n in seen.values)
+    shown: dict[str, Any]
     wanted = _torque(seen)
+    rest = next((one.values for one in seen.tried.before if one.read.name == seen.look.read.name), None)
+    if seen.phase is seen.tried.after and rest is not None:
+        text = f"{seen.look.read.name} tells another {name} at rest than before a motion"
+        shown = {"expected": f"about {rest[name]} LSB, {seen.when}", "exchange": seen.look.exchange, "key": text}
+        probe.expect(seen.values[name], near=rest[name], within=FORCE, unit="LSB", refutes=text, **shown)
     if wanted is not None:
         text = f"{seen.look.read.name} tells another {name} than was asked for in one condition"
-        shown: dict[str, Any] = {"expected": f"about {wanted} LSB, {seen.when}", "exchange": seen.look.exchange, "key": text}
+        shown = {"expected": f"about {wanted} LSB, {seen.when}", "exchange": seen.look.exchange, "key": text}
         probe.expect(seen.values[name], near=wanted, within=FORCE / 4, unit="LSB", refutes=text, **shown)
 
 

@@ -2,7 +2,7 @@
 
     32 speed        that of the course                    30, 33 places    between two looks at the position
     F1 status       rests, rises, full speed, falls       39 error         small
-    3A 3B 3E        what they told at rest
+    3A 3B 3E 34     what they told at rest, but for a port that tells whether a move has arrived
 
 All of it is judged on the rows of `claims.crossed`, of every motion: on its ramps, at its speed, and at rest again.
 
@@ -24,7 +24,7 @@ from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import of_motion
 from conformance.motion import motion
 from conformance.motion.course import Trend
-from conformance.motion.motion import MS
+from conformance.motion.motion import MOVES, MS
 from conformance.talk.noise import CLOCK_SHARE, COUNT, TOLD_LATE_NS
 from conformance.talk.probe import Probe
 
@@ -34,6 +34,9 @@ _FILTER_NS, _LAG, _REST = 100 * MS, 45.0, 1.0
 _STATUS_QUIRKS = _EARLY, _STAYS = "status-stops-early", "status-stays-slowing"
 #: The motor status of each trend.
 _STATUSES = {Trend.RESTS: 1, Trend.RISES: 2, Trend.FALLS: 3, Trend.STEADY: 4}
+
+#: The port that tells whether a move has arrived.
+_IN_PLACE = "pend"
 
 
 class _Seen(NamedTuple):
@@ -191,6 +194,31 @@ def _as_at_rest(probe: Probe, seen: _Seen, when: str) -> None:
     )
 
 
+def _ports(probe: Probe, seen: _Seen, when: str) -> None:
+    rest = next(look for look in seen.tried.before if look.read.name == seen.look.read.name)
+    wanted = dict(rest.values or {})
+    if _IN_PLACE in wanted and not seen.rests:
+        on, (first_ns, last_ns) = seen.tried.spans(seen.look)
+        slow, fast = on.rpm(first_ns - TOLD_LATE_NS, last_ns)
+        moves = motion.of(seen.tried.command).kind in MOVES
+        del wanted[_IN_PLACE]
+        # Whether a run is in place no manual says; a port that was written tells nothing of the shaft.
+        if moves and slow * fast > 0 and _tells_moves(probe):
+            wanted[_IN_PLACE] = 0
+    got = {name: seen.values[name] for name in wanted}
+    text = _fail(seen, "tells other levels")
+    probe.expect(got, equal=wanted, expected=f"{wanted}, {when}", refutes=text, exchange=seen.look.exchange, key=text)
+
+
+def _tells_moves(probe: Probe) -> bool:
+    """Say whether the port of a shaft in place was seen at 0, on the way of any move."""
+    for command in motions_of(probe.dialect):
+        for tried in probe.recorded(crossed, command) if motion.of(command).kind in MOVES else ():
+            if any(look.values is not None and look.values.get(_IN_PLACE) == 0 for look in tried.during):
+                return True
+    return False
+
+
 _JUDGES: Mapping[Verb, Callable[[Probe, _Seen, str], None]] = {
     Verb.READ_SPEED: _speed,
     Verb.READ_STATUS: _status,
@@ -200,4 +228,5 @@ _JUDGES: Mapping[Verb, Callable[[Probe, _Seen, str], None]] = {
     Verb.READ_ENABLED: _as_at_rest,
     Verb.READ_PROTECTION: _as_at_rest,
     Verb.READ_ZERO_STATUS: _as_at_rest,
+    Verb.READ_IO: _ports,
 }

@@ -317,9 +317,9 @@ def _reads_guarded(probe: Probe) -> None:
 
 
 def _of_one_length(dialect: Dialect) -> Iterator[Case]:
-    """Yield what a dialect whose frames tell their length guards, and its motions."""
+    """Yield what a dialect whose frames tell their length guards and can be sent again, and its motions."""
     if dialect.link.tells_length:
-        guarded = {command_of(case).name: case for case in _all_guarded(dialect)}
+        guarded = {command_of(case).name: case for case in _repeatable(dialect)}
         moves = (Case(dialect, c, {"guarded": _MOTION}) for c in dialect.motions(*_MOTIONS) if c.name not in guarded)
         yield from (*guarded.values(), *moves)
 
@@ -335,20 +335,32 @@ def _of_one_length(dialect: Dialect) -> Iterator[Case]:
     parameters={},
 )
 def _guarded_by_length(probe: Probe, command: Command, guarded: Guarded) -> None:
-    """{command} with a byte more or less, all else fitting, is not executed."""
-    guarded.ready(probe)
-    values = guarded.values(probe, command)
-    built, link = probe.build(command, values), probe.dialect.link
-    head = link.parse(built.frame, probe.address)
-    data, form = built.frame[head.start : head.stop], command.request_forms[0]
-    before = guarded.see(probe)
-    for other in (data[:-1], data + b"\0"):
-        frame = link.build(command, form, probe.address, other, Role.REQUEST)
-        if other != data and (link.kind != "can" or len(frame) <= _CAN_BYTES):
-            sent = probe.send(built.item(frame), timeout_ns=PAUSE_NS)
-            text = f"{command.name} with {len(other)} bytes of data in place of {len(data)} is executed"
-            _expect_no_effect(probe, guarded, before, sent, text, f"{command.name}: another length is executed")
-    _control(probe, command, guarded, values)
+    """{command} with a byte more or less, or without any, all else fitting, or without its check, is not executed.
+
+    Nor is it after it was, whole.
+    """
+    link, form = probe.dialect.link, command.request_forms[0]
+    for _ in range(2):
+        guarded.ready(probe)
+        values = guarded.values(probe, command)
+        built = probe.build(command, values)
+        head = link.parse(built.frame, probe.address)
+        data = built.frame[head.start : head.stop]
+        before = guarded.see(probe)
+        frames = {
+            f"{len(other)} bytes of data in place of {len(data)}": link.build(command, form, probe.address, other, Role.REQUEST)
+            for other in (data[:-1], data + b"\0", b"")
+            if other != data
+        }
+        if link.kind == "can":
+            # On a line the next frame would end it.
+            frames["no check"] = built.frame[:-1]
+        for what, frame in frames.items():
+            if link.kind != "can" or len(frame) <= _CAN_BYTES:
+                sent = probe.send(built.item(frame), timeout_ns=PAUSE_NS)
+                text = f"{command.name} with {what} is executed"
+                _expect_no_effect(probe, guarded, before, sent, text, f"{command.name}: another length is executed")
+        _control(probe, command, guarded, values)
 
 
 # --- settings ---------------------------------------------------------------------------------------------------------

@@ -96,6 +96,20 @@ def _clears(probe: Probe, command: Command) -> None:
     _expect_flags(probe, set(), "after 9B, the cause being gone,")
 
 
+@_clear(refuted_by="the flags of before", at_best=Certainty.OPEN)
+def _tells_what_is_left(probe: Probe, command: Command) -> None:
+    """9B is answered with the flags that it leaves: those whose cause lasts."""
+    _flag_without_cause(probe)
+    lk_drive(probe).trip("motor_hot")
+    for left in ({"motor_hot"}, set[str]()):
+        exchange = probe.do(command)
+        told = probe.reply(exchange).values
+        seen = {field.name for field in ERROR_BITS if told.get(field.name)}
+        text = "9B is answered with other flags than it leaves"
+        probe.expect(", ".join(sorted(seen)), equal=", ".join(left), refutes=text, exchange=exchange)
+        lk_drive(probe).trip("motor_hot", False)
+
+
 def _conditions(dialect: Dialect) -> Iterator[Case]:
     """Yield each condition but that of an error, in which the flags are cleared."""
     for case in commands(Verb.CLEAR_ERRORS)(dialect):

@@ -415,18 +415,18 @@ def _is_enable_pin(probe: Probe, command: Command) -> None:
     each=commands(Verb.SET_PULSE_DIVISION),
     refuted_by="a port that does not follow the pulses",
     at_best=Certainty.OPEN,
-    risks=risks_by(Verb.SET_PULSE_DIVISION, Verb.MOVE_RELATIVE_PULSES, Verb.WRITE_IO),
+    risks=risks_by(Verb.SET_PULSE_DIVISION, Verb.MOVE_RELATIVE_PULSES, Verb.WRITE_IO, Verb.SET_ZERO),
     settings=("division_level", "division_period"),
 )
 def _divides(probe: Probe, command: Command) -> None:
-    """PEND flips once for every so many pulses, from its starting level; below 100 pulses it does not."""
+    """PEND flips once for every so many pulses either way, from its starting level; below 100 pulses it does not."""
     _give_ports_back(probe)
     motion.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
-    probe.do(Verb.SET_ZERO)
-    for level, period in ((0, 1600), (1, 1600), (0, 50)):
+    for level, period, turns in ((0, 1600, 0.3), (1, 1600, -0.3), (1, 1600, 0.3), (0, 1600, -0.3), (0, 50, 0.3)):
+        probe.do(Verb.SET_ZERO)
         probe.do(command, {"division_level": level, "division_period": period})
         for _ in range(3):
-            _move_by_pulses(probe, 0.3)
+            _move_by_pulses(probe, turns)
             pulses = abs(probe.read(Verb.READ_PULSES, "pulses"))
             wanted = level ^ (pulses // period & 1) if period >= 100 else 1
             text = f"PEND with a period of {period} is not {wanted} after {pulses} pulses"

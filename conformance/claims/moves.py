@@ -31,13 +31,14 @@ from conformance.claims.motion_claim import (
     of_motion,
     that_tell_their_end,
 )
+from conformance.claims.stops import endless
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, QUICK, SECOND_NS, Move, takes_pulses
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
-#: A way that no power of two divides, and one back that is shorter, in degrees.
-_THERE, _BACK = 97.2, -39.6
+#: A way that no power of two divides, one back that is shorter, and a short one, in degrees.
+_THERE, _BACK, _SHORT = 97.2, -39.6, 41.4
 #: More units than 16 bits hold, and the subdivision at which so many pulses are less than two turns.
 _FAR, _FINE = 70_000, 256
 #: Positions that 32 bits hold, just so, in 0.01 degrees.
@@ -315,6 +316,51 @@ def _reads_as_asked(probe: Probe, command: Command) -> None:
         unit = "counts" if probe.dialect.counts_per_turn else "0.01 degrees"
         seen = motion.place(probe, command)
         probe.expect(seen, near=target, within=2, unit=unit, refutes=text, exchange=move.exchange)
+
+
+# --- after what ended another motion, or moved the zero of the position -------------------------------------------------
+
+
+@of_motion(
+    each=motions(*MOVES),
+    refuted_by="a shaft that ends elsewhere",
+    risks=lambda case: {r for c in case.dialect.motions(MotionKind.RUN, *MOVES) for r in c.all_risks},
+    settings=keeps_position,
+    at_best=Certainty.LIKELY,
+)
+def _after_stop(probe: Probe, command: Command) -> None:
+    """{command} right after a stop that ended another motion goes by what it says itself, from where the shaft stands."""
+    every = probe.dialect.motions(MotionKind.RUN, *MOVES)
+    own = every.index(command)
+    # Its own kind, the one before and the one behind it.
+    for number, ended in enumerate((command, every[own - 1], every[(own + 1) % len(every)])):
+        motion.prepare(probe, command)
+        endless(probe, ended)
+        stops = probe.dialect.stops_of(ended)
+        stop = stops[number % len(stops)]
+        ramped = "acceleration" in stop.request_forms[0].layout.named
+        probe.ask(stop, {"acceleration": QUICK} if ramped else {}, quiet_ns=0)
+        motion.wait_standing(probe)
+        move = motion.follow(probe, command, (-1) ** number * _SHORT)
+        _expect_way(probe, move, False, f"{command.name} after a stop of {ended.name} does not go as far as it was asked to")
+
+
+@of_motion(
+    each=lambda dialect: motions(*MOVES, where=takes_angle)(dialect) if "set_position" in dialect.by_name else (),
+    refuted_by="a shaft that ends elsewhere",
+    risks=lambda case: {r for name in ("set_position", "clear_turns") for r in case.dialect.by_name[name].all_risks},
+    settings=("position",),
+    at_best=Certainty.LIKELY,
+)
+def _after_new_position(probe: Probe, command: Command) -> None:
+    """{command} after 95 or 93 goes as far as before: to a position as 92 tells it, to an angle as 94 does, or by an angle."""
+    motion.prepare(probe, command)
+    for number, position in enumerate((12_345, -234_567, None)):
+        exchange = probe.do("clear_turns") if position is None else probe.do("set_position", {"position": position})
+        move = motion.follow(probe, command, (-1) ** number * _SHORT)
+        assert exchange.command is not None  # it was asked for
+        text = f"{command.name} after {exchange.command.name} does not go where it was asked to"
+        _expect_way(probe, move, False, text)
 
 
 @of_motion(each=_in_turn, refuted_by="one way for both directions")

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
 from analyzer.layout import Field
 from conformance.claim import Inconclusive
 from conformance.claims import bench, kept_effects, ranges, setting_effects
@@ -29,7 +29,8 @@ from conformance.claims.read_back import fields_of, of_read_back
 from conformance.claims.setting_effects import SettingEffect
 from conformance.model import limits
 from conformance.motion import motion
-from conformance.motion.motion import MS
+from conformance.motion.motion import MOVES, MS
+from conformance.talk import samples
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 from conformance.talk.settings import LINK_EFFECTS
@@ -358,6 +359,57 @@ def _each_port(probe: Probe, command: Command) -> None:
             text = f"a write of {port} alone does not leave {other} as it was"
             probe.expect(_levels(probe, *wanted), equal=wanted, refutes=text, exchange=exchange)
     probe.do(command, {"alm_mask": 0, "pend_mask": 0, "alm": 0, "pend": 0})
+
+
+def _stays_written(dialect: Dialect) -> Iterator[Case]:
+    for case in commands(Verb.WRITE_IO)(dialect) if motion.can_move(dialect) else ():
+        assert case.command is not None  # cases of commands
+        deeds = [dialect.by_verb[verb] for verb in _ALTERING if verb in dialect.by_verb]
+        every = (case.command, *deeds, *dialect.motions(MotionKind.RUN, *MOVES))
+        risks = frozenset[Risk]().union(*(command.all_risks for command in every))
+        facts = {
+            "risks": motion.risks(dialect, *risks - {Risk.UNKNOWN}),
+            "settings": motion.settings(dialect, "stall_tolerance"),
+        }
+        yield Case(dialect, case.command, {"deeds": deeds}, facts)
+
+
+#: What is done to a drive whose ports were written, beside motions.
+_ALTERING = (Verb.EMERGENCY_STOP, Verb.SET_ZERO, Verb.ENABLE, Verb.SET_STALL_TOLERANCE, Verb.RELEASE_PROTECTION)
+
+
+@of_read_back(
+    each=_stays_written, name="{command}/stays", refuted_by="a port that another command writes", at_best=Certainty.LIKELY
+)
+def _stays(probe: Probe, command: Command, deeds: list[Command]) -> None:
+    """A written port stays as it was written, whatever moves, ends, is switched or is set meanwhile."""
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    moves = probe.dialect.motions(MotionKind.RUN, *MOVES)
+    for level in (0, 1):
+        wanted = {"alm": level, "pend": level}
+        probe.do(command, {"alm_mask": 1, "pend_mask": 1, **wanted})
+        for each in (*moves, *deeds):
+            if each in moves:
+                if motion.of(each).kind is MotionKind.RUN:
+                    motion.run_at(probe, 60)
+                    _expect_levels(probe, wanted, each, "while the shaft turns")
+                    motion.stop(probe)
+                    motion.wait_standing(probe)
+                else:
+                    motion.follow(probe, each, 10, acceleration=motion.QUICK)
+            elif each.verb is Verb.ENABLE:
+                motion.switch(probe, False)
+                _expect_levels(probe, wanted, each, "while the motor is off")
+                motion.switch(probe, True)
+            else:
+                probe.do(each, samples.sample(probe.dialect, each))
+            _expect_levels(probe, wanted, each, "then")
+    probe.do(command, {"alm_mask": 0, "pend_mask": 0, "alm": 0, "pend": 0})
+
+
+def _expect_levels(probe: Probe, wanted: dict[str, int], after: Command, when: str) -> None:
+    text = f"ports that were written read otherwise after {after.name}, {when}"
+    probe.expect(_levels(probe, *wanted), equal=wanted, refutes=text, key=text)
 
 
 def _levels(probe: Probe, *ports: str) -> dict[str, int | None]:

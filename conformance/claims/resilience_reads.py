@@ -26,7 +26,7 @@ from conformance.talk.probe import Probe
 
 _ROUNDS = 2
 #: Reads of what little of a drive's doings changes.
-_FLAGS = (Verb.READ_ENABLED, Verb.READ_ZERO_STATUS, Verb.READ_PROTECTION)
+_FLAGS = (Verb.READ_ENABLED, Verb.READ_ZERO_STATUS, Verb.READ_PROTECTION, Verb.BRAKE)
 
 
 def _conditions(dialect: Dialect) -> Iterator[Case]:

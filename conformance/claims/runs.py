@@ -23,6 +23,9 @@ from conformance.talk.restarts import restart
 
 #: The speed of runs that last, and that of runs whose direction alone matters: 16 bits hold them in every unit.
 _RPM, _SLOW = 54, 30
+#: The slowest, in whole rpm and in 0.01 deg/s: what they are measured in, after how long, and by how much they may be off.
+_SLOWEST, _SLOWEST_BY_ANGLES = (1, 2), (0.1, 0.5)
+_SLOW_NS, _SETTLED_NS, _SLOW_SHARE = 500 * MS, 100 * MS, 0.25
 _runs = motions(MotionKind.RUN)
 _directed = motions(MotionKind.RUN, where=has_direction)
 _signed = motions(MotionKind.RUN, where=has_sign)
@@ -56,6 +59,25 @@ def _turns_at(probe: Probe, rpm: float) -> None:
         probe.meets("slow-replies-in-motion")
     else:
         probe.measured["rpm"] = abs(speed)
+
+
+@of_motion(each=_runs, refuted_by="another speed, or a shaft that stands", quirks=may_meet("slow-replies-in-motion"))
+def _slow(probe: Probe, command: Command) -> None:
+    """The slowest speeds that can be sent turn the shaft too, either way, and are read."""
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
+    for rpm in _SLOWEST if has_direction(command) else _SLOWEST_BY_ANGLES:
+        for way in (1, -1):
+            exchange = motion.run_at(probe, way * rpm, QUICK)
+            probe.wait(_SETTLED_NS)
+            speed, spread = motion.mean_speed(probe, _SLOW_NS)
+            seen = motion.speed(probe)
+            motion.stand_still(probe)
+            wanted = motion.rpm_as_asked(exchange)
+            within = wanted * _SLOW_SHARE + spread
+            text = f"a run at {wanted:.3g} rpm turns the shaft at another speed"
+            probe.expect(abs(speed), near=wanted, within=within, unit="rpm", refutes=text, exchange=exchange)
+            text, within = f"a run at {wanted:.3g} rpm is read as another speed", within + seen.step / 2 + seen.noise
+            probe.expect(abs(seen.value), near=wanted, within=within, unit="rpm", refutes=text, exchange=exchange)
 
 
 # --- which way --------------------------------------------------------------------------------------------------------

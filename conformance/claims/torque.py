@@ -55,6 +55,26 @@ def _zero(probe: Probe, command: Command) -> None:
     expect_stays(before, motion.position(probe), exchange, f"{command.name} with 0 drives the shaft")
 
 
+@_of_force(refuted_by="the force of before", at_best=Certainty.LIKELY)
+def _newer(probe: Probe, command: Command) -> None:
+    """{command} that comes while one drives the shaft takes its place: weaker, the other way, none and again."""
+    motion.ready_to_move(probe)
+    name = _field(probe, command)
+    for force in (FORCE, FORCE // 2, -FORCE, 0, FORCE, 0):
+        exchange = probe.do(command, {name: force})
+        probe.wait(_FORCE_NS)
+        seen = probe.read(Verb.READ_STATE_2, name)
+        if abs(seen - force) > FORCE / 4:
+            motion.stand_still(probe)
+        text = f"{command.name} does not take the place of the one before"
+        probe.expect(seen, near=force, within=FORCE / 4, unit="LSB", refutes=text, exchange=exchange)
+    motion.stand_still(probe)
+
+
+#: How long a force has until it is there.
+_FORCE_NS = 250 * MS
+
+
 @_of_force(refuted_by="another value", emulated=True, at_best=Certainty.LIKELY)
 def _to_its_end(probe: Probe, command: Command) -> None:
     """{command} drives the shaft as strongly as asked for to the end of its range, both ways."""
@@ -115,6 +135,11 @@ def _other_models(probe: Probe, foreign: str) -> None:
 # --- the brake --------------------------------------------------------------------------------------------------------
 
 
+def _by_all_motions(case: Case) -> frozenset[Risk]:
+    every = case.dialect.motions(MotionKind.RUN, *MOVES, MotionKind.TORQUE)
+    return frozenset[Risk]().union(*(command.all_risks for command in every))
+
+
 def _brake(probe: Probe, control: int) -> int:
     """Switch or read the brake; return the state that is answered."""
     exchange = probe.ask(Verb.BRAKE, {"brake_control": control})
@@ -149,7 +174,8 @@ def _holds(probe: Probe) -> None:
 def _ways(probe: Probe) -> Iterator[tuple[Command, int]]:
     """Yield every motion of the drive one way, and the run both ways."""
     every = probe.dialect.motions(MotionKind.RUN, *MOVES, MotionKind.TORQUE)
-    yield from ((command, (-1) ** n) for n, command in enumerate(every))
+    known = [command for command in every if probe.dialect.model or not command.models]
+    yield from ((command, (-1) ** n) for n, command in enumerate(known))
     yield probe.command(Verb.RUN_SPEED), -1
 
 
@@ -161,10 +187,7 @@ def _begin(probe: Probe, command: Command, way: int) -> None:
     motion.begin(probe, command, way * degrees, rpm=way * CALM if kind is MotionKind.RUN else CALM, more=force)
 
 
-@_of_brake(
-    refuted_by="a shaft that turns against the brake",
-    risks=lambda case: {r for c in case.dialect.motions(MotionKind.RUN, *MOVES, MotionKind.TORQUE) for r in c.all_risks},
-)
+@_of_brake(refuted_by="a shaft that turns against the brake", risks=_by_all_motions)
 def _holds_turning(probe: Probe) -> None:
     """A brake that holds the shaft at rest (00h) stops one that turns, whatever turns it, and holds it until 01h."""
     motion.ready_to_move(probe)
@@ -213,10 +236,13 @@ def _read_only(probe: Probe) -> None:
 
 
 @_of_brake(
-    name="{command}/stays", refuted_by="another state", at_best=Certainty.OPEN, risks=risks_by(Verb.MOTOR_OFF, Verb.STOP)
+    name="{command}/stays",
+    refuted_by="another state",
+    at_best=Certainty.OPEN,
+    risks=lambda case: _by_all_motions(case) | risks_by(Verb.MOTOR_OFF, Verb.STOP)(case),
 )
 def _brake_stays(probe: Probe) -> None:
-    """Switching the motor off and on, and a stop, leave the brake as it is."""
+    """Switching the motor off and on, a stop, and every motion leave the brake as it is."""
     motion.ready_to_move(probe)
     for control in (_POWER_OFF, _RELEASE):
         _brake(probe, control)
@@ -224,6 +250,12 @@ def _brake_stays(probe: Probe) -> None:
             exchange = probe.do(verb)
             text = f"{probe.command(verb).name} switches the brake"
             probe.expect(_brake(probe, _READ_BRAKE), equal=control, refutes=text, exchange=exchange)
+    for command, way in _ways(probe):
+        _begin(probe, command, way)
+        text, exchange = f"{command.name} switches the brake", probe.traffic[-1]
+        seen = _brake(probe, _READ_BRAKE)
+        motion.stand_still(probe)
+        probe.expect([seen, _brake(probe, _READ_BRAKE)], equal=[control] * 2, refutes=text, exchange=exchange)
 
 
 @_of_brake(refuted_by="the state before", rests_on=(Doubt.REPLY_VALUES,))

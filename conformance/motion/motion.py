@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING, Any
 from analyzer.catalogue import Command, Dialect, Motion, MotionKind, Risk, Verb
 from analyzer.layout import Effect, Field
 from conformance.claim import Inconclusive
+from conformance.gate.gate import Refused
 from conformance.motion import ramp
 from conformance.talk.exchange import Answer, Exchange
 from conformance.talk.probe import Until
@@ -480,6 +481,10 @@ def prepare(probe: Probe, command: Command) -> None:
     ready_to_move(probe, subdivision=SUBDIVISION if takes_pulses(command) else None)
 
 
+#: Units between two targets of which one begins no frame: the heads of the native dialect are three in a row.
+BESIDE = 3
+
+
 def ask(
     probe: Probe,
     command: Command,
@@ -502,7 +507,16 @@ def ask(
         law_ns = ramp.move_ns(degrees / 360, how.get("rpm", CALM), how.get("acceleration", QUICK))
         timeout_ns = int(law_ns * _PATIENCE) + _GRACE_NS
     values = values_of(probe.dialect, command, degrees, start=begun, **how) | dict(more or {})
-    return probe.ask(command, values, until=until, timeout_ns=timeout_ns, quiet_ns=quiet_ns)
+    replies: dict[str, Any] = {"until": until, "timeout_ns": timeout_ns, "quiet_ns": quiet_ns}
+    try:
+        return probe.ask(command, values, **replies)
+    except Refused:
+        distance = of(command).distance
+        if not distance or more:
+            raise
+        # Where the shaft stands, the bytes of a target may read as a frame of another dialect: beside it they do not.
+        beside = values[distance] + (-BESIDE if values[distance] > 0 else BESIDE)
+        return probe.ask(command, values | {distance: beside}, **replies)
 
 
 def refused(probe: Probe, exchange: Exchange) -> bool:

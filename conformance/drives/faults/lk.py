@@ -8,10 +8,13 @@ from dataclasses import replace as replaced_limits
 from msgspec.structs import replace
 
 from analyzer.catalogue import Command, Verb
+from analyzer.codec import codec
 from analyzer.layout import Field
 from analyzer.protocols.lk_rs485 import (
     CURRENT_MODELS,
+    DIALECT,
     ERROR_BITS,
+    HUNDREDTH,
     POWER_MODELS,
     BrakeControl,
     BrakeState,
@@ -395,6 +398,116 @@ def _capped(name: str, most: int, *of: Verb) -> Change:
 def _flags_read_away(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
     lk(drive).clear_errors()
     return values
+
+
+def _telling_cleared_flags(hooks: Hooks) -> None:
+    flags: set[str] = set()
+
+    def clear(drive: LkDrive, old: Act, request: Request) -> None:
+        flags.clear()
+        flags.update(drive.errors)
+        old(drive, request)
+
+    replaced("clear_errors", lambda old: lambda drive, request: clear(drive, old, request)).install(hooks)
+    told = _read(lambda drive, values: values | {name: 1 for name in flags if name in values}, Verb.CLEAR_ERRORS)
+    told.install(hooks)
+
+
+def _brake_told_on(hooks: Hooks) -> None:
+    moved = False
+
+    def watch(drive: Drive, command: Command, values: Values) -> Values:
+        nonlocal moved
+        moved = command.name in MOVES or (moved and values.get("brake_control") in (None, BrakeControl.READ))
+        return values
+
+    hooks.request.append(watch)
+    _read(lambda drive, values: values | {"brake_state": int(BrakeState.POWER_OFF)} if moved else values, Verb.BRAKE).install(
+        hooks
+    )
+
+
+def _from_the_origin(drive: LkDrive, request: Request) -> None:
+    """Turn to an angle from where the position is 0, not from the zero of the encoder."""
+    motor, zero = drive.motor, drive.motor.zero
+    motor.zero = motor.origin
+    motor.turn_to(request.physical["angle"], clockwise=request.values["direction"] == SpinDirection.CW)
+    motor.zero = zero
+
+
+def _from_given_up(hooks: Hooks) -> None:
+    given_up: list[float] = []
+
+    def stop(drive: LkDrive, old: Act, request: Request) -> None:
+        given_up[:] = [drive.motor.goal.angle] if isinstance(drive.motor.goal, Position) and _turns(drive) else []
+        old(drive, request)
+
+    def move(drive: LkDrive, request: Request) -> None:
+        begin = given_up.pop() if given_up else drive.motor.motion.angle
+        drive.motor.go(Position(begin + request.physical["position"]))
+
+    replaced("stop", lambda old: lambda drive, request: stop(drive, old, request)).install(hooks)
+    moving(("move_increment",), move).install(hooks)
+
+
+def _late_ramp(hooks: Hooks) -> None:
+    """Keep to the acceleration of before until a motion begins from rest."""
+
+    def write(drive: LkDrive, old: Act, request: Request) -> None:
+        before = drive.motor.limits.acceleration
+        old(drive, request)
+        if _turns(drive):
+            drive.motor.limit(replaced_limits(drive.limits, acceleration=before))
+
+    def run(drive: LkDrive, old: Act, request: Request) -> None:
+        if not _turns(drive):
+            drive.motor.limit(drive.limits)
+        old(drive, request)
+
+    replaced("write_parameter", lambda old: lambda drive, request: write(drive, old, request)).install(hooks)
+    replaced("run_speed", lambda old: lambda drive, request: run(drive, old, request)).install(hooks)
+
+
+def _unless_none(old: Act) -> Act:
+    def act(drive: LkDrive, request: Request) -> None:
+        if request.values["torque_current"] or not isinstance(drive.motor.goal, Torque):
+            old(drive, request)
+
+    return act
+
+
+def _torque_told_on(hooks: Hooks) -> None:
+    told: list[int] = []
+
+    def stop(drive: LkDrive, old: Act, request: Request) -> None:
+        told[:] = [round(drive.motor.torque)] if isinstance(drive.motor.goal, Torque) else told
+        old(drive, request)
+
+    def watch(drive: Drive, command: Command, values: Values) -> Values:
+        if command.name in MOVES:
+            told.clear()
+        return values
+
+    replaced("stop", lambda old: lambda drive, request: stop(drive, old, request)).install(hooks)
+    hooks.request.append(watch)
+    name = "torque_current"
+    tell = _read(lambda drive, values: values | {name: told[0]} if told and name in values else values, Verb.READ_STATE_2)
+    tell.install(hooks)
+
+
+def _repeating(drive: LkDrive) -> None:
+    """Run once more as before where 0xA2 comes without its data."""
+    run, last = DIALECT.by_verb[Verb.RUN_SPEED], [0.0]
+
+    def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        if wanted and message.command is not None and message.command.verb is Verb.RUN_SPEED:
+            last[0] = codec(run.request_forms[0].layout).wire(message.data)["speed"] * HUNDREDTH
+        head = bytes((frame.data[0], run.code, drive.address, 0))
+        if frame.data == head + bytes((sum(head) & 0xFF,)) and drive.obeys:
+            drive.motor.go(Speed(float(last[0])))
+        return wanted
+
+    drive.hooks.accept.append(accept)
 
 
 def _phases_doubled(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
@@ -858,6 +971,27 @@ ROWS: Rows = {
         Row("lk-gains-lost-by-stop", "0x81 sets the speed gains back", _forgetting("stop", speed_kp=50, speed_ki=20)),
         Row("lk-gains-lost-by-off", "0x80 sets the angle gains back", _forgetting("motor_off", angle_kp=100, angle_ki=20)),
         Row("lk-limit-lost-by-clearing", "0x9B sets the speed limit back", _forgetting("clear_errors", speed_limit=72_000)),
+        Row("lk-cleared-flags-told", "0x9B is answered with the flags that it has cleared", Change(_telling_cleared_flags, LK)),
+        Row("lk-brake-reads-on-after-motion", "after a motion 0x8C tells a brake that holds", Change(_brake_told_on, LK)),
+        Row(
+            "lk-slow-runs-stand",
+            "0xA2 below 1 deg/s turns nothing",
+            asked("speed", lambda value, field: value if abs(value) >= 100 else 0, Verb.RUN_SPEED),
+        ),
+        Row(
+            "lk-single-turn-by-position",
+            "0xA5 counts from where 0x95 set the position",
+            moving(SINGLE_TURN[:1], _from_the_origin),
+        ),
+        Row("lk-increment-of-stopped-move", "after 0x81 0xA7 counts from the target of before", Change(_from_given_up, LK)),
+        Row(
+            "lk-ramp-when-standing",
+            "a ramp that is written while the shaft turns waits until it stands",
+            Change(_late_ramp, LK),
+        ),
+        Row("lk-no-torque-ignored", "0xA1 with 0 leaves the torque of before", replaced("run_torque", _unless_none)),
+        Row("lk-torque-told-after-stop", "after 0x81 0x9C tells the torque of before", Change(_torque_told_on, LK)),
+        Row("lk-run-without-data-repeats", "0xA2 without data runs as the one before", tuned(_repeating)),
         Row("lk-voltage-capped", "0x9A tells 25 V at most", _capped("voltage", 2_500, Verb.READ_STATE_1)),
         Row("lk-temperature-capped", "0x9C tells 63 degrees at most", _capped("temperature", 63, Verb.READ_STATE_2)),
         Row("lk-flags-read-away", "0x9A clears the flags that it tells", result(_flags_read_away, Verb.READ_STATE_1)),

@@ -18,6 +18,7 @@ from conformance.drives.drive import Drive, Outgoing, Request, Values
 from conformance.drives.faults.mks_behaviour import OK, before, clinging, forgetful, mks, own, tuned
 from conformance.drives.faults.places import (
     CAN,
+    CAN_LONGEST,
     MODBUS,
     NATIVE,
     SERIAL,
@@ -46,6 +47,9 @@ Condition = Callable[[MksCore], bool]
 _DEAF_NS, _PAUSE_NS = 3_000_000_000, 20_000_000_000
 #: Speeds beyond which a fault of a fast shaft holds (rpm).
 _FAST, _VERY_FAST = 500, 1000
+_VERY_SLOW = 5
+_BY_COUNTS = frozenset({Verb.MOVE_RELATIVE_AXIS, Verb.MOVE_ABSOLUTE_AXIS})
+_MOVES = MOTIONS - {Verb.RUN_SPEED}
 _ENDS = STOPS | {Verb.EMERGENCY_STOP}
 _BITS = 16
 
@@ -170,6 +174,34 @@ def _answers_group(drive: Drive, message: Message, wanted: bool) -> bool:
     return wanted or (motion and message.address == drive.settings.get("group_address"))
 
 
+def _group_without_ramp(drive: MksCore) -> None:
+    """Turn as fast as is asked at once where that was sent to the group."""
+    to_group = False
+
+    def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        nonlocal to_group
+        to_group = message.address == drive.settings.get("group_address") != drive.address
+        return wanted
+
+    def ask(_: Drive, command: Command, values: Values) -> Values:
+        return {**values, "acceleration": 0} if to_group and "acceleration" in values else values
+
+    drive.hooks.accept.append(accept)
+    drive.hooks.request.append(ask)
+
+
+def _obey_without_check(drive: MksCore) -> None:
+    """Halt at a frame of the code of the emergency stop alone."""
+    code, take = drive.dialect.by_verb[Verb.EMERGENCY_STOP].code, drive.receive
+
+    def receive(frame: Frame, t_ns: int) -> list[Outgoing]:
+        if frame.data == bytes((code,)) and frame.can is not None and frame.can.id == drive.address:
+            frame = replace(frame, data=drive.dialect.link.completed(frame.data, frame.can.id), checksum_ok=True)
+        return take(frame, t_ns)
+
+    drive.receive = receive  # type: ignore[method-assign]
+
+
 def _deaf_after_motion(drive: MksCore) -> None:
     """Hear nothing for a while after the shaft has turned."""
     turned_ns: int | None = None
@@ -244,7 +276,15 @@ HEARING: Rows = {
     ),
     "address": (Row("sets-for-next", "settings of the next higher address are stored too", taken(_setting_of_another)),),
     "function": (Row("run-by-06", "a write of F6 by 06h begins a run", taken(_run_by_one), MODBUS),),
-    "group": (Row("group-motion-answered", "motion to the group is answered", answered(_answers_group), NATIVE),),
+    "group": (
+        Row(
+            "group-without-ramp",
+            "motion to the group has no ramp",
+            Change(tuned(_group_without_ramp).install, having(Verb.SET_GROUP_ADDRESS)),
+        ),
+        Row("group-motion-answered", "motion to the group is answered", answered(_answers_group), NATIVE),
+    ),
+    "length": (Row("emergency-without-check", "F7 is obeyed without its check", tuned(_obey_without_check), CAN),),
 }
 
 
@@ -253,6 +293,36 @@ HEARING: Rows = {
 
 def _whole_turns(drive: Drive, command: Command, sent: Values, found: Values) -> Values:
     return {"angle_error": found["angle_error"] + mks(drive).axis // drive.counts_per_turn * 51_200}
+
+
+def _in_place_on_its_way(drive: Drive, command: Command, sent: Values, found: Values) -> Values:
+    task = mks(drive).task
+    by_counts = task is not None and task.request is not None and task.request.command.verb in _BY_COUNTS
+    return {**found, "pend": 1} if by_counts else found
+
+
+def _give_ports_back(drive: MksCore, request: Request) -> None:
+    drive.memory.alm_mask = drive.memory.pend_mask = 0
+
+
+def _long_speed(drive: MksCore) -> None:
+    """Answer 32 with the most bytes of a frame, once the drive has restarted."""
+
+    def say(_: Drive, command: Command, outgoing: Outgoing) -> tuple[Outgoing]:
+        if command.verb is not Verb.READ_SPEED or not restarted:
+            return (outgoing,)
+        return (rebuilt(drive, outgoing, body_of(drive, outgoing).ljust(CAN_LONGEST - 1, b"\0")),)
+
+    restarted = False
+    begin = drive.power_on
+
+    def power_on(core: MksCore) -> None:
+        nonlocal restarted
+        restarted = restarted or core.now_ns > 0
+        begin(core)
+
+    drive.power_on = power_on
+    drive.hooks.reply.append(say)
 
 
 def _zero_check(drive: Drive, command: Command, outgoing: Outgoing) -> tuple[Outgoing]:
@@ -277,11 +347,17 @@ TOLD: Rows = {
             "F1 reads 2 while a run goes over to a lower speed",
             told_when(_slows_to_a_speed, Verb.READ_STATUS, status=2),
         ),
+        Row("in-place-on-its-way", "PEND is 1 on the way of F4 and F5", result(_in_place_on_its_way, Verb.READ_IO), CAN),
         Row("off-while-turning", "3A reads 0 while the shaft turns", told_when(_turns, Verb.READ_ENABLED, enabled=0)),
         Row("protected-while-turning", "3E reads 1 while the shaft turns", told_when(_turns, Verb.READ_PROTECTION, status=1)),
     ),
     "scale": (
         Row("error-counts-turns", "39 tells the turns made", result(_whole_turns, Verb.READ_ANGLE_ERROR)),
+        Row(
+            "slow-speed-zero",
+            "32 tells 0 below 5 rpm",
+            result(lambda d, c, q, found: {"speed": 0} if abs(found["speed"]) < _VERY_SLOW else found, Verb.READ_SPEED),
+        ),
         Row(
             "slow-speed-tenfold",
             "32 tells tenths of a rpm below 20 rpm",
@@ -289,6 +365,10 @@ TOLD: Rows = {
                 lambda d, c, q, found: {"speed": found["speed"] * 10} if abs(found["speed"]) < 20 else found, Verb.READ_SPEED
             ),
         ),
+    ),
+    "ports": (Row("ports-given-back-by-moves", "a move gives written ports back", before(_MOVES, _give_ports_back), CAN),),
+    "reply layout": (
+        Row("speed-long-after-restart", "32 is answered with four bytes more after a restart", tuned(_long_speed), CAN),
     ),
     "reply checksum": (Row("zero-check-sent-1", "a checksum that is 0 is sent as 1", frames(_zero_check), NATIVE),),
 }

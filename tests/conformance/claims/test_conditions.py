@@ -110,6 +110,12 @@ REFUTED_BY = {
     "long-setting-stored": "framing/settings/other-length",
     "current-echo-low-byte": "modbus/write_one/echo-of-current",
     "exception-2-turning": "modbus/exception/turning",
+    "in-place-on-its-way": "motion/read_io/crossed",
+    "ports-given-back-by-moves": "read-back/write_io/stays",
+    "speed-long-after-restart": "resilience/reads/restarted",
+    "slow-speed-zero": "motion/run_speed/slow",
+    "group-without-ramp": "addressing/group/as-sent",
+    "emergency-without-check": "framing/emergency_stop/other-length",
 }
 #: What a fault of the protection and of the angle error is seen by without a hand that holds the shaft.
 LIMP = (

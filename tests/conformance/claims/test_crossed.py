@@ -24,7 +24,9 @@ def test_each_command_has_each_speed_either_way(name):
     dialect = dialects.get(name)
     found = {(row.command, row.way, row.rpm) for row in crossed.table(dialect)}
     commands = {command.name for command in crossed.motions_of(dialect)}
-    assert found == set(product(commands, (1, -1), {rpm for _, _, rpm in found}))
+    speeds = {rpm for _, _, rpm in found}
+    # The slowest is one of runs alone: no move at it is short.
+    assert found == {row for row in product(commands, (1, -1), speeds) if row[2] > min(speeds) or row[0] == "run_speed"}
     assert len(commands) == 5
 
 

@@ -19,7 +19,7 @@ LK = dialects.get("lk-rs485")
 
 def _outcome(drive: str, name: str) -> Outcome:
     rig = EmulatedRig(make.parse(drive))
-    return engine.run_claim(next(c for c in every(rig.dialect) if c.id.endswith(f"/motion/{name}")), rig).outcome
+    return engine.run_claim(next(c for c in every(rig.dialect) if c.id.endswith(f"/{name}")), rig).outcome
 
 
 @pytest.mark.parametrize("model", LK.models)
@@ -55,6 +55,13 @@ def test_the_rows_are_short():
         ("lk-position-single-turn", "read_position/standing"),
         ("lk-single-turn-runs-on", "read_single_turn/standing"),
         ("lk-phases-doubled", "read_state_3/crossed"),
+        ("lk-torque-told-after-stop", "read_state_2/crossed"),
+        ("lk-no-torque-ignored", "run_torque/newer"),
+        ("lk-increment-of-stopped-move", "move_increment/after-stop"),
+        ("lk-single-turn-by-position", "move_single_turn/after-new-position"),
+        ("lk-slow-runs-stand", "run_speed/slow"),
+        ("lk-brake-reads-on-after-motion", "reads/run_speed"),
+        ("lk-run-without-data-repeats", "run_speed/other-length"),
     ],
 )
 def test_a_fault_of_one_condition_is_refuted(fault, claim):

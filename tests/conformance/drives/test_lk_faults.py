@@ -42,6 +42,51 @@ def phases(bench: Bench) -> None:
     bench.ask("read_state_3")
 
 
+def afterwards(bench: Bench) -> None:
+    """Things that hold on from what was before: a force, a stopped move, a ramp, a run, a position, flags."""
+    for torque in (90, 0, 90):
+        bench.ask("run_torque" if bench.drive.model != "MS" else "run_open_loop", **{_force(bench): torque})
+        bench.wait(0.3)
+        look(bench)
+    bench.ask("stop")
+    bench.wait(2)
+    look(bench)
+    bench.ask("brake", brake_control=1)
+    for command, increment in (("move_increment", 180_000), ("stop", None), ("move_increment", 1_000)):
+        bench.ask(command, **({} if increment is None else {"position": increment}))
+        bench.wait(0.2 if increment != 1_000 else 2)
+    look(bench)
+    bench.ask("brake", brake_control=16)
+    for speed in (50, 1_000):
+        bench.ask("run_speed", speed=speed)
+        bench.wait(1)
+        look(bench)
+    bench.ask("write_parameter", parameter=38, speed_ramp=1_000)
+    bench.ask("run_speed", speed=5_000)
+    bench.wait(0.5)
+    look(bench)
+    bench.ask("stop")
+    bench.wait(20)
+    head = bytes((0x3E, 0xA2, 1, 0))
+    bench.send(head + bytes((sum8(head),)))
+    bench.wait(1)
+    look(bench)
+    bench.ask("stop")
+    bench.ask("write_parameter", parameter=38, speed_ramp=360_000)
+    bench.wait(1)
+    bench.ask("set_position", position=12_345)
+    bench.ask("move_single_turn", direction=0, angle=1_000)
+    bench.wait(2)
+    look(bench)
+    for present in (True, False):
+        bench.drive.trip("overcurrent", present)
+    bench.ask("clear_errors")
+
+
+def _force(bench: Bench) -> str:
+    return "power" if bench.drive.model == "MS" else "torque_current"
+
+
 def look(bench: Bench) -> None:
     bench.ask("read_state_2")
     bench.ask("read_position")
@@ -380,6 +425,7 @@ SCRIPTS: dict[str, Script] = {
     "wide zero": wide_zero,
     "over others": over_others,
     "kept": kept,
+    "afterwards": afterwards,
     "wrong heads": wrong_heads,
     "echoes": echoes,
     "readings": readings,
@@ -558,6 +604,15 @@ SHOWN_BY: dict[str, str] = {
     "lk-single-turn-lost-backwards": "over others",
     "lk-single-turn-frozen-backwards": "over others",
     "lk-encoder-frozen-turning": "over others",
+    "lk-cleared-flags-told": "afterwards",
+    "lk-brake-reads-on-after-motion": "afterwards",
+    "lk-slow-runs-stand": "afterwards",
+    "lk-single-turn-by-position": "afterwards",
+    "lk-increment-of-stopped-move": "afterwards",
+    "lk-ramp-when-standing": "afterwards",
+    "lk-no-torque-ignored": "afterwards",
+    "lk-torque-told-after-stop": "afterwards",
+    "lk-run-without-data-repeats": "afterwards",
     "lk-gains-lost-by-stop": "kept",
     "lk-gains-lost-by-off": "kept",
     "lk-limit-lost-by-clearing": "kept",

@@ -7,6 +7,7 @@ import pytest
 from analyzer.catalogue import Risk, Verb
 from conformance.claim import Claim, Inconclusive, Theme
 from conformance.drives import make
+from conformance.gate.permissions import Allowance
 from conformance.motion import motion
 from conformance.suite.rig_emulated import EmulatedRig
 from conformance.talk.probe import Probe
@@ -115,3 +116,15 @@ def test_a_move_from_a_place_that_no_move_reaches_is_inconclusive():
     probe.drive.memory.zero = -(2**31)  # the encoder reads beyond what a move can be told
     with pytest.raises(Inconclusive, match="from where"):
         motion.follow(probe, probe.command(Verb.MOVE_ABSOLUTE_AXIS), 36)
+
+
+def test_a_target_whose_bytes_begin_another_frame_is_asked_for_beside_it():
+    rig = EmulatedRig(make.parse("lk-rs485@1,model=MS"), allowance=Allowance(frozenset({Risk.READ, Risk.MOTION})))
+    name = rig.dialect.name
+    risks = frozenset({Risk.MOTION})
+    probe = rig.probe(Claim(f"{name}/motion/test", Theme.MOTION, name, "x", "", "x", lambda probe: None, risks=risks))
+    # 77FB, low byte first, is the head and the address of a reply; the rest fits a frame.
+    command, angle = probe.command("move_single_turn_limited"), 0x77FB
+    exchange = motion.ask(probe, command, angle / 100, rpm=60, start=0)
+    assert exchange.values["angle"] == angle - 3
+    assert motion.wait_standing(probe).value == pytest.approx((angle - 3) / 100, abs=0.02)

@@ -281,3 +281,13 @@ def test_a_brake_is_put_back_as_a_setting_is_and_reading_it_changes_nothing(tmp_
     # What it was is read; without power, as asked; released again, and looked at.
     assert brakes(0x00) == [0x10, 0x00, 0x01, 0x10]
     rig.close()
+
+
+def test_a_position_whose_bytes_begin_another_frame_is_put_back_beside_it(tmp_path):
+    rig = EmulatedPort("lk-rs485@1", tmp_path)
+    # FA C4 00 00 BE, its end and the sum of it all, is a native frame to another drive.
+    rig.drives[0].motor.set_position(0xC4FA / 100)
+    verdict = ran(rig, lambda p: p.do("set_position", {"position": 0}) and None, Risk.SETTING)
+    assert verdict.outcome is Outcome.CONFIRMED, verdict.reason
+    assert round(rig.drives[0].motor.position * 100) == 0xC4FA - 3
+    rig.close()
