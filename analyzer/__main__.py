@@ -1,7 +1,22 @@
-"""`python -m analyzer` is `servotap`."""
+"""`servotap`, and `python -m analyzer`.
 
+`_signal` is built in: `signal` imports others first, in which Ctrl-C would show its traceback.
+"""
+
+import _signal as signal  # type: ignore[import-not-found]
 import sys
 
-from analyzer.cli import main
 
-sys.exit(main())
+def main() -> int:
+    """Run the command line; until it has begun, Ctrl-C ends the process without a traceback of its imports."""
+    handler = signal.getsignal(signal.SIGINT)
+    if handler is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from analyzer.cli import main as command
+
+    signal.signal(signal.SIGINT, handler)
+    return command()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -9,15 +9,19 @@
 
 from __future__ import annotations
 
+import _thread
 import codecs
 import contextlib
 import errno
 import os
 import re
+import signal
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
+from types import CodeType, FrameType
 from typing import Any, TextIO, cast
 
 from analyzer.values import escaped, printable
@@ -124,10 +128,8 @@ class _Faults:
 
     def _unraisable(self, unraisable: Any) -> None:
         if isinstance(unraisable.exc_value, KeyboardInterrupt):
-            # Ctrl-C fell into a place where Python drops it: it is given once more.
-            import _thread
-
-            _thread.interrupt_main()
+            # Ctrl-C fell into a place where Python drops it: it is given once more, and not here, which is such a place.
+            threading.Thread(target=_interrupt_outside, args=(self._unraisable.__code__,), daemon=True).start()
         elif unraisable.exc_value is not None:
             self.add(unraisable.exc_value)
 
@@ -145,6 +147,23 @@ class _Faults:
         what = printable(f"{type(error).__name__}: {error}"[:_LONGEST]).rstrip(": ")
         lines = f"servotap: a fault of servotap: {what}; please report it with {where}\n"
         sys.stderr.write(lines + trace if shown else lines)
+
+
+def _interrupt_outside(hook: CodeType) -> None:
+    """Interrupt the main thread as soon as it has left a hook."""
+    main = threading.main_thread().ident
+    frame: FrameType | None = sys._current_frames()[main or 0]
+    while frame is not None:
+        inside = frame.f_code is hook
+        frame = frame.f_back
+        if inside:
+            time.sleep(0.001)
+            frame = sys._current_frames().get(main or 0)
+    if hasattr(signal, "pthread_kill") and main is not None:
+        # As the terminal does: it ends a wait, too.
+        signal.pthread_kill(main, signal.SIGINT)
+    else:
+        _thread.interrupt_main()
 
 
 #: The boundaries that are entered, the innermost last.

@@ -16,6 +16,7 @@ from analyzer.live.spool import FORMAT
 
 NAME = "recording.json"
 COPY = "recording.copy.json"
+FILES = (NAME, COPY)
 #: Stem of the spool that holds what happened to the recording itself: marks, steps of the wall clock, the end.
 CONTROL = "0-control"
 
@@ -77,7 +78,7 @@ class RecordingConfig(msgspec.Struct, frozen=True, kw_only=True):
         """Write it into the folder of the spools, whole or not at all."""
         told = msgspec.structs.replace(self, spools=FORMAT, crc=0)
         data = msgspec.json.encode(msgspec.structs.replace(told, crc=zlib.crc32(msgspec.json.encode(told))))
-        for name in (NAME, COPY):
+        for name in FILES:
             part = folder / (NAME + ".part")
             part.write_bytes(msgspec.json.format(data, indent=1))
             part.replace(folder / name)
@@ -86,7 +87,7 @@ class RecordingConfig(msgspec.Struct, frozen=True, kw_only=True):
 def load(folder: Path) -> RecordingConfig:
     """Return the recording of a folder of spools. Raises UnreadableError where there is none that can be read."""
     reasons = []
-    for path in (folder / NAME, folder / COPY):
+    for path in (folder / name for name in FILES):
         try:
             told = msgspec.json.decode(path.read_bytes(), type=RecordingConfig)
         except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:

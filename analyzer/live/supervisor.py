@@ -10,6 +10,7 @@ first, then `end` in CONTROL, then it waits for the decoding process to have fin
 
 from __future__ import annotations
 
+import contextlib
 import platform
 import queue
 import shutil
@@ -23,7 +24,7 @@ from analyzer import __version__
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live import clock
 from analyzer.live.children import SAYS, Child, DecoderChild, MessageQueue, ReaderChild
-from analyzer.live.config import CONTROL, RecordingConfig
+from analyzer.live.config import CONTROL, FILES, RecordingConfig
 from analyzer.live.lock import RUNNING, Lock
 from analyzer.live.port_status import PortStatus, take
 from analyzer.live.reader_store import Store
@@ -211,6 +212,7 @@ class Supervisor:
                     self.stop("the duration is over")
                 if now_ns - looked_ns >= _SECOND_NS:
                     looked_ns = now_ns
+                    self._keep_config()
                     for change in wall.look(clock.now()):
                         self._note_event(change.event, **change.about)
                         if change.event == "clock_step":
@@ -218,6 +220,13 @@ class Supervisor:
                             self._on_note("", f"{change.about['cause']} ({seconds:+.3f} s); times in the log do not follow")
         finally:
             self._end()
+
+    def _keep_config(self) -> None:
+        """Write the configuration again where it was deleted: without it nothing can read the spools."""
+        if self.folder.is_dir() and not all((self.folder / name).exists() for name in FILES):
+            # On a full disk, the next time.
+            with contextlib.suppress(OSError):
+                self.config.save(self.folder)
 
     def _turn(self, seconds: float) -> str:
         """Wait for something to happen, take it and return what; start what is due."""
@@ -237,6 +246,7 @@ class Supervisor:
         now = time.monotonic()
         for child in (*self._readers.values(), self._decoder):
             if child.due is not None and child.due <= now:
+                self._keep_config()
                 try:
                     child.start()
                     if child is self._decoder and self.phase == "finishing":

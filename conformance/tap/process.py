@@ -110,8 +110,7 @@ def _run(arguments: argparse.Namespace, stop: TapStop, tell: Any) -> None:
     storing = Storing({d: _store(writers[d], s, before[d], tell) for d, s in stems.items()})
     stored = {d: 0 if record is None else record.before + record.units for d, record in before.items()}
     taken = Taken.at(arguments.folder / f"{arguments.reply}.taken", stored)
-    successor = any(before.values())
-    terminal = Terminal(*arguments.terminal, attended=successor and _others(arguments.terminal[1]))
+    terminal = Terminal(*arguments.terminal, others=lambda: _others(arguments.terminal[1]))
     named = of_endpoint(endpoint)
     _open(adapter, arguments.adopt, stop, storing, before[REPLY], named)
     hand_over(adapter.fd)

@@ -12,6 +12,7 @@ import fcntl
 import os
 import struct
 import termios
+from collections.abc import Callable
 
 _OPENED = 0x20
 _CLOSED = 0x08 | 0x10
@@ -20,9 +21,12 @@ _EVENT = struct.Struct("iIII")
 
 
 class Terminal:
-    """Both ends of a pseudo-terminal. `attended`: a program has it open, also one that had so before this began."""
+    """Both ends of a pseudo-terminal. `attended`: a program has it open.
 
-    def __init__(self, master: int, slave: int, *, attended: bool = False) -> None:
+    `others`: says whether a program has it open already.
+    """
+
+    def __init__(self, master: int, slave: int, *, others: Callable[[], bool] = lambda: False) -> None:
         self.master = master
         self.slave = slave
         self.path = os.ttyname(slave)
@@ -30,8 +34,14 @@ class Terminal:
         self.watch = _watch(self.path)
         self._users = 0
         # Of who came before there is nothing to count; he is there until one more has gone than have come.
-        self._assumed = self.watch is None or attended
-        self.attended = self._assumed
+        self._assumed = False
+        self.attended = False
+        # Asked with the watch standing: none can open it in between.
+        present = self.watch is None or others()
+        self.look()
+        # Who came in between is seen twice.
+        self._assumed = present and not self._users
+        self.attended = self._assumed or self._users > 0
 
     def look(self) -> bool:
         """Take what the kernel tells of openings and closings; say whether `attended` has changed."""

@@ -6,6 +6,7 @@ import errno
 import io
 import os
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -19,6 +20,7 @@ from analyzer.cli import show as show_module
 from analyzer.cli.boundary import FOLDER, bounded
 from analyzer.cli.console import Console
 
+ROOT = Path(__file__).parents[2]
 HOSTILE = "\x1b[2J\x9b31m\x7f\x00\r\b\u202etxt\udcff\u2066é"
 SHOWN = r"\x1b[2J\u009b31m\u007f\x00\r\x08\u202etxt\udcff\u2066é"
 
@@ -223,3 +225,32 @@ def test_the_mark_of_the_end_of_options_is_no_value(word, capsys):
         main(["show", "x", word])
     assert ended.value.code == 2
     assert capsys.readouterr().err.startswith(f"servotap show: argument {word[:-3]}: expected a value, got --")
+
+
+def test_ctrl_c_while_the_command_line_is_imported_shows_no_traceback(tmp_path):
+    """The import of the command line waits to be interrupted; before ours, Python's own beginning is beyond reach."""
+    (tmp_path / "analyzer").mkdir()
+    for name in ("__init__.py", "__main__.py"):
+        (tmp_path / "analyzer" / name).write_text((ROOT / "analyzer" / name).read_text())
+    (tmp_path / "analyzer" / "cli.py").write_text("import time\nprint('here', flush=True)\ntime.sleep(20)\n")
+    words = [sys.executable, "-S", "-m", "analyzer"]
+    with subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"here\n"
+        process.send_signal(signal.SIGINT)
+        assert process.stderr.read() == b""
+        assert process.wait(10) == -signal.SIGINT
+
+
+def test_ctrl_c_in_a_destructor_ends_the_command_without_a_word_of_python(capfd):
+    class Dying:
+        def __del__(self):
+            raise KeyboardInterrupt
+
+    def command(words):
+        dying = Dying()
+        del dying
+        threading.Event().wait(20)
+        return 0
+
+    assert bounded(command, []) == 130
+    assert capfd.readouterr() == ("", "servotap: interrupted; nothing more was written\n")

@@ -86,13 +86,14 @@ def test_a_reader_killed_again_and_again_costs_no_byte(tmp_path):
     assert [e["event"] for e in events(recorded.log)].count("restarted") == 3
 
 
-def test_a_spool_deleted_while_its_reader_is_dead_costs_no_more_than_was_in_it(tmp_path):
+def test_a_spool_and_its_configuration_deleted_while_its_reader_is_dead_cost_no_more_than_was_in_it(tmp_path):
     with talking(tmp_path) as (recorded, talker):
         # Decoding is killed too, or it would read on in the file that it has open.
         os.kill(recorded.pid_of("live.recorder"), signal.SIGKILL)
         os.kill(recorded.pid_of("live.reader"), signal.SIGKILL)
-        for path in recorded.folder.glob("1-left.*.raw"):
-            path.unlink()
+        for pattern in ("1-left.*.raw", "recording.*"):
+            for path in recorded.folder.glob(pattern):
+                path.unlink()
         recorded.wait_note("another one took over the port")
         seen = recorded.count()
         # More than stood in the segment that is gone.

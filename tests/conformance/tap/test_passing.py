@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import select
@@ -480,3 +481,24 @@ def test_what_a_tap_had_taken_outlives_it(tmp_path: Path) -> None:
     assert second.before == second.counts == {REQUEST: 10, REPLY: 30}
     place.write_bytes(b"damaged")
     assert Taken(place, {REQUEST: 8, REPLY: 30}).counts == {REQUEST: 8, REPLY: 30}
+
+
+def test_a_program_that_was_there_before_the_tap_looked_is_served():
+    with contextlib.closing(PtyPort()) as port:
+        program = os.open(port.path, os.O_RDWR | os.O_NOCTTY)
+        terminal = Terminal(*(os.dup(fd) for fd in (port.descriptors()[0], port.slave)), others=lambda: True)
+        assert terminal.attended
+        os.close(program)
+        assert terminal.look()
+        assert not terminal.attended
+        came = []
+        late = Terminal(
+            *(os.dup(fd) for fd in (port.descriptors()[0], port.slave)),
+            others=lambda: bool(came.append(os.open(port.path, os.O_RDWR | os.O_NOCTTY)) or came),
+        )
+        assert late.attended
+        os.close(came[0])
+        assert late.look()
+        assert not late.attended
+        terminal.close()
+        late.close()
