@@ -141,10 +141,12 @@ def test_after_the_death_of_the_supervisor_the_others_finish_the_log_and_end(tmp
 
 def test_after_the_death_of_all_everything_that_was_stored_is_recovered(tmp_path):
     with talking(tmp_path) as (recorded, talker):
-        time.sleep(0.3)
-        for pid in reversed(recorded.pids):
+        # So that it starts none of them again before its own turn comes.
+        recorded.kill(signal.SIGSTOP)
+        pids = recorded.pids
+        for pid in reversed(pids):
             os.kill(pid, signal.SIGKILL)
-        gone(*recorded.pids)
+        assert gone(*pids)
         talker.__exit__()
         stored = recorded.count()
     assert recorded.folder.exists()
