@@ -213,12 +213,17 @@ def _to_all(scene: Scene) -> Iterator[Suspicion]:
     assert message is not None
     assert message.command is not None  # chosen so above
     dialect = message.frame.dialect
-    right = build(dialect, message.command, dialect.addresses[0])
+    one = dialect.addresses[0]
+    if message.command in dialect.commands:
+        right = build(dialect, message.command, one)
+    else:
+        # A register that the catalogue does not have: the same request, to one unit.
+        right = dialect.link.completed(bytes((one,)) + message.frame.data[1 : dialect.link.parse(message.frame.data).stop])
     yield Suspicion(
         "broadcast_no_reply", Confidence.CERTAIN, scene.of("unanswered"),
         f"{message.command.name} is sent to address {dialect.broadcast}, which is all drives: none answers it.",
         f"{_bytes(sent[0])} at byte {sent[0].offset}; {counted(len(sent), 'time')}",
-        f"Ask one drive: {shown(right, dialect.link.identifier(message.command, dialect.addresses[0]))}",
+        f"Ask one drive: {shown(right, dialect.link.identifier(message.command, one))}",
         tuple(Shown(p.offset, _bytes(p)) for p in sent),
     )  # fmt: skip
 

@@ -247,6 +247,8 @@ def test_the_old_address_is_asked(reply):
 
 def test_a_read_of_all_is_not_answered():
     assert first((">", build(NATIVE, "read_speed", 0))) == "broadcast_no_reply"
+    # Of a register that the manual does not have, too.
+    assert first("> 00 03 00 00 00 0A C4 1C") == "broadcast_no_reply"
 
 
 def test_motion_is_refused_in_pulse_mode():

@@ -485,6 +485,44 @@ def _bytes_changed(chance: random.Random, given: Input, others: Sequence[Input])
     return {INPUT: bytes_changed(chance, data[at : at + size], 1 + size // 12)[:1000]}
 
 
+_SENDERS = ("", "> ", "< ", "TX: ", "RX: ", "send ", "recv ")
+
+
+def _pastes() -> list[Input]:
+    return [{INPUT: b"> FA 01 31 2C\n"}, *quick("troubles")]
+
+
+def _troubled(chance: random.Random, given: Input, others: Sequence[Input]) -> Input:
+    """Write frames of the manuals and of any Modbus unit as lines of a paste, some of them as a bad line leaves them."""
+    frames = [frame for _, _, frame in vectors()]
+    marked, timed = chance.random() < 0.7, chance.random() < 0.5
+    rows, t_ms = [], 0
+    for _ in range(chance.choice((1, 2, 3, 6, 20))):
+        unit, function = chance.choice((0, 1, 1, 2, 17, 247, 255)), chance.choice((1, 2, 3, 3, 4, 5, 6, 15, 16, 0x83, 0x90, 43))
+        body = bytes((unit, function)) + chance.randbytes(chance.choice((1, 3, 4, 4, 5, 9, 13)))
+        frame = chance.choice(frames) if chance.random() < 0.5 else dialects.get("mks-modbus").link.completed(body)
+        for _ in range(chance.choice((1, 1, 2))):
+            if chance.random() < 0.4:
+                frame = chance.choice(_HURTS)(chance, frame)
+            t_ms += chance.choice((0, 1, 5, 1000))
+            rows.append(f"{t_ms / 1000:.3f} " * timed + chance.choice(_SENDERS) * marked + frame.hex(" "))
+    return {INPUT: "\n".join(rows).encode() + b"\n"}
+
+
+_HURTS: tuple[Callable[[random.Random, bytes], bytes], ...] = (
+    lambda chance, frame: bytes(byte ^ 0xFF for byte in frame),
+    lambda chance, frame: bytes(byte & 0x7F for byte in frame),
+    lambda chance, frame: chance.choice((b"\0", b"\xff", b"\0\0", b"\xfe\xff")) + frame,
+    lambda chance, frame: frame + chance.choice((b"\0", b"\xff", bytes(8), frame)),
+    lambda chance, frame: frame[: chance.randrange(1, len(frame) + 1)],
+    lambda chance, frame: frame[chance.randrange(len(frame)) :],
+    lambda chance, frame: frame[:-1] + bytes((chance.randrange(256),)),
+    lambda chance, frame: frame[:-2] + frame[:-3:-1],
+    lambda chance, frame: frame.hex().encode(),
+    lambda chance, frame: bytes_changed(chance, frame, 3) or b"\0",
+)
+
+
 def _two_logs() -> list[Input]:
     logs = [samples()["mcap"], *(each[LOG] for each in recordings() if LOG in each)]
     return [{INPUT: a, "other": b} for a in logs for b in logs]
@@ -584,6 +622,8 @@ TARGETS: dict[str, Target] = {
     "decode": Target(_decode, _file_seeds("decode"), _file_changed, 3.0),
     "show": _on_files("show", INPUT),
     "show-json": _on_files("show", INPUT, "--json", "--bytes", "--since", "+1s"),
+    "diagnose": _on_files("diagnose", INPUT, "--json"),
+    "troubles": Target(command("diagnose", INPUT, "--json"), _pastes, _troubled, 3.0),
     "export-csv": _on_files("export", INPUT, "-o", "out.csv"),
     "export-wide": _on_files("export", INPUT, "-o", "out.csv", "--wide", "--rate", "10Hz", share=0.5),
     "export-parquet": _on_files("export", INPUT, "-o", "out.parquet", share=0.5),
