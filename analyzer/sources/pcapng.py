@@ -27,6 +27,9 @@ _INTERFACE = 1
 _OLD = 2
 _SIMPLE = 3
 _ENHANCED = 6
+#: Blocks that carry no traffic: names, statistics, journal, secrets, custom ones; and the bit of local types.
+_OTHERS = frozenset({4, 5, 9, 10, 0x0BAD, 0x4000_0BAD})
+_LOCAL = 0x8000_0000
 #: No block of a CAN or serial capture comes near; what claims more is damage.
 _BLOCK_LIMIT = 16 << 20
 _LEAST_BLOCK = 12
@@ -121,6 +124,9 @@ def _blocks(source: Source, section: _Section) -> Iterator[tuple[int, bytes]]:
         if len(rest) < padded - _LEAST_BLOCK:
             source.problem(f"the last block breaks off after {len(head) + len(rest)} of {length} bytes", offset=offset)
             return
+        again = struct.unpack_from(section.order + "L", (head + rest)[-4:])[0]
+        if again not in (length, padded):
+            source.problem(f"a block says at its end that it has {again} bytes, expected {length}", offset=offset)
         yield kind, (head[8:] + rest)[: length - _LEAST_BLOCK]
         offset += padded
 
@@ -146,15 +152,19 @@ def _options(section: _Section, data: bytes) -> dict[int, bytes]:
 
 def _records(source: Source) -> Iterator[Record]:
     section = _Section()
+    unknown = 0
     for kind, body in _blocks(source, section):
         source.stream.budget.record()
         handler = _HANDLERS.get(kind)
         if handler is None:
+            unknown += kind not in _OTHERS and not kind & _LOCAL
             continue
         try:
             yield from handler(source, section, body)
         except struct.error:
             source.problem(f"a block of type {kind} is too short: {counted(len(body), 'byte')}")
+    if unknown:
+        source.note(f"{counted(unknown, 'block')} of types that pcapng does not have passed over")
 
 
 def _begin_section(source: Source, section: _Section, body: bytes) -> Iterator[Record]:

@@ -19,8 +19,11 @@ from analyzer.records import Chunk, Comment
 from analyzer.sources.lines import Lines, cut_note, share
 from analyzer.sources.source import Source, quote
 from analyzer.sources.times import number_ns
+from analyzer.values import counted
 
 _ROW_BYTES = 16
+#: Where the characters of a row stand, behind its first byte.
+_CHARACTERS = 50
 #: Sixteen columns of three characters, a gap after the eighth, a gap, and the bytes as characters.
 _ROW = re.compile(r"(\d{6,}\.\d{3}) (TX|RX)   ([0-9A-F]{4,})  ((?:[0-9A-F]{2} ){1,8}(?: (?:[0-9A-F]{2} ){1,8})?)")
 _EMPTY = re.compile(r"(\d{6,}\.\d{3}) RX   <empty>\s*$")
@@ -63,7 +66,16 @@ def _records(source: Source) -> Iterator[Chunk | Comment]:
             continue
         stamp, mark, offset, text = found.groups()
         data = bytes.fromhex(text)
-        continues = bool(held) and mark == held_mark and int(offset[:8], 16) == len(held) < _JOINED
+        place = int(offset[:8], 16)
+        # A blank may be a byte or fill the row up, so fewer characters than bytes are no damage.
+        shown = len(line[found.start(4) + _CHARACTERS :].rstrip())
+        if shown > len(data):
+            source.problem(
+                f"expected {counted(shown, 'byte')}, as many as the characters show, got {len(data)}", line=lines.number
+            )
+        continues = bool(held) and mark == held_mark and place == len(held) < _JOINED
+        if not continues and place and place < _JOINED:
+            source.problem(f"the rows before offset {offset} are missing", line=lines.number)
         if held and not continues:
             yield _chunk(held_ns, port, held, held_mark)
             held = b""

@@ -174,3 +174,12 @@ def test_forced_on_something_else(tmp_path: Path) -> None:
     for name in ("pcap", "pcapng"):
         with pytest.raises(UnreadableError, match="expected a pcap"):
             open_source(path, format=name)
+
+
+def test_a_block_whose_lengths_differ_is_a_problem(tmp_path: Path) -> None:
+    damaged = bytearray(enhanced(0, 1, b"\xfa\x01"))
+    damaged[-4] ^= 4
+    source, records = read(tmp_path, section() + interface(147, "tty") + bytes(damaged) + block(77, bytes(8)))
+    assert len(records) == 1
+    assert "a block says at its end that it has" in source.problems[0].text
+    assert any("1 block of types that pcapng does not have" in note for note in source.notes)

@@ -76,3 +76,18 @@ def test_a_bad_line(tmp_path: Path) -> None:
     source, records = read_all(path)
     assert len([r for r in records if isinstance(r, Chunk)]) == 4
     assert [p.line for p in source.problems] == [5]
+
+
+def test_rows_of_which_bytes_are_missing_are_problems(tmp_path: Path) -> None:
+    path = tmp_path / "spy.log"
+    whole = "FA 01 30 2B FA 01 30 2B  FA 01 30 2B FA 01 30 2B  ................"
+    path.write_text(
+        f"000003.001 TX   0000  {whole}\n000004.001 TX   0000  {whole.replace('2B  FA', ']B  FA')}\n"
+        "000005.001 TX   0010  FA 01 30 2B                                       ....\n"
+    )
+    source, records = read_all(path)
+    assert len(records) == 3
+    assert [(p.line, p.text) for p in source.problems] == [
+        (2, "expected 16 bytes, as many as the characters show, got 7"),
+        (3, "the rows before offset 0010 are missing"),
+    ]
