@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +27,8 @@ from analyzer.diagnosis import (
 from analyzer.diagnosis.ranking import Ranked, ranked
 from analyzer.diagnosis.scene import Scene, Suspicion
 from analyzer.diagnosis.watch import Watch
+from analyzer.pipeline import Pipeline
+from analyzer.records import CanFrame, Chunk
 from analyzer.values import counted
 
 #: A row a subject: each is asked about a scene, and yields what it suspects. What costs most comes last.
@@ -97,6 +99,17 @@ def diagnosis(watch: Watch, dialects: Sequence[Dialect]) -> Diagnosis:
     causes = tuple(ranked(suspicions, troubles))
     known = any(p.message is not None and p.message.command is not None for scene in scenes for p in scene.pieces)
     return Diagnosis("trouble" if causes else "ok" if known and not troubles else "unknown", causes, len(troubles))
+
+
+def of_traffic(items: Iterable[Chunk | CanFrame], dialects: Sequence[Dialect]) -> Diagnosis:
+    """Return what is wrong in traffic that is at hand."""
+    watch = Watch()
+    pipeline = Pipeline(dialects, [watch])
+    for item in items:
+        watch.take(item)
+        pipeline.feed(item)
+    pipeline.close()
+    return diagnosis(watch, dialects)
 
 
 def lines(found: Diagnosis) -> list[str]:

@@ -16,11 +16,12 @@ from typing import Any
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
+from analyzer.diagnosis.diagnose import lines
 from analyzer.errors import UsageError
 from analyzer.live import profile
 from analyzer.live.endpoint import Endpoint
 from analyzer.values import addresses as addresses_of
-from analyzer.values import counted, quote
+from analyzer.values import counted, printable, quote
 from conformance.cli.endpoint import gate_to
 from conformance.gate.permissions import Allowance
 from conformance.talk.scan import BY_CTRL_C, PATIENCE_NS, Found, Progress, Report, Stray, scan
@@ -170,6 +171,9 @@ def show(report: Report, endpoint: Endpoint) -> None:
         print(_others_line(report))
     if report.stopped:
         print(f"not looked everywhere: {report.stopped}")
+    if (diagnosis := report.diagnosis) is not None:
+        for line in lines(diagnosis):
+            print(printable(line))
     for hint in report.hints:
         print(f"  - {hint}")
 
@@ -239,4 +243,5 @@ def _object(report: Report) -> dict[str, Any]:
         "dialects": list(report.dialects),
         "stopped": report.stopped,
         "hints": report.hints,
+        "causes": [] if (diagnosis := report.diagnosis) is None else diagnosis.as_objects(),
     }

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
+from analyzer.diagnosis.diagnose import lines
 from analyzer.encoder import assemble
 from analyzer.errors import UsageError
 from analyzer.records import CanFrame, Chunk
+from analyzer.values import printable
 from conformance.claim import RigFault
 from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
@@ -138,6 +140,7 @@ def find_drive(gate: Gate, dialect: Dialect, address: int, *, widely: bool = Tru
         found, exchange = finder.find(dialect, address)
         if found is not None and found.address == address:
             return Search(found, (), f"{found.name} answers at {found.speed} bit/s", report)
+        report.keep(gate.line.endpoint.bits_per_second, exchange)
         if exchange.received:
             break
     elsewhere = _elsewhere(gate, dialect, address, report) if widely else []
@@ -177,4 +180,6 @@ def _text(gate: Gate, dialect: Dialect, address: int, elsewhere: Sequence[Found]
     noise = (
         f"; {len(received)} bytes came that are no answer ({received[:16].hex(' ').upper()})" if received else "; nothing came"
     )
-    return f"{asked}{noise}\n  " + "\n  ".join(report.hints)
+    report.dialects = report.dialects or (dialect.name,)
+    causes = [] if (diagnosis := report.diagnosis) is None else [printable(line) for line in lines(diagnosis)]
+    return f"{asked}{noise}\n  " + "\n  ".join([*causes, *report.hints])

@@ -18,11 +18,14 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect, Risk, Role, Verb
 from analyzer.decoder import physical
+from analyzer.diagnosis.diagnose import Diagnosis, of_traffic
 from analyzer.dialects import drive_name
 from analyzer.encoder import assemble
 from analyzer.errors import UsageError
+from analyzer.records import CanFrame, Chunk
 from conformance.gate.gate import Gate, Refused
 from conformance.gate.permissions import Allowance
 from conformance.talk.dialogue import MS, Dialogue
@@ -50,6 +53,8 @@ class StrayKind(StrEnum):
     REQUEST = "requests of another host"
 
 
+#: Records of a rate that are kept to be diagnosed.
+_KEPT = 4000
 #: Why a search ended before it was through: the user wished so.
 BY_CTRL_C = "stopped by Ctrl-C"
 
@@ -112,6 +117,24 @@ class Report:
     kind: str = "serial"
     #: Frames of nodes that are no drives, by identifier.
     others: Counter[str] = field(default_factory=Counter)
+    #: What went over the line, by rate, with an end.
+    traffic: dict[int, list[Chunk | CanFrame]] = field(default_factory=dict)
+
+    def keep(self, rate: int, exchange: Exchange) -> None:
+        """Keep what went over the line."""
+        kept = self.traffic.setdefault(rate, [])
+        if len(kept) < _KEPT:
+            kept += exchange.records()
+
+    @property
+    def diagnosis(self) -> Diagnosis | None:
+        """What is wrong on the bus, as far as the bytes tell that came at the rate with most of them; None where none came."""
+        came = {rate: sum(i.direction is not Role.REQUEST for i in items) for rate, items in self.traffic.items()}
+        rate = max(came, key=came.__getitem__, default=None)
+        if self.found or rate is None or not came[rate]:
+            return None
+        found = of_traffic(self.traffic[rate], [registry.get(name) for name in self.dialects])
+        return found if found.causes else None
 
     @property
     def hints(self) -> list[str]:
@@ -285,6 +308,7 @@ def _scan_rate(
             except Refused:
                 report.refused.append(drive_name(dialect, address))
                 continue
+            report.keep(rate, exchange)
             report.others.update(message.who for message in exchange.foreign)
             if found is not None:
                 known = {(f.dialect.name, f.address, f.speed) for f in report.found}

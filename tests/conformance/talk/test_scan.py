@@ -26,6 +26,7 @@ from conformance.serve.pty import PtyPort
 from conformance.suite.preflight import DriveNotFound, Neighbours, Search, check, find_drive, neighbours, other_drives
 from conformance.talk.scan import Found, Report, Stray, StrayKind, scan, search_read, search_reads
 from tests.conformance.drives.served import drives, on_port, on_pty
+from tests.diagnosis.spoiled_line import levels, received
 
 SERIAL = [d for d in dialects.every() if d.bus == "serial"]
 MKS, MODBUS, LK, CAN = (dialects.get(n) for n in ("mks-rs485", "mks-modbus", "lk-rs485", "mks-can"))
@@ -372,3 +373,25 @@ def test_who_says_what_is_spoken_is_asked_in_that_alone():
     assert check(both, MKS, 1, alone=True, spoken=frozenset({"mks-modbus"})) == ""
     with pytest.raises(DriveNotFound, match="lk-rs485@5 answers too"):
         check(both, MKS, 1, alone=True, spoken=frozenset({"lk-rs485"}))
+
+
+class Inverted(EmulatedLine):
+    """A line with A and B swapped at the host's end of what it receives."""
+
+    def receive(self, timeout_ns: int) -> Chunk | CanFrame | None:
+        item = super().receive(timeout_ns)
+        if not isinstance(item, Chunk):
+            return item
+        return Chunk(item.t_ns, item.port, received(levels(item.data), inverted=True), item.direction)
+
+
+def test_bytes_that_are_no_answer_are_diagnosed(capsys: pytest.CaptureFixture[str]):
+    line = Inverted([make.make(make.parse("mks-rs485@1"))], speed=38400)
+    report = scan(Gate(line, Allowance()), [MKS], addresses=[1, 2])
+    assert report.diagnosis is not None
+    assert report.diagnosis.causes[0].suspicion.cause == "inverted_lines"
+    found = find_drive(Gate(line, Allowance()), MKS, 1)
+    assert "(inverted_lines," in found.text
+    command.show(report, line.endpoint)
+    assert "(inverted_lines," in capsys.readouterr().out
+    assert heard().diagnosis is None
