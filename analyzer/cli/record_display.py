@@ -115,12 +115,20 @@ def seconds_of(supervisor: Supervisor) -> float:
 class LineDisplay:
     """A line a second on standard output; notes on standard error."""
 
+    #: Causes that were told.
+    _told: frozenset[str] = frozenset()
+
     def note(self, bus: str, text: str) -> None:
         """Print a note."""
         print(printable(f"{bus}: {text}" if bus else text) + "\n", end="", file=sys.stderr, flush=True)
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """Do nothing: the supervisor keeps the newest."""
+        """Tell causes of trouble that are new; the supervisor keeps the newest."""
+        for cause, lines in snapshot.causes.items() if snapshot.causes.keys() - self._told else ():
+            if cause not in self._told and not snapshot.ended:
+                self._told |= {cause}
+                for line in lines:
+                    self.note("", line)
 
     def say(self, text: str) -> None:
         """Print a line."""

@@ -30,6 +30,8 @@ class Summary(msgspec.Struct, kw_only=True):
     ports: list[PortStatus]
     buses: dict[str, dict[str, Any]]
     rules: dict[str, int]
+    #: The lines of each cause of trouble, by its id.
+    causes: dict[str, list[str]]
     #: Who else spoke: frames by bus and identifier or address, those with the most first.
     others: dict[str, dict[str, int]]
     files: list[str]
@@ -53,6 +55,7 @@ def summarize(supervisor: Supervisor) -> Summary:
         ports=ports,
         buses=buses,
         rules={} if snapshot is None else dict(sorted(snapshot.rules.items(), key=lambda item: -item[1])),
+        causes={} if snapshot is None else snapshot.causes,
         others=_others_of(snapshot),
         files=files,
         bytes=sum(Path(name).stat().st_size for name in files),
@@ -84,6 +87,7 @@ def as_text(summary: Summary) -> list[str]:
         lines.append("findings: " + ", ".join(f"{count} {rule}" for rule, count in summary.rules.items()))
     elif any(summary.buses.values()):
         lines.append("no findings")
+    lines += [printable(line) for cause in summary.causes.values() for line in cause]
     if summary.decoder_restarts:
         lines.append(f"the decoding process was started again {counted(summary.decoder_restarts, 'time')}; no data was lost")
     for name in summary.files:

@@ -93,7 +93,11 @@ def suspected(scene: Scene) -> Iterator[Suspicion]:
 
 def diagnosis(watch: Watch, dialects: Sequence[Dialect]) -> Diagnosis:
     """Return what is wrong in a capture that a watch has seen."""
-    scenes = watch.scenes(dialects)
+    return weighed(watch.scenes(dialects))
+
+
+def weighed(scenes: Sequence[Scene]) -> Diagnosis:
+    """Return what is wrong on some buses."""
     troubles = [trouble for scene in scenes for trouble in scene.troubles]
     suspicions = [each for scene in scenes for each in suspected(scene)]
     causes = tuple(ranked(suspicions, troubles))
@@ -120,12 +124,14 @@ def lines(found: Diagnosis) -> list[str]:
         return ["no frame of a known dialect came, so nothing can be said of it"]
     if not found.causes:
         return [f"{counted(found.troubles, 'thing')} went wrong, and no cause shows in the bytes"]
-    told = []
-    for number, each in enumerate(found.causes, 1):
-        suspicion = each.suspicion
-        told += [
-            f"{number}. {suspicion.say} ({suspicion.cause}, {suspicion.confidence.value}, {each.share:.0%} of the trouble)",
-            f"   evidence: {suspicion.evidence}",
-            f"   next: {suspicion.next}",
-        ]
-    return told
+    return [line for number, each in enumerate(found.causes, 1) for line in cause_lines(number, each)]
+
+
+def cause_lines(number: int, each: Ranked) -> list[str]:
+    """Return a cause for people."""
+    suspicion = each.suspicion
+    return [
+        f"{number}. {suspicion.say} ({suspicion.cause}, {suspicion.confidence.value}, {each.share:.0%} of the trouble)",
+        f"   evidence: {suspicion.evidence}",
+        f"   next: {suspicion.next}",
+    ]

@@ -29,13 +29,14 @@ class Watch:
         self._reads: list[tuple[Chunk, int]] = []
         self._offsets: Counter[str] = Counter()
         self._findings: list[Finding] = []
-        self.frames = 0
+        #: Frames and findings that came by, kept or not.
+        self.frames = self.found = 0
         self.timed = False
 
-    def take(self, item: Item) -> None:
-        """Take an item of the source."""
+    def take(self, item: Item, offset: int | None = None) -> None:
+        """Take an item of the source. `offset`: its first byte on its bus; None: it follows the item before."""
         if isinstance(item, Chunk):
-            offset = self._offsets[item.port]
+            offset = self._offsets[item.port] if offset is None else offset
             self._offsets[item.port] = offset + len(item.data)
             self._reads_near.append((item, offset))
             self.timed |= item.t_ns is not None
@@ -58,12 +59,24 @@ class Watch:
 
     def finding(self, found: Finding) -> None:
         """Take a finding: what stands near it is kept."""
+        self.found += 1
         if len(self._findings) < _MOST_FINDINGS:
             self._findings.append(found)
             self._keep()
 
     def comment(self, comment: Comment) -> None:
         """Take a comment: it says nothing here."""
+
+    @property
+    def full(self) -> bool:
+        """Whether nothing more is kept."""
+        return len(self._kept) >= _MOST_KEPT or len(self._findings) >= _MOST_FINDINGS
+
+    def forget(self) -> None:
+        """Make room for what comes."""
+        self._kept.clear()
+        self._reads.clear()
+        self._findings.clear()
 
     def _keep(self) -> None:
         if len(self._kept) < _MOST_KEPT:

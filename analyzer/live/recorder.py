@@ -25,6 +25,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from analyzer.diagnosis.running import Running
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live import config as settings
 from analyzer.live.config import RecordingConfig
@@ -33,6 +34,7 @@ from analyzer.live.log_parts import LogParts, Wrap
 from analyzer.live.recording import Recording
 from analyzer.live.snapshot_pipe import SnapshotWriter
 from analyzer.live.snapshot_sink import SnapshotSink
+from analyzer.pipeline import Sink
 from analyzer.records import Event
 from analyzer.sinks.mcap_repair import unreadable
 
@@ -93,9 +95,9 @@ class Recorder:
         if feed_fd is not None:
             self._writer = SnapshotWriter(feed_fd)
             self._feed = _feed_of(self.config)
-        watch = () if self._feed is None else (self._feed,)
+        self._causes = Running()
         self._open: Recording | None = None
-        self._open = self._opened(watch)
+        self._open = self._opened(() if self._feed is None else (self._feed, self._causes))
 
     @property
     def recording(self) -> Recording:
@@ -103,11 +105,11 @@ class Recorder:
         assert self._open is not None  # only while it is being opened
         return self._open
 
-    def _opened(self, watch: Sequence[SnapshotSink]) -> Recording:
+    def _opened(self, watch: Sequence[Sink]) -> Recording:
         """Open the recording, as soon as there is room for its beginning."""
         opened: list[Recording] = []
         self._patiently(
-            lambda: opened.append(Recording(self.folder, self.config, self.parts, watch=watch)),
+            lambda: opened.append(Recording(self.folder, self.config, self.parts, watch=watch, watched=self._causes.take)),
             note=lambda name, **about: opened[0].happened(name, **about),
         )
         return opened[0]
@@ -264,6 +266,10 @@ class Recorder:
             return
         self._snapshot_ns = now_ns
         t_ns = self.config.utc_ns(now_ns)
+        dialects = list({d.name: d for bus in self._open.buses.values() for d in bus.dialects}.values())
+        for line in self._causes.end(now_ns, dialects) if ended else self._causes.look(now_ns, dialects):
+            self._feed.event(t_ns, "", "cause", line.strip())
+        self._feed.causes = self._causes.causes
         self._feed.log = str(self.parts.path)
         self._feed.log_bytes = self.parts.file.position
         self._feed.behind_ns = self.recording.merger.behind_ns(now_ns)

@@ -64,13 +64,23 @@ class Follow:
 class Recording:
     """One recording: begun, or resumed where its folder holds a checkpoint.
 
-    `parts`: the files of its log. `watch`: further sinks.
+    `parts`: the files of its log. `watch`: further sinks. `watched`: takes what came on a bus before it is decoded, with the
+    offset of its first byte.
     """
 
-    def __init__(self, folder: Path, config: RecordingConfig, parts: LogParts, *, watch: Sequence[Sink] = ()) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        config: RecordingConfig,
+        parts: LogParts,
+        *,
+        watch: Sequence[Sink] = (),
+        watched: Callable[[Chunk | CanFrame, int], None] = lambda item, offset: None,
+    ) -> None:
         self.folder = folder
         self.config = config
         self.parts = parts
+        self._watched = watched
         known = registry.by_name(config.model)
         self.known = known
         self.table = Table(list(known.values()))
@@ -432,6 +442,7 @@ class Recording:
 
     def decode(self, bus: Bus, item: Chunk | CanFrame) -> None:
         """Decode what came on a bus."""
+        self._watched(item, bus.offset - len(item.data))
         try:
             self.pipeline.feed(item)
         # Nothing that comes over a wire may end a recording; that it happened stands in the log.

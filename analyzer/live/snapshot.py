@@ -118,7 +118,8 @@ class Snapshot(msgspec.Struct, omit_defaults=True, gc=False):
 
     `number` counts from 1. `frames`: newest last, by sequence; `left_out`: frames and junk since the snapshot before that
     are not among them. `rows`: those that changed; all come again within some seconds. `rules`: findings by rule. `log`,
-    `log_bytes`: the file; `behind_ns`: how far decoding lags behind the wire; `ended`: the last one.
+    `log_bytes`: the file; `behind_ns`: how far decoding lags behind the wire; `ended`: the last one. `causes`: the lines of
+    each cause of trouble that became likely, by its id.
     """
 
     t_ns: int
@@ -135,6 +136,7 @@ class Snapshot(msgspec.Struct, omit_defaults=True, gc=False):
     behind_ns: int = 0
     first_ns: int = 0
     ended: bool = False
+    causes: dict[str, list[str]] = {}
 
 
 _encoder = msgspec.json.Encoder()

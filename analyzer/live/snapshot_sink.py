@@ -81,8 +81,8 @@ class SnapshotSink:
     """A sink to be watched. Used from one thread.
 
     `byte_ns`: bus -> time of one byte on a serial line, `bit_ns`: bus -> time of one bit of a CAN bus, for the load, where
-    they are known; the empty name stands for every other bus. `log`, `log_bytes`, `behind_ns` and `lost` (by bus) are for its
-    owner to set; they go into each snapshot.
+    they are known; the empty name stands for every other bus. `log`, `log_bytes`, `behind_ns`, `lost` (by bus) and `causes`
+    are for its owner to set; they go into each snapshot.
     """
 
     def __init__(self, *, byte_ns: Mapping[str, int] | None = None, bit_ns: Mapping[str, int] | None = None) -> None:
@@ -90,6 +90,7 @@ class SnapshotSink:
         self.log_bytes = 0
         self.behind_ns = 0
         self.lost: dict[str, int] = {}
+        self.causes: dict[str, list[str]] = {}
         self._byte_ns = dict(byte_ns or {})
         self._bit_ns = dict(bit_ns or {})
         self._rows: dict[object, _Row] = {}
@@ -245,6 +246,7 @@ class SnapshotSink:
             behind_ns=self.behind_ns,
             first_ns=self._first_ns,
             ended=ended,
+            causes=dict(self.causes),
         )
 
     def _shown(self, rows: list[_Row]) -> dict[int, _Plain | Entry | _Piece]:

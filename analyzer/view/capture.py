@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from analyzer.diagnosis.running import Running
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live.snapshot import EVENT, FindingLine, FrameLine, Snapshot
 from analyzer.live.snapshot_lines import event_line, finding_line, frame_line, junk_line
@@ -227,6 +228,7 @@ class CaptureSource:
         unit_ns = reading.options.byte_ns if reading.has_times else 0
         told = {bus: setup.byte_ns for bus, setup in reading.ports.items() if setup.byte_ns}
         self._feed = SnapshotSink(byte_ns={"": unit_ns, **told}, bit_ns={"": unit_ns and reading.options.synthetic_bit_ns})
+        self._causes = Running()
         self.note = "" if reading.has_times else reading.time_source
         self._snapshots: deque[Snapshot] = deque(maxlen=4)
         self._stop = threading.Event()
@@ -241,9 +243,10 @@ class CaptureSource:
 
     def _read(self) -> None:
         reading = self._reading
-        pipeline = reading.pipeline((self._keeper, self._feed))
+        pipeline = reading.pipeline((self._keeper, self._feed, self._causes))
         try:
             for item in reading:
+                self._causes.take(item)
                 pipeline.feed(item)
                 now = time.perf_counter()
                 if now >= self._due:
@@ -262,6 +265,9 @@ class CaptureSource:
             self._ended.set()
 
     def _publish(self, *, ended: bool = False) -> None:
+        now_ns = time.monotonic_ns()
+        (self._causes.end if ended else self._causes.look)(now_ns, self._reading.dialects)
+        self._feed.causes = self._causes.causes
         self._snapshots.append(self._feed.snapshot(self._keeper.last_ns, whole=True, ended=ended))
 
     def _wait(self, seconds: float) -> None:

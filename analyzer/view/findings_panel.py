@@ -97,6 +97,7 @@ class FindingsPanel(Vertical):
 
     def _rules(self) -> Text:
         rules = sorted(self._watch.rules.items(), key=lambda item: -item[1])
+        causes = "".join(f"{printable(line)}\n" for lines in self._watch.causes.values() for line in lines)
         if not rules:
             return Text("no findings")
         text = "  ".join(f"{printable(rule)} {count}" for rule, count in rules)
@@ -104,4 +105,4 @@ class FindingsPanel(Vertical):
         total = sum(self._watch.rules.values())
         if listed < total:
             text += f"   ({listed} of {total} are listed: {'the newest that were shown' if self._live else 'the first'})"
-        return Text(text)
+        return Text(causes + text)

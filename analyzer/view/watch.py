@@ -66,6 +66,8 @@ class Watch:
         self.buses: dict[str, BusCounts] = {}
         self.rows: dict[tuple[str, str, str, str], CommandRow] = {}
         self.rules: dict[str, int] = {}
+        #: The lines of each cause of trouble.
+        self.causes: dict[str, list[str]] = {}
         self.findings: Kept[FindingLine] = Kept(FINDINGS)
         self.snapshots = 0
         #: Snapshots that found no room in the pipe.
@@ -115,6 +117,7 @@ class Watch:
             known.roles[row.role] = row
         if snapshot.rules:
             self.rules = snapshot.rules
+            self.causes = snapshot.causes
         for found in snapshot.findings:
             self.findings.append(found)
 
