@@ -47,7 +47,7 @@ class ViewApp(App[str]):
     #head { height: auto; }
     #switch { height: 1fr; }
     #frames_box, #findings { height: 1fr; }
-    #rules { height: auto; max-height: 4; }
+    #rules { height: auto; max-height: 11; }
     #chart { width: 1fr; height: 1fr; }
     #status { height: auto; min-height: 1; max-height: 3; }
     """

@@ -1,4 +1,4 @@
-"""The findings, newest last, with their counts by rule above."""
+"""The findings, newest last, with their counts by rule and the causes of trouble above."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def finding_text(found: FindingLine) -> Text:
 
 
 class FindingsPanel(Vertical):
-    """Counts by rule, the findings, and below them the one under the cursor in full."""
+    """Counts by rule with the causes of trouble, the findings, and below them the one under the cursor in full."""
 
     def __init__(self, watch: Watch, times: ShownTime, live: bool) -> None:
         super().__init__(id="findings")
@@ -97,7 +97,7 @@ class FindingsPanel(Vertical):
 
     def _rules(self) -> Text:
         rules = sorted(self._watch.rules.items(), key=lambda item: -item[1])
-        causes = "".join(f"{printable(line)}\n" for lines in self._watch.causes.values() for line in lines)
+        causes = "".join(f"\n{printable(line)}" for lines in self._watch.causes.values() for line in lines)
         if not rules:
             return Text("no findings")
         text = "  ".join(f"{printable(rule)} {count}" for rule, count in rules)
@@ -105,4 +105,4 @@ class FindingsPanel(Vertical):
         total = sum(self._watch.rules.values())
         if listed < total:
             text += f"   ({listed} of {total} are listed: {'the newest that were shown' if self._live else 'the first'})"
-        return Text(causes + text)
+        return Text(text + causes)

@@ -204,6 +204,7 @@ def test_findings_are_listed_with_their_counts():
         await driver.press("3")
         text = driver.text
         assert "out_of_range 1  failed_status 1  bad_checksum 1" in text
+        assert "(value_out_of_range, likely," in " ".join(text.split())
         assert "E out_of_range: current: got 6000 mA, expected 0..5200 mA (section 5.2.3)" in text
         await driver.press("enter")
         assert under_cursor(driver).command == "set_current"
