@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, Any, cast
 from analyzer.records import CanFrame
 from analyzer.sources.can_library import Tap, frames
 from analyzer.sources.lines import Lines, head_lines, share
-from analyzer.sources.source import Source
+from analyzer.sources.source import Source, quote
 from analyzer.sources.times import Clock, clock_ns, day_ns, number_ns
+from analyzer.values import counted
 
 if TYPE_CHECKING:
     from can import Message
@@ -35,6 +36,10 @@ _DATE = re.compile(
     re.IGNORECASE,
 )
 _RELATIVE = re.compile(r"\s*base\s+\w+\s+timestamps\s+relative", re.IGNORECASE)
+#: A line of a frame, whatever is wrong with it: a channel, an identifier, a direction, its kind.
+_TRAFFIC = re.compile(r"\s*\S+\s+\S+\s+[0-9A-F]+x?\s+(?:Rx|Tx)\s+[dr]\b", re.IGNORECASE)
+_DATA = re.compile(r"\sd\s+([0-9A-F])((?:\s+[0-9A-F]{2}(?![^\s]))*)\s*(?:Length\b.*)?$", re.IGNORECASE)
+_DECIMAL = re.compile(r"\s*base\s+dec\b", re.IGNORECASE)
 _WISH = re.compile(r"\sTxRq\s", re.IGNORECASE)
 _MONTHS = {
     "jan": 1, "feb": 2, "mar": 3, "mär": 3, "apr": 4, "may": 5, "mai": 5, "jun": 6, "jul": 7, "aug": 8, "sep": 9,
@@ -100,15 +105,38 @@ def _records(source: Source) -> Iterator[CanFrame]:
 
     clock = _Clock()
 
-    def keep(line: str) -> bool:
-        clock.line(line)
-        return _WISH.search(line) is None
+    decimal = False
+    #: A line that python-can has not made a frame of yet; it passes over what it does not know.
+    due: tuple[int, str] | None = None
 
-    tap = Tap(Lines(source), lambda line: _HEADER.match(line) is not None, keep, ("no internal events logged",))
+    def tell_passed() -> None:
+        nonlocal due
+        if due is not None:
+            source.problem(f"expected a frame, got {quote(due[1].strip())!r}", line=due[0])
+        due = None
+
+    def keep(line: str) -> bool:
+        nonlocal decimal, due
+        tell_passed()
+        clock.line(line)
+        decimal = decimal or _DECIMAL.match(line) is not None
+        if _WISH.search(line) is not None:
+            return False
+        due = (lines.number, line) if _TRAFFIC.match(line) else None
+        return True
+
+    lines = Lines(source)
+    tap = Tap(lines, lambda line: _HEADER.match(line) is not None, keep, ("no internal events logged",))
 
     def place(message: Message) -> tuple[int, str]:
+        nonlocal due
+        due = None
+        said = None if decimal else _DATA.search(tap.line)
+        if said is not None and int(said[1], 16) != len(said[2].split()):
+            source.problem(f"expected {counted(int(said[1], 16), 'byte')}, got {len(said[2].split())}", line=tap.number)
         # python-can counts channels from 0, the file from 1.
         name = f"can{message.channel + 1}" if isinstance(message.channel, int) else None
         return clock.t_ns, source.port(name)
 
-    return frames(source, tap, cast(Callable[[Tap], Any], ASCReader), place)
+    yield from frames(source, tap, cast(Callable[[Tap], Any], ASCReader), place)
+    tell_passed()

@@ -113,7 +113,10 @@ class _Table:
         cells = _cells(text, self._separator)
         if len(cells) < 2 or [_key(cell) for cell in cells] == self.names or (self._separator == "|" and _RULE.fullmatch(text)):
             return None
-        return _named(zip(self.names, cells, strict=False))
+        row = _named(zip(self.names, cells, strict=False))
+        if beyond := [cell for cell in cells[len(self.names) :] if cell]:
+            row["beyond"] = beyond
+        return row
 
     def unread(self) -> list[str]:
         """Return the names of columns that mean nothing here."""
@@ -308,6 +311,9 @@ def _records(source: Source, table: _Table, is_can: bool, times: _Times) -> Iter
             ):
                 yield source.comment(None, line)
             continue
+        if "beyond" in row:
+            said = f"cells behind the last heading are left out: {quote(' '.join(row['beyond']))!r}"
+            source.problem(said, line=lines.number)
         try:
             t_ns = times(row)
         except ValueError as error:

@@ -40,6 +40,8 @@ _COLUMNS: dict[str, tuple[str, ...]] = {
 #: A header must have these columns, and one of the second group.
 _NEEDED = ("time", "data")
 _TELLING = ("type", "duration", "parity", "framing", "name")
+#: Types of rows that carry no byte of a line.
+_WITHOUT_BYTES = ("start", "stop", "address", "enable", "disable", "result", "error")
 _BITS_PER_BYTE = 10
 
 _VALUE = re.compile(r"(?:0x([0-9A-Fa-f]{1,16})|0b([01 ]{1,64})|'?(\d{1,3})'?)$")
@@ -118,7 +120,9 @@ def _records(source: Source) -> Iterator[Chunk]:
             continue
         try:
             row = _row(line)
-            if table.cell(row, "type") not in ("", "data"):
+            if (kind := table.cell(row, "type")) not in ("", "data"):
+                if kind not in _WITHOUT_BYTES and table.cell(row, "data"):
+                    source.note(f"rows of the type {quote(kind)} are left out")
                 continue
             value = _value(table, table.cell(row, "data"))
             t_ns = _time(table.cell(row, "time"))

@@ -54,8 +54,8 @@ def read(source: Source) -> Iterator[Chunk]:
 def _records(source: Source) -> Iterator[Chunk]:
     lines = Lines(source)
     heard = ReceivedMarks()
-    # Nanoseconds of a sample as a fraction, from the first byte: its samples last 8 bits.
-    bits_ns, samples = 0, 0
+    #: Samples of the first byte, which last 8 bits.
+    samples = 0
     for line in lines:
         text = line.strip()
         if not text:
@@ -69,14 +69,16 @@ def _records(source: Source) -> Iterator[Chunk]:
             continue
         data = _byte(value, kind is not None)
         if data is None:
-            if not _BIT_WORDS.match(value.strip('"')) and value not in ("0", "1"):
+            # A bit lasts an eighth of a byte; a byte that lost a digit lasts as long as the others.
+            bit = value in ("0", "1") and not (samples and start is not None and 2 * (int(stop) - int(start)) > samples)
+            if not _BIT_WORDS.match(value.strip('"')) and not bit:
                 source.problem(f"expected a byte of two hex digits, got {quote(value)!r}", line=lines.number)
             continue
         t_ns = None
-        if start is not None and source.baud:
-            if not samples:
-                bits_ns, samples = _DATA_BITS * SECOND_NS // source.baud, int(stop) - int(start)
-            t_ns = int(stop) * bits_ns // samples if samples > 0 else None
+        if start is not None:
+            samples = samples or int(stop) - int(start)
+            if source.baud and samples > 0:
+                t_ns = int(stop) * (_DATA_BITS * SECOND_NS // source.baud) // samples
         role = role_of_name(kind) if kind else Role.UNKNOWN
         port = None if decoder.lower().rstrip("-1").startswith("uart") and decoder[-1:] not in "23456789" else decoder
         yield Chunk(t_ns, source.port(port), data, heard(role))

@@ -88,3 +88,32 @@ def test_rows_of_a_second_dump_that_a_star_stands_for(tmp_path: Path) -> None:
     path = tmp_path / "dump.txt"
     path.write_text(starred * 2)
     assert b"".join(r.data for r in read_all(path)[1] if isinstance(r, Chunk)) == data * 2
+
+
+ASC = "date Sun Apr 30 10:40:55.899 pm 2023\nbase hex  timestamps absolute\ninternal events logged\n"
+SIGROK = "100-300 uart-1: FA\n300-326 uart-1: 1\n400-600 uart-1: 30\n"
+SALEAE = 'name,type,start_time,duration,data,error\n"Async Serial","data",1.14,0.0002,0xFA,\n'
+TABLE = "| time | dir | data |\n|---|---|---|\n| 0.110 | TX | `FA 01` |\n| 0.115 | TX | `FA 01` |\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (ASC + "   0.1 1  001             Rx   d 2 F6 01\n   0.2 >1  001            Rx   d 2 F6 01\n", "line 5: expected a frame"),  # noqa: E501
+        (ASC + "   0.1 1  001             Rx   d 2 F6 01\n   0.2 1  001             Rx   d 2 F6 01 40\n", "line 5: expected 2 bytes, got 3"),  # noqa: E501
+        (ASC + "   0.1 1  001  Rx   d 2 F6 01  Length = 0 BitCount = 0 ID = 1\n   0.2 1  001  TxRq   d 1 F6\n", ""),
+        (SIGROK, ""),
+        (SIGROK + "700-900 uart-1: 0\n", "line 4: expected a byte of two hex digits"),
+        (SALEAE + '"Async Serial","start",1.15,0.0002,0x01,\n', ""),
+        (SALEAE + '"Async Serial","dat?",1.15,0.0002,0x01,\n', "rows of the type dat? are left out"),
+        (TABLE, ""),
+        (TABLE + "| 0.120 | TX | `FA 01|30 2B` |\n", "line 5: cells behind the last heading are left out: '30 2B'"),
+    ],
+)  # fmt: skip
+def test_a_line_of_traffic_that_is_not_read_whole_is_told(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "capture.txt"
+    path.write_text(text)
+    source, records = read_all(path)
+    assert records
+    assert said in "; ".join(source.notes)
+    assert len(source.problems) == (said.startswith("line"))
