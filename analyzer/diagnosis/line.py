@@ -34,6 +34,8 @@ _TRIED = 3
 _BYTES_OF_ONE = 1.7
 #: Bytes at which a search may begin in vain, of a stretch.
 _MOST_STARTS = 2
+#: And where it did not begin in vain before; bytes of which it makes one frame.
+_STARTS_AFTER, _AT_ONCE = 10, 48
 #: Addresses of the frames that are tried.
 _ADDRESSES = range(1, 17)
 #: Speeds that are in use.
@@ -42,6 +44,10 @@ _RATES = (9600, 19200, 25000, 38400, 57600, 115200, 256000, 500000, 1000000)
 _SLOWEST, _FASTEST = 0.15, 7.0
 #: Where the middle of a receiver's bit falls on an edge it can see either level: of start bits, and of the others.
 _LATE = ((-0.05, -0.05), (0.05, 0.05), (-0.05, 0.05))
+#: So near to an edge a middle is on it.
+_NEAR = 0.06
+#: Replies that begin as those that were asked for, their share, and how many must begin differently.
+_FEWEST, _ALMOST_ALL, _DISTINCT = 3, 0.8, 2
 #: Bytes that are sent and bytes that are read: so many must agree, and be so different, before one comes from the other.
 _SAME, _DIFFERENT = 5, 3
 #: Idle cells between bytes: none, or a program that sends byte by byte.
@@ -115,18 +121,27 @@ class _Way(NamedTuple):
         return len({fit.frame for fit in self.fits})
 
 
+class _Garbled(NamedTuple):
+    """Damaged bytes, or the first of them. `replies`: what was asked for right before them."""
+
+    trouble: Trouble
+    data: bytes
+    replies: Sequence[Awaited]
+
+
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the line, where no frame explains the bytes."""
-    garbled = [
-        t
-        for t in scene.damaged
-        if t not in scene.explained and t.stretch is not None and t.stretch.can_id is None and 1 < len(t.stretch.data) <= _READ
-    ]
-    for side in dict.fromkeys(t.stretch.direction for t in garbled if t.stretch is not None):
-        own = [t for t in garbled if t.stretch is not None and t.stretch.direction is side]
+    sides: dict[Role, list[_Garbled]] = defaultdict(list)
+    for trouble in scene.of("damaged"):
+        stretch = trouble.stretch
+        if stretch is None or trouble in scene.explained or stretch.can_id is not None or len(stretch.data) < 2:
+            continue
+        asked = scene.asked_before(stretch.offset) if stretch.direction is not Role.REQUEST else None
+        sides[stretch.direction].append(_Garbled(trouble, stretch.data[:_READ], replies_to(asked)))
+    for side, garbled in sides.items():
         # A line that is set up wrongly lets nothing through: of each sender if the capture does not tell them apart.
-        if _sound(scene, side) <= len(own):
-            yield from _side(scene, own[:_MOST_STRETCHES])
+        if _sound(scene, side) <= len(garbled):
+            yield from _side(scene, garbled[:_MOST_STRETCHES])
 
 
 def _sound(scene: Scene, side: Role) -> int:
@@ -137,18 +152,17 @@ def _sound(scene: Scene, side: Role) -> int:
     return sum(p.sound and scene.direction(p.offset) is side for p in scene.pieces)
 
 
-def _side(scene: Scene, garbled: list[Trouble]) -> Iterator[Suspicion]:
+def _side(scene: Scene, garbled: list[_Garbled]) -> Iterator[Suspicion]:
     ways = [
         *_of_what_was_sent(scene, garbled),
-        *(_back(scene, garbled, cause, line) for cause, line in _LINES),
+        *(_back(scene.reader, garbled, cause, line) for cause, line in _LINES),
         _Way("wrong_parity", 1.0, list(_of_seven(scene.reader, garbled))),
     ]
-    size = sum(len(t.stretch.data) for t in garbled if t.stretch is not None)
     best = max(ways, key=lambda way: way.taken)
-    if best.taken < _ENOUGH * size:
-        best = max((best, *_at_other_speeds(garbled)), key=lambda way: way.taken)
+    if best.taken < _ENOUGH * sum(len(each.data) for each in garbled):
+        best = max((best, *_at_other_speeds(garbled), *_of_replies(garbled)), key=lambda way: way.taken)
     if best.fits:
-        yield _said(best, garbled)
+        yield _said(best, [each.trouble for each in garbled])
 
 
 def _said(way: _Way, garbled: Sequence[Trouble]) -> Suspicion:
@@ -171,25 +185,23 @@ def _said(way: _Way, garbled: Sequence[Trouble]) -> Suspicion:
 # --- back from the bytes ------------------------------------------------------------------------------------------------
 
 
-def _back(scene: Scene, garbled: Sequence[Trouble], cause: str, line: Line) -> _Way:
+def _back(reader: Reader, garbled: Sequence[_Garbled], cause: str, line: Line) -> _Way:
     """Return what a way explains, frame after frame of each stretch."""
     fits: list[_Fit] = []
-    for number, trouble in enumerate(garbled):
+    for number, each in enumerate(garbled):
         if number == _TRIED and not fits:
             break
-        assert trouble.stretch is not None  # chosen so
-        data = trouble.stretch.data
-        frames, taken, at, starts = [], 0, 0, 0
-        asked = scene.asked_before(trouble.offset) if trouble.stretch.direction is not Role.REQUEST else None
-        while at + 2 < len(data) and starts < _MOST_STARTS:
-            found = _sent(scene.reader, data[at:], line, replies_to(asked))
+        frames: list[bytes] = []
+        taken, at, starts, data = 0, 0, 0, each.data
+        while at + 2 < len(data) and starts < (_STARTS_AFTER if frames else _MOST_STARTS):
+            found = _sent(reader, data[at : at + _AT_ONCE], line, each.replies)
             if found is None:
                 at, starts = at + 1, starts + 1
                 continue
             frames.append(found[0])
             at, taken = at + found[1], taken + found[1]
         if frames and (taken >= _LEAST or fits):
-            fits.append(_Fit(trouble, data, frames[0], taken))
+            fits.append(_Fit(each.trouble, data, frames[0], taken))
     return _Way(cause, line.ratio, fits)
 
 
@@ -206,16 +218,14 @@ def _sent(reader: Reader, heard: bytes, line: Line, replies: Sequence[Awaited]) 
     return unread(heard, line, lambda data: reader.begins(data, most), whole)
 
 
-def _of_seven(reader: Reader, garbled: Sequence[Trouble]) -> Iterator[_Fit]:
+def _of_seven(reader: Reader, garbled: Sequence[_Garbled]) -> Iterator[_Fit]:
     """Yield stretches of frames that lost their bits 7, to a receiver of seven bits or to a sender's parity."""
-    read_all = b"".join(t.stretch.data for t in garbled if t.stretch is not None)
+    read_all = b"".join(each.data for each in garbled)
     lost = all(byte < _BIT_7 for byte in read_all)
     even = not any(byte.bit_count() & 1 for byte in read_all)
     if not (lost or even) or len(set(read_all)) < _DIFFERENT:
         return
-    for trouble in garbled:
-        assert trouble.stretch is not None  # chosen so
-        data = trouble.stretch.data
+    for trouble, data, _ in garbled:
         seven = bytes(byte & 0x7F for byte in data)
         frames, taken, at = [], 0, 0
         while at < len(seven):
@@ -253,7 +263,7 @@ def _lower(frame: bytes) -> bytes:
 # --- forward from frames ------------------------------------------------------------------------------------------------
 
 
-def _of_what_was_sent(scene: Scene, garbled: Sequence[Trouble]) -> Iterator[_Way]:
+def _of_what_was_sent(scene: Scene, garbled: Sequence[_Garbled]) -> Iterator[_Way]:
     """Yield the ways in which what the capture shows as sent becomes what it shows as read."""
     sent = list(dict.fromkeys(b.data for b in scene.bursts if _SAME <= len(b.data) <= _READ))[:_MOST_STRETCHES]
     lines = [*_LINES, *(("wrong_baud", Line(ratio)) for ratio in _ratios())]
@@ -264,9 +274,7 @@ def _of_what_was_sent(scene: Scene, garbled: Sequence[Trouble]) -> Iterator[_Way
                 came = read(levels(frame, line, gap), line)
                 if came == frame:
                     continue
-                for trouble in garbled:
-                    assert trouble.stretch is not None  # chosen so
-                    data = trouble.stretch.data
+                for trouble, data, _ in garbled:
                     same = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(came, data, strict=False)))
                     if same >= max(_SAME, len(data) / 2) and len(set(data[:same])) >= _DIFFERENT and data != frame:
                         fits[trouble] = _Fit(trouble, data, frame, same)
@@ -317,21 +325,56 @@ def _ratios() -> tuple[float, ...]:
     return tuple(found)
 
 
-def _at_other_speeds(garbled: Sequence[Trouble]) -> Iterator[_Way]:
+def _at_other_speeds(garbled: Sequence[_Garbled]) -> Iterator[_Way]:
     """Yield what each speed explains: render what is likely to be sent, and look for it."""
-    wanted = [(t, t.stretch.data) for t in garbled if t.stretch is not None]
-    heads = bytes(set().union(*(data for _, data in wanted)))
+    heads = bytes(set().union(*(each.data for each in garbled)))
     for ratio in _ratios():
-        fits: dict[Trouble, _Fit] = {}
-        different: dict[bytes, None] = defaultdict()
+        found: dict[Trouble, dict[bytes, bytes]] = defaultdict(dict)
         for frame, seen in _levels():
-            for late in _LATE:
+            for late in _lates(ratio):
                 came = read(seen, Line(ratio), late, heads)
                 if len(set(came)) < 2:
                     continue
-                for trouble, data in wanted:
+                for trouble, data, _ in garbled:
                     if came == data or (len(came) >= _LEAST and came in data):
-                        fits[trouble] = _Fit(trouble, data, frame, len(came))
-                        different[data] = None
-        if fits and (max(map(len, different)) >= _LEAST or len(different) > 1):
-            yield _Way("wrong_baud", ratio, list(fits.values()))
+                        found[trouble][came] = frame
+        fits = []
+        for trouble, data, _ in garbled:
+            if own := found.get(trouble):
+                taken = sum(len(came) * data.count(came) for came in own)
+                fits.append(_Fit(trouble, data, next(iter(own.values())), min(taken, len(data))))
+        if fits and (max(len(fit.data) for fit in fits) >= _LEAST or len({fit.data for fit in fits}) > 1):
+            yield _Way("wrong_baud", ratio, fits)
+
+
+@cache
+def _lates(ratio: float) -> tuple[tuple[float, float], ...]:
+    """Return where a receiver samples: it matters where the middle of a bit falls on an edge."""
+    places = [(bit + 0.5) * ratio for bit in range(9)]
+    return _LATE if any(abs(place - round(place)) < _NEAR for place in places) else _LATE[:1]
+
+
+def _of_replies(garbled: Sequence[_Garbled]) -> Iterator[_Way]:
+    """Yield the speeds at which all that came begins as the replies do that were asked for."""
+    asked = [each for each in garbled if each.replies]
+    for ratio in _ratios():
+        fits, different = [], set()
+        for trouble, data, replies in asked:
+            begun = max(
+                ((start, r.head) for r in replies for start in _starts(r.head, ratio) if data.startswith(start)), default=None
+            )
+            if begun is not None:
+                fits.append(_Fit(trouble, data, begun[1], len(begun[0])))
+                different.add(begun[0])
+        if len(fits) >= max(_FEWEST, _ALMOST_ALL * len(asked)) and len(different) >= _DISTINCT:
+            yield _Way("wrong_baud", ratio, fits)
+
+
+@cache
+def _starts(head: bytes, ratio: float) -> frozenset[bytes]:
+    """Return what is read of the beginning of a frame, as far as what follows has no part in it."""
+    found = set()
+    for late in _lates(ratio):
+        some, other = (read(levels(head + tail), Line(ratio), late) for tail in (bytes(8), b"\xff" * 8))
+        found.add(bytes(a for a, b in takewhile(lambda pair: pair[0] == pair[1], zip(some, other, strict=False))))
+    return frozenset(found - {b""})

@@ -21,7 +21,7 @@ from analyzer.values import counted
 #: Damaged replies of one address, and good exchanges of others, that are no chance; the share of its replies.
 _REPLIES, _OTHERS, _SHARE = 2, 2, 0.3
 #: Damaged replies with sound heads that speak for two drives where no other address is on the bus.
-_HEADS, _MOST_OF = 5, 0.5
+_HEADS, _MOST_OF = 4, 0.5
 #: Bytes at the end of a reply that are right where its start was spoiled.
 _TAIL, _LENGTHS = 4, 2
 #: Damaged stretches that make noise likely, and how alike they must be to a frame of the bus.

@@ -159,6 +159,9 @@ def _glitch(scene: Scene, part: _Part, before: _Part | None, behind: _Part | Non
     ends = stretch.ends and stretch.data.endswith(data)
     after = behind if behind is not None and behind.trouble is None and (whole_burst or not ends) else None
     earlier = before if before is not None and before.trouble is None and (whole_burst or not opens) else None
+    if earlier is not None and earlier.role is Role.REQUEST and (after is None or after.role is Role.REQUEST) and len(data) > 1:
+        # What follows a request and is no reply is what became of the reply.
+        return None
     if after is not None and earlier is not None:
         # Between a request and its reply the line was switched round; behind a reply the driver was switched off.
         is_leading = earlier.role is not Role.REPLY
@@ -170,12 +173,13 @@ def _glitch(scene: Scene, part: _Part, before: _Part | None, behind: _Part | Non
 
 def _cut(scene: Scene, trouble: Trouble, stretch: Stretch) -> _Edge | None:
     """Return a glitch before a reply that lacks as many bytes at its end: the host reads as many as the reply has."""
-    asked = scene.asked_before(stretch.offset) if stretch.ends else None
+    asked = scene.asked_before(stretch.offset)
     for reply in replies_to(asked):
         for size in range(1, min(_GLITCH_BYTES, len(stretch.data) - _LEAST_OF_REPLY) + 1):
             rest = stretch.data[size:]
             pulse = GLITCHES.issuperset(stretch.data[:size])
-            if pulse and rest.startswith(reply.head) and reply.size - size <= len(rest) < reply.size:
+            ends = stretch.ends or len(stretch.data) == reply.size
+            if pulse and ends and rest.startswith(reply.head) and reply.size - size <= len(rest) < reply.size:
                 return _Edge(trouble, stretch.data[:size], rest, Role.REPLY)
     return None
 
