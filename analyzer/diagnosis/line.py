@@ -8,10 +8,10 @@ same is done with what the capture shows as sent, whatever it is. The way that g
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from functools import cache
-from itertools import takewhile
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache, reduce
+from itertools import pairwise, takewhile
 from typing import NamedTuple
 
 from analyzer import dialects as registry
@@ -21,6 +21,7 @@ from analyzer.diagnosis.bits import Line, levels, read, unread
 from analyzer.diagnosis.exchanges import Awaited, replies_to
 from analyzer.diagnosis.reader import Reader
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.link.modbus import modbus_crc
 from analyzer.values import counted
 
 #: Longer stretches are noise without end.
@@ -33,9 +34,9 @@ _TRIED = 3
 #: Bytes that are sent for one that is read, at the same speed.
 _BYTES_OF_ONE = 1.7
 #: Bytes at which a search may begin in vain, of a stretch.
-_MOST_STARTS = 2
+_MOST_STARTS = 3
 #: And where it did not begin in vain before; bytes of which it makes one frame.
-_STARTS_AFTER, _AT_ONCE = 10, 48
+_STARTS_AFTER, _AT_ONCE = 10, 20
 #: Addresses of the frames that are tried.
 _ADDRESSES = range(1, 17)
 #: Speeds that are in use.
@@ -55,6 +56,16 @@ _GAPS = (0, 10)
 #: The share of a sender's damaged bytes that a way has to explain.
 _ENOUGH = 0.4
 _BIT_7 = 0x80
+#: Where frames repeat, so many of what is read begin with the same byte; and so many checks fit where it is a protocol.
+_BEGIN_ALIKE, _CHECKED = 0.6, 0.5
+_PRINTED = frozenset(b"\t\n\r") | frozenset(range(0x20, 0x7F))
+#: Checks that many protocols have.
+_CHECKS: tuple[Callable[[bytes], bool], ...] = (
+    lambda data: sum(data[:-1]) & 0xFF == data[-1],
+    lambda data: sum(data[1:-1]) & 0xFF == data[-1],
+    lambda data: not reduce(int.__xor__, data),
+    lambda data: modbus_crc(data) == 0,
+)
 
 
 class _Words(NamedTuple):
@@ -141,7 +152,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     for side, garbled in sides.items():
         # A line that is set up wrongly lets nothing through: of each sender if the capture does not tell them apart.
         if _sound(scene, side) <= len(garbled):
-            yield from _side(scene, garbled[:_MOST_STRETCHES])
+            yield from _side(scene, side, garbled[:_MOST_STRETCHES])
 
 
 def _sound(scene: Scene, side: Role) -> int:
@@ -152,7 +163,7 @@ def _sound(scene: Scene, side: Role) -> int:
     return sum(p.sound and scene.direction(p.offset) is side for p in scene.pieces)
 
 
-def _side(scene: Scene, garbled: list[_Garbled]) -> Iterator[Suspicion]:
+def _side(scene: Scene, side: Role, garbled: list[_Garbled]) -> Iterator[Suspicion]:
     ways = [
         *_of_what_was_sent(scene, garbled),
         *(_back(scene.reader, garbled, cause, line) for cause, line in _LINES),
@@ -163,6 +174,8 @@ def _side(scene: Scene, garbled: list[_Garbled]) -> Iterator[Suspicion]:
         best = max((best, *_at_other_speeds(garbled), *_of_replies(garbled)), key=lambda way: way.taken)
     if best.fits:
         yield _said(best, [each.trouble for each in garbled])
+    elif not _sound(scene, side) and _same_line_noise(garbled):
+        yield _unknown(garbled)
 
 
 def _said(way: _Way, garbled: Sequence[Trouble]) -> Suspicion:
@@ -182,6 +195,32 @@ def _said(way: _Way, garbled: Sequence[Trouble]) -> Suspicion:
     )  # fmt: skip
 
 
+def _same_line_noise(garbled: Sequence[_Garbled]) -> bool:
+    """Say whether bytes come from frames on a wrong line, though none is found: they repeat, and are no other protocol."""
+    stretches = [each.data for each in garbled]
+    if len(stretches) < _FEWEST or all(byte in _PRINTED for data in stretches for byte in data):
+        return False
+    if any(data[0] == reply.head[0] for _, data, replies in garbled for reply in replies):
+        return False
+    most = Counter(data[0] for data in stretches).most_common(1)[0][1]
+    return most >= _BEGIN_ALIKE * len(stretches) and not any(
+        sum(len(data) > 2 and check(data) for data in stretches) >= _CHECKED * len(stretches) for check in _CHECKS
+    )
+
+
+def _unknown(garbled: Sequence[_Garbled]) -> Suspicion:
+    first = garbled[0]
+    return Suspicion(
+        "wrong_baud", Confidence.POSSIBLE, [each.trouble for each in garbled],
+        "Nothing that comes is a frame, and it repeats itself: the receiver is set up otherwise than the sender, most likely "
+        "to another speed.",
+        f"{shown(first.data)} at byte {first.trouble.offset}; {counted(len(garbled), 'time')}, and no whole frame",
+        "The bytes cannot tell which; try in this order: the speed (`servotap record PORT:auto` finds it), A and B swapped, "
+        "then parity and data bits (8N1)",
+        tuple(Shown(each.trouble.offset, shown(each.data)) for each in garbled),
+    )  # fmt: skip
+
+
 # --- back from the bytes ------------------------------------------------------------------------------------------------
 
 
@@ -192,17 +231,29 @@ def _back(reader: Reader, garbled: Sequence[_Garbled], cause: str, line: Line) -
         if number == _TRIED and not fits:
             break
         frames: list[bytes] = []
-        taken, at, starts, data = 0, 0, 0, each.data
-        while at + 2 < len(data) and starts < (_STARTS_AFTER if frames else _MOST_STARTS):
-            found = _sent(reader, data[at : at + _AT_ONCE], line, each.replies)
+        taken = at = missed = 0
+        for start in _places(each.data):
+            if start < at or missed >= (_STARTS_AFTER if frames else _MOST_STARTS):
+                continue
+            found = _sent(reader, each.data[start : start + _AT_ONCE], line, each.replies)
             if found is None:
-                at, starts = at + 1, starts + 1
+                missed += 1
                 continue
             frames.append(found[0])
-            at, taken = at + found[1], taken + found[1]
+            at, taken = start + found[1], taken + found[1]
         if frames and (taken >= _LEAST or fits):
-            fits.append(_Fit(each.trouble, data, frames[0], taken))
+            fits.append(_Fit(each.trouble, each.data, frames[0], taken))
     return _Way(cause, line.ratio, fits)
+
+
+def _places(data: bytes) -> Iterator[int]:
+    """Yield the places where a frame can begin: each, or in a long stream those in the pair of bytes that is met most."""
+    if len(data) <= _AT_ONCE:
+        yield from range(len(data) - 2)
+        return
+    pairs = Counter(pair for pair in pairwise(data) if pair[0] != pair[1])
+    most = bytes(pairs.most_common(1)[0][0]) if pairs else data[:2]
+    yield from (at for at in range(len(data) - 2) if not at or data.startswith(most, at) or data.startswith(most, at - 1))
 
 
 def _sent(reader: Reader, heard: bytes, line: Line, replies: Sequence[Awaited]) -> tuple[bytes, int] | None:
