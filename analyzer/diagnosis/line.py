@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
+from difflib import SequenceMatcher
 from functools import cache, reduce
 from itertools import pairwise, takewhile
 from typing import NamedTuple
@@ -30,7 +31,7 @@ _READ = 256
 _LEAST = 4
 #: Stretches that are looked at, and those of which one must fit.
 _MOST_STRETCHES = 12
-_TRIED = 3
+_TRIED = 5
 #: Bytes that are sent for one that is read, at the same speed.
 _BYTES_OF_ONE = 1.7
 #: Bytes at which a search may begin in vain, of a stretch.
@@ -50,7 +51,9 @@ _NEAR = 0.06
 #: Replies that begin as those that were asked for, their share, and how many must begin differently.
 _FEWEST, _ALMOST_ALL, _DISTINCT = 3, 0.8, 2
 #: Bytes that are sent and bytes that are read: so many must agree, and be so different, before one comes from the other.
-_SAME, _DIFFERENT = 5, 3
+_SAME, _DIFFERENT = 5, 4
+#: So many bytes begin alike before more is compared.
+_ALIKE = 2
 #: Idle cells between bytes: none, or a program that sends byte by byte.
 _GAPS = (0, 10)
 #: The share of a sender's damaged bytes that a way has to explain.
@@ -326,10 +329,16 @@ def _of_what_was_sent(scene: Scene, garbled: Sequence[_Garbled]) -> Iterator[_Wa
                 if came == frame:
                     continue
                 for trouble, data, _ in garbled:
-                    same = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(came, data, strict=False)))
-                    if same >= max(_SAME, len(data) / 2) and len(set(data[:same])) >= _DIFFERENT and data != frame:
+                    if data != frame and data[:_ALIKE] == came[:_ALIKE] and (same := _common(came, data, len(data) / 2)):
                         fits[trouble] = _Fit(trouble, data, frame, same)
         yield _Way(cause, line.ratio, list(fits.values()))
+
+
+def _common(came: bytes, data: bytes, least: float) -> int:
+    """Return how many bytes are the same and in the same order, if that is no chance; bytes that a pause adds do no harm."""
+    blocks = SequenceMatcher(None, came.decode("latin-1"), data.decode("latin-1"), autojunk=False).get_matching_blocks()
+    same = b"".join(data[block.b : block.b + block.size] for block in blocks)
+    return len(same) if len(same) >= max(_SAME, least) and len(set(same)) >= _DIFFERENT else 0
 
 
 @cache

@@ -10,6 +10,8 @@ from analyzer.diagnosis.scene import Confidence, Suspicion, Trouble
 #: Causes that are told.
 MOST = 3
 _WEIGHT = {Confidence.CERTAIN: 1.0, Confidence.LIKELY: 0.7, Confidence.POSSIBLE: 0.4}
+#: What follows from any cause stands behind them.
+_SYMPTOMS = frozenset(("no_reply",))
 #: A cause that explains less than this of what no likelier one does is not told.
 _LEAST_NEW = 0.05
 
@@ -30,7 +32,11 @@ def ranked(suspicions: Iterable[Suspicion], troubles: Sequence[Trouble]) -> list
     total = len(troubles)
     weighed = sorted(
         (Ranked(each, min(1.0, len(set(each.troubles)) / total) if total else 1.0) for each in suspicions),
-        key=lambda r: (-_WEIGHT[r.suspicion.confidence] * r.share, -_WEIGHT[r.suspicion.confidence]),
+        key=lambda r: (
+            r.suspicion.cause in _SYMPTOMS,
+            -_WEIGHT[r.suspicion.confidence] * r.share,
+            -_WEIGHT[r.suspicion.confidence],
+        ),
     )
     told: list[Ranked] = []
     explained: set[Trouble] = set()

@@ -8,7 +8,7 @@ from analyzer.diagnosis.bits import Line, levels, read, unread
 from analyzer.diagnosis.reader import Reader
 from tests.diagnosis.spoiled_line import STEPS, both, received
 from tests.diagnosis.spoiled_line import levels as on_the_line
-from tests.diagnosis.test_diagnosis import LK_READS, NATIVE, READS, build, captures, changed, exchanged, first, told
+from tests.diagnosis.test_diagnosis import LK_READS, MODBUS, NATIVE, READS, build, captures, changed, exchanged, first, told
 
 SERIAL = Reader.of_bus("serial")
 
@@ -71,8 +71,11 @@ def test_request_and_reply_in_one_stretch():
 
 
 def test_what_is_sent_explains_what_is_read():
-    sent = bytes.fromhex("01 03 00 00 07 04 08")
-    assert first((">", sent), ("<", read(levels(sent, Line(inverted=True), gap=10), Line(inverted=True)))) == "inverted_lines"
+    sent = bytes.fromhex("01 23 45 67 07 04 08")
+    line = Line(inverted=True)
+    came = read(levels(sent, line), line)
+    assert first((">", sent), ("<", came)) == "inverted_lines"
+    assert first((">", sent), ("<", came[:3] + b"\xff" + came[3:])) == "inverted_lines"
 
 
 def test_seven_bits_in_one_stream():
@@ -83,6 +86,16 @@ def test_seven_bits_in_one_stream():
 def test_other_bytes_are_no_frame_on_a_wrong_line():
     chance = random.Random(3)
     assert told(*(chance.randbytes(chance.randrange(5, 14)) for _ in range(6))) == []
+
+
+def test_replies_that_repeat_and_are_no_frames():
+    asked = [build(MODBUS, "read_speed", 1), build(MODBUS, "read_pulses", 1)] * 3
+    rows = [row for frame in asked for row in ((">", frame), ("<", received(on_the_line(frame), 3.3)))]
+    found = told(*rows)
+    assert [each.cause for each in found] == ["wrong_baud"]
+    # A protocol that is not known has checks of its own.
+    bodies = (b"\x9c\x01\x20\x85", b"\x9c\x02\x33\x99", b"\x9c\x05\x41\xc4")
+    assert told(*(body + captures.sum8(body) for body in bodies)) == []
 
 
 # --- edges ---------------------------------------------------------------------------------------------------------------
