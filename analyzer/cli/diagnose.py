@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace) -> int:
     status = 0
     for path in arguments.files:
         try:
-            names, found = _diagnose(path, arguments)
+            names, found, notes = _diagnose(path, arguments)
         except UnreadableError as error:
             if arguments.json:
                 print(json.dumps({"file": path, "dialect": None, "verdict": "unreadable", "causes": [], "why": str(error)}))
@@ -49,15 +49,18 @@ def run(arguments: argparse.Namespace) -> int:
             status = 2
             continue
         if arguments.json:
-            print(json.dumps(_object(path, names, found)))
+            print(json.dumps(_object(path, names, found) | {"notes": notes}))
         else:
             for line in lines(found):
                 print(printable(line if len(arguments.files) == 1 else f"{path}: {line}"))
+            for note in notes:
+                print(printable(f"note: {note}"), file=sys.stderr)
         status = max(status, 1 if found.causes else 0)
     return status
 
 
-def _diagnose(path: str, arguments: argparse.Namespace) -> tuple[str, Diagnosis]:
+def _diagnose(path: str, arguments: argparse.Namespace) -> tuple[str, Diagnosis, list[str]]:
+    """Return the dialects, what is wrong, and what was concluded of the file or left out of it."""
     reading = open_reading(path, arguments)
     watch = Watch()
     with contextlib.closing(reading.source), Interrupt() as interrupt:
@@ -67,7 +70,7 @@ def _diagnose(path: str, arguments: argparse.Namespace) -> tuple[str, Diagnosis]
                 watch.take(item)
                 pipeline.feed(item)
         pipeline.close()
-    return ",".join(d.name for d in reading.dialects), diagnosis(watch, reading.dialects)
+    return ",".join(d.name for d in reading.dialects), diagnosis(watch, reading.dialects), list(reading.source.notes)
 
 
 def _object(path: str, dialect: str, found: Diagnosis) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from analyzer.catalogue import Role
+from analyzer.cli import main
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame, Chunk
 from analyzer.sources.prose import mentions
@@ -101,3 +102,12 @@ def test_candump_with_error_frames_is_candump(tmp_path: Path) -> None:
     assert source.format == "candump"
     assert sum(isinstance(record, CanFrame) and record.error for record in records) == 5
     assert source.problems == []
+
+
+def test_diagnose_says_what_it_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "post.txt"
+    path.write_text("I send FA 01 31 32 and FA 01 3A 3B, and it does not return FB 01 31 00.\n")
+    assert main(["diagnose", str(path)]) == 1
+    told = capsys.readouterr()
+    assert "wrong_checksum_rule" in told.out
+    assert "FB 01 31 00 is left out: what did not come" in told.err
