@@ -7,7 +7,9 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from analyzer.values import printable
 from conformance.claim import Outcome
+from conformance.report.bus import line_causes
 from conformance.suite.record import RunRecord, VerdictRecord, noise_of
 
 if TYPE_CHECKING:
@@ -48,6 +50,8 @@ def show(records: Sequence[VerdictRecord], run: RunRecord, console: Console) -> 
         console.print(f"[bold red]and {len(refuted) - SHOWN} more failed claims:[/]")
         for record in refuted[SHOWN:]:
             console.print(f"  {record.id}: {record.reason}", markup=False, highlight=False)
+    for text in line_causes(refuted):
+        console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
     show_counts(records, console)
 
 
