@@ -21,6 +21,8 @@ _OF_THE_LINE = frozenset(
     ("wrong_baud", "inverted_lines", "wrong_parity", "lost_start", "leading_glitch", "trailing_glitch", "duplicate_address",
      "two_masters", "can_no_ack", "can_bus_off", "can_bit_errors", "can_wrong_bitrate")
 )  # fmt: skip
+#: A line that is bad spoils most of what fails; less is the drive's.
+_LEAST_SHARE = 0.5
 #: Records of a drive that are looked at, and the time between two claims.
 _MOST = 1000
 _PAUSE_NS = 1_000_000_000
@@ -37,7 +39,9 @@ def line_causes(records: Iterable[VerdictRecord]) -> Iterator[str]:
         told = [
             each
             for each in found.causes
-            if each.suspicion.cause in _OF_THE_LINE and each.suspicion.confidence is not Confidence.POSSIBLE
+            if each.suspicion.cause in _OF_THE_LINE
+            and each.suspicion.confidence is not Confidence.POSSIBLE
+            and each.share >= _LEAST_SHARE
         ]
         if told:
             yield f"the line of {target}, as the failed claims show it:"
