@@ -92,6 +92,9 @@ def _nobody(scene: Scene, asked: _Asked, answering: dict[int, str]) -> Iterator[
     # Damaged bytes may be the replies: what they come from says why none is read.
     if any(s.direction is not Role.REQUEST for s in scene.stretches):
         return
+    # Where requests are damaged, too, and the cause is known, the silence follows from it.
+    if sum(t.stretch is not None for t in scene.explained) >= _OFTEN * len(asked.troubles):
+        return
     others = sorted(a for a, name in answering.items() if name == dialect.name)
     if others and len(asked.troubles) == 1:
         # Asked once, as a search for drives does.
