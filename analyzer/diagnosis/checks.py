@@ -193,15 +193,16 @@ def failing_by_check(scene: Scene, trouble: Trouble, stretch: Stretch) -> Failin
     # Bytes too many before a sound frame are no matter of its check.
     if can_id is None and any(scene.reader.best(data[size:]) is not None for size in range(1, _STRAY + 1)):
         return None
+    alone = stretch.opens and stretch.ends
     for size in range(1, _LONGEST_CHECK + 1):
-        found = _with_check(scene.reader, trouble, data[: len(data) - size], data[len(data) - size :], can_id)
+        found = _with_check(scene.reader, trouble, data[: len(data) - size], data[len(data) - size :], can_id, alone)
         if found is not None and (found.rules or stretch.ends):
             return found
-    return _with_check(scene.reader, trouble, data, b"", can_id) if stretch.ends and stretch.opens else None
+    return _with_check(scene.reader, trouble, data, b"", can_id, alone) if alone else None
 
 
-def _with_check(reader: Reader, trouble: Trouble, body: bytes, got: bytes, can_id: int | None) -> Failing | None:
-    """Return the request that a body is with the right check behind it, if it is one."""
+def _with_check(reader: Reader, trouble: Trouble, body: bytes, got: bytes, can_id: int | None, alone: bool) -> Failing | None:
+    """Return the request that a body is with the right check behind it, if it is one. `alone`: it is all that was sent."""
     if len(body) < (1 if can_id is not None else 3):
         return None
     for right in _completions(reader, body, can_id):
@@ -209,13 +210,23 @@ def _with_check(reader: Reader, trouble: Trouble, body: bytes, got: bytes, can_i
             continue
         rules = tuple(rule for rule in RULES if got and rule.of(body, can_id or 0) == got)
         for reading in reader.readings(right, can_id):
-            # Without its own check a frame of a code or register that is not listed could be anything.
-            strong = reading.listed or (rules and len(got) > 1)
+            # Without its own check a frame of a code or register that is not listed could be anything, but for a read.
+            strong = reading.listed or (rules and len(got) > 1) or (alone and len(got) != 1 and _reads(right))
             lost = len(right) - len(body)
             if reading.message.role is Role.REPLY or not strong or (not rules and got and len(got) != lost):
                 continue
             return Failing(trouble, right, reading.name, len(got), rules)
     return None
+
+
+def _reads(frame: bytes) -> bool:
+    """Say whether a frame is a Modbus read of registers as programs ask for them."""
+    return len(frame) == _READ_SIZE and frame[1] in _READS and 0 < int.from_bytes(frame[4:6], "big") <= _MOST_REGISTERS
+
+
+_READ_SIZE = 8
+_READS = (0x03, 0x04)
+_MOST_REGISTERS = 125
 
 
 def _completions(reader: Reader, body: bytes, can_id: int | None) -> Iterator[bytes]:

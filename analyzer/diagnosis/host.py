@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from analyzer.catalogue import Role
 from analyzer.diagnosis.checks import failing_by_check
+from analyzer.diagnosis.exchanges import awaited
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.records import Message
 from analyzer.values import counted
@@ -41,12 +42,8 @@ def _cut(scene: Scene) -> Iterator[Suspicion]:
 
 def asked_before(scene: Scene, stretch: Stretch) -> Message | None:
     """Return the request that comes last before a stretch, mended if its check alone was wrong."""
-    found: Message | None = None
-    for piece in scene.pieces:
-        if piece.offset >= stretch.offset:
-            break
-        if piece.is_request and piece.sound:
-            found = piece.message
+    piece = scene.asked_before(stretch.offset)
+    found = piece.message if piece is not None else None
     for trouble in scene.damaged:
         if trouble.stretch is not None and trouble.stretch.stop == stretch.offset:
             failing = failing_by_check(scene, trouble, trouble.stretch)
@@ -57,14 +54,5 @@ def asked_before(scene: Scene, stretch: Stretch) -> Message | None:
 
 def _wanted(asked: Message, data: bytes) -> int:
     """Return how many bytes the reply to a request has, if these are its beginning; else 0."""
-    command, link = asked.command, asked.frame.dialect.link
-    if command is None or command.code < 0 or link.kind == "can" or len(data) < 2:
-        return 0
-    for form in command.reply_forms:
-        if form.layout.open_ended:
-            continue
-        whole = link.build(command, form, asked.address, bytes(form.layout.byte_length), Role.REPLY)
-        sure = min(len(data), link.parse(whole).start)
-        if len(data) < len(whole) and data[:sure] == whole[:sure]:
-            return len(whole)
-    return 0
+    replies = awaited(asked) if len(data) > 1 else []
+    return next((reply.size for reply in replies if len(data) < reply.size and reply.begins(data)), 0)

@@ -55,7 +55,7 @@ def _late(scene: Scene) -> Iterator[Suspicion]:
 
 
 def _misaligned(scene: Scene) -> Iterator[Suspicion]:
-    if not scene.directed:
+    if not scene.directed and not any(read.firm for read in scene.reads):
         return
     crosses = [p for p in placed(scene) if p.crosses]
     crossing = {p.read.offset: p.shift for p in crosses if p.shift}

@@ -252,18 +252,22 @@ def _to_none(scene: Scene) -> Iterator[Suspicion]:
 
 def _from_new(scene: Scene) -> Iterator[Suspicion]:
     """Suspect a new address where the reply to a write of one register comes from the address that it writes."""
-    asked = any(piece.is_request for piece in scene.pieces)
+    before: Piece | None = None
     for piece in scene.pieces:
         data, message = piece.data, piece.message
-        if "unsolicited_reply" not in piece.rules or message is None or len(data) != _WRITE_ONE or piece.can is not None:
+        written, before = before, piece
+        if message is None or len(data) != _WRITE_ONE or piece.can is not None or not message.frame.checksum_ok:
             continue
-        by_chance = data[0] == 1 or not (asked or len(scene.pieces) == 1)
         unknown = message.command in message.frame.dialect.fallbacks.values()
-        if not unknown or by_chance or data[1] != _WRITES or int.from_bytes(data[4:6], "big") != data[0]:
+        if not unknown or data[1] != _WRITES or int.from_bytes(data[4:6], "big") != data[0] or data[0] == 1:
             continue
+        asked = written is not None and written.data[1:6] == data[1:6] and written.data[0] != data[0]
+        if not asked and len(scene.pieces) > 1:
+            continue
+        pair = (piece, written) if asked else (piece,)
         yield Suspicion(
             "address_changed", Confidence.LIKELY if asked else Confidence.POSSIBLE,
-            [t for t in scene.troubles if t.piece is piece] or [Trouble("unsolicited_reply", piece.offset, None, piece)],
+            [t for t in scene.troubles if t.piece in pair] or [Trouble("unsolicited_reply", piece.offset, None, piece)],
             f"The unit was given the address {data[0]}, and answers from it at once.",
             f"{shown(data)} at byte {piece.offset} writes {data[0]}, and comes from {data[0]}",
             f"Ask at address {data[0]} from here on: the write is done, whatever a library reports",

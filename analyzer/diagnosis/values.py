@@ -6,6 +6,7 @@ of the same bytes the rounder one is meant.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -33,6 +34,11 @@ class Word(NamedTuple):
     layout: Layout
     field: Field
 
+    @property
+    def size(self) -> int:
+        """How many bytes it has."""
+        return self.stop - self.start
+
     def value(self, data: bytes) -> int:
         """Return the number."""
         return int(codec(self.layout).wire(data)[self.field.name])
@@ -50,14 +56,14 @@ class Odd(NamedTuple):
     got: str
     meant: str
     right: bytes
-    weight: int
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the values that the host sends."""
-    swapped: dict[tuple[str, bytes], Odd] = {}
+    rounder: list[tuple[Piece, Message, Word]] = []
+    by_swap: Counter[int] = Counter()
     signed: dict[tuple[str, bytes], Odd] = {}
-    kept = 0
+    kept: Counter[int] = Counter()
     seen: set[tuple[str, bytes]] = set()
     sent: list[tuple[Piece, Message]] = []
     for piece in scene.pieces:
@@ -67,20 +73,22 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         if piece.rules & {"bad_checksum", "wrong_length", "unknown_command"} or message.command.slots is not None:
             continue
         sent.append((piece, message))
-        key = (message.command.name, message.data)
+        key = _key(message)
         if key in seen:
             continue
         seen.add(key)
         for word in _words(message.form.layout):
             weight = _weight(word, message.data[word.start : word.stop])
-            kept -= min(weight, 0)
             if weight > 0:
-                swapped[key] = _swapped(piece, message, word, weight)
+                by_swap[word.size] += weight
+                rounder.append((piece, message, word))
+            elif weight:
+                kept[word.size] += 1
             if (odd := _signed(piece, message, word)) is not None:
                 signed[key] = odd
-    by_swap = sum(odd.weight for odd in swapped.values())
-    if by_swap < _ENOUGH or by_swap <= 2 * kept:
-        swapped = {}
+    # A program packs all numbers of a size in one way.
+    sizes = {size for size, weight in by_swap.items() if weight >= _ENOUGH and weight > 2 * kept[size]}
+    swapped = {_key(message): _swapped(piece, message, word, sizes) for piece, message, word in rounder if word.size in sizes}
     signed = {key: odd for key, odd in signed.items() if key not in swapped}
     yield from _said(
         scene, sent, "wrong_byte_order", swapped, "The bytes of the values stand in the wrong order.",
@@ -94,6 +102,11 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     yield from _out_of_range(scene, {**swapped, **signed})
 
 
+def _key(message: Message) -> tuple[str, bytes]:
+    """Return what tells a request of one command from another."""
+    return "" if message.command is None else message.command.name, message.data
+
+
 def _said(
     scene: Scene, sent: list[tuple[Piece, Message]], cause: str, odd: dict[tuple[str, bytes], Odd], say: str, todo: str
 ) -> Iterator[Suspicion]:
@@ -102,8 +115,7 @@ def _said(
     first = next(iter(odd.values()))
     troubles, frames = [], []
     for piece, message in sent:
-        assert message.command is not None  # chosen so above
-        found = odd.get((message.command.name, message.data))
+        found = odd.get(_key(message))
         if found is not None:
             troubles += _troubles(scene, piece) or [Trouble(cause, piece.offset, None, piece)]
             frames.append(Shown(piece.offset, shown(piece.data, _id(piece)), shown(_frame(found), _id(piece))))
@@ -123,7 +135,7 @@ def _out_of_range(scene: Scene, explained: dict[tuple[str, bytes], Odd]) -> Iter
         message = piece.message
         if message is None or not piece.is_request or not piece.sound or not piece.rules & _RANGE or message.command is None:
             continue
-        if (message.command.name, message.data) in explained:
+        if _key(message) in explained:
             continue
         found.append((piece, next(v.text for v in message.violations if v.rule in _RANGE)))
         troubles += _troubles(scene, piece)
@@ -193,16 +205,16 @@ def _weight(word: Word, data: bytes) -> int:
     return int(rounder) * (2 if not sound or much else 1)
 
 
-def _swapped(piece: Piece, message: Message, word: Word, weight: int) -> Odd:
+def _swapped(piece: Piece, message: Message, word: Word, sizes: set[int]) -> Odd:
     data = message.data
     right = bytearray(data)
     if message.form is not None:
         for each in _words(message.form.layout):
             part = data[each.start : each.stop]
-            # What is in order both ways is packed like the rest.
-            right[each.start : each.stop] = part[::-1] if each.allowed(part[::-1]) else part
+            if each.size in sizes and each.allowed(part[::-1]):
+                right[each.start : each.stop] = part[::-1]
     got = data[word.start : word.stop]
-    return Odd(piece, message, _text(word, word.value(got)), _text(word, word.value(got[::-1])), bytes(right), weight)
+    return Odd(piece, message, _text(word, word.value(got)), _text(word, word.value(got[::-1])), bytes(right))
 
 
 def _signed(piece: Piece, message: Message, word: Word) -> Odd | None:
@@ -223,7 +235,7 @@ def _signed(piece: Piece, message: Message, word: Word) -> Odd | None:
         if other < 0 and not each.allowed(part):
             values[each.field.name] = -other
     right = codec(message.form.layout).encode({**values, field.name: -value, direction: 1})
-    return Odd(piece, message, _text(word, word.value(data)), _text(word, value), right, _ENOUGH)
+    return Odd(piece, message, _text(word, word.value(data)), _text(word, value), right)
 
 
 def _text(word: Word, value: int) -> str:

@@ -248,3 +248,37 @@ def test_round_values_are_in_order(dialect):
     speeds = [(">", build(dialect, "run_speed", 1, {"speed": speed})) for speed in (1, 100, 256, 1000, 2560, 3000)]
     rows = [row for pair in speeds for row in (pair,)]
     assert {each.cause for each in told(*rows)} <= {"no_reply"}
+
+
+def test_sizes_are_packed_each_in_one_way():
+    moves = [
+        build(NATIVE, "move_relative_pulses", 1, {"speed": speed, "acceleration": 2, "pulses": 0}) for speed in (300, 600, 900)
+    ]
+    found = told(*((">", word(f, 6, (3200 * n).to_bytes(4, "little"))) for n, f in enumerate(moves, 1)))
+    assert found[0].cause == "wrong_byte_order"
+    assert (
+        found[0].frames[0].right
+        == build(NATIVE, "move_relative_pulses", 1, {"speed": 300, "acceleration": 2, "pulses": 3200}).hex(" ").upper()
+    )
+
+
+# --- units whose registers are not known ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [(lambda frame: frame[:-2], "missing_checksum"), (lambda frame: frame[:-1] + bytes((frame[-1] ^ 0x5A,)), "wrong_checksum")],
+)
+def test_checks_of_other_devices(change, cause):
+    assert first((">", change(rtu("11 03 01 00 00 02"))), (">", change(rtu("11 04 00 6B 00 03")))) == cause
+
+
+def test_a_reply_of_another_device_that_is_cut():
+    assert first((">", rtu("11 03 01 00 00 02")), ("<", rtu("11 03 04 00 07 00 08")[:6])) == "reply_cut"
+
+
+@pytest.mark.parametrize("mark", ["<", ""])
+def test_another_device_answers_from_its_new_address(mark):
+    asked = Chunk(0, "bus", rtu("01 06 00 10 00 17"), Role.REQUEST if mark else Role.UNKNOWN, True)
+    answer = Chunk(9 * MS, "bus", rtu("17 06 00 10 00 17"), Role.REPLY if mark else Role.UNKNOWN, True)
+    assert diagnosed([asked, answer]).causes[0].suspicion.cause == "address_changed"
