@@ -219,8 +219,7 @@ def _acceleration(probe: Probe, ramp: int, how: Command) -> tuple[float, Exchang
 def _ramped(dialect: Dialect) -> Iterator[Case]:
     for case in commands(Verb.WRITE_PARAMETER)(dialect):
         for run in dialect.motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO):
-            if run.verb is Verb.RUN_SPEED or not motion.of(run).speed:
-                yield Case(dialect, case.command, {"run": run})
+            yield Case(dialect, case.command, {"run": run})
 
 
 @_of_ramp(each=_ramped, name="{command}/speed-ramp-{run}", refuted_by="another acceleration")

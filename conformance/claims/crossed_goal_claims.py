@@ -389,7 +389,11 @@ def _expect_torque(probe: Probe, seen: _Seen) -> None:
     shown: dict[str, Any]
     wanted = _torque(seen)
     rest = next((one.values for one in seen.tried.before if one.read.name == seen.look.read.name), None)
-    if seen.phase is seen.tried.after and rest is not None:
+    if seen.phase is seen.tried.off:
+        text = f"{seen.look.read.name} tells a {name} of a motor that is off"
+        shown = {"expected": f"none, {seen.when}", "exchange": seen.look.exchange, "key": text}
+        probe.expect(abs(seen.values[name]), at_most=FORCE / 3, unit="LSB", refutes=text, **shown)
+    elif seen.phase is seen.tried.after and rest is not None:
         text = f"{seen.look.read.name} tells another {name} at rest than before a motion"
         shown = {"expected": f"about {rest[name]} LSB, {seen.when}", "exchange": seen.look.exchange, "key": text}
         probe.expect(seen.values[name], near=rest[name], within=FORCE, unit="LSB", refutes=text, **shown)
@@ -400,11 +404,17 @@ def _expect_torque(probe: Probe, seen: _Seen) -> None:
 
 
 def _expect_phases(probe: Probe, seen: _Seen) -> None:
-    """Refute where phase currents do not add up to nothing, or are not those of a steady torque."""
+    """Refute where phase currents do not add up to nothing, or are not those of a steady torque; off, where there are any."""
     wanted = _torque(seen)
+    currents = [seen.values[f"phase_{phase}_current"] for phase in "abc"]
+    if seen.phase is seen.tried.off:
+        text = "phase currents are told of a motor that is off"
+        most, expected = max(map(abs, currents)), f"none, {seen.when}"
+        probe.expect(
+            most, at_most=FORCE / 3, unit="LSB", expected=expected, refutes=text, exchange=seen.look.exchange, key=text
+        )
     if wanted is None:
         return
-    currents = [seen.values[f"phase_{phase}_current"] for phase in "abc"]
     shown: dict[str, Any] = {"exchange": seen.look.exchange, "expected": f"those of {wanted} LSB, {seen.when}"}
     flowing = math.sqrt(sum(current * current for current in currents) / 1.5)
     text = "the phase currents are not those of the torque current in one condition"

@@ -343,13 +343,15 @@ def _answers_raw(probe: Probe, command: Command) -> None:
 
 @_zero(refuted_by="another angle", at_best=Certainty.OPEN)
 def _not_at_once(probe: Probe, command: Command) -> None:
-    """19 leaves the angle as it is until power comes on again."""
+    """19 leaves the angle as it is until power comes on again; it goes on with the shaft."""
     motion.ready_to_move(probe)
     turn_by(probe, 77)
     before, kept = motion.position(probe), angle(probe)
     exchange = probe.do(command)
     expect_stays(before, motion.position(probe), exchange, "19 changes the position at once")
     _expect_angle(probe, kept, 0, "19 changes the angle at once", exchange)
+    turn_by(probe, 43)
+    _expect_angle(probe, kept, 43, "the angle does not go on after 19", exchange)
 
 
 @_zero(refuted_by="another angle")

@@ -23,6 +23,7 @@ from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS, SUBDIVISION
 from conformance.talk.probe import Probe
+from conformance.talk.restarts import restart
 
 _RPM = 120
 #: More counts than 24 signed bits hold, in turns.
@@ -415,17 +416,21 @@ def _is_enable_pin(probe: Probe, command: Command) -> None:
     each=commands(Verb.SET_PULSE_DIVISION),
     refuted_by="a port that does not follow the pulses",
     at_best=Certainty.OPEN,
-    risks=risks_by(Verb.SET_PULSE_DIVISION, Verb.MOVE_RELATIVE_PULSES, Verb.WRITE_IO, Verb.SET_ZERO),
+    risks=risks_by(Verb.SET_PULSE_DIVISION, Verb.MOVE_RELATIVE_PULSES, Verb.WRITE_IO, Verb.SET_ZERO, Verb.RESTART),
     settings=("division_level", "division_period"),
 )
 def _divides(probe: Probe, command: Command) -> None:
-    """PEND flips once for every so many pulses either way, from its starting level; below 100 pulses it does not."""
+    """PEND flips once for every so many pulses either way, from its starting level, also after a restart; never below 100."""
     _give_ports_back(probe)
     motion.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
     for level, period, turns in ((0, 1600, 0.3), (1, 1600, -0.3), (1, 1600, 0.3), (0, 1600, -0.3), (0, 50, 0.3)):
         probe.do(Verb.SET_ZERO)
         probe.do(command, {"division_level": level, "division_period": period})
-        for _ in range(3):
+        for number in range(3):
+            if number == 1 and level and turns > 0:
+                restart(probe)
+                motion.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
+                probe.do(Verb.SET_ZERO)
             _move_by_pulses(probe, turns)
             pulses = abs(probe.read(Verb.READ_PULSES, "pulses"))
             wanted = level ^ (pulses // period & 1) if period >= 100 else 1

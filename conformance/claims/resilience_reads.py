@@ -19,12 +19,16 @@ from conformance.claims.conditions import Condition
 from conformance.claims.control_reads import is_answered, received_text
 from conformance.claims.declare import Case, claim
 from conformance.claims.known_reads import every_read, is_stored
+from conformance.claims.motion_claim import expect_speed
 from conformance.motion import motion
-from conformance.motion.motion import QUICK
+from conformance.motion.motion import MS, QUICK
 from conformance.talk.exchange import Exchange
+from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import Probe
 
 _ROUNDS = 2
+#: The run behind a condition, which is none of those in it, and how long it has until it is looked at.
+_RPM, _GOING_NS = 90, 400 * MS
 #: Reads of what little of a drive's doings changes.
 _FLAGS = (Verb.READ_ENABLED, Verb.READ_ZERO_STATUS, Verb.READ_PROTECTION, Verb.BRAKE)
 
@@ -45,7 +49,7 @@ def _conditions(dialect: Dialect) -> Iterator[Case]:
     parameters={},
 )
 def _reads(probe: Probe, state: Condition) -> None:
-    """Every read is answered by its own reply {when}, and what is stored reads as before."""
+    """Every read is answered by its own reply {when}, what is stored reads as before, and the run behind it is as asked for."""
     motion.ready_to_move(probe, state.mode)
     at_rest = [(c, values, probe.ask(c, values, quiet_ns=0)) for c, values in every_read(probe.dialect)]
     readable = [(c, values, e) for c, values, e in at_rest if _tells(probe, e) and c.verb not in state.without]
@@ -58,6 +62,18 @@ def _reads(probe: Probe, state: Condition) -> None:
             if not number or not is_stored(command):
                 _expect_answer(probe, command, values, state, before)
     state.leave(probe)
+    _expect_run(probe, state)
+
+
+def _expect_run(probe: Probe, state: Condition) -> None:
+    """Refute unless the next run turns the shaft as fast as it is told: that the drive was so leaves no trace."""
+    motion.stand_still(probe)
+    motion.ready_to_move(probe, state.mode, subdivision=motion.SUBDIVISION)
+    exchange = motion.run_at(probe, _RPM)
+    probe.wait(_GOING_NS)
+    seen = motion.turning(probe)
+    motion.stand_still(probe)
+    expect_speed(seen, _RPM, exchange, f"the first run {state.when} and after it turns at another speed", share=2 * CLOCK_SHARE)
 
 
 def _tells(probe: Probe, exchange: Exchange) -> bool:

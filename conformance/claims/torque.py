@@ -254,6 +254,16 @@ def _brake_stays(probe: Probe) -> None:
         _begin(probe, command, way)
         text, exchange = f"{command.name} switches the brake", probe.traffic[-1]
         seen = _brake(probe, _READ_BRAKE)
+        if command.verb is Verb.RUN_SPEED:
+            # What is released is released: that changes nothing of a shaft that turns.
+            probe.wait(300 * MS)
+            released = _brake(probe, _RELEASE)
+            probe.wait(300 * MS)
+            left = abs(motion.turning(probe).value)
+            motion.stand_still(probe)
+            what = "releasing a released brake stops the shaft"
+            probe.expect(left, at_least=CALM / 2, unit="rpm", refutes=what, exchange=exchange)
+            probe.expect(released, equal=_RELEASE, refutes=text, exchange=exchange)
         motion.stand_still(probe)
         probe.expect([seen, _brake(probe, _READ_BRAKE)], equal=[control] * 2, refutes=text, exchange=exchange)
 

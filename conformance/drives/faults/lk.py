@@ -991,6 +991,11 @@ ROWS: Rows = {
         ),
         Row("lk-no-torque-ignored", "0xA1 with 0 leaves the torque of before", replaced("run_torque", _unless_none)),
         Row("lk-torque-told-after-stop", "after 0x81 0x9C tells the torque of before", Change(_torque_told_on, LK)),
+        Row(
+            "lk-phases-told-while-off",
+            "off, 0x9D tells the currents of before",
+            _stale(Verb.READ_STATE_3, lambda d: not d.motor.on),
+        ),
         Row("lk-run-without-data-repeats", "0xA2 without data runs as the one before", tuned(_repeating)),
         Row("lk-voltage-capped", "0x9A tells 25 V at most", _capped("voltage", 2_500, Verb.READ_STATE_1)),
         Row("lk-temperature-capped", "0x9C tells 63 degrees at most", _capped("temperature", 63, Verb.READ_STATE_2)),

@@ -509,6 +509,20 @@ def _homed(drive: MksCore) -> bool:
     return bool(drive.settings["limits_homed"])
 
 
+def _slow_after_homing(drive: MksCore) -> None:
+    """Begin the first run after homing no faster than the home speed."""
+    homed = False
+
+    def ask(_: Drive, command: Command, values: Values) -> Values:
+        nonlocal homed
+        capped, homed = homed, command.verb is Verb.HOME or (homed and command.verb is not Verb.RUN_SPEED)
+        if capped and command.verb is Verb.RUN_SPEED:
+            return {**values, "speed": min(values["speed"], drive.settings["home_speed"])}
+        return values
+
+    drive.hooks.request.append(ask)
+
+
 def _own_and_group_alone(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
     return wanted and not (message.address == drive.dialect.broadcast and drive.settings.get("group_address"))
 
@@ -777,6 +791,7 @@ DOING: Rows = {
         ),
     ),
     "homed": (
+        Row("slow-run-after-homing", "the first run after 91 has the home speed at most", tuned(_slow_after_homing)),
         Row("zero-status-2-after-homing", "3B reads 2 after homing", told_when(_homed, Verb.READ_ZERO_STATUS, status=2)),
     ),
 }

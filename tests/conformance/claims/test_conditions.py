@@ -114,6 +114,7 @@ REFUTED_BY = {
     "ports-given-back-by-moves": "read-back/write_io/stays",
     "speed-long-after-restart": "resilience/reads/restarted",
     "slow-speed-zero": "motion/run_speed/slow",
+    "slow-run-after-homing": "resilience/reads/homing",
     "group-without-ramp": "addressing/group/as-sent",
     "emergency-without-check": "framing/emergency_stop/other-length",
 }

@@ -57,6 +57,7 @@ def test_the_rows_are_short():
         ("lk-phases-doubled", "read_state_3/crossed"),
         ("lk-torque-told-after-stop", "read_state_2/crossed"),
         ("lk-no-torque-ignored", "run_torque/newer"),
+        ("lk-phases-told-while-off", "read_state_3/crossed"),
         ("lk-increment-of-stopped-move", "move_increment/after-stop"),
         ("lk-single-turn-by-position", "move_single_turn/after-new-position"),
         ("lk-slow-runs-stand", "run_speed/slow"),

@@ -48,9 +48,13 @@ def afterwards(bench: Bench) -> None:
         bench.ask("run_torque" if bench.drive.model != "MS" else "run_open_loop", **{_force(bench): torque})
         bench.wait(0.3)
         look(bench)
+        bench.ask("read_state_3")
     bench.ask("stop")
     bench.wait(2)
     look(bench)
+    for command in ("motor_off", "read_state_3", "motor_on"):
+        bench.ask(command)
+        bench.wait(0.5)
     bench.ask("brake", brake_control=1)
     for command, increment in (("move_increment", 180_000), ("stop", None), ("move_increment", 1_000)):
         bench.ask(command, **({} if increment is None else {"position": increment}))
@@ -611,6 +615,7 @@ SHOWN_BY: dict[str, str] = {
     "lk-increment-of-stopped-move": "afterwards",
     "lk-ramp-when-standing": "afterwards",
     "lk-no-torque-ignored": "afterwards",
+    "lk-phases-told-while-off": "afterwards",
     "lk-torque-told-after-stop": "afterwards",
     "lk-run-without-data-repeats": "afterwards",
     "lk-gains-lost-by-stop": "kept",
