@@ -322,7 +322,8 @@ def _reads_as_asked(probe: Probe, command: Command) -> None:
 
 
 @of_motion(
-    each=motions(*MOVES),
+    # Where motions are crossed, they come behind stops too.
+    each=motions(*MOVES, where=takes_angle),
     refuted_by="a shaft that ends elsewhere",
     risks=lambda case: {r for c in case.dialect.motions(MotionKind.RUN, *MOVES) for r in c.all_risks},
     settings=keeps_position,
