@@ -68,4 +68,6 @@ class Prompt(Horizontal):
     def on_input_submitted(self, event: Input.Submitted) -> None:
         """Hand the text on."""
         event.stop()
-        self.post_message(self.Given(self.asking, event.value.strip()))
+        # A second Enter can come before the focus has gone elsewhere.
+        if self.asking:
+            self.post_message(self.Given(self.asking, event.value.strip()))

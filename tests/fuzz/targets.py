@@ -22,8 +22,10 @@ import random
 import re
 import shlex
 import shutil
+import socket
 import sys
 import tempfile
+import threading
 import traceback
 import zlib
 from collections.abc import Callable, Iterator, Sequence
@@ -46,6 +48,7 @@ from analyzer.pipeline import Options, Pipeline
 from analyzer.records import CanFrame, Chunk, Frame
 from analyzer.sources import FORMATS, open_source
 from analyzer.transactions import Transactions
+from conformance.claim import RigFault
 from tests.bytestreams import SERIAL, vectors
 from tests.collect import Collect, sum8
 from tests.fuzz.corpus import CAPTURES, INPUT, Input, captures, lay_out, quick
@@ -55,6 +58,8 @@ from tests.sources.builders import SAMPLES
 
 #: Bytes that a command may write for an input of at most 64 KiB.
 WRITTEN_LIMIT = 64 << 20
+#: Bytes with which the far end of a bus answers a request.
+_PIECE = 24
 _ESCAPES = (b"\x1b", b"\xc2\x9b")
 
 
@@ -122,8 +127,8 @@ def heard() -> Iterator[Callable[[], bytes]]:
 # --- commands ---------------------------------------------------------------------------------------------------------
 
 
-def run_words(words: Sequence[str], place: Place) -> int:
-    """Run the command line and check what holds for every one; return its exit status."""
+def run_words(words: Sequence[str], place: Place, statuses: Sequence[int] = (0, 1, 2)) -> int:
+    """Run the command line and check what holds for every one; return its exit status, one of `statuses`."""
     stdout = sys.stdout
     try:
         status = main(words)
@@ -134,7 +139,7 @@ def run_words(words: Sequence[str], place: Place) -> int:
         raise Fault("the standard output was replaced")
     if b"Traceback" in said or status == 70:
         raise Fault(said.decode("utf-8", "replace"))
-    if status not in (0, 1, 2):
+    if status not in statuses:
         raise Fault(f"exit status {status}")
     for escape in _ESCAPES:
         if escape in said:
@@ -154,6 +159,30 @@ def command(*words: str) -> Run:
         run_words(words, place)
 
     return run
+
+
+@contextlib.contextmanager
+def far_end(data: bytes) -> Iterator[str]:
+    """Serve the far end of a bus, which answers each request with a piece of `data` and then hangs up; yield its endpoint."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            # It ends as the server is closed, or the client.
+            with contextlib.suppress(OSError):
+                connection = server.accept()[0]
+                with connection:
+                    for at in range(0, len(data), _PIECE):
+                        connection.sendall(data[at : at + _PIECE])
+                        if not connection.recv(4096):
+                            break
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield f"tcp:127.0.0.1:{server.getsockname()[1]}"
+        finally:
+            server.shutdown(socket.SHUT_RDWR)
+            thread.join()
 
 
 def _decode(given: Input, place: Place) -> None:
@@ -616,6 +645,18 @@ def _on_files(*words: str, run: Run | None = None, kinds: Sequence[str] = (), sh
 
 
 _LOGS = ("mcap",)
+
+
+def _far(*words: str, share: float = 1.0) -> Target:
+    """Return a target of a command that talks to the far end of a bus; that may hang up, which is no fault."""
+
+    def run(given: Input, place: Place) -> None:
+        with far_end(given[INPUT]) as endpoint:
+            run_words([word.replace("ENDPOINT", endpoint) for word in words], place, (0, 1, 2, RigFault.exit_status))
+
+    return Target(run, _bytes_seeds, _bytes_changed, share, 30.0)
+
+
 TARGETS: dict[str, Target] = {
     "framer": Target(_framer, _bytes_seeds, _bytes_changed, 10.0, 5.0),
     "pipeline": Target(_pipeline, _file_seeds("decode"), _file_changed, 10.0),
@@ -633,6 +674,9 @@ TARGETS: dict[str, Target] = {
     "export-hex": _on_files("export", INPUT, "--to", "hex", "-o", "-"),
     "check": _on_files("check", INPUT, share=0.5),
     "replay": _on_files("replay", INPUT, "--on", "serial:none", "--dry-run", share=0.5),
+    "far-send": _far("send", "mks-rs485@1", "read_speed", "--on", "ENDPOINT,baud=38400", "--timeout", "50"),
+    "far-scan": _far("scan", "ENDPOINT,baud=38400", "--addresses", "1", share=0.5),
+    "far-record": _far("record", "ENDPOINT,baud=38400", "--duration", "0.3", "-o", "out.mcap", share=0.3),
     "mf4": Target(command("show", INPUT), _mf4_seeds, _file_changed, 0.3),
     "cut": _on_files("cut", run=_copied("cut", INPUT, "--since", "+1ms"), kinds=_LOGS),
     "merge": Target(_copied("merge", INPUT, "other"), _two_logs, _file_changed),

@@ -497,3 +497,17 @@ def test_a_stretch_of_a_log(tmp_path):
         assert source.lines.number_of(lines[number].sequence) == number
     assert source.lines.number_of(lines[-1].sequence + 1) is None
     source.close()
+
+
+def test_a_second_enter_in_the_line_at_the_foot_is_passed_over():
+    async def steps(driver):
+        await driver.press("slash")
+        line = driver.app.focused
+        for _ in range(2):
+            line.post_message(line.Submitted(line, "run_speed"))
+        # What closes the line may also come before the Enter is dealt with.
+        driver.app.screen.query_one("Prompt").close()
+        await driver.settle()
+        assert "39 frames" in driver.text
+
+    drive(capture_of(LOG), steps)
