@@ -193,6 +193,10 @@ class Scene:
             found.add(before.stop)
         return frozenset(found)
 
+    @cached_property
+    def _limits(self) -> list[int]:
+        return sorted(self.limits)
+
     def direction(self, offset: int) -> Role:
         """Return who sent the byte at an offset, as the capture says."""
         at = bisect_right(self._starts, offset) - 1
@@ -247,7 +251,7 @@ class Scene:
             yield Stretch(first, data, run[0].t_ns, run[0].can.direction, True, True, tuple(run))
             return
         at = first
-        for stop in (*sorted(n for n in self.limits if first < n < last), last):
+        for stop in (*self._limits[bisect_right(self._limits, first) : bisect_left(self._limits, last)], last):
             inside = tuple(p for p in run if p.offset < stop and p.stop > at)
             part = data[at - first : stop - first]
             yield Stretch(at, part, inside[0].t_ns, self.direction(at), at in self.limits, stop in self.limits, inside)
