@@ -80,10 +80,10 @@ class Lines:
                 yield line
 
     def _cut(self, line: str, dropped: int) -> str:
-        length = len(line) + dropped
-        if length > LINE_LIMIT:
+        if dropped or len(line) > LINE_LIMIT:
             self._source.problem(
-                f"a line of {length} bytes, expected at most {LINE_LIMIT}: only its beginning is used", line=self.number + 1
+                f"a line of {len(line.encode()) + dropped} bytes, expected at most {LINE_LIMIT}: only its beginning is used",
+                line=self.number + 1,
             )
         return line[:LINE_LIMIT]
 

@@ -345,6 +345,9 @@ class ViewApp(App[str]):
 
     def on_prompt_given(self, event: Prompt.Given) -> None:
         """Do what was asked for; a filter that cannot be stays to be mended."""
+        if event.what != self._prompt.asking:
+            # The key was pressed again before the answer to the first was dealt with.
+            return
         done = {FILTER: self._set_filter, SEARCH: self._set_search, MARK: self._set_mark}[event.what](event.text)
         if done:
             self._close_prompt()

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 from analyzer.view.app import ViewApp
 from analyzer.view.source import ViewSource
-from analyzer.view.terminal import forgiving_terminal
+from analyzer.view.terminal import forgiving_terminal, held_signals
 
 
 def run(source: ViewSource, *, filter_text: str = "") -> str:
     """Run the view until it ends; return `quit`, `ended`, or why it could not go on. Raises what failed in it."""
-    with forgiving_terminal():
+    # The supervisor of a recording has its own handlers.
+    with forgiving_terminal(), nullcontext() if source.live else held_signals():
         app = ViewApp(source, filter_text=filter_text)
         result = app.run()
     if app.failed is not None:

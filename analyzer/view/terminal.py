@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from typing import Any, TextIO, cast
 
@@ -49,14 +50,36 @@ def forgiving_terminal() -> Iterator[None]:
         sys.__stderr__ = before  # type: ignore[misc]
 
 
+_ENDING = frozenset(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+
+#: Signals to end that came before the loop could take them.
+_came: list[int] = []
+
+
+@contextlib.contextmanager
+def held_signals() -> Iterator[None]:
+    """While this is entered, a signal to end waits for `end_on_signals`: before, it would leave the screen as it is."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, lambda number, _: _came.append(number)) for number in _ENDING}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def end_on_signals(end: Callable[[], None]) -> None:
-    """Call `end` in the running loop at a signal to end, or when the terminal closes."""
-    for name in ("SIGTERM", "SIGHUP"):
-        number = getattr(signal, name, None)
+    """Call `end` in the running loop at a signal to end, or when the terminal closes; at once if one has come already."""
+    for number in _ENDING:
         # Elsewhere than in the main thread of a Unix a loop takes no signals.
         with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):
-            if number is not None:
-                asyncio.get_running_loop().add_signal_handler(number, end)
+            asyncio.get_running_loop().add_signal_handler(number, end)
+    if _came:
+        _came.clear()
+        end()
 
 
 def terminal_watch() -> Callable[[], bool]:

@@ -207,6 +207,15 @@ def test_a_line_of_ten_megabytes(format: str, tmp_path: Path) -> None:
         assert any("a line of 10500000 bytes, expected at most 1048576" in str(p) for p in source.problems)
 
 
+def test_a_line_of_wide_characters_that_is_cut_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "wide.log"
+    row, wide = b"FA 01 30 2B\n" * 20, "\u3000".encode()
+    path.write_bytes(row + b"FA 01 32 2D " + wide * 399_360 + b" FA 01 33 2E " + wide * 61_440 + b" FA 01 34 2F\n" + row)
+    source = read_all(path)[0]
+    assert [problem.line for problem in source.problems] == [21]
+    assert "only its beginning is used" in source.problems[0].text
+
+
 def test_lines_across_blocks(tmp_path: Path) -> None:
     path = tmp_path / "long.txt"
     rows = [f"TX: {bytes((0xFA, n & 255, n >> 8 & 255)).hex(' ')}" for n in range(30_000)]

@@ -361,6 +361,19 @@ def test_the_help_names_every_key():
     drive(capture_of(LOG), steps, size=(110, 40))
 
 
+def test_enter_pressed_twice_in_the_prompt_counts_once():
+    async def steps(driver):
+        await driver.press("slash")
+        prompt = driver.app._prompt
+        asked = prompt.asking
+        for _ in range(2):
+            prompt.post_message(prompt.Given(asked, "speed > 1"))
+        await driver.until(lambda: not prompt.asking)
+        await driver.press("q")
+
+    drive(capture_of(LOG), steps)
+
+
 def test_a_file_takes_no_marks():
     async def steps(driver):
         await driver.press("m", "space")

@@ -84,10 +84,11 @@ def test_it_draws_takes_keys_and_leaves_the_terminal_as_it_was():
     assert b"Traceback" not in terminal.seen
 
 
+@pytest.mark.parametrize("drawn", ["\x1b[?1049h", "run_speed"], ids=["while it starts", "while it runs"])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_ends_it_in_order(number):
+def test_a_signal_ends_it_in_order(number, drawn):
     terminal = Terminal("view", str(LOG))
-    terminal.until("run_speed")
+    terminal.until(drawn)
     os.kill(terminal.pid, number)
     assert terminal.end() == 0
     assert b"\x1b[?1049l" in terminal.seen
