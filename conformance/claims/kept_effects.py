@@ -111,12 +111,23 @@ def _at_a_wall(probe: Probe) -> int:
     return round(at - start) if ended else 0
 
 
+def _held_by_setting(probe: Probe) -> int:
+    """Return whether the motor is enabled in a pulse mode with the En pin at its upper level."""
+    modes = motion.field_of(probe.command(Verb.SET_WORK_MODE), "work_mode").choice_names.values()
+    motion.set_mode(probe, next(mode for mode in modes if mode not in motion.bus_modes(probe.dialect)))
+    bench.enable_pin(probe, 1)
+    seen = probe.read(Verb.READ_ENABLED)
+    bench.enable_pin(probe, 0)
+    return seen
+
+
 def _roughly(one: int, other: int) -> bool:
     return abs(one - other) <= _ROUGH
 
 
 _DISTANCE = SettingEffect(see=_beyond_left, same=_roughly, moves=True, sends=((Verb.HOME, {}),))
 _BEYOND_RIGHT, _WALL = replace(_DISTANCE, see=_beyond_right), replace(_DISTANCE, see=_at_a_wall)
+_PIN = SettingEffect(see=_held_by_setting, moves=True, sends=((Verb.ENABLE, {"enabled": 1}),))
 _PROTECTION = SettingEffect(see=_protected, moves=True, sends=((Verb.RELEASE_PROTECTION, {}),))
 
 # --- the rows ---------------------------------------------------------------------------------------------------------
@@ -137,6 +148,7 @@ _ROWS = (
     Kept("limit-remap", Verb.SET_LIMIT_REMAP, {"limit_remap": 1}, _BEYOND_RIGHT, hands=True, not_on="57"),
     Kept("home-mode", Verb.SET_NO_LIMIT_HOME, {"home_mode": 1, "return_angle": 0x1000}, _WALL, hands=True),
     Kept("protection", Verb.SET_PROTECTION, {"protection": 1}, _PROTECTION, hands=True),
+    Kept("enable-level", Verb.SET_ENABLE_LEVEL, {"enable_level": 2}, _PIN, hands=True),
 )
 
 

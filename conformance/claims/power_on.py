@@ -128,13 +128,16 @@ def _is_at(probe: Probe, place: float) -> bool:
 
 def _zero_statuses(dialect: Dialect) -> Iterator[Case]:
     if Verb.SET_ZERO_MODE in dialect.by_verb:
-        yield Case(dialect, dialect.by_verb[Verb.READ_ZERO_STATUS])
+        for mode, direction, name in ((_NEAR, _CW, ""), (_BY_DIRECTION, _CW, "-cw"), (_BY_DIRECTION, _CCW, "-ccw")):
+            given = {"mode": mode, "direction": direction}
+            facts = {"name": f"{{command}}/tells{name}", "parameters": {}}
+            yield Case(dialect, dialect.by_verb[Verb.READ_ZERO_STATUS], given, facts)
 
 
 @_of_zero("other numbers", each=_zero_statuses, risks=risks_by(Verb.SET_ZERO_MODE))
-def _tells(probe: Probe, command: Command) -> None:
+def _tells(probe: Probe, command: Command, mode: int, direction: int) -> None:
     """3B reads 0 on the way back to zero and 1 when it is over."""
-    _keep_zero(probe, _NEAR, _CW, 0.49, 0)
+    _keep_zero(probe, mode, direction, 0.49, 0)
     # The first answer since the start: at the slowest the way back takes a second. What is asked before is lost.
     soon = partial(probe.ask, command, timeout_ns=100 * MS, quiet_ns=0)
     motion.wait_until(probe, lambda: not soon().silent, every_ns=50 * MS, limit_ns=5 * SECOND_NS)

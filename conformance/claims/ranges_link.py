@@ -15,6 +15,7 @@ from typing import Any
 from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect, Doubt, Risk
 from analyzer.layout import Effect, Field
+from analyzer.link import HeadLink
 from conformance.claim import Aspect, Inconclusive, NotRun
 from conformance.claims import ranges
 from conformance.claims.declare import Case
@@ -33,6 +34,9 @@ from conformance.claims.link_changes import (
 from conformance.claims.ranges import of_ranges
 from conformance.talk.acceptance import answers, expect_accepted, need_reliable_replies
 from conformance.talk.probe import Probe
+
+#: Addresses of one byte.
+_BYTE = 0xFF
 
 
 def _case(dialect: Dialect, command: Command, field: Field, where: str, **given: Any) -> Case:
@@ -55,7 +59,10 @@ def _case(dialect: Dialect, command: Command, field: Field, where: str, **given:
 
 def _addresses(dialect: Dialect) -> Iterator[Case]:
     for command, field in dialect.effects(Effect.ADDRESS):
-        for where, value in (("lowest", field.low), ("highest", field.high), ("inside", OTHER_ADDRESS)):
+        # An address that is the first byte of a frame too tells more than others.
+        heads = sorted(dialect.link.first_bytes) if isinstance(dialect.link, HeadLink) else []
+        inside = next((head for head in heads if field.allows(head)), OTHER_ADDRESS)
+        for where, value in (("lowest", field.low), ("highest", field.high), ("inside", inside)):
             yield _case(dialect, command, field, where, value=value)
 
 
@@ -87,6 +94,27 @@ def _address(probe: Probe, command: Command, value: int) -> None:
         exchange=exchange,
         key=f"{command.name} not stored",
     )
+
+
+def _every_address(dialect: Dialect) -> Iterator[Case]:
+    for command, field in dialect.effects(Effect.ADDRESS):
+        case = _case(dialect, command, field, "every")
+        yield Case(dialect, command, case.given, {**case.facts, "emulated": True})
+
+
+@of_ranges(each=_every_address, refuted_by="a refusal, or silence there", rests_on=(Doubt.VALUES,))
+def _each_address(probe: Probe, command: Command, field: Field) -> None:
+    """A drive that is given any address answers there."""
+    need_reliable_replies(probe)
+    own = here = probe.address
+    every = [value for value in range(max(field.low, 1), min(field.high, _BYTE) + 1) if value != own]
+    for value in (*every, own):
+        exchange = change_address(probe, command, value, at=here)
+        there = answers(probe, value)
+        text = f"{command.name}: a drive that is given one address does not answer there"
+        shown = f"silence at {value}"
+        probe.expect(shown, holds=there, expected=f"an answer at {value}", refutes=text, exchange=exchange, key=text)
+        here = value
 
 
 # --- speeds of the line -----------------------------------------------------------------------------------------------

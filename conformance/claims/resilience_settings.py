@@ -26,7 +26,7 @@ from conformance.claims.known_quirks import may_meet
 from conformance.claims.known_settings import ReadableSetting, Setting, every_setting, needs
 from conformance.claims.setting_effects import STEEP, by_action
 from conformance.model import covering, lk_parameters
-from conformance.motion import motion
+from conformance.motion import motion, ramp
 from conformance.motion.motion import MS, SUBDIVISION
 from conformance.talk.acceptance import Acceptance, can_refuse, without_repeats
 from conformance.talk.exchange import Exchange
@@ -250,6 +250,51 @@ def _text(values: Mapping[str, int]) -> str:
     return " ".join(f"{name} {value}" for name, value in values.items() if name != "parameter")
 
 
+# --- settings that leave motion as it is ----------------------------------------------------------------------------------
+
+#: What motion goes by, or whether it is told.
+_OF_MOTION = _AT_REST_ALONE | {Verb.SET_SUBDIVISION, Verb.SET_GROUP_ADDRESS, Verb.SET_STALL_TOLERANCE}
+#: A speed near the highest one, its ramp and how long it is kept; the turns of a move and its speed.
+_NEARLY, _STEEPEST, _KEPT_NS, _MOVED_TURNS, _MOVED_RPM = 2900, 255, 100 * MS, 4, 1700
+
+
+def _of_no_motion(dialect: Dialect) -> Iterator[Case]:
+    if dialect.ramp is not None and motion.can_move(dialect):
+        chosen = [each for each in every_setting(dialect) if each.command.verb not in _OF_MOTION]
+        plain = [each for each in chosen if not isinstance(each, ReadableSetting) and not each.command.modes]
+        risks, names = needs(plain)
+        for each in (dialect.by_verb[Verb.RUN_SPEED], dialect.by_verb[Verb.MOVE_RELATIVE_AXIS]):
+            risks |= each.all_risks
+        facts = {
+            "risks": motion.risks(dialect, *risks),
+            "settings": tuple(dict.fromkeys(motion.settings(dialect, *names))),
+            "commands": tuple(dict.fromkeys(each.command.name for each in plain)),
+        }
+        if plain:
+            yield Case(dialect, given={"chosen": plain}, facts=facts)
+
+
+@_in_conditions(each=_of_no_motion, name="settings/leave-motion", refuted_by="another speed or way, or a refusal")
+def _leave_motion(probe: Probe, chosen: list[Setting]) -> None:
+    """Settings that say nothing of motion change none, whatever they are set to: a fast run, and a fast move."""
+    move = probe.command(Verb.MOVE_RELATIVE_AXIS)
+    for which, way in ((_ONE, 1), (_OTHER, -1)):
+        motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
+        for each in chosen:
+            probe.do(each.command, each.values[which])
+        exchange = motion.run_at(probe, way * _NEARLY, _STEEPEST)
+        probe.wait(int(ramp.ramp_ns(0, _NEARLY, _STEEPEST)) + _KEPT_NS)
+        seen = motion.speed(probe)
+        motion.stop(probe, _STEEPEST)
+        motion.wait_standing(probe)
+        text = "a run turns the shaft at another speed with other settings that say nothing of it"
+        within = _NEARLY * _SPEED_SHARE
+        probe.expect(abs(seen.value), near=_NEARLY, within=within, unit="rpm", refutes=text, exchange=exchange)
+        moved = motion.follow(probe, move, -way * _MOVED_TURNS * 360, rpm=_MOVED_RPM, acceleration=_STEEPEST)
+        text = "a move goes elsewhere with other settings that say nothing of it"
+        probe.expect(moved.degrees, near=moved.asked, unit="degrees", refutes=text, exchange=moved.exchange)
+
+
 # --- what is seen of settings that no read shows ------------------------------------------------------------------------
 
 
@@ -274,6 +319,8 @@ def expect_effects(
     if Verb.SET_SUBDIVISION in shown or Verb.SET_RESPOND in shown:
         _expect_move(probe, shown, when)
     if Verb.SET_HOME in shown:
+        # Its speed goes by the subdivision too.
+        motion.ready_to_move(probe, subdivision=SUBDIVISION)
         if before is not None:
             _home_by_a_switch(probe)
         seen, wanted = setting_effects.homing(probe), shown[Verb.SET_HOME]["home_speed"]

@@ -37,8 +37,9 @@ _settings = commands(Verb.SET_RESPOND)
 def _motions(*kinds: MotionKind) -> Cases:
     def cases(dialect: Dialect) -> Iterator[Case]:
         for case in _settings(dialect):
-            for run in dialect.motions(*kinds):
-                yield Case(dialect, case.command, {"run": run, "stop": dialect.stops_of(run)[0]})
+            for number, run in enumerate(dialect.motions(*kinds)):
+                # Whatever `active` is: each is tried with some of them.
+                yield Case(dialect, case.command, {"run": run, "stop": dialect.stops_of(run)[0], "active": number % 2})
 
     return cases
 
@@ -96,10 +97,10 @@ def _stop(probe: Probe, stop: Command) -> tuple[Exchange, list[int]]:
 
 
 @_of_respond("an answer, or no motion", each=_runs_and_moves, name="{command}/0-silences-{run}", risks=risks_of("run"))
-def _silent_motion(probe: Probe, run: Command) -> None:
+def _silent_motion(probe: Probe, run: Command, active: int) -> None:
     """With respond 0 {run} is carried out and not answered, neither at its begin nor at its end."""
     motion.prepare(probe, run)
-    _set(probe, 0, 1)
+    _set(probe, 0, active)
     exchange, statuses, degrees = _move(probe, run, Until.TIMEOUT)
     _set(probe, 1, 1)
     motion.stand_still(probe)
@@ -112,10 +113,10 @@ def _silent_motion(probe: Probe, run: Command) -> None:
 @_of_respond(
     "an answer, or a shaft that goes on", each=_runs_and_moves, name="{command}/0-silences-{stop}", risks=risks_of("run")
 )
-def _silent_stop(probe: Probe, run: Command, stop: Command) -> None:
+def _silent_stop(probe: Probe, run: Command, stop: Command, active: int) -> None:
     """With respond 0 {stop} is carried out and not answered."""
     _set_going(probe, run)
-    _set(probe, 0, 1)
+    _set(probe, 0, 1 - active)
     if abs(motion.speed(probe).value) < _RPM / 2:
         raise Inconclusive("the shaft does not turn before the stop")
     since = len(probe.traffic)

@@ -8,7 +8,7 @@ whether the motor can be enabled, a subdivision by how far 200 pulses go, `respo
 speed and direction, a group by which address the drive obeys.
 
 Rules kept here:
-- Seeing changes nothing that is stored and moves the shaft a turn at most, 200 rpm at most, and leaves it standing.
+- Seeing changes nothing that is stored and moves the shaft a turn at most, 300 rpm at most, and leaves it standing.
 - What does not work on the way raises Inconclusive.
 - A setting that shows nowhere (screen, keys, currents of a native drive) has no effect here.
 """
@@ -344,7 +344,7 @@ BY_VERB: Mapping[Verb, SettingEffect] = {
         expected=_expected_counts,
         sends=(_MOVE,),
         moves=True,
-        values=tuple({"subdivision": n} for n in (32, 64, 8, 1, 128, 200)),
+        values=tuple({"subdivision": n} for n in (200, 64, 8, 1, 128, 32)),
         words=lambda seen: f"{PULSES} pulses turn the shaft by {abs(seen)} counts",
     ),
     Verb.SET_RESPOND: SettingEffect(
@@ -363,7 +363,7 @@ BY_VERB: Mapping[Verb, SettingEffect] = {
         moves=True,
         sends=((Verb.HOME, {}), (Verb.EMERGENCY_STOP, {})),
         values=(
-            {"home_trigger": 0, "home_direction": 1, "home_speed": 90, "end_limit": 0},
+            {"home_trigger": 0, "home_direction": 1, "home_speed": 270, "end_limit": 0},
             {"home_trigger": 1, "home_direction": 0, "home_speed": 180, "end_limit": 0},
         ),
     ),
