@@ -260,18 +260,18 @@ _NEARLY, _STEEPEST, _KEPT_NS, _MOVED_TURNS, _MOVED_RPM = 2900, 255, 100 * MS, 4,
 
 def _of_no_motion(dialect: Dialect) -> Iterator[Case]:
     if dialect.ramp is not None and motion.can_move(dialect):
-        chosen = [each for each in every_setting(dialect) if each.command.verb not in _OF_MOTION]
-        plain = [each for each in chosen if not isinstance(each, ReadableSetting) and not each.command.modes]
-        risks, names = needs(plain)
+        every = every_setting(dialect)
+        chosen = [each for each in every if each.command.verb not in _OF_MOTION and not each.command.modes]
+        risks, names = needs(chosen)
         for each in (dialect.by_verb[Verb.RUN_SPEED], dialect.by_verb[Verb.MOVE_RELATIVE_AXIS]):
             risks |= each.all_risks
         facts = {
             "risks": motion.risks(dialect, *risks),
             "settings": tuple(dict.fromkeys(motion.settings(dialect, *names))),
-            "commands": tuple(dict.fromkeys(each.command.name for each in plain)),
+            "commands": tuple(dict.fromkeys(each.command.name for each in chosen)),
         }
-        if plain:
-            yield Case(dialect, given={"chosen": plain}, facts=facts)
+        if chosen:
+            yield Case(dialect, given={"chosen": chosen}, facts=facts)
 
 
 @_in_conditions(each=_of_no_motion, name="settings/leave-motion", refuted_by="another speed or way, or a refusal")

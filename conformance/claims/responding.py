@@ -27,8 +27,8 @@ from conformance.talk.restarts import restart
 #: What is read and set to see that a drive is not silent altogether.
 _ANSWERED = (Verb.READ_POSITION, Verb.READ_STATUS, Verb.READ_ENABLED, Verb.READ_SPEED)
 _TURNS = 0.2
-#: 60 rpm, and 0.3 s from it to a stop.
-_RPM, _RAMP, _RAMP_NS = 60, 156, 300 * MS
+#: 60 rpm, and 0.15 s from it to a stop.
+_RPM, _RAMP, _RAMP_NS = 60, 206, 150 * MS
 #: How long is listened to what must not come: such a move takes 0.2 s, and a reply to it was seen to be 0.7 s late.
 _LISTEN_NS = 750 * MS
 _settings = commands(Verb.SET_RESPOND)

@@ -445,6 +445,15 @@ def _speeds_as_sent(drive: MksCore) -> None:
     drive.real_speed = lambda speed: speed  # type: ignore[method-assign]
 
 
+def _coarse(drive: MksCore) -> None:
+    if drive.subdivision > _HALF_BYTE + 1:
+        drive.settings["subdivision"] = _BITS
+
+
+def _slow_home(drive: MksCore) -> None:
+    drive.settings["home_speed"] &= 0xFF
+
+
 def _runs_round(drive: MksCore) -> None:
     drive.hooks.request.append(
         lambda d, command, values: values | {"direction": 1 - values["direction"]} if command.verb is Verb.RUN_SPEED else values
@@ -740,6 +749,9 @@ DOING: Rows = {
     ),
     "restart": (
         Row("restart-speed-as-sent", "after a restart no speed is one of the subdivision", _after_restart(_speeds_as_sent)),
+        Row("fine-subdivision-lost", "after a restart subdivisions above 128 are 16", _after_restart(_coarse)),
+        Row("home-speed-byte", "after a restart the home speed has its low byte alone", _after_restart(_slow_home), SERIAL),
+        Row("enable-level-forgotten", "a restart forgets the level of En", Change(forgetful("enable_level").install, SERIAL)),
         Row("baud-rate-lost", "a restart loses the speed of the line", Change(forgetful("baud_rate").install, SERIAL)),
         Row("dialect-lost", "a restart loses the dialect", Change(forgetful("modbus").install, NATIVE)),
         Row("saved-run-once", "a saved run begins at one power-on alone", tuned(_once)),

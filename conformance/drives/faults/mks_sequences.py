@@ -12,18 +12,19 @@ from msgspec.structs import replace
 from analyzer.catalogue import Command, Verb
 from analyzer.decoder import Slot
 from analyzer.protocols import mks_shared
-from analyzer.records import Frame
+from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Request, Values
+from conformance.drives.faults import numbers
 from conformance.drives.faults.mks_behaviour import OK, before, mine, slots, tuned
 from conformance.drives.faults.mks_conditions import refused_when, undone_when
-from conformance.drives.faults.places import NATIVE, SERIAL, Change, Row, Rows, faults, having, request, storing
+from conformance.drives.faults.places import NATIVE, SERIAL, Change, Row, Rows, faults, having, limit, request, result, storing
 from conformance.drives.mks.core import STOPS, Activity, MksCore
 from conformance.drives.mks.motion import TARGETS
 from conformance.drives.mks.paths import Number, divided
 
 #: Steps that are too short for a drive; updates that it takes; pulses that it loses behind a stop.
 _SHORTEST, _UPDATES, _LOST = 6, 2, 40
-_SCALED = 64
+_SCALED, _SAFE_RPM = 64, 1200
 
 
 def _short(drive: Drive, command: Command, values: Values) -> Values:
@@ -119,6 +120,41 @@ def _inner_requests(drive: MksCore) -> None:
     drive._take = taken  # type: ignore[method-assign]
 
 
+def _silent_if_active(drive: MksCore) -> None:
+    """Take `respond` 0 for 1 where `active` is 0 too."""
+    silenced = drive.silenced
+    drive.silenced = lambda command: silenced(command) and bool(drive.settings["active"])  # type: ignore[method-assign]
+
+
+def _stops_of_all(drive: MksCore) -> None:
+    """Stop at once where a stop is for all drives."""
+    shared = False
+
+    def note(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        nonlocal shared
+        shared = message.address == drive.dialect.broadcast
+        return wanted
+
+    def stop(_: Drive, command: Command, values: Values) -> Values:
+        return values | {"acceleration": 0} if shared and command.verb in STOPS else values
+
+    drive.hooks.accept.append(note)
+    drive.hooks.request.append(stop)
+
+
+def _slow_if_protected(drive: MksCore) -> None:
+    """Turn no faster than a limit while the protection is on."""
+    highest = drive.highest_speed
+    drive.highest_speed = lambda declared: (  # type: ignore[method-assign]
+        min(highest(declared), _SAFE_RPM) if drive.settings["protection"] else highest(declared)
+    )
+
+
+def _way_back(drive: Drive, command: Command, sent: Values, found: Values) -> Values:
+    by_direction = drive.settings["zero_mode"] == mks_shared.ZeroMode.DIRECTION
+    return found if found["status"] or not by_direction else {"status": int(mks_shared.ZeroStatus.SUCCESS)}
+
+
 SEQUENCES: Rows = {
     "behind a stop": (
         Row("stops-lose-pulses", f"33 loses {_LOST} pulses at each stop of a turning shaft", before(STOPS, _loses_pulses)),
@@ -142,10 +178,17 @@ SEQUENCES: Rows = {
             having(Verb.SET_GROUP_ADDRESS),
         ),
     ),
+    "with another setting": (
+        Row("respond-0-needs-active", "respond 0 silences nothing with active 0", tuned(_silent_if_active), NATIVE),
+        Row("protection-slows", f"with the protection on nothing turns faster than {_SAFE_RPM} rpm", tuned(_slow_if_protected)),
+        Row("way-back-untold", "3B reads 1 on the way back by a direction", result(_way_back, Verb.READ_ZERO_STATUS), SERIAL),
+    ),
     "in one mode": (
         Row("holding-refused-open", "9B is refused in an open mode", refused_when(_open, Verb.SET_HOLDING_CURRENT), SERIAL),
     ),
     "few send it": (
+        Row("address-fa-refused", "the address FA is refused", limit("new_address", numbers.refuses(0xFA)), NATIVE),
+        Row("stops-of-all-at-once", "stops by broadcast are at once whatever their acceleration", tuned(_stops_of_all)),
         Row(
             "short-moves-undone",
             f"moves by fewer than {_SHORTEST} units turn nothing",

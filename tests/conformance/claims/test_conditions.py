@@ -12,6 +12,14 @@ from conformance.suite.target import EMULATED, parse
 
 FAULTS = (*mks_conditions.FAULTS, *mks_sequences.FAULTS)
 REFUTED_BY = {
+    "respond-0-needs-active": "motion/set_respond/0-silences-run_speed",
+    "protection-slows": "resilience/settings/leave-motion",
+    "way-back-untold": "motion/read_zero_status/tells-cw",
+    "address-fa-refused": "ranges/set_address/new_address/inside",
+    "stops-of-all-at-once": "addressing/broadcast/move_relative_axis/stop_relative_axis",
+    "fine-subdivision-lost": "read-back/settings/restart",
+    "home-speed-byte": "read-back/settings/restart",
+    "enable-level-forgotten": "read-back/set_enable_level/restart-enable-level",
     "stops-lose-pulses": "motion/read_pulses/behind-stops",
     "homing-unstopped": "motion/emergency_stop/ends-home",
     "cleaned-turning-alone": "read-back/save_speed/clean-at-rest",
