@@ -316,8 +316,8 @@ def _as_sent(probe: Probe, many: _Many, chosen: tuple[Command, ...]) -> None:
         motion.stand_still(probe)
 
 
-#: A ramp of 5 ms for a rpm, a way on which a move has its speed for a while, and when the ramp is looked at.
-_RAMP, _WAY, _ON_RAMP_NS = 156, 150, 110_000_000
+#: A ramp of 5 ms for a rpm; a way of whole pulses on which a move has its speed for a while; when the ramp is looked at.
+_RAMP, _WAY, _ON_RAMP_NS = 156, 144, 110_000_000
 #: By how much a speed on its way may be off the law (rpm).
 _BESIDE = 15
 

@@ -40,7 +40,7 @@ _ACCELERATIONS, _AT_ONCE_MOST = (255, 0, 56, 200, 248, 253), 150
 #: Nothing, within a turn, whole turns.
 _TURNS = (0.21, 0.0, 1.0, 6.0, 21.0)
 #: Those at which a speed is what is sent, and others, the finest one last.
-_SUBDIVISIONS = (SUBDIVISION, 64, 32, 8, 256)
+_SUBDIVISIONS = (SUBDIVISION, 32, 8, 256)
 #: The longest ramp and the longest move, and for how long a run keeps its speed.
 _RAMP_NS, _MOVE_NS, _STEADY_NS = 450 * MS, 900 * MS, 110 * MS
 #: The shortest ramp on which a change of speed is seen.

@@ -27,7 +27,7 @@ from conformance.talk.restarts import restart
 
 _RPM = 120
 #: More counts than 24 signed bits hold, in turns.
-_WIDE_TURNS = 545
+_WIDE_TURNS = 530
 #: The angle error of a loop that holds its place, at most, in degrees.
 _LAG = 1.0
 #: What the version tells of the bare encoder.

@@ -47,7 +47,7 @@ _EDGE = 2_147_480_000
 _OVERSHOOT = 2.0
 #: Short moves, in units, and their way; how often each is asked for, and how long one takes.
 _STEPS = ((1, 1), (1, -1), (2, -1), (3, 1), (5, -1), (7, 1), (7, -1), (14, 1))
-_SO_MANY, _STEP_NS = 5, 25 * MS
+_SO_MANY, _STEP_NS = 4, 25 * MS
 #: Moves whose replies are looked at for their sums.
 _MANY = 300
 

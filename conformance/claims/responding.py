@@ -71,7 +71,8 @@ def _move(probe: Probe, command: Command, until: Until) -> tuple[Exchange, list[
         exchange = motion.ask(probe, command, rpm=_RPM, acceleration=QUICK, until=until, timeout_ns=_LISTEN_NS)
     else:
         exchange = motion.ask(probe, command, _TURNS * 360, rpm=120, until=until)
-    probe.wait(_LISTEN_NS)
+    # A run was listened to for as long.
+    probe.wait(0 if _is_run(command) else _LISTEN_NS)
     return exchange, _statuses(probe, since, command), motion.position(probe).value - before.value
 
 

@@ -80,7 +80,7 @@ def _stands(probe: Probe, command: Command) -> None:
     _away(probe)
     probe.do(command)
     before = motion.position(probe)
-    probe.wait(SECOND_NS)
+    probe.wait(SECOND_NS // 3)
     exchange = probe.traffic[-1]
     expect_stays(before, motion.position(probe), exchange, "92 turns the shaft")
     move = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 90)
@@ -93,7 +93,7 @@ def _while_turning(probe: Probe, command: Command) -> None:
     """92 while the shaft turns makes zero of where it is then; it is answered 1, or refused."""
     _away(probe)
     motion.run_at(probe, CALM, QUICK)
-    probe.wait(SECOND_NS)
+    probe.wait(SECOND_NS // 3)
     exchange = probe.ask(command, quiet_ns=0)
     taken = not motion.refused(probe, exchange)
     seen = motion.position(probe)

@@ -33,17 +33,17 @@ _SET_OFF_NS, _LOOK_NS = 250 * MS, 150 * MS
 _RESTS_NS = 500 * MS
 #: The turns of a motion that is stopped so, and how long they last at 120 rpm. A move of a few turns at 60 rpm, here of one,
 #: lasts as many seconds.
-_RAMP_TURNS, _LEFT_NS, _FEW = 4, 2000 * MS, 1
+_RAMP_TURNS, _LEFT_NS, _FEW = 3.5, 1750 * MS, 1
 #: The replies to a stop: when it begins, and when the shaft stands.
 _BOTH = 2
 _emergency = commands(Verb.EMERGENCY_STOP)
 _lk_stop = commands(Verb.STOP)
 
 
-def set_going(probe: Probe, run: Command, rpm: int = CALM, turns: int = 5) -> Exchange:
+def set_going(probe: Probe, run: Command, rpm: int = CALM, turns: float = 5) -> Exchange:
     """Begin a run, or a move that is too long to end by itself, and let the shaft come to its speed."""
     motion.prepare(probe, run)
-    # Four turns: at 120 rpm 2 s, of which a late reply may take 0.7 and the ramp down as much.
+    # By the slow ramp 3.5 turns: at 120 rpm 1.75 s, of which a late reply may take 0.7 and the ramp down as much.
     rpm = -rpm if turns < 0 and motion.of(run).kind is MotionKind.RUN else rpm
     exchange = motion.begin(probe, run, turns * 360, rpm=rpm, acceleration=QUICK)
     probe.wait(_SET_OFF_NS)

@@ -24,7 +24,7 @@ from conformance.drives.mks.paths import Number, divided
 
 #: Steps that are too short for a drive; updates that it takes; pulses that it loses behind a stop.
 _SHORTEST, _UPDATES, _LOST = 6, 2, 40
-_SCALED, _SAFE_RPM = 64, 1200
+_SCALED, _SAFE_RPM = 32, 1200
 
 
 def _short(drive: Drive, command: Command, values: Values) -> Values:
@@ -194,7 +194,7 @@ SEQUENCES: Rows = {
             f"moves by fewer than {_SHORTEST} units turn nothing",
             request(_short, (Verb.MOVE_RELATIVE_PULSES, Verb.MOVE_RELATIVE_AXIS)),
         ),
-        Row("moves-scaled-at-64", "at 64 subdivisions moves go at a quarter of their speed", tuned(_scaled_moves)),
+        Row("moves-scaled-at-32", "at 32 subdivisions moves go at half their speed", tuned(_scaled_moves)),
         Row("inner-request-obeyed", "a request in the data of another drive's is obeyed", tuned(_inner_requests), NATIVE),
     ),
 }
