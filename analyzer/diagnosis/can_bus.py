@@ -94,7 +94,9 @@ def _errors(scene: Scene, errors: _Errors, heard: list[Piece]) -> Iterator[Suspi
     kinds = Counter(p.data[_TYPE] for p in errors.garbled)
     on_sending = bool(kinds) and not any(kind & _FORM_OR_STUFF for kind in kinds)
     certain = Confidence.CERTAIN
-    garbled = len(errors.garbled) >= _LEAST
+    # Beside frames that get through one error is nothing.
+    garbled = len(errors.garbled) >= (_LEAST if heard else 1)
+    sure = certain if len(errors.garbled) >= _LEAST else Confidence.LIKELY
     if errors.off:
         yield _suspicion(
             "can_bus_off", certain, [*all_errors, *unanswered], errors.off, heard,
@@ -120,7 +122,7 @@ def _errors(scene: Scene, errors: _Errors, heard: list[Piece]) -> Iterator[Suspi
         )  # fmt: skip
     if garbled and not heard and not on_sending:
         yield _suspicion(
-            "can_wrong_bitrate", Confidence.LIKELY if errors.off else certain, [*_of(all_errors, errors.garbled), *unanswered],
+            "can_wrong_bitrate", Confidence.LIKELY if errors.off else sure, [*_of(all_errors, errors.garbled), *unanswered],
             errors.garbled, heard,
             "No frame gets through, and stuff, form or bit errors come: the nodes run at different bit rates.",
             "Set the adapter to the drive's bit rate (500 kbit/s is the default), with the same sample point",
@@ -132,7 +134,7 @@ def _errors(scene: Scene, errors: _Errors, heard: list[Piece]) -> Iterator[Suspi
             else "Frames get through, and others are destroyed on the line."
         )
         yield _suspicion(
-            "can_bit_errors", certain, _of(all_errors, errors.garbled), errors.garbled, heard, say,
+            "can_bit_errors", sure, _of(all_errors, errors.garbled), errors.garbled, heard, say,
             "Look at the termination (60 Ohm between CAN_H and CAN_L without power), the length of stubs, the common ground "
             "and the shield; then compare bit rates and sample points",
         )  # fmt: skip

@@ -26,12 +26,13 @@ from analyzer.sources.times import Clock, Deltas, clock_ns, day_ns, falls, numbe
 _LOG = re.compile(
     r"\s*\((\d{1,18})\.(\d{1,9})\) +(\S+) +([0-9A-Fa-f]{1,8})#([0-9A-Fa-f]*)([#RrXx_][0-9A-Fa-f]*|)(?: +([RTrt]))?\s*$"
 )
+#: Signs of a quotation may stand before a line of the screen.
 _SCREEN = re.compile(
-    r"\s*(?:\(([^)]{1,40})\)\s+)?(\S+)\s+(?:(RX|TX) [B-] [E-]\s+)?([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[(\d{1,2})\]"
+    r"[\s>|]*(?:\(([^)]{1,40})\)\s+)?(\S+)\s+(?:(RX|TX) [B-] [E-]\s+)?([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[(\d{1,2})\]"
     r"(?:\s+(remote request)|((?:\s+[0-9A-Fa-f]{2})*))(?:\s+ERRORFRAME|\s+'.*')?\s*$"
 )
 _EITHER = re.compile(f"(?:{_LOG.pattern})|(?:{_SCREEN.pattern})")
-_ERROR_TEXT = re.compile(r"(?:(?:\t| {2,})[a-z][a-z-]*|[a-z]+(?:-[a-z]+)+)(?:\{.*)?\s*$")
+_ERROR_TEXT = re.compile(r"(?:[>|] ?)*(?:(?:\t| {2,})[a-z][a-z-]*|[a-z]+(?:-[a-z]+)+)(?:\{.*)?\s*$")
 _KNOWN = re.compile(f"(?:{_EITHER.pattern})|(?:{_ERROR_TEXT.pattern})")
 _DATED = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)\.(\d{1,9})$")
 

@@ -98,6 +98,7 @@ def score(head: bytes) -> float:
     marked = sum(1 for p in traffic if p.marked and len(p.data) > 1)
     # Rows of decimal numbers pass for hex; real traffic is not free of letters for long.
     letters = any(_HEX_LETTER.search(p.data.hex()) for p in traffic) or "0x" in "".join(lines)
+    letters = letters or any(p.sign.startswith("each") for p in traffic)
     if not letters and not marked and sum(len(p.data) for p in traffic) > 4:
         return 0.1
     if not marked and _is_table([p for p in traffic if p.radix is Radix.DECIMAL]):

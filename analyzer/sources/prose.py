@@ -40,7 +40,9 @@ _RUN = re.compile(
     r"""(?P<string>b?'(?:[^'\\]|\\.)*?\\x[0-9A-Fa-f]{2}(?:[^'\\]|\\.)*'|b?"(?:[^"\\]|\\.)*?\\x[0-9A-Fa-f]{2}(?:[^"\\]|\\.)*")"""
     r"|(?P<escapes>(?:\\x[0-9A-Fa-f]{2})+)"
     # Each byte in brackets.
-    rf"|(?P<each>(?:\[{_ITEM}\]\s*){{2,}}|(?:<{_ITEM}>\s*){{2,}})"
+    rf"|(?P<each>(?:\[{_ITEM}\]\s*){{2,}}|(?:<\s?{_ITEM}\s?>\s*){{2,}})"
+    # `10-15-0-204`, as modbus_tk prints it.
+    rf"|(?P<dashed>{_NOTHING_BEFORE}(?=[\d-]*\d{{3}})\d{{1,3}}(?:-\d{{1,3}}){{4,}}(?![\w.-]))"
     rf"|(?P<list>[\[({{]\s*-?{_ITEM}(?:\s*,\s*-?{_ITEM})+\s*,?\s*[\])}}])"
     rf"|(?P<pairs>{_NOTHING_BEFORE}(?:{_MARKED}(?:(?:, ?|[ :-]){_MARKED})+"
     rf"|{_PAIR}(?:(?: {{1,2}}{_PAIRS})+|(?:[,;] ?{_PAIR})+|(?::{_PAIR})+|(?:-{_PAIR})+|(?:\t{_PAIR})+|(?:\|{_PAIR})+))"
@@ -154,7 +156,7 @@ def _no_frame(run: re.Match[str], data: bytes, before: str, sentence: str, signe
     """Return why a run is no frame; empty where it is one, None where it is no bytes at all."""
     text, kind = run[0], run.lastgroup
     lettered = _LETTER.search(text) is not None
-    if kind in ("string", "escapes", "each"):
+    if kind in ("string", "escapes", "each", "dashed"):
         return "" if len(data) >= _LEAST else None
     if kind == "list":
         return "" if len(data) > _LEAST and (lettered or any(value >= _THREE_DIGITS for value in data)) else None

@@ -37,6 +37,7 @@ def first(*rows):
         (["001#3132", WARNING, PASSIVE, OFF], "can_bus_off"),
         ([STUFF] * 8, "can_wrong_bitrate"),
         (["001#3132", *[RECESSIVE] * 3, PASSIVE], "can_bit_errors"),
+        ([RECESSIVE], "can_bit_errors"),
         # Frames of others show that speed and wires are right.
         (["00316F13#4353", "0030A301#", STUFF, STUFF], "can_bit_errors"),
         ([*GOOD * 3, NO_ACK, NO_ACK, *GOOD], "can_no_ack"),

@@ -31,6 +31,8 @@ def said(tmp_path: Path, text: str) -> list[str]:
     [
         ("cycle: [01][04][00][32][00][01][90][05]\nWaiting ...\n<01><04><02>", ["> 01 04 00 32 00 01 90 05", "< 01 04 02"]),
         ("-->10-15-0-204\n<--129-4\n", ["> 0A 0F 00 CC", "< 81 04"]),
+        ("[01][04][00][00][00][12][70][07]\nWaiting ...\n < 00 >< 00 >< 00 >\n", ["> 01 04 00 00 00 12 70 07", "< 00 00 00"]),
+        ("no response in the loop:\nDEBUG Thread-1 -> 1-3-0-13-0-1-21-201\n", ["> 01 03 00 0D 00 01 15 C9"]),
         ("[250][001][048][043]\nnothing comes\n", ["? FA 01 30 2B"]),
         ("16#FA 16#01 16#30 16#2B\n", ["? FA 01 30 2B"]),
         ("&HFA &H01 &H30 &H2B\n", ["? FA 01 30 2B"]),
@@ -94,10 +96,12 @@ def test_numbers_of_socketcan_have_their_flags(tmp_path: Path) -> None:
     assert (frame.id, frame.error, frame.port, frame.data) == (4, True, "can0", b"\0\x08\0\0")
 
 
-def test_candump_with_error_frames_is_candump(tmp_path: Path) -> None:
+@pytest.mark.parametrize("quotation", ["", "> | "])
+def test_candump_with_error_frames_is_candump(quotation: str, tmp_path: Path) -> None:
     path = tmp_path / "paste.txt"
     error = "  can0  RX - -  2000000C   [8]  00 00 04 00 00 00 00 00   ERRORFRAME\n\tcontroller-problem{}\n"
-    path.write_text("  can0  RX - -  001   [1]  31\n" + 5 * (error + "\tprotocol-violation{{bit-stuffing-error}{}}\n"))
+    text = "  can0  RX - -  001   [1]  31\n" + 5 * (error + "\tprotocol-violation{{bit-stuffing-error}{}}\n")
+    path.write_text("".join(f"{quotation}{line}\n" for line in text.splitlines()))
     source, records = read_all(path)
     assert source.format == "candump"
     assert sum(isinstance(record, CanFrame) and record.error for record in records) == 5
