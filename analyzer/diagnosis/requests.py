@@ -198,12 +198,10 @@ def _why(scene: Scene, piece: Piece, refusal: Piece | None) -> _Why | None:
     assert message is not None  # a request
     if piece is refusal:
         return _refused(scene, None, piece)
-    at = scene.pieces.index(piece)
-    replies = [p for p in scene.pieces[at + 1 :] if p.asked_by == piece.sequence] or [
-        p
-        for p in scene.pieces[at + 1 : at + 2]
-        if p.is_reply and p.message is not None and p.message.address == message.address
-    ]
+    following = scene.behind.get(piece.sequence)
+    replies = scene.replies.get(piece.sequence, [])
+    if not replies and following is not None and following.is_reply and following.message is not None:
+        replies = [following] if following.message.address == message.address else []
     if any(not _refuses(p) for p in replies):
         return None
     dialect, data = message.frame.dialect, piece.data

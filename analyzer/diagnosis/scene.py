@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
+from itertools import pairwise
 
 from analyzer.catalogue import Dialect, Role
 from analyzer.diagnosis.reader import Reader
@@ -60,8 +61,9 @@ class Piece:
         if message is None:
             return False
         damaged = self.rules & DAMAGED
-        standard = message.command in message.frame.dialect.fallbacks.values()
-        return not damaged or (standard and damaged == {"unknown_command"} and message.frame.checksum_ok)
+        if not damaged or damaged != {"unknown_command"} or not message.frame.checksum_ok:
+            return not damaged
+        return any(command is message.command for command in message.frame.dialect.fallbacks.values())
 
     @property
     def answered(self) -> bool:
@@ -196,6 +198,20 @@ class Scene:
     @cached_property
     def _limits(self) -> list[int]:
         return sorted(self.limits)
+
+    @cached_property
+    def replies(self) -> dict[int, list[Piece]]:
+        """The replies to each request, by its number."""
+        found: dict[int, list[Piece]] = {}
+        for piece in self.pieces:
+            if piece.asked_by is not None:
+                found.setdefault(piece.asked_by, []).append(piece)
+        return found
+
+    @cached_property
+    def behind(self) -> dict[int, Piece]:
+        """The piece that comes next after each, by the number of that."""
+        return {one.sequence: other for one, other in pairwise(self.pieces)}
 
     def direction(self, offset: int) -> Role:
         """Return who sent the byte at an offset, as the capture says."""
