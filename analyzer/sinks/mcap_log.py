@@ -4,8 +4,8 @@
     /<bus>/<address>/state                       position, speed, current ... from any reply that carries them
     /<bus>/unknown  /<bus>/foreign  /<bus>/junk  /<bus>/stats    /findings  /comments  /recording
 
-`log_time` is the time of the last byte and never decreases; `publish_time` is the estimated start on the wire. Where the times
-of a capture run backwards, `_backward_ns` says how far a message's own time lies before its `log_time`.
+`log_time` is the time of the last byte and never decreases; `publish_time` is the estimated start on the wire. Where the clock
+of a capture was set back, `_backward_ns` says how far a message's own time lies before its `log_time`.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from analyzer import __version__, events
 from analyzer.catalogue import Role
 from analyzer.codec import codec
 from analyzer.decoder import physical
+from analyzer.framer import JUMP_BACK_NS
 from analyzer.pipeline import CAN_OVERHEAD_BITS, Entry, topic_name
 from analyzer.records import CanFrame, Comment, Event, Finding, Frame, Junk, Lane, Message, Severity
 from analyzer.sinks import schemas
@@ -105,12 +106,12 @@ class McapLog:
         """Write a frame that is in order, and the state it carries."""
         kept = self._lanes.get(lane.topic)
         log_ns = frame.last_ns
-        if kept is None or kept.odd or log_ns < self._last_ns:
+        if kept is None or kept.odd or log_ns < self._last_ns - JUMP_BACK_NS:
             first = not lane.is_request
             self.entry(Entry(lane.message(frame), sequence, lane.topic, (), latency_ns, request_sequence, first))
             return
         data = frame.data
-        self._last_ns = log_ns = min(log_ns, _LATEST_NS)
+        log_ns = self._clock(log_ns)
         own = data[lane.start : lane.stop]
         start, raw = lane.json(own), hexlify(data, " ").upper()
         if request_sequence is None:
@@ -156,8 +157,8 @@ class McapLog:
         if lane is None:
             lane = self._open_lane(entry.topic, message)
         log_ns = self._clock(frame.last_ns)
-        backward_ns = log_ns - frame.last_ns
-        if form is None or lane.odd or entry.findings or frame.can is not None or backward_ns > 0:
+        backward_ns = _backward_ns(frame.last_ns, log_ns)
+        if form is None or lane.odd or entry.findings or frame.can is not None or backward_ns:
             data = self._odd(entry, lane, backward_ns)
         else:
             start, raw = codec(form.layout).json(message.data), hexlify(frame.data, " ").upper()
@@ -212,7 +213,7 @@ class McapLog:
         if message.role is not Role.FOREIGN:
             shown["_checksum_ok"] = frame.checksum_ok
         shown["_offset"] = frame.offset
-        if backward_ns > 0:
+        if backward_ns:
             shown["_backward_ns"] = backward_ns
         if entry.findings:
             shown["_findings"] = [f.rule for f in entry.findings]
@@ -242,8 +243,8 @@ class McapLog:
             "_offset": junk.offset,
         }
         log_ns = self._clock(junk.last_ns)
-        if junk.last_ns < log_ns:
-            data["_backward_ns"] = log_ns - junk.last_ns
+        if backward_ns := _backward_ns(junk.last_ns, log_ns):
+            data["_backward_ns"] = backward_ns
         self._file.add_message(lane.channel, sequence, log_ns, max(0, junk.first_ns), _encode(data))
         second = self._second(junk.port, log_ns)
         second.junk_bytes += len(junk.data)
@@ -417,6 +418,11 @@ class McapLog:
         if t_ns > self._last_ns:
             self._last_ns = min(t_ns, _LATEST_NS)
         return self._last_ns
+
+
+def _backward_ns(t_ns: int, log_ns: int) -> int:
+    """Return how far a time lies before the one of the log, where its clock was set back; buses differ by less."""
+    return log_ns - t_ns if t_ns < log_ns - JUMP_BACK_NS else 0
 
 
 def can_flags(can: CanFrame) -> list[str]:
