@@ -228,21 +228,19 @@ def _again_and_again(probe: Probe, command: Command) -> None:
     """The last of many {command}, each sent while the one before is carried out, is the one that holds."""
     motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=motion.SUBDIVISION)
     start, begin = motion.wait_standing(probe), motion.place(probe, command)
-    runs = motion.of(command).kind is MotionKind.RUN
     for degrees, rpm in _UPDATES:
         exchange = _begin(probe, command, degrees, rpm, begin)
         probe.wait(_GOING_NS)
     text = f"the last of many {command.name} does not hold"
     last, speed = _UPDATES[-1]
     seen = motion.speed(probe)
-    if runs:
-        motion.stand_still(probe)
+    if motion.of(command).kind is MotionKind.MOVE_TO:
+        lasts_ns = int((sum(abs(degrees) for degrees, _ in _UPDATES) + _SPARE) / 6 / speed * SECOND_NS)
+        went, within = motion.wait_standing(probe, limit_ns=lasts_ns + SECOND_NS).value - start.value, motion.miss(probe) + 1
+        probe.expect(abs(went), near=last, within=within, unit="degrees", refutes=text, exchange=exchange)
     else:
-        lasts_ns = int((abs(last) + _SPARE + sum(abs(d) for d, _ in _UPDATES[:-1])) / 6 / speed * SECOND_NS)
-        end = motion.wait_standing(probe, limit_ns=lasts_ns + SECOND_NS)
-        if motion.of(command).kind is MotionKind.MOVE_TO:
-            went, within = end.value - start.value, motion.miss(probe) + 1
-            probe.expect(abs(went), near=last, within=within, unit="degrees", refutes=text, exchange=exchange)
+        # Where a run or a move by a distance ends says nothing of the older ones.
+        motion.stand_still(probe)
     expect_speed(seen, speed, exchange, f"{text}: its speed", share=2 * CLOCK_SHARE)
 
 
