@@ -61,7 +61,7 @@ def _turns_at(probe: Probe, rpm: float) -> None:
         probe.measured["rpm"] = abs(speed)
 
 
-@of_motion(each=_runs, refuted_by="another speed, or a shaft that stands", quirks=may_meet("slow-replies-in-motion"))
+@of_motion(each=_runs, refuted_by="another speed, or a shaft that stands")
 def _slow(probe: Probe, command: Command) -> None:
     """The slowest speeds that can be sent turn the shaft too, either way, and are read."""
     motion.ready_to_move(probe, subdivision=SUBDIVISION)

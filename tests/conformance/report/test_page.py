@@ -99,7 +99,7 @@ def test_every_link_leads_somewhere():
 def test_coverage_tells_what_did_not_run_from_what_cannot_apply():
     row = re.search(r"<tr><td><code>read_io</code>.*?</tr>", html([verdict(covers=(("read_io", "shape"),))], RUN), re.DOTALL)
     cells = [told(cell) for cell in re.findall(r"<td.*?</td>", row.group(), re.DOTALL)]
-    assert cells == ["read_io", "", "✓", "–", "–", "–", ""]
+    assert cells == ["read_io", "", "✓", "–", "–", "", ""]
     assert "the manual prints none" in html([verdict()], RUN)
 
 
