@@ -19,8 +19,8 @@ from conformance.talk.probe import ALL_QUIRKS
 DIALECTS = ("mks-rs485", "mks-modbus", "mks-can", "lk-rs485")
 #: Quirks that a listener cannot tell from what the manual has, in these dialects: Modbus echoes a calibration anyway.
 UNSEEN = {("mks-modbus", "calibration-answers-1")}
-#: Known and open: with these, claims that do not name the quirk are refuted or inconclusive (late replies while the motor turns,
-#: settings in a row, a second reply to a group).
+#: Known and open: with these, claims that do not name the quirk are refuted or inconclusive: late replies while the motor
+#: turns, settings in a row, a second reply to a group.
 ACCUSED = {
     ("mks-rs485", "slow-replies-in-motion"),
     ("mks-modbus", "slow-replies-in-motion"),
