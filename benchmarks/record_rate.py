@@ -76,7 +76,6 @@ def run(name, endpoint, sender, seconds, folder, *words):
     log = folder / f"{name}.mcap"
     times = folder / f"{name}.times"
     recording = Recording(log, endpoint, *words, first=FIRST)
-    time.sleep(0.5)
     recording.look()
     before = dict(recording.cpu)
     source = sender(times)
@@ -137,6 +136,20 @@ def can(seconds, folder):
     return good
 
 
+def udp_waiting(port):
+    """Return the bytes that wait to be read at a UDP port; None where nobody has opened it."""
+    rows = (line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:])
+    return next((int(row[4].partition(":")[2], 16) for row in rows if int(row[1].rpartition(":")[2], 16) == port), None)
+
+
+def until(holds, seconds=30):
+    late = time.monotonic() + seconds
+    while not holds():
+        if time.monotonic() > late:
+            raise RuntimeError(f"expected within {seconds} s, did not come")
+        time.sleep(0.02)
+
+
 def peer(seconds, folder):
     print(f"## peer: python -m can.logger, {CAN_RATE} frames/s on udp_multicast, as they came (BLF)")
     log = folder / "peer.blf"
@@ -145,13 +158,13 @@ def peer(seconds, folder):
     logger = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
     if FIRST:
         go_first(logger.pid)
-    time.sleep(3.0)
+    until(lambda: udp_waiting(PORT) is not None)
     before, began = cpu_seconds(logger.pid), time.monotonic()
     words = ("--group", GROUP, "--port", PORT, "--rate", CAN_RATE, "--seconds", seconds)
     sent = Sender("can", *words, first=FIRST).wait()
     span = time.monotonic() - began
     share = (cpu_seconds(logger.pid) - before) / span
-    time.sleep(1.0)
+    until(lambda: not udp_waiting(PORT))
     logger.send_signal(signal.SIGINT)
     logger.wait(60)
     import can as python_can

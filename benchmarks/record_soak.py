@@ -135,7 +135,6 @@ def main():
         endpoints, waiting = start(stack, buses_at(arguments.baud, arguments.can_rate), arguments.seconds)
         dialects = ",".join(dialect for dialect, _, _ in BUSES.values())
         recording = Recording(folder / "soak.mcap", *endpoints, "--dialect", dialects)
-        time.sleep(0.5)
         senders = {bus: Sender(*words, pass_fds=fds) for bus, (words, fds) in waiting.items()}
         killed, due = [], time.monotonic() + KILL_EVERY
 

@@ -205,7 +205,10 @@ def memory_bytes(pid):
 
 
 class Recording:
-    """`servotap record` with its processes watched. `counts`: its lines of counts; `end`: its last line."""
+    """`servotap record` with its processes watched; it listens to every bus when this is made.
+
+    `counts`: its lines of counts; `end`: its last line.
+    """
 
     def __init__(self, log, *words, first=False):
         self.log = Path(log)
@@ -216,10 +219,10 @@ class Recording:
         self.counts = []
         self.notes = []
         self.end = None
-        self._began = queue.SimpleQueue()
+        self._listens = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
-        self._began.get(timeout=30)
+        self._listens.get(timeout=30)
         self.processes = self._children()
         for pid in self.processes.values() if first else ():
             go_first(pid)
@@ -230,10 +233,10 @@ class Recording:
     def _read(self):
         for line in self.process.stdout:
             found = json.loads(line)
-            if found["event"] == "begin":
-                self._began.put(found)
-            elif found["event"] == "counts":
+            if found["event"] == "counts":
                 self.counts.append(found)
+                if all(bus["state"] == "listening" for bus in found["buses"]):
+                    self._listens.put(found)
             elif found["event"] == "note":
                 self.notes.append(found)
             elif found["event"] == "end":

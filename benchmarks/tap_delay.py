@@ -105,8 +105,6 @@ def exchanges(path, count, rate, size):
     """Return the delays there and back, in us."""
     fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
     tty.setraw(fd)
-    # The tap must have noticed that the port is open.
-    time.sleep(0.2)
     there, back = [], []
     due = time.monotonic()
     try:

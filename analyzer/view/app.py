@@ -29,7 +29,7 @@ from analyzer.view.rows import Rows
 from analyzer.view.screens import EndQuestion, HelpScreen
 from analyzer.view.search import Seeker
 from analyzer.view.source import ViewSource
-from analyzer.view.terminal import end_on_signals, terminal_watch
+from analyzer.view.terminal import EndingSignals, terminal_watch
 from analyzer.view.watch import number_of
 
 #: Seconds between two looks at what is new, and how long one look may take for each thing that is asked for.
@@ -52,8 +52,9 @@ class ViewApp(App[str]):
     #status { height: auto; min-height: 1; max-height: 3; }
     """
 
-    def __init__(self, source: ViewSource, *, filter_text: str = "") -> None:
+    def __init__(self, source: ViewSource, *, filter_text: str = "", signals: EndingSignals | None = None) -> None:
         super().__init__()
+        self._signals = signals
         self.title = "servotap view"
         self.source = source
         self.frames = FramesPanel(source)
@@ -113,9 +114,8 @@ class ViewApp(App[str]):
         self.frames.focus()
         if self._filter_text:
             self._set_filter(self._filter_text)
-        if not self.source.live:
-            # The supervisor of a recording has its own handlers.
-            end_on_signals(lambda: self.exit("quit"))
+        if self._signals is not None:
+            self._signals.on(lambda: self.exit("quit"))
         self.set_interval(PERIOD, self.tick)
         self.tick()
 
@@ -345,7 +345,7 @@ class ViewApp(App[str]):
 
     def on_prompt_given(self, event: Prompt.Given) -> None:
         """Do what was asked for; a filter that cannot be stays to be mended."""
-        if event.what != self._prompt.asking:
+        if not event.what or event.what != self._prompt.asking:
             # The key was pressed again before the answer to the first was dealt with.
             return
         done = {FILTER: self._set_filter, SEARCH: self._set_search, MARK: self._set_mark}[event.what](event.text)

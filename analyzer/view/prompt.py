@@ -68,6 +68,4 @@ class Prompt(Horizontal):
     def on_input_submitted(self, event: Input.Submitted) -> None:
         """Hand the text on."""
         event.stop()
-        # A second Enter can come before the focus has gone elsewhere.
-        if self.asking:
-            self.post_message(self.Given(self.asking, event.value.strip()))
+        self.post_message(self.Given(self.asking, event.value.strip()))

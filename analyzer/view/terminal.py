@@ -10,8 +10,8 @@ import asyncio
 import contextlib
 import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, TextIO, cast
 
 
@@ -53,33 +53,30 @@ def forgiving_terminal() -> Iterator[None]:
 _ENDING = frozenset(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
-#: Signals to end that came before the loop could take them.
-_came: list[int] = []
+class EndingSignals:
+    """Signals to end, while it is entered. One that comes before `on` is kept: the screen must be left in order."""
 
+    def __init__(self) -> None:
+        self._came = False
+        self._told: Callable[[], object] = lambda: None
 
-@contextlib.contextmanager
-def held_signals() -> Iterator[None]:
-    """While this is entered, a signal to end waits for `end_on_signals`: before, it would leave the screen as it is."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.signal(number, lambda number, _: _came.append(number)) for number in _ENDING}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
+    def __enter__(self) -> EndingSignals:
+        self._before = {number: signal.signal(number, self._take) for number in _ENDING}
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for number, handler in self._before.items():
             signal.signal(number, handler)
 
+    def _take(self, number: int, frame: object) -> None:
+        self._came = True
+        self._told()
 
-def end_on_signals(end: Callable[[], None]) -> None:
-    """Call `end` in the running loop at a signal to end, or when the terminal closes; at once if one has come already."""
-    for number in _ENDING:
-        # Elsewhere than in the main thread of a Unix a loop takes no signals.
-        with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):
-            asyncio.get_running_loop().add_signal_handler(number, end)
-    if _came:
-        _came.clear()
-        end()
+    def on(self, end: Callable[[], None]) -> None:
+        """Call `end` in the running loop at a signal; at once if one has come already."""
+        self._told = partial(asyncio.get_running_loop().call_soon_threadsafe, end)
+        if self._came:
+            end()
 
 
 def terminal_watch() -> Callable[[], bool]:

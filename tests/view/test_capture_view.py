@@ -361,13 +361,14 @@ def test_the_help_names_every_key():
     drive(capture_of(LOG), steps, size=(110, 40))
 
 
-def test_enter_pressed_twice_in_the_prompt_counts_once():
+@pytest.mark.parametrize("closed", [False, True], ids=["before the prompt closed", "after it closed"])
+def test_enter_pressed_twice_in_the_prompt_counts_once(closed):
     async def steps(driver):
         await driver.press("slash")
         prompt = driver.app._prompt
         asked = prompt.asking
-        for _ in range(2):
-            prompt.post_message(prompt.Given(asked, "speed > 1"))
+        prompt.post_message(prompt.Given(asked, "speed > 1"))
+        prompt.post_message(prompt.Given("" if closed else asked, "speed > 1"))
         await driver.until(lambda: not prompt.asking)
         await driver.press("q")
 
