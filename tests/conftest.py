@@ -10,6 +10,8 @@ import pytest
 from analyzer.cli.boundary import FOLDER
 
 _FOLDER = pytest.StashKey[Path]()
+# Tests start hundreds of processes; each would compile the whole project anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 
 @pytest.fixture(scope="session", autouse=True)

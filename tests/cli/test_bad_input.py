@@ -6,7 +6,6 @@ import gzip
 import os
 import random
 import tempfile
-import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import pytest
 import zstandard
 
 from analyzer.cli import main
+from analyzer.sources import budget, lines
 from tests.collect import sum8
 
 #: A user without rights, on every system that has root.
@@ -87,26 +87,27 @@ def test_a_text_of_something_else(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("dialect", ["auto", "mks-rs485", "mks-modbus", "lk-rs485", "mks-rs485,mks-modbus,lk-rs485"])
-def test_a_megabyte_of_random_bytes(tmp_path, capsys, dialect):
-    data = random.Random(1).randbytes(1_000_000)
-    started = time.process_time()
+def test_random_bytes(tmp_path, capsys, dialect):
+    data = random.Random(1).randbytes(200_000)
     status, out, _ = decode(tmp_path, capsys, data, "--dialect", dialect, "--format", "raw")
     assert status == 0
-    assert time.process_time() - started < 60
-    assert "1000000 bytes" in out
+    assert "200000 bytes" in out
 
 
 @pytest.mark.parametrize("byte", [0x00, 0x01, 0x3E, 0xFA, 0xFB, 0xFC, 0xFF])
 def test_one_byte_over_and_over(tmp_path, capsys, byte):
     words = ("--dialect", "mks-rs485,mks-modbus,lk-rs485", "--format", "raw")
-    status, out, _ = decode(tmp_path, capsys, bytes((byte,)) * 200_000, *words)
+    status, out, _ = decode(tmp_path, capsys, bytes((byte,)) * 50_000, *words)
     assert status == 0
-    assert "200000 bytes" in out
+    assert "50000 bytes" in out
 
 
-def test_a_line_of_ten_megabytes(tmp_path, capsys):
-    status, _, _ = decode(tmp_path, capsys, b"FA 01 32 2D " * 830_000 + b"\n", "--format", "hex")
-    assert status in (0, 2)
+def test_a_line_that_is_too_long(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(lines, "LINE_LIMIT", 1 << 16)
+    status, out, _ = decode(tmp_path, capsys, b"FA 01 32 2D " * 10_000 + b"\n", "--format", "hex")
+    assert status == 0
+    assert "mks-rs485: 5461 good frames" in out
+    assert "a line of 119999 bytes, expected at most 65536: only its beginning is used" in out
 
 
 def test_invalid_utf8_in_a_comment(tmp_path, capsys):
@@ -132,11 +133,12 @@ def test_impossible_times(tmp_path, capsys, stamps):
 
 
 @pytest.mark.parametrize("pack", [gzip.compress, zstandard.ZstdCompressor().compress])
-def test_a_decompression_bomb(tmp_path, capsys, pack):
-    status, _, err = decode(tmp_path, capsys, pack(bytes(64 << 20)), name="bomb.gz")
-    assert status in (0, 2)
-    if status == 2:
-        assert err
+def test_a_decompression_bomb(tmp_path, capsys, monkeypatch, pack):
+    monkeypatch.setattr(budget, "FREE_BYTES", 1 << 18)
+    monkeypatch.setattr(budget, "BYTES_PER_BYTE", 4)
+    status, out, err = decode(tmp_path, capsys, pack(bytes(8 << 20)), name="bomb.gz")
+    assert status == 2, out
+    assert "decompression bomb" in err
 
 
 def test_a_gzip_that_is_cut_off(tmp_path, capsys):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable
 
 import pytest
@@ -736,12 +737,15 @@ def test_fault_never_raises(fault: Fault) -> None:
 
 
 def test_no_two_faults_are_one() -> None:
-    """Over all exchanges, two faults differ somewhere."""
-    shown = {}
-    for fault in FAULTS:
-        key = repr([played(name, model_of(name, fault.name), fault) for name in SCRIPTS])
-        assert key not in shown, (fault.name, shown[key])
-        shown[key] = fault.name
+    """Over all exchanges, two faults differ somewhere; those that differ already are not played again."""
+    alike = [list(FAULTS)]
+    for name in SCRIPTS:
+        shown = defaultdict(list)
+        for number, group in enumerate(alike):
+            for fault in group:
+                shown[number, repr(played(name, model_of(name, fault.name), fault))].append(fault)
+        alike = [group for group in shown.values() if len(group) > 1]
+    assert alike == []
 
 
 def test_faults_of_one_drive_are_not_those_of_another() -> None:
