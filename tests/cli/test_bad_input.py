@@ -107,7 +107,7 @@ def test_a_line_that_is_too_long(tmp_path, capsys, monkeypatch):
     status, out, _ = decode(tmp_path, capsys, b"FA 01 32 2D " * 10_000 + b"\n", "--format", "hex")
     assert status == 0
     assert "mks-rs485: 5461 good frames" in out
-    assert "a line of 119999 bytes, expected at most 65536: only its beginning is used" in out
+    assert "a line of 120000 bytes, expected at most 65536: only its beginning is used" in out
 
 
 def test_invalid_utf8_in_a_comment(tmp_path, capsys):
