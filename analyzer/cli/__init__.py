@@ -11,6 +11,7 @@ import difflib
 import os
 import re
 import sys
+import time
 from collections.abc import Sequence
 from functools import partial
 from importlib import import_module
@@ -42,6 +43,7 @@ GROUP = "servotap.commands"
 #: Packages of this project: what fails in them is a fault of servotap.
 _OWN = ("analyzer.", "conformance.")
 _NO_VALUE = re.compile(r"(--[\w-]+=|-\w=?)--")
+_DAY_S = 86_400
 #: Other names of commands.
 _ALIASES = {"catalog": "catalogue"}
 #: What one wants to do -> the commands for it, in the order of the help. Commands that stand nowhere come last.
@@ -101,7 +103,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return bounded(_main, list(sys.argv[1:] if arguments is None else arguments))
 
 
+def _keep_zone() -> None:
+    """Go on in UTC where the time zone is a day or more off: `datetime` has none such, and python-can is not imported in it."""
+    if "TZ" in os.environ and abs(time.localtime().tm_gmtoff) >= _DAY_S:
+        zone, os.environ["TZ"] = os.environ["TZ"], "UTC"
+        time.tzset()
+        print(f"servotap: TZ={zone}: expected less than 24 hours from UTC; times are shown in UTC", file=sys.stderr)
+
+
 def _main(words: list[str]) -> int:
+    _keep_zone()
     if "_ARGCOMPLETE" in os.environ:
         from analyzer.cli.completion import complete
 

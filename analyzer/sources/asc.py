@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from analyzer.records import CanFrame
 from analyzer.sources.can_library import Tap, frames
-from analyzer.sources.lines import Lines, head_lines, share
+from analyzer.sources.lines import Lines, head_lines, is_like, share
 from analyzer.sources.source import Source, quote
 from analyzer.sources.times import Clock, clock_ns, day_ns, number_ns
 from analyzer.values import counted
@@ -108,6 +108,7 @@ def _records(source: Source) -> Iterator[CanFrame]:
     decimal = False
     #: A line that python-can has not made a frame of yet; it passes over what it does not know.
     due: tuple[int, str] | None = None
+    taken = ""
 
     def tell_passed() -> None:
         nonlocal due
@@ -122,15 +123,16 @@ def _records(source: Source) -> Iterator[CanFrame]:
         decimal = decimal or _DECIMAL.match(line) is not None
         if _WISH.search(line) is not None:
             return False
-        due = (lines.number, line) if _TRAFFIC.match(line) else None
+        due = (lines.number, line) if _TRAFFIC.match(line) or (taken and is_like(line, taken)) else None
         return True
 
     lines = Lines(source)
     tap = Tap(lines, lambda line: _HEADER.match(line) is not None, keep, ("no internal events logged",))
 
     def place(message: Message) -> tuple[int, str]:
-        nonlocal due
-        due = None
+        nonlocal due, taken
+        if due is not None:
+            taken, due = due[1], None
         said = None if decimal else _DATA.search(tap.line)
         if said is not None and int(said[1], 16) != len(said[2].split()):
             source.problem(f"expected {counted(int(said[1], 16), 'byte')}, got {len(said[2].split())}", line=tap.number)

@@ -25,7 +25,7 @@ import msgspec
 from analyzer.catalogue import Role
 from analyzer.records import CanFrame, Comment
 from analyzer.sources import written
-from analyzer.sources.lines import Lines, head_lines
+from analyzer.sources.lines import Lines, fitting, head_lines, is_like
 from analyzer.sources.marks import ACTIONS, SIGNS, role_of
 from analyzer.sources.source import Source, quote
 from analyzer.sources.stamps import ANY, STAMPS, Stamp, StampClock
@@ -147,8 +147,9 @@ def score(head: bytes) -> float:
     shape = _shape_of(lines)
     if shape is None:
         return 0.0
-    taken = [line for line in lines if _either(line, shape) is not None]
-    share = len(taken) / len(lines)
+    fits = [_either(line, shape) is not None for line in lines]
+    taken = [line for line, fit in zip(lines, fits, strict=True) if fit]
+    share = fitting(lines, fits)
     if not shape.sure and not _fits(shape, lines, taken):
         return 0.0
     return 0.5 + 0.45 * share if share >= _LEAST_SHARE else 0.0
@@ -202,11 +203,13 @@ def _records(source: Source, shape: Shape, decimal: bool, clock: StampClock) -> 
     lines = Lines(source)
     minutes = _Minutes() if shape.name == "slcan" else int
     others = [each for each in SHAPES if each.sure and each is not shape]
+    taken = ""
     for text in _joined(lines):
         line = _take(text, shape, decimal) or next((line for each in others if (line := _take(text, each)) is not None), None)
         if line is not None:
+            taken = text
             yield _timed(source, line, lines.number, clock, minutes)
-        elif shape.near is not None and shape.near.match(text):
+        elif (shape.near is not None and shape.near.match(text)) or (taken and is_like(text, taken)):
             source.problem(f"expected a CAN frame, got {quote(text.strip())!r}", line=lines.number)
         elif text.strip() and not (shape.name == "slcan" and _ADAPTER.fullmatch(text.strip())):
             yield source.comment(None, text)

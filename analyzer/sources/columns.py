@@ -24,7 +24,7 @@ from analyzer.catalogue import Role
 from analyzer.records import CanFrame, Chunk, Comment
 from analyzer.sources import written
 from analyzer.sources.can_text import can_name
-from analyzer.sources.lines import Lines, head_lines
+from analyzer.sources.lines import Lines, fitting, head_lines, is_like
 from analyzer.sources.marks import role_of_name
 from analyzer.sources.source import Source, quote
 from analyzer.sources.stamps import Stamp, StampClock, stamp_of
@@ -79,10 +79,9 @@ def score(head: bytes) -> float:
     table = _Table.of(lines)
     if table is None:
         return 0.0
-    rows = [row for line in lines if (row := table.row(line)) is not None]
-    taken = sum(1 for row in rows if _bytes_in(row))
-    share = taken / len([line for line in lines if line.strip()])
-    return 0.5 + 0.45 * share if taken and share >= (_LEAST_SHARE if len(lines) > 2 else 0.3) else 0.0
+    fits = [(row := table.row(line)) is not None and bool(_bytes_in(row)) for line in lines]
+    share = fitting(lines, fits)
+    return 0.5 + 0.45 * share if any(fits) and share >= (_LEAST_SHARE if len(lines) > 2 else 0.3) else 0.0
 
 
 class _Table:
@@ -298,11 +297,12 @@ class _Times:
 
 def _records(source: Source, table: _Table, is_can: bool, times: _Times) -> Iterator[Chunk | CanFrame | Comment]:
     lines = Lines(source)
+    taken = ""
     for line in lines:
         row = table.row(line)
         found = _bytes_in(row) if row is not None else []
         if row is None or not found:
-            if row and line.strip():
+            if line.strip() and (row or (taken and is_like(line, taken))):
                 source.problem(f"expected bytes, got {quote(line.strip())!r}", line=lines.number)
             elif (
                 line.strip()
@@ -311,6 +311,7 @@ def _records(source: Source, table: _Table, is_can: bool, times: _Times) -> Iter
             ):
                 yield source.comment(None, line)
             continue
+        taken = line
         if "beyond" in row:
             said = f"cells behind the last heading are left out: {quote(' '.join(row['beyond']))!r}"
             source.problem(said, line=lines.number)

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 from analyzer.records import Chunk
-from analyzer.sources.lines import Lines, head_lines
+from analyzer.sources.lines import Lines, fitting, head_lines
 from analyzer.sources.source import Source, quote
 from analyzer.values import counted
 
@@ -32,24 +32,39 @@ _LONGEST_ROW = 64
 _LONGEST_PACKET = 1 << 16
 #: Share of rows that must follow from the one before; some may be missing.
 _FOLLOWING = 0.8
+#: Rows of a dump of which one may have a damaged offset.
+_DAMAGED_ROWS = 4
 _USUAL_ROWS = (8, 16, 32)
 
 
 def score(head: bytes) -> float:
     """Say how sure it is that these bytes are a hex dump, 0..1: each offset must follow from the row before, or be 0 again."""
     lines = head_lines(head)
-    rows = [row for line in lines if (row := _row(line)) is not None]
-    stars = sum(1 for line in lines if line.strip() == "*")
-    if not rows or len(rows) + stars < len(lines) or not rows[0][1]:
+    # The last line of a dump is an offset alone.
+    if len(lines) >= _DAMAGED_ROWS and " " not in lines[-1].strip():
+        lines = lines[:-1]
+    found = [_row(line) for line in lines]
+    rows = [row for row in found if row is not None]
+    starred = [line.strip() == "*" for line in lines]
+    stars = sum(starred)
+    if (
+        not rows
+        or not rows[0][1]
+        or fitting(lines, [r is not None or star for r, star in zip(found, starred, strict=True)]) < 1
+    ):
         return 0.0
+    damaged = len(lines) - len(rows) - stars
     if len(rows) == 1:
         framed = len(rows[0][1]) in _USUAL_ROWS or _WITH_TEXT.match(lines[0]) is not None
         return 0.95 if rows[0][0] == 0 and framed else 0.0
     if all(offset == 0 for offset, _ in rows) and not all(_WITH_TEXT.match(line) for line in lines):
         return 0.0
     follows = sum(1 for (offset, data), (then, _) in pairwise(rows) if then == offset + len(data) or then == 0)
-    rising = all(then >= offset + len(data) or then == 0 for (offset, data), (then, _) in pairwise(rows))
-    return 0.95 if rising and follows + stars >= _FOLLOWING * (len(rows) - 1) else 0.0
+    # A damaged offset follows from no row, and no row from it.
+    falling = sum(1 for (offset, data), (then, _) in pairwise(rows) if then < offset + len(data) and then != 0)
+    if falling and (len(rows) < _DAMAGED_ROWS or falling > max(1, len(rows) // 10)):
+        return 0.0
+    return 0.95 if follows + stars + damaged + 2 * falling >= _FOLLOWING * (len(rows) - 1) else 0.0
 
 
 def read(source: Source) -> Iterator[Chunk]:
@@ -104,6 +119,8 @@ def _records(source: Source) -> Iterator[Chunk]:
                     yield Chunk(None, port, before * (missing // len(before)))
             else:
                 source.problem(f"{counted(missing, 'byte')} missing before offset {offset:X}", line=lines.number)
+        elif not first and 0 < offset < end:
+            source.problem(f"expected offset {end:X}, got {offset:X}; the bytes are kept", line=lines.number)
         first = starred = False
         before, end = data or before, offset + len(data)
         if packets:

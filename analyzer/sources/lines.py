@@ -8,7 +8,8 @@ for it (separators, form feeds, no-break spaces) becomes a blank, so that all pa
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from difflib import SequenceMatcher
 from functools import lru_cache
 
 from analyzer.sources.source import Source
@@ -21,6 +22,12 @@ _CHINESE_MARKS = ("发", "收", "→", "←")
 #: What patterns and `split` take for white space, and `bytes.fromhex`, `csv` and `int` do not.
 _BLANKS = re.compile("[\x0b\x0c\x1c-\x1f\x85\xa0\u1680\u2000-\u200a\u2028\u2029\u202f\u205f\u3000]")
 _BLANK_BYTES = b"\x0b\x0c\x1c\x1d\x1e\x1f"
+#: Damaged lines among which a format is looked for, at most, and how much of one is compared with those around it.
+_MOST_DAMAGED = 8
+_COMPARED = 160
+_NEIGHBOURS = 6
+_LIKE = 0.8
+_HEX_DIGIT = re.compile(r"[0-9A-Fa-f]")
 _CONTROLS = bytes(c for c in range(32) if c not in b"\t\n\r\f\v\b\x1b") + b"\x7f"
 
 
@@ -150,5 +157,25 @@ def head_lines(head: bytes) -> tuple[str, ...]:
 
 def share(head: bytes, pattern: re.Pattern[str]) -> float:
     """Return which share of a head's lines match a pattern, 0..1."""
-    lines = head_lines(head)
-    return sum(1 for line in lines if pattern.match(line)) / len(lines) if lines else 0.0
+    return fitting(head_lines(head), [pattern.match(line) is not None for line in head_lines(head)])
+
+
+def fitting(lines: Sequence[str], fits: Sequence[bool]) -> float:
+    """Return which share of the lines of a text fit a format, 0..1; a few that are like those around them were damaged."""
+    good = sum(fits)
+    damaged = [n for n, fit in enumerate(fits) if not fit]
+    few = len(damaged) <= min(_MOST_DAMAGED, max(1, len(lines) // 10)) < good
+    if damaged and few and all(_is_damaged(n, lines, fits) for n in damaged):
+        return 1.0
+    return good / len(lines) if lines else 0.0
+
+
+def _is_damaged(at: int, lines: Sequence[str], fits: Sequence[bool]) -> bool:
+    around = range(max(0, at - _NEIGHBOURS), min(len(lines), at + _NEIGHBOURS + 1))
+    return any(is_like(lines[at], lines[n]) for n in around if fits[n])
+
+
+def is_like(line: str, other: str) -> bool:
+    """Say whether two lines differ little but in their hexadecimal digits."""
+    first, second = (_HEX_DIGIT.sub("0", each[:_COMPARED].strip()) for each in (line, other))
+    return SequenceMatcher(None, first, second, autojunk=False).quick_ratio() >= _LIKE

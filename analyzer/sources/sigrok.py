@@ -17,7 +17,7 @@ from collections.abc import Iterator
 
 from analyzer.catalogue import Role
 from analyzer.records import Chunk
-from analyzer.sources.lines import Lines, head_lines
+from analyzer.sources.lines import Lines, fitting, head_lines
 from analyzer.sources.marks import ReceivedMarks, role_of_name
 from analyzer.sources.source import SECOND_NS, Source, quote
 
@@ -36,9 +36,15 @@ _DATA_BITS = 8
 def score(head: bytes) -> float:
     """Say how sure it is that these bytes are UART annotations, 0..1."""
     lines = head_lines(head)
-    found = [m for line in lines if (m := _LINE.match(line.strip())) is not None]
-    telling = sum(1 for m in found if "uart" in m[3].lower() or (m[1] is not None and _DATA_CLASS.match(m[4] or "")))
-    return 0.95 * telling / len(lines) if telling else 0.0
+    return 0.95 * fitting(lines, [_tells(line) for line in lines])
+
+
+def _tells(line: str) -> bool:
+    """Say whether a line is an annotation of a UART."""
+    found = _LINE.match(line.strip())
+    return found is not None and (
+        "uart" in found[3].lower() or (found[1] is not None and _DATA_CLASS.match(found[4] or "") is not None)
+    )
 
 
 def read(source: Source) -> Iterator[Chunk]:

@@ -27,7 +27,7 @@ _CHARACTERS = 50
 #: Sixteen columns of three characters, a gap after the eighth, a gap, and the bytes as characters.
 _ROW = re.compile(r"(\d{6,}\.\d{3}) (TX|RX)   ([0-9A-F]{4,})  ((?:[0-9A-F]{2} ){1,8}(?: (?:[0-9A-F]{2} ){1,8})?)")
 _EMPTY = re.compile(r"(\d{6,}\.\d{3}) RX   <empty>\s*$")
-_CONTROL = re.compile(r"(\d{6,}\.\d{3}) ([A-Z][A-Z-]{1,5}) +(\S.*)$")
+_CONTROL = re.compile(r"(\d{6,}\.\d{3}) (?![TR]X )([A-Z][A-Z-]{1,5}) +(\S.*)$")
 _EITHER = re.compile(f"(?:{_ROW.pattern})|(?:{_EMPTY.pattern})|(?:{_CONTROL.pattern})")
 _ROLES = {"TX": Role.REQUEST, "RX": Role.REPLY}
 #: Rows of one call that are put together at most.

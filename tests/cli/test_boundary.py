@@ -227,6 +227,17 @@ def test_the_mark_of_the_end_of_options_is_no_value(word, capsys):
     assert capsys.readouterr().err.startswith(f"servotap show: argument {word[:-3]}: expected a value, got --")
 
 
+def test_a_time_zone_a_day_off_is_told_and_no_fault():
+    words = [sys.executable, "-m", "analyzer", "show", "captures/mks_can.asc", "--limit", "1"]
+    root = Path(__file__).parents[2]
+    ended = subprocess.run(words, cwd=root, env={**os.environ, "TZ": "XXX-24"}, capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (
+        0,
+        "servotap: TZ=XXX-24: expected less than 24 hours from UTC; times are shown in UTC\n",
+    )
+    assert "09:00:00.000000" in ended.stdout
+
+
 def test_ctrl_c_while_the_command_line_is_imported_shows_no_traceback(tmp_path):
     """The import of the command line waits to be interrupted; before ours, Python's own beginning is beyond reach."""
     (tmp_path / "analyzer").mkdir()

@@ -149,13 +149,30 @@ def test_trc_of_pcan_view(tmp_path: Path) -> None:
         CanFrame(start + 2_300_000, "can", 0x1ABCDE, b"\xff", Role.REQUEST, extended=True),
         CanFrame(start + 4_500_000, "can", 1, b"\xfe"),
     ]
-    assert source.notes == ["1 line left out: not frames (comments, bus status)"]
+    assert source.notes == ["1 line left out: not frames (bus status, errors)"]
 
 
 def test_trc_version_1_0(tmp_path: Path) -> None:
     path = tmp_path / "capture.trc"
     path.write_text(";   PCAN trace\n     1)      10 0001 2 F6 01\n     2)      20 0001 1 F7\n")
     assert [(f.t_ns, f.data) for f in frames(path)] == [(10_000_000, b"\xf6\x01"), (20_000_000, b"\xf7")]
+
+
+def test_every_kind_of_frame_in_trc(tmp_path: Path) -> None:
+    path = tmp_path / "capture.trc"
+    rows = (
+        "0 1.0 RR 1 001ABCDE Rx 3",
+        "1 2.0 FD 1 0001 Tx 9 " + "11 " * 12,
+        "2 3.0 FB 2 0001 Rx 2 F6 01",
+        "3 4.0 DT 1 0001 Rx 0",
+    )
+    path.write_text(";$FILEVERSION=2.0\n;$COLUMNS=N,O,T,B,I,d,L,D\n" + "\n".join(rows) + "\n")
+    assert frames(path) == [
+        CanFrame(1_000_000, "can1", 0x1ABCDE, b"", extended=True, remote=True),
+        CanFrame(2_000_000, "can1", 1, b"\x11" * 12, Role.REQUEST, fd=True),
+        CanFrame(3_000_000, "can2", 1, b"\xf6\x01", fd=True),
+        CanFrame(4_000_000, "can1", 1, b""),
+    ]
 
 
 def test_trc_of_an_unknown_version(tmp_path: Path) -> None:

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from analyzer.records import CanFrame, Chunk
+from analyzer.sources import open_source
 from tests.contracts.source_contract import read_all
-from tests.sources.builders import block, pcap_file, section, socketcan
+from tests.sources.builders import SAMPLES, block, pcap_file, section, socketcan
 from tests.sources.test_hexdump_and_raw import canonical
 
 T = 1_682_894_455_899_123_456
@@ -49,6 +50,46 @@ def test_lines(text: str, data: str | None, said: str, tmp_path: Path) -> None:
     assert last.data == bytes.fromhex("F6 01 F8" if data is None else data)
     assert "; ".join(map(str, source.problems)).startswith(said)
     assert len(source.problems) == bool(said)
+
+
+TRC = """\
+;$FILEVERSION=2.1
+;$STARTTIME=46083.375
+;$COLUMNS=N,O,T,B,I,d,R,L,D
+      0         0.000 DT  1     0001 Rx -  2    30 31
+      1        10.000 DT  1     0001 Tx -  2    40 41
+      2        11.000 ST  1          Rx -  4    00 00 00 08
+"""
+
+
+@pytest.mark.parametrize("line", [4, 5])
+@pytest.mark.parametrize(
+    ("good", "bad", "said"),
+    [
+        ("x -", "xg-", "expected Rx or Tx"),
+        (" DT", " D ", "expected one of DT, RR"),
+        (" 0001", "-0001", "expected an identifier"),
+        (".000", ".0:0", "expected a time"),
+        ("  1 ", "  q ", "expected the number of a bus"),
+        ("-  2", "-  3", "expected 3 bytes"),
+        ("-  2", "-  Z", "expected a length"),
+        ("0 ", "0g", "expected bytes in hexadecimal"),
+        ("- ", "  ", "expected a length"),
+    ],
+)  # fmt: skip
+def test_a_trc_line_that_is_no_whole_frame_is_told(good: str, bad: str, said: str, line: int, tmp_path: Path) -> None:
+    lines = TRC.splitlines(keepends=True)
+    head, sep, rest = lines[line - 1].rpartition(good)
+    lines[line - 1] = head + bad + rest
+    assert sep
+    path = tmp_path / "capture.trc"
+    path.write_text("".join(lines))
+    source, records = read_all(path)
+    assert len(records) == 1
+    (problem,) = source.problems
+    assert problem.line == line
+    assert problem.text.startswith(said)
+    assert "1 line left out: not frames (bus status, errors)" in source.notes
 
 
 @pytest.mark.parametrize("kind", ["pcap", "enhanced", "old", "simple"])
@@ -117,3 +158,31 @@ def test_a_line_of_traffic_that_is_not_read_whole_is_told(text: str, said: str, 
     assert records
     assert said in "; ".join(source.notes)
     assert len(source.problems) == (said.startswith("line"))
+
+
+TEXTS = ("candump", "candump-screen", "asc", "trc", "can-text", "columns", "columns-json", "spy", "sigrok", "hexdump")
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_one_damaged_line_of_a_short_text_changes_no_format_and_is_named(name: str, tmp_path: Path) -> None:
+    whole = SAMPLES[name].make(tmp_path)
+    lines = whole.read_text().splitlines()[: 24 if name == "trc" else 15]
+    # Below the heading of a file, and above where a hex dump shows its end.
+    where = len(lines) - 4
+    path = tmp_path / "damaged"
+    for at in range(len(lines[where]) // 2, 2, -5):
+        damaged = [*lines[:where], f"{lines[where][:at]};{lines[where][at + 1 :]}", *lines[where + 1 :]]
+        path.write_text("\n".join(damaged) + "\n")
+        with open_source(path, baud=115200) as source:
+            assert source.format == SAMPLES[name].format, damaged[where]
+            data = b"".join(record.data for record in source if isinstance(record, Chunk | CanFrame))
+        # What was damaged holds no byte: a note in a cell, a mark.
+        assert source.problems or data == _bytes(lines, tmp_path), damaged[where]
+        assert all(problem.line in (None, where + 1, where + 2) for problem in source.problems)
+
+
+def _bytes(lines: list[str], folder: Path) -> bytes:
+    path = folder / "undamaged"
+    path.write_text("\n".join(lines) + "\n")
+    with open_source(path, baud=115200) as source:
+        return b"".join(record.data for record in source if isinstance(record, Chunk | CanFrame))

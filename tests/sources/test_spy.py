@@ -75,7 +75,7 @@ def test_a_bad_line(tmp_path: Path) -> None:
     path.write_text(row * 3 + "000000.000 TX   zzzz\nnonsense\n" + row)
     source, records = read_all(path)
     assert len([r for r in records if isinstance(r, Chunk)]) == 4
-    assert [p.line for p in source.problems] == [5]
+    assert [p.line for p in source.problems] == [4, 5]
 
 
 def test_rows_of_which_bytes_are_missing_are_problems(tmp_path: Path) -> None:
