@@ -1,13 +1,13 @@
 """Commands, dialects, worked examples and errata: the manuals as data.
 
-A `Command` says everything the manual says about one command: its code, the layouts of its requests and replies, what
-its statuses mean, which work modes it needs, what it risks, and the frames the manual prints. A `Dialect` is one
-manual's commands on one link. Nothing here does I/O or knows a particular drive.
+A `Command` holds what the manual says about one command: code, layouts of requests and replies, meanings of statuses, work
+modes, risk and printed frames. A `Dialect` is one manual's commands on one link. Nothing here does I/O or knows a
+particular drive.
 
-Forms: a command has one or more forms; the first that matches wins. A form matches when the length of the data fits its
-layout, all `fixed` fields have their value, the model is one of `models` (if any are named) and, where
-`needs_request` is set, a request of the command is open. So two commands of one code (run and stop), a parameter table
-behind one code, replies that carry another command's code, and models that answer otherwise need no special code.
+Forms: a command has one or more forms, and the first that matches wins. A form matches if the data's length fits its
+layout and all `fixed` fields have their value. It may also name the `models` that have it, or need an open request of the
+command (`needs_request`). So these cases need no special code: two commands of one code (run and stop), a parameter table
+behind one code, replies with another command's code, and models that answer differently.
 """
 
 from __future__ import annotations
@@ -467,7 +467,7 @@ class Command:
 
     @cached_property
     def all_risks(self) -> frozenset[Risk]:
-        """Every risk the command can have, whatever its values."""
+        """Every risk the command can have with any values."""
         return frozenset().union(*(rule.risks for rule in self.risk))
 
     def risks(self, values: Mapping[str, int]) -> frozenset[Risk]:
@@ -508,7 +508,7 @@ class Dialect:
     `addresses`: what one drive can be given (first, last); `broadcast`: the address of all, or None. `models`: names
     that `--model` takes. `baud_rates`: what the drive can be set to, the default first. `fallbacks`: for links with standard
     functions, the command that stands for an uncatalogued use of each; its own data begin after the function.
-    `exception`: the form of a reply that refuses by an exception code, whatever the command.
+    `exception`: the form of a reply with an exception code, the same for every command.
 
     `family`: the make of drive, the same for all its dialects. `siblings`: the other dialects that the same drive can speak;
     `chosen_by`: the value of the field with `Effect.DIALECT` that makes it speak this one. `sections`: where the manual

@@ -1,8 +1,8 @@
 """The decoder: a frame becomes a message. Unknown codes and bad values survive; nothing raises.
 
-Who sent a frame is told, in this order, by its head, by the capture's mark, by the length of its data, by its values,
-by the open requests; without a context it may stay `unknown`. Which command and form a reply has is told by the request
-that it answers, if one is open, else by the first form that fits.
+The sender of a frame follows, in this order, from its head, the capture's mark, the length of its data, its values, and the
+open requests. Without a context it may stay `unknown`. The open request decides a reply's command and form. Without an open
+request the first form that fits is taken.
 """
 
 from __future__ import annotations
@@ -243,7 +243,7 @@ class Decoder:
     ) -> Message:
         """Return the message of a frame that fits no form: the length is wrong, or the code is not catalogued."""
         violations: tuple[Violation, ...]
-        # Of several commands of one code, the one that its fixed fields do not narrow down stands for the code.
+        # If commands share a code, the one without fixed fields stands for the code.
         general = next((entry for entry in known if not entry[2].fixed), known[0] if known else None)
         command = general[0] if general else (asked.command if asked else None)
         if command is not None:
@@ -340,7 +340,7 @@ class _Several:
         self._first = lanes[0]
 
     def choose(self, data: bytes, context: Context) -> Lane | None:
-        """Return the first whose layout has these data; of replies, the one that the only open request of the drive awaits."""
+        """Return the first lane whose layout fits; for replies, the lane that the drive's only open request awaits."""
         first = self._first
         own = data[first.start : first.stop]
         if first.is_request:

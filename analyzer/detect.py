@@ -1,11 +1,11 @@
 """Which dialects a capture is in: each is tried on a sample, and the evidence is kept to be shown.
 
-A dialect's score is the share of the sample's bytes that end in its frames with a fitting check, a catalogued command and
-values as the manual lists them. The best one is chosen; another dialect joins it when together they explain
-clearly more than the best alone (a drive switched to Modbus, drives of several makers on one line).
+A dialect's score is a share of the sample's bytes: those in its frames with a fitting check, a catalogued command and values
+from the manual's list. The best dialect is chosen. Another one joins if both explain clearly more than the best alone (a
+drive switched to Modbus, drives of several makers on one line).
 
-On CAN every frame is one, so of a dialect without checks only the code and the length speak. Some of any traffic fits those by
-chance: such a dialect is believed where it explains half of the frames at least that no check speaks for.
+CAN delimits frames itself, so for a dialect without checks only code and length count. Some of any traffic fits those by
+chance. Such a dialect must therefore explain at least half of the frames that no check speaks for.
 """
 
 from __future__ import annotations

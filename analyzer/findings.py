@@ -1,9 +1,13 @@
 """Rules: what can be wrong on a bus, each with an id, a severity and what it means.
 
-A rule is a row here, and a small condition where the fact is at hand: what the bytes of one frame break stands in the
-catalogue (`analyzer.codec`, `analyzer.decoder`), what the course of an exchange breaks in `analyzer.transactions`, what
-happened to a recording in `analyzer.events`, and what a message is as such in `of_message` below. All speak in the ids of
-this table, so that reports, filters and the conformance suite have one list.
+A rule is a row here, and a small condition in the module that has the fact:
+
+    the bytes of one frame        analyzer.codec, analyzer.decoder
+    the course of an exchange     analyzer.transactions
+    the course of a recording     analyzer.events
+    one message by itself         `of_message` below
+
+All use the ids of this table, so that reports, filters and the conformance suite have one list.
 """
 
 from __future__ import annotations

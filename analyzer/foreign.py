@@ -7,7 +7,7 @@ Who is a drive is said by the user (`--ids`), else, on CAN, by the frames:
     odd       anything else                                                             a foreign frame
     29 bits   no dialect here has such identifiers                                      a foreign frame
 
-So a program that forgets the checksum is told so, and a CANopen node beside the drives is left alone. What a drive sent before
+So a program that forgets the checksum is told so, and a CANopen node on the bus is left alone. What a drive sent before
 its first good frame may be foreign, too. Of a node that was odd for long, one good frame can be chance: it needs two in a row.
 
 On serial lines only the user's word counts: who speaks something else there makes junk or frames with errors.

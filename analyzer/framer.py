@@ -349,10 +349,10 @@ class Framer:
     def _doubtful(self, at: int, length: int, closed: bool) -> int:
         """Weigh a frame that checks where something else follows.
 
-        Against it speak: a longer frame that begins here and is followed (then it is that one); a frame that begins
-        inside it and is followed, or ends beyond it (then this is the wreck of a frame that lost bytes, and by chance
-        checks with the head of the next one at its end); and what `_or_inserted` finds. A strong check is believed
-        against all but the followed ones.
+        Three things speak against it. A longer frame begins here and is followed: then that one is taken. A frame begins
+        inside it and is followed, or ends beyond it: then this is the rest of a frame that lost bytes, and it checks by
+        chance with the next frame's head. And `_or_inserted` finds something. A strong check is believed against all but
+        the followed ones.
         """
         stop = at + length
         for longer in self._lengths(at, closed):

@@ -1,8 +1,8 @@
 """Fields and layouts: which bits of a frame's own data mean what.
 
 A `Field` is one run of bits with a name; a `Layout` is a sequence of fields. Both are declarations: they hold no code
-that knows a command. What reads and writes them (`analyzer.codec`) is made from the declaration, so a decoder, an
-encoder, a Hypothesis strategy, a JSON Schema and a reference page all come from the same line.
+that knows a command. `analyzer.codec` reads and writes them by the declaration. So a decoder, an encoder, a Hypothesis
+strategy, a JSON Schema and a reference page all come from the same line.
 
 Rules kept here:
 - Bits are counted from the most significant bit of the first byte of a command's own data.
@@ -185,8 +185,8 @@ class Field:
 class Layout:
     """A sequence of fields that covers a command's own data from its first bit.
 
-    Raises ValueError when the declaration cannot be: two fields of one name, an open-ended field before the last, a
-    little-endian field off a byte boundary, or bits that do not fill whole bytes.
+    Raises ValueError for a declaration with two fields of one name, an open-ended field before the last, a little-endian
+    field off a byte boundary, or bits that do not fill whole bytes.
     """
 
     fields: tuple[Field, ...]

@@ -113,7 +113,7 @@ def _commands(parsed_args: argparse.Namespace, **_: Any) -> list[str]:
 
 
 def _request(prefix: str, parsed_args: argparse.Namespace, **_: Any) -> list[str]:
-    """Complete the drive, the command, and its fields and their choices, whichever comes next."""
+    """Complete the next word: the drive, the command, a field or its choice."""
     from analyzer import dialects
     from analyzer.errors import ServotapError
     from analyzer.live import profile

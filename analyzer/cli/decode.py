@@ -78,7 +78,7 @@ def _target(path: str, arguments: argparse.Namespace, taken: Sequence[Path]) -> 
         if path == "-":
             raise UsageError("standard input has no file name: name the log with -o")
         if Path(path).is_dir():
-            # Beside the folder: in it the log would be taken for one more part.
+            # Next to the folder: inside it the log would be taken for one more part.
             folder = Path(path).resolve()
             target = folder.with_name(folder.name + ".decoded.mcap")
         else:

@@ -1,7 +1,7 @@
 """Make one log of several, in the order of their times: of one machine on two computers, of the parts of a recording.
 
-Parts of one recording belong together as they are. Of different logs, a bus whose name another one has gets the name of its
-log before it, and sequence numbers go on behind those of the log before, also where messages name them.
+Parts of one recording belong together as they are. If buses of different logs have one name, each gets its log's name in
+front. Sequence numbers continue those of the previous log, also where messages name them.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ def counts(supervisor: Supervisor) -> list[tuple[str, str, BusCounts]]:
     known = {} if snapshot is None else {bus.bus: bus for bus in snapshot.buses}
     states: dict[str, str] = {}
     for port in supervisor.tallies.values():
-        # Of two directions of a bus, the one that is in trouble.
+        # If one direction of a bus is lost, the bus is.
         if states.get(port.bus) != "lost":
             states[port.bus] = port.state
     return [(bus, state, known.get(bus, BusCounts(bus))) for bus, state in states.items()]
@@ -274,7 +274,7 @@ class TableDisplay(LineDisplay):
 
 
 class ViewDisplay(LineDisplay):
-    """The terminal view; what is to be told waits until it is closed."""
+    """The terminal view; messages wait until it is closed."""
 
     def __init__(self) -> None:
         from analyzer.live.snapshot_pipe import SnapshotWriter

@@ -189,7 +189,7 @@ def names_of(entry: Entry, fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def command_name(message: Message) -> str:
-    """Return the name of a message's command, `unknown` or, of what is no drive's, `foreign`."""
+    """Return the name of a message's command, `unknown`, or `foreign` for another node's frame."""
     if message.command is not None:
         return message.command.name
     return "foreign" if message.role is Role.FOREIGN else "unknown"

@@ -85,7 +85,7 @@ class TimeRange:
             raise UsageError(f"--until {iso(self.until_ns)} lies before --since {iso(self.since_ns)}")
 
     def items(self, records: Iterable[Record]) -> Iterator[Record]:
-        """Yield what is to be decoded: the range, and some seconds before it."""
+        """Yield the records to decode: the range, and some seconds before it."""
         if not self.wanted:
             yield from records
             return

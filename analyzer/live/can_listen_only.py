@@ -1,9 +1,9 @@
-"""CAN buses: which interface can listen without taking part, and what is to be told of one that cannot.
+"""CAN buses: which interface can listen without taking part, and what the user must know of one that cannot.
 
 A CAN controller that only listens sends no acknowledgement, no error frame, nothing. Whether it can be told so is a matter
 of the interface, in this table (python-can's interfaces, by their names there):
 
-    LISTEN_ONLY   what python-can is given, over whatever the user said
+    LISTEN_ONLY   options for python-can, which override the user's
     HARMLESS      there is no bus that could be disturbed
     all others    python-can cannot tell them; they are opened as they are, and it is told that they take part
 
@@ -51,7 +51,7 @@ _TAKES_PART = (
 
 
 def options_for(endpoint: Endpoint) -> tuple[dict[str, Any], list[str]]:
-    """Return what python-can is given for an endpoint, and what is to be told.
+    """Return python-can's options for an endpoint, and notes for the user.
 
     Raises UsageError where a wrong bit rate would disturb the bus and none is given.
     """

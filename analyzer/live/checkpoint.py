@@ -7,8 +7,8 @@ Where the newer one is damaged, the one before it counts: what it needs is kept 
 
 Going on, the log is cut at that place and the spools are read from theirs, so no byte is lost or stands twice. The state of
 decoding (half frames, open requests) are records of this program, and only those are read back: a folder of spools may come
-from anywhere. Where another version of the program wrote it, the state is left out and half frames are decoded
-anew from their bytes, which stand beside it.
+from anywhere. The state of another program version is left out. Half frames are then decoded anew: the checkpoint also
+holds their bytes.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The processes of a recording, as the supervisor sees them: started, heard, restarted, ended.
 
-Each is a session of its own, so that a terminal's Ctrl-C and hang-up reach the supervisor alone, and each holds the end of a
-*leash*, its standard input, whose other end is the supervisor's: when that is gone, they end by themselves.
+Each child is a session of its own, so a terminal's Ctrl-C and hang-up reach the supervisor alone. Its standard input is a
+pipe from the supervisor, the *leash*: the child ends by itself when the supervisor's end closes.
 
 What a child says (events of a reader, snapshots of the decoding process) is put into the supervisor's queue by a thread.
 """
@@ -37,7 +37,7 @@ LAST_WAIT_S = 5.0
 _LAST_WORDS = 20
 #: How a line on standard error begins that is for people.
 SAYS = "servotap record: "
-#: Numbers of segments for each start of a reader: none is used twice, whatever was deleted meanwhile.
+#: Numbers of segments for each start of a reader: none is used twice, even after older ones were deleted.
 SEGMENTS = 1_000_000
 #: Readers go before everything else where that is allowed (root); elsewhere decoding goes after them.
 READER_NICE = -10

@@ -17,7 +17,7 @@ from typing import NamedTuple
 STEP_NS = 10_000_000
 #: How often drift is told.
 DRIFT_EVERY_NS = 60_000_000_000
-#: Pairs read for an anchor; the one that was read fastest is taken.
+#: Pairs read for an anchor; the fastest reading counts.
 _TRIES = 16
 
 

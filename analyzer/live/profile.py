@@ -186,7 +186,7 @@ def user_folder() -> Path:
 
 
 class _File:
-    """One profile. Raises UnreadableError for what cannot be read, UsageError for what is no TOML."""
+    """One profile. Raises UnreadableError for an unreadable file, UsageError for invalid TOML."""
 
     TABLES: Mapping[str, type[Bus]] = {"bus": Bus, "drive": Drive}
 

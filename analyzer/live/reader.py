@@ -2,9 +2,9 @@
 
     python -m analyzer.live.reader FOLDER STEM [--adopt FD] [--hand FD] [--first-segment N] [--plain]
 
-FOLDER holds the recording's configuration, STEM names the spool there. Events are told on standard output too, one line of
-JSON each, beside the spool. Standard input ends when the supervisor does: then, or at SIGTERM, the reader takes what has
-come, notes the end and leaves. A port that is lost is opened again, after 0.1 s at first and 2 s in the end.
+FOLDER holds the recording's configuration, STEM names the spool there. Events go to the spool and, one line of JSON each,
+to standard output. Standard input ends when the supervisor does: then, or at SIGTERM, the reader takes what has come, notes
+the end and leaves. A port that is lost is opened again, after 0.1 s at first and 2 s in the end.
 
 Exit status: 0 ended as asked; 2 the port could not be opened at the start (the reason is told as the event `failed`).
 """

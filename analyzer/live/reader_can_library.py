@@ -1,4 +1,4 @@
-"""Listening to a CAN bus through python-can, whichever interface it is.
+"""Listening to a CAN bus through any interface of python-can.
 
 A frame is stamped when python-can hands it over, on the clock of the recording: the clocks of adapters differ from it and
 from each other. An adapter that talks nonsense is told and listened to again; one that fails again and again is lost.

@@ -116,7 +116,7 @@ class Store:
             self.flush()
 
     def tick(self) -> None:
-        """Do what is to be done once a second: try again what could not be stored, and tell how much has come."""
+        """Once a second: retry records that could not be stored, and report the counts."""
         self.flush()
         if self.count != self._told:
             self._told = self.count

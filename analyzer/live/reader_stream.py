@@ -2,13 +2,13 @@
 
     poll -> read, stamp, read, stamp ... until nothing is left -> times settled -> stored -> poll
 
-Times. A read is stamped right after it, so its last byte had arrived by then. Where several reads in a row were needed,
-their bytes had been waiting: each byte takes `byte_ns` on the line, so what stands before n others cannot have ended later
-than n byte times before they did, and its stamp is set back to that (`settle`), but never before what was stored already.
+Times. A read is stamped right after it, so its last byte had arrived by then. If several reads in a row were needed, their
+bytes had been waiting. Each byte takes `byte_ns` on the line, so a chunk ended at least n byte times before the n bytes
+behind it. Its stamp is set back to that time (`settle`), but never before a time that is stored already.
 
-Pauses. When nothing has come for 50 ms this is stored once (IDLE), with a time at which the port was seen empty. What comes
-later begins after that, also as the framer reckons: it takes the bytes of a chunk to have come one after the other up to the
-chunk's time, so the first chunk after a pause is cut behind its first byte where it would reach back into the pause.
+Pauses. When nothing has come for 50 ms this is stored once (IDLE), with a time at which the port was seen empty. Later bytes
+begin after that time for the framer too. The framer spreads the bytes of a chunk backwards from the chunk's time. So the
+first chunk after a pause is cut behind its first byte if it would reach back into the pause.
 """
 
 from __future__ import annotations

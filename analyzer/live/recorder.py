@@ -2,10 +2,10 @@
 
     python -m analyzer.live.recorder FOLDER [--feed FD]
 
-It looks at the spools about sixty times a second, flushes the log and stores a checkpoint once a second, and ends when the
-spool of the recording holds its end and everything is read; the folder is then removed. `--feed`: snapshots for whoever
-watches go into this descriptor. Standard input is the leash: when its other end is gone, what there is is read and the log
-is made whole, as after SIGTERM.
+It looks at the spools about sixty times a second. Once a second it flushes the log and stores a checkpoint. It ends when
+it has read all spools up to the recording's end; then it removes the folder. `--feed` names the descriptor for the view's
+snapshots. Standard input is the leash: when its other end closes, the process reads the rest and finishes the log, as after
+SIGTERM.
 
 Rules: it can be killed at any moment and started again. While the log cannot be written (a full disk) nothing is read, so
 the spools keep it, and writing is retried until there is room. Other errors are one line on standard error.
@@ -62,8 +62,8 @@ class Damaged(ServotapError):
 class Recorder:
     """Follows the spools of a folder into its log.
 
-    `feed_fd`: where snapshots go. `final`: nobody writes the spools any more. `asked`: says from time to time why to end
-    early, empty for not; `say` takes what a person should read; `check`: says what is wrong with a log that was finished.
+    `feed_fd`: where snapshots go. `final`: the spools have no writer any more. `asked`: says from time to time why to end
+    early, or an empty text; `say` takes messages for people; `check`: says what is wrong with a finished log.
     """
 
     def __init__(
@@ -309,7 +309,7 @@ def remove(folder: Path) -> None:
 
 
 class _Leash:
-    """Says why to end: SIGTERM, or the end of standard input where somebody holds it."""
+    """Says why to end: SIGTERM, or the end of standard input if that is a pipe."""
 
     def __init__(self) -> None:
         self.why = ""

@@ -3,9 +3,9 @@
     record -> (held back until the dialect is known) -> pipeline -> log
            `-> /<bus>/raw
 
-Rules: what comes out depends on the records alone, never on when they are dealt with, so that the log of a run and the log
-of `decode` over its raw bytes are the same; times never go back; what goes wrong in decoding costs no byte. Writing can
-fail (a full disk): `flush`, `rotate` and `finish` raise OSError with nothing lost and may be called again.
+Rules: the output depends on the records alone, never on when they are processed. So a live log equals the log of `decode`
+over its raw bytes. Times never go back. An error of decoding costs no byte. Writing can fail (a full disk): `flush`,
+`rotate` and `finish` raise OSError with nothing lost and may be called again.
 
 Not known here: processes, clocks, when to flush.
 """

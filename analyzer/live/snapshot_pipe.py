@@ -33,7 +33,7 @@ def _never_wait(fd: int) -> None:
 class SnapshotWriter:
     """Writes snapshots into a pipe (or a file, a socket) that it owns. `dropped`: snapshots that found no room.
 
-    `gone`: nobody reads any more; from then on everything is dropped.
+    `gone`: the pipe has no reader any more; from then on everything is dropped.
     """
 
     def __init__(self, fd: int) -> None:

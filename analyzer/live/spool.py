@@ -4,17 +4,20 @@
 
     record:  magic 0x5B | kind u8 | length u32 | t_ns u64 | before u64 | crc32 u32 | data      (little endian)
 
-The CRC is of all else in the record. What is no whole record is passed and counted; reading goes on at the next one.
+The CRC covers the rest of the record. The consumer skips and counts bytes that form no whole record, up to the next one.
 
-One reader writes one spool, whole records only, so a killed reader leaves whole ones but perhaps the last; one consumer
-follows it. A segment is closed when it has grown to `SEGMENT_SIZE`; a consumer deletes the segments that it needs no more,
-but never the last one: a reader that is started again counts on from there. Times are `CLOCK_MONOTONIC` nanoseconds and
-never go back within a spool. `before`: bytes (serial) or frames (CAN) of the port before this record, with those that had
-to be dropped, so that what is missing can be counted.
+One reader writes a spool and one consumer follows it. Records are written whole, so a kill can only break the last one.
+A segment is closed when it has grown to `SEGMENT_SIZE`. The consumer deletes segments that it has read, but never the last
+one: a restarted reader continues its count. Times are `CLOCK_MONOTONIC` nanoseconds and never go back within a spool.
+`before` counts the bytes (serial) or frames (CAN) of the port before this record. It includes dropped ones, so a loss shows.
 
-Kinds: DATA (bytes of a serial line, t_ns: arrival of the last one), CAN (one frame: id u32, flags u8, payload), EVENT
-(JSON object with "event": what happened), IDLE (nothing came up to t_ns: the bytes of later records came after it, and the
-pause before them is longer than the framer's silence, also as the framer reckons it from the stored times alone).
+Kinds:
+
+    DATA    bytes of a serial line; t_ns: arrival of the last one
+    CAN     one frame: id u32, flags u8, payload
+    EVENT   a JSON object; its "event" says what happened
+    IDLE    nothing came up to t_ns. Later bytes came after it, and the stored times alone show a pause longer than the
+            framer's silence
 
 Events of a port, with what they hold:
 
@@ -320,7 +323,7 @@ class SpoolReader:
         return True
 
     def _stored_again(self) -> bool:
-        """Go over to the file of this segment that took the place of the one that is open, where that was deleted."""
+        """Reopen the segment if its file was deleted and written anew."""
         assert self._file is not None
         if os.fstat(self._file.fileno()).st_nlink:
             return False

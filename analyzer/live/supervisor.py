@@ -305,7 +305,7 @@ class Supervisor:
         self.ended_ns = time.monotonic_ns()
         for name, child in self._readers.items():
             if child.due is not None:
-                # It has died, and nobody starts it again.
+                # It has died and is not started again.
                 self._gone.add(name)
             child.end()
         until = time.monotonic() + END_S

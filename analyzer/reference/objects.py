@@ -214,8 +214,8 @@ def erratum_object(erratum: Erratum) -> dict[str, Any]:
 def concerns(erratum: Erratum, command: Command) -> bool:
     """Say whether an erratum is about a command.
 
-    It is if it names the command or one of its worked examples, or stands in the command's section, in a part of it, or
-    in a section or a range of sections around it.
+    It is if it names the command or one of its worked examples. It is also if its section is the command's, a part of it,
+    or a section or range of sections around it.
     """
     if command.name in erratum.commands or any(v.erratum == erratum.id for v in command.vectors):
         return True

@@ -1,8 +1,8 @@
 """Repairs an MCAP log: copies all readable chunks unchanged, and makes a new summary.
 
-Works on logs of any program. A chunk that breaks off (a killed process, a full disk) is read up to the break, and one of which
-only the head is damaged is read whole, if its check fits. A record is copied only if it is what its kind says. After anything
-else, the search goes on for the next such record. Each of these is reported as a `Fault`. Topics whose declaration was lost
+Works on logs of any program. A chunk that breaks off (a killed process, a full disk) is read up to the break. A chunk with
+only its head damaged is read whole, if its check fits. A record is copied only if it is valid for its kind; else the search
+goes on for the next valid record. Each of these is reported as a `Fault`. Topics whose declaration was lost
 with a chunk are declared from the old summary, if there is one. Otherwise their messages go to a topic that says so.
 
 Memory is bounded by one chunk and by the index of the new summary.

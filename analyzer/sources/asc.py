@@ -36,7 +36,7 @@ _DATE = re.compile(
     re.IGNORECASE,
 )
 _RELATIVE = re.compile(r"\s*base\s+\w+\s+timestamps\s+relative", re.IGNORECASE)
-#: A line of a frame, whatever is wrong with it: a channel, an identifier, a direction, its kind.
+#: A line of a frame, even of a damaged one: a channel, an identifier, a direction, its kind.
 _TRAFFIC = re.compile(r"\s*\S+\s+\S+\s+[0-9A-F]+x?\s+(?:Rx|Tx)\s+[dr]\b", re.IGNORECASE)
 _DATA = re.compile(r"\sd\s+([0-9A-F])((?:\s+[0-9A-F]{2}(?![^\s]))*)\s*(?:Length\b.*)?$", re.IGNORECASE)
 _DECIMAL = re.compile(r"\s*base\s+dec\b", re.IGNORECASE)

@@ -38,7 +38,7 @@ def read(source: Source) -> Iterator[CanFrame]:
 def _records(source: Source) -> Iterator[CanFrame]:
     from can.io.csv import CSVReader
 
-    # The reader skips the first line, whatever it is; a log that was appended to has headers inside.
+    # The reader always skips the first line; a log that was appended to has headers inside.
     tap = Tap(Lines(source), lambda line: False, lambda line: bool(line.strip()) and line.strip() != _HEADER, (_HEADER,))
 
     def place(message: Message) -> tuple[int | None, str]:

@@ -1,8 +1,8 @@
-"""What the formats that python-can reads share: its messages as CAN frames, and readers that survive a bad line.
+"""CAN captures through python-can: its messages become CAN frames, and a bad line costs only itself.
 
-python-can reads a text from an iterator of lines. Ours remembers the line it gave last, so that a time can be read from
-the digits that stand there (the library carries float seconds, which resolve 238 ns today). A line that makes a reader
-raise ends that reader; then another one is made and gets the header lines again before the rest.
+python-can reads text from an iterator of lines. The iterator here (`Tap`) remembers the last line, because exact times come
+from the printed digits: the library's float seconds resolve only 238 ns. A bad line ends the library's reader. A new reader
+then gets the header lines again and the rest of the file.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ HEADER_LIMIT = 200
 def frame(message: Message, t_ns: int | None, port: str) -> CanFrame:
     """Return a message of python-can as a CAN frame.
 
-    Only "sent by the host" says who sent it: a listener receives everything. Raises ValueError for what is no CAN frame.
+    Only the mark of a sent frame tells its sender: a listener receives everything. Raises ValueError for no valid CAN frame.
     """
     if not 0 <= message.arbitration_id <= ID_MASK or len(message.data or b"") > MOST_BYTES:
         raise ValueError(
@@ -127,7 +127,7 @@ def frames(
             break
         except ServotapError:
             raise
-        # Its parsers raise whatever a damaged line makes them stumble over.
+        # A damaged line can make the library raise any exception.
         except Exception as error:
             if tap.number == lines:
                 raise

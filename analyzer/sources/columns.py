@@ -5,7 +5,7 @@
     {"time": 0.12, "dir": "tx", "data": "FA 01 30 2B"}           JSON lines; {"type":"Buffer","data":[250,1]} of Node-RED
     | 0.120 | TX | `FA 01 30 2B` |                               a row of a Markdown table
 
-Rules: a column is found by its name (`_NAMES`), whatever its place. With an identifier the rows are CAN frames, else bytes of
+Rules: a column is found by its name (`_NAMES`). With an identifier the rows are CAN frames, else bytes of
 a serial line. Numbers of JSON are decimal, texts are hexadecimal unless one of them can only be decimal. A time takes its unit
 from its name (`time_ms`); a number that is one since 1970 has its unit by its size; SavvyCAN counts microseconds; other whole
 numbers are taken as milliseconds, with a note.

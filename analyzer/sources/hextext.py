@@ -1,13 +1,15 @@
 """Hex text: logs of serial traffic as people have them, a line of hex bytes after the other (see `hexline.py`).
 
-Rules: each line of traffic is a burst of its own; lines of bytes below a header (a line with only a time or a mark)
-are one. `Tx`, `Send` and `>` mean that the host sent, `Rx`, `Recv` and `<` that the drive did; in a log that marks
-every line as received they mean nothing, for a listener wrote it. Lines of words are comments, broken lines are
-problems. In a text that is no log the frames that its sentences speak of are read (see `prose.py`), frames that stand field by
-field below each other, and rows of dumps; words above bytes that have no mark say who sent them.
+Rules:
 
-What one line cannot tell, all lines together can (`_Manner`): whether `>` is a quotation, whether numbers are decimal,
-whether each line is one byte, whether `->` is only the sign between time and text. Each such guess is a note.
+- Each line of traffic is a burst of its own. Lines of bytes below a header (a line with only a time or a mark) are one burst.
+- `Tx`, `Send` and `>` mean that the host sent; `Rx`, `Recv` and `<` mean that the drive did. A listener marks every line as
+  received: in its log the marks mean nothing.
+- Lines of words are comments, and broken lines are problems.
+- Prose is read too: the frames in its sentences (see `prose.py`), frames written one field a line, and rows of dumps.
+  If such bytes have no mark, the words above them say who sent them.
+- `_Manner` decides from all lines together: whether `>` is a quotation, whether numbers are decimal, whether each line is
+  one byte, and whether `->` only separates time and text. Each such guess is a note.
 
 Times: see `stamps.py`.
 """
@@ -339,7 +341,7 @@ class _Reader:
                 self._source.problem(f"expected one byte, got {quote(text.strip())!r}", line=self._lines.number)
 
     def _words(self, t_ns: int | None, line: HexLine) -> Iterator[Chunk | Comment]:
-        """Yield a line of words, and the frames that it speaks of where there is no log."""
+        """Yield a line of words; in prose also the frames that it quotes."""
         said = mentions(line.text, self._manner.brackets) if not line.text.startswith("#") or self._manner.commented else []
         if self._manner.prose and not said and _WORDS.search(line.text):
             self._above, self._below = told(line.text), False
@@ -357,7 +359,7 @@ class _Reader:
         return said if more else []
 
     def _quoted(self, t_ns: int | None, text: str, said: Sequence[Quotation]) -> Iterator[Chunk | Comment]:
-        """Yield a line of words with the frames that it speaks of."""
+        """Yield a line of words with the frames that it quotes."""
         number = self._lines.number
         for each in said:
             if each.left:

@@ -83,7 +83,7 @@ def records_of_part(source: Source, skips: Mapping[int, int]) -> Iterator[LogRec
         yield from _top(source, reader)
     except (ServotapError, GeneratorExit, Rewound):
         raise
-    # The library raises whatever a damaged record makes it stumble over.
+    # A damaged record can make the library raise any exception.
     except Exception as error:
         text = str(error) if isinstance(error, EOFError) else f"the log is incomplete: {describe(error)}"
         source.problem(text, offset=reader.offset)
@@ -220,7 +220,7 @@ def bounds(path: Path) -> tuple[int, int] | None:
 
 
 def _followed(source: Source) -> Iterator[LogRecord]:
-    """Yield the records of parts as they are written, until the recording ends or nobody writes it any more."""
+    """Yield the records of parts as they are written, until the recording ends or loses its writer."""
     assert source.follow is not None
     path: Path | None = Path(source.stream.path)
     rest = source.take_parts()

@@ -65,7 +65,7 @@ def main(path: str, out: IO[bytes], memory: int, seconds: int) -> None:
                 _send(out, Batch(rows))
                 rows.clear()
         _send(out, Batch(rows, last=True))
-    # asammdf raises whatever its parser stumbles over.
+    # A damaged file can make asammdf raise any exception.
     except Exception as error:
         _send(out, Batch(rows, last=True, opened=opened, failure=f"{type(error).__name__}: {error}"[:400]))
 

@@ -20,7 +20,7 @@ from analyzer.catalogue import Role
 from analyzer.sources import written
 from analyzer.sources.marks import ACTIONS, MATTERS, SIGNS, SPEAKERS, role_of
 
-#: Verbs of people, beside the words of logs.
+#: Verbs that people use, in addition to the words of logs.
 _VERBS = {
     **dict.fromkeys(("ask", "asked", "asks", "write", "writes", "writing", "type", "typed", "transmits"), "send"),
     **dict.fromkeys(

@@ -1,6 +1,6 @@
 """Raw bytes: what a terminal program saved, or `cat` of a port. No times, no directions, no marks.
 
-Any data is raw bytes, so this fits only what is no text; a text is never taken for it unless asked for.
+Any file could be raw bytes, so only binary data is taken for this format. A text is read as raw bytes only on demand.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ _NUMBERED = re.compile(r"(?P<stem>.+)-(?P<number>\d{4,})\.mcap")
 #: Digits of the number of a part, fewer than these.
 _DIGITS = 10
 _MAGIC = b"\x89MCAP0\r\n"
-#: Records that may stand before the one that is looked for.
+#: How many records may stand before the recording's own one.
 _FIRST_FEW = 4
 
 

@@ -52,7 +52,7 @@ _ESCAPES = {
 }  # fmt: skip
 _ESCAPED = re.compile(r"\\x([0-9A-Fa-f]{2})$")
 _ISO = re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d):(\d\d)(?:\.(\d+))?(Z|[+-]\d\d:?\d\d)?$")
-#: What analyzers are called when nobody named them.
+#: Saleae's default names of its analyzers.
 _UNNAMED = re.compile(r"async serial|uart|serial|modbus", re.IGNORECASE)
 
 

@@ -1,7 +1,7 @@
 """A source: a capture that is being read, the same for every format.
 
-A format module offers `score(head) -> float` (how sure it is that a capture beginning with these bytes is of its
-format, 0..1) and `read(source) -> Iterator[Record]`. Everything else is here: ports, times, problems, errors of
+A format module offers `score(head) -> float` and `read(source) -> Iterator[Record]`. The score, 0..1, says how sure the
+module is that a capture with these first bytes has its format. Everything else is here: ports, times, problems, errors of
 libraries.
 
 Rules:
@@ -150,7 +150,7 @@ class Source:
         return True
 
     def take_parts(self) -> list[Path]:
-        """Return the files that follow, for whoever reads them in another way."""
+        """Return the files that follow; the caller then reads them itself."""
         taken, self._parts = self._parts, []
         return taken
 
@@ -189,7 +189,7 @@ class Source:
         """Return a frame with what it carries: a remote one carries nothing, and data that stands there is told."""
         if not frame.remote or not frame.data:
             return frame
-        # Formats that print or keep eight bytes whatever a frame has fill them with zeros.
+        # Formats that always print or keep eight bytes fill them with zeros.
         if any(frame.data):
             self.problem(f"a remote frame carries no data, got {quote(frame.data.hex(' ').upper())}, which is left out", line)
         return msgspec.structs.replace(frame, data=b"")
@@ -252,7 +252,7 @@ class Source:
                 yield record
         except ServotapError:
             raise
-        # A library that meets a damaged file raises whatever its parser stumbles over.
+        # A damaged file can make a library's parser raise any exception.
         except Exception as error:
             what = describe(error)
             if not given:

@@ -4,9 +4,8 @@
     000003.102 RX   0000  FB 01 F6 01 F3                                    .....
     000003.200 RTS  inactive
 
-Rules: rows of one call (offset 0010 and on) are one chunk with the time of the first. What was written is a burst; what
-was read is whatever had come. Times are seconds since the port was opened, exact to their 3 digits. Calls other than
-reading and writing are comments.
+Rules: rows of one call (offset 0010 and on) are one chunk with the time of the first. A write is a burst; a read may cut
+a burst anywhere. Times are seconds since the port was opened, exact to their 3 digits. Other calls are comments.
 """
 
 from __future__ import annotations

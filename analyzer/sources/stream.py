@@ -5,7 +5,7 @@
 Rules:
 
 1. Nothing seeks and nothing reads ahead of need, so a pipe gives what it has at once.
-2. Memory is bounded: a block is at most `BLOCK` bytes as read and `UNPACKED` once unpacked, whatever a header claims.
+2. Memory is bounded: a block is at most `BLOCK` bytes as read and `UNPACKED` once unpacked. No header can raise that.
 3. `position` counts bytes as they lie in the file, compressed ones too; it only grows.
 
 What it does not know: what the bytes mean.
@@ -177,7 +177,7 @@ class Stream:
 
 
 def _open(path: str) -> tuple[int, int | None]:
-    """Return a descriptor for reading and the size, None for what is no regular file."""
+    """Return a descriptor for reading, and the size of a regular file (None for others)."""
     if path == "-":
         try:
             return sys.stdin.fileno(), None

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-#: Time between two looks, and after how many of them it is asked whether anybody writes.
+#: Time between two looks at the file, and the number of looks between two checks for a writer.
 _LOOK_S = 0.1
 _ASK_EVERY = 10
 

@@ -68,7 +68,7 @@ def chart(
         if previous is not None and x > previous[0] + 1:
             _line(canvas, previous, (x, y))
         elif previous is not None and x == previous[0] + 1:
-            # From beside the dot before it, so that an edge has no hole and a line is thin.
+            # Start next to the previous dot, so that an edge has no hole and a line is thin.
             near = previous[1] + (y > previous[1]) - (y < previous[1])
             lows[x] = min(lows.get(x, y), near, y)
             highs[x] = max(highs.get(x, y), near, y)
@@ -89,7 +89,7 @@ def _line(canvas: Canvas, start: tuple[int, int], stop: tuple[int, int]) -> None
     last = y0
     for x in range(x0 + 1, x1 + 1):
         y = y0 + round((y1 - y0) * (x - x0) / (x1 - x0))
-        # The dot beside the one before it is drawn only where the line is level: a thin line is easier to follow.
+        # Two dots side by side are drawn only where the line is level: a thin line is easier to follow.
         near = last + (y > last) - (y < last)
         canvas.column(x, min(near, y), max(near, y))
         last = y

@@ -143,7 +143,7 @@ class PlotPanel(Horizontal):
         self._drawn: _Asked | None = None
         self._next: _Asked | None = None
         self.moment_ns: int | None = None
-        #: The time that is read out, and the one that a window was put around to see it.
+        #: The time under the cursor, and the one that a window was centred on to show it.
         self.cursor_ns: int | None = None
         self._centre_ns: int | None = None
 
@@ -311,7 +311,7 @@ class PlotPanel(Horizontal):
 
 
 def _path(name: str) -> tree.Path:
-    """Return the branches above a series: its bus, its drive, and the state or the frame that it is of."""
+    """Return the branches above a series: its bus, its drive, and its state or frame."""
     bus, who, rest = name.rsplit("/", 2)
     return bus, who, rest.rsplit(".", 1)[0].replace(".", " ")
 

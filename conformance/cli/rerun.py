@@ -49,7 +49,7 @@ def stored(path: Path) -> dict[str, str]:
             found: Any = next((m.metadata for m in make_reader(stream).iter_metadata() if m.name == METADATA), None)
     except OSError as error:
         raise UnreadableError(f"{path}: {error.strerror or error}") from None
-    # The library raises whatever a damaged file makes it stumble over.
+    # A damaged file can make the library raise any exception.
     except Exception as error:
         raise UnreadableError(f"{path}: expected a stored failure (MCAP), got: {error}") from None
     if found is None:
