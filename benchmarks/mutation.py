@@ -2,9 +2,9 @@
 
     python benchmarks/mutation.py [--dialect D] [--jobs N]
 
-Prints for each fault by how many claims it is refuted, and how many of them run on hardware (they need no hands on the drive);
-the faults that survive, the claims that refute no fault, and the time of the suite alone. A full run takes about an hour on
-two cores.
+It prints for each fault how many claims refute it, and how many of these run on hardware without hands on the drive. Then it
+prints the faults that survive, the claims that refute no fault, and the time of the suite alone. A full run takes about an
+hour on two cores.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
     python -m benchmarks.short [--dialect D] [--every 5] [--jobs 2] [--allow all|read|RISKS] [--missed]
 
-For each dialect: the faults that a short run refutes, of those that show on hardware at all (a claim that needs no hands on the
-drive refutes them, by `tests/conformance/golden/faults.jsonl`), and how long it takes to the first refutation. Every so many of
-the faults only; `--every 1` takes some minutes for each dialect.
+It prints for each dialect how many faults a short run refutes, and how long the first refutation takes. It counts only faults
+that show on hardware without hands on the drive (by `tests/conformance/golden/faults.jsonl`). `--every N` takes each Nth
+fault; `--every 1` takes some minutes for each dialect.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""What was said in the captures of this folder: every row was written by hand from the manuals, both ways.
+"""The traffic in the captures of this folder: every row was written by hand from the manuals, bytes and meaning.
 
-A row has a time in ms, who sent it (> host, < drive), the bytes without their check, and what they mean in the words of
-`servotap show`: address, command, role, fields. The meaning is not computed from the bytes anywhere: `make.py` puts the
-bytes into files of every format and the meaning into the golden decodes beside them, and the tests hold both together.
+A row has a time in ms, the sender (> host, < drive), the bytes without their check, and their meaning. The meaning uses the
+words of `servotap show`: address, command, role, fields. It is never computed from the bytes. `make.py` puts the bytes into
+files of every format and the meaning into the golden decodes beside them, and the tests hold both together.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ class SerialLine(StreamLine):
     def _take(self, taken: bool) -> None:
         """Let no other program open the port, where the system can; or let them again.
 
-        A pseudo-terminal would stay taken when this process is killed, and nobody but root could stop the motor behind it.
+        A pseudo-terminal would stay taken when this process is killed, and then only root could stop the motor behind it.
         """
         if termios is not None and (os.geteuid() == 0 or not os.path.realpath(self.path).startswith(_PSEUDO)):
             # What is served in place of a port (a pipe, a terminal of another kind) may have no such thing.

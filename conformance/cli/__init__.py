@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-#: What each command does, in one line. It stands here and not beside the command, so that listing them imports nothing.
+#: What each command does, in one line. It stands here and not in the command's module, so that listing them imports nothing.
 HELP: dict[str, str] = {
     "emulate": "emulate drives on a serial port, a TCP port or a CAN bus",
     "send": "send one frame to a drive, and show the reply decoded",

@@ -200,7 +200,7 @@ def without_rate(endpoint: Endpoint) -> str:
 
 
 def _found_line(found: Found, endpoint: Endpoint) -> str:
-    # The rate behind a terminal server is its own affair: nobody told it.
+    # A terminal server sets its own rate and does not report it.
     rate = "its own rate" if endpoint.kind == "tcp" and endpoint.speed is None else f"{found.speed} bit/s"
     details = f"  {found.identity}" if found.identity else ""
     wrong = f"  ({found.wrong})" if found.wrong else ""

@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
     dialects = dialects_on(endpoint)
     rates = rates_of(None, endpoint, dialects)
     named = [parse_target(text, None) for text in arguments.drives]
-    # A drive of a profile is stopped alone; of a bus those that the profile has, and whichever else answer.
+    # A drive of a profile is stopped alone. On a bus of a profile its drives are stopped, and all others that answer.
     alone = bool(named) or (place is not None and place.is_drive)
     if place is not None and not named:
         named = [(each.dialect, each.entry.address) for each in place.drives]

@@ -1,8 +1,8 @@
 """Test drives, real or emulated, against their manual: run every claim that can be tested.
 
 Without a drive, emulated drives of all dialects are tested. On hardware only reads are sent unless --allow opens more.
-Exit status: 20 not stopped, else 1 refuted, else 10 a fault of the rig (port lost, not put back, no verdict, too many of them
-inconclusive), else 0. 2: wrong use.
+Exit status, the first that applies: 2 wrong use; 20 not stopped; 1 refuted; 10 a fault of the rig (port lost, setting not
+put back, no verdict, too many inconclusive verdicts); 0 none of these.
 """
 
 from __future__ import annotations

@@ -200,7 +200,7 @@ NO_BOUNDS = Leeway()
 
 
 def span(declared: Field, leeway: Leeway = NO_BOUNDS, command: Command | None = None) -> Span:
-    """Return the first and last value of a field, as sent, that manual and bounds allow. `command`: the one that has it."""
+    """Return the first and last value of a field, as sent, that manual and bounds allow. `command`: the field's command."""
     low, high = declared.low, declared.high
     for name, rule in _RULES.items():
         bound = getattr(leeway.bounds, name)

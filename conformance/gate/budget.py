@@ -42,7 +42,7 @@ class Spent(msgspec.Struct):
 
 @dataclass(frozen=True)
 class Cost:
-    """What one sending costs. `commands` 0: a read or a stop. `turns` None: nobody can say."""
+    """What one sending costs. `commands` 0: a read or a stop. `turns` None: not known."""
 
     commands: int = 0
     turns: float | None = 0.0

@@ -1,17 +1,17 @@
-"""The gate: the one place where bytes leave for a bus. It judges the bytes, whatever was meant by them.
+"""The gate: the one place where bytes leave for a bus. It judges the bytes, not the intention of the caller.
 
     gate = Gate(line, Allowance(parse_allow("motion"), speed=300))
     gate.send(bytes.fromhex("FA 01 31 2C"))        judged, then written; Refused says what was found and why it may not leave
 
-Every interpretation of the bytes (`gate.interpretations`: at any offset, in any dialect, whole or cut off, checks right or
-wrong) has to be permitted (`gate.permissions`), within the bounds, and within the budget. Only then it is written, and only
-here: nothing else may call `Line.write`.
+`gate.interpretations` reads the bytes in every way: at any offset, in any dialect, whole or cut off, checks right or wrong.
+Each interpretation has to be permitted (`gate.permissions`), within the bounds, and within the budget. Only then the bytes
+are written, and only here: nothing else may call `Line.write`.
 
 Several gates on one line share what was sent: make the second one by `Gate.under`, never by `Gate(line, ...)`.
 
-A stop is never refused where motion is allowed. A lone, sound stop of a drive that is meant passes whatever was sent before.
-Where it would end a sound frame that may not leave, reads of that drive (else bytes that begin no frame) go before it.
-What a stop has passed in spite of (frames that are cut off or do not check) is not held against reads and stops behind it.
+A stop is never refused where motion is allowed. A lone, sound stop of an allowed drive passes after any bytes. If it would
+complete a forbidden sound frame, reads of that drive (else bytes that begin no frame) go before it. Broken frames that could
+not hold up a stop do not hold up the reads and stops behind it.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class _Sent:
 
 
 class Judge:
-    """Judges what is to leave, one item after the other; sends nothing.
+    """Judges items before they leave, one after the other; sends nothing.
 
     `dialects`: what may be spoken where it goes; by default every dialect there is. `wears` False: no real drive is there,
     whose flash could be worn.

@@ -2,9 +2,9 @@
 
     bytes sent before + bytes to leave -> interpretations, each with its risks
 
-A link finds the candidates (`Link.finder`): at any offset, whole or cut off, whatever their checks. Here it is decided which
-of them count, and what each may mean. A serial line is a stream: a frame may be cut into several sendings, and a drive may keep
-what it has for any time. So the end of what was sent stays in `Pending` until no frame that begins in it can go on.
+A link finds the candidates (`Link.finder`): at any offset, whole or cut off, with right or wrong checks. This module decides
+which of them count, and what each may mean. A serial line is a stream: a frame may be cut into several sendings, and a drive
+may keep a part for any time. So the end of the sent bytes stays in `Pending` until no frame that begins in it can go on.
 
 Which candidates count. A frame is good if its checks fit and its code is in the catalogue.
 
@@ -16,16 +16,16 @@ Which candidates count. A frame is good if its checks fit and its code is in the
 4. Modbus has no heads, so any two bytes could be a frame. Writes of uncatalogued registers whose CRC does not fit count where a
    sending begins, for there a Modbus drive begins to read. Other functions count where their CRC fits.
 
-Exceptions, without which ordinary reads would be refused. None of them is for a frame whose checks fit (one of an uncatalogued
-code must check within the good frame it stands in), and none hides a frame that is sent by itself:
+Exceptions, without which ordinary reads would be refused. They never drop a frame whose checks fit, or a frame that is sent
+alone. Only a frame of an uncatalogued code that checks beyond the good frame around it is dropped too:
 
 - The candidate begins inside a good frame, goes on beyond its end, and all its bytes belong to good frames: a drive that is out
   of step reads two good frames so (`3E 9C 20 00 [FA | 3E 9A 20 00 F8]`).
 - Its code belongs to a good frame that began later than itself: a head that was left over, and a good frame behind it.
 - It is a slot of a package that does not check, or has an uncatalogued code, and its code belongs to a good frame.
 
-On CAN each frame is judged by itself: one interpretation in each dialect, whatever its sum. Only where it is a good frame of
-a length that the catalogue has, the dialects in which it is none are left out: drives of several makers share a bus.
+On CAN each frame is judged by itself: it has one interpretation in each dialect, even with a wrong sum. A good frame of a
+catalogued length is interpreted only in the dialects where it is good: drives of several makers share a bus.
 
 Not known here: what is allowed (`conformance.gate.permissions`).
 """
@@ -153,7 +153,7 @@ class _Dialect:
             # The package itself does nothing; what it does stands in its slots.
             return [_Meaning(commands[0], None, {}, _READ)]
         if candidate.misfit:
-            # Where registers are written, those beside the command's own are.
+            # A write of registers also writes some that the command does not own.
             beside = frozenset[Risk]() if candidate.function is None else UNKNOWN
             found = [_Meaning(c, None, {}, c.risks({}) | beside) for c in commands]
         else:

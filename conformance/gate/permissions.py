@@ -50,7 +50,7 @@ _SUBDIVISIONS = range(1, 257)
 class Allowance:
     """What may be sent.
 
-    `risks`: reads are always among them. `addresses`: the drives that are meant, None: whichever. `alone`: no other drive is
+    `risks`: reads are always among them. `addresses`: the drives that are meant, None: all. `alone`: no other drive is
     on the bus; `spoken`: the dialects in which one is looked for, None: all of the bus. `subdivision`: what the drives
     are set to, where the user says so. `budget` None: no limits but the default
     wear. A bound that is no number above 0, and a subdivision that cannot be, raise UsageError: they would bound nothing.

@@ -2,16 +2,16 @@
 
     effect = observable(dialect)
     effect.prepare(probe)
-    change = effect.change(probe)        what to send, to whatever address, in whatever frame
+    change = effect.change(probe)        what to send, to any address, in any frame
     ...
     effect.done(probe, change)           whether the drive has done it
 
-Which one a dialect has: the one that risks least.
+A dialect has the one with the least risk:
 
     write_user_id     CAN: a number that the drive keeps, read back
     set_position      LK: the present position gets another name, read back
     move              a small, slow move by the encoder, seen in its count
-    set_zero          the present position becomes zero: beside the move, for what is no motion
+    set_zero          the present position becomes zero: a second one next to the move, without motion
 
 Rules kept here:
 - A change always changes what is read: what it asks for is not what is there.

@@ -111,7 +111,7 @@ def can_move(dialect: Dialect) -> bool:
 
 
 def bus_modes(dialect: Dialect) -> tuple[str, ...]:
-    """Return the work modes in which the bus moves the motor, by name; the last is the one that can do most."""
+    """Return the work modes in which the bus moves the motor, by name; the last one can do most."""
     return dialect.by_verb[Verb.RUN_SPEED].modes
 
 
@@ -497,7 +497,7 @@ def ask(
     start: int | None = None,
     **how: Any,
 ) -> Exchange:
-    """Ask for a motion and return what came back, whatever it is.
+    """Ask for a motion and return the exchange, refused or not.
 
     `how`: as `values_of` takes it. `start`: where a move to a place begins; read, where it is not given. `more`: values as sent
     in place of those.

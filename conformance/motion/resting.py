@@ -35,7 +35,7 @@ _GOING_NS, _STEADY_NS, _WAY, _RPM = 300 * motion.MS, 1000 * motion.MS, 1440.0, 1
 _CREEPS_NS = 800 * motion.MS
 #: The first looks at it, in which it may still settle: that is no tremble.
 _SETTLING = 5
-#: The share by which a speed is another one than was asked for, and the degrees that a move misses which did not go its way.
+#: From this share on a speed differs from the one asked for; a move that misses by these degrees did not go its way.
 _ANOTHER, _SHORT = 0.1, 90.0
 #: What a drive's own limits must leave to the suite, as they are sent, 0 being no limit; and a run that they allow.
 _LIMITED_RPM, _LIMITED_NS = 120, 500 * motion.MS

@@ -85,7 +85,7 @@ def can_bus_of(*drives: str) -> Iterator[can.BusABC]:
 
 @contextmanager
 def _served(serve: Callable[[Stop], None], close: Callable[[], None]) -> Iterator[None]:
-    """Run drives in a thread of their own; end them, whatever happens."""
+    """Run drives in a thread of their own, and always end them."""
     from conformance.serve.stop import Stop
 
     stop = Stop()

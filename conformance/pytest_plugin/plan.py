@@ -90,7 +90,7 @@ def give_up(error: Exception, request: pytest.FixtureRequest) -> NoReturn:
 
 
 def note(error: Exception, config: pytest.Config) -> int:
-    """End the run with the exit status of an error, whatever the other results; return that status."""
+    """End the run with the exit status of an error, also if all claims hold; return that status."""
     status = error.exit_status if isinstance(error, (NotStopped, RigFault)) else pytest.ExitCode.USAGE_ERROR.value
     end_with(config, status)
     return status

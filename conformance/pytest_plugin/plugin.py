@@ -195,7 +195,7 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
 
 
 def end_with(config: pytest.Config, status: int) -> None:
-    """Have the run end with an exit status of its own; of several the one that says most."""
+    """Have the run end with this exit status, or with the worst of several."""
     from conformance.claim import worst
 
     config.stash[STATUS] = worst(status, config.stash.get(STATUS, 0))

@@ -2,7 +2,6 @@
 
     suite process   Gate -> RemoteLine  --pipe-->  guard process   Gate -> Line -> port
 
-The guard owns the port. It judges every frame once more at the place where bytes leave, ends motion that has no end after a
-time, and when the suite dies, however it dies, it stops the motor, puts back what the journal says, and only then gives
-the port back.
+The guard owns the port. It judges every frame once more at the place where bytes leave. It ends a run without an end after
+a time. When the suite dies in any way, it stops the motor, restores the settings in the journal, and then closes the port.
 """

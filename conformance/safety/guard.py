@@ -2,13 +2,13 @@
 
     python -m conformance.safety.guard        requests on standard input, answers on standard output
 
-It sends what the suite asks for, if its gate lets it. It knows which drives may be moving by what it sent them. Whatever
-ends the suite (an error, kill -9, a closed terminal) ends the pipe, and then the guard stops every drive that may be
-moving, puts back what the journal says, and gives the port back. A run without an end is stopped after a time even while
-the suite lives. Its own exit status is 0, or 20 where a motor could not be stopped.
+It sends what the suite asks for, if its gate permits it. It knows from the sent frames which drives may be moving. An end of
+the suite (an error, kill -9, a closed terminal) ends the pipe. The guard then stops every drive that may be moving, restores
+the settings in the journal, and closes the port. A run without an end is stopped after a time even while the suite lives.
+Its own exit status is 0, or 20 where a motor could not be stopped.
 
-Whatever the suite is or has become, no more passes than was allowed in the beginning, but for stops, and for what the
-journal says was there before.
+The permissions of the start hold until the end, also against a faulty suite. Only stops and the journal's old settings pass
+in addition.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ class Guard:
         """Judge and write an item."""
         item = say.sendable(request.item, self.line.endpoint.name)
         gate = self._gate_for(item)
-        # Before it leaves: from then on the drive may be moving, whatever happens here.
+        # Note it before it leaves: from then on the drive may be moving, even if sending fails.
         for reading in gate.interpret(item):
             self._note(reading)
         return say.Done(gate.send(item), self._moving)
@@ -217,7 +217,7 @@ class Guard:
         return f"a run without an end took longer than {longest:g} s (--max-run), so the guard has stopped the motor"
 
     def stop_unproved(self) -> None:
-        """Stop what is not seen standing, whoever set it going, at the end of a run. Raises NotStopped."""
+        """Stop every drive that is not seen standing, at the end of a run. Raises NotStopped."""
         for drive in self._drives:
             if drive.moving and drive.told and not standing_failure(self.gate, drive.dialect, drive.address):
                 drive.stands()
@@ -343,7 +343,7 @@ def _done(act: Callable[[Guard, say.Request], say.Answer], guard: Guard, request
         return say.Failed("lost", str(error))
     except ServotapError as error:
         return say.Failed("usage", str(error))
-    # Whatever goes wrong with one request, this process must be there to stop the motor.
+    # No error of one request may end this process, for it has to stop the motor.
     except Exception as error:
         return say.Failed("usage", f"{type(error).__name__}: {error}")
 

@@ -108,7 +108,7 @@ class GuardedLine(Line):
         self._decode = msgspec.msgpack.Decoder(say.Answer).decode
         self._closed = False
         self.not_stopped: NotStopped | None = None
-        #: Whether something was sent that may move a drive, and nothing said since that it stands; whoever sent it.
+        #: Whether a drive may be moving: the suite or the guard sent a motion, and nothing has shown a standstill since.
         self.moving = False
         self.settled = False
         try:

@@ -242,7 +242,7 @@ class Keeper:
             if command is None:
                 raise NotRun(f"{self._dialect.name} has no command {entry.command}")
             key = (command.name, settings.selector(command, entry.values))
-            # Whatever a file says: a motor must not turn at the next power-on.
+            # A speed saved for power-on is cleared even if the file has one: a motor must not turn by itself.
             before = _forgotten(command) if command.verb is Verb.SAVE_SPEED else dict(entry.values)
             self._kept[key] = _Kept(command, before, [dict(s) for s in entry.sent])
 

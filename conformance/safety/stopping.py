@@ -52,7 +52,7 @@ class GuardLost(LineLost):
 
 
 def stopping(address: int) -> Allowance:
-    """Return what may be sent to stop a drive, whatever else is allowed: a stop always passes."""
+    """Return the allowance of a stop; it needs no permission of the user."""
     return Allowance(frozenset({Risk.READ, Risk.MOTION}), addresses=frozenset({address}))
 
 
@@ -223,7 +223,7 @@ def stop_or_cut(
         raise
     except ServotapError as error:
         failure = str(error)
-    # Whatever keeps the stop from being sent or proved, the motor may turn.
+    # Any error here means that the stop was not sent or not proved: the motor may turn.
     except Exception as error:
         failure = f"{type(error).__name__}: {error}"
     if failure:

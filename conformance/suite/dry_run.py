@@ -1,7 +1,7 @@
 """A dry run: all that a run would send, without a port. An emulated drive stands in for the real one.
 
-A real drive's answers may lead elsewhere, so what is listed is what would be sent to a drive as the manual has it, which is at
-hand and alone.
+Other answers can lead to other requests. The list therefore holds for a drive that follows the manual, with a person at hand
+and no other drive on the bus.
 """
 
 from __future__ import annotations

@@ -22,9 +22,9 @@ from conformance.safety.stopping import MAY_MOVE
 from conformance.suite.rig import ClaimRig
 from conformance.talk.probe import Probe
 
-#: How long emulated drives are looked for that fail alike.
+#: How long to search for emulated drives that fail alike.
 _SEARCH_SECONDS = 20.0
-#: Claims that judge the bytes of replies alone, whatever the shaft does.
+#: Claims that judge the bytes of replies alone, not the shaft.
 _OF_BYTES = (Theme.SHAPE, Theme.FRAMING, Theme.TRAFFIC)
 #: What is said of a refutation that did not come again.
 ONCE = "1 of 2 times"

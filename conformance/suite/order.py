@@ -1,15 +1,15 @@
 """The order in which claims run on a real line: what teaches most in a second comes first.
 
-A table for each dialect (`telling/DIALECT.json`) was made by measurement (`benchmarks/order.py`): the claims that refute most
-of the known faults in a second of the line, and that look at what no claim before them looked at; and how long each kind of
-claim takes. What stands in no table (new claims, those of another package) comes behind, by an estimate.
+`benchmarks/order.py` measured a table for each dialect (`telling/DIALECT.json`). It lists the claims that refute most of the
+known faults per second and look at something new, and how long each kind of claim takes. Claims without an entry (new ones,
+those of another package) come last, by an estimate.
 
 Rules kept here:
-- The order depends on the claims alone; it is the same again.
+- The order depends on the claims alone, so every run has the same one.
 - A kind is a claim's id without the names of commands. Of the claims that are not named one by one, first one of each kind
   runs, then a second, the quick ones first.
 - What proves that settings need no distance runs before the first claim that changes one.
-- Claims that make the drive ready to move stand together, as long as nothing comes later by it than some seconds.
+- Claims that make the drive ready to move stand together, unless that delays another claim by more than some seconds.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Before the first claim: is the drive there, is it the one that was named, is it alone where the user says so?
+"""Checks before the first claim: the drive answers, it is the named one, and it is alone if the user says so.
 
-A drive that is missing, at another speed or address, or speaking another dialect is found out by reads alone, and reported
-in one message. A drive that answers wrongly is let through: the claims say what is wrong with it.
+Reads alone find a drive that is missing, has another speed or address, or speaks another dialect. One message reports it.
+A drive that answers wrongly is let through: the claims say what is wrong with it.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ After each claim the drive is stopped, if the claim may have moved it, and prove
 so that each claim finds the drive as the one before found it. Claims that follow each other and all make the drive ready to
 move are a group: what that sets stays until the first claim that does not name it, and is put back once.
 
-Whatever goes wrong in the end, the motor is stopped: by the rig itself; by a new guard, where the old one has died; by the
-guard alone, where the rig cannot.
+The motor is stopped after every failure: by the rig itself, by a new guard if the old one has died, or by the guard alone if
+the rig cannot.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from conformance.suite.plan import Plan
     from conformance.talk.exchange import Exchange
 
-#: How long a drive is silent, whatever it is asked, until that is said, and until it is looked for: no honest drive rests as
-#: long, not even while it starts.
+#: Silence of a drive after which the run says so, and after which it searches for the drive: an honest drive is never silent
+#: as long, not even while it starts.
 _SAID_NS, _LOST_NS = 5 * SECOND_NS, 15 * SECOND_NS
 #: As many questions at least: one that goes on for long is not silence.
 _UNANSWERED = 3
@@ -317,7 +317,7 @@ class RealRig(ClaimRig):
 
     @property
     def _may_move(self) -> bool:
-        """Whether something was sent that may have set the drive going: the guard knows, whoever sent it."""
+        """Whether the drive may be moving; the guard knows every frame that was sent."""
         return self._moved or getattr(self._line, "moving", False)
 
     def _stop(self, *, last: bool) -> None:

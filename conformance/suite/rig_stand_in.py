@@ -1,8 +1,7 @@
 """A rig by the rules of a real drive, on a line to an emulated one in virtual time, without a guard and a journal.
 
-It is the run itself: the search for the drive and for its neighbours, each setting read before it is changed and put back,
-each stop and its proof, each wait; only the line is an emulated one. So what a run would send is known without a port, and how
-long it would take without waiting for it.
+It is the whole run on an emulated line: the search for the drive and its neighbours, each setting read, changed and put
+back, each stop with its proof, and each wait. So the frames of a run are known without a port, and its time without a wait.
 """
 
 from __future__ import annotations

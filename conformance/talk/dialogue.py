@@ -167,7 +167,7 @@ class Dialogue:
             port = self._pipeline.ports[self._name]
             self._sorter.sends(port.bytes_in, len(record.data), exchange)
             if isinstance(record, CanFrame) and not record.extended:
-                # What is spoken to is a drive, whatever it answers.
+                # The suite speaks to drives only, so this identifier is a drive's.
                 port.nodes.drives.add(record.id)
             self._sorter.sending = exchange if isinstance(record, CanFrame) else None
             self._pipeline.feed(record)

@@ -1,7 +1,7 @@
 """An exchange: what was sent, what came back, when, and what the analyzer makes of it.
 
-The bytes of both directions go through the analyzer's own pipeline (`conformance.talk.dialogue`), so that what a claim
-judges and what `send`, `scan` and `replay` show is what `show` would say of a recording.
+The bytes of both directions go through the analyzer's own pipeline (`conformance.talk.dialogue`). So claims, `send`, `scan`
+and `replay` see what `show` would say of a recording.
 """
 
 from __future__ import annotations

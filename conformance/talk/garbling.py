@@ -51,11 +51,11 @@ def _judge(address: int, risks: frozenset[Risk], names: frozenset[str]) -> Judge
 def harmless(
     item: Item, address: int, behind: bytes = b"", *, beside: frozenset[Risk] = frozenset(), dialect: Dialect | None = None
 ) -> bool:
-    """Say whether what is to leave reads as nothing but reads of the drive at `address`, in any dialect.
+    """Say whether every dialect takes these bytes for reads of the drive at `address` alone.
 
-    `behind`: what will be sent next; a head at the end of one could take it for its own. `beside`: risks that may be there.
-    `dialect`: that of the drive. On CAN an identifier is a drive's own, so that what drives of other dialects make of a frame
-    is left to the gate, which knows whether there are any.
+    `behind`: the bytes sent next; a head at the end could begin a frame with them. `beside`: other permitted risks.
+    `dialect`: the drive's own. On CAN an identifier belongs to one drive. There the gate judges what drives of other
+    dialects make of a frame, because it knows whether there are any.
     """
     on_can = dialect is not None and dialect.bus == "can"
     judge = _judge(address, beside, frozenset({dialect.name, *dialect.siblings}) if dialect and on_can else frozenset())

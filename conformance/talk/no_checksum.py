@@ -36,7 +36,7 @@ class _One:
         self.entries.append(entry)
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
-        """Do nothing: what is no frame even so is junk already."""
+        """Do nothing: this junk is known already."""
 
     def finding(self, found: Finding) -> None:
         """Do nothing: findings were made of the bytes as they came."""

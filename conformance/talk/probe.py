@@ -6,9 +6,9 @@
 
 A probe serves one claim. Its dialogue (`conformance.talk.dialogue`) knows nothing of what other claims asked.
 
-Rules: an emulated drive's time costs nothing, so the waits are long there; on a real line they end as soon as the drive has
-answered and a short quiet has passed (in which a second reply would show). Writes of settings keep a distance
-(`Rig.write_gap_ns`), for real drives were seen to drop hasty ones.
+Rules: an emulated drive's time costs nothing, so the waits are long there. On a real line a wait ends after the answer and a
+short silence, in which a second reply would show. Writes of settings keep a distance (`Rig.write_gap_ns`), for real drives
+were seen to drop hasty ones.
 """
 
 from __future__ import annotations
@@ -476,5 +476,5 @@ def _ended(exchange: Exchange) -> bool:
     return False
 
 
-#: Whatever comes may be what the drive under test answers, paired with its request or not.
+#: Each wait and its end; a reply counts even if it pairs with no request.
 _ENDS: Mapping[Until, Ended] = {Until.REPLY: _answered, Until.DONE: _ended, Until.TIMEOUT: lambda exchange: False}

@@ -143,7 +143,7 @@ class Replies:
 
 
 def templates(dialect: Dialect, command: Command, address: int, values: Mapping[str, Any]) -> list[Template]:
-    """Return the replies that could come to a request with these values, of whatever form."""
+    """Return the replies of all forms that could come to a request with these values."""
     link = dialect.link
     result = []
     for form in command.reply_forms:

@@ -326,7 +326,7 @@ class Finder:
     """Asks single drives whether they are there."""
 
     def __init__(self, gate: Gate, dialects: Sequence[Dialect], patience_ns: int = PATIENCE_NS) -> None:
-        # A gate of reads alone, whatever the other one allows; both know what was sent on the line.
+        # This gate allows reads alone; both gates know what was sent on the line.
         self.dialogue = Dialogue(gate.under(Allowance()), dialects)
         self._patience_ns = patience_ns
 

@@ -2,9 +2,9 @@
 
     tap: pass on -> put into a queue -> go on          thread: queue -> Store (spool, memory while the disk is full)
 
-Times. Bytes from the adapter are stamped like those of any reader. Bytes from the program get the end of their transmission on
-the line, computed from the speed, but no later than the first byte of the reply. Rules: the queue is bounded; bytes that do
-not fit are counted, and an event marks their place. Events of the adapter stand with the replies.
+Times. Bytes from the adapter are stamped like those of any reader. Bytes from the program are stamped with the end of their
+transmission. It is computed from the speed, and is never later than the first byte of the reply. Rules: the queue is bounded;
+bytes that do not fit are counted, and an event marks their place. Events of the adapter stand with the replies.
 """
 
 from __future__ import annotations
