@@ -131,7 +131,7 @@ def _two_of_one(dialect: Dialect, package: Command, own: int) -> list[Slot]:
 
 
 def _two_kinds_of_one(dialect: Dialect, package: Command, own: int) -> list[Slot]:
-    # Neither command can say that it is the one that was executed, where both were.
+    # The moves differ in length, so the position shows which slots were executed.
     pulses = {"command": Verb.MOVE_RELATIVE_PULSES.value, "direction": 0, "speed": 60, "acceleration": 200, "pulses": STEP}
     return [_move(dialect, own), {"address": own, **pulses}, EMPTY, EMPTY, {"address": own, **pulses}]
 

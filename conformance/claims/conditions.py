@@ -180,7 +180,7 @@ AT_REST = Condition("at-rest", "at rest", _nothing, _nothing, stands=True)
 
 
 def _motions(dialect: Dialect) -> Iterator[Condition]:
-    """Yield one motion of each kind; where the manual has several, the one that is told its speed."""
+    """Yield one motion of each kind, if possible one with a speed in its request."""
     for kind in (MotionKind.RUN, *MOVES, MotionKind.TORQUE):
         commands = sorted(dialect.motions(kind), key=lambda c: (bool(c.models), not motion.of(c).speed))
         for command in commands[:1]:

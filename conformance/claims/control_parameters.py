@@ -1,12 +1,12 @@
-"""What the control parameters of LK motors (C1) do to motion: observed, for the manual does not say that they are limits.
+"""Effects of the control parameters of LK motors (C1) on motion. They are observed: the manual does not call them limits.
 
-The manual has parameters called speed limit, angle limit, torque limit and speed ramp, gives them no unit, and speaks
-elsewhere of limits that a setup program sets. That they act on motion, at once and until the power goes, in the units of the
-commands, is how they are taken; a drive that does otherwise is not refuted.
+The manual names a speed limit, an angle limit, a torque limit and a speed ramp without units. Elsewhere it speaks of limits
+that a setup program sets. Here they are taken to act on motion at once, until the power goes, in the units of the commands.
+A drive that does otherwise is not refuted.
 
 Rules kept here:
-- A drive without C0 and C1 (firmware 2.35) is one that was seen.
-- What a claim changed it puts back.
+- Real drives without C0 and C1 were seen (firmware 2.35).
+- A claim puts back what it changed.
 """
 
 from __future__ import annotations
@@ -189,6 +189,7 @@ def _torque_limit_of(probe: Probe, how: Command) -> None:
 # --- the ramp ---------------------------------------------------------------------------------------------------------
 
 _of_ramp = partial(_of_run, theme=Theme.TIMING)
+_of_change = partial(_of_ramp, settings=("speed_ramp",))
 
 
 def _acceleration(probe: Probe, ramp: int, how: Command) -> tuple[float, Exchange]:
@@ -233,17 +234,7 @@ def _speed_ramp(probe: Probe, run: Command) -> None:
         probe.expect(seen, near=180, within=5, unit="deg/s2", refutes="the speed rises by another ramp", exchange=exchange)
 
 
-@of_motion(
-    each=commands(Verb.WRITE_PARAMETER),
-    name="{command}/speed-ramp-at-once",
-    theme=Theme.TIMING,
-    refuted_by="a change of speed by the ramp of before",
-    settings=("speed_ramp",),
-    own=lambda case: {Risk.SETTING},
-    risks=risks_by(Verb.RUN_SPEED),
-    rests_on=(Doubt.EFFECT,),
-    quirks=may_meet(_FIRMWARE),
-)
+@_of_change(name="{command}/speed-ramp-at-once", refuted_by="a change of speed by the ramp of before")
 def _ramp_at_once(probe: Probe) -> None:
     """A speed ramp that is written while the shaft turns holds for the next change of speed, before the shaft stood."""
     kept = _parameter(probe, "speed_ramp")
@@ -283,17 +274,7 @@ def _ramp_time(before: Sample, first: float, begun_ns: float, after: Sample, las
     return 2 * (first * lead + last * rest - (after.value - before.value)) / (last - first)
 
 
-@of_motion(
-    each=commands(Verb.WRITE_PARAMETER),
-    name="{command}/one-ramp",
-    theme=Theme.TIMING,
-    refuted_by="a change of speed by a steeper ramp",
-    at_best=Certainty.LIKELY,
-    settings=("speed_ramp",),
-    own=lambda case: {Risk.SETTING},
-    risks=risks_by(Verb.RUN_SPEED),
-    quirks=may_meet(_FIRMWARE),
-)
+@_of_change(name="{command}/one-ramp", refuted_by="a change of speed by a steeper ramp", at_best=Certainty.LIKELY, rests_on=())
 def _one_ramp(probe: Probe) -> None:
     """A run speeds up, slows down and turns round by no steeper ramp than it begins by, both ways."""
     kept = _parameter(probe, "speed_ramp")

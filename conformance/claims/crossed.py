@@ -188,7 +188,7 @@ class Tried:
     after: tuple[Look, ...]
     course: Course
     stopping: Course | None
-    #: By how much a time may be off the law beside the clock: a step of its staircase, another reckoning of a speed.
+    #: How far a time may be off the ramp's law in addition to the clock: a step of the ramp, another rounding of a speed.
     slack_ns: float
 
     @property

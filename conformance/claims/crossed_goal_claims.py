@@ -53,7 +53,7 @@ _STEADY_NS = 550 * MS
 _FASTEST, _JUMP = 400, 5.0
 #: How long a speed that is read may stay behind, and by how much two speeds that are steady differ.
 _FILTER_NS, _CHANGES = 150 * MS, 0.1
-#: Degrees by which a place within the turn may be off beside the way of the shaft, and how old it may be.
+#: How far a place within the turn may differ from the shaft's way (degrees), and how old it may be.
 _OFF, _OLD_S = 2.0, 0.02
 #: What is read of the place within the turn, and how many units a turn may have.
 _WITHIN_TURN: Mapping[Verb, tuple[str, tuple[int, ...]]] = {
@@ -151,7 +151,7 @@ def _expect_strength(
 
 @_of_goals(name="{command}/crossed-ends", refuted_by="another way")
 def _ends(probe: Probe, command: Command) -> None:
-    """{command} goes where it is asked to, slow and fast, from rest and out of a run, whatever is switched on on its way."""
+    """{command} goes as requested, slow and fast, from rest and out of a run, also if the motor is switched on meanwhile."""
     for tried in _rows(probe, command):
         if tried.row.meets in (STOP, OFF):
             continue

@@ -25,7 +25,7 @@ from conformance.talk.probe import Probe
 
 #: A speed that replies leave more uncertain than this share is not judged.
 _BLIND = 0.1
-#: No loop mends how far an encoder beside the shaft's middle is off: by seven counts of 16384 either way were seen.
+#: No loop corrects the error of an encoder that is off the shaft's centre: seven counts of 16384 either way were seen.
 _OPEN_DEGREES = 14 * COUNT
 
 

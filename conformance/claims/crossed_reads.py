@@ -28,7 +28,7 @@ from conformance.motion.motion import MOVES, MS
 from conformance.talk.noise import CLOCK_SHARE, COUNT, TOLD_LATE_NS
 from conformance.talk.probe import Probe
 
-#: How long a speed that is read may stay behind, and an angle error of a free shaft that turns, and of one at rest (degrees).
+#: How long a read speed may lag, and the angle error of a free shaft in motion and at rest (degrees).
 _FILTER_NS, _LAG, _REST = 100 * MS, 45.0, 1.0
 #: What F1 of real drives was seen to do.
 _STATUS_QUIRKS = _EARLY, _STAYS = "status-stops-early", "status-stays-slowing"

@@ -41,7 +41,7 @@ Check = Callable[..., None]
 class Case:
     """What one claim of a check is about.
 
-    `command`: the one that the claim covers; the check gets it as `command`. `given`: other arguments of the check by name;
+    `command`: the claim covers it, and the check gets it as `command`. `given`: other arguments of the check by name;
     they stand in its statement too (`{run}`, a command by its name). `facts`: what `claim` takes, for this case alone; `name`
     is the id behind the theme, `statement` what holds.
     """
@@ -245,7 +245,7 @@ def declare(
 ) -> Claim:
     """Return a claim with the id `<dialect>/<theme>/<name>`.
 
-    `command`: the one that it is about, whose section it has where none is given, and which it covers in `aspect`.
+    `command`: its subject, which it covers in `aspect`, and whose section it has by default.
     `rests_on`: what must be as the manual is read, about the command, the claim's fields and what else `about` names.
     `errata`: ids of those that its printed frames name. `at_best`: how sure it is without any erratum. `risks`: what it sends
     beside reads.

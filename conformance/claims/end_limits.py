@@ -94,7 +94,7 @@ def _sense_of(probe: Probe, command: Command) -> int:
 
 
 def _values(probe: Probe, command: Command, way: int, sense: int = 0, rpm: int = _RPM) -> dict[str, int]:
-    """Return the values of a long motion down (-1) or up (1), whatever its bits turn. `sense`: where it is known."""
+    """Return the values of a long motion down (-1) or up (1). `sense`: the drive's sense of direction, if known."""
     sense = sense or _sense_of(probe, command)
     start, turned = motion.place(probe, command), way * sense
     how = {"rpm": rpm * turned if motion.of(command).kind is MotionKind.RUN else rpm, "acceleration": QUICK}

@@ -177,7 +177,7 @@ def _prepare(probe: Probe, command: Command, replies: int) -> None:
     if not needs_motion(command):
         return
     law = probe.dialect.subdivision
-    # A move whose end is waited for: of the subdivisions at which its speed is that as sent, the one that makes it shortest.
+    # The claim waits for the move's end: of the subdivisions that leave its speed as sent, the largest makes it shortest.
     short = law is not None and replies > 1 and command.motion is not None and bool(command.motion.distance)
     motion.ready_to_move(probe, subdivision=max(law.plain) if law is not None and short else None)
     run = _run_of(probe.dialect, command)

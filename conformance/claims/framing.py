@@ -1,4 +1,4 @@
-"""Framing: what is no good request is not answered, and the next good one always is.
+"""Framing: a drive ignores every broken request, and always answers the next good one.
 
 Each kind of damage makes two claims: `ignored` (no answer to any variant of it) and `next` (the good read behind it is
 answered). What is damaged is a read (`conformance.talk.garbling`), so that nothing a drive makes of it can move a motor.
@@ -133,7 +133,7 @@ def _strange_frames(probe: Probe) -> Iterator[Variant]:
         yield what, CanFrame(None, "bus", read.can_id, data, extended=extended, remote=remote)
 
 
-#: Codes that other firmware was seen to have: one that it answers, and some that do what nobody wants.
+#: Codes that other firmware was seen to have: one that it answers, and some with unwanted effects.
 _UNWANTED = frozenset({0x07, 0x40, 0x42})
 _UNKNOWN = frozenset({Risk.UNKNOWN})
 

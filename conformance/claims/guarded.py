@@ -89,7 +89,7 @@ def _motion_values(probe: Probe, command: Command) -> Mapping[str, int]:
 
 def _another_position(probe: Probe, command: Command) -> Mapping[str, int]:
     now = probe.read(Verb.READ_POSITION, "position")
-    # Far from the ends of 32 bits, whatever it was.
+    # Far from the old position and from the ends of 32 bits.
     return {"position": _POSITION_STEP if abs(now - _POSITION_STEP) > _POSITION_STEP // 2 else -_POSITION_STEP}
 
 

@@ -3,7 +3,7 @@
     quirks=known(dialect, "settling")      ("settling",) on CAN, () elsewhere
     @claim(..., quirks=may_meet("settling"))    the same for a claim that is declared for all dialects
 
-The quirks, with where each was seen, stand beside the emulated drives (`servotap emulate --list-quirks`).
+The quirks, with where each was seen, are declared with the emulated drives (`servotap emulate --list-quirks`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Reads that a drive answers whatever it is doing, of any model."""
+"""Reads that a drive of any model answers in every state."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from analyzer.catalogue import Command, Dialect, Risk, Verb
 from conformance.talk import samples
 
-#: Reads whose reply tells what is stored: it stays, whatever the shaft does.
+#: Reads whose reply tells what is stored: motion does not change it.
 _STORED = frozenset({Verb.READ_PARAMETER, Verb.READ_USER_ID, Verb.READ_VERSION})
 
 

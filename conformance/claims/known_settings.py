@@ -1,4 +1,4 @@
-"""Settings that a drive takes whatever it is doing: what sets each, to which values, and what reads it."""
+"""Settings that a drive takes in every state: the command and values that set each, and the read that shows it."""
 
 from __future__ import annotations
 

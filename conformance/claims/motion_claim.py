@@ -44,8 +44,8 @@ def of_motion(
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Declare a check of a command that moves, or of one that a moving drive is asked; see `claim`.
 
-    `risks`, `settings`: beside those of making a drive ready and of the command. `own`: those of the command with the
-    values that are sent, where that are not all (values that no manual explains are sent by no claim of this theme).
+    `risks`, `settings`: in addition to those of making a drive ready and of the command. `own`: the command's risks with the
+    sent values alone, for no claim of this theme sends values that no manual explains.
     `still`: the drive is not made ready to move.
     """
 
@@ -111,7 +111,7 @@ def expect_stays(before: Sample, after: Sample, exchange: Exchange | None, text:
 
 
 def expect_speed(seen: Sample | float, rpm: float, exchange: Exchange | None, text: str, share: float = CLOCK_SHARE) -> None:
-    """Refute unless a speed is near `rpm`, whichever way the shaft turns."""
+    """Refute unless a speed is near `rpm`, in either direction."""
     value, noise = (abs(seen), 0.0) if isinstance(seen, float) else (abs(seen.value), seen.noise)
     if abs(value - abs(rpm)) > 1 + abs(rpm) * share + noise:
         raise Refuted(text, expected=f"{abs(rpm):g} rpm", got=f"{value:g} rpm", exchange=exchange)

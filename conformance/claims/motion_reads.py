@@ -1,7 +1,6 @@
-"""What is read of a shaft that moves: that position, speed, pulses and error are what the shaft does, and that they agree.
+"""Reads of a moving shaft: position, speed, pulses and error follow the shaft, and agree with each other.
 
-Two numbers that tell the same are held against each other (30 and 31, 31 and 32, 31 and 33; LK 92 and 94), so that a wrong one
-shows whatever moved the shaft.
+Two reads of one quantity are compared (30 and 31, 31 and 32, 31 and 33; LK 92 and 94). So a wrong one shows after any motion.
 
 Rules kept here:
 - A turn is 16384 counts of an MKS encoder and 3200 pulses at 16 subdivisions.

@@ -238,7 +238,7 @@ def _over_others(dialect: Dialect) -> Iterator[Case]:
 
 
 def _begin_way(probe: Probe, command: Command, way: int, rpm: float = CALM) -> Exchange:
-    """Ask for a long motion of a direction, whatever is under way."""
+    """Ask for a long motion in a direction, at rest or during another motion."""
     kind = motion.of(command).kind
     degrees = way * (_IN_TURN if kind is MotionKind.MOVE_IN_TURN else _FAR)
     force = motion.values_of(probe.dialect, command) if kind is MotionKind.TORQUE else {}

@@ -70,7 +70,7 @@ def _expect(probe: Probe, exchange: Exchange, wanted: int, text: str) -> None:
 
 
 def _stall_outputs(dialect: Dialect) -> Iterator[Case]:
-    """Yield the read of the ports with the one that tells of a stall: ALM on CAN, OUT_1 of a 57D elsewhere."""
+    """Yield the read of the ports with the port that reports a stall: ALM on CAN, OUT_1 of a 57D elsewhere."""
     for case in commands(Verb.READ_IO)(dialect):
         if dialect.bus == "can":
             yield Case(dialect, case.command, {"port": "alm"})

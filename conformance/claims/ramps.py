@@ -88,7 +88,7 @@ def time_of(exchange: Exchange) -> tuple[float, float]:
 def _steady(probe: Probe, rpm: float, *, last: bool = False) -> _Steady:
     """Measure a speed that does not change; of a shaft that is to stand, where it stands.
 
-    The position is that at the beginning, or with `last` that at the end: the one that is nearer to the ramp.
+    The position is the first one, or with `last` the last one, to be nearer to the ramp.
     """
     first = motion.position(probe)
     if not rpm:

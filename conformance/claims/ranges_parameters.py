@@ -22,7 +22,7 @@ from conformance.model.lk_parameters import OTHER_FIRMWARE, listed, number_of, r
 from conformance.motion import motion
 from conformance.talk.probe import Probe
 
-#: Numbers that no parameter has in the manual, and beside the listed ones.
+#: Numbers that no parameter has in the manual; most are next to a listed one.
 _NUMBERS = (0, 9, 13, 29, 31, 33, 35, 37, 39, 255)
 #: Hundredths of a degree within which two positions are one.
 _SAME = 30

@@ -2,8 +2,8 @@
 
     read       what is set is what the parameter read answers (CAN 00, LK 0xC0)
 
-That setting one changes no other stands in `resilience_settings`, what settings do in `read_back_effects`, what a restart or a
-restore leaves of them in `restart` and `restore`.
+Other modules judge the rest of a setting: `resilience_settings` that it changes no other, `read_back_effects` its effect,
+`restart` and `restore` what is left of it afterwards.
 
 Rules kept here:
 - Which settings of a CAN drive can be read is open (the manual names two): one that cannot be read is observed. One that

@@ -89,7 +89,7 @@ def _grouped(dialect: Dialect) -> Iterator[Case]:
     quirks=may_meet(NEW_ADDRESS_ANSWERS),
 )
 def _group_stays(probe: Probe, command: Command, effect: SettingEffect, others: list[Setting], address: Command) -> None:
-    """A drive stays in its group whatever else is set, another address or speed of its own and its old one too."""
+    """A drive stays in its group while its other settings, its own address and its speed change."""
     assert effect.expected is not None  # a group is known by its address
     values = effect.values[0]
     effect.ready(probe)

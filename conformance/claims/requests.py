@@ -2,8 +2,8 @@
 
     exchange = plain_exchange(probe, command)
 
-Values are those of `conformance.talk.samples`, except where the drive itself has to be asked: a move to a place goes to where
-the shaft is, a change of the line's speed keeps the one that the line has.
+Values are those of `conformance.talk.samples`. Two of them are read from the drive: a move to a place goes to the shaft's
+present place, and a change of the line's speed keeps the present speed.
 
 Rules kept here:
 - A command that needs a bus mode or a motor that is on gets it first; what turned stands still afterwards.

@@ -53,7 +53,7 @@ def _run(probe: Probe) -> None:
 
 
 def _running(probe: Probe) -> float:
-    """Begin a run and return its speed. Raises Inconclusive where it is not the one that was asked for."""
+    """Begin a run and return its speed. Raises Inconclusive at another speed than the requested one."""
     _run(probe)
     speed = motion.speed(probe).value
     if abs(abs(speed) - _RPM) > _NEAR:

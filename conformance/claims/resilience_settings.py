@@ -189,7 +189,7 @@ def _home_by_a_switch(probe: Probe) -> None:
 
 
 def _set(probe: Probe, row: _Row, when: str, held: dict[str, Mapping[str, int]]) -> None:
-    """Send a setting, judge its reply, and note what is to hold then."""
+    """Send a setting, judge its reply, and note the value that must hold from then on."""
     setting, command = row.setting, row.setting.command
     values = row.values
     if isinstance(setting, ReadableSetting) and not row.is_wrong:

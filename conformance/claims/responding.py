@@ -38,7 +38,7 @@ def _motions(*kinds: MotionKind) -> Cases:
     def cases(dialect: Dialect) -> Iterator[Case]:
         for case in _settings(dialect):
             for number, run in enumerate(dialect.motions(*kinds)):
-                # Whatever `active` is: each is tried with some of them.
+                # `active` must not matter: each of its values is tried with some runs.
                 yield Case(dialect, case.command, {"run": run, "stop": dialect.stops_of(run)[0], "active": number % 2})
 
     return cases

@@ -3,9 +3,13 @@
     effect = of(dialect, command)
     effect.see(probe)      what the drive does now, in words and numbers that can be compared
 
-A dialect that reads its settings back (CAN) shows the values themselves. The others show them by what they do: a work mode by
-whether the motor can be enabled, a subdivision by how far 200 pulses go, `respond` by which replies a move gets, homing by its
-speed and direction, a group by which address the drive obeys.
+A dialect that reads its settings back (CAN) shows the values themselves. The others show a setting by its effect:
+
+    work mode      whether the motor can be enabled
+    subdivision    how far 200 pulses go
+    respond        which replies a move gets
+    homing         its speed and direction
+    group          which address the drive obeys
 
 Rules kept here:
 - Seeing changes nothing that is stored and moves the shaft a turn at most, 300 rpm at most, and leaves it standing.
@@ -64,7 +68,7 @@ class SettingEffect:
     `see`: what the drive does now. `values`: sets of values that show differently, the first one not the default.
     `ready`: what must be done first. `same`: whether two things seen are one. `sends`: verbs that it sends, with values;
     their risks are the claim's. `moves`: it moves the shaft. `expected(values)`: what is seen after these values, None where
-    only differences count. `set_first` False: what the drive has already is what is to stay.
+    only differences count. `set_first` False: the drive's present value is to stay.
     """
 
     see: Callable[[Probe], Seen]

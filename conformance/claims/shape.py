@@ -1,7 +1,7 @@
 """Shape: a reply has the head, address, code, length and checksum that the manual gives it, and a status of its list.
 
-One claim for each command and each thing about its reply. What came is laid over what should have come
-(`talk.reply_match`), so a defect is named by the claim that is about it, and the others go on.
+There is one claim for each command and each property of its reply. `talk.reply_match` lays the reply over the expected one.
+So the claim about the defect refutes it, and the others go on.
 
 Rules kept here:
 - All claims about one command judge one exchange where they run on one rig: a setting is written once, a motor moved
@@ -102,7 +102,7 @@ class _Answer:
 
     @property
     def leftover(self) -> list[bytes]:
-        """Bytes beside the replies, but for those that the line shows around each of them."""
+        """Bytes outside the replies, without the line's own noise around each reply."""
         noise = self.probe.noise
         of_line = (noise.stray, noise.trailing, noise.trailing + noise.stray)
         return [piece for piece in self.found.leftover if piece not in of_line]

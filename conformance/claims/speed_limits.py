@@ -65,7 +65,7 @@ def spun(probe: Probe, command: Command, speed: int, mode: str) -> Spun:
     exchange = motion.ask(
         probe, command, way * _TURNS * 360, rpm=way, acceleration=255, quiet_ns=0, more={motion.of(command).speed: speed}
     )
-    # At 50 us for one rpm the shaft has 3000 rpm after 150 ms, and a move of so many turns keeps it for 250 ms.
+    # At 50 us for one rpm the shaft has 3000 rpm after 150 ms. A move of so many turns keeps that speed for 250 ms.
     probe.wait(exchange.sent_ns + 180 * MS - probe.gate.now_ns())
     before, seen = motion.position(probe), motion.speed(probe)
     probe.wait(exchange.sent_ns + 260 * MS - probe.gate.now_ns())

@@ -28,7 +28,7 @@ _PLACES = (4.6, 1.7, 0.3, -0.3, -1.7, -4.6)
 _RPM = 360
 #: The angle error of a loop that holds its place at most, and by how much a shaft that is let go may settle (degrees).
 _LAG = 1.0
-#: Pulses by which the count may differ from the place, beside the noise.
+#: Pulses by which the count may differ from the place, in addition to the noise.
 _PULSES = 2
 _STOPPED = 1
 #: The speed of a drive that tells no carry; what its places are called after them, in turns: as far as 32 bits hold.

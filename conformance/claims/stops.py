@@ -262,7 +262,7 @@ def _stops_all(probe: Probe, command: Command) -> None:
     expect_standing(probe, exchange, f"{command.name} by a broadcast stops nothing")
 
 
-# --- the stop of whatever moves ---------------------------------------------------------------------------------------
+# --- the stop of every motion - ---------------------------------------------------------------------------------------
 
 
 def _emergencies(dialect: Dialect) -> Iterator[Case]:
@@ -350,7 +350,7 @@ def _when_rising(probe: Probe, command: Command, run: Command) -> None:
     _expect_ended(probe, command, "slows down")
 
 
-#: Speeds that are fast, a ramp of 5 ms for a rpm, and how long a shaft may take to stand when its ramp is over.
+#: A fast speed, a ramp of 5 ms for each rpm, and how long a shaft may take to stand after its ramp.
 _FAST_RPM, _RISING, _DOWN_NS = 1200, 156, 120 * MS
 
 

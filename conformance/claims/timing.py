@@ -35,7 +35,7 @@ _BUSY_NS, _SEEN_NS = 100 * MS, 750 * MS
 _TIMES = 20
 #: A silence within a reply that no adapter makes.
 _GAP_NS = 30 * MS
-#: LK's printed delay, and how far a reply may be from it beside the line's own uncertainty.
+#: LK's printed delay, and how far a reply may be from it in addition to the line's uncertainty.
 _LK_DELAY_NS, _LK_SLACK_NS = 250_000, 20_000
 #: What a host's clock and adapter leave uncertain on a real line.
 _HOST_NS = 2 * MS

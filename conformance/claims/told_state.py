@@ -1,11 +1,10 @@
-"""What LK motors tell of their state in several replies: it is one state, whichever reply tells it.
+"""The state of LK motors: several replies report it, and must agree.
 
     9A 9B            temperature, voltage, current, state and errors
     9C               temperature, torque current, speed, encoder
     9D               temperature, phase currents
 
-A value that one command alone gets wrong shows beside the others. What is told while the shaft turns is judged by
-`crossed_goal_claims`.
+A value that only one command gets wrong differs from the others. `crossed_goal_claims` judges the state of a turning shaft.
 """
 
 from __future__ import annotations

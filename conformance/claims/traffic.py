@@ -33,7 +33,7 @@ _PORT = "bus"
 _ROUNDS = 2
 #: What the session has: reads of one drive.
 _IN_SESSION = frozenset({Seen.FRAMES, Seen.REQUESTS, Seen.REPLIES})
-#: Rows that a session of reads cannot break, whatever the drive does.
+#: Rows that no drive can break in a session of reads.
 _NOT_IN_SESSION = frozenset({"silent", "done"})
 #: A drive with this quirk has no replies that the analyzer could read.
 NO_CHECKSUM = "no-checksum"

@@ -53,7 +53,7 @@ class Seen(StrEnum):
 
 @dataclass(frozen=True)
 class Row:
-    """A rule as a claim. `side`: of which frames, None: whoever sent them; `needs`: what must have been seen."""
+    """A rule as a claim. `side`: the sender of its frames, None: either; `needs`: what must have been seen."""
 
     name: str
     rule: str
