@@ -328,7 +328,7 @@ def _in_haste(probe: Probe, command: Command, setting: Setting) -> None:
         probe.meets(OTHER_FIRMWARE)
         return
     probe.reply(first)
-    sent = [probe.send(item, until=Until.REPLY, timeout_ns=LISTEN_NS) for item in items]
+    sent = [probe.send(item, until=Until.REPLY, timeout_ns=LISTEN_NS, at_once=True) for item in items]
     if not any(exchange.silent for exchange in sent):
         return
     # Alone, behind a pause, each must be answered: else it is not the haste.

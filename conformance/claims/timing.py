@@ -33,6 +33,8 @@ _LATE_NS, _LATEST_NS = SECOND_NS, 6 * SECOND_NS
 #: While the motor turns a reply takes no longer than this, but for drives that were seen to need up to 700 ms.
 _BUSY_NS, _SEEN_NS = 100 * MS, 750 * MS
 _TIMES = 20
+#: A second reply to a setting has come by then.
+_AGAIN_NS = 30 * MS
 #: A silence within a reply that no adapter makes.
 _GAP_NS = 30 * MS
 #: LK's printed delay, and how far a reply may be from it in addition to the line's uncertainty.
@@ -364,8 +366,8 @@ def _in_a_row(probe: Probe, command: Command) -> None:
     exchanges = []
     for subdivision in (32, 16, 32, 8):
         built = probe.build(command, {"subdivision": subdivision})
-        # `ask` would keep the distance that real drives need.
-        exchanges.append(probe.send(built.item(), until=Until.REPLY, timeout_ns=probe.rig.late_ns, quiet_ns=0))
+        late_ns = probe.rig.late_ns
+        exchanges.append(probe.send(built.item(), until=Until.REPLY, timeout_ns=late_ns, quiet_ns=0, at_once=True))
     if exchanges[0].silent:
         raise Inconclusive("a setting is not answered")
     if any(e.silent for e in exchanges) and _HASTY in probe.claim.quirks:
@@ -373,6 +375,8 @@ def _in_a_row(probe: Probe, command: Command) -> None:
         probe.do(command, {"subdivision": 16})
         probe.meets(_HASTY)
     else:
+        # One may be answered once more.
+        probe.wait(_AGAIN_NS)
         _expect_answers(probe, exchanges, "a setting that follows another at once is not answered")
         if effect is not None and effect.expected is not None:
             seen, should = effect.see(probe), effect.expected(probe.dialect, {"subdivision": 8})

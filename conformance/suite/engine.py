@@ -4,28 +4,37 @@ A refutation on a real drive is repeated before it is reported: a drive that fai
 reason says so. Where the claim was a sequence of steps (a state machine), emulated drives are given the same steps: one as the
 manual has it, and one with each known fault. Where the steps refute one of them in the same way, they are shortened there,
 which costs no motion. What is left is confirmed on the real drive.
+
+A known quirk may spoil a claim that does not name it. Where the drive has shown quirks, the claim is tried on emulated drives
+that are as the manual has them but for these: what refutes one of them in the same way is the quirk, and named so.
 """
 
 from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from analyzer.catalogue import Certainty
+from conformance import claims as registry
 from conformance.claim import Claim, Inconclusive, NotRun, NotStopped, Observed, Outcome, Refuted, RigFault, Theme, Verdict
 from conformance.drives import make
+from conformance.drives.drive import Quirk
 from conformance.gate.gate import Refused
 from conformance.safety.stopping import MAY_MOVE
 from conformance.suite.rig import ClaimRig
-from conformance.talk.probe import Probe
+from conformance.talk.probe import Probe, Rig
 
 #: How long to search for emulated drives that fail alike.
 _SEARCH_SECONDS = 20.0
 #: Claims that judge the bytes of replies alone, not the shaft.
 _OF_BYTES = (Theme.SHAPE, Theme.FRAMING, Theme.TRAFFIC)
+#: A quirk that spoils claims which do not name it, the claim that shows it, and how late a reply is by it at least.
+_LATE, _SHOWS_LATE, _LATE_NS = "slow-replies-in-motion", "timing/read_speed/while-moving", 100_000_000
+#: How many emulated drives with a quirk are tried: what a quirk does may depend on chance.
+_SEEDS = 6
 #: What is said of a refutation that did not come again.
 ONCE = "1 of 2 times"
 
@@ -40,10 +49,11 @@ def run_claim(claim: Claim, rig: ClaimRig) -> Verdict:
         return Verdict(claim, Outcome.NOT_RUN, missing)
     verdict = _once(claim, rig)
     if verdict.outcome is Outcome.REFUTED and not rig.emulated:
-        return _confirmed(claim, rig, verdict)
+        verdict = _confirmed(claim, rig, verdict)
     if claim.hasty and verdict.outcome is Outcome.CONFIRMED:
         rig.keep_no_distance()
-    return verdict
+    rig.shown |= set(verdict.quirks)
+    return _explained(claim, rig, verdict)
 
 
 def _once(claim: Claim, rig: ClaimRig) -> Verdict:
@@ -105,19 +115,22 @@ def _judge(claim: Claim, probe: Probe) -> Verdict:
         place = traceback.extract_tb(error.__traceback__)[-1]
         failure = f"a fault of the claim itself: {type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})"
         return _verdict(claim, probe, Outcome.INCONCLUSIVE, failure)
-    if probe.quirks:
-        return _of_quirks(claim, probe)
-    return _verdict(claim, probe, Outcome.CONFIRMED, "")
+    confirmed = _verdict(claim, probe, Outcome.CONFIRMED, "")
+    return _of_quirks(confirmed, probe.rig, probe.quirks) if probe.quirks else confirmed
 
 
-def _of_quirks(claim: Claim, probe: Probe) -> Verdict:
+def _of_quirks(verdict: Verdict, rig: Rig, quirks: Sequence[str]) -> Verdict:
     """Return the verdict of a claim that met known quirks: they are deviations from the manual, unless all are accepted."""
-    named = "; ".join(f"{q.name} ({q.text})" for q in make.every_quirk() if q.name in probe.quirks)
-    accepted = probe.rig.accepts(probe.quirks)
+    claim = verdict.claim
+    named = "; ".join(f"{q.name} ({q.text})" for q in make.every_quirk() if q.name in quirks)
+    accepted = rig.accepts(quirks)
     outcome = Outcome.OBSERVED if accepted or claim.certainty is Certainty.OPEN else Outcome.REFUTED
     text = f"{'accepted' if accepted else 'known'} quirk of real drives: {named}"
-    shown = Refuted(text, expected=claim.statement, got=named, key=" ".join(probe.quirks))
-    return _verdict(claim, probe, outcome, text, shown if outcome is Outcome.REFUTED else None)
+    if outcome is Outcome.OBSERVED:
+        return replace(verdict, outcome=outcome, reason=text, expected="", got="", key="", exchange=None, quirks=tuple(quirks))
+    expected, got = verdict.expected or claim.statement, verdict.got or named
+    key, quirks = " ".join(quirks), tuple(quirks)
+    return replace(verdict, outcome=outcome, reason=text, expected=expected, got=got, key=key, quirks=quirks)
 
 
 def _verdict(claim: Claim, probe: Probe, outcome: Outcome, reason: str, error: Refuted | None = None) -> Verdict:
@@ -184,8 +197,7 @@ def _alike(rig: ClaimRig) -> Iterator[ClaimRig]:
     from conformance.suite.rig_emulated import EmulatedRig
 
     until = time.monotonic() + _SEARCH_SECONDS
-    model = f",model={rig.model}" if rig.model else ""
-    plain = make.parse(f"{rig.dialect.name}@{rig.address}{model}")
+    plain = _as_the_manual(rig)
     yield EmulatedRig(plain)
     for fault in make.every_fault():
         if time.monotonic() > until:
@@ -194,5 +206,52 @@ def _alike(rig: ClaimRig) -> Iterator[ClaimRig]:
             yield EmulatedRig(replace(plain, faults=(fault,)))
 
 
+def _as_the_manual(rig: ClaimRig) -> make.Specification:
+    """Return the emulated drive that is like the one of a rig and has no faults."""
+    model = f",model={rig.model}" if rig.model else ""
+    return make.parse(f"{rig.dialect.name}@{rig.address}{model}")
+
+
 def _of(verdict: Verdict, error: Refuted, steps: tuple[object, ...]) -> Verdict:
     return replace(verdict, reason=error.text, expected=error.expected, got=error.got, exchange=error.exchange, steps=steps)
+
+
+# --- what a known quirk explains --------------------------------------------------------------------------------------
+
+
+def _explained(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verdict:
+    """Return the verdict of a claim; where only a quirk that the drive has shown is to blame, the verdict of that quirk.
+
+    A claim that comes to nothing is one of the quirk where the user accepts it, and stays inconclusive where not.
+    """
+    settled = verdict.quirks or verdict.outcome not in (Outcome.REFUTED, Outcome.INCONCLUSIVE)
+    if settled or rig.dialect.name not in make.KINDS:
+        return verdict
+    if any(ns > _LATE_NS for _, ns in verdict.latencies):
+        _look_whether_late(claim, rig)
+    shown = [quirk for quirk in make.every_quirk() if quirk.name in rig.shown and rig.dialect.name in quirk.dialects]
+    every = [(quirk,) for quirk in shown] + [tuple(shown)] * (len(shown) > 1)
+    for quirks in every:
+        names = [quirk.name for quirk in quirks]
+        if verdict.outcome is Outcome.INCONCLUSIVE and not rig.accepts(names):
+            continue
+        if _come_to_the_same(claim, rig, verdict, quirks):
+            return _of_quirks(verdict, rig, names)
+    return verdict
+
+
+def _look_whether_late(claim: Claim, rig: ClaimRig) -> None:
+    """Run the claim that shows whether replies are late while the motor turns, once in a run."""
+    shows = next((c for c in registry.every(rig.dialect) if c.id.endswith(_SHOWS_LATE)), None)
+    if shows is not None and shows is not claim and _LATE not in rig.looked_for:
+        rig.looked_for.add(_LATE)
+        run_claim(shows, rig)
+
+
+def _come_to_the_same(claim: Claim, rig: ClaimRig, verdict: Verdict, quirks: tuple[Quirk, ...]) -> bool:
+    """Say whether a claim gives the same verdict on a drive that has these quirks alone."""
+    from conformance.suite.rig_emulated import EmulatedRig
+
+    specification = replace(_as_the_manual(rig), quirks=quirks)
+    found = (_once(claim, EmulatedRig(specification, seed=seed)) for seed in range(_SEEDS))
+    return any(each.outcome is verdict.outcome and each.key == verdict.key for each in found)

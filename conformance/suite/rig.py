@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from analyzer.catalogue import Risk
+from analyzer.catalogue import Dialect, Risk
 from conformance.claim import Claim
 from conformance.talk.probe import Probe, Rig
 
@@ -16,7 +16,8 @@ from conformance.talk.probe import Probe, Rig
 class ClaimRig(Rig, ABC):
     """One drive under test. `firmware`: as the drive reported it. `alone`: no other drive is on the bus, says the user.
 
-    `named`: claims that the user named. `began_ns`: when its line was opened.
+    `named`: claims that the user named. `began_ns`: when its line was opened. `shown`: known quirks that the drive has shown,
+    by name; `looked_for`: those that were looked for beside the claims.
     """
 
     name: str
@@ -24,6 +25,11 @@ class ClaimRig(Rig, ABC):
     alone: bool
     began_ns: int = 0
     named: frozenset[str] = frozenset()
+
+    def __init__(self, dialect: Dialect, address: int) -> None:
+        super().__init__(dialect, address)
+        self.shown: set[str] = set()
+        self.looked_for: set[str] = set()
 
     def missing(self, claim: Claim) -> str:
         """Return why a claim cannot run here, or nothing."""

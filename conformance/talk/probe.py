@@ -7,8 +7,9 @@
 A probe serves one claim. Its dialogue (`conformance.talk.dialogue`) knows nothing of what other claims asked.
 
 Rules: an emulated drive's time costs nothing, so the waits are long there. On a real line a wait ends after the answer and a
-short silence, in which a second reply would show. Writes of settings keep a distance (`Rig.write_gap_ns`), for real drives
-were seen to drop hasty ones.
+short silence, in which a second reply would show. Writes of settings, as bytes too, keep a distance (`Rig.write_gap_ns`), for
+real drives were seen to drop hasty ones. What is to be met by silence waits until a setting before it may have been answered
+once more.
 """
 
 from __future__ import annotations
@@ -39,6 +40,8 @@ ALL_QUIRKS = "all"
 _ANYTHING = object()
 #: A drive under test is given longer for a pause inside a frame than a host would give it.
 _PAUSE_NS = 30 * MS
+#: So long after a setting it may be answered once more, as real drives were seen to do.
+_SECOND_REPLY_NS = 30 * MS
 #: Latencies that are kept of one claim.
 _KEPT_LATENCIES = 400
 
@@ -208,13 +211,16 @@ class Probe:
         self, built: encoder.Built, *, until: Until = Until.REPLY, timeout_ns: int | None = None, quiet_ns: int | None = None
     ) -> Exchange:
         """Ask as `ask` does, by a frame that was built already: of values that `build` cannot send (reserved bits)."""
-        if Risk.SETTING in built.risks:
-            self._keep_distance()
-        exchange = self._exchange(built.item(), until, timeout_ns, built, quiet_ns)
+        item, line = built.item(), self.gate.line
+        if Risk.SETTING not in built.risks:
+            if until is Until.TIMEOUT:
+                self._keep_distance(_SECOND_REPLY_NS)
+            return self._exchange(item, until, timeout_ns, built, quiet_ns)
+        self._keep_distance(self.rig.write_gap_ns)
+        exchange = self._exchange(item, until, timeout_ns, built, quiet_ns)
         # A drive that has taken no value yet wrote nothing: one that refuses them all is not waited for.
-        taken = bool(built.values) and not self.refused(exchange)
-        if Risk.SETTING in built.risks and (self.gate.line.setting_ns is not None or taken):
-            self.gate.line.setting_ns = self.gate.now_ns()
+        if line.setting_ns is not None or (built.values and not self.refused(exchange)):
+            line.setting_ns = self.gate.now_ns()
         return exchange
 
     def send(
@@ -224,9 +230,20 @@ class Probe:
         until: Until = Until.TIMEOUT,
         timeout_ns: int | None = None,
         quiet_ns: int | None = None,
+        at_once: bool = False,
     ) -> Exchange:
-        """Send bytes as they are (on CAN a frame) and return what came back; by default for the time of a silence."""
-        return self._exchange(item, until, timeout_ns, None, quiet_ns)
+        """Send bytes as they are (on CAN a frame) and return what came back; by default for the time of a silence.
+
+        `at_once`: also behind a setting, and if it is one itself.
+        """
+        writes = any(each.fits and Risk.SETTING in each.risks for each in self.gate.interpret(item))
+        if not at_once:
+            # A setting may be answered once more, which would break a silence.
+            self._keep_distance(max(_SECOND_REPLY_NS, self.rig.write_gap_ns if writes else 0))
+        exchange = self._exchange(item, until, timeout_ns, None, quiet_ns)
+        if writes:
+            self.gate.line.setting_ns = self.gate.now_ns()
+        return exchange
 
     def listen(self, duration_ns: int, until: Until = Until.TIMEOUT) -> Exchange:
         """Send nothing and return what comes meanwhile; with `Until.REPLY` to the first frame that comes."""
@@ -237,10 +254,11 @@ class Probe:
         if duration_ns > 0:
             self.listen(duration_ns)
 
-    def _keep_distance(self) -> None:
+    def _keep_distance(self, gap_ns: int) -> None:
+        """Wait until the last setting is so long past."""
         # By the line, not by the probe: what puts settings back, and the next claim, follow closely.
         before_ns = self.gate.line.setting_ns
-        left_ns = 0 if before_ns is None else before_ns + self.rig.write_gap_ns - self.gate.now_ns()
+        left_ns = 0 if before_ns is None else before_ns + gap_ns - self.gate.now_ns()
         if left_ns > 0:
             self.raw += self.gate.wait(left_ns)
 

@@ -17,17 +17,10 @@ from conformance.suite.rig_emulated import EmulatedRig
 from conformance.talk.probe import ALL_QUIRKS
 
 DIALECTS = ("mks-rs485", "mks-modbus", "mks-can", "lk-rs485")
+#: Of the drives with quirks: another one than those have by which the engine looks what a quirk explains.
+SEED = 24
 #: Quirks that a listener cannot tell from what the manual has, in these dialects: Modbus echoes a calibration anyway.
 UNSEEN = {("mks-modbus", "calibration-answers-1")}
-#: Known and open: with these, claims that do not name the quirk are refuted or inconclusive: late replies while the motor
-#: turns, settings in a row, a second reply to a group.
-ACCUSED = {
-    ("mks-rs485", "slow-replies-in-motion"),
-    ("mks-modbus", "slow-replies-in-motion"),
-    ("mks-modbus", "hasty-writes-dropped"),
-    ("mks-rs485", "hasty-writes-dropped"),
-    ("mks-rs485", "second-reply"),
-}
 
 
 @dataclass
@@ -53,9 +46,11 @@ def pairs(dialect: str = "") -> Iterator[tuple[str, str]]:
                 yield name, quirk.name
 
 
-def run(specification: str, wanted: Iterable[Claim] | None = None, accepted: str = ALL_QUIRKS) -> dict[str, engine.Verdict]:
+def run(
+    specification: str, wanted: Iterable[Claim] | None = None, accepted: str = ALL_QUIRKS, seed: int = 0
+) -> dict[str, engine.Verdict]:
     """Run claims (all, where none are given) on an emulated drive whose quirks are accepted; return the verdicts by id."""
-    rig = EmulatedRig(make.parse(specification))
+    rig = EmulatedRig(make.parse(specification), seed=seed)
     rig.accepted = frozenset({accepted})
     chosen = registry.every(rig.dialect) if wanted is None else tuple(wanted)
     return {verdict.claim.id: verdict for verdict in engine.run(chosen, rig)}
@@ -64,14 +59,15 @@ def run(specification: str, wanted: Iterable[Claim] | None = None, accepted: str
 def changes(dialect: str, quirk: str, wanted: Iterable[Claim], before: dict[str, engine.Verdict]) -> Changes:
     """Run claims on a drive with a quirk, and compare with the verdicts on one without."""
     found = Changes()
-    for claim_id, verdict in run(f"{dialect}@1,quirk={quirk}", wanted).items():
+    for claim_id, verdict in run(f"{dialect}@1,quirk={quirk}", wanted, seed=SEED).items():
         was = before[claim_id].outcome
+        # A claim that does not name it may meet it all the same: the engine says so, by an emulated drive with the quirk.
         named = quirk in verdict.claim.quirks
         if verdict.outcome is Outcome.REFUTED:
             found.refuted.append(f"{claim_id}: {verdict.reason}")
         elif verdict.outcome is Outcome.INCONCLUSIVE and was is not Outcome.INCONCLUSIVE:
             found.inconclusive.append(f"{claim_id}: {verdict.reason}")
-        elif not named and verdict.outcome is not was:
+        elif not named and quirk not in verdict.quirks and verdict.outcome is not was:
             found.unnamed.append(f"{claim_id}: {was} before, {verdict.outcome} now: {verdict.reason}")
         elif named and verdict.outcome is not Outcome.OBSERVED and was is not Outcome.NOT_RUN:
             found.unmoved.append(f"{claim_id}: {verdict.outcome}")

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from analyzer.catalogue import Command, Verb
 from analyzer.codec import codec
 from analyzer.layout import Layout, u16
-from analyzer.protocols import mks_shared
+from analyzer.protocols import mks_rs485, mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Hooks, Outgoing, Quirk, Values
 from conformance.drives.faults.mks_behaviour import mks, tuned, with_law
@@ -100,8 +100,10 @@ def _hasty_writes(hooks: Hooks) -> None:
         return not last_ns or drive.now_ns - last_ns[0] >= _WRITE_GAP_NS
 
     def result(drive: Drive, command: Command, asked: Values, values: Values | None) -> Values | None:
-        # What is refused writes nothing.
-        if command.verb in SETTINGS and not (values and values.get(command.replies.status) in command.replies.failed):
+        # What is refused writes nothing. Under Modbus the drive has the same statuses, and answers by a form.
+        if command.verb in SETTINGS and not (
+            values and values.get("status") in mks_rs485.DIALECT.by_verb[command.verb].replies.failed
+        ):
             last_ns[:] = [drive.now_ns]
         return values
 

@@ -1,7 +1,7 @@
 """Quirks: with each of them, accepted, nothing is refuted, and exactly the claims that name it change their verdict.
 
 All quirks, over all themes. The claims that name a quirk are run in full; of all others, a sample that differs from quirk
-to quirk. Everything at once (two minutes): python -m tests.conformance.quirk_runs
+to quirk. Everything at once: python -m tests.conformance.quirk_runs
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from conformance.drives import make
 from conformance.suite import engine
 from conformance.suite.engine import Verdict
 from conformance.suite.rig_emulated import EmulatedRig
-from tests.conformance.quirk_runs import ACCUSED, UNSEEN, changes, pairs, run
+from tests.conformance.quirk_runs import UNSEEN, changes, pairs, run
 
 #: Of the claims that do not name a quirk, each of so many is run with it.
 _SAMPLE = 160
@@ -35,8 +35,6 @@ def chosen(dialect: str, quirk: str) -> tuple[list[Claim], dict[str, Verdict]]:
     every = registry.every(plain(dialect).dialect)
     # By their names, so that a new claim does not change the sample of the others.
     others = [c for c in every if quirk not in c.quirks and not zlib.crc32(f"{quirk} {c.id}".encode()) % _SAMPLE]
-    if (dialect, quirk) in ACCUSED:
-        others.clear()
     wanted = [c for c in every if quirk in c.quirks] + others
     known = _before.setdefault(dialect, {})
     known |= {v.claim.id: v for v in engine.run([c for c in wanted if c.id not in known], plain(dialect))}
@@ -99,3 +97,48 @@ def test_a_known_quirk_is_refuted_and_named_unless_it_is_accepted(accepted, outc
     assert only.quirks == ("new-address-answers",)
     assert "new-address-answers" in only.reason
     assert ("accepted" in only.reason) is (outcome is Outcome.OBSERVED)
+
+
+_TOLD_EARLY = "motion/stop_speed/told-when-standing"
+
+
+@pytest.mark.parametrize(
+    ("change", "accepted", "outcome", "quirks"),
+    [
+        # Replies that are late let a stop look as if it were told early.
+        ("quirk=slow-replies-in-motion", "all", Outcome.OBSERVED, ("slow-replies-in-motion",)),
+        ("quirk=slow-replies-in-motion", "", Outcome.REFUTED, ("slow-replies-in-motion",)),
+        # One that is told early by a drive without the quirk is a lie, whatever is accepted.
+        ("fault=stop-completion-early", "all", Outcome.REFUTED, ()),
+        ("fault=stop-completion-early,quirk=settling", "all", Outcome.REFUTED, ()),
+    ],
+)
+def test_a_quirk_explains_a_claim_that_does_not_name_it_on_a_drive_that_has_it(change, accepted, outcome, quirks):
+    dialect = "mks-can" if "settling" in change else "mks-rs485"
+    wanted = [c for c in registry.every(plain(dialect).dialect) if c.id.endswith(_TOLD_EARLY)]
+    (only,) = run(f"{dialect}@1,{change}", wanted, accepted).values()
+    assert (only.outcome, only.quirks) == (outcome, quirks)
+
+
+def test_a_quirk_that_the_drive_has_shown_explains_no_other_lie():
+    rig = EmulatedRig(make.parse("mks-rs485@1,quirk=slow-replies-in-motion,fault=move-pulses-doubled"))
+    rig.accepted = frozenset({"all"})
+    (wanted,) = (c for c in registry.every(rig.dialect) if c.id.endswith("motion/move_relative_pulses/crossed-ends"))
+    verdict = engine.run_claim(wanted, rig)
+    assert rig.shown == {"slow-replies-in-motion"}
+    assert (verdict.outcome, verdict.quirks) == (Outcome.REFUTED, ())
+
+
+@pytest.mark.parametrize(
+    ("drive", "name"),
+    [
+        ("mks-rs485@1,quirk=second-reply", "addressing/group/read"),
+        ("mks-rs485@1,quirk=second-reply", "addressing/group/outcomes"),
+        ("mks-rs485@1,quirk=hasty-writes-dropped", "resilience/settings/stopped"),
+        ("mks-modbus@1,quirk=hasty-writes-dropped", "ranges/set_work_mode/work_mode/unlisted"),
+    ],
+)
+def test_what_a_setting_is_followed_by_leaves_drives_the_time_they_need(drive, name):
+    wanted = [c for c in registry.every(plain(drive.split("@")[0]).dialect) if c.id.endswith(name)]
+    (only,) = run(drive, wanted, "").values()
+    assert only.outcome is Outcome.CONFIRMED
