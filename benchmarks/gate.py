@@ -162,7 +162,7 @@ def sound(written: Sequence[Item]) -> Iterator[Seen]:
 
 
 def forbidden(seen: Seen, allowed: Allowance) -> bool:
-    """Say whether an allowance forbids a sound request; reads do nothing, to whichever drive."""
+    """Say whether an allowance forbids a sound request; reads of any drive are harmless."""
     if seen.risks <= READS:
         return False
     if not seen.risks <= allowed.risks:

@@ -137,7 +137,7 @@ def can(seconds, folder):
 
 
 def udp_waiting(port):
-    """Return the bytes that wait to be read at a UDP port; None where nobody has opened it."""
+    """Return the bytes that wait to be read at a UDP port; None where no program has opened it."""
     rows = (line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:])
     return next((int(row[4].partition(":")[2], 16) for row in rows if int(row[1].rpartition(":")[2], 16) == port), None)
 

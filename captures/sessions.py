@@ -13,7 +13,7 @@ from typing import NamedTuple
 class Row(NamedTuple):
     """One frame: time in ms, `>` or `<`, hex text without its check (CAN: ID first), its meaning.
 
-    `raw`: the text is the whole frame as it stands, with whatever check it has.
+    `raw`: the text is the whole frame with its check, right or wrong.
     """
 
     at: float

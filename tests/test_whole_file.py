@@ -1,4 +1,4 @@
-"""Small files that users name: whatever stands there, the answer is a message, soon."""
+"""Small files that users name: any content, even a wrong one, soon gets a message."""
 
 from __future__ import annotations
 

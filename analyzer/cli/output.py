@@ -26,7 +26,7 @@ def target_of(path: Path) -> Path:
 
 
 class Output:
-    """A file under construction: it stands beside the target and takes its name only when it is whole.
+    """A file under construction in the target's folder. It takes the target's name only when it is whole.
 
     `target`: the name it is to have; `replace`: whether a file of that name may be replaced. Raises UsageError where no
     file can be made.

@@ -1,7 +1,7 @@
 """List serial ports and CAN interfaces, each with the endpoint to give to `servotap record`.
 
-Nothing is opened. For a serial port it shows the adapter, its latency timer and how to lower it, which program has it open,
-and whether you may open it. For a CAN interface it shows the state, bit rate and error counters.
+Nothing is opened. For a serial port it shows the adapter, and its latency timer with the way to lower it. It also shows which
+program has the port open, and whether you may open it. For a CAN interface it shows state, bit rate and error counters.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ Wrap = Callable[[McapFile], LogFile]
 
 
 def log_of(folder: Path, config: RecordingConfig) -> Path:
-    """Return the log of a folder of spools: it stands beside the folder, even if both were moved."""
+    """Return the log of a folder of spools: it is next to the folder, even if both were moved."""
     return folder.with_name(folder.name[: -len(_SPOOL)]) if folder.name.endswith(_SPOOL) else Path(config.log)
 
 

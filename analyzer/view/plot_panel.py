@@ -143,7 +143,7 @@ class PlotPanel(Horizontal):
         self._drawn: _Asked | None = None
         self._next: _Asked | None = None
         self.moment_ns: int | None = None
-        #: The time under the cursor, and the one that a window was centred on to show it.
+        #: The time under the cursor, and the centre of a window that was moved to show it.
         self.cursor_ns: int | None = None
         self._centre_ns: int | None = None
 

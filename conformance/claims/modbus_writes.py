@@ -222,7 +222,7 @@ def _other_function(probe: Probe, settings: tuple[Command, ...]) -> None:
     expect_exceptions(probe, writes)
 
 
-# --- motion by what is no write of it ---------------------------------------------------------------------------------
+# --- motion by other functions than its own write ----------------------------------------------------------------------
 
 
 def _motions(dialect: Dialect) -> Iterator[Case]:

@@ -262,7 +262,7 @@ def _stops_all(probe: Probe, command: Command) -> None:
     expect_standing(probe, exchange, f"{command.name} by a broadcast stops nothing")
 
 
-# --- the stop of every motion - ---------------------------------------------------------------------------------------
+# --- the stop of every motion -----------------------------------------------------------------------------------------
 
 
 def _emergencies(dialect: Dialect) -> Iterator[Case]:

@@ -1,8 +1,8 @@
 """The order in which claims run on a real line: what teaches most in a second comes first.
 
-`benchmarks/order.py` measured a table for each dialect (`telling/DIALECT.json`). It lists the claims that refute most of the
-known faults per second and look at something new, and how long each kind of claim takes. Claims without an entry (new ones,
-those of another package) come last, by an estimate.
+`benchmarks/order.py` measured a table for each dialect (`telling/DIALECT.json`). It lists the claims that refute the most
+known faults per second and look at something new. It also has the time of each kind of claim. Claims without an entry (new
+ones, those of another package) come last, by an estimate.
 
 Rules kept here:
 - The order depends on the claims alone, so every run has the same one.

@@ -59,7 +59,7 @@ def not_as_root():
 
 
 def test_no_permission(capsys):
-    # Not in `tmp_path`, into whose folder of root nobody else may look.
+    # Not in `tmp_path`: run as root, its parent folder is closed to other users, and they could not reach the file.
     with tempfile.TemporaryDirectory() as folder:
         Path(folder).chmod(0o755)
         path = Path(folder) / "secret.log"

@@ -207,7 +207,7 @@ def test_the_streams_are_left_as_they_were():
 
 
 def test_every_command_stands_in_the_boundary(monkeypatch, faults, capsys):
-    """Commands of this package and of others: whichever fails, it is a fault."""
+    """A failing command is a fault, in this package and in others."""
     from importlib.metadata import entry_points
 
     import analyzer.cli as cli

@@ -1,7 +1,7 @@
 """Targets: what is run on an input, and what must hold then.
 
-For every command: it ends with 0, 1 or 2, without a traceback and without ESC on either stream, and leaves no file that is out
-of all proportion. Time and memory are bounded by the engine. Some targets state more:
+Every command ends with 0, 1 or 2. It prints no traceback and no ESC, and leaves no file out of all proportion. The engine
+bounds time and memory. Some targets state more:
 
     framer    each byte stands in one frame or piece of junk, in order, however the bytes were cut
     pipeline  the same, for any capture, behind its source

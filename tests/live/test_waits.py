@@ -85,7 +85,7 @@ def test_each_loop_that_waits_is_known_and_has_a_test():
 
 
 class Clock:
-    """A clock that goes on while somebody sleeps. `asked`: the end is wished from `asked_s` on."""
+    """A clock that only a sleep moves on. `asked`: the end is requested from `asked_s` on."""
 
     def __init__(self, asked_s=5.0):
         self.now_ns = 1000 * S

@@ -1,4 +1,4 @@
-"""Bytes anywhere in a text: who sent them, what is no frame, and what is left out and said so."""
+"""Bytes anywhere in a text: their sender, bytes of no frame, and notes of what is left out."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """A toy drive with a turning shaft: it follows its manual, or has one fault.
 
-It stands beside the dialect on purpose: the project has no emulated drive of the toy, and what is tested must not need one.
+Only the tests have this drive: the claims must run for a dialect without an emulated drive in the project.
 """
 
 from __future__ import annotations

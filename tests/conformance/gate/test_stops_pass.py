@@ -1,4 +1,4 @@
-"""A stop is never refused: whatever was sent before, and without a sound frame getting out that was not allowed."""
+"""A stop passes after any bytes, and never lets out a sound frame that is not allowed."""
 
 from __future__ import annotations
 

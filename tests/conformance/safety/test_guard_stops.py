@@ -221,7 +221,7 @@ def test_a_motor_that_does_not_stop_ends_pytest_with_20(workers, tmp_path):
     assert done.stdout.count("FAILED") <= 1, "no other worker went on with the port"
 
 
-# --- whoever asks, and a guard that does not answer -------------------------------------------------------------------
+# --- motion that no claim declared, and a guard that does not answer --------------------------------------------------
 
 
 def run_behind_the_probe(probe):

@@ -146,7 +146,7 @@ def test_where_no_way_of_stopping_is_left_all_were_tried_and_the_power_is_cut(tm
 
 
 def test_a_stop_that_breaks_down_cuts_the_power_too(tmp_path, monkeypatch, capfd):
-    """Whatever a drive answers and however the stop fails: the motor may turn."""
+    """The motor may turn after any failure of the stop, so the power must be cut."""
 
     def broken(*given, **how):
         raise ZeroDivisionError("a reply that it was not written for")
@@ -221,7 +221,7 @@ def test_what_a_scan_leaves_open_is_no_beginning_for_the_next_program():
         assert set(left()[2:]) <= {0x00, 0x55}
 
 
-# --- what turns is stopped, whoever asked -----------------------------------------------------------------------------
+# --- a shaft that turns is stopped, whatever set it going -------------------------------------------------------------
 
 
 def test_a_run_that_no_claim_declared_is_stopped_at_the_end_of_the_claim(tmp_path):
