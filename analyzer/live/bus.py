@@ -201,6 +201,6 @@ class HeldRecords:
         for name, bus in known.items():
             detection = bus.detection
             if detection is not None and detection.dialects and name not in self._wanted:
-                found = detection.again(now_ns)
+                found = detection.recheck(now_ns)
                 if found is not None:
                     self._wanted[name] = now_ns, found

@@ -99,7 +99,7 @@ class Child(ABC):
             handed += (kept,)
         if self._stores and self.restarts:
             words += ["--first-segment", str(self.restarts * SEGMENTS)]
-        self._drop_leash()
+        self.drop_leash()
         self._words.clear()
         # A socket, for descriptors come back on it; elsewhere than on Unix a pipe.
         ours, theirs = socket.socketpair() if _UNIX else (None, None)
@@ -196,11 +196,7 @@ class Child(ABC):
                 self._process.terminate()
             else:
                 # Elsewhere that would end it at once, with what it still holds.
-                self._drop_leash()
-
-    def slip(self) -> None:
-        """Let go of the leash: it ends as if the supervisor had died."""
-        self._drop_leash()
+                self.drop_leash()
 
     def kill(self) -> None:
         """End it at once."""
@@ -220,10 +216,11 @@ class Child(ABC):
 
     def close(self) -> None:
         """Give back what is held."""
-        self._drop_leash()
+        self.drop_leash()
         self.let_go()
 
-    def _drop_leash(self) -> None:
+    def drop_leash(self) -> None:
+        """Close the leash: the child ends as if the supervisor had died."""
         leash, self._leash = self._leash, None
         if leash is not None:
             # Closing alone would not end a wait for descriptors in another thread.

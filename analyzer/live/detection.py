@@ -85,7 +85,7 @@ class Detection:
         self._size = self._bytes = 0
         return choice
 
-    def again(self, t_ns: int) -> Choice | None:
+    def recheck(self, t_ns: int) -> Choice | None:
         """Return what the bus is if that has changed; called about once a second."""
         if t_ns - self._looked_ns < self._pause_ns or len(self._candidates) < 2:
             return None

@@ -161,7 +161,7 @@ class LogParts:
             path.chmod(self._config.mode)
         return stream
 
-    def keep_hold(self) -> str:
+    def restore_part(self) -> str:
         """See that the part stands under its name. Where it was deleted, moved or replaced, write all of it anew.
 
         Returns what was done, or nothing. Raises OSError; then it may be called again.
@@ -193,7 +193,7 @@ class LogParts:
             number += 1
         return path
 
-    def lost_hold(self) -> str:
+    def part_trouble(self) -> str:
         """Say what is wrong with the file of the part, which was finished and closed; nothing if nothing is."""
         try:
             found = os.lstat(self.path)

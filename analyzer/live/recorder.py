@@ -131,7 +131,7 @@ class Recorder:
             if recording.parts.file.stalled:
                 self._flush()
             if recording.rotation_due:
-                self._patiently(self._keep_hold)
+                self._patiently(self._restore_part)
                 recording.rotate(self._patiently)
                 flushed_ns, flushed_at = now_ns, recording.parts.file.position
             # Where much is to be caught up with, whole chunks go out by themselves: a checkpoint stands behind each.
@@ -166,10 +166,10 @@ class Recorder:
             recording.ended = self._ending or "killed"
             recording.settle(recording.merger.horizon_ns)
         self.damaged = recording.damaged
-        self._patiently(self._keep_hold)
+        self._patiently(self._restore_part)
         recording.finish(self._patiently)
         self._show(time.monotonic_ns(), ended=True)
-        trouble = self.parts.lost_hold()
+        trouble = self.parts.part_trouble()
         if not trouble and (self._read_back or self.parts.touched):
             trouble = self._check(self.parts.path)
         if trouble:
@@ -178,11 +178,11 @@ class Recorder:
         self.close()
 
     def _flush(self) -> None:
-        self._patiently(self._keep_hold)
+        self._patiently(self._restore_part)
         self._patiently(self.recording.flush)
 
-    def _keep_hold(self) -> None:
-        done = self.parts.keep_hold()
+    def _restore_part(self) -> None:
+        done = self.parts.restore_part()
         if done:
             self._say(done)
             self.recording.happened("note", text=done)

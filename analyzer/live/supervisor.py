@@ -49,8 +49,8 @@ _SECOND_NS = 1_000_000_000
 ReaderMaker = Callable[[Path, MessageQueue], Mapping[str, Child]]
 
 
-def nobody(*_: object) -> None:
-    """Hear and do nothing."""
+def ignore(*_: object) -> None:
+    """Take a note or a snapshot and do nothing."""
 
 
 class Supervisor:
@@ -66,8 +66,8 @@ class Supervisor:
         config: RecordingConfig,
         *,
         duration_ns: int = 0,
-        on_note: Callable[[str, str], None] = nobody,
-        on_snapshot: Callable[[Snapshot], None] = nobody,
+        on_note: Callable[[str, str], None] = ignore,
+        on_snapshot: Callable[[Snapshot], None] = ignore,
         plain: bool = False,
         readers: ReaderMaker | None = None,
     ) -> None:
@@ -151,7 +151,7 @@ class Supervisor:
         try:
             self.config.save(self.folder)
             self._lock = Lock(self.folder, RUNNING, shared=True)
-            self._control = Store(SpoolWriter(self.folder, CONTROL), nobody)
+            self._control = Store(SpoolWriter(self.folder, CONTROL), ignore)
             self._note_event(
                 "begin", host=platform.node(), version=__version__, system=f"{platform.system()} {platform.release()}"
             )
@@ -250,7 +250,7 @@ class Supervisor:
                 try:
                     child.start()
                     if child is self._decoder and self.phase == "finishing":
-                        child.slip()
+                        child.drop_leash()
                 except OSError as error:
                     # Out of memory or of processes: perhaps not for long.
                     child.died(1)
@@ -331,7 +331,7 @@ class Supervisor:
             self._control.finish()
             self._control = None
         # While it cannot write it reads nothing, and so no `end`: it is told as the death of a supervisor is, too.
-        self._decoder.slip()
+        self._decoder.drop_leash()
         heard = time.monotonic()
         while not self._decoded and self._deaths < LAST_DEATHS:
             if self._turn(_TURN_S) or self._decoder.due is not None:

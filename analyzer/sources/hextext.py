@@ -27,7 +27,7 @@ from analyzer.records import Chunk, Comment
 from analyzer.sources.hexline import HexLine, Shape, bytes_of, take_apart
 from analyzer.sources.lines import Lines, head_lines
 from analyzer.sources.marks import ReceivedMarks
-from analyzer.sources.prose import Quotation, mentions, quotations, told
+from analyzer.sources.prose import Quotation, mentions, quotations, role_in_text
 from analyzer.sources.source import Source, quote
 from analyzer.sources.stamps import StampClock
 from analyzer.sources.written import Radix, decimal
@@ -344,7 +344,7 @@ class _Reader:
         """Yield a line of words; in prose also the frames that it quotes."""
         said = mentions(line.text, self._manner.brackets) if not line.text.startswith("#") or self._manner.commented else []
         if self._manner.prose and not said and _WORDS.search(line.text):
-            self._above, self._below = told(line.text), False
+            self._above, self._below = role_in_text(line.text), False
         if not said or not self._manner.prose:
             # Programs print again in words what they sent and received.
             self._passed += any(each.data not in self._known for each in said if not each.left)
@@ -387,7 +387,7 @@ class _Reader:
         if line.marked or line.role is not Role.UNKNOWN:
             self._marks(line.role)
             return line
-        behind = told(line.note)
+        behind = role_in_text(line.note)
         return line._replace(role=self._marks(self._above if behind is Role.UNKNOWN else behind))
 
     def _is_part(self, text: str) -> bool:

@@ -111,7 +111,7 @@ def mentions(line: str, libmodbus: bool = False) -> list[Quotation]:
         if found and found[-1].data == data and len(before) <= _AGAIN and not found[-1].left:
             # The same bytes in another way of writing.
             continue
-        role = told(sentence)
+        role = role_in_text(sentence)
         if role is Role.UNKNOWN and sign is not None:
             role = role_of((), sign[1])
         role = brackets.get(run[0][0], role) if run.lastgroup == "each" else role
@@ -187,8 +187,8 @@ def _no_frame(run: re.Match[str], data: bytes, before: str, sentence: str, signe
 _SAID = frozenset((*ACTIONS, *MATTERS, *_VERBS)) - {"wrote"}
 
 
-def told(text: str) -> Role:
-    """Return who sent, by the last word of a text that tells, with who does it before it."""
+def role_in_text(text: str) -> Role:
+    """Return the sender by the last word of a text that tells it, and the speaker before that word."""
     words = _WORD.findall(text.lower().replace("\u2019", "'"))
     at = next((n for n in range(len(words) - 1, -1, -1) if words[n] in _SAID), None)
     if at is None:

@@ -24,7 +24,7 @@ from conformance.claims.requests import with_reserved
 from conformance.claims.setting_effects import SettingEffect
 from conformance.model import limits
 from conformance.talk import samples
-from conformance.talk.acceptance import Acceptance, can_refuse, expect_accepted, expect_refused, sent
+from conformance.talk.acceptance import Acceptance, can_refuse, expect_accepted, expect_refused, try_request
 from conformance.talk.probe import Probe
 from conformance.talk.settings import LINK_EFFECTS
 
@@ -185,7 +185,7 @@ def _unchanged(probe: Probe, command: Command, field: Field, effect: SettingEffe
     before = effect.see(probe)
     for value in dict.fromkeys(values):
         asked = ranges.plain(probe, command, form, **other) | {field.name: value}
-        answer, exchange = sent(probe, probe.build(command, asked, form=form))
+        answer, exchange = try_request(probe, probe.build(command, asked, form=form))
         shown = ranges.text(field, value)
         if answer is not Acceptance.REFUSED:
             raise Inconclusive(f"{shown} is {answer.value}, which another claim of this field judges")

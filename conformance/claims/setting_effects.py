@@ -158,7 +158,7 @@ def stored(probe: Probe, command: Command, cannot: type[Exception] = Inconclusiv
 
     Raises `cannot` where the drive says that it cannot be read, Inconclusive where it is not answered or by another layout.
     """
-    values, exchange = settings.stored(probe, command)
+    values, exchange = settings.read_back(probe, command)
     text = probe.reply(exchange).data.hex(" ").upper()
     if values is None:
         raise cannot(f"{command.name} cannot be read: {text}")

@@ -241,7 +241,7 @@ class MksSession(Session):
 
     def _stored(self, command: Command) -> dict[str, int]:
         """Return what a parameter read says of a setting, nothing where it cannot be read."""
-        return settings.stored(self.probe, command, quiet_ns=0)[0] or {}
+        return settings.read_back(self.probe, command, quiet_ns=0)[0] or {}
 
     # --- comparing ------------------------------------------------------------------------------------------------
 

@@ -51,7 +51,7 @@ def run_claim(claim: Claim, rig: ClaimRig) -> Verdict:
     if verdict.outcome is Outcome.REFUTED and not rig.emulated:
         verdict = _confirmed(claim, rig, verdict)
     if claim.hasty and verdict.outcome is Outcome.CONFIRMED:
-        rig.keep_no_distance()
+        rig.drop_write_gap()
     rig.shown |= set(verdict.quirks)
     return _explained(claim, rig, verdict)
 
@@ -88,7 +88,7 @@ def prove_reads(claims: Iterable[Claim], rig: ClaimRig) -> Iterator[Verdict]:
     for claim in claims:
         verdict = run_claim(claim, rig)
         if verdict.outcome is Outcome.REFUTED and ONCE not in verdict.reason:
-            rig.let_nothing_move(f"{claim.id} is refuted, and by that read a shaft is proved to stand")
+            rig.forbid_motion(f"{claim.id} is refuted, and by that read a shaft is proved to stand")
         yield verdict
 
 

@@ -47,11 +47,11 @@ class ClaimRig(Rig, ABC):
             return f"it needs --allow {','.join(lacking)}"
         return ""
 
-    def keep_no_distance(self) -> None:
-        """Take it that settings at once behind one another are done."""
+    def drop_write_gap(self) -> None:
+        """Send settings one after the other without a gap from now on: the drive executes them."""
 
-    def let_nothing_move(self, reason: str) -> None:
-        """Let nothing pass from now on that may move the drive."""
+    def forbid_motion(self, reason: str) -> None:
+        """Refuse every request from now on that may move the drive."""
 
     @abstractmethod
     def probe(self, claim: Claim) -> Probe:

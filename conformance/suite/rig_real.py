@@ -166,11 +166,11 @@ class RealRig(ClaimRig):
         unproved = (self._unproved or self._unheard) if claim.risks & MAY_MOVE else ""
         return super().missing(claim) or unproved or self.keeper.cannot_keep(claim.settings)
 
-    def keep_no_distance(self) -> None:
+    def drop_write_gap(self) -> None:
         """Let settings follow one another at once from now on."""
         self.write_gap_ns = 0
 
-    def let_nothing_move(self, reason: str) -> None:
+    def forbid_motion(self, reason: str) -> None:
         """Let nothing pass from now on that may move the drive: it could not be proved to stand again."""
         self._unproved = f"nothing that moves is sent: {reason}"
         self.gate = self.gate.under(replace(self._allowance, risks=self._allowance.risks - MAY_MOVE))

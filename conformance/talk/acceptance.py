@@ -112,7 +112,7 @@ def acceptance(probe: Probe, exchange: Exchange) -> Acceptance:
     return Acceptance.DONE
 
 
-def sent(probe: Probe, built: Built) -> tuple[Acceptance, Exchange]:
+def try_request(probe: Probe, built: Built) -> tuple[Acceptance, Exchange]:
     """Send a request and return how it was answered. Raises Inconclusive where that cannot be said."""
     exchange = probe.ask_built(built)
     if exchange.answers or exchange.junk:
@@ -131,7 +131,7 @@ def expect_accepted(
     probe: Probe, command: Command, values: Mapping[str, Any], what: str, *, form: Form | None = None
 ) -> Exchange:
     """Send a request that the manual allows; the claim is refuted unless the drive does it. `what` names it for people."""
-    answer, exchange = sent(probe, probe.build(command, values, form=form))
+    answer, exchange = try_request(probe, probe.build(command, values, form=form))
     probe.expect(
         _got(exchange),
         holds=answer is Acceptance.DONE,
@@ -145,7 +145,7 @@ def expect_accepted(
 
 def expect_refused(probe: Probe, built: Built, what: str) -> Exchange:
     """Send a request that the manual forbids; the claim is refuted unless the drive refuses it."""
-    answer, exchange = sent(probe, built)
+    answer, exchange = try_request(probe, built)
     probe.expect(
         _got(exchange),
         holds=answer is Acceptance.REFUSED,

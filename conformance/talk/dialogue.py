@@ -21,7 +21,7 @@ from analyzer.port import usual_setup
 from analyzer.records import CanFrame, Chunk, Comment, Finding, Junk, Message
 from conformance.gate.gate import Gate, Item
 from conformance.talk.exchange import Answer, Completion, Exchange, sent_record
-from conformance.talk.no_checksum import Bare
+from conformance.talk.no_checksum import BareReplies
 
 MS = 1_000_000
 #: A pause after which what came is decoded as it stands, although more might have belonged to it.
@@ -118,7 +118,7 @@ class Dialogue:
         late_ns: int = 1000 * MS,
         pause_ns: int = PAUSE_NS,
         direction: Role | None = None,
-        bare: Bare | None = None,
+        bare: BareReplies | None = None,
         log: Callable[[Chunk | CanFrame], None] | None = None,
         stray: bytes = b"",
     ) -> None:

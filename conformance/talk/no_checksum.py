@@ -45,7 +45,7 @@ class _One:
         """Do nothing: a line has no comments."""
 
 
-class Bare:
+class BareReplies:
     """Reads replies of a drive that sends no checksums. One for each probe, so that its pipeline is made once."""
 
     def __init__(self, dialect: Dialect) -> None:

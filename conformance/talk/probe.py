@@ -25,7 +25,7 @@ from conformance.claim import Claim, Curve, Inconclusive, Refuted, Theme
 from conformance.gate.gate import Gate
 from conformance.talk.dialogue import MS, Dialogue, Ended, Until
 from conformance.talk.exchange import Answer, Exchange
-from conformance.talk.no_checksum import Bare
+from conformance.talk.no_checksum import BareReplies
 from conformance.talk.noise import QUIET, Noise
 
 if TYPE_CHECKING:
@@ -162,7 +162,7 @@ class Probe:
             pause_ns=_PAUSE_NS,
             # On CAN a frame may be another drive's or host's; on a serial line only the drive's bytes come back.
             direction=Role.UNKNOWN if self.dialect.bus == "can" else Role.REPLY,
-            bare=Bare(self.dialect),
+            bare=BareReplies(self.dialect),
             log=self.raw.append,
             stray=self.noise.stray,
         )

@@ -55,5 +55,5 @@ def wait_for_answer(probe: Probe, *addresses: int, deaf_ns: int = DEAF_NS, limit
 def need_axis_lock(probe: Probe) -> None:
     """Raise Inconclusive where a drive is set to let its shaft go at power-on: a kept run turns nothing then."""
     command = probe.dialect.by_verb.get(Verb.SET_AXIS_LOCK)
-    if command is not None and (settings.stored(probe, command)[0] or {}).get("axis_lock") == 0:
+    if command is not None and (settings.read_back(probe, command)[0] or {}).get("axis_lock") == 0:
         raise Inconclusive("the drive lets its shaft go at power-on: set axis_lock to 1")

@@ -20,7 +20,7 @@ def changes_link(command: Command) -> bool:
     return any(command.sets(effect) for effect in LINK_EFFECTS)
 
 
-def stored(probe: Probe, command: Command, quiet_ns: int | None = None) -> tuple[dict[str, int] | None, Exchange]:
+def read_back(probe: Probe, command: Command, quiet_ns: int | None = None) -> tuple[dict[str, int] | None, Exchange]:
     """Read a setting back; return its fields as sent, and the exchange.
 
     None instead of fields: the drive says that it cannot be read. No fields: it answered by another layout. Raises

@@ -38,13 +38,13 @@ def test_noise_is_waited_out_and_all_are_tried():
     assert found == ["mks-rs485", "mks-modbus", "lk-rs485"]
     assert at * MS == HOLD_NS
     assert detection.guessing
-    assert detection.again(1000 * MS) is None  # too soon
-    assert detection.again(3000 * MS) is None  # nothing new
+    assert detection.recheck(1000 * MS) is None  # too soon
+    assert detection.recheck(3000 * MS) is None  # nothing new
     for n in range(1000):
         detection.add(Chunk((3000 + 10 * n) * MS, "x", POLL))
-    assert names(detection.again(13_000 * MS)) == ["mks-rs485"]
+    assert names(detection.recheck(13_000 * MS)) == ["mks-rs485"]
     assert not detection.guessing
-    assert detection.again(60_000 * MS) is None
+    assert detection.recheck(60_000 * MS) is None
 
 
 def test_nothing_more_comes():
@@ -62,7 +62,7 @@ def test_a_dialect_that_joins():
         data = POLL + bytes.fromhex(other[n % 2])
         detection.add(Chunk((1000 + 10 * n) * MS, "x", data))
         detection.junk(7)
-    assert names(detection.again(6000 * MS)) == ["mks-rs485", "mks-modbus"]
+    assert names(detection.recheck(6000 * MS)) == ["mks-rs485", "mks-modbus"]
 
 
 def test_some_junk_is_no_cause():
@@ -71,7 +71,7 @@ def test_some_junk_is_no_cause():
     for n in range(1000):
         detection.add(Chunk((1000 + 10 * n) * MS, "x", POLL))
     detection.junk(100)
-    assert detection.again(12_000 * MS) is None
+    assert detection.recheck(12_000 * MS) is None
 
 
 def test_the_only_dialect_of_a_kind_is_it():

@@ -161,7 +161,7 @@ class Mute:
     def end(self):
         pass
 
-    def slip(self):
+    def drop_leash(self):
         self.slipped = True
 
     def kill(self):

@@ -17,7 +17,7 @@ from conformance.talk.acceptance import (
     expect_refused,
     need_plain_replies,
     need_reliable_replies,
-    sent,
+    try_request,
     without_repeats,
 )
 from conformance.talk.restarts import power_cycle, restart
@@ -34,8 +34,8 @@ def probe_of(drive):
 def test_a_drive_does_what_is_allowed_and_refuses_the_rest(drive):
     probe = probe_of(drive)
     command = probe.command(Verb.SET_CURRENT)
-    assert sent(probe, probe.build(command, {"current": 1000}))[0] is Acceptance.DONE
-    assert sent(probe, probe.build(command, {"current": 9999}))[0] is Acceptance.REFUSED
+    assert try_request(probe, probe.build(command, {"current": 1000}))[0] is Acceptance.DONE
+    assert try_request(probe, probe.build(command, {"current": 9999}))[0] is Acceptance.REFUSED
     expect_accepted(probe, command, {"current": 1000}, "current 1000")
     expect_refused(probe, probe.build(command, {"current": 9999}), "current 9999")
     with pytest.raises(Refuted) as error:
@@ -84,6 +84,6 @@ def test_a_stored_setting_is_read_back():
     probe = probe_of("mks-can@1,model=42E")
     command = probe.command(Verb.SET_CURRENT)
     probe.do(command, {"current": 1234})
-    assert settings.stored(probe, command)[0] == {"current": 1234}
+    assert settings.read_back(probe, command)[0] == {"current": 1234}
     unreadable = probe_of("mks-can@1,fault=subdivision-unreadable")
-    assert settings.stored(unreadable, unreadable.command(Verb.SET_SUBDIVISION))[0] is None
+    assert settings.read_back(unreadable, unreadable.command(Verb.SET_SUBDIVISION))[0] is None
