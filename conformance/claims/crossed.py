@@ -49,6 +49,8 @@ _SEEN_NS = 100 * MS
 _TRIANGLE, _PEAK = 150, 0.95
 #: From the begin of a run to the command that changes it; from one look to the next one; until a shaft has settled.
 _GOING_NS, _LOOK_NS, _SETTLES_NS = 90 * MS, 5 * MS, 100 * MS
+#: What a row takes beside its motion: the looks at rest, and what settles.
+_OVERHEAD_NS = 220 * MS
 #: What real shafts lag behind the law, and before its end nothing is asked.
 _LAG_NS, _UNASKED_NS = 10 * MS, 15 * MS
 #: What is read on the way, but for the position.
@@ -153,8 +155,20 @@ def _table(modes: tuple[tuple[str, int], ...], commands: tuple[tuple[str, bool],
             ("command", "way", "acceleration"),
             ("command", "way", "turns"),
         ],
+        cost=lambda command, way, rpm, acceleration, turns, start, mode, subdivision: _about_ns(
+            Row(command, way, rpm, acceleration, turns, start, mode, subdivision), runs=runs(command)
+        ),
     )
     return tuple(sorted((Row(**row) for row in found), key=lambda row: (row.mode, row.subdivision)))
+
+
+def _about_ns(row: Row, *, runs: bool) -> float:
+    """Return how long a row takes about."""
+    if not runs:
+        return _OVERHEAD_NS + ramp.move_ns(row.turns, row.rpm, row.acceleration)
+    begins = row.start * row.way * CALM
+    up, down = ramp.ramp_ns(begins, row.way * row.rpm, row.acceleration), ramp.ramp_ns(row.rpm, 0, row.acceleration)
+    return _OVERHEAD_NS + (_GOING_NS if row.start else 0) + up + _STEADY_NS + down
 
 
 @dataclass(frozen=True)

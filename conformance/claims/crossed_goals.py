@@ -41,6 +41,8 @@ _LONGEST_S, _LEAST_S = 1.5, 0.4
 _USUAL = 110
 #: How long a run and a torque keep on, before and after what comes on their way; the run before a motion.
 _RUN_NS, _AFTER_NS, _BEFORE_NS = 750 * MS, 150 * MS, 200 * MS
+#: Where on its way a move meets what comes, and what a row takes beside its motion.
+_MET_AT, _OVERHEAD_NS = 0.45, 400 * MS
 #: From one look to the next one; how long a shaft has to get going; how long it stays where it is when it stands.
 _LOOK_NS, _SET_OFF_NS, _STANDS_NS = 12 * MS, 200 * MS, 60 * MS
 #: How long a motion may take to come to rest.
@@ -131,8 +133,17 @@ def table(dialect: Dialect) -> tuple[Row, ...]:
         # A move by nothing shows that the shaft stays: from rest alone.
         lambda command, turns, start: turns or not start or not moves(known[command]),
         together=[*(("command", "way", other) for other in ("rpm", "turns", "start", "meets")), ("command", "turns", "start")],
+        cost=lambda command, way, rpm, turns, start, meets: _about_ns(
+            Row(command, way, rpm, turns, start, meets), ends=moves(known[command])
+        ),
     )
     return tuple(Row(**row) for row in found)
+
+
+def _about_ns(row: Row, *, ends: bool) -> float:
+    """Return how long a row takes about; a move as long as its whole way, since one that is stopped shows less."""
+    going = _seconds(row.rpm, row.turns) * SECOND_NS if ends else _RUN_NS + (_AFTER_NS if row.meets is ON else 0)
+    return _OVERHEAD_NS + (_BEFORE_NS if row.start else 0) + going + (_AFTER_NS if row.meets is OFF else 0)
 
 
 def _seconds(rpm: int, turns: float) -> float:
@@ -238,7 +249,7 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command]) -> 
     off: tuple[Look, ...] = ()
     again = met = None
     if not moves(command) or row.meets is not None:
-        lasts_ns = _RUN_NS if not moves(command) else int(_seconds(row.rpm, row.turns) * SECOND_NS * 0.45)
+        lasts_ns = _RUN_NS if not moves(command) else int(_seconds(row.rpm, row.turns) * SECOND_NS * _MET_AT)
         during += _on_the_way(probe, reads, lasts_ns)
     # A move that comes once more is planned anew from where the shaft is.
     if not moves(command):

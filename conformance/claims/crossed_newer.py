@@ -31,7 +31,7 @@ from conformance.talk.probe import Probe
 
 #: Another speed than that of the older motion; its way, which the rows do not come to, and that of the newer move (degrees),
 #: with what it goes too far on the way round.
-_OTHER, _FAR, _NEAR, _SPARE = 90, 720, 50, 18
+_OTHER, _FAR, _NEAR, _SPARE = 90, 720, 30, 18
 #: From the older command to the newer one; until a run has its speed, or a move has surely got going.
 _GOING_NS, _RUNS_NS = 80 * MS, 110 * MS
 #: What a shaft may lag behind a command.

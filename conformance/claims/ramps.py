@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
@@ -56,11 +57,26 @@ def _of_ramps(refuted_by: str, *, each: Cases, **facts: Any) -> Callable[[Callab
 
 @dataclass(frozen=True)
 class _Steady:
-    """A steady speed (rpm, without its sign), its uncertainty, and a position at which the shaft had it."""
+    """A steady speed (rpm, without its sign), its uncertainty, and the first and the last position at which it was seen."""
 
     rpm: float
     spread: float
-    at: Sample
+    first: Sample
+    last: Sample
+
+
+@dataclass(frozen=True)
+class _Ramp:
+    """What was seen of a ramp: the steady speeds before and after it, and the command that began it.
+
+    `rpm`: those that were asked for, first and last, signed.
+    """
+
+    rpm: tuple[int, int]
+    acceleration: int
+    before: _Steady
+    exchange: Exchange
+    after: _Steady
 
 
 def too_late(probe: Probe, *spreads_ns: float) -> bool:
@@ -85,18 +101,15 @@ def time_of(exchange: Exchange) -> tuple[float, float]:
     return exchange.sent_ns + half, half
 
 
-def _steady(probe: Probe, rpm: float, *, last: bool = False) -> _Steady:
-    """Measure a speed that does not change; of a shaft that is to stand, where it stands.
-
-    The position is the first one, or with `last` the last one, to be nearer to the ramp.
-    """
+def _steady(probe: Probe, rpm: float) -> _Steady:
+    """Measure a speed that does not change; of a shaft that is to stand, where it stands."""
     first = motion.position(probe)
     if not rpm:
-        return _Steady(0.0, 0.0, first)
+        return _Steady(0.0, 0.0, first, first)
     probe.wait(_STEADY_NS)
-    second = motion.position(probe)
-    speed, spread = motion.speed_between(first, second)
-    return _Steady(abs(speed), spread, second if last else first)
+    last = motion.position(probe)
+    speed, spread = motion.speed_between(first, last)
+    return _Steady(abs(speed), spread, first, last)
 
 
 def _change(probe: Probe, last: float, acceleration: int) -> Exchange:
@@ -106,23 +119,39 @@ def _change(probe: Probe, last: float, acceleration: int) -> Exchange:
     return probe.ask(Verb.STOP_SPEED, {"acceleration": acceleration}, quiet_ns=0)
 
 
-def _ramp(probe: Probe, first: int, last: int, acceleration: int) -> tuple[float, float, Exchange] | None:
-    """Measure the time of a ramp and its uncertainty (ns); None where a known quirk leaves nothing to measure."""
-    mode = motion.bus_modes(probe.dialect)[-1] if max(first, abs(last)) > 400 else ""
+def _ramps_through(probe: Probe, speeds: tuple[int, ...], acceleration: int) -> tuple[_Ramp, ...]:
+    """Run through some speeds, one after the other, and return the ramp to each but the first."""
+    mode = motion.bus_modes(probe.dialect)[-1] if max(map(abs, speeds)) > 400 else ""
     motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
-    if first:
+    if first := speeds[0]:
         motion.run_at(probe, first, QUICK)
         probe.wait(int(ramp.ramp_ns(0, first, QUICK)) + 100 * MS)
-    before = _steady(probe, first, last=True)
-    exchange = _change(probe, last, acceleration)
-    begun_ns, begun_spread = time_of(exchange)
-    law_ns = ramp.ramp_ns(first, last, acceleration)
-    probe.wait(int(1.5 * law_ns) + 50 * MS)
-    last = abs(last)
-    after = _steady(probe, last)
+    before = _steady(probe, first)
+    found = []
+    for rpm in pairwise(speeds):
+        exchange = _change(probe, rpm[1], acceleration)
+        probe.wait(int(1.5 * ramp.ramp_ns(*rpm, acceleration)) + 50 * MS)
+        after = _steady(probe, rpm[1])
+        found.append(_Ramp(rpm, acceleration, before, exchange, after))
+        before = after
     motion.stop(probe, QUICK)
     motion.wait_standing(probe)
-    if too_late(probe, before.at.spread_ns, begun_spread, after.at.spread_ns):
+    return tuple(found)
+
+
+def _ramp(probe: Probe, command: Command, speeds: tuple[int, ...], acceleration: int) -> _Ramp:
+    """Return the ramp of a command among those through some speeds: of a run the first one, of its stop the last one."""
+    stops = motion.of(command).kind is MotionKind.STOP
+    return probe.recorded(_ramps_through, speeds, acceleration)[-1 if stops else 0]
+
+
+def _time_of_ramp(probe: Probe, seen: _Ramp) -> tuple[float, float] | None:
+    """Return the time of a ramp and its uncertainty (ns); None where a known quirk leaves nothing to measure."""
+    before, after, exchange = seen.before, seen.after, seen.exchange
+    first, last = map(abs, seen.rpm)
+    start, end = before.last, after.first
+    begun_ns, begun_spread = time_of(exchange)
+    if too_late(probe, start.spread_ns, begun_spread, end.spread_ns):
         return None
     text = "the shaft does not have its new speed after one and a half times the time of the ramp"
     within = 1 + last * 0.03 + after.spread
@@ -130,14 +159,14 @@ def _ramp(probe: Probe, first: int, last: int, acceleration: int) -> tuple[float
     change = after.rpm - before.rpm
     if abs(change) < abs(last - first) / 2:
         raise Inconclusive(f"the shaft went from {before.rpm:.1f} to {after.rpm:.1f} rpm, which is no ramp to measure")
-    way = abs(after.at.value - before.at.value) / _DEGREES
-    lead_ns, elapsed_ns = begun_ns - before.at.t_ns, after.at.t_ns - begun_ns
+    way = abs(end.value - start.value) / _DEGREES
+    lead_ns, elapsed_ns = begun_ns - start.t_ns, end.t_ns - begun_ns
     took_ns = 2 * (after.rpm * elapsed_ns + before.rpm * lead_ns - way) / change
-    unsure = after.rpm * after.at.spread_ns + abs(change) * begun_spread + before.rpm * before.at.spread_ns
+    unsure = after.rpm * end.spread_ns + abs(change) * begun_spread + before.rpm * start.spread_ns
     # A speed stands in the divisor too.
     unsure += after.spread * abs(elapsed_ns - took_ns / 2) + before.spread * abs(lead_ns + took_ns / 2)
-    unsure += (2 * after.at.step + after.at.noise) / _DEGREES
-    return took_ns, 2 * unsure / abs(change) + ramp.slack_ns(acceleration), exchange
+    unsure += (2 * end.step + end.noise) / _DEGREES
+    return took_ns, 2 * unsure / abs(change) + ramp.slack_ns(seen.acceleration)
 
 
 # --- its time ---------------------------------------------------------------------------------------------------------
@@ -146,15 +175,14 @@ def _ramp(probe: Probe, first: int, last: int, acceleration: int) -> tuple[float
 def _ramps(dialect: Dialect) -> Iterator[Case]:
     for command, word in _up_and_down(dialect):
         for acceleration, rpm in _RAMPS:
-            first, last = (0, rpm) if word == "up" else (rpm, 0)
-            law_ms = ramp.ramp_ns(first, last, acceleration) / 1e6
-            how = {"first": first, "last": last, "acceleration": acceleration, "rpm": rpm, "word": word, "law_ms": law_ms}
+            law_ms = ramp.ramp_ns(0, rpm, acceleration) / 1e6
+            how = {"speeds": (0, rpm, 0), "acceleration": acceleration, "rpm": rpm, "word": word, "law_ms": law_ms}
             facts = {"parameters": {"acceleration": acceleration, "rpm": rpm}}
             yield Case(dialect, command, how, facts)
         if word == "up":
             for first, last in ((240, 60),):
                 statement = f"From {first} to {last} rpm (below 0 the other way) the shaft takes the time of {{change}} rpm."
-                how = {"first": first, "last": last, "acceleration": 128, "change": abs(last - first)}
+                how = {"speeds": (first, last), "acceleration": 128, "change": abs(last - first)}
                 yield Case(dialect, command, how, {"name": f"{command.name}/ramp-{first}-to-{last}", "statement": statement})
 
 
@@ -164,15 +192,17 @@ def _ramps(dialect: Dialect) -> Iterator[Case]:
     name="{command}/ramp-{acceleration}",
     quirks=may_meet(_SLOW_RAMP, LATE),
 )
-def _takes(probe: Probe, first: int, last: int, acceleration: int) -> None:
+def _takes(probe: Probe, command: Command, speeds: tuple[int, ...], acceleration: int) -> None:
     """At acceleration {acceleration} the way {word} between 0 and {rpm} rpm takes (256 - {acceleration}) x 50 us for each rpm:
     {law_ms:g} ms.
     """
-    found = _ramp(probe, first, last, acceleration)
+    seen = _ramp(probe, command, speeds, acceleration)
+    found = _time_of_ramp(probe, seen)
     if found is None:
         return
-    took_ns, spread_ns, exchange = found
-    judged = Judgement(took_ns, ramp.ramp_ns(first, abs(last), acceleration), spread_ns)
+    took_ns, spread_ns = found
+    first, last = map(abs, seen.rpm)
+    judged = Judgement(took_ns, ramp.ramp_ns(first, last, acceleration), spread_ns)
     probe.measured |= {"ramp_ms": took_ns / 1e6, "law_ms": judged.law_ns / 1e6, "uncertain_ms": spread_ns / 1e6}
     fit = judged.fit
     if fit is Fit.BLIND:
@@ -185,28 +215,28 @@ def _takes(probe: Probe, first: int, last: int, acceleration: int) -> None:
         holds=fit is Fit.GOOD,
         expected=f"{judged.law_ns / 1e6:.1f} ms, by (256 - {acceleration}) x 50 us for each rpm",
         refutes=f"the ramp is {fit.value}",
-        exchange=exchange,
+        exchange=seen.exchange,
         key=f"ramp {fit.name}",
     )
 
 
 def _without_ramp(dialect: Dialect) -> Iterator[Case]:
     for command, word in _up_and_down(dialect):
-        first, last = (0, 60) if word == "up" else (60, 0)
-        yield Case(dialect, command, {"first": first, "last": last, "word": word}, {"parameters": {}})
+        yield Case(dialect, command, {"word": word}, {"parameters": {}})
 
 
 @_of_ramps("a ramp", each=_without_ramp, name="{command}/ramp-0", quirks=may_meet(LATE))
-def _at_once(probe: Probe, first: int, last: int) -> None:
+def _at_once(probe: Probe, command: Command) -> None:
     """At acceleration 0 the way {word} takes no time."""
-    found = _ramp(probe, first, last, 0)
+    seen = _ramp(probe, command, (0, 60, 0), 0)
+    found = _time_of_ramp(probe, seen)
     if found is None:
         return
-    took_ns, spread_ns, exchange = found
+    took_ns, spread_ns = found
     probe.measured |= {"ramp_ms": took_ns / 1e6, "uncertain_ms": spread_ns / 1e6}
     got = f"{took_ns / 1e6:.0f} ms +-{spread_ns / 1e6:.1f}"
     text = "acceleration 0 changes the speed by a ramp"
-    probe.expect(got, holds=took_ns <= 20 * MS + spread_ns, expected="0 ms", refutes=text, exchange=exchange)
+    probe.expect(got, holds=took_ns <= 20 * MS + spread_ns, expected="0 ms", refutes=text, exchange=seen.exchange)
 
 
 # --- its shape --------------------------------------------------------------------------------------------------------

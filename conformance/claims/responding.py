@@ -10,7 +10,8 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
@@ -18,15 +19,16 @@ from conformance.claim import Inconclusive
 from conformance.claims import bench
 from conformance.claims.declare import Case, Cases, commands, needing
 from conformance.claims.motion_claim import of_motion, risks_by, risks_of
-from conformance.motion import motion
+from conformance.motion import motion, ramp
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
+from conformance.talk.noise import TOLD_LATE_NS
 from conformance.talk.probe import Probe, Until
 from conformance.talk.restarts import restart
 
 #: What is read and set to see that a drive is not silent altogether.
 _ANSWERED = (Verb.READ_POSITION, Verb.READ_STATUS, Verb.READ_ENABLED, Verb.READ_SPEED)
-_TURNS = 0.2
+_TURNS, _MOVE_RPM = 0.2, 120
 #: 60 rpm, and 0.15 s from it to a stop.
 _RPM, _RAMP, _RAMP_NS = 60, 206, 150 * MS
 #: How long is listened to what must not come: such a move takes 0.2 s, and a reply to it was seen to be 0.7 s late.
@@ -64,74 +66,116 @@ def _is_run(command: Command) -> bool:
     return command.motion is not None and command.motion.kind is MotionKind.RUN
 
 
-def _move(probe: Probe, command: Command, until: Until) -> tuple[Exchange, list[int], float]:
-    """Ask for a motion and let it happen; return the exchange, the statuses of all replies, and how far the shaft went."""
-    since, before = len(probe.traffic), motion.position(probe)
+@dataclass(frozen=True)
+class _Shown:
+    """A motion or a stop that was sent. `statuses`: of all replies that came, late ones too.
+
+    `before`, `after`: how far the shaft was (degrees) when a motion came and when it was over; how fast (rpm), for a stop.
+    """
+
+    exchange: Exchange
+    statuses: tuple[int, ...]
+    before: float
+    after: float
+
+
+def _ask(probe: Probe, command: Command, until: Until) -> Exchange:
+    """Ask for a motion that is over, or a run that has its speed, when this ends."""
+    law_ns = ramp.move_ns(_TURNS, _MOVE_RPM, QUICK)
     if _is_run(command):
-        exchange = motion.ask(probe, command, rpm=_RPM, acceleration=QUICK, until=until, timeout_ns=_LISTEN_NS)
-    else:
-        exchange = motion.ask(probe, command, _TURNS * 360, rpm=120, until=until)
-    # A run was listened to for as long.
-    probe.wait(0 if _is_run(command) else _LISTEN_NS)
-    return exchange, _statuses(probe, since, command), motion.position(probe).value - before.value
+        return motion.ask(probe, command, rpm=_RPM, acceleration=QUICK, until=until, timeout_ns=int(law_ns))
+    exchange = motion.ask(probe, command, _TURNS * 360, rpm=_MOVE_RPM, until=until, timeout_ns=int(law_ns))
+    probe.wait(exchange.sent_ns + int(law_ns) - probe.gate.now_ns())
+    return exchange
 
 
-def _statuses(probe: Probe, since: int, command: Command) -> list[int]:
-    return motion.statuses(probe.traffic[since:], command)
+def _together(dialect: Dialect, *, runs: bool) -> Iterator[Case]:
+    """Return the runs, or the moves, which ask for less."""
+    return (case for case in _runs_and_moves(dialect) if _is_run(case.given["run"]) is runs)
 
 
-def _set_going(probe: Probe, command: Command) -> None:
-    motion.prepare(probe, command)
-    motion.begin(probe, command, 8 * 360, rpm=_RPM, acceleration=QUICK)
-    probe.wait(100 * MS)
+def _motions_answered(probe: Probe, respond: int, runs: bool) -> dict[str, _Shown]:
+    """Send each motion of a kind by these settings and return what came of it, by its name.
+
+    What comes late is told from the replies to the next motion by its command, and is listened to once.
+    """
+    sent = []
+    for case in _together(probe.dialect, runs=runs):
+        run = case.given["run"]
+        motion.prepare(probe, run)
+        _set(probe, respond, 0 if respond else case.given["active"])
+        since, before = len(probe.traffic), motion.position(probe).value
+        exchange = _ask(probe, run, Until.REPLY if respond else Until.TIMEOUT)
+        after = motion.position(probe).value
+        if _is_run(run):
+            motion.stand_still(probe)
+        sent.append((run, exchange, since, before, after))
+    return _listened(probe, sent)
 
 
-def _stop(probe: Probe, stop: Command) -> tuple[Exchange, list[int]]:
-    """Stop by a slow ramp; return what was asked and all statuses that came until the shaft stood."""
-    since = len(probe.traffic)
-    exchange = probe.ask(stop, {"acceleration": _RAMP}, until=Until.TIMEOUT, timeout_ns=_RAMP_NS + _LISTEN_NS)
-    motion.wait_standing(probe)
-    return exchange, _statuses(probe, since, stop)
+def _stops_answered(probe: Probe, respond: int, runs: bool) -> dict[str, _Shown]:
+    """Stop each motion of a kind by a slow ramp by these settings and return what came of it, by the name of the stop."""
+    sent = []
+    for case in _together(probe.dialect, runs=runs):
+        run, stop = case.given["run"], case.given["stop"]
+        motion.prepare(probe, run)
+        motion.ask(probe, run, 8 * 360, rpm=_RPM, acceleration=QUICK)
+        probe.wait(100 * MS)
+        _set(probe, respond, 0 if respond else 1 - case.given["active"])
+        since, before = len(probe.traffic), abs(motion.speed(probe).value)
+        until = Until.REPLY if respond else Until.TIMEOUT
+        exchange = probe.ask(stop, {"acceleration": _RAMP}, until=until, timeout_ns=_RAMP_NS + TOLD_LATE_NS)
+        probe.wait(exchange.sent_ns + _RAMP_NS + TOLD_LATE_NS - probe.gate.now_ns())
+        sent.append((stop, exchange, since, before, abs(motion.speed(probe).value)))
+        _set(probe, 1, 1)
+        if sent[-1][-1] > _RPM / 2:
+            motion.stop(probe, QUICK)
+        motion.wait_standing(probe)
+    return _listened(probe, sent)
+
+
+def _listened(probe: Probe, sent: Sequence[tuple[Command, Exchange, int, float, float]]) -> dict[str, _Shown]:
+    probe.wait(_LISTEN_NS)
+    found = {
+        command.name: _Shown(exchange, tuple(motion.statuses(probe.traffic[since:], command)), before, after)
+        for command, exchange, since, before, after in sent
+    }
+    _set(probe, 1, 1)
+    motion.stand_still(probe)
+    return found
 
 
 # --- respond 0 --------------------------------------------------------------------------------------------------------
 
 
 @_of_respond("an answer, or no motion", each=_runs_and_moves, name="{command}/0-silences-{run}", risks=risks_of("run"))
-def _silent_motion(probe: Probe, run: Command, active: int) -> None:
+def _silent_motion(probe: Probe, run: Command) -> None:
     """With respond 0 {run} is carried out and not answered, neither at its begin nor at its end."""
-    motion.prepare(probe, run)
-    _set(probe, 0, active)
-    exchange, statuses, degrees = _move(probe, run, Until.TIMEOUT)
-    _set(probe, 1, 1)
-    motion.stand_still(probe)
+    shown = probe.recorded(_motions_answered, 0, _is_run(run))[run.name]
     text = f"{run.name} is answered with respond 0"
-    probe.expect(statuses, equal=[], expected="silence", refutes=text, exchange=exchange)
-    text = f"{run.name} is not carried out with respond 0"
-    probe.expect(abs(degrees), at_least=_TURNS * 360 / 2, unit="degrees", refutes=text, exchange=exchange)
+    probe.expect(list(shown.statuses), equal=[], expected="silence", refutes=text, exchange=shown.exchange)
+    text, way = f"{run.name} is not carried out with respond 0", abs(shown.after - shown.before)
+    probe.expect(way, at_least=_TURNS * 360 / 2, unit="degrees", refutes=text, exchange=shown.exchange)
 
 
 @_of_respond(
     "an answer, or a shaft that goes on", each=_runs_and_moves, name="{command}/0-silences-{stop}", risks=risks_of("run")
 )
-def _silent_stop(probe: Probe, run: Command, stop: Command, active: int) -> None:
+def _silent_stop(probe: Probe, run: Command, stop: Command) -> None:
     """With respond 0 {stop} is carried out and not answered."""
-    _set_going(probe, run)
-    _set(probe, 0, 1 - active)
-    if abs(motion.speed(probe).value) < _RPM / 2:
-        raise Inconclusive("the shaft does not turn before the stop")
-    since = len(probe.traffic)
-    exchange = probe.ask(stop, {"acceleration": _RAMP}, until=Until.TIMEOUT, timeout_ns=_RAMP_NS + _LISTEN_NS)
-    left, statuses = abs(motion.speed(probe).value), _statuses(probe, since, stop)
-    if left > _RPM / 2:
-        _set(probe, 1, 1)
-        motion.stop(probe, QUICK)
+    shown = _stopped(probe, 0, run, stop)
     text = f"{stop.name} is not carried out with respond 0"
-    probe.expect(left, at_most=_RPM / 2, unit="rpm", refutes=text, exchange=exchange)
-    motion.wait_standing(probe)
-    _set(probe, 1, 1)
+    probe.expect(shown.after, at_most=_RPM / 2, unit="rpm", refutes=text, exchange=shown.exchange)
     text = f"{stop.name} is answered with respond 0"
-    probe.expect(statuses, equal=[], expected="silence", refutes=text, exchange=exchange)
+    probe.expect(list(shown.statuses), equal=[], expected="silence", refutes=text, exchange=shown.exchange)
+
+
+def _stopped(probe: Probe, respond: int, run: Command, stop: Command) -> _Shown:
+    """Return what came of a stop. Raises Inconclusive where the shaft did not turn before it."""
+    shown: _Shown = probe.recorded(_stops_answered, respond, _is_run(run))[stop.name]
+    if shown.before < _RPM / 2:
+        raise Inconclusive("the shaft does not turn before the stop")
+    return shown
 
 
 @_of_respond("silence", each=_settings, name="{command}/0-leaves-reads")
@@ -183,7 +227,7 @@ def _silent_after_restart(probe: Probe) -> None:
     motion.ready_to_move(probe)
     since, run = len(probe.traffic), probe.command(Verb.RUN_SPEED)
     exchange = motion.ask(probe, run, rpm=_RPM, acceleration=QUICK, until=Until.TIMEOUT, timeout_ns=SECOND_NS)
-    statuses = _statuses(probe, since, run)
+    statuses = motion.statuses(probe.traffic[since:], run)
     _set(probe, 1, 1)
     motion.stand_still(probe)
     text = "a run is answered after a restart, and respond was 0"
@@ -193,25 +237,20 @@ def _silent_after_restart(probe: Probe) -> None:
 # --- active 0, and both again -----------------------------------------------------------------------------------------
 
 
-@_of_respond("no first reply, or a completion", each=_moves, name="{command}/inactive-{run}")
+@_of_respond("no first reply, or a completion", each=_moves, name="{command}/inactive-{run}", risks=risks_of("run"))
 def _inactive_move(probe: Probe, run: Command) -> None:
     """With active 0 {run} is answered when it begins and not when it is done."""
-    motion.prepare(probe, run)
-    _set(probe, 1, 0)
-    exchange, statuses, _ = _move(probe, run, Until.REPLY)
-    motion.wait_standing(probe)
+    shown = probe.recorded(_motions_answered, 1, _is_run(run))[run.name]
     text = f"{run.name} with active 0 is not answered at its begin alone"
-    probe.expect(statuses, equal=[1], refutes=text, exchange=exchange)
+    probe.expect(list(shown.statuses), equal=[1], refutes=text, exchange=shown.exchange)
 
 
 @_of_respond("no first reply, or a completion", each=_runs_and_moves, name="{command}/inactive-{stop}", risks=risks_of("run"))
 def _inactive_stop(probe: Probe, run: Command, stop: Command) -> None:
     """With active 0 {stop} is answered when it begins and not when the shaft stands."""
-    _set_going(probe, run)
-    _set(probe, 1, 0)
-    exchange, statuses = _stop(probe, stop)
+    shown = _stopped(probe, 1, run, stop)
     text = f"{stop.name} with active 0 is not answered at its begin alone"
-    probe.expect(statuses, equal=[1], refutes=text, exchange=exchange)
+    probe.expect(list(shown.statuses), equal=[1], refutes=text, exchange=shown.exchange)
 
 
 @_of_respond(
@@ -227,7 +266,7 @@ def _inactive_home(probe: Probe) -> None:
     exchange = probe.ask(home, until=Until.TIMEOUT, timeout_ns=3 * SECOND_NS)
     motion.wait_standing(probe)
     text = "homing with active 0 is not answered at its begin alone"
-    probe.expect(_statuses(probe, since, home), equal=[1], refutes=text, exchange=exchange)
+    probe.expect(motion.statuses(probe.traffic[since:], home), equal=[1], refutes=text, exchange=exchange)
 
 
 @_of_respond("other replies", each=_settings, name="{command}/1-answers-again")
@@ -236,6 +275,9 @@ def _answered_again(probe: Probe) -> None:
     motion.ready_to_move(probe)
     for respond, active in ((0, 0), (1, 1)):
         _set(probe, respond, active)
-    exchange, statuses, _ = _move(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), Until.DONE)
+    since, move = len(probe.traffic), probe.command(Verb.MOVE_RELATIVE_AXIS)
+    exchange = _ask(probe, move, Until.DONE)
+    probe.wait(_LISTEN_NS)
+    statuses = motion.statuses(probe.traffic[since:], move)
     text = "a move is not answered 1 and 2 after respond and active were set to 1 again"
     probe.expect(statuses, equal=[1, 2], refutes=text, exchange=exchange)

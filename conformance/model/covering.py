@@ -9,12 +9,14 @@ Rules kept here:
 - A rule names the factors that it is about by its parameters, and says whether their levels are allowed together.
 - Every row keeps all rules. A pair that no whole row can have is left out.
 - The same factors and rules make the same rows. Of levels that serve as well the first one is taken: the cheapest first.
+- Where the cost of a row is told, rows that the others make needless go, and what only fills a row becomes the cheapest.
 """
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import combinations, product
 from typing import Any
 
@@ -25,13 +27,20 @@ _Level = tuple[str, int]
 
 
 def rows(
-    factors: Mapping[str, Sequence[Any]], *rules: Rule, together: Iterable[Sequence[str]] = (), strength: int = 2
+    factors: Mapping[str, Sequence[Any]],
+    *rules: Rule,
+    together: Iterable[Sequence[str]] = (),
+    strength: int = 2,
+    cost: Callable[..., float] | None = None,
 ) -> tuple[Row, ...]:
     """Return rows with a level of each factor, so that all that is allowed together meets.
 
-    `together`: groups of factors all of whose levels meet, beside any `strength` factors.
+    `together`: groups of factors all of whose levels meet, beside any `strength` factors. `cost`: of a row, by its levels.
     """
-    return _Table(factors, rules).rows({*combinations(factors, min(strength, len(factors))), *map(tuple, together)})
+    table = _Table(factors, rules)
+    groups = {*combinations(factors, min(strength, len(factors))), *map(tuple, together)}
+    found = table.rows(groups)
+    return tuple(map(table.named, found if cost is None else table.cheaper(found, groups, cost)))
 
 
 class _Table:
@@ -45,7 +54,11 @@ class _Table:
                     f"a rule about {', '.join(sorted(names - factors.keys()))}, expected {', '.join(factors)}: {rule}"
                 )
 
-    def rows(self, groups: Iterable[Sequence[str]]) -> tuple[Row, ...]:
+    def named(self, row: Mapping[str, int]) -> Row:
+        """Return a row with its levels in place of where they stand."""
+        return {name: levels[row[name]] for name, levels in self._factors.items()}
+
+    def rows(self, groups: Iterable[Sequence[str]]) -> list[dict[str, int]]:
         # Those that more factors meet in come first: their rows have most of the others.
         ordered = sorted(groups, key=lambda group: (-len(group), [self._places[name] for name in group]))
         missing = dict.fromkeys(
@@ -62,8 +75,46 @@ class _Table:
                 continue
             levels = frozenset(row.items())
             missing = dict.fromkeys(met for met in missing if not met <= levels)
-            found.append({name: self._factors[name][row[name]] for name in self._factors})
-        return tuple(found)
+            found.append(row)
+        return found
+
+    def cheaper(
+        self, found: Iterable[dict[str, int]], groups: Iterable[Sequence[str]], cost: Callable[..., float]
+    ) -> list[dict[str, int]]:
+        """Return rows in which all meets that met in those found, the dearest looked at first."""
+        every = [tuple(group) for group in groups]
+
+        def meetings(row: Mapping[str, int]) -> list[tuple[tuple[str, ...], tuple[int, ...]]]:
+            return [(group, tuple(row[name] for name in group)) for group in every]
+
+        kept = list(found)
+        met = Counter(meeting for row in kept for meeting in meetings(row))
+        for row in sorted(found, key=lambda row: -cost(**self.named(row))):
+            met.subtract(meetings(row))
+            # What meets in this row alone stays.
+            own = {
+                name: place
+                for group, places in meetings(row)
+                if not met[group, places]
+                for name, place in zip(group, places, strict=True)
+            }
+            place = kept.index(row)
+            if not own:
+                del kept[place]
+                continue
+            kept[place] = min((row, *self._whole(own)), key=lambda other: cost(**self.named(other)))
+            met.update(meetings(kept[place]))
+        return kept
+
+    def _whole(self, row: dict[str, int]) -> Iterator[dict[str, int]]:
+        """Yield all whole rows with these levels that keep the rules."""
+        name = next((name for name in self._factors if name not in row), None)
+        if name is None:
+            yield row
+            return
+        for place in range(len(self._factors[name])):
+            if self._kept(tried := {**row, name: place}, name):
+                yield from self._whole(tried)
 
     def _filled(self, row: dict[str, int], missing: Iterable[frozenset[_Level]]) -> dict[str, int] | None:
         """Return a whole row that keeps all rules and has most of what is missing, None where there is none."""

@@ -181,7 +181,7 @@ def set_mode(probe: Probe, mode: str) -> None:
 
 
 def _enabled_now(probe: Probe) -> bool:
-    exchange = probe.ask(Verb.ENABLE, {"enabled": 1})
+    exchange = probe.ask(Verb.ENABLE, {"enabled": 1}, quiet_ns=0)
     probe.reply(exchange)
     return not probe.refused(exchange)
 

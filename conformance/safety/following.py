@@ -14,7 +14,7 @@ from analyzer.errors import UsageError
 from analyzer.layout import Effect
 from conformance.gate.gate import Gate
 from conformance.safety.journal import values_text
-from conformance.talk.probe import Probe, plain_probe
+from conformance.talk.probe import Probe, Rig, plain_probe
 from conformance.talk.settings import LINK_EFFECTS
 
 _READS = (Verb.READ_STATUS, Verb.READ_SPEED, Verb.READ_STATE_1, Verb.READ_STATE_2, Verb.READ_POSITION, Verb.READ_ENCODER)
@@ -33,11 +33,18 @@ def default_values(command: Command) -> list[dict[str, int]]:
 
 
 def restore_link(
-    gate: Gate, dialect: Dialect, address: int, command: Command, before: Mapping[str, int], sent: Iterable[Mapping[str, int]]
+    gate: Gate,
+    dialect: Dialect,
+    address: int,
+    command: Command,
+    before: Mapping[str, int],
+    sent: Iterable[Mapping[str, int]],
+    *,
+    write_gap_ns: int = Rig.write_gap_ns,
 ) -> str:
     """Find the drive at one of the settings that it may have, and set it back; return why not, or nothing.
 
-    The host's end of the line is set back too. Raises LineLost.
+    `write_gap_ns`: its distance from the setting before. The host's end of the line is set back too. Raises LineLost.
     """
     tried = [before, *reversed(list(sent))]
     own = gate.line.endpoint.bits_per_second
@@ -46,6 +53,7 @@ def restore_link(
         probe = _reach(gate, dialect, address, command, values)
         if probe is None:
             continue
+        probe.rig.write_gap_ns = write_gap_ns
         probe.ask(probe.command(command.verb), before)
         if _reach(gate, dialect, address, command, before) is not None:
             return ""

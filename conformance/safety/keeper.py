@@ -308,7 +308,9 @@ class Keeper:
 
     def _restore(self, gate: Gate, kept: _Kept) -> str:
         if changes_link(kept.command):
-            return following.restore_link(gate, self._dialect, self._address, kept.command, kept.before, kept.sent)
+            return following.restore_link(
+                gate, self._dialect, self._address, kept.command, kept.before, kept.sent, write_gap_ns=self.write_gap_ns
+            )
         return put_back(self._probe(gate), kept.command, kept.before)
 
 
@@ -317,7 +319,7 @@ def put_back(probe: Probe, command: Command, values: Mapping[str, int]) -> str:
     failure = ""
     for _ in range(2):
         try:
-            exchange = probe.ask(command, values)
+            exchange = probe.ask(command, values, quiet_ns=0)
         except Refused as error:
             failure = f"{command.name} {values_text(command, values)}: {error}"
             if command.name != settings.SET_POSITION:

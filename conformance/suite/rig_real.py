@@ -168,7 +168,7 @@ class RealRig(ClaimRig):
 
     def drop_write_gap(self) -> None:
         """Let settings follow one another at once from now on."""
-        self.write_gap_ns = 0
+        self.write_gap_ns = self.keeper.write_gap_ns = 0
 
     def forbid_motion(self, reason: str) -> None:
         """Let nothing pass from now on that may move the drive: it could not be proved to stand again."""
@@ -309,7 +309,6 @@ class RealRig(ClaimRig):
 
     def _put_back(self, *, again: bool = False, but: Collection[str] = ()) -> str:
         """Put back what was changed, some commands aside; return what was not, or nothing."""
-        self.keeper.write_gap_ns = self.write_gap_ns
         failure = self.keeper.put_back(again=again, but=but if again else {*but, *self.keeper.left_at(self._loud)})
         if not self.keeper.changed:
             self._is_back()
