@@ -2,9 +2,10 @@
 
     python -m benchmarks.order [--dialect D] [--known FILE]
 
-First the seconds of each claim, by the rules of a real drive, on an ideal one. Then, again and again, the claim that adds most
-for a second: known faults that no claim before it refutes, commands and aspects that no claim before it looks at. `--known`:
-which claims refute which fault, a line each as in `tests/conformance/golden/faults.jsonl` (the default); may be given again.
+First the seconds of each claim, and of each motion that several claims judge, by the rules of a real drive, on an ideal one.
+Then, again and again, the claim that adds most for a second: known faults that no claim before it refutes, commands and aspects
+that no claim before it looks at. `--known`: which claims refute which fault, a line each as in
+`tests/conformance/golden/faults.jsonl` (the default); may be given again, and what the files say of a fault is put together.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import argparse
 import json
 import sys
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from pathlib import Path
 from statistics import median
 from typing import NamedTuple
@@ -24,10 +25,12 @@ from analyzer.records import CanFrame, Chunk
 from benchmarks.run_time import TARGETS, everything, in_a_group, real, specification, timed
 from conformance.claim import Claim, Outcome
 from conformance.drives.can_bits import frame_bits
+from conformance.gate.gate import Gate
 from conformance.suite import order
 from conformance.suite.order import Cost
 from conformance.suite.rig_stand_in import StandInRig
 from conformance.suite.target import Target
+from conformance.talk.probe import Recording
 
 FOLDER = Path(order.__file__).with_name("telling")
 GOLDEN = Path(__file__).parents[1] / "tests" / "conformance" / "golden" / "faults.jsonl"
@@ -39,16 +42,49 @@ _LIST_SECONDS = 400.0
 _LEAST = 0.1
 #: Seconds in which a drive is found.
 _FINDING = 0.2
-_FREE = Cost(0.0, 0)
 
 
 class Measured(NamedTuple):
-    """A claim, what it cost, what it costs where no other one has asked the same, and whose exchange it judges."""
+    """A claim and what it cost in its place. `parts`: the seconds of the recordings that it judges; `rest`: what else it does.
+
+    `behind`: the claims before it that made those recordings.
+    """
 
     claim: Claim
     own: Cost
-    cost: Cost
-    asked_by: str
+    rest: float
+    parts: Mapping[Hashable, float]
+    behind: tuple[str, ...]
+
+
+class _Watched(dict[Hashable, Recording]):
+    """Recordings of a rig that know how long each took, who made it, and which of them a claim asked for."""
+
+    def __init__(self, gate: Gate) -> None:
+        super().__init__()
+        self._gate = gate
+        self.seconds: dict[Hashable, float] = {}
+        self.makers: dict[Hashable, str] = {}
+        self.asked: list[Hashable] = []
+        self._begun: list[int] = []
+
+    def get(self, key: Hashable, default: object = None) -> Recording | None:  # type: ignore[override]
+        self.asked.append(key)
+        if key not in self:
+            self._begun.append(self._gate.now_ns())
+        return super().get(key)
+
+    def __setitem__(self, key: Hashable, value: Recording) -> None:
+        self.seconds[key] = (self._gate.now_ns() - self._begun.pop()) / 1e9
+        super().__setitem__(key, value)
+
+    def of(self, claim: Claim) -> tuple[dict[Hashable, float], tuple[str, ...], float]:
+        """Return what a claim that has just run asked for, who else made it, and the seconds of what it made itself."""
+        parts = {key: self.seconds[key] for key in self.asked if key in self}
+        own = sum(seconds for key, seconds in parts.items() if self.makers.setdefault(key, claim.id) == claim.id)
+        others = tuple(dict.fromkeys(self.makers[key] for key in parts if self.makers[key] != claim.id))
+        self.asked, self._begun = [], []
+        return parts, others, own
 
 
 def measured(target: Target) -> tuple[Cost, Cost, dict[str, Measured]]:
@@ -67,43 +103,45 @@ def measured(target: Target) -> tuple[Cost, Cost, dict[str, Measured]]:
     started = rig.gate.now_ns() / 1e9 - scanned
     before = bits[0]
     found: dict[str, Measured] = {}
-    asked: dict[object, Measured] = {}
+    rig.recordings = watched = _Watched(rig.gate)
     for claim, verdict, seconds in timed(plan, target, rig):
         own, before = bits[0] - before, bits[0]
         if verdict.outcome is Outcome.NOT_RUN:
             continue
-        subject, cost = (claim.theme, claim.commands), Cost(round(max(0.0, seconds - own / target.rate), 3), own)
-        if own or subject not in asked:
-            asked[subject] = Measured(claim, cost, cost, claim.id)
-        found[claim.id] = Measured(claim, cost, asked[subject].cost, asked[subject].asked_by)
+        parts, behind, made = watched.of(claim)
+        cost = Cost(round(max(0.0, seconds - own / target.rate), 3), own)
+        found[claim.id] = Measured(claim, cost, max(0.0, seconds - made), parts, behind)
     return Cost(round(started + _FINDING, 2), 0), Cost(round(scanned, 2), 0), found
 
 
-def greedy(costs: Mapping[str, Measured], refuted_by: Mapping[str, set[str]], rate: int) -> dict[str, Cost]:
-    """Return claims in the order of what they add for a second, with what each costs there."""
+def greedy(costs: Mapping[str, Measured], refuted_by: Mapping[str, set[str]], before: float = 0.0) -> list[str]:
+    """Return claims in the order of what they add for a second, of a run whose first one begins after so many seconds."""
     catches: dict[str, set[str]] = defaultdict(set)
     for fault, claims in refuted_by.items():
         for claim in claims:
             catches[claim].add(fault)
     new = {name: (catches[name], set(each.claim.covers)) for name, each in sorted(costs.items())}
-    found: dict[str, Cost] = {}
-    asked: set[str] = set()
+    found: list[str] = []
+    recorded: set[Hashable] = set()
 
-    def price(name: str) -> Cost:
-        return _FREE if costs[name].asked_by in asked else costs[name].cost
+    def price(name: str) -> float:
+        return costs[name].rest + sum(seconds for key, seconds in costs[name].parts.items() if key not in recorded)
 
-    passed = 0.0
+    passed = before
     while new and passed < _LIST_SECONDS:
+        # A short run leaves out what would take much of it.
+        short = passed < order.SHORT_SECONDS
         worth = {
-            name: (len(faults) + _NEW_PAIR * len(pairs)) / (price(name).seconds(rate) + _LEAST)
+            name: (len(faults) + _NEW_PAIR * len(pairs)) / (price(name) + _LEAST)
             for name, (faults, pairs) in new.items()
+            if not short or price(name) <= order.LONGEST * (order.SHORT_SECONDS - before)
         }
-        best = max(worth, key=lambda name: worth[name])
-        if not worth[best]:
+        best = max(worth, key=lambda name: worth[name], default="")
+        if not best or not worth[best]:
             break
-        found[best] = price(best)
-        passed += price(best).seconds(rate)
-        asked.add(costs[best].asked_by)
+        found.append(best)
+        passed += price(best)
+        recorded.update(costs[best].parts)
         faults, pairs = new.pop(best)
         new = {n: (own - faults, looks - pairs) for n, (own, looks) in new.items()}
     return found
@@ -117,16 +155,15 @@ def make(target: Target, known: Iterable[Mapping[str, object]]) -> dict[str, Cos
     for row in known:
         if row["dialect"] == target.dialect.name:
             refuted_by[str(row["fault"])] |= ids.intersection(row["refuted"])  # type: ignore[arg-type]
-    first = greedy({name: costs[name] for name in ids}, refuted_by, target.rate)
+    first = greedy({name: costs[name] for name in ids}, refuted_by, start.waits + alone.waits)
     write(target, start, alone, first, costs)
     # What a claim costs depends on those before it, so it is measured again where it stands now.
     _, _, costs = measured(target)
-    first = {name: costs[name].own for name in first}
     write(target, start, alone, first, costs)
-    return first
+    return {name: costs[name].own for name in first}
 
 
-def write(target: Target, start: Cost, alone: Cost, first: Mapping[str, Cost], costs: Mapping[str, Measured]) -> None:
+def write(target: Target, start: Cost, alone: Cost, first: Iterable[str], costs: Mapping[str, Measured]) -> None:
     """Write a table as JSON, a row to a line."""
     kinds: dict[str, list[Cost]] = defaultdict(list)
     for each in costs.values():
@@ -134,12 +171,17 @@ def write(target: Target, start: Cost, alone: Cost, first: Mapping[str, Cost], c
     table: dict[str, object] = {
         "start": start,
         "alone": alone,
-        "first": {name.split("/", 1)[1]: cost for name, cost in first.items()},
+        "first": {_short(name): costs[name].own for name in first},
+        "behind": {_short(name): [*map(_short, costs[name].behind)] for name in first if costs[name].behind},
         "kinds": {name: _middle(found) for name, found in sorted(kinds.items())},
     }
     FOLDER.mkdir(exist_ok=True)
     (FOLDER / f"{target.dialect.name}.json").write_text(as_text(table))
     order.table.cache_clear()
+
+
+def _short(name: str) -> str:
+    return name.split("/", 1)[1]
 
 
 def _middle(costs: list[Cost]) -> Cost:

@@ -29,7 +29,7 @@ EMPTY: Slot = {}
 #: What tells the move of one slot from that of another, in steps.
 _ONE, _OTHER = 1, 3
 #: Three steps take 0.22 s: a ramp up, and one down.
-_STEPS_NS = 450_000_000
+_STEPS_NS = 320_000_000
 #: An acceleration as sent, and its time for one rpm.
 _SLOW_RAMP, _RAMP_STEP_NS = 56, 10_000_000
 

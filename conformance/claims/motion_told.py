@@ -99,7 +99,7 @@ def _each_check(probe: Probe, command: Command) -> None:
         degrees = (place - here) * 360 / probe.dialect.counts_per_turn
         motion.begin(probe, move, degrees, acceleration=QUICK, start=here)
         # Nothing is read until then: a reply that does not check is what is looked for.
-        probe.wait(500 * MS)
+        probe.wait(250 * MS)
         for _ in range(_LOOKS):
             exchange = probe.ask(command, quiet_ns=0)
             fits = exchange.reply is not None and exchange.reply.message.frame.checksum_ok

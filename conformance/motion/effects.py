@@ -38,8 +38,8 @@ _INT32 = 1 << 31
 #: How far the small move goes, in counts of 16384 a turn, and how fast (rpm, acceleration as sent).
 STEP = 400
 _SPEED, _ACCELERATION = 60, 248
-#: How long a step takes at most, its ramps and reply with it.
-STEP_NS = 300_000_000
+#: How long a step takes at most, its ramps and reply with it: by the law 50 ms.
+STEP_NS = 200_000_000
 
 
 @dataclass(frozen=True)

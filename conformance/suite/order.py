@@ -28,7 +28,7 @@ from conformance.claim import Claim
 #: How long a short run may take, in seconds, and how much of it is planned: a port takes a little longer than its bits.
 SHORT_SECONDS, PLANNED = 90.0, 0.95
 #: The share of a short run that one claim may take.
-_LONGEST = 0.25
+LONGEST = 0.25
 #: By how much a claim may come later so that it stands with others that need the drive ready to move, in seconds.
 _TOGETHER_SECONDS = 10.0
 
@@ -51,12 +51,14 @@ _UNKNOWN = Cost(1.0, 1000)
 class Table(msgspec.Struct, frozen=True):
     """What was measured in a dialect. `start`: until the first claim; `alone`: more of it, with --alone.
 
-    `first`: claims that teach most in a second, in order, by id without the dialect. `kinds`: all others.
+    `first`: claims that teach most in a second, in order, by id without the dialect; `behind`: those of them that judge what
+    others recorded, with these others. `kinds`: all others.
     """
 
     start: Cost = Cost(1.0, 0)
     alone: Cost = Cost(0, 0)
     first: dict[str, Cost] = {}
+    behind: dict[str, tuple[str, ...]] = {}
     kinds: dict[str, Cost] = {}
 
 
@@ -147,13 +149,20 @@ def _together(claims: Sequence[Claim], rate: int) -> list[Claim]:
 
 
 def fitting(claims: Iterable[Claim], rate: int, within: float) -> list[Claim]:
-    """Return the first claims that fit into so many seconds. One that would take most of them, for a recording, is left out."""
-    found, longest = [], within * _LONGEST
+    """Return the first claims that fit into so many seconds. One that would take much of them, for a recording, is left out."""
+    found, longest = [], within * LONGEST
+    recorded: set[str] = set()
     for claim in claims:
-        if (own := seconds(claim, rate)) > longest:
+        name = claim.id.split("/", 1)[1]
+        # What another claim was to record it records itself.
+        others = {other for other in table(claim.dialect).behind.get(name, ()) if other not in recorded}
+        own = sum(table(claim.dialect).first[other].seconds(rate) for other in others)
+        own += seconds(claim, rate) if name not in recorded else 0
+        if own > longest:
             continue
         within -= own
         if within < 0:
             break
+        recorded |= {name, *others}
         found.append(claim)
     return found

@@ -52,6 +52,32 @@ def test_the_first_level_is_taken_where_it_does_not_matter():
     assert covering.rows({"a": (1,), "b": (5, 6)}, lambda a, b: b > a) == ({"a": 1, "b": 5}, {"a": 1, "b": 6})
 
 
+@QUICK
+@given(FACTORS, FORBIDDEN)
+def test_rows_by_cost_are_no_dearer_and_all_meets_as_before(factors, forbidden):
+    def found(**how):
+        return covering.rows(factors, lambda a, b: (a, b) not in forbidden, together=[("b", "c", "d")], **how)
+
+    def cost(**row):
+        return 1 + sum(row.values())
+
+    def met(rows):
+        groups = [*combinations(factors, 2), ("b", "c", "d")]
+        return {(names, tuple(row[name] for name in names)) for row in rows for names in groups}
+
+    plain, cheap = found(), found(cost=cost)
+    assert met(cheap) == met(plain)
+    assert all((row["a"], row["b"]) not in forbidden for row in cheap)
+    assert len(cheap) <= len(plain)
+    assert sum(cost(**row) for row in cheap) <= sum(cost(**row) for row in plain)
+    assert cheap == found(cost=cost)
+
+
+def test_what_only_fills_a_row_is_the_cheapest():
+    factors = {"a": (0, 1), "b": ("dear", "cheap")}
+    assert covering.rows(factors, strength=1, cost=lambda a, b: b == "dear")[1] == {"a": 1, "b": "cheap"}
+
+
 def test_a_rule_about_no_factor_is_an_error():
     with pytest.raises(ValueError, match="a rule about z"):
         covering.rows({"a": (0, 1)}, lambda z: z)

@@ -73,6 +73,16 @@ def test_a_slower_line_gets_fewer_claims() -> None:
     assert counts[0] > counts[1] > 0
 
 
+@pytest.mark.parametrize(("left", "ran"), [(90.0, ["recorder", "judge", "read"]), (60.0, ["read"]), (60.5, ["read"])])
+def test_what_judges_a_recording_that_is_left_out_is_left_out_too(monkeypatch, left: float, ran: list[str]) -> None:
+    first = {"shape/recorder": order.Cost(20.0, 0), "shape/judge": order.Cost(0.0, 0), "shape/read": order.Cost(1.0, 0)}
+    known = order.Table(first=first, behind={"shape/judge": ("shape/recorder",)})
+    monkeypatch.setattr(order, "table", lambda dialect: known)
+    claims = [Claim(f"x/{name}", Theme.SHAPE, "x", "x", "", "y", lambda probe: None) for name in first]
+    assert [c.id for c in order.fitting(claims, 38400, left)] == [f"x/shape/{name}" for name in ran]
+    assert [c.id for c in order.fitting(claims[1:], 38400, left)] == [f"x/shape/{name}" for name in ran if name != "recorder"]
+
+
 def test_what_no_table_knows_runs_behind_by_an_estimate() -> None:
     claims = list(suite.every_claim(_TARGETS[0]))
     own = Claim("mks-rs485/motion/of-a-package", Theme.MOTION, "mks-rs485", "x", "", "y", lambda probe: None)
