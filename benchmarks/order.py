@@ -14,7 +14,7 @@ import argparse
 import json
 import sys
 from collections import defaultdict
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Collection, Hashable, Iterable, Mapping
 from pathlib import Path
 from statistics import median
 from typing import NamedTuple
@@ -163,8 +163,10 @@ def make(target: Target, known: Iterable[Mapping[str, object]]) -> dict[str, Cos
     return {name: costs[name].own for name in first}
 
 
-def write(target: Target, start: Cost, alone: Cost, first: Iterable[str], costs: Mapping[str, Measured]) -> None:
+def write(target: Target, start: Cost, alone: Cost, first: Collection[str], costs: Mapping[str, Measured]) -> None:
     """Write a table as JSON, a row to a line."""
+    # What runs before the order begins, to prove the reads, is behind nothing.
+    names = {name: [_short(other) for other in costs[name].behind if other in first] for name in first}
     kinds: dict[str, list[Cost]] = defaultdict(list)
     for each in costs.values():
         kinds[order.kind(each.claim)].append(each.own)
@@ -172,7 +174,7 @@ def write(target: Target, start: Cost, alone: Cost, first: Iterable[str], costs:
         "start": start,
         "alone": alone,
         "first": {_short(name): costs[name].own for name in first},
-        "behind": {_short(name): [*map(_short, costs[name].behind)] for name in first if costs[name].behind},
+        "behind": {_short(name): others for name, others in names.items() if others},
         "kinds": {name: _middle(found) for name, found in sorted(kinds.items())},
     }
     FOLDER.mkdir(exist_ok=True)
