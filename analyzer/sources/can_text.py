@@ -26,7 +26,7 @@ from analyzer.catalogue import Role
 from analyzer.records import CanFrame, Comment
 from analyzer.sources import written
 from analyzer.sources.lines import Lines, fitting, head_lines, is_like
-from analyzer.sources.marks import ACTIONS, SIGNS, role_of
+from analyzer.sources.marks import ACTIONS, MATTERS, SIGNS, role_of
 from analyzer.sources.source import Source, quote
 from analyzer.sources.stamps import ANY, STAMPS, Stamp, StampClock
 
@@ -85,6 +85,11 @@ SHAPES: tuple[Shape, ...] = (
         near=r".*\bcansend\s",
     ),
     _shape("hash", r"(?:(?P<port>[A-Za-z]\w{1,15})\s+)?(?P<id>[0-9A-F]{3}|[0-9A-F]{8})#(?P<data>(?:[0-9A-F]{2}\.?)*)"),
+    # In a sentence, or as a program prints it.
+    _shape(
+        "quoted",
+        r"(?:.*?(?P<error>error[ _]?frame\b))?.*?(?<![\w#/.-])(?P<id>[0-9A-F]{3}|[0-9A-F]{8})#(?P<data>(?:[0-9A-F]{2}){1,8})(?![0-9A-Z#]).*",
+    ),
     _shape(
         "candump",
         rf"(?:(?P<port>[A-Za-z]\w{{1,15}})\s+)?(?P<id>[0-9A-F]{{3}}|[0-9A-F]{{8}})\s+\[(?P<length>\d{{1,2}})\]\s*{_DATA}(?:'.*')?",
@@ -105,7 +110,7 @@ SHAPES: tuple[Shape, ...] = (
         sure=False,
     ),
 )
-_words = "|".join(sorted(ACTIONS, key=len, reverse=True))
+_words = "|".join(sorted((*ACTIONS, *MATTERS), key=len, reverse=True))
 _signs = "|".join(map(re.escape, SIGNS))
 _BEFORE = re.compile(
     rf"\s*(?:[\[(]?\s*(?:{ANY})(?![0-9A-Za-z_.])\s*[\])]?[\s,;|]*)?(?:->\s*)?(?:\[[\w:.]+\]:?\s*)*(?:[$#]\s+)?(?:can\d?\s+(?=[tr]x))?"

@@ -86,7 +86,7 @@ _END = r"(?![0-9A-Za-z_]|::)"
 _DECORATION = r"[\s:=<>|\])→←◇◆：,]*(?:-+[>\s]\s*)?"
 _PAIR = r"(?:0[xX])?[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])"
 #: What bytes can begin with.
-_BYTES = rf"(?={_PAIR}|[\[{{(<\"'b]|[0-9A-Fa-f]{{4,}}\s*$|-?\d{{1,3}}[\s,])"
+_BYTES = rf"(?={_PAIR}|[\[{{(<\"'b]|[0-9A-Fa-f]{{4,}}\s*$|(?:[0-9A-Fa-f]{{2}}\.){{5}}|-?\d{{1,3}}[\s,])"
 
 #: What may stand before the bytes, in the order in which it is tried, with a sign that every line with it has. The names of
 #: groups say what it is.
@@ -176,6 +176,9 @@ _HEXLIKE = re.compile(r"(?:0[xX]|\\[xX]|\$)?[0-9A-Fa-f]{1,2}[hH]?")
 _RUN = re.compile(r"(?=.{0,20}\d)[0-9A-Fa-f]{5,}")
 _DIGITS = re.compile(r"[0-9A-Fa-f]{1,8}")
 _LONG_RUN = re.compile(r"(?=.{0,20}\d)[0-9A-Fa-f]{8,}$")
+#: One byte of a log, printed twice: `Modbus received Byte  27 (0X1b)`.
+_TWICE = re.compile(r"(?P<before>.*[\s:=])(?P<decimal>\d{1,3})\s*[(\[](?:0[xX])?(?P<hex>[0-9A-Fa-f]{1,2})[)\]]")
+_NUMBER = re.compile(r"\d+\s*")
 _AROUND_NOTE = " \t,;|"
 #: A sentence before a mark: no header of bytes.
 _TWO_WORDS = re.compile(r"[^\W\d_]+ [^\W\d_]+ $")
@@ -195,9 +198,11 @@ def bytes_of(text: str) -> bytes | None:
 
 def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
     """Take a line apart. `decimal`: numbers without a letter among them are decimal ones. `led`: a number leads the bytes."""
-    text = line.strip()
+    text = written.plain(line).strip()
     if not text:
         return HexLine(Shape.BLANK)
+    if text[-1] in ")]" and (twice := _TWICE.fullmatch(text)) is not None and int(twice["decimal"]) == int(twice["hex"], 16):
+        return _of_twice(text, twice)
     if decimal:
         data = written.decimal(text)
         return HexLine(Shape.TRAFFIC, data, radix=Radix.DECIMAL) if data else _Peeler(text, decimal).line()
@@ -221,6 +226,16 @@ def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
         each = _EACH.match(text)
         return HexLine(Shape.TRAFFIC, plain.data, sign=f"each{each[1]}" if each is not None else "", radix=plain.radix)
     return _Peeler(text).line()
+
+
+def _of_twice(text: str, twice: re.Match[str]) -> HexLine:
+    """Return a line that prints one byte, in decimal and in hexadecimal: where a frame ends it does not tell."""
+    before = _Peeler(twice["before"])
+    while before._item():
+        pass
+    words = [word for word in re.findall(r"[^\W\d_]+", twice["before"].lower()) if word in WORDS]
+    data = bytes((int(twice["decimal"]),))
+    return HexLine(Shape.TRAFFIC, data, before.stamp, role_of(words), worded=bool(words), number=len(data))
 
 
 @lru_cache(maxsize=256)
@@ -374,8 +389,12 @@ class _Peeler:
         for pattern in (_TRAILING, _WORDY):
             trailing = pattern.search(rest)
             if trailing is not None and trailing.start() > 0:
-                found = self._bytes(rest[: trailing.start()].rstrip(" ,;)"))
-                if found is not None and found.data:
+                head = rest[: trailing.start()].rstrip(" ,;)")
+                # A number of a logger, and one before words, are no bytes.
+                if not self.marked and pattern is _TRAILING and _NUMBER.fullmatch(head) and trailing[0][0] == "|":
+                    continue
+                found = self._bytes(head)
+                if found is not None and len(found.data) > (pattern is _WORDY):
                     return found, trailing[0].strip(_AROUND_NOTE)
         string = _STRING.match(rest)
         if string is not None and (found := self._bytes(string[0])) is not None and found.data:

@@ -49,7 +49,7 @@ _DECIMAL_HEADS = 4
 #: How sure a text is whose sentences speak of frames.
 _PROSE_SCORE = 0.35
 #: Bytes from which on a line of a text that is no log counts.
-_SAID_BYTES = 3
+_SAID_BYTES, _PADDED_BYTES = 3, 5
 #: Lines that name the fields of a frame one by one, or that write its bytes one by one.
 _FIELD = re.compile(
     r"\s*(?P<call>[\w.>-]+\b[Ww]rite\(\s*)?(?P<bytes>(?:0[xX])?[0-9A-Fa-f]{2}(?:[ ,]+(?:0[xX])?[0-9A-Fa-f]{2}){0,3})"
@@ -73,6 +73,7 @@ _PIECES = 50
 _COLLECTED = 1 << 16
 #: Frames kept to know them again in words.
 _KNOWN = 1000
+_AT_ONCE_NS = 1_000_000_000
 #: How many bytes a line has: nothing to tell anyone.
 _COUNTED = re.compile(r"\(?\s*(?:len\w*\s*[=:]?\s*)?\d+\s*(?:bytes?|B)?\s*\)?(?:\s*=\s*\d+)?", re.IGNORECASE)
 _HEX_LETTER = re.compile(r"[A-Fa-f]|0x|\\x")
@@ -92,7 +93,12 @@ def score(head: bytes) -> float:
     parts = [take_apart(line) for line in lines]
     traffic = [p for p in parts if p.shape is Shape.TRAFFIC]
     counted = sum(1 for p in parts if p.shape is not Shape.COMMENT or not p.text.startswith(("#", "//", ";")))
-    plain = any(len(p.data) >= _SAID_BYTES and (p.marked or _HEX_LETTER.search(p.data.hex())) for p in traffic)
+    plain = any(
+        len(p.data) >= _SAID_BYTES and (p.marked or _HEX_LETTER.search(p.data.hex()))
+        # Numbers of people have no zeros before them.
+        or (len(p.data) >= _PADDED_BYTES and p.data[0] < 10 and p.radix is Radix.HEX)
+        for p in traffic
+    )
     said = _PROSE_SCORE if plain or _says(parts) or _has_fields(lines) else 0.0
     if not traffic or not counted:
         return said
@@ -279,6 +285,7 @@ class _Reader:
         self._above = Role.UNKNOWN
         self._below = False
         self._marks = ReceivedMarks()
+        self._printed: tuple[bytes, Role, tuple[str, bool, str], int | None] | None = None
 
     def records(self) -> Iterator[Chunk | Comment]:
         """Yield the records of all lines."""
@@ -314,6 +321,8 @@ class _Reader:
             t_ns = self._time(line)
             if line.shape is Shape.TRAFFIC and line.passed and (said := self._better(text, line)):
                 yield from self._quoted(t_ns, text, said)
+            elif line.shape is Shape.TRAFFIC and self._is_reprint(t_ns, line):
+                yield source.comment(t_ns, text)
             elif line.shape is Shape.TRAFFIC:
                 self._check_count(line)
                 yield from self._traffic(t_ns, self._told_above(line) if prose else line)
@@ -440,6 +449,16 @@ class _Reader:
             f"expected at most {_PIECES} frames on a line, got more: {quote(line.note)!r} is not read", line=self._lines.number
         )
         yield self._chunk(t_ns, line, line.data)
+
+    def _is_reprint(self, t_ns: int | None, line: HexLine) -> bool:
+        """Say whether another layer of a program prints at once what the line before has."""
+        before = self._printed
+        self._printed = (line.data, line.role, (line.sign, line.worded, line.passed), t_ns)
+        if before is None or line.role is Role.UNKNOWN or len(line.data) < _SAID_BYTES:
+            return False
+        data, role, style, then_ns = before
+        same = (data, role) == (line.data, line.role) and style != self._printed[2]
+        return same and (t_ns is None or then_ns is None or abs(t_ns - then_ns) < _AT_ONCE_NS)
 
     @staticmethod
     def _is_idle(line: HexLine) -> bool:

@@ -31,7 +31,7 @@ _VERBS = {
 }  # fmt: skip
 _MARKED = r"(?:0[xX][0-9A-Fa-f]{1,2})"
 _PAIR = r"[0-9A-Fa-f]{2}"
-_PAIRS = rf"(?:{_PAIR}){{1,2}}"
+_PAIRS = rf"(?:{_PAIR}){{1,4}}"
 _NOTHING_BEFORE = r"(?<![\w.:/+@#-])"
 _ITEM = r"(?:0[xX])?(?:[0-9A-Fa-f]{1,2}|\d{3})"
 #: Ways to write bytes inside a text; the names of groups tell apart what is checked further.
@@ -40,12 +40,13 @@ _RUN = re.compile(
     r"""(?P<string>b?'(?:[^'\\]|\\.)*?\\x[0-9A-Fa-f]{2}(?:[^'\\]|\\.)*'|b?"(?:[^"\\]|\\.)*?\\x[0-9A-Fa-f]{2}(?:[^"\\]|\\.)*")"""
     r"|(?P<escapes>(?:\\x[0-9A-Fa-f]{2})+)"
     # Each byte in brackets.
-    rf"|(?P<each>(?:\[{_ITEM}\]\s*){{2,}}|(?:<\s?{_ITEM}\s?>\s*){{2,}})"
+    rf"|(?P<each>(?:\[{_ITEM}\]\s*){{2,}}|(?:<\s?{_ITEM}\s?>\s*){{2,}}|(?:\{{{_ITEM}\}}\s*){{2,}})"
     # `10-15-0-204`, as modbus_tk prints it.
     rf"|(?P<dashed>{_NOTHING_BEFORE}(?=[\d-]*\d{{3}})\d{{1,3}}(?:-\d{{1,3}}){{4,}}(?![\w.-]))"
     rf"|(?P<list>[\[({{]\s*-?{_ITEM}(?:\s*,\s*-?{_ITEM})+\s*,?\s*[\])}}])"
     rf"|(?P<pairs>{_NOTHING_BEFORE}(?:{_MARKED}(?:(?:, ?|[ :-]){_MARKED})+"
-    rf"|{_PAIR}(?:(?: {{1,2}}{_PAIRS})+|(?:[,;] ?{_PAIR})+|(?::{_PAIR})+|(?:-{_PAIR})+|(?:\t{_PAIR})+|(?:\|{_PAIR})+))"
+    rf"|(?:0[xX])?{_PAIRS}(?: {{1,2}}{_PAIRS})+"
+    rf"|{_PAIR}(?:(?:[,;] ?{_PAIR})+|(?::{_PAIR})+|(?:-{_PAIR})+|(?:\.{_PAIR}){{5,}}|(?:\t{_PAIR})+|(?:\|{_PAIR})+))"
     r"(?![\w:]))"
     r"|(?P<quoted>(?<=[`'\"])(?:[0-9A-Fa-f]{2}){3,}(?=[`'\"]))"
     rf"|(?P<digits>{_NOTHING_BEFORE}(?=[0-9A-Fa-f]*\d)(?=\d*[A-Fa-f])(?:[0-9A-Fa-f]{{2}}){{4,}}(?![\w/-]))"
@@ -94,6 +95,7 @@ def mentions(line: str, libmodbus: bool = False) -> list[Quotation]:
 
     `libmodbus`: bytes in `[]` were sent, those in `<>` received.
     """
+    line = written.plain(line)
     found: list[Quotation] = []
     begin = 0
     brackets = {"[": Role.REQUEST, "<": Role.REPLY} if libmodbus else {}
@@ -131,8 +133,8 @@ def _data(run: re.Match[str]) -> bytes | None:
         return _string(text)
     if kind in ("quoted", "digits"):
         return bytes.fromhex(text)
-    if kind == "pairs" and "0x" not in text.lower():
-        return bytes.fromhex(re.sub(r"[^0-9A-Fa-f]", "", text))
+    if kind == "pairs" and "x" not in text.lower()[2:]:
+        return bytes.fromhex(re.sub(r"0[xX]|[^0-9A-Fa-f]", "", text))
     found = written.read(text)
     return None if found is None else found.data
 

@@ -52,6 +52,11 @@ _QUOTES = str.maketrans("", "", "'\"")
 _DIGITS = re.compile(r"-?\d{1,3}(?:[\s,;]+-?\d{1,3})*[\s,;]*|\d{1,3}(?:-\d{1,3})+")
 
 
+def plain(line: str) -> str:
+    """Return a line of a post without the signs that make bytes bold."""
+    return _EMPHASIS.sub("", line) if "**" in line else line
+
+
 def _bare(text: str) -> Written | None:
     # Bytes printed without leading zeros are short here and there; letters and single numbers are something else.
     if _TWO_DIGITS.search(text) is None or _DAYTIME.fullmatch(text):
@@ -104,8 +109,10 @@ def _decimal(text: str) -> Written | None:
 
 #: What bytes begin with, however they are written: most words do not.
 _BEGIN = re.compile(
-    r"[\[{(<\"'\\$&-]|16#|[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])|0[xX]|\d{3}|[0-9A-Fa-f]{4}|[0-9A-Fa-f]{2}[hH]|b['\"]|byte|list|new|Buffer"
+    r"[\[{(<\"'\\$&-]|16#|[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])|0[xX]|\d{3}|[0-9A-Fa-f]{4}|(?:[0-9A-Fa-f]{2}\.){5}|[0-9A-Fa-f]{2}[hH]|b['\"]|byte|list|new|Buffer"
 )
+#: What makes letters bold in a post.
+_EMPHASIS = re.compile(r"(?<=[\s\dA-Fa-f])\*\*|\*\*(?=[\s\dA-Fa-f])")
 _GAP = r"(?:\s*[,;|_-]\s*|\s+|:)"
 #: Ways to write bytes, the first that fits wins. Plain pairs of digits are read before these.
 _WAYS: tuple[tuple[re.Pattern[str], Callable[[str], Written | None]], ...] = tuple(
@@ -119,6 +126,7 @@ _WAYS: tuple[tuple[re.Pattern[str], Callable[[str], Written | None]], ...] = tup
         (rf"[0-9A-Fa-f]{{1,2}}(?:{_GAP}[0-9A-Fa-f]{{1,2}})*[\s,;:|_-]*", _bare),
         (r"(?:(?:0[xX]|\\[xX]|\$|16#|&[hH])[0-9A-Fa-f]{1,2}[\s,;:|-]*)+", _marked),
         (r"(?:[0-9A-Fa-f]{2}[hH][\s,;]*)+", _marked),
+        (r"[0-9A-Fa-f]{2}(?:\.[0-9A-Fa-f]{2}){5,}", lambda text: Written(bytes.fromhex(text.replace(".", "")))),
         (r"0[xX](?:[0-9A-Fa-f]{2})+", lambda text: Written(bytes.fromhex(text[2:]))),
         (r"(?=.*(?:\d{3}|-\d))-?\d{1,3}(?:[\s,;]+-?\d{1,3})+[\s,;]*", _decimal),
         (r"(?=.*\d{3})\d{1,3}(?:-\d{1,3})+", _decimal),
