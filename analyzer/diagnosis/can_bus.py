@@ -62,7 +62,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     if errors:
         yield from _errors(scene, _sorted(errors), heard)
     dialects = [d for d in scene.reader.dialects if d.bus == "can"]
-    if not any(p.is_reply and p.message is not None and p.message.command is not None for p, _ in data):
+    # A reply whose sum is wrong may be the frame of another make.
+    if not any(p.is_reply and p.sound and p.message is not None and p.message.command is not None for p, _ in data):
         yield from _others(scene, data, dialects)
 
 

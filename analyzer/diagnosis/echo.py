@@ -8,10 +8,15 @@ from itertools import pairwise
 from analyzer.catalogue import Role
 from analyzer.diagnosis.exchanges import replies_to
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
+from analyzer.link import READS, modbus_crc
 from analyzer.values import counted
 
 #: Bytes that must come back where a request does not come back whole; once alone, and several times.
 _ONCE, _LEAST = 5, 3
+#: The share of the zeros or ones that may be changed; and of these so many times more go one way than the other.
+_CHANGED, _ONE_WAY = 0.6, 4
+#: A request to read, and those that read registers.
+_READ_BYTES, _REGISTERS = 8, (0x03, 0x04)
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
@@ -20,10 +25,17 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     sides = [burst.direction for burst in scene.bursts] if scene.directed else []
     exchanges = sum(pair == (Role.REQUEST, Role.REPLY) for pair in pairwise(sides))
     found = whole + [(t, shown(sent)) for t, sent in _received(scene) if t not in [w for w, _ in whole]]
+    if not found:
+        yield from _damaged(list(_changed(scene)))
+        yield from _alone(scene)
+        return
     # An adapter that echoes does so each time.
-    if not found or (len(found) < exchanges / 2 if exchanges else not scene.often(len(found), Role.REQUEST)):
+    if (len(found) < exchanges / 2 if exchanges else not scene.often(len(found), Role.REQUEST)):
         return
     first, data = found[0]
+    told = {trouble for trouble, _ in found}
+    # What came back damaged is an echo, too.
+    found += [(t, shown(sent)) for t, sent in _changed(scene) if t not in told]
     yield Suspicion(
         "echo", Confidence.CERTAIN if len(found) > 1 else Confidence.LIKELY, [trouble for trouble, _ in found],
         "What the host receives begins with what it has sent: its own bytes come back.",
@@ -31,6 +43,73 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         "Switch the receiver off while sending (tie RE to DE), or drop as many bytes as were sent before reading the reply",
         tuple(Shown(trouble.offset, text) for trouble, text in found),
     )  # fmt: skip
+
+
+def _damaged(found: list[tuple[Trouble, bytes]]) -> Iterator[Suspicion]:
+    """Suspect an echo that comes back with some bits changed, each time."""
+    if not found:
+        return
+    first, sent = found[0]
+    assert first.stretch is not None  # damaged bytes
+    yield Suspicion(
+        "echo", Confidence.LIKELY, [trouble for trouble, _ in found],
+        "The host receives its own bytes, damaged: as many as it has sent, and most of their bits.",
+        f"{shown(first.stretch.data)} at byte {first.offset} came behind {shown(sent)}; {counted(len(found), 'time')}",
+        "Switch the receiver off while sending (tie RE to DE); then look for what else pulls at the line: A and B swapped at "
+        "another node, a driver that stays on, a level of 5 V at an input of 3.3 V",
+        tuple(Shown(t.offset, shown(t.stretch.data), shown(sent)) for t, sent in found if t.stretch is not None),
+    )  # fmt: skip
+
+
+def _changed(scene: Scene) -> Iterator[tuple[Trouble, bytes]]:
+    """Yield damaged bytes that are as many as were sent right before, and agree with them in most bits."""
+    sent = {burst.stop: burst for burst in scene.bursts if burst.direction is Role.REQUEST} if scene.directed else {}
+    for trouble in scene.damaged:
+        stretch = trouble.stretch
+        if stretch is None or stretch.can_id is not None or stretch.direction is not Role.REPLY:
+            continue
+        own = sent.get(stretch.offset)
+        if own is None or len(own.data) != len(stretch.data) or len(own.data) < _ONCE or _may_be_reply(scene, stretch):
+            continue
+        got, was = int.from_bytes(stretch.data), int.from_bytes(own.data)
+        added, lost, ones = (got & ~was).bit_count(), (was & ~got).bit_count(), was.bit_count()
+        # What else drives the line only adds bits, or only takes them away; of those that it can change many stay.
+        one_way = min(added, lost) * _ONE_WAY <= max(added, lost)
+        if one_way and lost < ones * _CHANGED and added < (8 * len(own.data) - ones) * _CHANGED:
+            yield trouble, own.data
+
+
+def _alone(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect what was received to be a request, where no request is shown: whole but for its last byte."""
+    if any(scene.direction(piece.offset) is Role.REQUEST or piece.is_request for piece in scene.pieces):
+        return
+    found = [
+        (trouble, whole)
+        for trouble in scene.damaged
+        if trouble.stretch is not None and trouble.stretch.ends and (whole := _cut_read(trouble.stretch.data)) is not None
+    ]
+    if not found:
+        return
+    first, whole = found[0]
+    assert first.stretch is not None  # damaged bytes
+    yield Suspicion(
+        "echo", Confidence.LIKELY, [trouble for trouble, _ in found],
+        "What was received is a request, cut to the length of its reply: the host gets its own bytes back.",
+        f"{shown(first.stretch.data)} at byte {first.offset} is {shown(whole)} without its end; {counted(len(found), 'time')}",
+        "Switch the receiver off while sending (tie RE to DE), or drop as many bytes as were sent before reading the reply",
+        tuple(Shown(t.offset, shown(t.stretch.data), shown(whole)) for t, whole in found if t.stretch is not None),
+    )  # fmt: skip
+
+
+def _cut_read(data: bytes) -> bytes | None:
+    """Return the request that bytes begin, if they are as many as its reply has and its check begins behind them."""
+    if len(data) != _READ_BYTES - 1 or data[1] not in READS:
+        return None
+    body = data[:-1]
+    crc = modbus_crc(body).to_bytes(2, "little")
+    quantity = int.from_bytes(data[4:6], "big")
+    count = 2 * quantity if data[1] in _REGISTERS else (quantity + 7) // 8
+    return body + crc if crc[0] == data[-1] and 5 + count == len(data) else None
 
 
 def _received(scene: Scene) -> Iterator[tuple[Trouble, bytes]]:
@@ -43,7 +122,12 @@ def _received(scene: Scene) -> Iterator[tuple[Trouble, bytes]]:
             sent = burst if burst.direction is Role.REQUEST else None
             continue
         trouble = damaged.get(burst.offset)
-        if sent is None or trouble is None or len(burst.data) < _LEAST or _may_be_reply(scene, burst):
+        if sent is None or len(burst.data) < _LEAST or _may_be_reply(scene, burst):
+            continue
+        if trouble is None:
+            # It begins with a sound request, and more comes behind it.
+            if burst.data.startswith(sent.data) and len(burst.data) > len(sent.data) >= _ONCE and _unsound(sent):
+                yield Trouble("host_echo", burst.offset), sent.data
             continue
         if burst.data.startswith(sent.data) and len(sent.data) >= _LEAST:
             yield trouble, sent.data
@@ -52,6 +136,11 @@ def _received(scene: Scene) -> Iterator[tuple[Trouble, bytes]]:
         sent = None
     if len(cut) > 1 or any(len(data) >= _ONCE for _, data in cut):
         yield from cut
+
+
+def _unsound(burst: Stretch) -> bool:
+    """Say whether the pipeline took a sending for no frame, so that it could not see its echo."""
+    return not any(piece.sound for piece in burst.pieces)
 
 
 def _may_be_reply(scene: Scene, burst: Stretch) -> bool:

@@ -20,6 +20,8 @@ _BACK = 8
 #: Exchanges that are looked at: more of the same shows nothing new.
 _MOST = 2000
 _SHORTEST = 3
+#: Writes of the standard, which are answered by what they begin with.
+_WRITES, _WRITTEN = (0x05, 0x06, 0x0F, 0x10), 6
 
 
 class Turn(NamedTuple):
@@ -89,7 +91,7 @@ def awaited(message: Message) -> list[Awaited]:
             quantity = int.from_bytes(data[4:6], "big")
             count = (quantity + 7) // 8 if data[1] < min(READS) + 2 else 2 * quantity
             return [Awaited(bytes((data[0], data[1], count & 0xFF)), 5 + count, dialect.link)]
-        return [Awaited(data[:4], 8, dialect.link)]
+        return [Awaited(data[:_WRITTEN] if data[1] in _WRITES else data[:4], 8, dialect.link)]
     found = []
     for form in command.reply_forms:
         wanted = form.request_values or {}

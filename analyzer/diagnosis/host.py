@@ -8,6 +8,7 @@ from analyzer.catalogue import Role
 from analyzer.diagnosis.checks import failing_by_check
 from analyzer.diagnosis.exchanges import awaited
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
+from analyzer.link import READS, modbus_crc
 from analyzer.records import Message
 from analyzer.values import counted
 
@@ -24,7 +25,7 @@ def _cut(scene: Scene) -> Iterator[Suspicion]:
         if stretch is None or stretch.direction is Role.REQUEST or not stretch.ends or not stretch.opens:
             continue
         asked = asked_before(scene, stretch)
-        wanted = _wanted(asked, stretch.data) if asked is not None else 0
+        wanted = _wanted(asked, stretch.data) if asked is not None else _promised(stretch.data)
         # What the capture ends in may have gone on.
         if wanted and (scene.directed or stretch.stop != scene.pieces[-1].stop):
             cut.append((trouble, stretch.data, wanted))
@@ -50,6 +51,15 @@ def asked_before(scene: Scene, stretch: Stretch) -> Message | None:
             reading = scene.reader.best(failing.right) if failing is not None else None
             found = reading.message if reading is not None else found
     return found
+
+
+def _promised(data: bytes) -> int:
+    """Return how many bytes a Modbus reply has by its own count, if its last byte alone is missing; else 0."""
+    whole = len(data) > _SHORTEST and data[1] in READS and 3 + data[2] + 1 == len(data)
+    return len(data) + 1 if whole and modbus_crc(data[:-1]) & 0xFF == data[-1] else 0
+
+
+_SHORTEST = 5
 
 
 def _wanted(asked: Message, data: bytes) -> int:

@@ -52,8 +52,10 @@ _NEAR = 0.06
 _FEWEST, _ALMOST_ALL, _DISTINCT = 3, 0.8, 2
 #: Bytes that are sent and bytes that are read: so many must agree, and be so different, before one comes from the other.
 _SAME, _DIFFERENT = 5, 4
-#: So many bytes begin alike before more is compared.
-_ALIKE = 2
+#: So many bytes begin alike before more is compared, and so many stand before them.
+_ALIKE, _STRAY = 2, 3
+#: Bytes of which one in so many differs from the others; and bits that are high in what noise makes of an idle line.
+_MANY, _IDLE_BITS = 5, 6
 #: Idle cells between bytes: none, or a program that sends byte by byte.
 _GAPS = (0, 10)
 #: The share of a sender's damaged bytes that a way has to explain.
@@ -148,7 +150,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     sides: dict[Role, list[_Garbled]] = defaultdict(list)
     for trouble in scene.of("damaged"):
         stretch = trouble.stretch
-        if stretch is None or trouble in scene.explained or stretch.can_id is not None or len(stretch.data) < 2:
+        if stretch is None or trouble in scene.explained or stretch.can_id is not None:
             continue
         asked = scene.asked_before(stretch.offset) if stretch.direction is not Role.REQUEST else None
         sides[stretch.direction].append(_Garbled(trouble, stretch.data[:_READ], replies_to(asked)))
@@ -201,14 +203,26 @@ def _said(way: _Way, garbled: Sequence[Trouble]) -> Suspicion:
 def _same_line_noise(garbled: Sequence[_Garbled]) -> bool:
     """Say whether bytes come from frames on a wrong line, though none is found: they repeat, and are no other protocol."""
     stretches = [each.data for each in garbled]
-    if len(stretches) < _FEWEST or all(byte in _PRINTED for data in stretches for byte in data):
+    if all(byte in _PRINTED for data in stretches for byte in data):
         return False
-    if any(data[0] == reply.head[0] for _, data, replies in garbled for reply in replies):
+    if _of_few_bytes(b"".join(stretches)):
+        return True
+    if len(stretches) < _FEWEST or any(data[0] == reply.head[0] for _, data, replies in garbled for reply in replies):
+        return False
+    stretches = [data for data in stretches if len(data) > 1]
+    if len(stretches) < _FEWEST:
         return False
     most = Counter(data[0] for data in stretches).most_common(1)[0][1]
     return most >= _BEGIN_ALIKE * len(stretches) and not any(
         sum(len(data) > 2 and check(data) for data in stretches) >= _CHECKED * len(stretches) for check in _CHECKS
     )
+
+
+def _of_few_bytes(data: bytes) -> bool:
+    """Say whether many bytes are the same few, which are not those of an idle line."""
+    different = set(data)
+    idle = sum(byte.bit_count() >= _IDLE_BITS for byte in data) > len(data) / 2
+    return len(data) >= _MANY and _MANY * len(different) <= len(data) and not idle
 
 
 def _unknown(garbled: Sequence[_Garbled]) -> Suspicion:
@@ -319,7 +333,8 @@ def _lower(frame: bytes) -> bytes:
 
 def _of_what_was_sent(scene: Scene, garbled: Sequence[_Garbled]) -> Iterator[_Way]:
     """Yield the ways in which what the capture shows as sent becomes what it shows as read."""
-    sent = list(dict.fromkeys(b.data for b in scene.bursts if _SAME <= len(b.data) <= _READ))[:_MOST_STRETCHES]
+    known = [r.link.completed(r.head) for each in garbled for r in each.replies if len(r.head) + 2 == r.size]
+    sent = list(dict.fromkeys((*known, *(b.data for b in scene.bursts if _SAME <= len(b.data) <= _READ))))[:_MOST_STRETCHES]
     lines = [*_LINES, *(("wrong_baud", Line(ratio)) for ratio in _ratios())]
     for cause, line in lines:
         fits = {}
@@ -329,16 +344,19 @@ def _of_what_was_sent(scene: Scene, garbled: Sequence[_Garbled]) -> Iterator[_Wa
                 if came == frame:
                     continue
                 for trouble, data, _ in garbled:
-                    if data != frame and data[:_ALIKE] == came[:_ALIKE] and (same := _common(came, data, len(data) / 2)):
-                        fits[trouble] = _Fit(trouble, data, frame, same)
+                    at = data.find(came[:_ALIKE], 0, _STRAY + _ALIKE)
+                    if data != frame and at >= 0 and (same := _common(came, data[at:])):
+                        fits[trouble] = _Fit(trouble, data[at:], frame, same)
         yield _Way(cause, line.ratio, list(fits.values()))
 
 
-def _common(came: bytes, data: bytes, least: float) -> int:
+def _common(came: bytes, data: bytes) -> int:
     """Return how many bytes are the same and in the same order, if that is no chance; bytes that a pause adds do no harm."""
     blocks = SequenceMatcher(None, came.decode("latin-1"), data.decode("latin-1"), autojunk=False).get_matching_blocks()
     same = b"".join(data[block.b : block.b + block.size] for block in blocks)
-    return len(same) if len(same) >= max(_SAME, least) and len(set(same)) >= _DIFFERENT else 0
+    # Of few bytes almost all must agree.
+    least = max(_LEAST, _ALMOST_ALL * len(data)) if len(data) <= _SAME else max(_SAME, len(data) / 2)
+    return len(same) if len(same) >= least and len(set(same)) >= _DIFFERENT else 0
 
 
 @cache

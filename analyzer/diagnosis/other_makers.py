@@ -6,22 +6,26 @@ import re
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
+from analyzer.catalogue import Role
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Suspicion, Trouble, shown
 from analyzer.link.modbus import modbus_crc
 from analyzer.values import counted
 
-#: Different frames of a make without a check from which on they are no chance.
-_ENOUGH = 3
+#: Different frames of a make that are no chance beside known ones.
+_BESIDE = 3
 #: The share of the damaged sendings that have to be of one make.
 _SHARE = 0.6
 
 
 class Make(NamedTuple):
-    """A make of motors. `is_frame`: whether a sending is one of its frames; `sure`: by a check, so that two tell."""
+    """A make of motors. `is_frame`: whether a sending is one of its frames; `least`: how many different ones tell.
+
+    One where a check is its own; more where it has none.
+    """
 
     name: str
     is_frame: Callable[[bytes], bool]
-    sure: bool
+    least: int
     next: str
 
 
@@ -72,43 +76,53 @@ def _tmcl(data: bytes) -> bool:
     return len(data) == 9 and data[0] < 0x20 and sum(data[:-1]) & 0xFF == data[-1] and any(data[4:8])
 
 
-_ASCII = re.compile(rb":(?:[0-9A-F]{2}){3,}\r\n")
+_ASCII = re.compile(rb":((?:[0-9A-F]{2}){3,})\r?\n?")
+#: The end of a frame, in a log that does not begin with one.
+_ASCII_END = re.compile(rb"(?:[0-9A-F]{2}){2,}\r?\n")
 
 
 def _modbus_ascii(data: bytes) -> bool:
-    return _ASCII.fullmatch(data) is not None and sum(bytes.fromhex(data[1:-2].decode())) & 0xFF == 0
+    whole = _ASCII.fullmatch(data)
+    return sum(bytes.fromhex(whole[1].decode())) & 0xFF == 0 if whole is not None else _ASCII_END.fullmatch(data) is not None
 
 
 _UART = "its manual has them; the dialects known here are those of `servotap catalogue`"
 MAKES = (
-    Make("an MKS SERVO42C (heads E0 to E9)", _mks_42c, True, "The SERVO42D and 57D have the heads FA and FB; " + _UART),
-    Make("an MKS SERVO42C of firmware 1.0 (heads E0 to E9)", _mks_42c_plain, False, "Newer firmware has a sum; " + _UART),
-    Make("an Emm or ZDT stepper (a last byte 6B)", _fixed_end, False, "Use the protocol of its maker: " + _UART),
-    Make("a Dynamixel or Feetech servo (FF FF)", _two_ff, True, "Use the library of its maker: " + _UART),
-    Make("a Dynamixel servo of protocol 2 (FF FF FD 00)", _ff_ff_fd, True, "Use the library of its maker: " + _UART),
-    Make("a bus servo of Hiwonder or LewanSoul (55 55)", _two_55, True, "Use the library of its maker: " + _UART),
-    Make("an RMD motor on RS485 (3E, a count of 8, a CRC)", _rmd, True, "LK motors have sums and no CRC: " + _UART),
-    Make("a VESC (02 ... 03)", _vesc, False, "Use its own tool: " + _UART),
-    Make("a Trinamic module (TMCL, nine bytes)", _tmcl, False, "Use its own library: " + _UART),
-    Make("Modbus ASCII", _modbus_ascii, True, "Set both sides to Modbus RTU"),
+    Make("an MKS SERVO42C (heads E0 to E9)", _mks_42c, 1, "The SERVO42D and 57D have the heads FA and FB; " + _UART),
+    Make("an MKS SERVO42C of firmware 1.0 (heads E0 to E9)", _mks_42c_plain, 2, "Newer firmware has a sum; " + _UART),
+    Make("an Emm or ZDT stepper (a last byte 6B)", _fixed_end, 3, "Use the protocol of its maker: " + _UART),
+    Make("a Dynamixel or Feetech servo (FF FF)", _two_ff, 1, "Use the library of its maker: " + _UART),
+    Make("a Dynamixel servo of protocol 2 (FF FF FD 00)", _ff_ff_fd, 1, "Use the library of its maker: " + _UART),
+    Make("a bus servo of Hiwonder or LewanSoul (55 55)", _two_55, 1, "Use the library of its maker: " + _UART),
+    Make("an RMD motor on RS485 (3E, a count of 8, a CRC)", _rmd, 1, "LK motors have sums and no CRC: " + _UART),
+    Make("a VESC (02 ... 03)", _vesc, 3, "Use its own tool: " + _UART),
+    Make("a Trinamic module (TMCL, nine bytes)", _tmcl, 3, "Use its own library: " + _UART),
+    Make("Modbus ASCII", _modbus_ascii, 1, "Set both sides to Modbus RTU"),
 )
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect a motor that is not known here."""
-    sent = [(t, t.stretch.data) for t in scene.damaged if t.stretch is not None and t.stretch.can_id is None]
+    damaged = [(t, t.stretch.data) for t in scene.damaged if t.stretch is not None and t.stretch.can_id is None]
+    sent = list(damaged)
+    known = False
     for piece in scene.pieces:
         if piece.sound and piece.can is None and piece.message is not None:
-            if piece.message.command not in piece.message.frame.dialect.fallbacks.values():
-                return
+            known |= piece.message.command not in piece.message.frame.dialect.fallbacks.values()
             sent.append((Trouble("damaged", piece.offset, None, piece), piece.data))
+    asked = [data for t, data in damaged if t.stretch is not None and t.stretch.direction is Role.REQUEST]
     for make in MAKES:
         found = [(trouble, data) for trouble, data in sent if make.is_frame(data)]
-        if len({data for _, data in found}) < (1 if make.sure else _ENOUGH) or len(found) < _SHARE * len(sent):
+        different = len({data for _, data in found})
+        # Where all that the host sends is of a make, the replies are, too, whatever became of them.
+        spoken = len(sent) == len(damaged) and bool(asked) and all(make.is_frame(data) for data in asked)
+        # Beside frames that are known a check is needed, and several that have it.
+        least = make.least - spoken if not known else _BESIDE if make.least == 1 else len(sent) + 1
+        if not found or different < least or (len(found) < _SHARE * len(sent) and not spoken):
             continue
         first, data = found[0]
         yield Suspicion(
-            "unsupported_dialect", Confidence.LIKELY, [t for t, _ in found],
+            "unsupported_dialect", Confidence.LIKELY, [t for t, _ in (damaged if spoken else found)],
             f"These are frames of {make.name}, a dialect that is not known here.",
             f"{shown(data)} at byte {first.offset}; {counted(len(found), 'frame')} like it",
             make.next,
