@@ -12,6 +12,7 @@ from functools import reduce
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
+from analyzer.diagnosis.exchanges import reported
 from analyzer.diagnosis.reader import Reader
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.link.modbus import modbus_crc
@@ -117,7 +118,9 @@ class Failing(NamedTuple):
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the host's checks."""
     failing = [found for t in scene.damaged if t.stretch is not None and (found := failing_by_check(scene, t, t.stretch))]
-    missing = [each for each in failing if each.size == 0]
+    # What a library logs bare is sent with its check.
+    bare = {sent.offset for sent, _ in reported(scene)}
+    missing = [each for each in failing if each.size == 0 and each.trouble.offset not in bare]
     wrong = [each for each in failing if each.size]
     # One that is right shows that the host can: what fails then is a damaged frame, unless a rule says how.
     sound = [p for p in scene.pieces if p.is_request and p.sound and "bad_checksum" not in p.rules]

@@ -30,7 +30,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         yield from _alone(scene)
         return
     # An adapter that echoes does so each time.
-    if (len(found) < exchanges / 2 if exchanges else not scene.often(len(found), Role.REQUEST)):
+    if len(found) < exchanges / 2 if exchanges else not scene.often(len(found), Role.REQUEST):
         return
     first, data = found[0]
     told = {trouble for trouble, _ in found}

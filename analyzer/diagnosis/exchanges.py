@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
-from analyzer.diagnosis.scene import Piece, Scene
-from analyzer.link import READS, Link
+from analyzer.diagnosis.scene import Piece, Scene, Stretch
+from analyzer.link import FUNCTIONS, READS, Link
 from analyzer.records import Message
 
 #: Requests back that a reply is looked for.
@@ -20,6 +21,8 @@ _BACK = 8
 #: Exchanges that are looked at: more of the same shows nothing new.
 _MOST = 2000
 _SHORTEST = 3
+#: The shortest Modbus request without its CRC, and eModbus's codes of errors in a reply.
+_BARE, _CODES = 6, range(0xE0, 0xE6)
 #: Writes of the standard, which are answered by what they begin with.
 _WRITES, _WRITTEN = (0x05, 0x06, 0x0F, 0x10), 6
 
@@ -68,6 +71,16 @@ class Awaited(NamedTuple):
         """Say whether bytes can be its beginning."""
         size = min(len(data), len(self.head))
         return len(data) <= self.size and data[:size] == self.head[:size]
+
+
+def reported(scene: Scene) -> list[tuple[Stretch, Stretch]]:
+    """Return the requests that a library logs without their check, each with the code that it logs instead of a reply."""
+    return [
+        (sent, came)
+        for sent, came in pairwise(scene.bursts)
+        if sent.direction is Role.REQUEST and came.direction is Role.REPLY and came.can_id is None
+        and len(sent.data) >= _BARE and sent.data[1] in FUNCTIONS and len(came.data) == 1 and came.data[0] in _CODES
+    ]  # fmt: skip
 
 
 class Placed(NamedTuple):

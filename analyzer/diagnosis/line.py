@@ -205,10 +205,10 @@ def _same_line_noise(garbled: Sequence[_Garbled]) -> bool:
     stretches = [each.data for each in garbled]
     if all(byte in _PRINTED for data in stretches for byte in data):
         return False
+    if any(data[0] == reply.head[0] for _, data, replies in garbled for reply in replies):
+        return False
     if _of_few_bytes(b"".join(stretches)):
         return True
-    if len(stretches) < _FEWEST or any(data[0] == reply.head[0] for _, data, replies in garbled for reply in replies):
-        return False
     stretches = [data for data in stretches if len(data) > 1]
     if len(stretches) < _FEWEST:
         return False
@@ -344,7 +344,8 @@ def _of_what_was_sent(scene: Scene, garbled: Sequence[_Garbled]) -> Iterator[_Wa
                 if came == frame:
                     continue
                 for trouble, data, _ in garbled:
-                    at = data.find(came[:_ALIKE], 0, _STRAY + _ALIKE)
+                    # A start that is missing is that of all bytes.
+                    at = data.find(came[:_ALIKE], 0, _ALIKE if line.missed else _STRAY + _ALIKE)
                     if data != frame and at >= 0 and (same := _common(came, data[at:])):
                         fits[trouble] = _Fit(trouble, data[at:], frame, same)
         yield _Way(cause, line.ratio, list(fits.values()))

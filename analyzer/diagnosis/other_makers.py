@@ -89,14 +89,14 @@ def _modbus_ascii(data: bytes) -> bool:
 _UART = "its manual has them; the dialects known here are those of `servotap catalogue`"
 MAKES = (
     Make("an MKS SERVO42C (heads E0 to E9)", _mks_42c, 1, "The SERVO42D and 57D have the heads FA and FB; " + _UART),
-    Make("an MKS SERVO42C of firmware 1.0 (heads E0 to E9)", _mks_42c_plain, 2, "Newer firmware has a sum; " + _UART),
-    Make("an Emm or ZDT stepper (a last byte 6B)", _fixed_end, 3, "Use the protocol of its maker: " + _UART),
+    Make("an MKS SERVO42C of firmware 1.0 (heads E0 to E9)", _mks_42c_plain, 3, "Newer firmware has a sum; " + _UART),
+    Make("an Emm or ZDT stepper (a last byte 6B)", _fixed_end, 4, "Use the protocol of its maker: " + _UART),
     Make("a Dynamixel or Feetech servo (FF FF)", _two_ff, 1, "Use the library of its maker: " + _UART),
     Make("a Dynamixel servo of protocol 2 (FF FF FD 00)", _ff_ff_fd, 1, "Use the library of its maker: " + _UART),
     Make("a bus servo of Hiwonder or LewanSoul (55 55)", _two_55, 1, "Use the library of its maker: " + _UART),
     Make("an RMD motor on RS485 (3E, a count of 8, a CRC)", _rmd, 1, "LK motors have sums and no CRC: " + _UART),
-    Make("a VESC (02 ... 03)", _vesc, 3, "Use its own tool: " + _UART),
-    Make("a Trinamic module (TMCL, nine bytes)", _tmcl, 3, "Use its own library: " + _UART),
+    Make("a VESC (02 ... 03)", _vesc, 4, "Use its own tool: " + _UART),
+    Make("a Trinamic module (TMCL, nine bytes)", _tmcl, 4, "Use its own library: " + _UART),
     Make("Modbus ASCII", _modbus_ascii, 1, "Set both sides to Modbus RTU"),
 )
 
@@ -117,7 +117,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         # Where all that the host sends is of a make, the replies are, too, whatever became of them.
         spoken = len(sent) == len(damaged) and bool(asked) and all(make.is_frame(data) for data in asked)
         # Beside frames that are known a check is needed, and several that have it.
-        least = make.least - spoken if not known else _BESIDE if make.least == 1 else len(sent) + 1
+        least = make.least - 2 * spoken if not known else _BESIDE if make.least == 1 else len(sent) + 1
         if not found or different < least or (len(found) < _SHARE * len(sent) and not spoken):
             continue
         first, data = found[0]

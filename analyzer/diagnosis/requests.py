@@ -8,8 +8,9 @@ from itertools import islice, pairwise
 from typing import NamedTuple
 
 from analyzer.catalogue import Dialect, Role
-from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
-from analyzer.link.modbus import FUNCTIONS
+from analyzer.diagnosis.exchanges import replies_to
+from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown
+from analyzer.link import FUNCTIONS, READS, modbus_crc
 from analyzer.values import counted
 
 _READS = (0x03, 0x04)
@@ -31,6 +32,10 @@ _EXCEPTIONS = {
 _FEW = 4
 #: Zeros behind a frame that are no glitch.
 _PADDING = 4
+#: Where functions that are answered by a length have their count of bytes, in a request or in a reply.
+_COUNTS = {**dict.fromkeys((0x0F, 0x10), (6,)), 0x11: (2,), 0x0C: (2,), 0x17: (2, 10)}
+#: What answers a write, the shortest frame and the longest, and the last address.
+_ANSWER, _SHORTEST, _LONGEST, _LAST_UNIT = 8, 5, 256, 247
 #: First registers of each kind in the numbering of old controllers.
 _NUMBERED = (10001, 30001, 40001)
 
@@ -40,6 +45,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     yield from islice(_short(scene), 1)
     yield from _padded(scene)
     yield from _promised(scene)
+    yield from _miscounted(scene)
     found: dict[tuple[str, str], list[_Wrong]] = {}
     for troubles, piece, refusal in _failing(scene):
         why = _why(scene, piece, refusal)
@@ -190,6 +196,54 @@ def _promised(scene: Scene) -> Iterator[Suspicion]:
         f"Send {shown(right)}" + (", with the values that you mean" if len(right) > len(data) else ""),
         tuple(Shown(t.offset, shown(d), shown(r)) for t, d, r, _ in found),
     )  # fmt: skip
+
+
+def _miscounted(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect Modbus frames whose count of bytes is not that of the bytes: the CRC fits, or a reply has another shape."""
+    found: list[tuple[Trouble, bytes, str]] = []
+    for burst in scene.bursts:
+        data = burst.data
+        if burst.can_id is not None or not (burst.opens and burst.ends) or not _SHORTEST <= len(data) <= _LONGEST:
+            continue
+        own = [t for t in scene.troubles if burst.offset <= t.offset < burst.stop and t not in scene.explained]
+        trouble = own[0] if own else None
+        if trouble is not None and (said := _other_count(scene, burst)):
+            found.append((trouble, data, said))
+    if not found:
+        return
+    first, data, said = found[0]
+    # Without a CRC that fits it may be damaged.
+    one = Confidence.LIKELY if modbus_crc(data) == 0 else Confidence.POSSIBLE
+    yield Suspicion(
+        "wrong_length", Confidence.CERTAIN if len(found) > 1 else one, [t for t, _, _ in found],
+        f"A Modbus frame has not the length that it tells: {said}.",
+        f"{shown(data)} at byte {first.offset}; {counted(len(found), 'time')}",
+        "Let the sender count its data in bytes, put that count where the function has it, and compute the CRC over all of it",
+        tuple(Shown(t.offset, shown(data)) for t, data, _ in found),
+    )  # fmt: skip
+
+
+def _other_count(scene: Scene, burst: Stretch) -> str:
+    """Return what is wrong with the count of a burst; empty where it is right, or the bytes are damaged."""
+    data, function = burst.data, burst.data[1]
+    if modbus_crc(data) == 0 and modbus_crc(data[:-1]) != 0 and data[0] <= _LAST_UNIT:
+        places = _COUNTS.get(function)
+        if not places or len(data) == _ANSWER or any(n < len(data) and data[n] + n + 3 == len(data) for n in places):
+            return ""
+        at = places[-1]
+        return f"{data[at]} bytes by its count, and {len(data) - at - 3} follow" if at < len(data) - 2 else "it has no count"
+    asked = scene.asked_before(burst.offset)
+    if burst.direction is not Role.REPLY or asked is None or asked.stop != burst.offset or asked.data[:2] != data[:2]:
+        return ""
+    wanted = [r for r in replies_to(asked) if function in READS]
+    # One of the right length is damaged among others; one that begins so is cut, or has more behind it.
+    among = len(scene.damaged) > 1
+    whole = any(r.begins(data[: r.size]) or (among and r.size == len(data)) for r in wanted) or any(
+        p.sound for p in burst.pieces
+    )
+    if not wanted or whole or asked.data.startswith(data[:_ANSWER]):
+        return ""
+    return f"the reply to {shown(asked.data)} has {data[2]} as its count, and {wanted[0].size - 5} were asked for"
 
 
 def _why(scene: Scene, piece: Piece, refusal: Piece | None) -> _Why | None:

@@ -26,6 +26,8 @@ _HEADS, _MOST_OF = 4, 0.5
 _TAIL, _LENGTHS = 4, 2
 #: Damaged stretches that make noise likely, and how alike they must be to a frame of the bus.
 _NOISE, _ALIKE, _MOST_ALIKE = 3, 0.6, 200
+#: Frames of a capture in which one damaged reply is what it is about.
+_FEW = 4
 #: Of so many frames on the bus one must be damaged.
 _RARE = 200
 
@@ -190,7 +192,8 @@ def _noise(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
     if not spoiled or len(sound) < len(spoiled) or len(spoiled) * _RARE < scene.frames:
         return
     known = list(dict.fromkeys(sound))[:_MOST_ALIKE]
-    alike = [(each, frame) for each in spoiled if (frame := _alike(each, known)) is not None]
+    few = len(sound) <= _FEW
+    alike = [(each, frame) for each in spoiled if (frame := (_meant(each) if few else None) or _alike(each, known)) is not None]
     if len(alike) < _ALIKE * len(spoiled):
         return
     first, frame = alike[0]
@@ -205,6 +208,13 @@ def _noise(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
         "from motor cables, shield it, and repeat what fails",
         frames,
     )  # fmt: skip
+
+
+def _meant(spoiled: _Spoiled) -> bytes | None:
+    """Return the reply that damaged bytes are but for their check, where the request before tells its head and length."""
+    data = spoiled.stretch.data
+    fits = [r for r in replies_to(spoiled.asked) if r.size == len(data) and data.startswith(r.head)]
+    return fits[0].link.completed(data[: -len(fits[0].link.checks(data)[-1].expected)]) if fits else None
 
 
 def _alike(spoiled: _Spoiled, known: Sequence[bytes]) -> bytes | None:

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from analyzer.catalogue import Command, Dialect, Risk, Role, Verb
-from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.diagnosis.exchanges import reported
+from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.dialects import drive_name
 from analyzer.encoder import build
 from analyzer.layout import Effect
@@ -38,6 +39,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             answering.setdefault(piece.message.address, piece.message.frame.dialect.name)
     for asked in _unanswered(scene):
         yield from _nobody(scene, asked, answering)
+    yield from _reported(scene)
     yield from _to_all(scene)
     yield from _to_none(scene)
     yield from _from_new(scene)
@@ -200,6 +202,36 @@ def _order(dialect: Dialect) -> str:
     if dialect.siblings:
         tried.append(f"the dialect: the drive may be set to {' or '.join(dialect.siblings)}")
     return f"Try in this order: {', then '.join(tried)}; `servotap scan PORT` tries speeds, addresses and dialects by itself"
+
+
+#: The codes of a library's report, with the cause that each stands for.
+_REPORTS = {
+    0xE0: ("no_reply", "no reply came in time"),
+    0xE1: ("wrong_address", "the reply came from another address"),
+    0xE2: ("noise", "the CRC of the reply was wrong"),
+    0xE3: ("late_reply", "the reply was of another function"),
+    0xE4: ("wrong_address", "the reply came from another address"),
+    0xE5: ("reply_cut", "the reply had another length"),
+}
+
+
+def _reported(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect what a library reports: it logs requests without their CRC, and a code where the reply should stand."""
+    found: dict[int, list[tuple[Stretch, Stretch]]] = defaultdict(list)
+    for sent, came in reported(scene):
+        found[came.data[0]].append((sent, came))
+    for code, pairs in found.items():
+        cause, what = _REPORTS[code]
+        sent, came = pairs[0]
+        limits = [(one.offset, other.stop) for one, other in pairs]
+        yield Suspicion(
+            cause, Confidence.LIKELY, [t for t in scene.troubles if any(a <= t.offset < b for a, b in limits)],
+            f"The host's library reports {code:02X}: {what}. Its log leaves the CRC out.",
+            f"{shown(came.data)} behind {shown(sent.data)} at byte {sent.offset}; {counted(len(pairs), 'time')}",
+            "Try in this order: A and B swapped, speed and parity, the unit's address, its power; a log of the raw bytes "
+            "(LOG_LEVEL_VERBOSE) shows more",
+            tuple(Shown(one.offset, shown(one.data)) for one, _ in pairs),
+        )  # fmt: skip
 
 
 def _to_all(scene: Scene) -> Iterator[Suspicion]:

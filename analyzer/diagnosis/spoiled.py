@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from itertools import takewhile
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
@@ -14,6 +15,8 @@ from analyzer.values import counted
 #: Bytes of one glitch: of those that a pulse makes, and of any others, where a frame stands in the same read.
 _GLITCH_BYTES = 8
 _STRAY_BYTES = 3
+#: Bits of a byte that are high in what is read of an idle line, and such bytes that stand instead of a frame.
+_HIGH, _INSTEAD = 7, 3
 #: Bytes that a receiver misses while it wakes up.
 _LOST_BYTES = 3
 #: Bytes that a reply must show before it is one that only lacks its end.
@@ -68,6 +71,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             "Receive before the drive answers: switch the RS485 driver round as soon as the last stop bit is out, and "
             "do not clear the input after sending",
         )  # fmt: skip
+    yield from _floating(scene)
     frames = sum(piece.sound for piece in scene.pieces)
     if leading and len(leading) * _OFTEN >= frames:
         yield _said(
@@ -81,6 +85,34 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             f"{shown(trailing[0].stray)} stands behind the whole frame {shown(trailing[0].frame)}",
             "Release the driver only after the last stop bit and bias the line; take as many bytes as the frame has",
         )  # fmt: skip
+
+
+def _floating(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect a line without bias: an idle level with a bit low here and there, for long, or instead of a reply."""
+    own = [(t, t.stretch, idle) for t in scene.damaged if t.stretch is not None and (idle := _idle(t.stretch))]
+    if not own:
+        return
+    _, first, idle = own[0]
+    yield Suspicion(
+        "noise", Confidence.CERTAIN if len(own) > 1 else Confidence.LIKELY, [trouble for trouble, _, _ in own],
+        "The line floats while nobody sends: its idle level is read as bytes, with a bit low here and there.",
+        f"{shown(first.data[:24])} at byte {first.offset} has {counted(idle, 'byte')} of an idle line; "
+        f"{counted(len(own), 'time')}",
+        "Bias the line (A up to 5 V, B down to ground, 390 to 680 Ohm each, at one place), terminate it at both ends, and join "
+        "the grounds; then see that the driver of each node is off while it does not send",
+        tuple(Shown(stretch.offset, shown(stretch.data)) for _, stretch, _ in own),
+    )  # fmt: skip
+
+
+def _idle(stretch: Stretch) -> int:
+    """Return how many bytes of an idle line stand before, behind or instead of a frame; 0 for what one glitch can be."""
+    if stretch.direction is Role.REQUEST or stretch.can_id is not None:
+        return 0
+    high = [byte.bit_count() >= _HIGH for byte in stretch.data]
+    if all(high) and len(high) >= _INSTEAD and stretch.opens and stretch.ends:
+        return len(high)
+    edges = sum(takewhile(bool, high)) + sum(takewhile(bool, reversed(high)))
+    return edges if edges > _GLITCH_BYTES else 0
 
 
 # --- a start that is missing --------------------------------------------------------------------------------------------

@@ -88,7 +88,8 @@ SHAPES: tuple[Shape, ...] = (
     # In a sentence, or as a program prints it.
     _shape(
         "quoted",
-        r"(?:.*?(?P<error>error[ _]?frame\b))?.*?(?<![\w#/.-])(?P<id>[0-9A-F]{3}|[0-9A-F]{8})#(?P<data>(?:[0-9A-F]{2}){1,8})(?![0-9A-Z#]).*",
+        r"(?:.*?(?P<error>error[ _]?frame\b))?.*?(?<![\w#/.-])(?P<id>[0-9A-F]{3}|[0-9A-F]{8})#(?P<data>(?:[0-9A-F]{2}){1,8})"
+        r"(?![0-9A-Z#]).*",
     ),
     _shape(
         "candump",

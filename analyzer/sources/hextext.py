@@ -94,7 +94,7 @@ def score(head: bytes) -> float:
     traffic = [p for p in parts if p.shape is Shape.TRAFFIC]
     counted = sum(1 for p in parts if p.shape is not Shape.COMMENT or not p.text.startswith(("#", "//", ";")))
     plain = any(
-        len(p.data) >= _SAID_BYTES and (p.marked or _HEX_LETTER.search(p.data.hex()))
+        (len(p.data) >= _SAID_BYTES and (p.marked or _HEX_LETTER.search(p.data.hex())))
         # Numbers of people have no zeros before them.
         or (len(p.data) >= _PADDED_BYTES and p.data[0] < 10 and p.radix is Radix.HEX)
         for p in traffic

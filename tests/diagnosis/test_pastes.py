@@ -1,0 +1,61 @@
+"""What people paste, from the text to the cause: logs of libraries, posts, tables of programs."""
+
+from __future__ import annotations
+
+import pytest
+
+from analyzer import dialects as registry
+from analyzer.diagnosis.diagnose import of_traffic
+from analyzer.records import CanFrame
+from analyzer.sources.pasted import read_text
+
+ESPHOME = "".join(f"[10:00:01][V][modbus:042]: Modbus received Byte  {b} (0X{b:x})\n" for b in bytes.fromhex("110304000041EE"))
+EMODBUS = """[D] {}| ModbusClientRTU.cpp  [ 253] handleConnection: Request sent.
+[D] Sent packet: @3FFB3700/6:
+  | 0000: 05 04 00 10 00 02                                 |......          |
+[D] 2071| RTUutils.cpp         [ 437] receive: C/[D] {} packet: @3FFB8308/1:
+  | 0000: {}
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "cause"),
+    [
+        # One byte a line; a reply that misses its end.
+        ("[10:00:00][V][modbus:199]: Modbus write: 11.03.00.10.00.02.C7.5E (8)\n" + ESPHOME, "reply_cut"),
+        # The same bytes by two layers of a program are sent once; damaged, they come back.
+        (
+            "[10:00:00][V][modbus:222]: Modbus write: 11.03.00.10.00.02.C7.5E (8)\n"
+            "[10:00:00][D][uart_debug:114]: >>> 11:03:00:10:00:02:C7:5E\n"
+            "[10:00:00][D][uart_debug:114]: <<< 51:F3:00:10:C0:02:D7:7E\n",
+            "echo",
+        ),
+        (EMODBUS.format(2040, "Received", "E0"), "no_reply"),
+        (EMODBUS.format(2040, "Raw buffer received", "05 04 00 10 00 02 71 8A 05 04 04 00 00 00 07 FF 86"), "echo"),
+        # A reply that is a request without its end.
+        (r"Checksum error in rtu mode. The response is: '\x05\x04\x00\x10\x00\x01\x31'", "echo"),
+        ("Expected 9 bytes, got 8.\nRECV: 0x11 0x3 0x4 0x0 0x0 0x0 0x41 0x2b", "reply_cut"),
+        ("SEND: 0x11 0x3 0x0 0x10 0x0 0x2 0xc7 0x5e\nRECV: 0xff 0xfd 0xff 0xbf", "noise"),
+        ("[11][03][00][10][00][02][C7][5E]\nWaiting for a confirmation...\n<00><00><00><00><00><00>\n", "wrong_baud"),
+        ("sent: 11 01 00 10 00 01 FE 9F\nreceived: 11 01 00 00 **00 01**", "wrong_length"),
+        # A count of six for three bytes of data.
+        ("req: `11 10 0010 0003 06 010203 A87F`\nres: nothing", "wrong_length"),
+        ('I write "e1 3a" (the sum is added) and get "01 07" or "01 e1"', "unsupported_dialect"),
+        (
+            "Request:  can0  142   [8]  30 00 00 00 00 00 00 00\nResponse: can0  142   [8]  30 00 11 22 33 44 55 66",
+            "unsupported_dialect",
+        ),
+        ("It prints `CanErrorFrame { 00000088#0000040000000000 }` with nothing connected.", "can_wrong_bitrate"),
+    ],
+)  # fmt: skip
+def test_a_paste(text, cause):
+    traffic = read_text(text).traffic
+    kind = "can" if any(isinstance(item, CanFrame) for item in traffic) else "serial"
+    found = of_traffic(traffic, [d for d in registry.every() if d.bus == kind])
+    assert found.causes, traffic
+    assert found.causes[0].suspicion.cause == cause, (traffic, found)
+
+
+def test_a_number_of_a_logger_is_no_byte():
+    text = "2020-07-31 16:33:39,109 MainThread  DEBUG    client  :35   Write to a register\n> 11 03 00 10 00 02 C7 5E\n"
+    assert [item.data.hex() for item in read_text(text).traffic] == ["110300100002c75e"]
