@@ -156,7 +156,7 @@ def find_commands(dialects: Sequence[Dialect], text: str) -> list[tuple[Dialect,
 
 
 def search_commands(dialects: Sequence[Dialect], text: str) -> tuple[list[tuple[Dialect, Command]], bool]:
-    """Return the commands of a name, a code, a section or a word, and whether they were searched for by the last two.
+    """Return the commands of a name, a code, a section or a word. The flag says that a section or a word found them.
 
     Raises UsageError, with the nearest names, where there is none.
     """

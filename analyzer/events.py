@@ -87,7 +87,7 @@ TYPES: dict[str, Any] = {field.encode_name: field.type for field in msgspec.stru
 
 
 def checked(values: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Return the values of an event that are what they should be, and in words what is wrong with each of the others.
+    """Return the valid values of an event, and in words what is wrong with each other one.
 
     The others are kept as they came, in `details`: nothing is judged by them.
     """

@@ -406,7 +406,7 @@ class Framer:
     def _out_of_step(self, at: int, length: int, closed: bool) -> int:
         """Weigh a frame behind junk, or inside another, that is followed.
 
-        Where a row of frames stands in it, a byte of junk looks like the head of a package, and its sum fits by chance.
+        A row of frames inside it shows that a byte of junk looks like a package's head, and that the sum fits by chance.
         """
         for start in range(at + 1, at + length):
             inner = self._shortest(start, closed)

@@ -152,8 +152,8 @@ class Message(msgspec.Struct, frozen=True, gc=False):
 class Lane:
     """What all frames of one head and length share: who, what, and how their data are read.
 
-    Only a frame whose bytes alone tell its role, command and form has a lane, so nothing about it need be worked out
-    again; what is left is its own data. `topic` is given by the port that keeps it.
+    Only frames whose bytes alone tell role, command and form have a lane. So only the data of each frame have to be read.
+    The port that keeps the lane gives its `topic`.
     """
 
     __slots__ = (

@@ -51,7 +51,7 @@ def tried(given: tuple[str, str, frozenset[Risk]]) -> Tried:
                 name = claim.id
                 break
     except ServotapError as error:
-        # A drive that is not found, or does not stop, is no drive as the manual has it, and the run says so.
+        # The run also refutes a drive that it does not find or cannot stop.
         name = f"{type(error).__name__}: {error}"[:80]
     return Tried(fault, name, seconds)
 

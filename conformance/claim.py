@@ -149,10 +149,9 @@ class Claim:
     concerned). `refuted_by`: what would refute it. `risks`: what it may send, beside reads. `models`: those that have it;
     empty: all. `alone`: it sends to other addresses than the target's, or changes the link. `by_name`: it wears or wipes
     the drive and runs only when its id is named. `emulated`: it needs to act on the drive itself (block the shaft, close a
-    switch, cut power), which only an emulated one lets it. `settings`: fields of settings that it changes (they are put
-    back). `covers`: command and aspect pairs. `quirks`: those that it knows, by name. `parameters`: what tells it
-    from its siblings. `commands`: those that it is about. `hasty`: a drive of which it holds takes settings at once behind
-    one another.
+    switch, cut power), so it needs an emulated drive. `settings`: fields of settings that it changes (they are put back).
+    `covers`: command and aspect pairs. `quirks`: those that it knows, by name. `parameters`: what tells it from its
+    siblings. `commands`: those that it is about. `hasty`: if it holds, the drive takes settings without a gap between them.
     """
 
     id: str

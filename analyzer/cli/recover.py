@@ -1,9 +1,9 @@
 """Repair the log of an interrupted recording: add the bytes left in its spools, and finish it.
 
-Without -o it happens in place. Where the folder FILE.spool of the recording is still there, not even the last second is lost;
-without it the log is copied as far as it can be read, also behind damaged places, and takes the place of the old one.
-Where the log cannot be gone on with, a second one (FILE-spools.mcap) has all that the folder holds, unless that is everything.
-The folder is removed when the log was read back to its end. Works on logs of other programs, too.
+Without -o the log is repaired in place. With the recording's folder FILE.spool not even the last second is lost. Without it
+all readable parts of the log are copied, also those behind damaged places, and the copy replaces the log. If the log cannot
+be continued, a second one (FILE-spools.mcap) gets all that the folder holds, unless that is everything. The folder is removed
+when the log was read back to its end. Works on logs of other programs, too.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
     socketcan   a frame of the kernel: struct can_frame (16 bytes) or canfd_frame (72)
     udp_multicast   a datagram of MessagePack, as python-can's interface of that name sends it
 
-python-can's own `recv` takes several times as long for a frame. The kernel stamps each frame as it comes, on the wall clock;
-what counts here is how long ago that was (its *age* when it is read), so a wall clock that is set does no harm. The kernel
-also counts the frames it had no room for (SO_RXQ_OVFL), and says so with the next one.
+python-can's own `recv` takes several times as long for a frame. The kernel stamps each frame on the wall clock. Only the
+frame's *age* when it is read is used, so setting the wall clock does no harm. The kernel also counts the frames it had no
+room for (SO_RXQ_OVFL), and reports them with the next one.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Listening to a TCP server that passes a serial line on (ser2net, a terminal server, an emulated drive). Nothing is sent.
 
-What the times are worth depends on the network and on the server, which gathers bytes as it likes; where the line's speed is
-given (`baud=N`), the bytes of one delivery are set back by the time they took on the line.
+The precision of the times depends on the network and on the server, which collects bytes before it sends them. If the line's
+speed is given (`baud=N`), the bytes of one delivery are set back by the time they took on the line.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Several spools as one sequence of records in order of time, as far as that order is certain.
 
-A record is given when every spool has gone beyond its time: with a later record, with an IDLE, or because the spool was
-read to its end at a moment that is `PATIENCE_NS` later. So a silent port holds the others up for that long and no longer;
-what a reader stores even later is given late (the recording counts it).
+A record is given when every spool has gone beyond its time. A later record or an IDLE shows that, or an empty spool
+`PATIENCE_NS` later. So a silent port delays the others for that long at most. Records stored even later are given late, and
+the recording counts them.
 
-Memory is bounded: a spool that is ahead is not read on until the others have come after it.
+Memory is bounded: a spool that is ahead is not read on until the others have caught up.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ OPEN_S = 15.0
 END_S = 10.0
 #: Deaths of the decoding process after the end, after which its work is left to `servotap recover`.
 LAST_DEATHS = 3
-#: How long the decoding process, which tells ten times a second how far it is, may say nothing while it finishes the log.
+#: How long the decoding process may say nothing while it finishes the log; it normally reports ten times a second.
 SILENT_S = 120.0
 #: The longest sleep of the loop: how late the clock is looked at and what is due is started.
 _TURN_S = 0.25

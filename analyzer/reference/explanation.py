@@ -2,13 +2,12 @@
 
     text -> Given -> a reading for each dialect, with and without its check -> the best of them
 
-Readings are ranked by: its check fits, its command is in the manual, the data fit the command's layout, the values are as
-the manual lists them. A frame that lacks its check is believed to lack it only when no dialect takes it with a fitting one.
-What makes a frame readable at all: a check that fits, or a catalogued command whose layout fits, or a head that only one
-dialect has.
+Four facts rank a reading: the check fits, the command is in the manual, the data fit its layout, and the manual lists the
+values. A frame counts as one without its check only if no dialect reads it with a fitting check. A frame is readable if its
+check fits, if it has a catalogued command with a fitting layout, or if only one dialect has its head.
 
-Not known here: what was said before. Without the request it answers, a frame that may be a request and a reply stays
-`unknown` and has both readings; `request` gives that request.
+Earlier traffic is not known here. A frame that may be a request or a reply stays `unknown` and has both readings, unless
+`request` gives the request that it answers.
 """
 
 from __future__ import annotations

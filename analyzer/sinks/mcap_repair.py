@@ -203,7 +203,7 @@ def _check_chunk(chunk: scan.Packed) -> bytes:
 
 
 def _chunk_data(body: bytes) -> bytes | None:
-    """Return the data of a chunk in whose head a byte is damaged, None where the rest does not fit or there is none."""
+    """Return the data of a chunk with a damaged byte in its head; None if the rest is missing or does not fit."""
     place = body.find(_ZSTD_MAGIC, 0, _CHUNK_HEAD)
     if place < 0:
         return None

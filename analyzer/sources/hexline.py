@@ -88,8 +88,8 @@ _PAIR = r"(?:0[xX])?[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])"
 #: What bytes can begin with.
 _BYTES = rf"(?={_PAIR}|[\[{{(<\"'b]|[0-9A-Fa-f]{{4,}}\s*$|(?:[0-9A-Fa-f]{{2}}\.){{5}}|-?\d{{1,3}}[\s,])"
 
-#: What may stand before the bytes, in the order in which it is tried, with a sign that every line with it has. The names of
-#: groups say what it is.
+#: Items that may stand before the bytes, in the order of trying, each with a character that its lines have. The names of the
+#: groups say what an item is.
 _ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
     (when, has, re.compile(pattern, re.IGNORECASE))
     for when, has, pattern in (

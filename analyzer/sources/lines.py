@@ -1,8 +1,8 @@
 """The lines of a text capture, one by one, in bounded memory.
 
 A line ends with LF, CR LF or CR. Bytes that are no valid text become replacement characters. Colours of a terminal are taken
-out. A line longer than `LINE_LIMIT` is cut, with a problem. White space in a line is blanks and tabs: what else Python takes
-for it (separators, form feeds, no-break spaces) becomes a blank, so that all parsers have one idea of it.
+out. A line longer than `LINE_LIMIT` is cut, with a problem. Python's other white space (separators, form feeds, no-break
+spaces) becomes a blank, so that all parsers see blanks and tabs only.
 """
 
 from __future__ import annotations

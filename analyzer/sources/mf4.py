@@ -1,8 +1,8 @@
 """MF4, ASAM measurement data with CAN bus logging, through python-can and asammdf (extra `mf4`).
 
-asammdf needs a whole file that it can jump about in: standard input and compressed files are put into a temporary file
-first, and of a file that breaks off nothing can be read. It runs in a process of its own, which a damaged file may
-crash (see `mf4_child.py`). Times are float seconds since the start of the measurement, good to 1 us.
+asammdf needs a whole file that it can seek in. So standard input and compressed files are put into a temporary file first,
+and a truncated file cannot be read at all. asammdf runs in a process of its own, which a damaged file may crash (see
+`mf4_child.py`). Times are float seconds since the start of the measurement, good to 1 us.
 """
 
 from __future__ import annotations

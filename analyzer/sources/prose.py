@@ -1,4 +1,4 @@
-"""Frames anywhere in text: what a forum post, a console or a program says of bytes, where they stand and who sent them.
+"""Frames anywhere in text: bytes in a forum post, a console or a program, their place and their sender.
 
     If I send FA 01 30 2B it answers with FB 01 30 00 00 00 01 20 00 4D, but `FA01F601400234` does nothing.
     Response from instrument: '\\x01\\x84\\x02\\xc2\\xc1' (01 84 02 C2 C1) (5 bytes), roundtrip time: 30.1 ms
@@ -6,9 +6,9 @@
 
 Rules: at least three bytes, written alike, with a letter or a sign of hexadecimal among them, or five without; two where a
 sign or a verb stands directly before them. Digits without a gap only in capitals, in quotes, or behind a word for bytes.
-Times, dates, addresses of network cards and of memory, and hashes are no frames. What a sentence says did not come, or should
-have, is left out.
-Who sent is told by the last word before the bytes in the same sentence (`marks.py` and the verbs below), else by a sign.
+Times, dates, addresses of network cards and of memory, and hashes are no frames. Bytes that, by their sentence, did not come
+or should have come are left out.
+The last word before the bytes in the same sentence tells the sender (`marks.py` and the verbs below), else a sign does.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The end of a log that is still being written: reading waits for what is not there yet.
 
-Rules: a record is only read when it is there as a whole. A log that gets shorter (a process that goes on where another was
-killed writes the last second anew) is told by `Rewound`. Waiting ends when no process writes any more.
+Rules: a record is only read when it is there as a whole. `Rewound` reports a log that gets shorter: after a kill, the next
+process writes the last second anew. Waiting ends when no process writes any more.
 """
 
 from __future__ import annotations

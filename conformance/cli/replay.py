@@ -1,8 +1,8 @@
 """Send the requests of a recording again, at their times, through the gate, and compare the replies with the recorded ones.
 
 A file brings no permission: all of it is judged by --allow before its first byte is sent. Times do not drift: each request
-has its own from the start. Ctrl-C stops, by a ramp, what the replay set in motion, and so does its end a run that the
-recording left running. A guard process owns the port: if the replay is killed, the guard stops what moves.
+has its own from the start. Ctrl-C stops by a ramp every drive that the replay set in motion. The end of the replay stops a
+run that the recording left running. A guard process owns the port: if the replay is killed, the guard stops what moves.
 """
 
 from __future__ import annotations

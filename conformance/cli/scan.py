@@ -1,6 +1,6 @@
 """Search a bus for drives, with reads only: over rates, dialects and addresses. Report replies and other bytes.
 
-Without --rates a serial line is tried at every rate of the manuals, the endpoint's own first (and alone, where it was given).
+An endpoint with a rate is searched at that rate alone. Without a rate a serial line is tried at every rate of the manuals.
 Ctrl-C ends the search and shows what was found so far.
 """
 

@@ -7,9 +7,9 @@ Rules:
 
 1. A drive sends its reply when the line is free, in the order in which replies are ready. Two replies that become ready
    within one bit of each other begin together and collide. The host sends at once.
-2. Where two send at once, or a listener is at another speed than the sender, a UART reads the levels on the line
+2. If two send at once, or at another speed than the listener's, a UART reads the levels on the line
    (`conformance.drives.uart`). A sender does not receive while it sends; a host's adapter may echo.
-3. The host gets the bytes of a burst when its last byte has gone. A burst is what is sent without a free line between.
+3. The host gets the bytes of a burst when its last byte has gone. A burst is a transmission without a pause of the line.
    Drives get each frame at the time of its last byte.
 """
 

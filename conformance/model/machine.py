@@ -138,8 +138,8 @@ def run(probe: Probe, variant: str) -> Recorder:
     except (Refuted, Inconclusive) as error:
         recorder.failure = recorder.failure or error
     except FlakyStrategyDefinition:
-        # A drive that is the same one all the time is elsewhere when a sequence is tried again, and what is drawn hangs on
-        # where it is. What was done until then was compared.
+        # The same real drive stands elsewhere when a sequence is repeated, so other values are drawn. The steps until then
+        # were compared.
         if recorder.failure is None and not (real and recorder.steps):
             raise
     except Exception:

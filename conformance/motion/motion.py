@@ -68,7 +68,7 @@ _SET_OFF_NS = 500 * MS
 _LOOK_NS, _FAST_LOOK_NS, _QUIET_LOOK_NS = 50 * MS, 150 * MS, 25 * MS
 #: How long a shaft may take to come to rest.
 _REST_NS = 30 * SECOND_NS
-#: A shaft that is as fast as before after this long is not on a ramp, so its end is not waited for.
+#: After this time a shaft with an unchanged speed is not on a ramp, and the wait for the ramp's end stops.
 NO_RAMP_NS, AS_FAST = 3 * SECOND_NS, 0.95
 #: How often a measurement is taken again whose reply cannot be read.
 _AGAIN = 2

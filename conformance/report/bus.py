@@ -1,7 +1,7 @@
-"""What is wrong with the line that a drive was tested on, as far as refuted claims show it.
+"""Faults of the line that a drive was tested on, as far as refuted claims show them.
 
-Claims send wrong frames on purpose. So only what is said of replies and of the line itself counts here, and requests that are
-no frames are left out.
+Claims send wrong frames on purpose. So only findings about replies and about the line itself count here. Requests that are no
+frames are left out.
 """
 
 from __future__ import annotations

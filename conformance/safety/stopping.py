@@ -1,12 +1,12 @@
 """Stopping a motor with proof: a stop by a ramp that keeps the torque, and reads that show the shaft standing.
 
-The proof: three times in a row the speed reads 0 and the position is that of the first look. Where the ramped stops do not
-bring that, the stop at once is tried (it keeps the torque too); a motor is never disabled, for what hangs on it would fall.
-Where nothing helps, the user's command to cut the power is run, and the run says NOT STOPPED.
+The proof: three times in a row the speed reads 0 and the position is that of the first look. If the ramped stops fail, the
+immediate stop is tried (it keeps the torque too). A motor is never disabled, for its load could fall. If nothing helps, the
+user's command to cut the power is run, and the run says NOT STOPPED.
 
-What is still let pass as standing: behind a claim, a shaft that creeps by less than 0.1 rpm (two counts of the encoder in a
-tenth of a second). At the end of a run, and where a shaft trembles, its mean place is looked at for longer: there a creep
-of 0.03 rpm (0.15 degrees in a second) is none. A speed is read in whole rpm, so that it tells nothing of either.
+The proof has limits. After a claim, a creep below 0.1 rpm passes as standing (two counts of the encoder in a tenth of a
+second). At the end of a run, and for a trembling shaft, the mean position is watched for longer. There a creep below 0.03 rpm
+(0.15 degrees in a second) passes. Speeds are read in whole rpm, so they show neither.
 """
 
 from __future__ import annotations
@@ -130,10 +130,9 @@ def ask(probe: Probe, command: Command) -> str:
 def prove_standing(probe: Probe, limit_ns: int, stands_at: float | None = None, *, thoroughly: bool = False) -> str:
     """Return nothing once the shaft is proved to stand; else what was seen last.
 
-    Three looks in a row are a proof: each reads speed 0, and none is off the place of the first, its noise aside. A shaft that
-    trembles by more than the probe knows is watched for as long as its mean place needs to tell a creep; with `thoroughly`
-    each is. `stands_at`: where it was seen standing already: then one look that shows it there is the last of the three.
-    Raises LineLost.
+    Three looks in a row are a proof: each reads speed 0 and, noise aside, the position of the first. A shaft that trembles by
+    more than the probe's noise is watched longer, until its mean position would show a creep; with `thoroughly` every shaft
+    is. `stands_at`: the position of an earlier standstill; then one look that shows it is enough. Raises LineLost.
     """
     begun_ns = probe.gate.now_ns()
     until_ns = begun_ns + limit_ns
@@ -172,7 +171,7 @@ def prove_standing(probe: Probe, limit_ns: int, stands_at: float | None = None, 
 
 
 def _stays(spot: Sequence[tuple[int, float]]) -> bool:
-    """Say whether a shaft was looked at for long enough, and its mean place in the second half is that of the first."""
+    """Say whether the mean position of both halves is the same, over a long enough time."""
     if len(spot) <= PROOFS or spot[-1][0] - spot[0][0] < _SPOT_NS:
         return False
     places, half = [place for _, place in spot], len(spot) // 2

@@ -16,7 +16,7 @@ from conformance.serve.stop import Stop
 
 #: The longest sleep: how late what is done now and then (`tick`) can be.
 IDLE_NS = 200_000_000
-#: A client is not read while the line is busy with its bytes for longer than this, so that its writes block in the end.
+#: If the line stays busy with a client's bytes for longer, the server stops reading, so that the client's writes block.
 BACKLOG_NS = 100_000_000
 
 

@@ -5,8 +5,8 @@ reason says so. Where the claim was a sequence of steps (a state machine), emula
 manual has it, and one with each known fault. Where the steps refute one of them in the same way, they are shortened there,
 which costs no motion. What is left is confirmed on the real drive.
 
-A known quirk may spoil a claim that does not name it. Where the drive has shown quirks, the claim is tried on emulated drives
-that are as the manual has them but for these: what refutes one of them in the same way is the quirk, and named so.
+A known quirk may spoil a claim that does not name it. So the claim is tried on emulated drives that follow the manual except
+for the quirks that the real drive has shown. If it refutes one of them in the same way, the quirk is named as the reason.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from conformance.talk.probe import Probe, Rig
 _SEARCH_SECONDS = 20.0
 #: Claims that judge the bytes of replies alone, not the shaft.
 _OF_BYTES = (Theme.SHAPE, Theme.FRAMING, Theme.TRAFFIC)
-#: A quirk that spoils claims which do not name it, the claim that shows it, and how late a reply is by it at least.
+#: A quirk that spoils claims which do not name it, the claim that shows it, and the least delay that it causes.
 _LATE, _SHOWS_LATE, _LATE_NS = "slow-replies-in-motion", "timing/read_speed/while-moving", 100_000_000
 #: How many emulated drives with a quirk are tried: what a quirk does may depend on chance.
 _SEEDS = 6

@@ -99,7 +99,7 @@ class Plan:
         return {c.id: order.seconds(c, target.rate) if c.id in can_run else 0.0 for c in self.selected(target)}
 
     def _can_run(self, claim: Claim, target: Target) -> bool:
-        """Say whether a claim can run on a real drive with what is allowed and told, as far as that is known before."""
+        """Say whether a claim can run on a real drive with the user's options, as far as is known before the run."""
         given = self.allowance or Allowance(READS)
         named = not claim.by_name or claim.id in self.claims
         allowed = claim.risks <= given.risks and (given.alone or not claim.alone)

@@ -17,7 +17,7 @@ class ClaimRig(Rig, ABC):
     """One drive under test. `firmware`: as the drive reported it. `alone`: no other drive is on the bus, says the user.
 
     `named`: claims that the user named. `began_ns`: when its line was opened. `shown`: known quirks that the drive has shown,
-    by name; `looked_for`: those that were looked for beside the claims.
+    by name; `looked_for`: quirks that the run tested for in addition to the claims.
     """
 
     name: str

@@ -1,7 +1,7 @@
-"""What a gate has to know of a drive before it can bound what is sent to it, read from the drive itself.
+"""The state of a drive that a gate needs to bound motion, read from the drive itself.
 
-Where the shaft is (for absolute moves), and the subdivision (for speeds and pulses) where the dialect can read it: native
-MKS cannot, there the user says it.
+It is the shaft's position (for absolute moves) and the subdivision (for speeds and pulses). Native MKS cannot read the
+subdivision: there the user gives it.
 """
 
 from __future__ import annotations

@@ -63,8 +63,8 @@ class BareReplies:
     def completed(self, chunk: Chunk) -> Chunk:
         """Return a chunk, with its checksum where it is a reply that lacks it.
 
-        Only once a reply without one was read: the bytes of a drive that is known to send none need no second look, and
-        two replies that follow each other closely stay two.
+        This is done only after a first reply without a checksum. Then the bytes need no second look, and two replies close
+        together stay two.
         """
         data = chunk.data
         if not self._met or len(data) < _HEAD or (data[2], len(data) - _HEAD) not in self._replies:

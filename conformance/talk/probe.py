@@ -8,8 +8,8 @@ A probe serves one claim. Its dialogue (`conformance.talk.dialogue`) knows nothi
 
 Rules: an emulated drive's time costs nothing, so the waits are long there. On a real line a wait ends after the answer and a
 short silence, in which a second reply would show. Writes of settings, as bytes too, keep a distance (`Rig.write_gap_ns`), for
-real drives were seen to drop hasty ones. What is to be met by silence waits until a setting before it may have been answered
-once more.
+real drives were seen to drop hasty ones. A request without an expected reply first waits until a late second reply to an
+earlier setting would have come.
 """
 
 from __future__ import annotations

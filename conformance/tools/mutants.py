@@ -1,11 +1,11 @@
 """Mutants: the suite runs against every known faulty drive, which tests the suite itself.
 
-Each named fault is put into an emulated drive of each dialect that can have it, of as few models as have all commands. At least
-one claim must refute it. A fault that survives is a hole in the suite. Claims that refute no fault are listed too: perhaps
-they cannot fail.
+Each named fault is put into an emulated drive of each dialect that can have it. As few models are used as have all commands.
+At least one claim must refute it. A fault that survives is a hole in the suite. Claims that refute no fault are listed too:
+perhaps they cannot fail.
 
-In a short run (`full` False) the first refutation ends a mutant, and the likely claims are tried first, by the words of the
-fault. A full run tries every claim and reports all refutations.
+A short run (`full` False) tries the likely claims first, by the words of the fault, and the first refutation ends a mutant. A
+full run tries every claim and reports all refutations.
 """
 
 from __future__ import annotations
