@@ -385,7 +385,8 @@ class Framer:
         """Weigh a doubtful frame against the same with one byte more, of which one was inserted.
 
         Both readings fit where leaving out a byte makes a frame that checks with the last one. A byte that a pulse on
-        an idle line makes is more likely a glitch behind a frame; else neither is likelier, and nothing is claimed.
+        an idle line makes is more likely a glitch behind a frame, and so is the last one once more; else neither is
+        likelier, and nothing is claimed.
         """
         stop = at + length + 1
         if stop > len(self._buffer):
@@ -395,7 +396,8 @@ class Framer:
             return MORE
         slicer, judge = self._slicers[index], self._judges[index]
         data = self._buffer[at:stop]
-        if not follower or (data[-1] in GLITCHES and judge.plausible(data[:-1])):
+        glitch = data[-1] in GLITCHES or data[-1] == data[-2]
+        if not follower or (glitch and judge.plausible(data[:-1])):
             return length
         for place in range(1, length):
             mended = data[:place] + data[place + 1 :]

@@ -300,6 +300,7 @@ def test_the_head_of_the_next_frame_is_not_swallowed():
         ("FA 01 F6 01 40 10 42 74", False, "leaving out the 10 makes a frame that checks with the 74"),
         ("FA 01 F6 01 40 10 42 75", True, "leaving out no byte does"),
         ("FA 01 F6 01 40 1C 4E 80", True, "an 80 is what a pulse on the idle line makes"),
+        ("FA 01 F6 01 40 1C 4E 4E", True, "the last byte comes once more"),
         ("FA 01 F6 14 01 00 06 F8", False, "so is an F8; but reserved bits are set, and without the 14 none are"),
         ("FA 01 F6 01 40 10 42 74 55", True, "two bytes more: nothing follows the longer one"),
     ],

@@ -21,7 +21,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, Subject
 from analyzer.codec import codec
 from analyzer.layout import Field, FieldKind
 from conformance.claim import Aspect, Inconclusive, Theme
-from conformance.claims.control_reads import PAUSES_NS, around_silence
+from conformance.claims.control_reads import PAUSES_NS, around_silence, plain_read
 from conformance.claims.declare import Case, Cases, claim, described_in
 from conformance.claims.known_quirks import known
 from conformance.claims.known_reads import plain_reads
@@ -252,6 +252,10 @@ def _clean(answer: _Answer) -> None:
     """{command} is answered by one frame, with nothing before or behind it."""
     reply, exchange = answer.reply, answer.exchange
     expected = f"{_hex(reply.data)} alone"
+    repeats = answer.probe.noise.repeats
+    if repeats and answer.command is plain_read(answer.probe.dialect):
+        # It is one fault, of the line or of the drive, and said once.
+        answer.expect(False, "the end of each reply comes twice", expected, _hex(reply.data + reply.data[-repeats:]))
     answer.expect(not answer.leftover, "bytes beside the reply", expected, _hex(exchange.received))
 
 

@@ -279,6 +279,11 @@ def reads_position(dialect: Dialect) -> Command:
     return _reading(dialect, "position", _POSITION).command
 
 
+def reads_speed(dialect: Dialect) -> Command:
+    """Return the command that reads the speed. Raises Inconclusive where there is none."""
+    return _reading(dialect, "speed", _SPEED).command
+
+
 def speed(probe: Probe) -> Sample:
     """Measure the speed, in rpm, positive where the position rises. Raises Inconclusive where it cannot be read."""
     return _measure(probe, _reading(probe.dialect, "speed", _SPEED))

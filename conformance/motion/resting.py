@@ -49,8 +49,7 @@ _HIDDEN_RPM = 0.5
 def measure(probe: Probe) -> Noise:
     """Return the noise of a drive that rests; none where it turns or its reads do not work."""
     try:
-        stray, trailing = _stray(probe)
-        probe.noise = Noise(stray=stray, trailing=trailing)
+        probe.noise = _of_line(probe)
         places = [motion.position(probe).value for _ in range(_TIMES)]
         speeds = [motion.speed(probe).value for _ in range(_FEWER)]
         loop = [_angle_error(probe) for _ in range(_FEWER)]
@@ -211,26 +210,33 @@ def _supply(probe: Probe) -> dict[str, float]:
     return {unit: span for unit, span in spans.items() if span}
 
 
-def _stray(probe: Probe) -> tuple[bytes, bytes]:
-    """Return the bytes of an idle line that come before every reply, and those behind it."""
+def _of_line(probe: Probe) -> Noise:
+    """Return the bytes of an idle line that come before every reply and behind it, and how many of its last ones come twice."""
     if probe.dialect.bus == "can":
-        return b"", b""
+        return QUIET
     before: set[bytes] = set()
     behind: set[bytes] = set()
-    for _ in range(_FEWER):
-        exchange = probe.ask(motion.reads_position(probe.dialect), quiet_ns=0)
+    last: set[bytes] = set()
+    repeated: set[int] = set()
+    # The replies end in different bytes.
+    for command in (motion.reads_position(probe.dialect), motion.reads_speed(probe.dialect)) * (_FEWER // 2):
+        exchange = probe.ask(command, quiet_ns=0)
         answer = exchange.reply
         if answer is None:
-            return b"", b""
-        first, _, last = exchange.received.partition(answer.data)
+            return QUIET
+        first, _, rest = exchange.received.partition(answer.data)
         before.add(first)
-        behind.add(last)
-    trailing = _of_line(behind)
+        behind.add(rest)
+        last.add(answer.data[-1:])
+        repeated.add(len(rest) if rest and answer.data.endswith(rest) else 0)
+    trailing = _idle(behind)
     # A driver that lets go of the line makes a start bit of it, and ones; a byte of zeros is sent.
-    return _of_line(before), trailing if trailing.strip(_HIGH) == b"" else b""
+    trailing = trailing if trailing.strip(_HIGH) == b"" else b""
+    repeats = min(repeated) if len(repeated) == 1 and len(last) > 1 and not trailing else 0
+    return Noise(stray=_idle(before), trailing=trailing, repeats=repeats if repeats <= _MOST_STRAY else 0)
 
 
-def _of_line(found: set[bytes]) -> bytes:
+def _idle(found: set[bytes]) -> bytes:
     """Return bytes that are the same each time and no more than those of an idle line."""
     (stray, *others) = found
     return stray if not others and len(stray) <= _MOST_STRAY and not stray.strip(_IDLE) else b""

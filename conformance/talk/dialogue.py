@@ -107,7 +107,7 @@ class Dialogue:
 
     `dialects`: what may be spoken there. `direction`: of what comes, None: as the line says. `bare`: reads replies that lack
     their checksum. `log`: called for each record that leaves or comes. `stray`: bytes of
-    the line that come before each reply and are no part of it.
+    the line that come before each reply and are no part of it. `repeats`: how many of the last bytes of each reply come once more.
     """
 
     def __init__(
@@ -121,6 +121,7 @@ class Dialogue:
         bare: BareReplies | None = None,
         log: Callable[[Chunk | CanFrame], None] | None = None,
         stray: bytes = b"",
+        repeats: int = 0,
     ) -> None:
         self.gate = gate
         line = gate.line
@@ -131,6 +132,7 @@ class Dialogue:
         self._bare = bare
         self._log = log
         self._stray = stray
+        self._repeats = repeats
         #: A chunk that may be a byte of the line or the end of a reply, until the next one tells.
         self._held: Chunk | None = None
         self._sorter = _Sorter()
@@ -228,6 +230,8 @@ class Dialogue:
             self._log(got)
         if self._stray and isinstance(got, Chunk):
             got = self._without_stray(got)
+        if self._repeats and isinstance(got, Chunk):
+            got = self._without_repeated(got)
         self._take_in(got)
 
     def _take_in(self, got: Chunk | CanFrame) -> None:
@@ -257,6 +261,15 @@ class Dialogue:
             data = rest
         return replace(got, data=data)
 
+    def _without_repeated(self, got: Chunk) -> Chunk:
+        """Return a whole reply that comes at one go without its end once more."""
+        data = got.data[: -self._repeats]
+        for dialect in self.dialects if data.endswith(got.data[-self._repeats :]) else ():
+            checks = dialect.link.checks(data, None)
+            if checks and all(check.ok for check in checks):
+                return replace(got, data=data)
+        return got
+
     def _silence(self) -> None:
         """Decode what came as it stands: nothing more belongs to it."""
         held, self._held = self._held, None
@@ -272,7 +285,8 @@ class Dialogue:
             paired = entry.request_sequence in sorter.asked
             exchange.answers.append(Answer(whole or entry, latency_ns, whole is not None, paired))
         for junk in sorter.junk_pieces:
-            if junk.data == self._stray:
+            if junk.data == self._stray or (self._repeats and self._is_repeated(junk)):
+                sorter.findings = [f for f in sorter.findings if f.offset != junk.offset]
                 continue
             whole = None if bare is None else bare.of_junk(junk, exchange)
             if whole is None:
@@ -282,3 +296,13 @@ class Dialogue:
         exchange.findings += sorter.findings
         exchange.foreign += sorter.foreign
         sorter.entries, sorter.junk_pieces, sorter.findings, sorter.foreign = [], [], [], []
+
+    def _is_repeated(self, junk: Junk) -> bool:
+        """Say whether junk is the end of a reply once more; then it is taken out of what was received."""
+        exchange = self._exchange
+        for answer in exchange.answers:
+            frame = answer.message.frame
+            if junk.offset == frame.offset + len(frame.data) and junk.data == frame.data[-self._repeats :]:
+                exchange.received = exchange.received.replace(frame.data + junk.data, frame.data, 1)
+                return True
+        return False

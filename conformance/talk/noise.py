@@ -61,7 +61,8 @@ class Noise:
 
     `loop`: how far from its target it says that it is. `share`: of a speed, measured while the shaft turns. `lag`: how many
     degrees it went on after a stop at once. `supply`: volts, amperes and degrees Celsius by their units. `stray`, `trailing`:
-    bytes of the line before and behind each reply. `latency_ns`: of its slowest reply. `rescaled`: whether the shaft turns at
+    bytes of the line before and behind each reply. `repeats`: how many of the last bytes of each reply come once more.
+    `latency_ns`: of its slowest reply. `rescaled`: whether the shaft turns at
     another speed than is sent, as it does at some subdivisions. `hindrance`: why the drive cannot turn the shaft, by its own
     word; empty where it can.
     """
@@ -74,6 +75,7 @@ class Noise:
     supply: Mapping[str, float] = field(default_factory=dict)
     stray: bytes = b""
     trailing: bytes = b""
+    repeats: int = 0
     latency_ns: int = 0
     rescaled: bool = False
     hindrance: str = ""
@@ -141,7 +143,8 @@ class Noise:
     def figures(self) -> Mapping[str, float]:
         """What was measured, for the report."""
         found = {"degrees": self.degrees, "loop_degrees": self.loop, "rpm": self.rpm, "speed_%": 100 * self.share}
-        found |= {"lag_degrees": self.lag, **self.supply, "stray_bytes": len(self.stray + self.trailing)}
+        strays = len(self.stray + self.trailing) + self.repeats
+        found |= {"lag_degrees": self.lag, **self.supply, "stray_bytes": strays}
         found |= {"latency_ms": self.latency_ns / 1e6}
         return {name: round(value, 4) for name, value in found.items() if value}
 

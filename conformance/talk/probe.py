@@ -165,6 +165,7 @@ class Probe:
             bare=BareReplies(self.dialect),
             log=self.raw.append,
             stray=self.noise.stray,
+            repeats=self.noise.repeats,
         )
 
     # --- asking ---------------------------------------------------------------------------------------------------

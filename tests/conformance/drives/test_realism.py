@@ -83,6 +83,16 @@ def test_a_byte_of_the_line_is_no_part_of_a_reply():
     assert (exchange.received[:1], exchange.junk) == (b"\xfb", [])
 
 
+@pytest.mark.parametrize(("dialect", "repeats"), [("mks-rs485", 1), ("mks-modbus", 2), ("lk-rs485", 1)])
+def test_an_end_of_replies_that_comes_twice_is_one_fault_and_not_one_of_each_command(dialect, repeats):
+    each = rig(f"{dialect}@1,fault=checksum-doubled")
+    assert each.noise.repeats == repeats
+    names = ("read_position/clean", "read_speed/clean", "read_state_2/clean", "resilience/reads/good", "trailing/answered")
+    found = {v.claim.id: v.outcome for v in engine.run((c for c in registry.every(each.dialect) if c.id.endswith(names)), each)}
+    assert found.pop(f"{dialect}/shape/read_position/clean") is Outcome.REFUTED
+    assert set(found.values()) == {Outcome.CONFIRMED}
+
+
 def moved(text: str) -> Noise:
     """Return the noise that a rig knows when a claim has moved the shaft."""
     each = rig(text)
