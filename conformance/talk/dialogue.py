@@ -106,8 +106,8 @@ class Dialogue:
     """Sends and listens on one line.
 
     `dialects`: what may be spoken there. `direction`: of what comes, None: as the line says. `bare`: reads replies that lack
-    their checksum. `log`: called for each record that leaves or comes. `stray`: bytes of
-    the line that come before each reply and are no part of it. `repeats`: how many of the last bytes of each reply come once more.
+    their checksum. `log`: called for each record that leaves or comes. `stray`: bytes of the line that come before each reply
+    and are no part of it. `repeats`: how many of the last bytes of each reply come once more.
     """
 
     def __init__(
