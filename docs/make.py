@@ -28,10 +28,14 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 
+#: A drive, and what is typed while it is there, up to the end of the section.
+_SESSION = re.compile(r"<!-- drive: (.*?) -->\n(.*?)(?=\n## |\Z)", re.DOTALL)
+
+
 def commands(text: str) -> list[tuple[str, str]]:
-    """Return (command, output) of each console block."""
+    """Return (command, output) of each console block that stands alone, outside of sessions."""
     result = []
-    for block in re.finditer(r"```console\n(.*?)```", text, re.DOTALL):
+    for block in re.finditer(r"```console\n(.*?)```", _SESSION.sub("", text), re.DOTALL):
         command, _, output = block.group(1).partition("\n")
         result.append((command.removeprefix("$ "), output))
     return result
@@ -80,9 +84,12 @@ def tidy(output: str) -> str:
 
 
 def filled(text: str, folder: Path) -> str:
-    """Return the README with the outputs of real runs."""
+    """Return the README with the outputs of real runs, but for its sessions."""
+    sessions = [session.span() for session in _SESSION.finditer(text)]
 
     def replace(block: re.Match[str]) -> str:
+        if any(start < block.start() < end for start, end in sessions):
+            return block[0]
         fence, (command, _, old) = block.group(1), block.group(2).partition("\n")
         new = tidy(run(command.removeprefix("$ "), folder))
         if "live" in fence and masked(new) == masked(old):
@@ -97,8 +104,8 @@ _STAND_INS = {
     "/dev/ttyUSB0": "{}/ttyUSB0",
     "/tmp/servo": "{}/servo",
     "can:socketcan:can0": "can:udp_multicast:239.74.163.21,port={}",
+    "can:udp_multicast:239.74.163.5": "can:udp_multicast:239.74.163.5,port={}",
 }
-_SESSION = re.compile(r"<!-- drive: (.*?) -->\n(.*?)(?=\n## |\Z)", re.DOTALL)
 _BLOCK = re.compile(r"```console( terminal| view)?\n(.*?)```", re.DOTALL)
 
 
@@ -201,9 +208,8 @@ def _viewed(words: str, folder: Path, search: str) -> tuple[str, int]:
     return drawn, process.wait(10)
 
 
-def first_hour() -> str:
-    """Return the page of the first hour with the outputs of real runs; what differs by its numbers alone stays."""
-    text = (ROOT / "docs" / "first-hour.md").read_text()
+def played(text: str) -> str:
+    """Return a page with the outputs of real runs of its sessions; what differs by its numbers alone stays."""
     for drive, blocks in sessions(text):
         with tempfile.TemporaryDirectory() as folder:
             for (kind, command, old), (_, output, _) in zip(blocks, play(drive, blocks, Path(folder)), strict=True):
@@ -301,8 +307,8 @@ def main() -> int:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         makers = {
-            ROOT / "README.md": lambda: filled((ROOT / "README.md").read_text(), Path(folder)),
-            ROOT / "docs" / "first-hour.md": first_hour,
+            ROOT / "README.md": lambda: played(filled((ROOT / "README.md").read_text(), Path(folder))),
+            ROOT / "docs" / "first-hour.md": lambda: played((ROOT / "docs" / "first-hour.md").read_text()),
             ROOT / "docs" / "show.svg": picture,
             ROOT / "docs" / "findings.md": findings,
             ROOT / "docs" / "statements.md": statements,
