@@ -13,8 +13,8 @@ from analyzer.errors import UnreadableError
 from analyzer.values import counted
 
 #: What every file may unpack to, and how much more for each of its bytes.
-FREE_BYTES, BYTES_PER_BYTE = 16 << 20, 400
-FREE_RECORDS, RECORDS_PER_BYTE = 1 << 18, 16
+FREE_BYTES, BYTES_PER_BYTE = 4 << 20, 400
+FREE_RECORDS, RECORDS_PER_BYTE = 1 << 15, 12
 #: Bytes of one record in the file, and of one container or chunk unpacked; writers stay at 1 MiB.
 RECORD_LIMIT = 64 << 20
 CONTAINER_LIMIT = 64 << 20

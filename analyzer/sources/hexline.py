@@ -25,6 +25,7 @@ from typing import NamedTuple
 
 from analyzer.catalogue import Role
 from analyzer.sources import written
+from analyzer.sources.lines import remembered
 from analyzer.sources.marks import ACTIONS, LETTERS, SIGNS, SPEAKERS, WORDS, role_of
 from analyzer.sources.stamps import ANY, DAYS, STAMPS, Stamp
 from analyzer.sources.written import Radix, Written
@@ -205,9 +206,9 @@ def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
         return _of_twice(text, twice)
     if decimal:
         data = written.decimal(text)
-        return HexLine(Shape.TRAFFIC, data, radix=Radix.DECIMAL) if data else _Peeler(text, decimal).line()
+        return HexLine(Shape.TRAFFIC, data, radix=Radix.DECIMAL) if data else _peeled(text, decimal)
     if led:
-        return _Peeler(text, led=True).line()
+        return _peeled(text, led=True)
     # Plain bytes need no pattern.
     plain = written.read(text) if text[2:3] == " " or text.isalnum() else None
     if plain is not None and plain.data:
@@ -225,7 +226,12 @@ def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
     if plain is not None and plain.data:
         each = _EACH.match(text)
         return HexLine(Shape.TRAFFIC, plain.data, sign=f"each{each[1]}" if each is not None else "", radix=plain.radix)
-    return _Peeler(text).line()
+    return _peeled(text)
+
+
+@remembered
+def _peeled(text: str, decimal: bool = False, led: bool = False) -> HexLine:
+    return _Peeler(text, decimal, led).line()
 
 
 def _of_twice(text: str, twice: re.Match[str]) -> HexLine:

@@ -8,9 +8,10 @@ spaces) becomes a blank, so that all parsers see blanks and tabs only.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from difflib import SequenceMatcher
-from functools import lru_cache
+from functools import lru_cache, wraps
+from typing import Concatenate, ParamSpec, TypeVar
 
 from analyzer.sources.source import Source
 
@@ -22,6 +23,10 @@ _CHINESE_MARKS = ("发", "收", "→", "←")
 #: What patterns and `split` take for white space, and `bytes.fromhex`, `csv` and `int` do not.
 _BLANKS = re.compile("[\x0b\x0c\x1c-\x1f\x85\xa0\u1680\u2000-\u200a\u2028\u2029\u202f\u205f\u3000]")
 _BLANK_BYTES = b"\x0b\x0c\x1c\x1d\x1e\x1f"
+#: How long a line may be that is remembered, and how many of such.
+_REMEMBERED = ((256, 1024), (1 << 16, 64))
+P = ParamSpec("P")
+T = TypeVar("T")
 #: Damaged lines among which a format is looked for, at most, and how much of one is compared with those around it.
 _MOST_DAMAGED = 8
 _COMPARED = 160
@@ -29,6 +34,24 @@ _NEIGHBOURS = 6
 _LIKE = 0.8
 _HEX_DIGIT = re.compile(r"[0-9A-Fa-f]")
 _CONTROLS = bytes(c for c in range(32) if c not in b"\t\n\r\f\v\b\x1b") + b"\x7f"
+
+
+def remembered(function: Callable[Concatenate[str, P], T]) -> Callable[Concatenate[str, P], T]:
+    """Return a function of a line that keeps what it gave for those of late.
+
+    Lines that came again and again are what a small compressed file unpacks to most of; they cost no more than being read.
+    """
+    kept = tuple((longest, lru_cache(maxsize=count)(function)) for longest, count in _REMEMBERED)
+
+    @wraps(function)
+    def of(line: str, /, *more: P.args, **named: P.kwargs) -> T:
+        size = len(line)
+        for longest, cached in kept:
+            if size <= longest:
+                return cached(line, *more, **named)  # type: ignore[arg-type]
+        return function(line, *more, **named)
+
+    return of
 
 
 class Lines:

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 from analyzer.catalogue import Role
 from analyzer.sources import written
+from analyzer.sources.lines import remembered
 from analyzer.sources.marks import ACTIONS, MATTERS, SIGNS, SPEAKERS, role_of
 
 #: Verbs that people use, in addition to the words of logs.
@@ -90,6 +91,7 @@ def quotations(line: str) -> list[Quotation]:
     return [each for each in mentions(line) if not each.left]
 
 
+@remembered
 def mentions(line: str, libmodbus: bool = False) -> list[Quotation]:
     """Return the runs of bytes of a line in their order, with those that are left out.
 
@@ -103,9 +105,9 @@ def mentions(line: str, libmodbus: bool = False) -> list[Quotation]:
         data = _data(run)
         if data is None:
             continue
-        before = line[begin : run.start()]
+        before = line[max(begin, run.start() - _LONGEST_SENTENCE) : run.start()]
         sentence = _SENTENCE.split(before)[-1]
-        sign = _SIGN.search(before)
+        sign = _SIGN.search(before, max(0, len(before) - _LONGEST_SIGN))
         left = _no_frame(run, data, before, sentence, sign is not None)
         if left is None:
             continue
@@ -123,6 +125,9 @@ def mentions(line: str, libmodbus: bool = False) -> list[Quotation]:
 
 #: Characters between bytes and the same bytes again.
 _AGAIN = 25
+#: Characters before bytes that are looked at for who sent them: with all of a long line, its cost would grow with its square.
+_LONGEST_SENTENCE = 300
+_LONGEST_SIGN = 60
 
 
 def _data(run: re.Match[str]) -> bytes | None:

@@ -20,7 +20,7 @@ import pytest
 import zstandard
 
 from analyzer.errors import ServotapError
-from analyzer.sources import open_source
+from analyzer.sources import open_source, prose
 from tests.sources import builders
 
 COUNT = 150
@@ -220,3 +220,34 @@ def test_a_line_that_is_twice_as_long(name: str, tmp_path: Path) -> None:
         some, more = (seconds(path, data, sample.format) for data in lengths(lines, fill))
         # Under a few milliseconds the clock tells nothing; the square of a line of 6000 characters takes far more.
         assert more < max(ALLOWED * some, 0.03), fill
+
+
+@pytest.mark.parametrize("fill", ["250 1 48 43 ", "12:00:00 ", "b'\\xfa' ", "FA,FA "])
+def test_runs_of_no_frame_in_a_line_are_looked_at_with_what_is_near_them(fill: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Counting:
+        looked = 0
+
+        def split(self, text: str) -> list[str]:
+            self.looked += len(text)
+            return SENTENCE.split(text)
+
+    some, more = Counting(), Counting()
+    SENTENCE = prose._SENTENCE
+    for counting, size in ((some, 20_000), (more, 40_000)):
+        monkeypatch.setattr(prose, "_SENTENCE", counting)
+        prose.mentions((fill * size)[:size])
+    assert 20_000 < more.looked < ALLOWED * some.looked
+
+
+def test_lines_that_come_again_cost_little_more_than_being_read(tmp_path: Path) -> None:
+    """A small compressed file unpacks to such lines."""
+
+    def work(end: str) -> int:
+        counts = []
+        for size in (200, 400):
+            lines = ("the drive at 12 gets FA 01 30 2B from me" + end.format(1000 * size + n) for n in range(size))
+            (tmp_path / "x").write_text("\n".join(lines) + "\n")
+            counts.append(calls(tmp_path / "x", "hex"))
+        return counts[1] - counts[0]
+
+    assert 2 * work("") < work(" at last, {}")
