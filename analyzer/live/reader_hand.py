@@ -1,11 +1,11 @@
-"""What a reader has in hand, taken from its port and not stored yet: in memory that outlives it.
+"""The bytes that a reader has taken from its port and not stored yet, in memory that outlives the reader.
 
     numbers, u64 each | bytes as they were read | filling
 
-The memory is the supervisor's; each reader of a port inherits it. The kernel puts the bytes of a read there itself. So there
-is no instant at which a reader can be killed and its successor does not find them. Before a read, the memory says how many
-bytes it will take: as many as are waiting. Random bytes, the filling, stand in their place. If they still stand there, the
-read did not happen. That this is wrong, all bytes being those of the filling, has a chance of one in 256 for a single byte.
+The memory is the supervisor's; each reader of a port inherits it. The kernel itself puts the bytes of a read there. So the
+next reader finds them, even if this one is killed at any instant. Before a read, the memory gets the number of waiting bytes
+and random bytes in their place, the filling. If the filling is still there, the read did not happen. Real bytes can equal the
+filling by chance: one byte does so once in 256 times.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _STORED, _TAKEN, _LAST_NS, _BEFORE, _SIZE, _WANTED, _READ_NS = range(7)
 class Left(NamedTuple):
     """What a reader that died has left.
 
-    `stored`: bytes or frames in its spool; `lost`: behind these, taken and gone. `data`: behind these, in hand; `t_ns`: by
-    when they had come.
+    `stored`: bytes or frames in its spool; `lost`: later ones that were taken and are gone. `data`: bytes in hand behind
+    these; `t_ns`: the time by which they had come.
     """
 
     stored: int

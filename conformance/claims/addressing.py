@@ -293,7 +293,7 @@ _BITS = (0x55, 0xAA, 0x80, 0xFE, 0x100, 0x2AA, 0x555, 0x400, 0x7FF)
     quirks=may_meet(NEW_ADDRESS_ANSWERS),
 )
 def _each_bit(probe: Probe, command: Command) -> None:
-    """Whatever bits its address has, a drive is heard there, answers from there, and obeys there."""
+    """At an address with any of its bits set, a drive obeys, and answers from that address."""
     ask_first(probe)
     old, last = probe.address, command.request_forms[0].layout.named["new_address"].high
     for new in (a for a in _BITS if a <= min(last, probe.dialect.addresses[1]) and a != old):

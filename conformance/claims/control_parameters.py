@@ -68,7 +68,7 @@ def _expect_limited(probe: Probe, kept: int, exchange: Exchange, what: str) -> N
 
 @_of_run(refuted_by="a faster shaft")
 def _speed_limit(probe: Probe) -> None:
-    """The speed limit holds at once for a run, whichever way."""
+    """The speed limit holds at once for a run, in both directions."""
     kept = _parameter(probe, "speed_limit")
     if kept is None:
         return

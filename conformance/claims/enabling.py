@@ -95,7 +95,7 @@ def _levels_of_pulse_modes(dialect: Dialect) -> Iterator[Case]:
     risks=risks_by(Verb.ENABLE),
 )
 def _not_in_bus_modes(probe: Probe, command: Command) -> None:
-    """In a bus mode the motor is enabled as it was told, whatever the level of the En pin at which it would be."""
+    """In a bus mode only the command enables the motor, at any setting of the En pin's level."""
     motion.ready_to_move(probe)
     for level in (0, 1, 2):
         exchange = probe.do(command, {"enable_level": level})

@@ -152,7 +152,7 @@ def _away(probe: Probe, degrees: float = 800) -> None:
 
 @_clear_turns(refuted_by="turns that are still counted")
 def _drops_turns(probe: Probe, command: Command) -> None:
-    """After 93 the position is within a turn, whichever way the turns were."""
+    """After 93 the position is within a turn, after turns in either direction."""
     for degrees in (800, -1600):
         before = _position(probe)
         _away(probe, degrees)

@@ -106,7 +106,7 @@ def _plain_and_edges(probe: Probe, settings: tuple[Command, ...]) -> Iterator[tu
 
 @_of_writes("other bytes, or silence", each=_ones, name="write_one/echo")
 def _echoed(probe: Probe, settings: tuple[Command, ...]) -> None:
-    """A write by function 06h is answered by its own bytes, whichever values it has."""
+    """A write by function 06h is answered by its own bytes, with any values."""
     ask_alone(probe)
     for command, frame in _plain_and_edges(probe, settings):
         expect_answer(probe, ask(probe, frame), frame, f"a write of {command.code:04X}h by 06h")
@@ -115,13 +115,13 @@ def _echoed(probe: Probe, settings: tuple[Command, ...]) -> None:
 
 @_of_writes("other bytes, or silence", each=_holding, name="write_one/echo-of-current")
 def _echoed_of_current(probe: Probe, settings: tuple[Command, ...]) -> None:
-    """A write of what holds the shaft is answered by its own bytes, whichever current, level or mode it has."""
+    """A write of a current, the En level or the mode is answered by its own bytes, with any values."""
     _echoed(probe, settings)
 
 
 @_of_writes("other bytes, or silence", each=_several, name="write_many/echo")
 def _echoed_shortly(probe: Probe, settings: tuple[Command, ...]) -> None:
-    """A write by function 10h is answered by its register and quantity, whichever values it has."""
+    """A write by function 10h is answered by its register and quantity, with any values."""
     ask_alone(probe)
     for command, frame in _plain_and_edges(probe, settings):
         expected = probe.dialect.link.completed(frame[:6])

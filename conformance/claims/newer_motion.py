@@ -262,7 +262,7 @@ def _direction(probe: Probe, wanted: int = 0) -> int:
 
 @of_motion(each=_over_others, name="{command}/takes-over", refuted_by="a shaft that turns on as before, or a refusal")
 def _takes_over(probe: Probe, command: Command) -> None:
-    """{command} takes over from each other motion, whichever way that turns the shaft, and turns it the other way."""
+    """{command} takes over from each other motion, in either direction, and turns the shaft the other way."""
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     _begin_way(probe, command, 1)
     sense = _direction(probe)

@@ -189,7 +189,7 @@ def _begin(probe: Probe, command: Command, way: int) -> None:
 
 @_of_brake(refuted_by="a shaft that turns against the brake", risks=_by_all_motions)
 def _holds_turning(probe: Probe) -> None:
-    """A brake that holds the shaft at rest (00h) stops one that turns, whatever turns it, and holds it until 01h."""
+    """A brake that holds the shaft at rest (00h) also stops a turning shaft, in every motion, and holds it until 01h."""
     motion.ready_to_move(probe)
     _brake(probe, _POWER_OFF)
     held = _way(probe)
