@@ -11,11 +11,12 @@ Rules kept here:
 - While the shaft turns one read follows another; each second one is that of the position, which the others are held against.
 - Where the end is told unasked nothing is asked about that time: a request could collide with it.
 - A row that the user's bounds do not allow is left out.
+- A few rows come first, for runs that have time for them alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain, cycle
@@ -162,6 +163,21 @@ def _table(modes: tuple[tuple[str, int], ...], commands: tuple[tuple[str, bool],
     return tuple(sorted((Row(**row) for row in found), key=lambda row: (row.mode, row.subdivision)))
 
 
+def first_rows(dialect: Dialect) -> tuple[Row, ...]:
+    """Return few rows of the table, and short ones that turn, in which each condition comes once and each speed either way."""
+    runs = {command.name: motion.of(command).kind is MotionKind.RUN for command in motions_of(dialect)}
+    every = [row for row in table(dialect) if row.turns or runs[row.command]]
+    cost = {row: _about_ns(row, runs=runs[row.command]) for row in every}
+    shows = {row: {*enumerate(row), (row.way, row.rpm), (row.way, row.command)} for row in every}
+    missing: set[object] = set().union(*shows.values())
+    found = set()
+    while missing:
+        best = max(every, key=lambda row: len(shows[row] & missing) / cost[row])
+        found.add(best)
+        missing -= shows[best]
+    return tuple(row for row in every if row in found)
+
+
 def _about_ns(row: Row, *, runs: bool) -> float:
     """Return how long a row takes about."""
     if not runs:
@@ -277,14 +293,34 @@ def sound(rows: tuple[Tried, ...]) -> list[Tried]:
 
 
 def crossed(probe: Probe, command: Command) -> tuple[Tried, ...]:
-    """Carry out the rows of a command and return what was seen."""
+    """Carry out the rows of a command, those aside that were carried out already, and return what was seen."""
+    try:
+        first = {tried.row: tried for tried in first_of(probe, command)}
+    except (Inconclusive, Refused):
+        # It was another motion perhaps.
+        first = {}
+    rows = [row for row in table(probe.dialect) if row.command == command.name and row not in first]
+    return (*first.values(), *_carried_out(probe, rows)) if rows else tuple(first.values())
+
+
+def first_of(probe: Probe, command: Command) -> tuple[Tried, ...]:
+    """Return what the first rows of a command showed."""
+    return tuple(tried for tried in probe.recorded(crossed_first) if tried.command.name == command.name)
+
+
+def crossed_first(probe: Probe) -> tuple[Tried, ...]:
+    """Carry out the first rows and return what was seen."""
+    return _carried_out(probe, first_rows(probe.dialect))
+
+
+def _carried_out(probe: Probe, rows: Iterable[Row]) -> tuple[Tried, ...]:
     position = probe.command(Verb.READ_POSITION)
     reads = cycle([read for other in reads_of(probe.dialect) for read in (other, position)])
     found: list[Tried] = []
     ready: tuple[str, int] = ("", 0)
     rest: tuple[Look, ...] = ()
     refused: Refused | None = None
-    for row in (row for row in table(probe.dialect) if row.command == command.name):
+    for row in rows:
         try:
             if ready != (row.mode, row.subdivision):
                 ready = (row.mode, row.subdivision)
@@ -295,7 +331,7 @@ def crossed(probe: Probe, command: Command) -> tuple[Tried, ...]:
             if not _stands(rest):
                 motion.stand_still(probe)
                 rest = _rest(probe)
-            found.append(_try(probe, command, row, reads, rest))
+            found.append(_try(probe, probe.command(row.command), row, reads, rest))
             rest = found[-1].after
         except Refused as error:
             refused, rest = error, ()

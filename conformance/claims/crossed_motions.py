@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from analyzer.catalogue import Certainty, Command, MotionKind
-from conformance.claims.crossed import Tried, cases, crossed, moved, place, sense, sound
+from conformance.claims.crossed import Tried, cases, crossed, first_of, moved, place, sense, sound
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, that_tell_their_end
 from conformance.claims.ramps import LATE, TOO_LATE_NS
@@ -32,7 +32,11 @@ _OPEN_DEGREES = 14 * COUNT
 @of_motion(each=cases, name="{command}/crossed-taken", refuted_by="a refusal, or no answer")
 def _taken(probe: Probe, command: Command) -> None:
     """{command} is taken in all conditions: fast and slow, either way, by any ramp, in each mode and subdivision."""
-    for tried in probe.recorded(crossed, command):
+    _taken_in(probe, command, probe.recorded(crossed, command))
+
+
+def _taken_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
+    for tried in rows:
         text = f"{command.name} is refused or not answered in one condition"
         # What the line damaged is no answer of the drive's.
         holds = not tried.refused or tried.damaged
@@ -47,7 +51,11 @@ def _taken(probe: Probe, command: Command) -> None:
 )
 def _replies(probe: Probe, command: Command) -> None:
     """{command} and its stop are answered in all conditions as the manual says, begin and end."""
-    for tried in sound(probe.recorded(crossed, command)):
+    _replies_in(probe, command, probe.recorded(crossed, command))
+
+
+def _replies_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
+    for tried in sound(rows):
         if LATE in probe.claim.quirks and tried.latest_ns / 2 > TOO_LATE_NS:
             # What is told at the end may then come before what was told at the begin.
             probe.meets(LATE)
@@ -70,7 +78,10 @@ def _told(tried: Tried) -> Iterator[tuple[Exchange, list[int], list[int]]]:
 @of_motion(each=cases, name="{command}/crossed-ends", refuted_by="another way, or another direction in one condition")
 def _ends(probe: Probe, command: Command) -> None:
     """{command} goes the same way for a direction, and as far as it was asked to, in all conditions."""
-    rows = probe.recorded(crossed, command)
+    _ends_in(probe, command, probe.recorded(crossed, command))
+
+
+def _ends_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     way = sense(command, rows)
     for tried in sound(rows):
         if tried.row.start:
@@ -110,7 +121,11 @@ def _end(tried: Tried) -> tuple[float, float]:
 )
 def _course(probe: Probe, command: Command) -> None:
     """{command} is on the course of the law in all conditions: on its ramps and at its speed."""
-    for tried in sound(probe.recorded(crossed, command)):
+    _course_in(probe, command, probe.recorded(crossed, command))
+
+
+def _course_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
+    for tried in sound(rows):
         if tried.row.start or not moved(tried):
             continue
         begin = place(tried.places(tried.before)[-1])
@@ -134,7 +149,11 @@ def _course(probe: Probe, command: Command) -> None:
 @of_motion(each=cases, name="{command}/crossed-speed", refuted_by="another speed in one condition", at_best=Certainty.LIKELY)
 def _speed(probe: Probe, command: Command) -> None:
     """{command} turns the shaft at the speed that was asked for in all conditions, as its positions tell."""
-    for tried in sound(probe.recorded(crossed, command)):
+    _speed_in(probe, command, probe.recorded(crossed, command))
+
+
+def _speed_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
+    for tried in sound(rows):
         steady = _steady(tried)
         if len(steady) < 2:
             continue
@@ -148,6 +167,21 @@ def _speed(probe: Probe, command: Command) -> None:
         probe.expect(
             abs(seen), near=wanted, within=within, unit="rpm", refutes=text, expected=expected, exchange=tried.begun, key=text
         )
+
+
+@of_motion(
+    each=cases,
+    name="{command}/crossed-first",
+    refuted_by="a refusal, other replies, or another way, place or speed in one condition",
+    quirks=may_meet(LATE),
+    at_best=Certainty.LIKELY,
+)
+def _first(probe: Probe, command: Command) -> None:
+    """{command} is taken, ends where asked and keeps its course and speed in a few motions, each condition once."""
+    rows = first_of(probe, command)
+    told = (_replies_in,) if motion.tells_end(probe.dialect) else ()
+    for judge in (_taken_in, *told, _ends_in, _course_in, _speed_in):
+        judge(probe, command, rows)
 
 
 def _steady(tried: Tried) -> list[Sample]:

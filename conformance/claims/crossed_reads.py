@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from analyzer.catalogue import Certainty, Command, Dialect, Verb
 from conformance.claim import Aspect
-from conformance.claims.crossed import Look, Tried, crossed, motions_of, place, reads_of, sense, sound
+from conformance.claims.crossed import Look, Tried, crossed, first_of, motions_of, place, reads_of, sense, sound
 from conformance.claims.declare import Case
 from conformance.claims.known_quirks import known
 from conformance.claims.motion_claim import of_motion
@@ -65,10 +65,10 @@ def _cases(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, read, facts={"risks": motion.risks(dialect, *risks), "aspect": Aspect.STATE, "quirks": quirks})
 
 
-def _looks(probe: Probe, read: Command) -> Iterator[_Seen]:
-    """Yield what a read told on the way and at the end of every motion."""
+def _looks(probe: Probe, read: Command, *, few: bool) -> Iterator[_Seen]:
+    """Yield what a read told on the way and at the end of every motion, or of the first `few`."""
     for command in motions_of(probe.dialect):
-        rows = probe.recorded(crossed, command)
+        rows = first_of(probe, command) if few else probe.recorded(crossed, command)
         usual = sense(command, rows)
         for tried in sound(rows):
             # What a motion does the wrong way is judged there.
@@ -90,8 +90,28 @@ def _of(tried: Tried, read: Command, looks: tuple[Look, ...], *, rests: bool, wa
 )
 def _crossed(probe: Probe, command: Command) -> None:
     """{command} is answered and tells what the shaft does in all motions, at each moment of them."""
+    _judge(probe, command, few=False)
+
+
+def _of_few(dialect: Dialect) -> Iterator[Case]:
+    # The port that tells whether a shaft is in place is known by all motions alone.
+    return (case for case in _cases(dialect) if case.command is not None and case.command.verb is not Verb.READ_IO)
+
+
+@of_motion(
+    each=_of_few,
+    name="{command}/crossed-first",
+    refuted_by="no answer, or another value in one condition",
+    at_best=Certainty.LIKELY,
+)
+def _crossed_first(probe: Probe, command: Command) -> None:
+    """{command} is answered and tells what the shaft does in a few motions, in which each condition comes once."""
+    _judge(probe, command, few=True)
+
+
+def _judge(probe: Probe, command: Command, *, few: bool) -> None:
     judge = _JUDGES[command.verb]
-    for seen in _looks(probe, command):
+    for seen in _looks(probe, command, few=few):
         when = "at rest after" if seen.rests else "on the way of"
         text = f"{command.name} is not answered {'at rest' if seen.rests else 'while the shaft turns'}, twice"
         answered = seen.look.values is not None

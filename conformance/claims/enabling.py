@@ -47,8 +47,9 @@ def _switch_off_going(probe: Probe) -> None:
     set_going(probe, probe.command(Verb.RUN_SPEED))
     exchange = probe.ask(*motion.switching(probe.dialect, False))
     expect_taken(probe, exchange, "switching a turning motor off is refused")
-    # Without torque the shaft runs out.
-    probe.wait(2 * SECOND_NS)
+    # Without torque the shaft runs out, and slowly in the end.
+    motion.wait_until(probe, lambda: abs(motion.speed(probe).value) < 1 + probe.noise.rpm, limit_ns=3 * SECOND_NS // 2)
+    probe.wait(SECOND_NS // 2)
     expect_standing(probe, exchange, "the shaft still turns after the motor was switched off")
 
 

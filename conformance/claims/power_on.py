@@ -22,9 +22,11 @@ from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.probe import Probe
-from conformance.talk.restarts import need_axis_lock
+from conformance.talk.restarts import need_axis_lock, wait_for_answer
 
 _START_NS = 3 * SECOND_NS
+#: How long a shaft is looked at behind a restart that may take a motion up again: a run has its speed by then.
+_RESUMES_NS = SECOND_NS
 #: How long the way back takes at the slowest: less than a turn.
 _BACK_NS = 20 * SECOND_NS
 _OFF, _BY_DIRECTION, _NEAR = 0, 1, 2
@@ -249,7 +251,8 @@ def _ends_motion(probe: Probe, command: Command) -> None:
     motion.run_at(probe, 60, QUICK)
     probe.wait(500 * MS)
     exchange = probe.ask(command)
-    probe.wait(_START_NS)
+    wait_for_answer(probe)
+    probe.wait(_RESUMES_NS)
     seen = motion.speed(probe)
     stands = abs(seen.value) < 1 + seen.noise
     if not stands:

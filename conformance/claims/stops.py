@@ -371,7 +371,6 @@ def _ends_a_move(probe: Probe, command: Command) -> None:
     motion.begin(probe, motion.any_move(probe.dialect, at_speed=True), 360, rpm=30)
     probe.wait(500 * MS)
     exchange = probe.do(command)
-    probe.wait(2 * SECOND_NS)
     went = abs(motion.wait_standing(probe).value - before.value)
     text, expected = "the stop does not end a move on its way", "about 90 degrees of 360"
     probe.expect(went, at_least=20, at_most=300, unit="degrees", expected=expected, refutes=text, exchange=exchange)
@@ -428,7 +427,6 @@ def _way_to_rest(probe: Probe, stop: Command, values: dict[str, int]) -> float:
     set_going(probe, probe.command(Verb.RUN_SPEED))
     probe.ask(stop, values, quiet_ns=0)
     begun = motion.position(probe)
-    probe.wait(SECOND_NS)
     return abs(motion.wait_standing(probe).value - begun.value)
 
 
