@@ -22,10 +22,8 @@ import random
 import re
 import shlex
 import shutil
-import socket
 import sys
 import tempfile
-import threading
 import traceback
 import zlib
 from collections.abc import Callable, Iterator, Sequence
@@ -53,13 +51,12 @@ from tests.bytestreams import SERIAL, vectors
 from tests.collect import Collect, sum8
 from tests.fuzz.corpus import CAPTURES, INPUT, Input, captures, lay_out, quick
 from tests.fuzz.mutators import TOKENS, VALUES, bytes_changed, kind_of, mutated, text_changed
+from tests.fuzz.two_ends import beside, can_bus, datagrams, far_end, free_port, program, tcp_clients, viewed
 from tests.live.spooled import START, Spools, port
 from tests.sources.builders import SAMPLES
 
 #: Bytes that a command may write for an input of at most 64 KiB.
 WRITTEN_LIMIT = 64 << 20
-#: Bytes with which the far end of a bus answers a request.
-_PIECE = 24
 _ESCAPES = (b"\x1b", b"\xc2\x9b")
 
 
@@ -159,30 +156,6 @@ def command(*words: str) -> Run:
         run_words(words, place)
 
     return run
-
-
-@contextlib.contextmanager
-def far_end(data: bytes) -> Iterator[str]:
-    """Serve the far end of a bus, which answers each request with a piece of `data` and then hangs up; yield its endpoint."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-
-        def serve() -> None:
-            # It ends as the server is closed, or the client.
-            with contextlib.suppress(OSError):
-                connection = server.accept()[0]
-                with connection:
-                    for at in range(0, len(data), _PIECE):
-                        connection.sendall(data[at : at + _PIECE])
-                        if not connection.recv(4096):
-                            break
-
-        thread = threading.Thread(target=serve)
-        thread.start()
-        try:
-            yield f"tcp:127.0.0.1:{server.getsockname()[1]}"
-        finally:
-            server.shutdown(socket.SHUT_RDWR)
-            thread.join()
 
 
 def _decode(given: Input, place: Place) -> None:
@@ -652,9 +625,65 @@ def _far(*words: str, share: float = 1.0) -> Target:
 
     def run(given: Input, place: Place) -> None:
         with far_end(given[INPUT]) as endpoint:
-            run_words([word.replace("ENDPOINT", endpoint) for word in words], place, (0, 1, 2, RigFault.exit_status))
+            run_words([word.replace("ENDPOINT", endpoint) for word in words], place, _ON_A_BUS)
 
     return Target(run, _bytes_seeds, _bytes_changed, share, 30.0)
+
+
+_ON_A_BUS = (0, 1, 2, RigFault.exit_status)
+#: Emulated drives of each serial dialect; which one follows from the bytes.
+_DRIVES = ("mks-rs485@1", "mks-modbus@1", "lk-rs485@1", "mks-rs485@1,work_mode=sr_vfoc")
+
+
+def _emulate(kind: str, given: Input, place: Place) -> None:
+    data = given[INPUT]
+    drive = _DRIVES[zlib.crc32(data) % len(_DRIVES)]
+    with contextlib.ExitStack() as stack:
+        if kind == "tcp":
+            port = free_port()
+            where, act = f"127.0.0.1:{port}", tcp_clients(port, data)
+        elif kind == "can":
+            (where, port), drive = can_bus(), "mks-can@1"
+            act = datagrams(port, data)
+        else:
+            where, act = "link", program(place.folder / "link", data)
+        stack.enter_context(beside(act))
+        run_words(("emulate", drive, f"--{kind}", where, "--duration", "0.2", "--log", "out.mcap"), place)
+
+
+def _tap(given: Input, place: Place) -> None:
+    data = given[INPUT]
+    with far_end(data) as endpoint, beside(program(place.folder / "link", data[::-1])):
+        words = ("tap", f"{endpoint},baud=38400", "--link", "link", "--duration", "0.5", "-o", "out.mcap")
+        run_words(words, place)
+    for _ in messages(place.folder):
+        pass
+
+
+def _replay(given: Input, place: Place) -> None:
+    lay_out(given, place.folder)
+    words = ("replay", INPUT, "--speed", "1000000", "--skip-refused", "--on")
+    with far_end(given["far"]) as endpoint:
+        run_words((*words, f"{endpoint},baud=38400"), place, _ON_A_BUS)
+
+
+def _view(given: Input, place: Place) -> None:
+    lay_out(given, place.folder)
+    with contextlib.suppress(ServotapError):
+        viewed(place.folder / INPUT, given["keys"])
+
+
+def _with(name: str, *targets: str) -> Callable[[], list[Input]]:
+    """Return seeds that are captures with a further file, of bytes, and what targets found before."""
+
+    def seeds() -> list[Input]:
+        found = [given for target in targets for given in quick(target)]
+        return [
+            *({**given, name: bytes(range(at % 200, at % 200 + 40))} for at, given in enumerate(_file_seeds("decode")())),
+            *found,
+        ]
+
+    return seeds
 
 
 TARGETS: dict[str, Target] = {
@@ -677,6 +706,12 @@ TARGETS: dict[str, Target] = {
     "far-send": _far("send", "mks-rs485@1", "read_speed", "--on", "ENDPOINT,baud=38400", "--timeout", "50"),
     "far-scan": _far("scan", "ENDPOINT,baud=38400", "--addresses", "1", share=0.5),
     "far-record": _far("record", "ENDPOINT,baud=38400", "--duration", "0.3", "-o", "out.mcap", share=0.3),
+    "emulate-tcp": Target(partial(_emulate, "tcp"), _bytes_seeds, _bytes_changed, 0.5, 30.0),
+    "emulate-pty": Target(partial(_emulate, "pty"), _bytes_seeds, _bytes_changed, 0.5, 30.0),
+    "emulate-can": Target(partial(_emulate, "can"), _bytes_seeds, _bytes_changed, 0.5, 30.0),
+    "tap": Target(_tap, _bytes_seeds, _bytes_changed, 0.5, 30.0),
+    "replay-bus": Target(_replay, _with("far", "replay-bus"), _file_changed, 0.5, 30.0),
+    "view": Target(_view, _with("keys", "view"), _file_changed, 0.5, 30.0),
     "mf4": Target(command("show", INPUT), _mf4_seeds, _file_changed, 0.3),
     "cut": _on_files("cut", run=_copied("cut", INPUT, "--since", "+1ms"), kinds=_LOGS),
     "merge": Target(_copied("merge", INPUT, "other"), _two_logs, _file_changed),

@@ -169,6 +169,27 @@ def test_the_framer_of_the_target_loses_nothing_and_would_tell(monkeypatch):
     assert "other bytes came out" in text
 
 
+def test_a_key_that_the_view_falls_over_is_told(monkeypatch):
+    def fall(self, on):
+        raise LookupError("the help")
+
+    monkeypatch.setattr("analyzer.view.app.ViewApp.action_order", fall, raising=False)
+    given = {INPUT: captures()[0], "keys": b"\x18o"}
+    monkeypatch.setattr("tests.fuzz.two_ends._NAMES", ("o",) * 256)
+    (text,) = outcomes("view", [given])
+    assert "fall" in text
+    assert outcomes("view", [{**given, "keys": b""}]) == [""]
+
+
+def test_what_clients_send_reaches_an_emulated_drive(monkeypatch):
+    def fall(self, *given):
+        raise LookupError(given)
+
+    monkeypatch.setattr("conformance.drives.drive.Drive.receive", fall)
+    (text,) = outcomes("emulate-tcp", [{INPUT: b"\xfa\x01\x30\x2b"}])
+    assert "LookupError" in text
+
+
 def test_a_mutator_that_raises_is_told_and_ends_nothing(monkeypatch, tmp_path):
     monkeypatch.setitem(TARGETS, "framer", TARGETS["framer"]._replace(mutate=lambda *_: 1 / 0))
     session = Session(["framer"], 1, tmp_path, 1)
