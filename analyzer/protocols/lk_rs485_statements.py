@@ -246,11 +246,11 @@ STATEMENTS: tuple[S, ...] = (
     S("5/on-at-power-up", "A motor is on when power comes.", ("motion/motor_on/at-power-up",)),
     S("5/light", "The light flashes slowly while the motor is off.", unclaimed=_LIGHT),
     S("5/answers", "A motor that is off answers commands.", ("motion/*/while-off", "resilience/reads/off")),
-    S("5/performs-nothing", "A motor that is off performs no motion command.", ("motion/*/while-off", "state/mixed")),
+    S("5/performs-nothing", "A motor that is off performs no motion command.", ("motion/*/while-off", "state/walk/*")),
     *_tables("6", "motor_on", "88h", 0, 0),
     S("6/switches-on", "It switches the motor on.", ("motion/motor_off/is-read", "motion/motor_on/obeys")),
     S("6/light", "The light is steady while the motor is on.", unclaimed=_LIGHT),
-    S("6/obeys", "A motor that is on obeys commands.", ("motion/motor_on/obeys", "state/mixed")),
+    S("6/obeys", "A motor that is on obeys commands.", ("motion/motor_on/obeys", "state/walk/*")),
     S(
         "6/waits",
         "Switching on moves nothing: a command must come first.",
@@ -504,7 +504,7 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "19/writes",
         "It writes the values of the parameter whose number it has.",
-        ("read-back/parameter/*/written", "state/settings"),
+        ("read-back/parameter/*/written", "state/walk/*"),
     ),
     S("19/others", "It writes no other parameter.", ("resilience/settings/*", "ranges/write_parameter/parameter/unlisted")),
     S(

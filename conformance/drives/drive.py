@@ -515,6 +515,14 @@ class Drive(ABC):
         """When and how the shaft came to rest, or will."""
 
     @abstractmethod
+    def hold(self, settings: Mapping[str, int]) -> None:
+        """Have held these settings all the time."""
+
+    @abstractmethod
+    def stand(self, told: Mapping[str, int]) -> None:
+        """Let a shaft that rests be where these fields of reads say that it is."""
+
+    @abstractmethod
     def hot(self, temperature: float) -> None:
         """Set the temperature of the motor (degC)."""
 

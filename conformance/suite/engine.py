@@ -1,7 +1,7 @@
 """The engine: runs claims on a rig and returns the verdict of each. Its callers show them.
 
 A refutation on a real drive is repeated before it is reported: a drive that fails once of two times is refuted too, and the
-reason says so. Where the claim was a sequence of steps (a state machine), emulated drives are given the same steps: one as the
+reason says so. Where the claim was a sequence of steps (a walk), emulated drives are given the same steps: one as the
 manual has it, and one with each known fault. Where the steps refute one of them in the same way, they are shortened there,
 which costs no motion. What is left is confirmed on the real drive.
 
@@ -11,6 +11,7 @@ for the quirks that the real drive has shown. If it refutes one of them in the s
 
 from __future__ import annotations
 
+import re
 import time
 import traceback
 from collections.abc import Iterable, Iterator, Sequence
@@ -171,18 +172,18 @@ def _confirmed(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verdict:
 
 def _shortened(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verdict | None:
     """Return the verdict of the shortest steps that refute both drives alike, None where there are none."""
-    from conformance.model import machine
+    from conformance.model import story
 
     steps = list(verdict.steps)
-    for emulated in _alike(rig):
-        steps, found = machine.shortened(emulated.probe(claim), verdict.steps, verdict.key)
+    for emulated in _alike(rig, verdict.key):
+        steps, found = story.shortened(emulated.probe(claim), verdict.steps, verdict.key)
         if found is not None:
             break
     if len(steps) >= len(verdict.steps):
         return None
     probe = rig.probe(claim)
     try:
-        error = machine.replay(probe, steps)
+        error = story.replay(probe, steps)
     except Inconclusive:
         return None
     finally:
@@ -190,8 +191,11 @@ def _shortened(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verdict | None:
     return _of(verdict, error, tuple(steps)) if error is not None and error.key == verdict.key else None
 
 
-def _alike(rig: ClaimRig) -> Iterator[ClaimRig]:
-    """Return emulated drives that may fail as the real one does, for as long as there is time for it."""
+def _alike(rig: ClaimRig, key: str) -> Iterator[ClaimRig]:
+    """Return emulated drives that may fail as the real one does, for as long as there is time for it.
+
+    Those whose fault has words of the failure come first.
+    """
     if rig.dialect.name not in make.KINDS:
         return
     from conformance.suite.rig_emulated import EmulatedRig
@@ -199,7 +203,8 @@ def _alike(rig: ClaimRig) -> Iterator[ClaimRig]:
     until = time.monotonic() + _SEARCH_SECONDS
     plain = _as_the_manual(rig)
     yield EmulatedRig(plain)
-    for fault in make.every_fault():
+    words = set(re.findall("[a-z0-9]+", key))
+    for fault in sorted(make.every_fault(), key=lambda fault: -len(words & set(fault.name.split("-")))):
         if time.monotonic() > until:
             return
         if fault.dialects and rig.dialect.name in fault.dialects:

@@ -406,6 +406,26 @@ class LkDrive(Drive):
         at_ns, way = self.motor.rests
         return Rest(at_ns, self.now_ns - at_ns, way)
 
+    def hold(self, settings: Mapping[str, int]) -> None:
+        """Have held these settings all the time."""
+        for name, value in settings.items():
+            if name in self.parameters:
+                self.keep(name, value)
+
+    def stand(self, told: Mapping[str, int]) -> None:
+        """Let a shaft that rests be where these fields of reads say that it is."""
+        if "encoder_raw" in told:
+            motor, raw = self.motor, told["encoder_raw"]
+            angle = told.get("angle", 0) / 36_000
+            widths = {w: told["encoder"] / (1 << min(w, 16)) for w in (self._build.encoder_bits, *ENCODER_WIDTHS)}
+            width = min(widths, key=lambda w: round(abs((widths[w] - angle + 0.5) % 1 - 0.5), 3))
+            motor.rebuilt(encoder_bits=width)
+            motor.shift(raw * 360 / motor.encoder_scale - motor.motion.angle % 360)
+            motor.encoder_zero = self.settings["encoder_zero"] = told["encoder_offset"]
+            motor.set_position(told["position"] / 100)
+        elif "position" in told:
+            self.motor.shift(told["position"] / 100 - self.motor.position)
+
     def power_cycle(self, t_ns: int) -> None:
         """Switch the drive off and on: parameters, turns and errors are gone, the stored zero takes effect."""
         self.advance(t_ns)

@@ -276,6 +276,13 @@ class LkMotor:
             now = self.motion
             self._plan(now._replace(angle=now.angle + degrees))
 
+    def shift(self, degrees: float) -> None:
+        """Rest elsewhere, with what is held there."""
+        if isinstance(self.goal, Position):
+            self.goal = replace(self.goal, angle=self.goal.angle + degrees)
+        now = self.motion
+        self._plan(now._replace(angle=now.angle + degrees))
+
     def to(self, t_ns: int) -> None:
         """Let time pass."""
         self.now_ns = max(self.now_ns, t_ns)

@@ -88,6 +88,22 @@ class MksDrive(MksCore):
         at_ns = float(path.settled)
         return Rest(at_ns, now - at_ns, next((s.way for s in reversed(path.segments) if s.way), 0))
 
+    def hold(self, settings: Mapping[str, int]) -> None:
+        """Have held these settings all the time."""
+        self.settings.update({name: value for name, value in settings.items() if name in self.fields})
+        self.tune()
+        self.grip()
+
+    def stand(self, told: Mapping[str, int]) -> None:
+        """Let a shaft that rests be where these fields of reads say that it is."""
+        if "enabled" in told and self.by_bus:
+            self.memory.enabled = bool(told["enabled"])
+            self.grip()
+        if "position" in told:
+            self.motor.jump(self.now_ns, told["position"] - self.axis)
+        if "pulses" in told:
+            self.memory.pulse_zero = self.motor.wanted(self.now_ns) - told["pulses"] * self.pulse_counts
+
     def power_cycle(self, t_ns: int) -> None:
         """Switch the drive off and on: what is in RAM is gone, what happens at power-on happens."""
         self.advance(t_ns)

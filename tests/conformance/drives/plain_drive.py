@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from analyzer import dialects
 from analyzer.catalogue import Verb
@@ -48,6 +48,12 @@ class PlainDrive(Drive):
     def _zeros(self, request: Request, status: int) -> Values:
         fields = request.command.reply_forms[0].layout.named
         return {name: status if name == "status" else 0 for name in fields}
+
+    def hold(self, settings: Mapping[str, int]) -> None:
+        self.settings.update(settings)
+
+    def stand(self, told: Mapping[str, int]) -> None:
+        return
 
     def foresee(self) -> tuple[int, Callable[[], None]] | None:
         return (self._moves[0][0], self._arrive) if self._moves else None

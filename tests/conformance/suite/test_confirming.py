@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from conformance.claim import Claim, Outcome, Refuted, Theme
 from conformance.gate.permissions import Allowance
-from conformance.model.session import Step, parse_steps, steps_text
+from conformance.model.walk import Step, parse_steps, steps_text
 from conformance.suite import engine, plan
 from tests.conformance.safety.test_keeper import EVERYTHING, EmulatedPort
 
@@ -42,16 +42,16 @@ def test_a_sequence_of_steps_is_shortened_where_an_emulated_drive_has_the_same_f
     """The real drive has a fault that the suite knows; a drive by the manual does not have it."""
     rig = EmulatedPort("mks-rs485@1,fault=set-zero-ignored", tmp_path, settings=KNOWN,
                        allowance=Allowance(EVERYTHING))  # fmt: skip
-    from conformance.model import machine
+    from conformance.model import story
 
     steps = [
-        Step("run_speed", {"direction": 0, "speed": 60, "acceleration": 200}), Step("stop", {"motion": 0, "acceleration": 200}),
-        Step("look"), Step("set_zero"), Step("look"),
+        Step("run_speed", {"rpm": 60, "acceleration": 248}), Step("stop_speed", {"acceleration": 248}),
+        Step("look", {"first": 0, "count": 2}), Step("set_zero"), Step("look", {"first": 0, "count": 2}),
     ]  # fmt: skip
     assert parse_steps(steps_text(steps)) == steps
 
     def check(probe):
-        error = machine.replay(probe, steps)
+        error = story.replay(probe, steps)
         assert error is not None
         error.steps = tuple(steps)
         raise error
@@ -64,10 +64,11 @@ def test_a_sequence_of_steps_is_shortened_where_an_emulated_drive_has_the_same_f
     assert f"{len(verdict.steps)} of {len(steps)} steps" in verdict.reason
 
 
-def test_the_machine_tells_the_steps_of_a_real_drive(tmp_path):
+def test_a_walk_tells_the_steps_of_a_real_drive(tmp_path, monkeypatch):
+    monkeypatch.setattr(engine, "_SEARCH_SECONDS", 0)
     rig = EmulatedPort("mks-rs485@1,fault=set-zero-ignored", tmp_path, settings=KNOWN,
                        allowance=Allowance(EVERYTHING))  # fmt: skip
-    (state,) = [c for c in plan.every_claim(rig._target) if c.id == "mks-rs485/state/motion"]
+    (state,) = [c for c in plan.every_claim(rig._target) if c.id == "mks-rs485/state/walk/1"]
     verdict = engine.run_claim(state, rig)
     rig.close()
     if verdict.outcome is Outcome.REFUTED:

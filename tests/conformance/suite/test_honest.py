@@ -125,7 +125,7 @@ def test_the_group_of_a_drive_is_no_foreign_address(drive):
 
 LIMITED = [
     ("mks-can@1,axis_lock=0", ("save_speed/restart", "save_speed/as-it-was", "runs-direction-0"), "set axis_lock to 1"),
-    ("lk-rs485@1,angle_limit=36000", ("state/motion",), "angle_limit is 36000: set it to"),
+    ("lk-rs485@1,angle_limit=36000", ("state/walk/1",), "angle_limit is 36000: set it to"),
 ]
 
 

@@ -1,0 +1,359 @@
+"""The route of a walk (`model.walk`): in which states which deeds are done, so that any two conditions meet.
+
+    work mode x on or off x subdivision x direction x replies       the state of the drive
+    standing, running or moving, either way                         what the shaft does meanwhile
+    each command that is no read, inside and outside its limits     the deed
+
+The rows are a covering array (`model.covering`), in an order and with values drawn by the seed. After each deed some of the
+reads are looked at, others each time.
+
+Rules kept here:
+- Settings that motion depends on are sent only while the shaft stands: how they affect a motion no manual says.
+- Nothing of the link, of the flash or of power-on, and nothing that searches or calibrates.
+- Values that a motor cannot move without stay strong; none depends on a switch.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from typing import Any, NamedTuple
+
+from analyzer import dialects as registry
+from analyzer.catalogue import Command, Dialect, Form, MotionKind, Risk, Verb
+from analyzer.layout import Effect, Field
+from conformance.gate.bounds import NO_BOUNDS, Leeway
+from conformance.model import covering, limits, lk_parameters
+from conformance.model.walk import LEAVE, LOOK, Step, selectors
+from conformance.motion import motion, ramp
+from conformance.talk import samples
+
+#: What cannot be put back by a setting, or that other hands are needed for.
+_NOT_DONE = frozenset({Risk.LINK, Risk.DESTRUCTIVE, Risk.WEAR})
+_NOT_MOVED = frozenset({MotionKind.CALIBRATE, MotionKind.TORQUE})
+#: Settings that motion depends on, and what gives a place another name.
+_OF_STANDING = frozenset(
+    {
+        Verb.SET_SUBDIVISION,
+        Verb.SET_DIRECTION,
+        Verb.SET_RESPOND,
+        Verb.SET_WORK_MODE,
+        Verb.SET_ZERO,
+        Verb.RESTART,
+        Verb.WRITE_PARAMETER,
+        Verb.BRAKE,
+        Verb.CLEAR_TURNS,
+        Verb.SET_CURRENT,
+    }
+)
+#: A motor needs these as they are, or a switch decides what they do.
+_STRONG = frozenset({"current", "home_current", "holding_current", "stall_tolerance", "end_limit"})
+_SUBDIVISIONS = (motion.SUBDIVISION, 64, 7, 128, 0)
+#: What motions are drawn from: the speed, the way in turns, the acceleration; and for how long they go at most.
+_RPM, _TURNS, _ACCELERATIONS = (
+    (3, 25, 60, 140, 600, 1600, 3000),
+    (0.025, 0.11, 0.25, 0.6, 2, 7, 21),
+    (0, 56, 200, 230, 248, 255),
+)
+_AT_ONCE_MOST, _RAMP_NS, _MOVE_NS = 140, 140 * motion.MS, 300 * motion.MS
+#: The same of drives without a law of ramps.
+_FREE_RPM, _FREE_TURNS = (15, 40, 90, 160), (0.025, 0.11, 0.25, 0.6, 1.4)
+#: How far a move goes that is not waited for, and how fast.
+_LONG, _LONG_RPM = 540, 90
+#: A homing search that no switch ends is this fast at most.
+_HOME_RPM = 600
+_GOING_LOOKS, _LOOKS = 3, 4
+#: Limits with which a motor moves as it would without.
+_ROOMY = {"torque_limit": (1500, 1900), "speed_limit": (0x02_2345, 0x02_0F23), "angle_limit": (0x2134_5678, 0x1134_5678)}
+
+
+class _Deed(NamedTuple):
+    """A command, and whether it is sent as it may be (`way`: of a motion), or outside its limits."""
+
+    name: str
+    way: int = 0
+    stray: bool = False
+
+
+def _done(command: Command) -> bool:
+    risks = command.all_risks
+    if command.slots is not None or risks == {Risk.READ} or risks & _NOT_DONE:
+        return False
+    if command.motion is not None and command.motion.kind in _NOT_MOVED:
+        return False
+    return Risk.POWER_ON not in risks or command.verb is Verb.RESTART or command.verb is Verb.SET_NO_LIMIT_HOME
+
+
+def deeds(dialect: Dialect) -> tuple[_Deed, ...]:
+    """Return all that is done."""
+    found = []
+    for command in (c for c in dialect.commands if _done(c)):
+        kind = command.motion.kind if command.motion is not None else None
+        if kind in (MotionKind.RUN, *motion.MOVES):
+            found += [_Deed(command.name, 1), _Deed(command.name, -1)]
+            continue
+        found.append(_Deed(command.name))
+        if kind is None and any(limits.beyond(f) for form in command.request_forms for f in form.layout.named.values()):
+            found.append(_Deed(command.name, 0, True))
+    return tuple(found)
+
+
+def _factors(dialect: Dialect) -> dict[str, Sequence[Any]]:
+    verbs = dialect.by_verb
+    found: dict[str, Sequence[Any]] = {}
+    if Verb.SET_WORK_MODE in verbs:
+        modes = motion.field_of(verbs[Verb.SET_WORK_MODE], "work_mode").choice_names.values()
+        bus = motion.bus_modes(dialect)
+        found["mode"] = (*(m for m in bus if "no_encoder" not in m), next(m for m in modes if m not in bus))
+    found["on"] = (1, 0)
+    if Verb.SET_SUBDIVISION in verbs:
+        found["subdivision"] = _SUBDIVISIONS
+    if Verb.SET_DIRECTION in verbs:
+        found["direction"] = (0, 1)
+    if Verb.SET_RESPOND in verbs:
+        found["replies"] = ((1, 1), (1, 0), (0, 1), (0, 0))
+    found["going"] = (0, *((kind, way) for kind in ("run", "move") for way in (1, -1)))
+    found["deed"] = deeds(dialect)
+    return found
+
+
+@cache
+def _rows(dialect_name: str, model: str) -> tuple[dict[str, Any], ...]:
+    dialect = registry.get(dialect_name)
+    dialect = dialect.for_model(model) if model else dialect
+    factors = _factors(dialect)
+    verbs = {command.name: command for command in dialect.commands}
+    bus = motion.bus_modes(dialect) if "mode" in factors else ()
+    # Motions over motions one by one, all else over a run one way and a move the other way.
+    rules: list[covering.Rule] = [
+        lambda going, deed: not going or not (verbs[deed.name].verb in _OF_STANDING or deed.name == "set_position"),
+        lambda going, deed: verbs[deed.name].motion is not None or going in (0, ("run", 1), ("move", -1)),
+    ]
+    if "replies" in factors:
+        # What is no motion is answered whatever is set.
+        rules.append(lambda deed, replies: verbs[deed.name].motion is not None or replies in ((1, 1), (0, 0)))
+    if "subdivision" in factors:
+        rules.append(lambda deed, subdivision: verbs[deed.name].motion is not None or subdivision in _SUBDIVISIONS[1:4])
+    able = factors | {"on": (1,)} | ({"mode": tuple(m for m in factors["mode"] if m in bus)} if bus else {})
+    found = covering.rows(able, *rules)
+    # Where nothing moves each deed is refused, or done without a motion.
+    unable = {name: levels for name, levels in factors.items() if name in ("mode", "on", "deed")} | {"going": (0,)}
+    unable["deed"] = tuple(deed for deed in unable["deed"] if verbs[deed.name].verb is not Verb.HOME)
+    still = [lambda on, mode: (on and mode not in bus) or (not on and mode in bus)] if bus else [lambda on: not on]
+    return found + covering.rows(unable, *still)
+
+
+# --- steps ------------------------------------------------------------------------------------------------------------
+
+
+def steps(dialect: Dialect, *, seed: int = 0, leeway: Leeway = NO_BOUNDS, leg: int = 1, legs: int = 1) -> Iterator[Step]:
+    """Yield the steps of a walk, or of one of its legs."""
+    return _Route(dialect, seed, leeway).steps(leg, legs)
+
+
+class _Route:
+    def __init__(self, dialect: Dialect, seed: int, leeway: Leeway) -> None:
+        self.dialect, self.leeway = dialect, leeway
+        self.chance = random.Random(f"{seed} {dialect.name} route")
+        self.state: dict[str, Any] = {}
+        self._next, self._rpm = 0, float(_LONG_RPM)
+        self._selectors = selectors(dialect)
+
+    def _look(self, count: int) -> Step:
+        self._next += count
+        return Step(LOOK, {"first": self._next - count, "count": count})
+
+    def steps(self, leg: int, legs: int) -> Iterator[Step]:
+        rows = list(_rows(self.dialect.name, self.dialect.model))
+        self.chance.shuffle(rows)
+        for row in rows[leg - 1 :: legs]:
+            yield from _into(self.dialect, self.state, row)
+            yield from self._row(row)
+        if Verb.WRITE_IO in self.dialect.by_verb:
+            yield Step(self.dialect.by_verb[Verb.WRITE_IO].name, {"alm_mask": 0, "pend_mask": 0, "alm": 0, "pend": 0})
+
+    def _row(self, row: Mapping[str, Any]) -> Iterator[Step]:
+        dialect, chance, going, deed = self.dialect, self.chance, row["going"], row["deed"]
+        command = dialect.by_name[deed.name]
+        if going:
+            kind, way = going
+            kinds = (MotionKind.RUN,) if kind == "run" else motion.MOVES
+            begun = chance.choice([c for c in dialect.motions(*kinds) if motion.of(c).speed])
+            yield self._begun(begun, way)
+            yield self._look(_GOING_LOOKS)
+        yield from self._deed(deed, leave=bool(going))
+        yield self._look(_LOOKS)
+        if self._selectors:
+            own = [command.code] if command.code in self._selectors else []
+            for selector in (*own, chance.choice(self._selectors)):
+                yield Step(dialect.by_verb[Verb.READ_PARAMETER].name, {"parameter": selector})
+        if going or (command.motion is not None and command.motion.kind in (MotionKind.RUN, MotionKind.HOME)):
+            yield from self._stopped()
+        _after(dialect, deed, self.state)
+        if command.verb is Verb.RESTART:
+            yield Step(*motion_on(dialect))
+        if command.motion is None and (command.verb is Verb.RESTART or chance.random() < 0.25):
+            # What the deed did to the motions that follow.
+            yield from self._trial()
+
+    def _trial(self) -> Iterator[Step]:
+        dialect, chance = self.dialect, self.chance
+        every = dialect.motions(MotionKind.RUN, *motion.MOVES)
+        for command in chance.sample(every, 2):
+            yield self._motion(command, chance.choice((1, -1)))
+            yield self._look(2)
+            if motion.of(command).kind is MotionKind.RUN:
+                yield from self._stopped()
+
+    def _stopped(self) -> Iterator[Step]:
+        stop = self.chance.choice([c for c in self.dialect.motions(MotionKind.STOP) if _done(c)])
+        yield Step(stop.name, self._stop_values(stop))
+        yield self._look(_LOOKS)
+
+    def _begun(self, command: Command, way: int) -> Step:
+        """Return a motion that goes on while the deed is done."""
+        if motion.of(command).kind is MotionKind.RUN:
+            return self._motion(command, way)
+        self._rpm = float(_LONG_RPM)
+        values = {"degrees": way * _LONG, "rpm": _LONG_RPM, "acceleration": self.chance.choice(_ACCELERATIONS[2:]), LEAVE: 1}
+        return Step(command.name, values)
+
+    def _motion(self, command: Command, way: int, least: int = 0) -> Step:
+        """Return a motion by amounts that do not take long."""
+        chance, runs = self.chance, motion.of(command).kind is MotionKind.RUN
+        if self.dialect.ramp is None:
+            rpm = chance.choice(_FREE_RPM)
+            degrees = round(360 * chance.choice(_FREE_TURNS))
+            return Step(command.name, {"rpm": way * rpm} if runs else {"degrees": way * degrees, "rpm": rpm})
+        while True:
+            rpm, acceleration = chance.choice(_RPM), chance.choice(_ACCELERATIONS)
+            real = min(float(rpm), self._fastest)
+            if (acceleration == 0 and rpm > _AT_ONCE_MOST) or rpm < least:
+                continue
+            if runs and ramp.ramp_ns(0, real, acceleration) <= _RAMP_NS:
+                self._rpm = real
+                return Step(command.name, {"rpm": way * rpm, "acceleration": acceleration})
+            turns = chance.choice(_TURNS)
+            if not runs and ramp.move_ns(turns, real, acceleration) <= _MOVE_NS:
+                return Step(command.name, {"degrees": way * round(turns * 360), "rpm": rpm, "acceleration": acceleration})
+
+    @property
+    def _fastest(self) -> float:
+        """The highest rpm of the shaft in this state."""
+        law, limit = self.dialect.subdivision, self.dialect.mode_speeds.get(self.state.get("mode", ""), 3000)
+        subdivision = self.state.get("subdivision", motion.SUBDIVISION)
+        if law is None or subdivision in law.plain:
+            return float(limit)
+        return limit * law.counted_at / (subdivision or law.largest)
+
+    def _stop_values(self, command: Command) -> dict[str, int]:
+        named = command.request_forms[0].layout.named
+        if "acceleration" not in named:
+            return {}
+        fit = [a for a in _ACCELERATIONS if (ramp.ramp_ns(0, self._rpm, a) <= _RAMP_NS if a else self._rpm <= _AT_ONCE_MOST)]
+        return {"acceleration": self.chance.choice(fit)}
+
+    def _deed(self, deed: _Deed, *, leave: bool) -> Iterator[Step]:
+        dialect, chance = self.dialect, self.chance
+        command = dialect.by_name[deed.name]
+        kind = command.motion.kind if command.motion is not None else None
+        if kind is MotionKind.RUN or kind in motion.MOVES:
+            yield self._motion(command, deed.way, least=60 if leave else 0)
+        elif kind is MotionKind.STOP:
+            yield Step(command.name, self._stop_values(command))
+        elif kind is MotionKind.HOME:
+            # By a switch that is open: it turns until it is stopped.
+            sets = dialect.by_verb[Verb.SET_HOME]
+            values = setting_values(dialect, sets, chance, self.leeway, stray=False)
+            if not leave:
+                yield Step(sets.name, values | {name: 0 for name in ("home_trigger", "home_mode") if name in values})
+                yield Step(command.name, samples.sample(dialect, command) | {LEAVE: 1})
+        elif command.verb is Verb.BRAKE:
+            # What a held shaft does with a motion no manual says.
+            for control in (0, 0x10, 1, 0x10):
+                yield Step(command.name, {"brake_control": control})
+                yield self._look(2)
+        else:
+            values = setting_values(dialect, command, chance, self.leeway, stray=deed.stray)
+            yield Step(command.name, values | ({LEAVE: 1} if leave else {}))
+
+
+def motion_on(dialect: Dialect) -> tuple[str, dict[str, int]]:
+    """Return what enables the motor."""
+    command, values = motion.switching(dialect, True)
+    return command.name, values
+
+
+def _into(dialect: Dialect, state: dict[str, Any], row: Mapping[str, Any]) -> Iterator[Step]:
+    """Yield the steps that bring a drive into the state of a row."""
+    verbs = dialect.by_verb
+    if "mode" in row and state.get("mode") != row["mode"]:
+        command = verbs[Verb.SET_WORK_MODE]
+        yield Step(command.name, {"work_mode": motion.choice(command, "work_mode", row["mode"])})
+        state.pop("on", None)
+    for name, verb, fields in (
+        ("subdivision", Verb.SET_SUBDIVISION, ("subdivision",)),
+        ("direction", Verb.SET_DIRECTION, ("motor_direction",)),
+        ("replies", Verb.SET_RESPOND, ("respond", "active")),
+    ):
+        if name in row and state.get(name) != row[name]:
+            value = row[name] if isinstance(row[name], tuple) else (row[name],)
+            yield Step(verbs[verb].name, dict(zip(fields, value, strict=True)))
+    if state.get("on") != row["on"]:
+        command, values = motion.switching(dialect, bool(row["on"]))
+        yield Step(command.name, values)
+    state.update(row)
+
+
+def setting_values(dialect: Dialect, command: Command, chance: random.Random, leeway: Leeway, *, stray: bool) -> dict[str, int]:
+    """Return values of a request, allowed ones or one of them outside its limits."""
+    form: Form = chance.choice(_forms(command))
+    if command.verb is Verb.WRITE_PARAMETER:
+        which = chance.randrange(2)
+        moderate = lk_parameters.moderate(form, which)
+        return {name: _ROOMY[name][which] if name in _ROOMY else value for name, value in moderate.items()}
+    plain = samples.sample(dialect, command, form)
+    wrong = [name for name, field in form.layout.named.items() if limits.beyond(field)]
+    beyond = chance.choice(wrong) if stray and wrong else ""
+    values = {}
+    for name, field in form.layout.named.items():
+        if name == beyond:
+            values[name] = chance.choice(limits.beyond(field))
+        elif field.fixed is not None or name in _STRONG:
+            values[name] = field.fixed if field.fixed is not None else plain[name]
+        else:
+            values[name] = _value(field, chance, leeway)
+    return values
+
+
+def _forms(command: Command) -> list[Form]:
+    if command.verb is not Verb.WRITE_PARAMETER:
+        return [form for form in command.request_forms if form.layout.named] or list(command.request_forms)
+    return [f for f in command.request_forms if f.layout.named["parameter"].fixed]
+
+
+def _value(field: Field, chance: random.Random, leeway: Leeway) -> int:
+    if field.effect is Effect.SUBDIVISION:
+        return chance.choice([s for s in (*_SUBDIVISIONS, 1, 32, 255, 11) if field.allows(s)])
+    spans = limits.allowed(field, leeway)
+    low, high = chance.choice(spans)
+    if field.effect is Effect.HOME_SPEED:
+        high = min(high, _HOME_RPM)
+    return chance.choice((low, high, chance.randint(low, high), chance.randint(low, high)))
+
+
+def _after(dialect: Dialect, deed: _Deed, state: dict[str, Any]) -> None:
+    """Forget what a deed may have changed of the state."""
+    verb = dialect.by_name[deed.name].verb
+    changed = {
+        Verb.SET_WORK_MODE: ("mode", "on"),
+        Verb.SET_SUBDIVISION: ("subdivision",),
+        Verb.SET_DIRECTION: ("direction",),
+        Verb.SET_RESPOND: ("replies",),
+        Verb.RESTART: ("on",),
+        Verb.SET_AXIS_LOCK: ("on",),
+        Verb.SET_ENABLE_LEVEL: ("on",),
+    }
+    for name in changed.get(verb, ("on",) if verb in (Verb.ENABLE, Verb.MOTOR_ON, Verb.MOTOR_OFF) else ()):
+        state.pop(name, None)

@@ -1,0 +1,601 @@
+"""A walk: steps that are done to a drive under test and to its twin (`model.twin`), whose replies are compared.
+
+    walk = Walk(probe)                                  brings the drive into a known state, and makes the twin like it
+    walk.do(Step("set_subdivision", {"subdivision": 8}))     raises Refuted where the two differ
+    walk.do(Step("look", {"first": 3, "count": 4}))          some of the reads, compared
+
+A step is a request as it is sent, a motion by its amounts (degrees, rpm, acceleration), or a look. So it is data, which can be
+repeated, shortened and stored.
+
+Rules kept here:
+- What is discrete must be the same: whether there is a reply, its status, settings, flags. It is compared away from changes.
+- Places, speeds and errors are compared through the resolution and the measured noise, of a shaft that stands or has its speed.
+- Where the manual leaves open what becomes of the shaft (it is stopped, let go, its mode changes), the twin takes the word
+  of the drive. So it does of what differs at the very begin, which no request of the walk has set.
+- Currents, voltages and temperatures are nobody's promise.
+- A number that differs is read again when the shaft surely rests. A known quirk that explains a reply is named, and the twin
+  has it from then on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from analyzer.catalogue import Command, MotionKind, Risk, Verb
+from analyzer.layout import Field
+from conformance.claim import Inconclusive, NotRun, Refuted
+from conformance.gate.gate import Refused as GateRefused
+from conformance.model.twin import Told, Twin
+from conformance.motion import motion, ramp
+from conformance.motion.motion import MS, QUICK
+from conformance.talk.exchange import Answer, Exchange
+from conformance.talk.noise import CLOCK_SHARE
+from conformance.talk.probe import Until
+from conformance.talk.restarts import wait_for_answer
+
+if TYPE_CHECKING:
+    from conformance.talk.probe import Probe
+
+#: Units of what no manual promises.
+_UNPROMISED = frozenset({"V", "A", "degC"})
+_PLACES = frozenset({"counts", "turns", "deg", "pulses"})
+_SPEEDS = frozenset({"rpm", "deg/s"})
+#: Until a shaft has settled, one that does not tremble and one that does.
+_SETTLES_NS, _TREMBLES_NS = 20 * MS, 120 * MS
+#: What a move takes longer than the law at most.
+_SLOW, _LATE_NS = 1.07, 150 * MS
+#: When a number or a flag that differs is asked again: some drives tell late that they stand.
+_AGAIN_NS = (200 * MS, 1_200 * MS)
+#: How late a reply to a motion was seen to come.
+_BEHIND_NS, _SLOW_REPLY_NS = 800 * MS, 250 * MS
+#: What sets the shaft going.
+_TURNING = frozenset({MotionKind.RUN, MotionKind.HOME, *motion.MOVES})
+#: A shaft that is let go or held may settle by so many degrees.
+_LETS_GO = 2.0
+#: A shaft on its way may be so far before its law or behind it.
+_SPREAD_NS = 18 * MS
+
+
+@dataclass(frozen=True)
+class Step:
+    """One thing that is done. `values`: integers as sent, or the amounts of a motion."""
+
+    name: str
+    values: Mapping[str, int] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        """Return it as `parse_steps` reads it."""
+        return " ".join([self.name, *(f"{n}={v}" for n, v in self.values.items())])
+
+
+def steps_text(steps: Iterable[Step]) -> str:
+    """Return steps as text."""
+    return "; ".join(map(str, steps))
+
+
+def parse_steps(text: str) -> list[Step]:
+    """Return the steps of a text that `steps_text` wrote. Raises ValueError for another."""
+    steps = []
+    for part in filter(None, (p.strip() for p in text.split(";"))):
+        name, *pairs = part.split()
+        steps.append(Step(name, {n: int(v) for n, _, v in (p.partition("=") for p in pairs)}))
+    return steps
+
+
+#: A motion by its amounts: it is left to itself, so that the next step comes meanwhile.
+LEAVE = "leave"
+LOOK = "look"
+#: What may leave the shaft a little elsewhere, or anywhere if it turned.
+_LOOSENS = frozenset(
+    {Verb.ENABLE, Verb.MOTOR_ON, Verb.MOTOR_OFF, Verb.BRAKE, Verb.SET_WORK_MODE, Verb.RESTART, Verb.RELEASE_PROTECTION}
+)
+
+
+class Walk:
+    """One drive and its twin. `steps`: what was done."""
+
+    def __init__(self, probe: Probe) -> None:
+        self.probe, self.dialect = probe, probe.dialect
+        self.steps: list[Step] = []
+        self.reads = [c for c in self.dialect.commands if c.all_risks == {Risk.READ} and not c.request_forms[0].layout.named]
+        self.running = self._loose = False
+        #: Fields that differed at the begin: the drive's own.
+        self._own: set[tuple[str, str]] = set()
+        self._missing: set[Verb] = set()
+        #: The codes whose statuses are compared when the shaft has come to rest: what ends is told unasked.
+        self._codes = {c.code for c in self.dialect.commands if c.motion is not None and c.motion.tells_end}
+        #: What the twin said of them since the shaft stood last; since when the drive may have.
+        self._expected: list[tuple[int, int]] = []
+        self._since = len(probe.traffic)
+        self._rpm = 0
+        #: The code of the last motion that was left to itself.
+        self._left = -1
+        #: When the motion under way began, on the clock of the twin, and how fast it goes at most (deg/s).
+        self._begun_ns, self._pace = 0, 0.0
+        #: By how many degrees the count of pulses of the twin may be off.
+        self._pulse_degrees = 0.0
+        spread_ns = _SPREAD_NS + probe.noise.latency_ns if self.dialect.ramp is not None else 0
+        self.twin = Twin(self.dialect, probe.address, probe.rig.model or self.dialect.model, spread_ns=spread_ns)
+        self._shift_ns = self.twin.now_ns - probe.gate.now_ns()
+        self._begin()
+
+    # --- the begin ------------------------------------------------------------------------------------------------
+
+    def _begin(self) -> None:
+        motion.ready_to_move(
+            self.probe, motion.bus_modes(self.dialect)[-1] if Verb.SET_WORK_MODE in self.dialect.by_verb else ""
+        )
+        motion.stand_still(self.probe)
+        self._take_settings()
+        self._place(anywhere=True)
+        for step in beginning(self.dialect):
+            self.do(step)
+        self._place(anywhere=True)
+        self._learn_own()
+        self.steps.clear()
+        self._expected, self._since = [], len(self.probe.traffic)
+
+    def _take_settings(self) -> None:
+        """Make the twin hold what the drive holds, as far as it tells."""
+        held: dict[str, int] = {}
+        for number in selectors(self.dialect):
+            answer = self.probe.ask(Verb.READ_PARAMETER, {"parameter": number}, quiet_ns=0).reply
+            if answer is None:
+                # Other claims judge it.
+                self._missing = {Verb.READ_PARAMETER, Verb.WRITE_PARAMETER}
+                break
+            held |= {} if answer is None else {n: v for n, v in answer.values.items() if n != "parameter"}
+        self.twin.change(lambda drive: drive.hold(held))
+        if Verb.READ_ENCODER in self.dialect.by_verb:
+            told: dict[str, int] = {}
+            for read in (Verb.READ_ENCODER, Verb.READ_SINGLE_TURN, Verb.READ_POSITION):
+                told |= self.probe.reply(self.probe.ask(read, quiet_ns=0)).values
+            self._take(told)
+
+    def _learn_own(self) -> None:
+        for command in self.reads:
+            answer, told = self._asked(command)
+            if answer is not None and told is not None:
+                self._own |= {(command.name, name) for name in self._different(command, answer, told)}
+
+    # --- steps ----------------------------------------------------------------------------------------------------
+
+    def do(self, step: Step) -> None:
+        """Do a step. Raises Refuted where the drive is not what its twin is."""
+        self.steps.append(step)
+        if step.name == LOOK:
+            first, count = step.values["first"], step.values["count"]
+            for number in range(count):
+                self.look(self.reads[(first + number) % len(self.reads)])
+            return
+        command = self.dialect.by_name[step.name]
+        if command.verb in self._missing:
+            self.steps.pop()
+            return
+        if command.all_risks == {Risk.READ}:
+            self.look(command, step.values)
+            return
+        try:
+            self._do(command, step.values)
+        except (GateRefused, NotRun):
+            # Bytes of these values could be read as a frame that is not allowed, they are beyond the bounds, or nobody knows
+            # what to put back: this is no step.
+            self.steps.pop()
+
+    def _do(self, command: Command, given: Mapping[str, int]) -> None:
+        probe, was_turning = self.probe, self.twin.turning
+        values = {name: value for name, value in given.items() if name != LEAVE}
+        if (
+            command.motion is not None
+            and command.motion.kind is not MotionKind.STOP
+            and (command.motion.speed or command.motion.distance)
+        ):
+            values = self._values(command, given)
+        built = probe.build(command, values)
+        if not built.risks <= probe.rig.allowed | {Risk.READ}:
+            raise NotRun("not allowed")
+        if command.motion is not None and command.motion.kind in _TURNING:
+            if not was_turning:
+                self._begun_ns, self._pace = self._twin_ns(probe.gate.now_ns()), 0.0
+            self._pace = max(self._pace, 6.0 * abs(given.get("rpm") or self._home_rpm))
+        silent = self.twin.drive.silenced(command)
+        until, timeout_ns = (Until.TIMEOUT, probe.noise.silence_ns) if silent else (Until.REPLY, None)
+        before, scale = dict(self.twin.drive.settings), 360 / (200 * getattr(self.twin.drive, "subdivision", 1))
+        exchange = probe.ask_built(built, until=until, timeout_ns=timeout_ns, quiet_ns=0)
+        told = self.twin.hear(built.item(), self._twin_ns(exchange.sent_ns))
+        self._compare_reply(command, exchange, told)
+        self._follow(command, given, was_turning, before)
+        if command.verb in (Verb.SET_SUBDIVISION, Verb.SET_DIRECTION):
+            self._rescaled(scale)
+
+    @property
+    def _home_rpm(self) -> float:
+        drive: Any = self.twin.drive
+        return float(drive.real_speed(drive.settings["home_speed"]))
+
+    def _values(self, command: Command, given: Mapping[str, int]) -> dict[str, int]:
+        bounds = self.probe.gate.allowance.bounds
+        rpm, acceleration = given.get("rpm", 0), given.get("acceleration", QUICK)
+        if bounds.speed is not None:
+            rpm = max(-int(bounds.speed), min(int(bounds.speed), rpm))
+        if bounds.acceleration is not None:
+            acceleration = min(acceleration, int(bounds.acceleration))
+        start = motion.place(self.probe, command)
+        values = motion.values_of(
+            self.dialect,
+            command,
+            given.get("degrees", 0),
+            rpm=rpm,
+            acceleration=acceleration,
+            subdivision=getattr(self.twin.drive, "subdivision", motion.SUBDIVISION),
+            start=start,
+        )
+        speed = command.motion.speed if command.motion is not None else ""
+        return values | ({speed: min(values[speed], motion.field_of(command, speed).high)} if speed else {})
+
+    def _follow(self, command: Command, given: Mapping[str, int], was_turning: bool, before: Mapping[str, int]) -> None:
+        """Wait until both drives have done what they were told to; the twin takes over what the manual leaves open."""
+        probe, verb, twin = self.probe, command.verb, self.twin
+        kind = command.motion.kind if command.motion is not None else None
+        if verb is Verb.RESTART:
+            wait_for_answer(probe)
+            twin.wait(self._twin_ns(probe.gate.now_ns()))
+            while not twin.drive.listening:
+                twin.wait(twin.now_ns + 10 * MS)
+            self._anchor()
+            self.running = False
+        if (
+            verb in _LOOSENS
+            or (was_turning and kind is not None and kind is not MotionKind.MOVE_TO)
+            or verb is Verb.CLEAR_TURNS
+        ):
+            self._loose = True
+        if verb is Verb.SET_ZERO:
+            self._pulse_degrees = 0.0
+        if kind in (MotionKind.RUN, MotionKind.HOME) and twin.turning:
+            self.running, self._loose = True, True
+            self._steady(given)
+            return
+        if kind is not None or not twin.turning:
+            # A stop that was refused stops nothing.
+            self.running = self.running and twin.turning and twin.drive.next_ns() is None
+        if self.running or (given.get(LEAVE) and twin.turning):
+            self._left = command.code if kind in _TURNING else self._left
+            return
+        self._rpm = 0
+        if twin.turning or was_turning or kind in (MotionKind.STOP, *motion.MOVES):
+            self._rest(watched=was_turning)
+        if self._loose:
+            self._place(anywhere=was_turning or verb in (Verb.RESTART, Verb.CLEAR_TURNS))
+            if (verb is Verb.SET_WORK_MODE and self._open_enabling(before)) or verb is Verb.RESTART:
+                self._take_enabled()
+
+    def _open_enabling(self, before: Mapping[str, int]) -> bool:
+        now = self.twin.drive.settings
+        return "axis_lock" not in now or before.get("work_mode") == now.get("work_mode")
+
+    def _take_enabled(self) -> None:
+        read = self.dialect.by_verb.get(Verb.READ_ENABLED)
+        if read is not None:
+            self._take({"enabled": self.probe.read(read)})
+
+    def _steady(self, given: Mapping[str, int]) -> None:
+        if self.dialect.ramp is not None:
+            before, self._rpm = self._rpm, given.get("rpm", 0)
+            lasts_ns = abs(self._rpm - before) * ramp.step_ns(given.get("acceleration", QUICK)) * _SLOW
+            self.probe.wait(int(lasts_ns) + (_TREMBLES_NS if self.probe.noise.live else 2 * _SETTLES_NS))
+            return
+        last = motion.speed(self.probe).value
+        for _ in range(40):
+            self.probe.wait(60 * MS)
+            now = motion.speed(self.probe).value
+            if abs(now - last) < 0.5 + self.probe.noise.of("rpm", now):
+                break
+            last = now
+        self._hear_nothing()
+
+    # --- rest -----------------------------------------------------------------------------------------------------
+
+    def _rest(self, *, watched: bool) -> None:
+        """Wait until both shafts stand, and compare what was said unasked meanwhile. `watched`: nobody knows for how long."""
+        probe, twin = self.probe, self.twin
+        self._hear_nothing()
+        left_ns = 0.0
+        if twin.turning or twin.drive.next_ns() is not None:
+            begun_ns = twin.now_ns
+            self._expected += self._statuses(twin.settle())
+            left_ns = twin.now_ns - begun_ns
+        missing = len(self._expected) - len(self._said())
+        until_ns = probe.gate.now_ns() + int(left_ns * _SLOW) + (_LATE_NS + 5 * probe.noise.latency_ns if missing > 0 else 0)
+        while (now_ns := probe.gate.now_ns()) < until_ns and (missing > 0 or left_ns):
+            heard = probe.listen(until_ns - now_ns, Until.REPLY if missing > 0 else Until.TIMEOUT)
+            missing = len(self._expected) - len(self._said())
+            if missing <= 0 and heard.answers:
+                break
+        if self.dialect.ramp is None or watched:
+            motion.wait_standing(probe)
+        probe.wait(_TREMBLES_NS if probe.noise.live or probe.noise.lag else _SETTLES_NS)
+        self._anchor()
+        if len(self._said()) < len(self._expected):
+            probe.listen(_BEHIND_NS)
+        # A slow drive may tell the begin of a motion behind its end.
+        said, expected, late_ns = sorted(self._said()), sorted(self._expected), self._late_ns()
+        self._expected, self._since = [], len(probe.traffic)
+        if said != expected:
+            # What was left to itself may have ended just when the next command came.
+            said, expected = ([each for each in told if each[0] != self._left] for told in (said, expected))
+        if said != expected and late_ns > _SLOW_REPLY_NS:
+            raise Inconclusive("replies during motion are so late that their order says nothing")
+        if said != expected:
+            self._refute("what is said at the end of a motion", _said_text(expected), _said_text(said))
+
+    def _late_ns(self) -> int:
+        """Return how late the latest reply since the shaft stood last was."""
+        return max((a.latency_ns for e in self.probe.traffic[self._since :] if e.sent for a in e.answers[:1]), default=0)
+
+    def _said(self) -> list[tuple[int, int]]:
+        """Return the statuses that the drive said of motions since the shaft stood last."""
+        answers = (a for exchange in self.probe.traffic[self._since :] for a in exchange.answers)
+        told = ((a.command.code, a.values) for a in answers if a.command is not None and a.message.frame.checksum_ok)
+        return [(code, values["status"]) for code, values in told if code in self._codes and "status" in values]
+
+    def _statuses(self, told: Iterable[Told]) -> list[tuple[int, int]]:
+        codes = self._codes
+        return [(t.command.code, t.values["status"]) for t in told if t.command.code in codes and "status" in t.values]
+
+    def _hear_nothing(self) -> None:
+        """Let the twin be where time is."""
+        self._expected += self._statuses(self.twin.wait(self._twin_ns(self.probe.gate.now_ns())))
+
+    def _twin_ns(self, t_ns: int) -> int:
+        return t_ns + self._shift_ns
+
+    def _anchor(self) -> None:
+        """Take it that both drives are now at the same time."""
+        self._shift_ns = max(self._shift_ns, self.twin.now_ns - self.probe.gate.now_ns())
+
+    def _place(self, *, anywhere: bool) -> None:
+        """Let the shaft of the twin be where that of the drive is."""
+        for verb in (Verb.READ_POSITION, Verb.READ_PULSES):
+            command = self.dialect.by_verb.get(verb)
+            if command is None:
+                continue
+            answer, told = self._asked(command)
+            if answer is None or told is None:
+                return
+            if not anywhere and (away := self._different(command, answer, told, _LETS_GO)):
+                if self._explained(command, answer, away):
+                    continue
+                self._refute_read(command, answer, told, away)
+            if verb is Verb.READ_PULSES and self._pulses_agree(answer, command):
+                continue
+            self._take(dict(answer.values))
+        self._loose = False
+
+    def _take(self, values: dict[str, int]) -> None:
+        self.twin.change(lambda drive: drive.stand(values))
+
+    def _pulses_agree(self, answer: Answer, command: Command) -> bool:
+        """Say whether the twin counts pulses as the drive does; it knows parts of a pulse, which stay then."""
+        drive: Any = self.twin.drive
+        degrees = _degrees(drive, command.reply_forms[0].layout.named["pulses"])
+        if abs(answer.values["pulses"] - drive.pulses) * degrees <= self.probe.within("degrees") + degrees:
+            return True
+        self._pulse_degrees = degrees
+        return False
+
+    def _rescaled(self, before: float) -> None:
+        """Let the twin count pulses as the drive does: what either was off counts anew. `before`: degrees of a pulse."""
+        command = self.dialect.by_verb.get(Verb.READ_PULSES)
+        if command is None or self.twin.turning:
+            return
+        answer, told = self._asked(command)
+        if answer is None or told is None or answer.values == told.values:
+            return
+        away = abs(answer.values["pulses"] - told.values["pulses"])
+        if away > self.probe.within("degrees") / before + 1:
+            self._refute_read(command, answer, told, ["pulses"])
+        self._take({"pulses": answer.values["pulses"]})
+        self._pulse_degrees = _degrees(self.twin.drive, command.reply_forms[0].layout.named["pulses"])
+
+    # --- looks ----------------------------------------------------------------------------------------------------
+
+    def _asked(self, command: Command, values: Mapping[str, int] | None = None) -> tuple[Answer | None, Told | None]:
+        exchange = self.probe.ask(command, values, quiet_ns=0)
+        if not motion.readable(exchange):
+            exchange = self.probe.ask(command, values, quiet_ns=0)
+        assert exchange.sent is not None
+        told = self.twin.hear(exchange.sent, self._twin_ns(exchange.sent_ns), reads=True)
+        return exchange.reply if motion.readable(exchange) else None, self._told(command, told)
+
+    def _told(self, command: Command, told: list[Told]) -> Told | None:
+        self._expected += self._statuses(told)
+        return next((t for t in told if t.command.name == command.name), None)
+
+    def look(self, command: Command, values: Mapping[str, int] | None = None) -> None:
+        """Ask a read and compare. Raises Refuted."""
+        answer, told = self._asked(command, values)
+        if answer is None or told is None:
+            if (answer is None) != (told is None):
+                self._unanswered(command, answer)
+            return
+        different = self._different(command, answer, told)
+        if not different:
+            return
+        for wait_ns in _AGAIN_NS:
+            self.probe.wait(wait_ns)
+            answer, told = self._asked(command, values)
+            different = self._different(command, answer, told) if answer is not None and told is not None else []
+            if answer is None or told is None or not different or self._explained(command, answer, different):
+                return
+        self._refute_read(command, answer, told, different)
+
+    def _compare_reply(self, command: Command, exchange: Exchange, told: list[Told]) -> None:
+        reply, wanted = exchange.reply if motion.readable(exchange) else None, self._told(command, told)
+        if (reply is None) != (wanted is None):
+            if exchange.junk or (exchange.reply is not None and reply is None):
+                raise Inconclusive(f"the reply to {command.name} cannot be read")
+            if reply is None:
+                more = self.probe.listen(self.probe.rig.late_ns, Until.REPLY)
+                if more.answers or more.junk:
+                    raise Inconclusive(f"the reply to {command.name} is late")
+            self._unanswered(command, reply, exchange)
+        elif reply is not None and wanted is not None and command.code not in self._codes:
+            away = self._different(command, reply, wanted)
+            if away and not self._explained(command, reply, away):
+                self._refute_read(command, reply, wanted, away, exchange)
+
+    # --- comparing ------------------------------------------------------------------------------------------------
+
+    def _different(
+        self, command: Command, answer: Answer, told: Told, spare: float = 0.0, twin: Twin | None = None
+    ) -> list[str]:
+        """Return the fields in which a reply differs from that of the twin."""
+        if answer.data == told.data:
+            return []
+        form = answer.message.form
+        assert form is not None  # it can be read
+        if not answer.values or not answer.values.keys() <= told.values.keys():
+            return [] if answer.bare else ["the reply"]
+        twin = twin or self.twin
+        # On its way a shaft is between those before it and behind it.
+        others = [t.values for each in twin.between for t in each if t.command.name == command.name]
+        every = [told.values, *(values for values in others if answer.values.keys() <= values.keys())]
+        return [
+            name
+            for name, field in form.layout.named.items()
+            if (command.name, name) not in self._own
+            and field.unit not in _UNPROMISED
+            and name not in _UNPROMISED_FIELDS
+            and not self._same(command, field, answer.values, every, spare, twin.drive)
+        ]
+
+    def _same(
+        self, command: Command, field: Field, got: Mapping[str, int], every: list[Mapping[str, int]], spare: float, drive: Any
+    ) -> bool:
+        """Say whether a field is what one of the drives tells, or between them."""
+        name, turning, known = field.name, drive.rest.since_ns < 0, self.dialect.ramp is not None
+        if any(got[name] == values[name] for values in every) and name != "carry":
+            return True
+        if field.unit in _SPEEDS:
+            steady = self.running and command.motion is None
+            if turning and not steady and (not known or self.probe.noise.live):
+                return True
+            wanted = [_rpm(field, values[name]) for values in every]
+            rpm = max(wanted, key=abs)
+            within = self.probe.within("rpm", rpm) + abs(rpm) * 2 * CLOCK_SHARE + max(wanted) - min(wanted)
+            return min(wanted) - within <= _rpm(field, got[name]) <= max(wanted) + within
+        if field.unit in _PLACES:
+            if turning and (not known or name == "angle_error"):
+                return True
+            if name == "encoder" and "carry" in got:
+                return True
+            degrees, turn = _degrees(drive, field), drive.counts_per_turn
+            aways = [(got[name] - values[name]) * degrees for values in every]
+            if name == "carry":
+                aways = [a + (got["encoder"] - v["encoder"]) * 360 / turn for a, v in zip(aways, every, strict=True)]
+                degrees = 360 / turn
+            elif name in _IN_TURN:
+                aways = [(away + 180) % 360 - 180 for away in aways]
+            gone_ns = self.twin.now_ns - self._begun_ns if turning else 0
+            spare += self._pace * gone_ns / 1e9 * CLOCK_SHARE
+            within = self.probe.within("degrees") + degrees + spare + self._pulse_degrees + (max(aways) - min(aways)) * 0.5
+            return bool(min(aways) - within <= 0 <= max(aways) + within)
+        return name in _OF_MOTION and turning and not known and not self.running
+
+    # --- refuting -------------------------------------------------------------------------------------------------
+
+    def _explained(self, command: Command, answer: Answer, different: list[str]) -> bool:
+        """Say whether a known quirk explains a reply; the twin has it from now on."""
+        exchange = self.probe.traffic[-1]
+        assert exchange.sent is not None
+        for name, other in self.twin.with_quirks():
+            told = next((t for t in other.hear(exchange.sent, self.twin.now_ns) if t.command.name == command.name), None)
+            if told is not None and not set(self._different(command, answer, told, twin=other)) & set(different):
+                self.probe.meets(name)
+                self.twin = other
+                return True
+        return False
+
+    def _unanswered(self, command: Command, answer: Answer | None, exchange: Exchange | None = None) -> None:
+        expected, got = ("silence", "a reply") if answer is not None else ("a reply", "silence")
+        self._refute(f"{command.name} is {'' if answer is not None else 'not '}answered", expected, got, exchange)
+
+    def _refute_read(
+        self, command: Command, answer: Answer, told: Told, different: list[str], exchange: Exchange | None = None
+    ) -> None:
+        def text(values: Mapping[str, Any], data: bytes) -> str:
+            shown = ", ".join(f"{n} {values[n]}" for n in different if n in values)
+            return f"{shown or 'another reply'} ({data.hex(' ').upper()})"
+
+        what = f"{command.name}: {' and '.join(different)}"
+        self._refute(what, text(told.values, told.data), text(answer.values, answer.data), exchange, command)
+
+    def _refute(
+        self, what: str, expected: str, got: str, exchange: Exchange | None = None, command: Command | None = None
+    ) -> None:
+        raise Refuted(
+            f"after {len(self.steps)} steps: {what}",
+            expected=f"{expected}{f', by {command.section}' if command else ''}",
+            got=f"{got}, after {steps_text(self.steps)}",
+            exchange=exchange or (self.probe.traffic[-1] if self.probe.traffic else None),
+            key=f"state: {what} after {next((step.name for step in reversed(self.steps) if step.name != LOOK), 'nothing')}",
+        )
+
+
+_UNPROMISED_FIELDS = frozenset(
+    {"power", "torque_current", "phase_a_current", "phase_b_current", "phase_c_current", "temperature", "current"}
+)
+#: Angles within the turn, and what is told of a shaft that turns.
+_IN_TURN = frozenset({"encoder", "encoder_raw", "angle"})
+_OF_MOTION = frozenset({"status", "pend"})
+
+
+def _rpm(field: Field, value: int) -> float:
+    return float(field.physical(value)) / (6 if field.unit == "deg/s" else 1)
+
+
+def _degrees(drive: Any, field: Field) -> float:
+    """Return the degrees of one as sent."""
+    if field.unit == "deg":
+        return float(field.scale)
+    if field.unit == "pulses":
+        return 360 / (200 * int(drive.subdivision))
+    return 360.0 if field.unit == "turns" else 360 / int(drive.counts_per_turn)
+
+
+def _said_text(said: list[tuple[int, int]]) -> str:
+    return ", ".join(f"{code:02X} {status}" for code, status in said) or "nothing"
+
+
+def selectors(dialect: Any) -> list[int]:
+    """Return the numbers of all parameters that can be read."""
+    if Verb.READ_PARAMETER not in dialect.by_verb:
+        return []
+    write = dialect.by_verb.get(Verb.WRITE_PARAMETER)
+    if write is not None:
+        return sorted({f.layout.named["parameter"].fixed for f in write.request_forms if f.layout.named["parameter"].fixed})
+    return [c.code for c in dialect.commands if c.readable]
+
+
+def beginning(dialect: Any) -> list[Step]:
+    """Return the steps that bring a drive into a known state."""
+    verbs = dialect.by_verb
+    wanted: list[tuple[Verb | str, dict[str, int]]] = []
+    if Verb.SET_WORK_MODE in verbs:
+        mode = motion.choice(verbs[Verb.SET_WORK_MODE], "work_mode", motion.bus_modes(dialect)[-1])
+        wanted.append((Verb.SET_WORK_MODE, {"work_mode": mode}))
+    wanted += [
+        (Verb.ENABLE, {"enabled": 1}),
+        (Verb.SET_SUBDIVISION, {"subdivision": motion.SUBDIVISION}),
+        (Verb.SET_DIRECTION, {"motor_direction": 0}),
+        (Verb.SET_RESPOND, {"respond": 1, "active": 1}),
+        (Verb.SET_ZERO, {}),
+        (Verb.MOTOR_ON, {}),
+    ]
+    steps = [Step(verbs[verb].name, values) for verb, values in wanted if verb in verbs]
+    if "set_position" in dialect.by_name:
+        steps = [s for s in steps if s.name != "set_zero"] + [Step("set_position", {"position": 0})]
+    return steps
