@@ -12,8 +12,7 @@ from collections.abc import Iterator
 from analyzer.catalogue import Certainty, Dialect, Doubt, Risk
 from conformance.claim import Aspect, Theme
 from conformance.claims.declare import Case, claim
-from conformance.claims.known_quirks import known
-from conformance.drives.make import KINDS, every_quirk
+from conformance.drives.make import KINDS
 from conformance.gate.bounds import Leeway
 from conformance.model import route, story
 from conformance.model.lk_parameters import need_room
@@ -30,10 +29,8 @@ def _legs(dialect: Dialect) -> Iterator[Case]:
         return
     about = [dialect.by_name[name] for name in dict.fromkeys(deed.name for deed in route.deeds(dialect))]
     risks = frozenset[Risk]().union(*(command.all_risks for command in about)) - {Risk.UNKNOWN, Risk.READ}
-    quirks = [quirk.name for quirk in every_quirk() if dialect.name in quirk.dialects]
     for leg in range(LEGS):
         facts = {
-            "quirks": known(dialect, *quirks),
             "risks": motion.risks(dialect, *risks),
             # What cannot be put back besides is left out, step by step.
             "settings": motion.settings(dialect),

@@ -9,7 +9,7 @@ The emulated drives know the manual, so that what a twin answers is what the man
 
 Rules kept here:
 - A twin does no I/O. Its clock goes on only by the times that it is given.
-- What was done to it is kept, so that drives with a known quirk can live through the same (`with_quirk`).
+- What was done to it is kept, so that drives with a known quirk can live through the same (`with_quirks`).
 """
 
 from __future__ import annotations
@@ -156,12 +156,12 @@ class Twin:
         """Whether its shaft turns."""
         return self.drive.rest.since_ns < 0
 
-    def with_quirks(self) -> Iterator[tuple[str, Twin]]:
-        """Yield drives that lived through the same and have a known quirk more, by its name."""
+    def with_quirks(self) -> Iterator[Twin]:
+        """Yield drives that lived through the same and have a known quirk more."""
         dialect, address, model, quirks, spread_ns = self._made
         for quirk in make.every_quirk():
             if dialect.name in quirk.dialects and quirk not in quirks:
                 other = Twin(dialect, address, model, (*quirks, quirk), spread_ns)
                 for act in self._done[:-1]:
                     act(other)
-                yield quirk.name, other
+                yield other

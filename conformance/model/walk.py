@@ -13,8 +13,8 @@ Rules kept here:
 - Where the manual leaves open what becomes of the shaft (it is stopped, let go, its mode changes), the twin takes the word
   of the drive. So it does of what differs at the very begin, which no request of the walk has set.
 - Currents, voltages and temperatures are nobody's promise.
-- A number that differs is read again when the shaft surely rests. A known quirk that explains a reply is named, and the twin
-  has it from then on.
+- A number that differs is read again when the shaft surely rests. The twin has a known quirk that explains a reply from
+  then on: other claims name it.
 """
 
 from __future__ import annotations
@@ -508,13 +508,12 @@ class Walk:
     # --- refuting -------------------------------------------------------------------------------------------------
 
     def _explained(self, command: Command, answer: Answer, different: list[str]) -> bool:
-        """Say whether a known quirk explains a reply; the twin has it from now on."""
+        """Say whether a known quirk, which other claims name, explains a reply; the twin has it from now on."""
         exchange = self.probe.traffic[-1]
         assert exchange.sent is not None
-        for name, other in self.twin.with_quirks():
+        for other in self.twin.with_quirks():
             told = next((t for t in other.hear(exchange.sent, self.twin.now_ns) if t.command.name == command.name), None)
             if told is not None and not set(self._different(command, answer, told, twin=other)) & set(different):
-                self.probe.meets(name)
                 self.twin = other
                 return True
         return False
