@@ -25,7 +25,9 @@ _FORM_OR_STUFF, _SENT_BIT = 0x02 | 0x04, 0x01 | 0x08 | 0x10
 _KINDS = {0x01: "single bit", 0x02: "form", 0x04: "stuff", 0x08: "dominant bit", 0x10: "recessive bit"}
 #: Without an acknowledge the counter of a sender goes up to here, and no further.
 _PASSIVE = 128
-_SENDER_PASSIVE = 0x20
+_SENDER_PASSIVE, _RECEIVER_PASSIVE, _OVERFLOW = 0x20, 0x10, 0x02
+#: From here on a counter of errors is a warning.
+_WARNING = 96
 #: Identifiers of RMD motors: requests, and replies.
 _RMD = (range(0x141, 0x161), range(0x241, 0x261))
 #: What CANopen adds to the number of a node.
@@ -48,6 +50,10 @@ class _Errors(NamedTuple):
     bare: list[Piece]
     #: The sender's counter stands where it does without an acknowledge.
     stuck: list[Piece]
+    #: The receiver's counter stands high.
+    deaf: list[Piece]
+    #: What was to be sent waits, and nothing goes out.
+    waiting: list[Piece]
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
@@ -68,7 +74,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
 
 
 def _sorted(errors: list[tuple[Piece, CanFrame]]) -> _Errors:
-    found = _Errors([], [], [], [], [])
+    found = _Errors([], [], [], [], [], [], [])
     for piece, can in errors:
         at = dict(enumerate(can.data))
         # SocketCAN's have eight bytes always.
@@ -84,6 +90,10 @@ def _sorted(errors: list[tuple[Piece, CanFrame]]) -> _Errors:
             found.garbled.append(piece)
         elif can.id & _CONTROLLER and at.get(_STATE, 0) & _SENDER_PASSIVE and at.get(_SENT_COUNTER) == _PASSIVE:
             found.stuck.append(piece)
+        elif can.id & _CONTROLLER and at.get(_STATE, 0) & _RECEIVER_PASSIVE and at.get(_RECEIVED_COUNTER, 0) >= _WARNING:
+            found.deaf.append(piece)
+        elif can.id & _CONTROLLER and at.get(_STATE, 0) & _OVERFLOW:
+            found.waiting.append(piece)
         elif can.id & _BUS_ERROR:
             found.bare.append(piece)
     return found
@@ -138,6 +148,20 @@ def _errors(scene: Scene, errors: _Errors, heard: list[Piece]) -> Iterator[Suspi
             "can_bit_errors", sure, _of(all_errors, errors.garbled), errors.garbled, heard, say,
             "Look at the termination (60 Ohm between CAN_H and CAN_L without power), the length of stubs, the common ground "
             "and the shield; then compare bit rates and sample points",
+        )  # fmt: skip
+    if errors.deaf and not (errors.silent or garbled or errors.off or errors.stuck):
+        yield _suspicion(
+            "can_bit_errors", Confidence.LIKELY, [*all_errors, *unanswered], errors.deaf, heard,
+            "The counter of errors in what is received stands high: frames of others arrive destroyed.",
+            "Where no frame is received at all, set the bit rate of the others. Else look at the termination (60 Ohm between "
+            "CAN_H and CAN_L without power), stubs and the common ground; then compare sample points",
+        )  # fmt: skip
+    if errors.waiting and not (errors.silent or garbled or errors.off or errors.stuck or errors.deaf):
+        yield _suspicion(
+            "can_no_ack", Confidence.POSSIBLE if heard else Confidence.LIKELY, [*all_errors, *unanswered],
+            errors.waiting, heard,
+            "What is to be sent waits in the adapter's queue: no frame goes out, as where nobody acknowledges.",
+            f"{_ALONE}; `ip -details -statistics link show can0` shows the state",
         )  # fmt: skip
     if len(errors.bare) >= _LEAST and not (errors.silent or garbled or errors.off):
         cause, say = (

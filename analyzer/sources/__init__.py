@@ -44,6 +44,7 @@ FORMATS: dict[str, Format] = {
     "asc": Format("asc", "ASC", "Vector text log, CAN", (".asc",), "can"),
     "trc": Format("trc", "TRC", "PEAK text trace, CAN", (".trc",), "can"),
     "candump": Format("candump", "candump", "can-utils, log lines or as on the screen", (".log", ".txt"), "can"),
+    "can-state": Format("can_state", "CAN state", "what ip and the kernel say of a CAN controller", (".txt", ".log"), "can"),
     "can-csv": Format("can_csv", "python-can CSV", "CAN frames as python-can's CSV writer puts them", (".csv",), "can"),
     "can-text": Format(
         "can_text", "CAN text", "frames as python-can, slcan, BUSMASTER and programs print them", (".txt",), "can"

@@ -234,6 +234,12 @@ def _timed(source: Source, line: _Line, number: int, clock: StampClock, minutes:
     return msgspec.structs.replace(frame, t_ns=t_ns, port=source.port(can_name(line.port)))
 
 
+def frame_of(text: str) -> CanFrame | None:
+    """Return the frame of a line of a text that has others, too; without its time."""
+    line = next((line for shape in SHAPES if shape.sure and (line := _take(text, shape)) is not None), None)
+    return None if line is None else msgspec.structs.replace(line.frame, port=can_name(line.port) or "")
+
+
 def _joined(lines: Iterable[str]) -> Iterator[str]:
     """Yield the lines; one that ends in an identifier and one of bytes below it, as Seeed's library prints them, are one."""
     held = ""

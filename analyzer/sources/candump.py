@@ -104,6 +104,19 @@ def _records(source: Source, screen_time: Callable[[str], int]) -> Iterator[CanF
     cut_note(source, lines)
 
 
+def frame_of(line: str) -> CanFrame | None:
+    """Return the frame of a line that stands in a text; without its time."""
+    found = _SCREEN.match(line)
+    if found is None or (not found[6] and len(bytes.fromhex(found[7] or "")) != int(found[5])):
+        return None
+    _, name, mark, ident, length, remote, text = found.groups()
+    bits = int(ident, 16)
+    error = len(ident) > _EXTENDED_DIGITS and bool(bits & _ERROR_FLAG)
+    extended = len(ident) > _EXTENDED_DIGITS and not error
+    data = bytes.fromhex(text or "")
+    return CanFrame(None, name, bits & _ID_MASK, data, _ROLES[mark], extended, bool(remote), error, len(length) > 1)
+
+
 def _special(source: Source, line: int, t_ns: int, found: re.Match[str]) -> CanFrame | None:
     """Return a frame of the log form that is no plain data frame: FD, remote, error."""
     _, _, name, ident, data, tail, mark = found.groups()

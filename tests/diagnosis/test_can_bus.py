@@ -107,3 +107,33 @@ def test_candump_with_its_words_below_error_frames(tmp_path: Path, capsys: pytes
     path.write_text(" (000.001)  can0  TX - -  001   [2]  31 32\n" + 3 * (error + "\terror-counter-tx-rx{{128}{0}}\n"))
     assert main(["diagnose", str(path)]) == 1
     assert "(can_no_ack, certain, 100% of the trouble)" in capsys.readouterr().out
+
+
+IP = "    can state {} restart-ms 0\n  re-started bus-errors arbit-lost error-warn error-pass bus-off\n"
+DRIVER = "[ {}.25] m_can_platform 2094000.can can1: {}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "cause"),
+    [
+        (IP.format("BUS-OFF (berr-counter tx 248 rx 0)"), "can_bus_off"),
+        (IP.format("ERROR-ACTIVE (berr-counter tx 0 rx 0)") + "  3  0  0  7  7  3\n", "can_bus_off"),
+        (IP.format("ERROR-PASSIVE (berr-counter tx 128 rx 0)"), "can_no_ack"),
+        (
+            IP.format("<LOOPBACK,BERR-REPORTING> state ERROR-PASSIVE (berr-counter tx 0 rx 127)").replace("state <", "<"),
+            "can_bit_errors",
+        ),
+        (IP.format("ERROR-ACTIVE (berr-counter tx 0 rx 0)") + "  0  0  0  0  0  0\n", None),
+        ("$ cansend can0 001#3132\nwrite: No buffer space available\n", "can_no_ack"),
+        ("".join(DRIVER.format(n, "Bit1 Error Detected") for n in range(3)), "can_bit_errors"),
+        ("".join(DRIVER.format(n, "Stuff Error Detected") for n in range(3)), "can_wrong_bitrate"),
+        (DRIVER.format(1, "entered error passive state") + DRIVER.format(2, "bus-off"), "can_bus_off"),
+        (DRIVER.format(1, "Acknowledge Error Detected") * 2, "can_no_ack"),
+    ],
+)
+def test_the_state_of_a_controller_in_words(text, cause, tmp_path, capsys):
+    path = tmp_path / "paste"
+    path.write_text(text)
+    assert main(["diagnose", str(path), "--json"]) == (cause is not None)
+    found = json.loads(capsys.readouterr().out)["causes"]
+    assert [each["cause"] for each in found[:1]] == ([cause] if cause else [])

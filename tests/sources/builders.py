@@ -96,6 +96,16 @@ def can_text(path: Path) -> Path:
     return path
 
 
+def can_state(path: Path) -> Path:
+    """What a shell shows: frames of candump, and the kernel and ip on the controller."""
+    rows = "".join(f"  can0  {ident:03X}   [{len(data.split())}]  {data}\n" for ident, data, _ in CAN_TRAFFIC * 10)
+    path.write_text(
+        f"{rows}write: No buffer space available\n[  867.234914] mttcan c320000.mttcan can0: entered bus off state\n"
+        "    can state BUS-OFF (berr-counter tx 248 rx 0) restart-ms 0\n"
+    )
+    return path
+
+
 def savvycan(path: Path) -> Path:
     """SavvyCAN's CSV."""
     rows = zip(times(40), CAN_TRAFFIC * 10, strict=True)
@@ -303,6 +313,7 @@ SAMPLES: dict[str, Sample] = {
     "hex": Sample(hextext, "hex", "serial"),
     "raw": Sample(raw, "raw", "serial"),
     "can-text": Sample(can_text, "can-text", "can"),
+    "can-state": Sample(can_state, "can-state", "can"),
     "columns": Sample(savvycan, "columns", "can"),
     "columns-json": Sample(json_lines, "columns", "serial"),
     "spy": Sample(spy, "spy", "serial"),

@@ -1,0 +1,113 @@
+"""The state of a CAN controller in text: what `ip -details -statistics link show`, the kernel and programs say of it.
+
+    can state ERROR-PASSIVE (berr-counter tx 128 rx 0) restart-ms 0          ip
+    [ 6609.448256] mttcan c310000.mttcan can0: entered error warning state   the kernel
+    write: No buffer space available                                         a program that sends
+
+Each becomes an error frame with SocketCAN's classes, as an adapter that reports errors sends it. A controller that is active
+and has never been off the bus is none. Frames of candump or in words between them are read as well.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from analyzer.records import CanFrame, Comment
+from analyzer.sources import can_text, candump
+from analyzer.sources.lines import Lines, head_lines
+from analyzer.sources.source import Source
+from analyzer.sources.times import number_ns
+
+_CONTROLLER, _PROTOCOL, _NO_ACK, _BUS_OFF, _BUS_ERROR = 0x04, 0x08, 0x20, 0x40, 0x80
+#: What ip calls the states, with the class and the second byte of the error frame, for a sender and for a receiver.
+_STATES = {"ERROR-WARNING": (_CONTROLLER, 0x08, 0x04), "ERROR-PASSIVE": (_CONTROLLER, 0x20, 0x10), "BUS-OFF": (_BUS_OFF, 0, 0)}
+_IP = re.compile(
+    rf"\bcan\s+(?:<[\w,-]*>\s+)?state\s+(?P<state>ERROR-ACTIVE|STOPPED|SLEEPING|{'|'.join(_STATES)})\b"
+    r"(?:\s+\(berr-counter tx (?P<sent>\d+) rx (?P<received>\d+)\))?"
+)
+_COUNTS = re.compile(r"\s*re-started\s+bus-errors\s+arbit-lost\s+error-warn\s+error-pass\s+bus-off\s*")
+_SIX = re.compile(r"(?:\s*\d+){5}\s+(\d+)\s*")
+#: The name of an interface with what a driver says of it; the first that fits counts.
+_DRIVER = r"\b(?:sl)?can\d+:?\s.*"
+_SAID: tuple[tuple[re.Pattern[str], int, str], ...] = tuple(
+    (re.compile(pattern, re.IGNORECASE), number, data)
+    for pattern, number, data in (
+        (rf"{_DRIVER}\bbus[- ]?off\b(?!.*(?:recover|restart))", _BUS_OFF, ""),
+        (rf"{_DRIVER}\berror[- ]passive\b", _CONTROLLER, "00 30"),
+        (rf"{_DRIVER}\berror[- ]warning\b", _CONTROLLER, "00 0C"),
+        (rf"{_DRIVER}\bbit ?1 error\b", _PROTOCOL | _BUS_ERROR, "00 00 10"),
+        (rf"{_DRIVER}\bbit ?0 error\b", _PROTOCOL | _BUS_ERROR, "00 00 08"),
+        (rf"{_DRIVER}\bstuff(?:ing)? error\b", _PROTOCOL | _BUS_ERROR, "00 00 04"),
+        (rf"{_DRIVER}\b(?:form|format|crc) error\b", _PROTOCOL | _BUS_ERROR, "00 00 02"),
+        (rf"{_DRIVER}\back(?:nowledge\w*)? ?error\b", _NO_ACK | _BUS_ERROR, ""),
+        (rf"{_DRIVER}\bcan bus error\b", _BUS_ERROR, ""),
+        (r"\bNo buffer space available\b", _CONTROLLER, "00 02"),
+    )
+)
+_KERNEL_TIME = re.compile(r"\[\s*(\d{1,9}\.\d{1,9})\]")
+_LONGEST_LINE = 1000
+_SAMPLE_LINES = 400
+_LARGEST_BYTE = 0xFF
+
+
+def score(head: bytes) -> float:
+    """Say how sure it is that this text tells the state of a controller, 0..1."""
+    lines = head_lines(head)[:_SAMPLE_LINES]
+    return 0.96 if any(_IP.search(line) or _said(line) is not None for line in lines if len(line) <= _LONGEST_LINE) else 0.0
+
+
+def read(source: Source) -> Iterator[CanFrame | Comment]:
+    """Read the lines one by one."""
+    if not score(source.head):
+        source.problem("expected lines of ip, the kernel or a program on the state of a CAN controller, got none")
+        return iter(())
+    source.note("the state of a CAN controller is told in words: each such line is read as an error frame")
+    return _records(source)
+
+
+def _records(source: Source) -> Iterator[CanFrame | Comment]:
+    lines = Lines(source)
+    counts = off = False
+    for text in lines:
+        found = _IP.search(text) if len(text) <= _LONGEST_LINE else None
+        frame = _state(found) if found is not None else _said(text) if len(text) <= _LONGEST_LINE else None
+        if found is not None:
+            off = found["state"] == "BUS-OFF"
+        elif counts and not off and (six := _SIX.fullmatch(text)) is not None and int(six[1]):
+            frame = _error(_BUS_OFF, b"")
+        counts = _COUNTS.fullmatch(text) is not None
+        if frame is None:
+            frame = _frame(text)
+        if frame is None:
+            yield source.comment(None, text)
+            continue
+        time = _KERNEL_TIME.search(text) if frame.error else None
+        yield CanFrame(
+            number_ns(time[1]) if time is not None else frame.t_ns, source.port(frame.port or None), frame.id, frame.data,
+            frame.direction, frame.extended, frame.remote, frame.error, frame.fd,
+        )  # fmt: skip
+
+
+def _state(found: re.Match[str]) -> CanFrame | None:
+    """Return the error frame of a state, with the counters of errors."""
+    if found["state"] not in _STATES:
+        return None
+    number, sending, receiving = _STATES[found["state"]]
+    sent, received = (min(int(found[name] or 0), _LARGEST_BYTE) for name in ("sent", "received"))
+    kind = sending if sent > received else receiving if received > sent else sending | receiving
+    return _error(number, bytes((0, kind, 0, 0, 0, 0, sent, received)))
+
+
+def _said(text: str) -> CanFrame | None:
+    """Return the error frame of what a driver or a program says."""
+    return next((_error(number, bytes.fromhex(data)) for said, number, data in _SAID if said.search(text)), None)
+
+
+def _error(number: int, data: bytes) -> CanFrame:
+    return CanFrame(None, "", number, data.ljust(8, b"\0"), error=True)
+
+
+def _frame(text: str) -> CanFrame | None:
+    """Return the frame of a line that candump or a program prints."""
+    return candump.frame_of(text) or can_text.frame_of(text)
