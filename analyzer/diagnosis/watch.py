@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Sequence
 
 from analyzer.catalogue import Dialect
 from analyzer.diagnosis.scene import Piece, Read, Scene
 from analyzer.pipeline import Entry, Item
-from analyzer.records import CanFrame, Chunk, Comment, Finding, Frame, Junk, Lane, Message
+from analyzer.records import Chunk, Comment, Finding, Frame, Junk, Lane, Message
 
 #: Frames and reads that are kept before and behind a trouble.
-_NEAR = 256
+_NEAR = 128
 #: Frames with what stands near them, and findings, of which more would show nothing new.
 _MOST_KEPT = 20_000
 _MOST_FINDINGS = 5_000
 
-_Kept = tuple[Lane | Message | None, Frame | Junk, int, int | None]
+#: What came: a decoded frame, or a plain one with its lane, or junk; with its number, and that of the request it answers.
+_Kept = Entry | tuple[Lane | None, Frame | Junk, int, int | None]
 
 
 class Watch:
@@ -27,7 +28,7 @@ class Watch:
         self._kept: list[_Kept] = []
         self._reads_near: deque[tuple[Chunk, int]] = deque(maxlen=2 * _NEAR)
         self._reads: list[tuple[Chunk, int]] = []
-        self._offsets: Counter[str] = Counter()
+        self._offsets: dict[str, int] = {}
         self._findings: list[Finding] = []
         #: Frames and findings that came by, kept or not.
         self.frames = self.found = 0
@@ -35,13 +36,15 @@ class Watch:
 
     def take(self, item: Item, offset: int | None = None) -> None:
         """Take an item of the source. `offset`: its first byte on its bus; None: it follows the item before."""
+        # Each item of a capture comes by here: what costs nothing stands first.
         if isinstance(item, Chunk):
-            offset = self._offsets[item.port] if offset is None else offset
-            self._offsets[item.port] = offset + len(item.data)
+            port = item.port
+            if offset is None:
+                offset = self._offsets.get(port, 0)
+            self._offsets[port] = offset + len(item.data)
             self._reads_near.append((item, offset))
-            self.timed |= item.t_ns is not None
-        elif isinstance(item, CanFrame):
-            self.timed |= item.t_ns is not None
+        if not self.timed and item.t_ns is not None:
+            self.timed = True
 
     def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
         """Take a frame that is in order."""
@@ -50,7 +53,7 @@ class Watch:
 
     def entry(self, entry: Entry) -> None:
         """Take a decoded frame."""
-        self._near.append((entry.message, entry.message.frame, entry.sequence, entry.request_sequence))
+        self._near.append(entry)
         self.frames += 1
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
@@ -92,9 +95,16 @@ class Watch:
         for found in self._findings:
             rules.setdefault(found.sequence, set()).add(found.rule)
         pieces: dict[str, list[Piece]] = {}
-        for what, where, sequence, asked_by in self._kept:
-            message = what.message(where) if isinstance(what, Lane) and isinstance(where, Frame) else what
-            assert not isinstance(message, Lane)
+        for kept in self._kept:
+            message: Message | None = None
+            where: Frame | Junk
+            if isinstance(kept, Entry):
+                message, sequence, asked_by = kept.message, kept.sequence, kept.request_sequence
+                where = message.frame
+            else:
+                lane, where, sequence, asked_by = kept
+                if lane is not None and isinstance(where, Frame):
+                    message = lane.message(where)
             own = frozenset(rules.get(sequence, ()))
             piece = Piece(where.offset, where.data, where.first_ns, sequence, message, asked_by, own)
             pieces.setdefault(where.port, []).append(piece)
