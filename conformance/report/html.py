@@ -13,6 +13,7 @@ from typing import NamedTuple
 from analyzer import page
 from analyzer.page import Line, Plot
 from conformance.claim import Aspect, Outcome
+from conformance.report.bus import line_causes
 from conformance.report.causes import causes
 from conformance.report.coverage import NEVER, NOTHING, matrix, share
 from conformance.report.terminal import COLUMNS, repeat_command
@@ -49,6 +50,7 @@ def html(records: Sequence[VerdictRecord], run: RunRecord) -> str:
         looks=_LOOKS,
         facts=_facts(records, run),
         notes=run.notes,
+        line=list(line_causes(records)),
         causes=(found := causes(records)),
         card={id(record): f"cause-{number}" for number, cause in enumerate(found, 1) for record in cause.records},
         repeat=lambda record: repeat_command(record, run),

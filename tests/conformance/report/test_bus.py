@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
 
 from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.encoder import build
 from conformance.report.bus import line_causes
+from conformance.report.html import html
 from conformance.suite.record import Traffic
-from tests.conformance.report.test_page import silent
+from tests.conformance.report.test_page import RUN, silent
 from tests.diagnosis.spoiled_line import levels, received
 
 MS = 1_000_000
@@ -35,6 +37,14 @@ def test_a_bad_line_is_told_once(spoil, cause):
     told = list(line_causes(refuted(spoil)))
     assert told[0] == "the line of mks-rs485@1, as the failed claims show it:"
     assert sum(f"({cause}," in line for line in told) == 1
+
+
+def test_the_page_has_the_lines_too():
+    nobody = "mks-rs485@1 does not answer; nothing came\n  1. The host asks another address. (wrong_address, likely)"
+    page = html(refuted(lambda data: b"\0" + data), msgspec.structs.replace(RUN, notes=(nobody,)))
+    assert "(leading_glitch," in page
+    assert "(wrong_address, likely)" in page
+    assert "pre-line" in page
 
 
 def test_what_claims_send_on_purpose_is_no_cause():
