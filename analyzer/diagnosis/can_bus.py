@@ -1,7 +1,7 @@
 """A CAN bus on which frames fail, or whose frames are of other identifiers than the drives'.
 
-An error frame has SocketCAN's classes in its identifier, and in its data where and how a frame failed, with the counters of
-errors as they stood. Files that keep no classes (ASC, BLF, TRC) show only that there were errors.
+The identifier of an error frame has SocketCAN's classes. Its data say where and how a frame failed, and how high the counters
+of errors stood. Files that keep no classes (ASC, BLF, TRC) show only that there were errors.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Requests with all that came back before the next one, whatever was made of it: the view of one who reads a log by hand.
+"""Each request with all that came back before the next one, as a person reads a log.
 
-The pipeline pairs what is sound. Here bytes are kept as they were read, so that a reply can be found that reaches over two
-reads, stands in a later one, or belongs to an earlier request.
+The pipeline pairs sound frames alone. Here bytes stay as they were read. So a reply is found in two reads, in a later read, or
+behind another request than its own.
 """
 
 from __future__ import annotations

@@ -28,11 +28,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect when the host writes and reads."""
     if not chains(scene):
         return
-    yield from _late(scene)
-    yield from _misaligned(scene)
-    yield from _split(scene)
-    yield from _split_replies(scene)
-    yield from _too_fast(scene)
+    for part in (_late, _misaligned, _split, _split_replies, _too_fast):
+        yield from part(scene)
 
 
 def _late(scene: Scene) -> Iterator[Suspicion]:

@@ -20,9 +20,8 @@ _SHORTEST = 7
 
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the firmware."""
-    yield from _second_reply(scene)
-    yield from _byte_count(scene)
-    yield from _never_answered(scene)
+    for part in (_second_reply, _byte_count, _never_answered):
+        yield from part(scene)
 
 
 def _second_reply(scene: Scene) -> Iterator[Suspicion]:
@@ -47,17 +46,16 @@ def _second_reply(scene: Scene) -> Iterator[Suspicion]:
     if len(found) < _HABIT or not once - again:
         return
     names = ", ".join(sorted(again))
-    yield Suspicion(
-        "firmware_quirk", Confidence.LIKELY, found,
-        f"The drive answers {names} twice, which its manual does not say.",
-        f"{shown(_data(found[0]))} at byte {found[0].offset} comes behind the reply; {counted(len(found), 'time')}",
+    yield _said(
+        Confidence.LIKELY, found, f"The drive answers {names} twice, which its manual does not say.", " comes behind the reply",
         "Let the program drop a second reply of the same code; look for other firmware",
-        tuple(Shown(t.offset, shown(_data(t))) for t in found),
     )  # fmt: skip
 
 
-def _data(trouble: Trouble) -> bytes:
-    return b"" if trouble.piece is None else trouble.piece.data
+def _said(confidence: Confidence, troubles: list[Trouble], say: str, where: str, todo: str) -> Suspicion:
+    frames = tuple(Shown(t.offset, shown(b"" if t.piece is None else t.piece.data)) for t in troubles)
+    evidence = f"{frames[0].data} at byte {frames[0].offset}{where}; {counted(len(troubles), 'time')}"
+    return Suspicion("firmware_quirk", confidence, troubles, say, evidence, todo, frames)
 
 
 def _byte_count(scene: Scene) -> Iterator[Suspicion]:
@@ -103,10 +101,8 @@ def _never_answered(scene: Scene) -> Iterator[Suspicion]:
     for name, troubles in silent.items():
         if name in answered or len(troubles) < _HABIT or len(answered) < _HABIT or len(silent) > len(answered):
             continue
-        yield Suspicion(
-            "firmware_quirk", Confidence.POSSIBLE, troubles,
-            f"The drive never answers {name}, and answers other commands: its firmware may not have it.",
-            f"{shown(_data(troubles[0]))} at byte {troubles[0].offset}; {counted(len(troubles), 'time')}",
+        yield _said(
+            Confidence.POSSIBLE, troubles,
+            f"The drive never answers {name}, and answers other commands: its firmware may not have it.", "",
             "Read the version of the firmware, and compare it with that of the manual",
-            tuple(Shown(t.offset, shown(_data(t))) for t in troubles),
         )  # fmt: skip

@@ -39,12 +39,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             answering.setdefault(piece.message.address, piece.message.frame.dialect.name)
     for asked in _unanswered(scene):
         yield from _nobody(scene, asked, answering)
-    yield from _reported(scene)
-    yield from _to_all(scene)
-    yield from _to_none(scene)
-    yield from _from_new(scene)
-    yield from _respond(scene)
-    yield from _refused(scene)
+    for part in (_reported, _to_all, _to_none, _from_new, _respond, _refused):
+        yield from part(scene)
 
 
 def _unanswered(scene: Scene) -> Iterator[_Asked]:
