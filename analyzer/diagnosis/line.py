@@ -1,8 +1,9 @@
 """How the bytes left the line: another speed, swapped wires, another format, a start bit that was missed.
 
-Theory. What a receiver reads follows from the levels on the line alone. So each wrong setting is tried on what came. `bits` leads the bytes back to frames, of any device, where the receiver is as fast as the sender or faster. A
-slower one skips bits: there frames that are likely, or stand in the capture, are rendered as levels and read at each speed. The
-same is done with what the capture shows as sent, whatever it is. The way that gives most of the bytes is the cause.
+Theory. What a receiver reads follows from the levels on the line alone. So each wrong setting is tried on what came. `bits`
+leads the bytes back to frames of any device, where the receiver is as fast as the sender or faster. A slower one skips bits.
+There frames that are likely, or stand in the capture, are rendered as levels and read at each speed. The same is done with all
+that the capture shows as sent. The setting that explains most of the bytes is the cause.
 """
 
 from __future__ import annotations
