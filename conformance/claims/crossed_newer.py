@@ -133,9 +133,10 @@ def _try(probe: Probe, row: Row, zero: float, start: Sample) -> Tried:
     elif not refused:
         # What is told at its end is not asked into.
         # A reply that was lost or late let the older motion go on.
-        since = max(0.0, (exchange.sent_ns - before.t_ns) / SECOND_NS * CALM * 6)
-        far = since + abs(before.value - zero) if row.zero else _NEAR + (0 if row.turn > 0 else abs(before.value - start.value))
-        lasts_ns = int((far + _SPARE) / 6 / row.rpm * SECOND_NS)
+        since = max(0.0, (exchange.sent_ns - before.t_ns + before.spread_ns) / SECOND_NS * CALM * 6)
+        back = 0 if row.turn > 0 else abs(before.value - start.value)
+        far = since + (abs(before.value - zero) if row.zero else _NEAR + back)
+        lasts_ns = int((far + _SPARE) / 6 / row.rpm * (1 + CLOCK_SHARE) * SECOND_NS)
         probe.wait(exchange.sent_ns + lasts_ns - probe.gate.now_ns())
         end = _rest(probe)
     return Tried(row, exchange, refused, zero, start, before, degrees, seen, end)

@@ -27,6 +27,8 @@ LOOP_DEGREES = 4 * COUNT
 _SWING_DEGREES, _QUIET_SWING_DEGREES = 16 * COUNT, 8 * COUNT
 #: The most that a rotor may be behind its field: a full step of the motors that have 200 of them.
 _MOST_LAG_DEGREES = 1.8
+#: The places by which a tremble is measured are told in hundredths of a degree.
+_ROUNDED_DEGREES = 0.01
 #: A drive reckons speeds and times by its own clock, often a ceramic resonator or an RC oscillator: off by 2 %, with which a
 #: UART still works, and what it rounds.
 CLOCK_SHARE = 0.0225
@@ -82,8 +84,8 @@ class Noise:
 
     @property
     def live(self) -> bool:
-        """Whether the shaft trembles at all."""
-        return max(self.degrees, self.loop, self.rpm) > 0
+        """Whether the shaft trembles at all, at rest or by its speed."""
+        return max(self.degrees, self.loop, self.rpm, self.share) > 0
 
     @property
     def silence_ns(self) -> int:
@@ -114,7 +116,7 @@ class Noise:
     @property
     def encoder(self) -> float:
         """By how many counts two looks at a resting encoder of up to 16 bits may differ."""
-        return 2 * self.degrees * (1 << 16) / 360
+        return (2 * self.degrees + _ROUNDED_DEGREES) * (1 << 16) / 360 if self.degrees else 0.0
 
     def speed(self, rpm: float) -> float:
         """Return by how much a speed that is read may differ."""
