@@ -307,6 +307,13 @@ def test_a_reply_that_stalls_leaves_a_ramp_uncertain():
         assert [v.reason for v in engine.run(wanted, each) if v.outcome is Outcome.REFUTED] == []
 
 
+def test_a_newer_move_is_waited_for_as_long_as_the_older_one_went_on_before_it():
+    each = EmulatedRig(make.parse("mks-modbus@22,model=57D,encoder-noise=2,stall=30ms,clock=-2%"), seed=26)
+    (wanted,) = (c for c in registry.every(each.dialect) if c.id.endswith("move_absolute_axis/takes-over"))
+    verdict = engine.run_claim(wanted, each)
+    assert verdict.outcome is Outcome.CONFIRMED, verdict.reason
+
+
 def test_a_quiet_loop_that_rests_beside_its_target_takes_a_position_as_it_was_sent():
     for seed in range(4):
         each = EmulatedRig(make.parse("lk-rs485@14,model=MS,loop-error=4,hysteresis=2,creep=2"), seed=seed)

@@ -47,3 +47,13 @@ def test_noise_is_bounded_by_what_a_manual_can_allow():
 
 def test_a_shaft_that_has_just_arrived_may_swing_less_than_one_that_is_known_to_settle():
     assert 8 * COUNT <= QUIET.swing < 12 * COUNT < LIVE.swing
+
+
+def test_a_shaft_whose_speed_trembles_rests_beside_its_target_too():
+    assert Noise(share=0.01).counts == 8
+    assert not Noise(lag=1.0).counts
+
+
+def test_looks_at_an_encoder_of_16_bits_differ_by_what_a_tremble_told_in_hundredths_hides():
+    # Two counts of 14 bits either way are 0.044 degrees, told as 0.04.
+    assert Noise(degrees=0.04).encoder >= 4 * 4
