@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from analyzer.catalogue import Dialect, Role
+from analyzer.diagnosis.other_makers import CODES_RMD
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
 from analyzer.records import CanFrame
 from analyzer.values import counted, identifier
@@ -222,7 +223,9 @@ def _others(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[D
         for p, can in standard
         if any(can.id in ids for ids in _RMD) and can.data and not any(d.link.fits(p.data, can.id) for d in checked)
     ]
-    if len(motors) > 1 and len(motors) * 2 > len(frames):
+    # One alone must be a known request, of full length.
+    alone = len(motors) == 1 and len(motors[0][1].data) == _LONGEST and motors[0][1].data[0] in CODES_RMD
+    if (len(motors) > 1 or alone) and len(motors) * 2 > len(frames):
         piece, can = motors[0]
         short = "" if len(can.data) == _LONGEST else ", and shorter than theirs, which have eight bytes each"
         yield Suspicion(

@@ -81,6 +81,8 @@ class Diagnosis:
 
 
 _MOST_FRAMES = 20
+#: Silent addresses that are a search, and the rules of their findings.
+_SEARCHED, _SILENT = 3, frozenset(("unanswered", "silent_address"))
 
 
 def suspected(scene: Scene) -> Iterator[Suspicion]:
@@ -102,7 +104,15 @@ def weighed(scenes: Sequence[Scene]) -> Diagnosis:
     suspicions = [each for scene in scenes for each in suspected(scene)]
     causes = tuple(ranked(suspicions, troubles))
     known = any(p.message is not None and p.message.command is not None for scene in scenes for p in scene.pieces)
-    return Diagnosis("trouble" if causes else "ok" if known and not troubles else "unknown", causes, len(troubles))
+    well = known and all(not scene.troubles or _is_search(scene) for scene in scenes)
+    return Diagnosis("trouble" if causes else "ok" if well else "unknown", causes, len(troubles))
+
+
+def _is_search(scene: Scene) -> bool:
+    """Say whether all that is wrong is that addresses are silent, of which each was asked once, and others answer."""
+    asked = [t.piece.message.address for t in scene.troubles if t.rule in _SILENT and t.piece and t.piece.message]
+    answers = any(piece.is_reply and piece.sound for piece in scene.pieces)
+    return answers and len(asked) == len(scene.troubles) >= _SEARCHED and len(set(asked)) == len(asked)
 
 
 def of_traffic(items: Iterable[Chunk | CanFrame], dialects: Sequence[Dialect]) -> Diagnosis:

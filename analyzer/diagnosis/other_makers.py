@@ -34,7 +34,7 @@ _CODES_42C = frozenset(bytes.fromhex("30 33 36 39 3A 3D 3E F3 F6 F7 FD FF")) | {
     *range(0x80, 0x8C), *range(0x90, 0x95), *range(0xA1, 0xA6),
 }  # fmt: skip
 #: Codes of RMD motors.
-_CODES_RMD = frozenset((32, *range(0x30, 0x35), *range(0x60, 0x66), *range(0x76, 0x82), *range(0x8F, 0x95), *range(0x9A, 0xB7)))
+CODES_RMD = frozenset((32, *range(0x30, 0x35), *range(0x60, 0x66), *range(0x76, 0x82), *range(0x8F, 0x95), *range(0x9A, 0xB7)))
 _SHORT = 9
 
 
@@ -65,7 +65,7 @@ def _ff_ff_fd(data: bytes) -> bool:
 
 
 def _rmd(data: bytes) -> bool:
-    return len(data) == 13 and data[0] == 0x3E and data[2] == 8 and data[3] in _CODES_RMD and modbus_crc(data) == 0
+    return len(data) == 13 and data[0] == 0x3E and data[2] == 8 and data[3] in CODES_RMD and modbus_crc(data) == 0
 
 
 def _vesc(data: bytes) -> bool:

@@ -46,6 +46,9 @@ class Shape(NamedTuple):
 
 _ID = r"(?:0[xX])?(?P<id>[0-9A-Fa-f]{1,8})[hH]?"
 _DATA = r"(?P<data>(?:(?:0[xX])?(?:[0-9A-Fa-f]{1,2}|\d{3})\b[\s,.:]*+){0,64}|(?:[0-9A-Fa-f]{2}){2,64})"
+_NUMBER = r"0x[0-9A-F]{1,8}|\d{1,4}"
+#: A list of numbers in a program: in hexadecimal with 0x alone.
+_LISTED = r"(?:bytes|bytearray)?\(?\s*\[(?P<listed>\s*(?:(?:0x[0-9A-F]{1,2}|\d{1,3})\s*,?\s*){0,64})\]"
 _MARK = r"(?P<mark>[TR]x|[TR])"
 _LENGTH = r"(?:0[xX])?(?P<length>\d{1,2})"
 
@@ -67,6 +70,13 @@ SHAPES: tuple[Shape, ...] = (
         rf"(?:can\.)?Message\(timestamp=(?P<time>\d+\.\d+),.*?arbitration_id=0x(?P<id>[0-9a-f]+),.*?is_extended_id=(?:False|(?P<extended>True))"
         rf".*?(?:is_rx=(?P<mark>\w+).*?)?(?:channel=[\"']?(?P<port>\w+)[\"']?.*?)?dlc=(?P<length>\d+),.*?data=\[{_DATA}\].*\)",
     ),
+    # In a program; python-can takes 29 bits where nothing else is said.
+    _shape(
+        "call",
+        rf".*?(?:(?P<extended>can\.Message\((?!.*extended_id\s*=\s*False))|Message\()(?=.*?\barbitration_id\s*=\s*(?P<id>{_NUMBER}))"
+        rf".*?\bdata\s*=\s*{_LISTED}.*",
+    ),
+    _shape("call-id-data", rf".*?\b(?:write|send)\(\s*(?P<id>{_NUMBER}),\s*{_LISTED}.*"),
     _shape("slcan", r"(?P<slcan>[tTrR])(?P<rest>[0-9A-F]{4,})[zZ]?", near=r"\s*[tr][0-9A-F]{4}"),
     _shape(
         "busmaster",
@@ -118,6 +128,10 @@ _BEFORE = re.compile(
     rf"(?:(?P<word>{_words})(?![\w])[\s:>|-]*|(?P<sign>{_signs})\s+)?",
     re.IGNORECASE,
 )
+_TOKEN = re.compile(r"0[xX][0-9A-Fa-f]+|\d+")
+#: A call that goes on in the next lines.
+_CALL = re.compile(r".*\bMessage\([^()]*")
+_CALL_LINES = 8
 _ADAPTER = re.compile(r"[SsOCLVvNFMmXYZzGHIP][0-9A-Fa-f]{0,8}")
 _ONLY_ID = re.compile(r"(?:.*[^A-Za-z])?id\s*[:=]?\s*0x[0-9A-F]{1,8}\s*", re.IGNORECASE)
 _ONLY_BYTES = re.compile(r"\s*(?:0x)?[0-9A-F]{1,2}(?:[\s,]+(?:0x)?[0-9A-F]{1,2}){0,7}\s*", re.IGNORECASE)
@@ -242,8 +256,18 @@ def frame_of(text: str) -> CanFrame | None:
 
 def _joined(lines: Iterable[str]) -> Iterator[str]:
     """Yield the lines; one that ends in an identifier and one of bytes below it, as Seeed's library prints them, are one."""
-    held = ""
+    held, call = "", list[str]()
     for line in lines:
+        if call or (len(line) <= _LONGEST_LINE and "Message(" in line and _CALL.fullmatch(line)):
+            call.append(line)
+            if len(call) < _CALL_LINES and ")" not in line.replace("])", "]"):
+                continue
+            if _CALL.fullmatch(call[0]) and ")" in line:
+                yield " ".join(each.strip() for each in call)
+            else:
+                yield from call
+            call = []
+            continue
         if held:
             below = _ONLY_BYTES.fullmatch(line) is not None
             yield f"{held} Data: {line}" if below else held
@@ -256,6 +280,7 @@ def _joined(lines: Iterable[str]) -> Iterator[str]:
             yield line
     if held:
         yield held
+    yield from call
 
 
 def can_name(name: str | None) -> str | None:
@@ -297,6 +322,8 @@ def _of(found: re.Match[str], stamp: Stamp, role: Role, decimal: bool) -> _Line 
     groups = found.groupdict()
     if groups.get("slcan") is not None:
         return _slcan(groups["slcan"], groups["rest"], stamp, role)
+    if groups.get("listed") is not None:
+        return _called(groups["id"], groups["listed"], bool(groups.get("extended")), stamp)
     if decimal and not groups["id"].isdecimal():
         return None
     number = int(groups["id"], 10 if decimal and "0x" not in found[0].lower() else 16)
@@ -343,6 +370,21 @@ def _data(text: str) -> bytes | None:
         tokens = text.split()
         return bytes(int(token, 16) for token in tokens) if all(re.fullmatch(r"[0-9A-Fa-f]{1,2}", t) for t in tokens) else None
     return found.data
+
+
+def _called(identifier: str, listed: str, extended: bool, stamp: Stamp) -> _Line | None:
+    """Return the frame that a program sends, by its identifier and its bytes."""
+    number, values = _number(identifier), [_number(token) for token in _TOKEN.findall(listed)]
+    if number > _ID_MASK or not values or max(values) > 0xFF or (len(values) > _CAN_BYTES and len(values) not in _FD_BYTES):
+        return None
+    data = bytes(values)
+    return _Line(
+        CanFrame(None, "", number, data, Role.REQUEST, extended or number > _STANDARD, fd=len(data) > _CAN_BYTES), stamp, None
+    )
+
+
+def _number(text: str) -> int:
+    return int(text, 16 if text[:2].lower() == "0x" else 10)
 
 
 def _slcan(kind: str, rest: str, stamp: Stamp, role: Role) -> _Line | None:

@@ -45,6 +45,14 @@ EMODBUS = """[D] {}| ModbusClientRTU.cpp  [ 253] handleConnection: Request sent.
             "Request:  can0  142   [8]  30 00 00 00 00 00 00 00\nResponse: can0  142   [8]  30 00 11 22 33 44 55 66",
             "unsupported_dialect",
         ),
+        # A program; python-can takes 29 bits where nothing else is said.
+        ("bus.send(can.Message(arbitration_id=0x01, data=[0xF3, 1], is_extended_id=False))", "missing_checksum"),
+        (
+            "msg = can.Message(\n    arbitration_id=1,\n    data=[0x30, 0x31],\n)\nbus.send(msg)\n"
+            "bus.send(can.Message(arbitration_id=1, data=[50, 51]))",
+            "can_extended_id",
+        ),
+        ("ch.write(0x141, bytes([0x92, 0, 0, 0, 0, 0, 0, 0]))", "unsupported_dialect"),
         ("It prints `CanErrorFrame { 00000088#0000040000000000 }` with nothing connected.", "can_wrong_bitrate"),
     ],
 )  # fmt: skip
@@ -54,6 +62,14 @@ def test_a_paste(text, cause):
     found = of_traffic(traffic, [d for d in registry.every() if d.bus == kind])
     assert found.causes, traffic
     assert found.causes[0].suspicion.cause == cause, (traffic, found)
+
+
+def test_a_search_for_drives_is_no_trouble():
+    text = (
+        "".join(f"> FA {a:02X} 31 {(0xFA + a + 0x31) & 0xFF:02X}\n" for a in range(2, 9))
+        + "> FA 01 31 2C\n< FB 01 31 00 00 00 00 00 00 2D\n"
+    )
+    assert of_traffic(read_text(text).traffic, [d for d in registry.every() if d.name == "mks-rs485"]).verdict == "ok"
 
 
 def test_a_number_of_a_logger_is_no_byte():
