@@ -413,7 +413,7 @@ def test_signals_stop_the_motor(number: int, tmp_path: Path):
         assert process.poll() is None
         process.send_signal(number)
         out, err = process.communicate(timeout=20)
-        assert stands(drive)
+        assert stands(drive), out + err
         assert drive.memory.enabled
     assert process.returncode == 130, out + err
     assert "stopped: Ctrl-C" in out
