@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Risk, Role
 from analyzer.errors import UsageError
-from analyzer.records import CanFrame
+from analyzer.records import CanFrame, Chunk
+from analyzer.values import counted
 from conformance.claim import Outcome
 from conformance.drives import make
 from conformance.gate.gate import Gate, Judge
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from conformance.suite.plan import Plan
 
 Item = bytes | CanFrame
+_texts: dict[bytes | tuple[int, bytes], str] = {}
 
 
 class _Listed(StandInRig):
@@ -66,11 +68,15 @@ def dry_run(plan: Plan) -> int:
 def _claims(plan: Plan, target: Target, rig: ClaimRig) -> tuple[int, int, int]:
     judge = Judge(Allowance(frozenset(Risk), alone=True))
     ran = skipped = frames = 0
+    #: What is listed already: claims share exchanges, which a run makes once. They are kept, for an id is one while they live.
+    listed: dict[int, Chunk | CanFrame] = {}
     if isinstance(rig, _Listed):
         frames += _list("before the first claim", rig.taken(), judge)
     for claim in plan.selected(target):
         verdict = engine.run_claim(claim, rig)
-        traffic = [item for item in verdict.traffic if item.direction is Role.REQUEST]
+        traffic = [item for item in verdict.traffic if item.direction is Role.REQUEST and id(item) not in listed]
+        shared = sum(1 for item in verdict.traffic if id(item) in listed)
+        listed |= {id(item): item for item in traffic}
         sent = rig.taken() if isinstance(rig, _Listed) else [i if isinstance(i, CanFrame) else i.data for i in traffic]
         if verdict.outcome is Outcome.NOT_RUN and not sent:
             skipped += 1
@@ -78,6 +84,8 @@ def _claims(plan: Plan, target: Target, rig: ClaimRig) -> tuple[int, int, int]:
             continue
         ran += 1
         frames += _list(claim.id, sent, judge)
+        if shared:
+            print(f"    and {counted(shared, 'frame')} of claims above, sent once for all of them")
         if verdict.outcome is Outcome.NOT_RUN:
             print(f"    and then no more: {verdict.reason}")
     return ran, skipped, frames
@@ -91,6 +99,14 @@ def _list(what: str, sent: list[Item], judge: Judge) -> int:
 
 
 def _shown(judge: Judge, item: Item) -> str:
+    """Return a frame, what it is and what it may do; most frames of a run are the same few."""
+    key = (item.id, item.data) if isinstance(item, CanFrame) else item
+    if key not in _texts:
+        _texts[key] = _text(judge, item)
+    return _texts[key]
+
+
+def _text(judge: Judge, item: Item) -> str:
     readings = judge.interpret(item)
     risks = sorted({risk.value for reading in readings for risk in reading.risks})
     names = dict.fromkeys(r.command.name if r.command is not None else "unknown" for r in readings if r.fits)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from analyzer.cli import main
 from conformance.claim import Claim, Inconclusive, Outcome, Refuted, Theme
 from conformance.drives import make
 from conformance.suite import engine, plan
@@ -96,3 +97,16 @@ def test_settings_keep_a_distance_until_the_drive_has_shown_that_it_needs_none(t
     engine.run_claim(only(lambda probe: probe.read("read_speed"), hasty=hasty), rig)
     rig.close()
     assert rig.write_gap_ns == gap_ns
+
+
+def test_a_dry_run_lists_what_claims_share_once(capsys: pytest.CaptureFixture[str]):
+    claims = ("--claim", "mks-can/motion/move_relative_axis/distance", "--claim", "mks-can/motion/move_relative_axis/opposite")
+    words = ["test", "mks-can@1", "--dry-run", *claims]
+    assert main(words) == 0
+    listed = capsys.readouterr().out.splitlines()
+    heads = [line for line in listed if line.startswith("mks-can/") and line.endswith(" frames")]
+    frames = [line for line in listed if line.startswith("    001#")]
+    assert listed[-1].endswith(f"{len(heads)} claims would send {len(frames)} frames; 0 would not run")
+    assert sum(int(head.split()[-2]) for head in heads) == len(frames)
+    at = listed.index("mks-can/motion/move_relative_axis/opposite: 0 frames")
+    assert listed[at + 1] == "    and 13 frames of claims above, sent once for all of them"
