@@ -154,7 +154,8 @@ _TROUBLE = frozenset(
 class Scene:
     """One bus: its pieces near trouble in their order, the limits of its reads, and what is found wrong.
 
-    `frames`: all that came by, kept or not. `timed`: the capture has times.
+    `frames`: all that came by, kept or not. `timed`: the capture has times. `noted`: the bytes stand among words, and these
+    neither ask nor say that anything is wrong.
     """
 
     bus: str
@@ -164,6 +165,7 @@ class Scene:
     findings: Sequence[Finding]
     frames: int
     timed: bool
+    noted: bool = False
     reader: Reader = field(init=False)
     explained: set[Trouble] = field(default_factory=set)
 
@@ -302,6 +304,12 @@ class Scene:
             for piece in self.pieces
             if piece.is_request and piece.stop in starts and starts[piece.stop].direction is not Role.REQUEST
         )
+
+    @cached_property
+    def listed(self) -> bool:
+        """Whether the requests are a list, of a program or in notes: nothing says that they were sent and waited for."""
+        sent = [piece.data for piece in self.pieces if piece.is_request]
+        return self.noted and not self.timed and not self.directed and len(set(sent)) == len(sent)
 
     def often(self, count: int, role: Role) -> bool:
         """Say whether what happened to so many frames of a sender is no chance: often, or to the only one."""

@@ -108,7 +108,7 @@ def _nobody(scene: Scene, asked: _Asked, answering: dict[int, str]) -> Iterator[
             frames,
         )  # fmt: skip
         return
-    if len(asked.troubles) > 1 or len(scene.pieces) == 1:
+    if (len(asked.troubles) > 1 or len(scene.pieces) == 1) and not scene.listed:
         yield Suspicion(
             "no_reply", Confidence.LIKELY if len(asked.troubles) > 1 else Confidence.POSSIBLE, asked.troubles,
             f"The requests to address {who} are right, and nobody answers.",

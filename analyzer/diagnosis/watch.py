@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from collections.abc import Sequence
 
@@ -15,6 +16,13 @@ _NEAR = 128
 #: Frames with what stands near them, and findings, of which more would show nothing new.
 _MOST_KEPT = 20_000
 _MOST_FINDINGS = 5_000
+
+#: Words by which people say that something is wrong, or ask.
+_ASKS = re.compile(
+    r"\b(?:not?|nothing|never|nobody|none|cannot|can't|\w+n't|without|fail\w*|silent|silence|time[ds]?[ -]?out\w*|problem\w*|"
+    r"trouble\w*|wrong|help|why|unable|stuck|unanswered|nicht\w*|kein\w*|nie|pas|rien|aucune?|нет|не)\b|\w\?(?:\s|$)|[不没沒无無？]",
+    re.IGNORECASE,
+)
 
 #: What came: a decoded frame, or a plain one with its lane, or junk; with its number, and that of the request it answers.
 _Kept = Entry | tuple[Lane | None, Frame | Junk, int, int | None]
@@ -32,7 +40,7 @@ class Watch:
         self._findings: list[Finding] = []
         #: Frames and findings that came by, kept or not.
         self.frames = self.found = 0
-        self.timed = False
+        self.timed = self._words = self._asks = False
 
     def take(self, item: Item, offset: int | None = None) -> None:
         """Take an item of the source. `offset`: its first byte on its bus; None: it follows the item before."""
@@ -68,7 +76,9 @@ class Watch:
             self._keep()
 
     def comment(self, comment: Comment) -> None:
-        """Take a comment: it says nothing here."""
+        """Take a comment: of words only whether they say that something is wrong."""
+        self._words = True
+        self._asks |= _ASKS.search(comment.text) is not None
 
     @property
     def full(self) -> bool:
@@ -117,7 +127,7 @@ class Watch:
                     if chunk.port == bus
                 ],
                 [f for f in self._findings if f.port == bus],
-                self.frames, self.timed,
+                self.frames, self.timed, self._words and not self._asks,
             )
             for bus, found in pieces.items()
         ]  # fmt: skip
