@@ -34,6 +34,8 @@ _RMD = (range(0x141, 0x161), range(0x241, 0x261))
 #: What CANopen adds to the number of a node.
 _CANOPEN = (0x180, 0x200, 0x280, 0x300, 0x380, 0x400, 0x480, 0x500, 0x580, 0x600, 0x700)
 _NODES = range(1, 0x80)
+#: The last byte of what switches a motor of the MIT protocol: on, off, zero.
+_MIT = (0xFC, 0xFD, 0xFE)
 _LEAST = 2
 _LONGEST = 8
 
@@ -218,6 +220,17 @@ def _others(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[D
         )  # fmt: skip
         return
     standard = [(p, can) for p, can in frames if not can.extended and not can.remote]
+    switches = [(p, can) for p, can in standard if can.data[:-1] == b"\xff" * 7 and can.data[-1] in _MIT]
+    if switches:
+        piece, can = switches[0]
+        yield Suspicion(
+            "unsupported_dialect", Confidence.LIKELY, scene.troubles,
+            "These are frames of a motor with the MIT protocol (T-Motor, Damiao, CyberGear), a dialect that is not known here.",
+            f"{shown(piece.data, can.id)}: seven bytes FF, then what enables (FC), disables (FD) or sets the zero (FE)",
+            "Use the manual of the motor's maker; MKS drives take a code first, and the sum as their last byte",
+            tuple(Shown(p.offset, shown(p.data, c.id)) for p, c in switches[:4]),
+        )  # fmt: skip
+        return
     motors = [
         (p, can)
         for p, can in standard

@@ -21,6 +21,7 @@ from analyzer.diagnosis import (
     senders,
     silence,
     spoiled,
+    told,
     values,
     wrapped,
 )
@@ -48,6 +49,7 @@ HYPOTHESES: tuple[Callable[[Scene], Iterator[Suspicion]], ...] = (
     quirks.look,
     line.look,
     senders.look,
+    told.look,
 )
 
 

@@ -21,7 +21,8 @@ _READ_BYTES, _REGISTERS = 8, (0x03, 0x04)
 
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect an echo."""
-    whole = [(e, "" if e.piece is None else shown(e.piece.data)) for e in scene.of("host_echo")]
+    repeated = scene.repeated
+    whole = [(e, "" if e.piece is None else shown(e.piece.data)) for e in scene.of("host_echo") if e not in repeated]
     sides = [burst.direction for burst in scene.bursts] if scene.directed else []
     exchanges = sum(pair == (Role.REQUEST, Role.REPLY) for pair in pairwise(sides))
     found = whole + [(t, shown(sent)) for t, sent in _received(scene) if t not in [w for w, _ in whole]]

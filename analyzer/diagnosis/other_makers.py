@@ -86,6 +86,32 @@ def _modbus_ascii(data: bytes) -> bool:
     return sum(bytes.fromhex(whole[1].decode())) & 0xFF == 0 if whole is not None else _ASCII_END.fullmatch(data) is not None
 
 
+def _battery(data: bytes) -> bool:
+    return len(data) >= 6 and data[0] == 0x7E and data[-1] == 0x0D
+
+
+def _jbd(data: bytes) -> bool:
+    size = len(data)
+    whole = size >= 7 and data[0] == 0xDD and data[-1] == 0x77 and data[3] == size - 7
+    return whole and (sum(data[2:-3]) + int.from_bytes(data[-3:-1], "big")) & 0xFFFF == 0
+
+
+def _daly(data: bytes) -> bool:
+    return len(data) == 13 and data[0] == 0xA5 and data[3] == 8 and sum(data[:-1]) & 0xFF == data[-1]
+
+
+def _meter(data: bytes) -> bool:
+    return len(data) >= 12 and data[0] == data[7] == 0x68 and data[-1] == 0x16 and sum(data[:-2]) & 0xFF == data[-2]
+
+
+_TEXT = re.compile(rb"[\x20-\x7e\r\n\t]*[A-Za-z]{4}[\x20-\x7e\r\n\t]*")
+
+
+def _words(data: bytes) -> bool:
+    """Say whether bytes are words: hex digits, as text, are none."""
+    return len(data) >= 6 and _TEXT.fullmatch(data) is not None and re.search(rb"[G-Zg-z]", data) is not None
+
+
 _UART = "its manual has them; the dialects known here are those of `servotap catalogue`"
 MAKES = (
     Make("an MKS SERVO42C (heads E0 to E9)", _mks_42c, 1, "The SERVO42D and 57D have the heads FA and FB; " + _UART),
@@ -97,12 +123,17 @@ MAKES = (
     Make("an RMD motor on RS485 (3E, a count of 8, a CRC)", _rmd, 1, "LK motors have sums and no CRC: " + _UART),
     Make("a VESC (02 ... 03)", _vesc, 4, "Use its own tool: " + _UART),
     Make("a Trinamic module (TMCL, nine bytes)", _tmcl, 4, "Use its own library: " + _UART),
+    Make("a battery (7E ... 0D)", _battery, 2, "Use the protocol of its maker: " + _UART),
+    Make("a battery of JBD (DD ... 77)", _jbd, 1, "Use the protocol of its maker: " + _UART),
+    Make("a battery of Daly (A5, thirteen bytes)", _daly, 1, "Use the protocol of its maker: " + _UART),
+    Make("an electricity meter (68 ... 68 ... 16)", _meter, 1, "Use the protocol of its maker: " + _UART),
     Make("Modbus ASCII", _modbus_ascii, 1, "Set both sides to Modbus RTU"),
 )
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect a motor that is not known here."""
+    yield from _console(scene)
     damaged = [(t, t.stretch.data) for t in scene.damaged if t.stretch is not None and t.stretch.can_id is None]
     sent = list(damaged)
     known = False
@@ -129,3 +160,20 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             tuple(Shown(t.offset, shown(d)) for t, d in found),
         )  # fmt: skip
         return
+
+
+def _console(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect a console or another service where all that comes is words, and frames were sent."""
+    heard = [t for t in scene.damaged if t.stretch is not None and t.stretch.direction is Role.REPLY]
+    read = any(p.sound for p in scene.pieces if scene.direction(p.offset) is Role.REPLY)
+    if read or not heard or not all(t.stretch is not None and _words(t.stretch.data) for t in heard):
+        return
+    first = heard[0]
+    assert first.stretch is not None  # chosen so above
+    yield Suspicion(
+        "unsupported_dialect", Confidence.LIKELY, scene.troubles,
+        f"Words come back, no frames: {first.stretch.data.decode('ascii').strip()!r} is of a console or another service.",
+        f"{shown(first.stretch.data)} at byte {first.offset}; {counted(len(heard), 'time')}",
+        "Look for the right port: of a TCP gateway its own port for raw bytes or for Modbus, of a board the UART of the bus",
+        (Shown(first.offset, shown(first.stretch.data)),),
+    )  # fmt: skip

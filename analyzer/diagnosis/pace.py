@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 from analyzer.catalogue import Role
-from analyzer.diagnosis.exchanges import Exchange, Turn, awaited, chains, placed
+from analyzer.diagnosis.exchanges import Exchange, Placed, Turn, awaited, chains, placed
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.link import READS
 from analyzer.values import counted
 
 #: Replies to an earlier request from which on it is no chance.
@@ -36,6 +37,7 @@ def _late(scene: Scene) -> Iterator[Suspicion]:
     found = placed(scene)
     late = [p for p in found if p.back and not p.shift]
     asked = sum(len(chain) for chain in chains(scene))
+    yield from _of_another(scene, [p for p in late if _not_asked(scene, p)])
     if len(late) < _LATE or len(found) < _ANSWERED * (asked - 1) or 2 * len(late) < len(found):
         return
     first = late[0]
@@ -47,6 +49,31 @@ def _late(scene: Scene) -> Iterator[Suspicion]:
         f"Each reply answers an earlier request: the host is {back} ahead of what it reads.",
         f"{shown(first.read.data)} at byte {first.read.offset} answers the request before; {counted(len(late), 'time')}",
         "Wait longer for each reply (adapters hold bytes back up to 16 ms), and clear the input once before the next request",
+        tuple(Shown(p.read.offset, shown(p.read.data)) for p in late),
+    )  # fmt: skip
+
+
+def _not_asked(scene: Scene, placed_: Placed) -> bool:
+    """Say whether a late reply cannot be that of the last request: it is of another address or function."""
+    asked = scene.asked_before(placed_.read.offset)
+    if not scene.directed or asked is None or asked.message is None:
+        return False
+    # Where a reply begins as its request does, its beginning tells which it answers; a write may change the address.
+    heads = {reply.head[:2] for reply in awaited(asked.message)}
+    return heads == {asked.data[:2]} and asked.data[:2] != placed_.read.data[:2] and asked.data[1] in READS
+
+
+def _of_another(scene: Scene, late: list[Placed]) -> Iterator[Suspicion]:
+    if not late or len(late) >= _LATE:
+        return
+    first = late[0]
+    asked = scene.asked_before(first.read.offset)
+    yield Suspicion(
+        "late_reply", Confidence.LIKELY,
+        scene.of("unanswered", "unsolicited_reply", "late_reply") or [Trouble("late_reply", p.read.offset) for p in late],
+        "A reply comes when the host has already sent its next request, to another unit or of another function.",
+        f"{shown(first.read.data)} at byte {first.read.offset} comes behind {shown(asked.data) if asked is not None else ''}",
+        "Wait longer for each reply before the next request goes out, and clear the input before it",
         tuple(Shown(p.read.offset, shown(p.read.data)) for p in late),
     )  # fmt: skip
 

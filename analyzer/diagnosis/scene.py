@@ -155,7 +155,7 @@ class Scene:
     """One bus: its pieces near trouble in their order, the limits of its reads, and what is found wrong.
 
     `frames`: all that came by, kept or not. `timed`: the capture has times. `noted`: the bytes stand among words, and these
-    neither ask nor say that anything is wrong.
+    neither ask nor say that anything is wrong. `words`: the first of them.
     """
 
     bus: str
@@ -166,6 +166,7 @@ class Scene:
     frames: int
     timed: bool
     noted: bool = False
+    words: tuple[str, ...] = ()
     reader: Reader = field(init=False)
     explained: set[Trouble] = field(default_factory=set)
 
@@ -306,6 +307,19 @@ class Scene:
         )
 
     @cached_property
+    def repeated(self) -> list[Trouble]:
+        """The requests that were taken for an echo, and come too late for one: they were sent again."""
+        return [
+            trouble
+            for trouble in self.of("host_echo")
+            if trouble.piece is not None and self.timed and (asked := self._before(trouble.piece)) is not None
+            and trouble.piece.t_ns - asked.t_ns > _ECHO_NS
+        ]  # fmt: skip
+
+    def _before(self, piece: Piece) -> Piece | None:
+        return next((p for p in reversed(self.pieces) if p.sequence < piece.sequence and p.data == piece.data), None)
+
+    @cached_property
     def listed(self) -> bool:
         """Whether the requests are a list, of a program or in notes: nothing says that they were sent and waited for."""
         sent = [piece.data for piece in self.pieces if piece.is_request]
@@ -336,6 +350,8 @@ _OFTEN = 0.2
 #: A longer pause in a capture with times ends what was sent; slow lines and adapters hold bytes back.
 PAUSE_NS = 8_000_000
 SLOW_BYTE_NS = 1_041_667
+#: An echo comes while the request is still on the line, and adapters hold it back for less than this.
+_ECHO_NS = 150_000_000
 
 
 def shown(data: bytes, can_id: int | None = None) -> str:

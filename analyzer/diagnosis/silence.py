@@ -45,7 +45,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
 
 def _unanswered(scene: Scene) -> Iterator[_Asked]:
     found: dict[tuple[str, int], _Asked] = {}
-    for trouble in scene.of("unanswered", "other_dialect", "silent_address"):
+    for trouble in [*scene.of("unanswered", "other_dialect", "silent_address"), *scene.repeated]:
         message = trouble.piece.message if trouble.piece is not None else None
         if message is None:
             continue

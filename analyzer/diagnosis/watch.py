@@ -16,6 +16,8 @@ _NEAR = 128
 #: Frames with what stands near them, and findings, of which more would show nothing new.
 _MOST_KEPT = 20_000
 _MOST_FINDINGS = 5_000
+#: Comments that are kept, and how much of each.
+_MOST_SAID, _LONGEST_SAID = 200, 400
 
 #: Words by which people say that something is wrong, or ask.
 _ASKS = re.compile(
@@ -38,6 +40,7 @@ class Watch:
         self._reads: list[tuple[Chunk, int]] = []
         self._offsets: dict[str, int] = {}
         self._findings: list[Finding] = []
+        self._said: list[str] = []
         #: Frames and findings that came by, kept or not.
         self.frames = self.found = 0
         self.timed = self._words = self._asks = False
@@ -78,6 +81,8 @@ class Watch:
     def comment(self, comment: Comment) -> None:
         """Take a comment: of words only whether they say that something is wrong."""
         self._words = True
+        if len(self._said) < _MOST_SAID:
+            self._said.append(comment.text[:_LONGEST_SAID])
         self._asks |= _ASKS.search(comment.text) is not None
 
     @property
@@ -127,7 +132,7 @@ class Watch:
                     if chunk.port == bus
                 ],
                 [f for f in self._findings if f.port == bus],
-                self.frames, self.timed, self._words and not self._asks,
+                self.frames, self.timed, self._words and not self._asks, tuple(self._said),
             )
             for bus, found in pieces.items()
         ]  # fmt: skip

@@ -103,7 +103,7 @@ SHAPES: tuple[Shape, ...] = (
     ),
     _shape(
         "candump",
-        rf"(?:(?P<port>[A-Za-z]\w{{1,15}})\s+)?(?P<id>[0-9A-F]{{3}}|[0-9A-F]{{8}})\s+\[(?P<length>\d{{1,2}})\]\s*{_DATA}(?:'.*')?",
+        rf"(?:(?P<port>[A-Za-z]\w{{1,15}})\s+)?(?:0x)?(?P<id>[0-9A-F]{{3}}|[0-9A-F]{{8}})\s+\[(?P<length>\d{{1,2}})\]\s*{_DATA}(?:'.*')?",
     ),
     _shape("pcan", rf"(?P<id>[0-9A-F]{{3,8}})h\s+(?:(?:data|std|ext)\w*\s+)?(?P<length>[0-8])\s+{_DATA}"),
     _shape("cansniffer", r"\d{1,6}(?:\.\d+)?\s*\|\s*(?P<id>[0-9A-F]{3,8})\s*\|\s(?P<data>(?:[0-9A-F]{2} )+)\s*.*"),

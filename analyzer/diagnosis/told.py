@@ -1,0 +1,73 @@
+"""What libraries and people say in words beside the bytes: the maker of a motor, a code of a library, a mismatch."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from analyzer.diagnosis.scene import Confidence, Scene, Suspicion, Trouble, shown
+from analyzer.link import READS
+
+#: Makers and protocols that are not known here, as people write them.
+_OTHERS = re.compile(
+    r"\b(odrive|my ?actuator|rmd[- ]?x\w*|robstride|cybergear|dynamixel|feetech|vesc|pylontech|canopen|damiao|unitree)", re.I
+)
+#: A library's words for a reply that does not fit the request.
+_MISFIT = re.compile(r"wrong (?:function ?code|(?:return )?slave ?address): \d+ instead of \d+", re.I)
+#: What a library reports instead of a reply: the words, the cause, what it means.
+_CODES = (
+    (r"request result: 0x0?1\b", "wrong_function", "the unit does not know the function"),
+    (r"request result: 0x0?2\b", "wrong_register", "the unit has no such register"),
+    (r"request result: 0x0?3\b", "value_out_of_range", "the unit does not take the value"),
+    (r"request result: 0x(?:0?b|e4)\b", "no_reply", "the unit did not answer"),
+)  # fmt: skip
+_HALF = re.compile(r"\b(?:only|just)\b[\w\s]{0,30}\b(?:half|part|beginning)\b", re.I)
+
+
+def look(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect what the words say, where the bytes do not contradict it."""
+    words = "\n".join(scene.words)
+    if not words:
+        return
+    troubles = scene.troubles
+    if (misfit := _MISFIT.search(words)) is not None:
+        yield from _misfit(scene, misfit[0])
+    for pattern, cause, what in _CODES:
+        if (code := re.search(pattern, words, re.I)) is not None:
+            yield Suspicion(
+                cause, Confidence.LIKELY, troubles, f"The library reports that {what}.", f"{code[0]!r} in the text",
+                "Read a register that the manual lists, with the function that it names for it; then compare what is sent",
+            )  # fmt: skip
+    if (half := _HALF.search(words)) is not None and scene.damaged:
+        yield Suspicion(
+            "reply_cut", Confidence.LIKELY, troubles, "The host reads only a part of what comes.", f"{half[0]!r} in the text",
+            "Join what is read until the length of the frame is there: its byte count tells it",
+        )  # fmt: skip
+    ours = any(p.sound and p.message is not None and p.message.command is not None for p in scene.pieces)
+    if not ours and (other := _OTHERS.search(words)) is not None and (troubles or scene.pieces):
+        yield Suspicion(
+            "unsupported_dialect", Confidence.LIKELY, troubles,
+            f"The text speaks of {other[0]}, and no frame is of a dialect that is known here.",
+            f"{other[0]!r} in the text; {shown(scene.pieces[0].data)} at byte {scene.pieces[0].offset}",
+            "Use the manual of its maker; the dialects known here are those of `servotap catalogue`",
+        )  # fmt: skip
+
+
+def _misfit(scene: Scene, said: str) -> Iterator[Suspicion]:
+    """Suspect whose frame came instead of the reply: a request is that of another host, a reply that of a request before."""
+    sound = [p for p in scene.pieces if p.message is not None and p.message.frame.checksum_ok and p.can is None]
+    if len(sound) != 1 or len(scene.pieces) > 1:
+        return
+    piece = sound[0]
+    troubles = [t for t in scene.troubles if t.piece is piece] or [Trouble("unsolicited_reply", piece.offset, None, piece)]
+    where = f"{shown(piece.data)} at byte {piece.offset}; {said!r} in the text"
+    if piece.is_request:
+        yield Suspicion(
+            "two_masters", Confidence.LIKELY, troubles, "What the host received is a request of another host.", where,
+            "Let one host speak alone: disconnect the other, or have it ask through the first",
+        )  # fmt: skip
+    elif piece.is_reply and piece.data[1] in READS:
+        yield Suspicion(
+            "late_reply", Confidence.LIKELY, troubles, "The reply is sound, and answers another request than the last.", where,
+            "Clear the input before each request and wait longer for a reply; see that no other program is at the port",
+        )  # fmt: skip
