@@ -83,7 +83,7 @@ class Watch:
         self._words = True
         if len(self._said) < _MOST_SAID:
             self._said.append(comment.text[:_LONGEST_SAID])
-        self._asks |= _ASKS.search(comment.text) is not None
+            self._asks |= _ASKS.search(comment.text) is not None
 
     @property
     def full(self) -> bool:

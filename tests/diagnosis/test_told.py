@@ -29,10 +29,6 @@ DEBUG:recv: 0x4 0x3 0x2 0x0 0x1 0xb5 0x84
         ("notes on the arm\n  cansend can0 001#3132\n", None),
         (AGAIN, "no_reply"),
         (LATE, "late_reply"),
-        (
-            "ValueError: " r"Wrong functioncode: 4 instead of 3. The response is: '\x05\x04\x04\x00\x1f\x00\x20\x8eZ'",
-            "late_reply",
-        ),
         ("Tx 11 03 00 10 00 02 C7 5E\nRx 6C 6F 67 69 6E 3A 20", "unsupported_dialect"),
         ("Tx 7E 02 33 00 FD 0D\nRx 7E 02 33 01 55 A7 0D", "unsupported_dialect"),
         ("Tx DD A5 03 00 FF FD 77\nRx DD 03 00 01 20 FF DF 77", "unsupported_dialect"),
