@@ -212,16 +212,14 @@ class Probe:
         self, built: encoder.Built, *, until: Until = Until.REPLY, timeout_ns: int | None = None, quiet_ns: int | None = None
     ) -> Exchange:
         """Ask as `ask` does, by a frame that was built already: of values that `build` cannot send (reserved bits)."""
-        item, line = built.item(), self.gate.line
+        item = built.item()
         if Risk.SETTING not in built.risks:
             if until is Until.TIMEOUT:
                 self._keep_distance(_SECOND_REPLY_NS)
             return self._exchange(item, until, timeout_ns, built, quiet_ns)
         self._keep_distance(self.rig.write_gap_ns)
         exchange = self._exchange(item, until, timeout_ns, built, quiet_ns)
-        # A drive that has taken no value yet wrote nothing: one that refuses them all is not waited for.
-        if line.setting_ns is not None or (built.values and not self.refused(exchange)):
-            line.setting_ns = self.gate.now_ns()
+        self._remember_setting(bool(built.values) and not self.refused(exchange))
         return exchange
 
     def send(
@@ -243,7 +241,7 @@ class Probe:
             self._keep_distance(max(_SECOND_REPLY_NS, self.rig.write_gap_ns if writes else 0))
         exchange = self._exchange(item, until, timeout_ns, None, quiet_ns)
         if writes:
-            self.gate.line.setting_ns = self.gate.now_ns()
+            self._remember_setting(exchange.reply is not None and not self.refused(exchange))
         return exchange
 
     def listen(self, duration_ns: int, until: Until = Until.TIMEOUT) -> Exchange:
@@ -254,6 +252,11 @@ class Probe:
         """Let time pass; what comes meanwhile is kept in the claim's traffic."""
         if duration_ns > 0:
             self.listen(duration_ns)
+
+    def _remember_setting(self, taken: bool) -> None:
+        # A drive that has taken no value yet wrote nothing: one that refuses them all is not waited for.
+        if taken or self.gate.line.setting_ns is not None:
+            self.gate.line.setting_ns = self.gate.now_ns()
 
     def _keep_distance(self, gap_ns: int) -> None:
         """Wait until the last setting is so long past."""
@@ -436,7 +439,8 @@ class Probe:
 
     def refused(self, exchange: Exchange) -> bool:
         """Say whether the reply to a request says that it failed, by its status or its form."""
-        command, answer = exchange.command, exchange.reply
+        answer = exchange.reply
+        command = exchange.command or (answer.command if answer is not None else None)
         if command is None or answer is None:
             return False
         failed_form = answer.message.form is not None and answer.message.form.name in command.replies.failed_forms
