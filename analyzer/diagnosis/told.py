@@ -21,7 +21,6 @@ _CODES = (
     (r"request result: 0x0?3\b", "value_out_of_range", "the unit does not take the value"),
     (r"request result: 0x(?:0?b|e4)\b", "no_reply", "the unit did not answer"),
 )  # fmt: skip
-_HALF = re.compile(r"\b(?:only|just)\b[\w\s]{0,30}\b(?:half|part|beginning)\b", re.I)
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
@@ -38,11 +37,6 @@ def look(scene: Scene) -> Iterator[Suspicion]:
                 cause, Confidence.LIKELY, troubles, f"The library reports that {what}.", f"{code[0]!r} in the text",
                 "Read a register that the manual lists, with the function that it names for it; then compare what is sent",
             )  # fmt: skip
-    if (half := _HALF.search(words)) is not None and scene.damaged:
-        yield Suspicion(
-            "reply_cut", Confidence.LIKELY, troubles, "The host reads only a part of what comes.", f"{half[0]!r} in the text",
-            "Join what is read until the length of the frame is there: its byte count tells it",
-        )  # fmt: skip
     ours = any(p.sound and p.message is not None and p.message.command is not None for p in scene.pieces)
     if not ours and (other := _OTHERS.search(words)) is not None and (troubles or scene.pieces):
         yield Suspicion(

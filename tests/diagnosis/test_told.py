@@ -21,6 +21,10 @@ DEBUG:recv: 0x4 0x3 0x2 0x0 0x1 0xb5 0x84
 """
 
 
+SAID = "ValueError: {}\n\nvalue = instrument.read_registers(2012, 2, 3)\nthis code has been working for a year\n"
+LIBRARY = "if I run this\n\n6 1 16 FF FF\n\nI get this error\nRequest result: {}\n"
+
+
 @pytest.mark.parametrize(
     ("text", "cause"),
     [
@@ -33,6 +37,18 @@ DEBUG:recv: 0x4 0x3 0x2 0x0 0x1 0xb5 0x84
         ("Tx 7E 02 33 00 FD 0D\nRx 7E 02 33 01 55 A7 0D", "unsupported_dialect"),
         ("Tx DD A5 03 00 FF FD 77\nRx DD 03 00 01 20 FF DF 77", "unsupported_dialect"),
         ("$ candump can0\n  can0  003   [8]  FF FF FF FF FF FF FF FC\n", "unsupported_dialect"),
+        (
+            SAID.format(r"Wrong functioncode: 4 instead of 3. The response is: '\x01\x04\x04\x00\x00\x00\x00û\x84'"),
+            "late_reply",
+        ),
+        (
+            SAID.format(r"Wrong slave address: 2 instead of 1. The response is: '\x02\x03\x00\x00\x00\x02\xc4\x38'"),
+            "two_masters",
+        ),
+        (LIBRARY.format("0x1"), "wrong_function"),
+        (LIBRARY.format("0x02"), "wrong_register"),
+        (LIBRARY.format("0x3"), "value_out_of_range"),
+        (LIBRARY.format("0xE4"), "no_reply"),
         ("No answer of the ODrive:\n0x029 [8] 00 00 00 00 00 00 00 00\n", "unsupported_dialect"),
     ],
 )
