@@ -56,14 +56,14 @@ _RPM, _TURNS, _ACCELERATIONS = (
     (0.025, 0.11, 0.25, 0.6, 2, 7, 21),
     (0, 56, 200, 230, 248, 255),
 )
-_AT_ONCE_MOST, _RAMP_NS, _MOVE_NS = 140, 140 * motion.MS, 300 * motion.MS
+_AT_ONCE_MOST, _LEAST_OVER, _RAMP_NS, _MOVE_NS = 140, 60, 140 * motion.MS, 250 * motion.MS
 #: The same of drives without a law of ramps.
-_FREE_RPM, _FREE_TURNS = (15, 40, 90, 160), (0.025, 0.11, 0.25, 0.6, 1.4)
+_FREE_RPM, _FREE_TURNS, _FREE_TURNS_OF_RPM = (15, 40, 90, 160), (0.025, 0.11, 0.25, 0.6, 1.4), 1.5 / 60
 #: How far a move goes that is not waited for, and how fast.
 _LONG, _LONG_RPM = 540, 90
 #: A homing search that no switch ends is this fast at most.
 _HOME_RPM = 600
-_GOING_LOOKS, _LOOKS = 3, 4
+_GOING_LOOKS, _LOOKS = 2, 3
 #: Limits with which a motor moves as it would without.
 _ROOMY = {"torque_limit": (1500, 1900), "speed_limit": (0x02_2345, 0x02_0F23), "angle_limit": (0x2134_5678, 0x1134_5678)}
 
@@ -193,7 +193,7 @@ class _Route:
         _after(dialect, deed, self.state)
         if command.verb is Verb.RESTART:
             yield Step(*motion_on(dialect))
-        if command.motion is None and (command.verb is Verb.RESTART or chance.random() < 0.25):
+        if command.motion is None and (command.verb is Verb.RESTART or chance.random() < 0.1):
             # What the deed did to the motions that follow.
             yield from self._trial()
 
@@ -219,17 +219,17 @@ class _Route:
         values = {"degrees": way * _LONG, "rpm": _LONG_RPM, "acceleration": self.chance.choice(_ACCELERATIONS[2:]), LEAVE: 1}
         return Step(command.name, values)
 
-    def _motion(self, command: Command, way: int, least: int = 0) -> Step:
-        """Return a motion by amounts that do not take long."""
+    def _motion(self, command: Command, way: int, *, over: bool = False) -> Step:
+        """Return a motion by amounts that do not take long. `over`: it begins while the shaft turns, and slows it down."""
         chance, runs = self.chance, motion.of(command).kind is MotionKind.RUN
         if self.dialect.ramp is None:
             rpm = chance.choice(_FREE_RPM)
-            degrees = round(360 * chance.choice(_FREE_TURNS))
+            degrees = round(360 * chance.choice([turns for turns in _FREE_TURNS if turns <= _FREE_TURNS_OF_RPM * rpm]))
             return Step(command.name, {"rpm": way * rpm} if runs else {"degrees": way * degrees, "rpm": rpm})
         while True:
             rpm, acceleration = chance.choice(_RPM), chance.choice(_ACCELERATIONS)
             real = min(float(rpm), self._fastest)
-            if (acceleration == 0 and rpm > _AT_ONCE_MOST) or rpm < least:
+            if (acceleration == 0 and rpm > _AT_ONCE_MOST) or (over and (rpm < _LEAST_OVER or not self._ends(acceleration))):
                 continue
             if runs and ramp.ramp_ns(0, real, acceleration) <= _RAMP_NS:
                 self._rpm = real
@@ -251,15 +251,18 @@ class _Route:
         named = command.request_forms[0].layout.named
         if "acceleration" not in named:
             return {}
-        fit = [a for a in _ACCELERATIONS if (ramp.ramp_ns(0, self._rpm, a) <= _RAMP_NS if a else self._rpm <= _AT_ONCE_MOST)]
-        return {"acceleration": self.chance.choice(fit)}
+        return {"acceleration": self.chance.choice([a for a in _ACCELERATIONS if self._ends(a)])}
+
+    def _ends(self, acceleration: int) -> bool:
+        """Say whether the shaft comes soon to rest by an acceleration."""
+        return ramp.ramp_ns(0, self._rpm, acceleration) <= _RAMP_NS if acceleration else self._rpm <= _AT_ONCE_MOST
 
     def _deed(self, deed: _Deed, *, leave: bool) -> Iterator[Step]:
         dialect, chance = self.dialect, self.chance
         command = dialect.by_name[deed.name]
         kind = command.motion.kind if command.motion is not None else None
         if kind is MotionKind.RUN or kind in motion.MOVES:
-            yield self._motion(command, deed.way, least=60 if leave else 0)
+            yield self._motion(command, deed.way, over=leave)
         elif kind is MotionKind.STOP:
             yield Step(command.name, self._stop_values(command))
         elif kind is MotionKind.HOME:

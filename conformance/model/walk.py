@@ -50,6 +50,8 @@ _SLOW, _LATE_NS = 1.07, 150 * MS
 _AGAIN_NS = (200 * MS, 1_200 * MS)
 #: How late a reply to a motion was seen to come.
 _BEHIND_NS, _SLOW_REPLY_NS = 800 * MS, 250 * MS
+#: By then a run has its speed.
+_LONG_NS = 100_000 * MS
 #: What sets the shaft going.
 _TURNING = frozenset({MotionKind.RUN, MotionKind.HOME, *motion.MOVES})
 #: A shaft that is let go or held may settle by so many degrees.
@@ -109,7 +111,7 @@ class Walk:
         #: What the twin said of them since the shaft stood last; since when the drive may have.
         self._expected: list[tuple[int, int]] = []
         self._since = len(probe.traffic)
-        self._rpm = 0
+        self._rpm: float = 0
         #: The code of the last motion that was left to itself.
         self._left = -1
         #: When the motion under way began, on the clock of the twin, and how fast it goes at most (deg/s).
@@ -283,7 +285,9 @@ class Walk:
 
     def _steady(self, given: Mapping[str, int]) -> None:
         if self.dialect.ramp is not None:
-            before, self._rpm = self._rpm, given.get("rpm", 0)
+            # A mode or fine subdivisions may let the shaft turn slower than was asked.
+            motor: Any = getattr(self.twin.drive, "motor", None)
+            before, self._rpm = self._rpm, motor.speed(self.twin.now_ns + _LONG_NS) if "rpm" in given else 0
             lasts_ns = abs(self._rpm - before) * ramp.step_ns(given.get("acceleration", QUICK)) * _SLOW
             self.probe.wait(int(lasts_ns) + (_TREMBLES_NS if self.probe.noise.live else 2 * _SETTLES_NS))
             return
