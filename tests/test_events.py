@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from analyzer.events import KINDS, SETUPS, cuts, issue_of, span_ns, text_of
@@ -15,6 +15,7 @@ VALUE_NAMES = ["from", "to", "gap", "reason", "bytes", "frames", "count", "cause
 NUMBERS = frozenset(("gap", "step", "drift"))
 
 
+@settings(suppress_health_check=[HealthCheck.too_slow])
 @given(
     st.sampled_from(NAMES),
     st.dictionaries(st.sampled_from(VALUE_NAMES), st.one_of(st.integers(0, 1 << 40), st.text(max_size=5)), max_size=6),

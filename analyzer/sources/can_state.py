@@ -80,7 +80,8 @@ def _records(source: Source) -> Iterator[CanFrame | Comment]:
         if frame is None:
             frame = _frame(text)
         if frame is None:
-            yield source.comment(None, text)
+            if text.strip():
+                yield source.comment(None, text)
             continue
         time = _KERNEL_TIME.search(text) if frame.error else None
         yield CanFrame(

@@ -173,7 +173,6 @@ def _speed_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     each=cases,
     name="{command}/crossed-first",
     refuted_by="a refusal, other replies, or another way, place or speed in one condition",
-    quirks=may_meet(LATE),
     at_best=Certainty.LIKELY,
 )
 def _first(probe: Probe, command: Command) -> None:

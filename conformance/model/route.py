@@ -58,7 +58,7 @@ _RPM, _TURNS, _ACCELERATIONS = (
 )
 _AT_ONCE_MOST, _LEAST_OVER, _RAMP_NS, _MOVE_NS = 140, 60, 140 * motion.MS, 250 * motion.MS
 #: The same of drives without a law of ramps.
-_FREE_RPM, _FREE_TURNS, _FREE_TURNS_OF_RPM = (15, 40, 90, 160), (0.025, 0.11, 0.25, 0.6, 1.4), 1.5 / 60
+_FREE_RPM, _FREE_TURNS = (15, 40, 90, 160), (0.025, 0.11, 0.25, 0.6, 1.4)
 #: How far a move goes that is not waited for, and how fast.
 _LONG, _LONG_RPM = 540, 90
 #: A homing search that no switch ends is this fast at most.
@@ -193,7 +193,7 @@ class _Route:
         _after(dialect, deed, self.state)
         if command.verb is Verb.RESTART:
             yield Step(*motion_on(dialect))
-        if command.motion is None and (command.verb is Verb.RESTART or chance.random() < 0.1):
+        if command.motion is None and (command.verb is Verb.RESTART or chance.random() < 0.2):
             # What the deed did to the motions that follow.
             yield from self._trial()
 
@@ -224,7 +224,7 @@ class _Route:
         chance, runs = self.chance, motion.of(command).kind is MotionKind.RUN
         if self.dialect.ramp is None:
             rpm = chance.choice(_FREE_RPM)
-            degrees = round(360 * chance.choice([turns for turns in _FREE_TURNS if turns <= _FREE_TURNS_OF_RPM * rpm]))
+            degrees = round(360 * chance.choice(_FREE_TURNS))
             return Step(command.name, {"rpm": way * rpm} if runs else {"degrees": way * degrees, "rpm": rpm})
         while True:
             rpm, acceleration = chance.choice(_RPM), chance.choice(_ACCELERATIONS)

@@ -56,5 +56,5 @@ def quick(target: str) -> list[Input]:
 
 def captures() -> list[bytes]:
     """Return the captures of this project that are small and quick to read; MF4 takes a process for each."""
-    paths = sorted(p for p in CAPTURES.iterdir() if p.suffix not in (".py", ".md", ".golden", ".mf4"))
+    paths = sorted(p for p in CAPTURES.iterdir() if p.is_file() and p.suffix not in (".py", ".md", ".golden", ".mf4"))
     return [p.read_bytes() for p in paths]

@@ -29,7 +29,7 @@ REFUTED_BY = {
     "group-left-by-speed": "read-back/set_group_address/stays",
     "holding-refused-open": "resilience/settings/run_speed",
     "short-moves-undone": "motion/move_relative_pulses/steps",
-    "moves-scaled-at-32": "motion/move_relative_pulses/crossed-speed",
+    "moves-scaled-at-32": "motion/move_relative_axis/crossed-speed",
     "inner-request-obeyed": "addressing/other/inside",
     "check-ff-passes": "framing/run_speed/wrong_check",
     "check-0-passes": "framing/move_absolute_pulses/wrong_check",
