@@ -64,6 +64,8 @@ _LONG, _LONG_RPM = 540, 90
 #: A homing search that no switch ends is this fast at most.
 _HOME_RPM = 600
 _GOING_LOOKS, _LOOKS = 2, 3
+#: The farthest name of a place, in hundredths of a degree.
+_FAR = 100_000_000
 #: Limits with which a motor moves as it would without.
 _ROOMY = {"torque_limit": (1500, 1900), "speed_limit": (0x02_2345, 0x02_0F23), "angle_limit": (0x2134_5678, 0x1134_5678)}
 
@@ -341,6 +343,9 @@ def _value(field: Field, chance: random.Random, leeway: Leeway) -> int:
         return chance.choice([s for s in (*_SUBDIVISIONS, 1, 32, 255, 11) if field.allows(s)])
     spans = limits.allowed(field, leeway)
     low, high = chance.choice(spans)
+    if field.unit == "deg" and field.effect is None:
+        # Within what the drive's own limit of the angle leaves.
+        low, high = max(low, -_FAR), min(high, _FAR)
     if field.effect is Effect.HOME_SPEED:
         high = min(high, _HOME_RPM)
     return chance.choice((low, high, chance.randint(low, high), chance.randint(low, high)))

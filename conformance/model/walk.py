@@ -52,6 +52,8 @@ _AGAIN_NS = (200 * MS, 1_200 * MS)
 _BEHIND_NS, _SLOW_REPLY_NS = 800 * MS, 250 * MS
 #: By then a run has its speed.
 _LONG_NS = 100_000 * MS
+#: How long a shaft may take to come to rest that its twin's has, and the speed of one that surely turns.
+_REST_NS, _TURNS_RPM = 15_000 * MS, 5.0
 #: What sets the shaft going.
 _TURNING = frozenset({MotionKind.RUN, MotionKind.HOME, *motion.MOVES})
 #: A shaft that is let go or held may settle by so many degrees.
@@ -319,7 +321,7 @@ class Walk:
             if missing <= 0 and heard.answers:
                 break
         if self.dialect.ramp is None or watched:
-            motion.wait_standing(probe)
+            self._watch()
         probe.wait(_TREMBLES_NS if probe.noise.live or probe.noise.lag else _SETTLES_NS)
         self._anchor()
         if len(self._said()) < len(self._expected):
@@ -334,6 +336,15 @@ class Walk:
             raise Inconclusive("replies during motion are so late that their order says nothing")
         if said != expected:
             self._refute("what is said at the end of a motion", _said_text(expected), _said_text(said))
+
+    def _watch(self) -> None:
+        try:
+            motion.wait_standing(self.probe, limit_ns=_REST_NS)
+        except Inconclusive:
+            rpm = motion.speed(self.probe).value
+            if abs(rpm) > _TURNS_RPM + self.probe.noise.rpm:
+                self._refute("the shaft does not come to rest", "0 rpm", f"{rpm:.3g} rpm")
+            raise
 
     def _late_ns(self) -> int:
         """Return how late the latest reply since the shaft stood last was."""
