@@ -1,7 +1,7 @@
 """The decoder: a frame becomes a message. Unknown codes and bad values survive; nothing raises.
 
-The sender of a frame follows from its head, else from the capture's mark, the length of its data, its values, or the open
-requests, in this order. Without a context it may stay `unknown`. The open request decides a reply's command and form.
+The first of these that says it tells the sender of a frame: its head, the capture's mark, the length of its data, its
+values, the open requests. Without a context the sender may stay `unknown`. The open request decides a reply's command and form.
 Without an open request the first form that fits is taken.
 """
 

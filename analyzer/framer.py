@@ -384,9 +384,9 @@ class Framer:
     def _or_inserted(self, at: int, length: int, index: int, closed: bool) -> int:
         """Weigh a doubtful frame against the same with one byte more, of which one was inserted.
 
-        Both readings fit where leaving out a byte makes a frame that checks with the last one. A byte that a pulse on
-        an idle line makes is more likely a glitch behind a frame, and so is the last one once more; else neither is
-        likelier, and nothing is claimed.
+        Both readings fit where leaving out a byte makes a frame that checks with the last one. A byte made by a pulse
+        on an idle line is more likely a glitch behind a frame. So is the last byte, repeated. Else neither is likelier,
+        and nothing is claimed.
         """
         stop = at + length + 1
         if stop > len(self._buffer):

@@ -185,8 +185,8 @@ class Field:
 class Layout:
     """A sequence of fields that covers a command's own data from its first bit.
 
-    Raises ValueError for a declaration with two fields of one name, an open-ended field before the last, a little-endian
-    field off a byte boundary, or bits that do not fill whole bytes.
+    Raises ValueError for two fields of one name, and for an open-ended field before the last. It also raises it for a
+    little-endian field off a byte boundary, and for bits that do not fill whole bytes.
     """
 
     fields: tuple[Field, ...]

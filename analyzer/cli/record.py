@@ -56,7 +56,7 @@ _SAME_PRESS_S = 1.0
 EXAMPLES = """\
 endpoints:
   [NAME=]serial:PORT,baud=N[,parity=even|odd][,stop=2][,direction=request|reply]     baud=auto listens at each rate
-  [NAME=]serial:,serial=NUMBER,baud=N              a USB adapter by its serial number, whichever port it gets
+  [NAME=]serial:,serial=NUMBER,baud=N              a USB adapter by its serial number, at any port
   [NAME=]tcp:HOST:PORT[,baud=N]                    a serial line behind a terminal server
   [NAME=]can:INTERFACE:CHANNEL[,bitrate=N]         python-can's interfaces; the option names are python-can's
   NAME                                             a bus or a drive of a profile, servotap.toml (see servotap init)

@@ -125,7 +125,7 @@ def unread(
 ) -> tuple[bytes, int] | None:
     """Return the frame that was sent where a receiver reads `heard` or its beginning, and how many bytes of it were read.
 
-    `begins`: whether bytes can begin a frame. Of several the one that takes most of what was read.
+    `begins`: whether bytes can begin a frame. Of several frames it is the longest in what was read.
     """
     best: tuple[bytes, int] | None = None
     for sent, taken, steps in _ways(heard, line, begins):

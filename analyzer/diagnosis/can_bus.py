@@ -43,7 +43,7 @@ _LONGEST = 8
 class _Errors(NamedTuple):
     """Error frames by what they say."""
 
-    #: Nobody acknowledged.
+    #: No node acknowledged.
     silent: list[Piece]
     #: A frame was destroyed.
     garbled: list[Piece]
@@ -121,18 +121,18 @@ def _errors(scene: Scene, errors: _Errors, heard: list[Piece]) -> Iterator[Suspi
     if errors.silent and not heard and not garbled and not errors.off:
         yield _suspicion(
             "can_no_ack", certain if len(errors.silent) >= _LEAST else Confidence.LIKELY, [*all_errors, *unanswered],
-            errors.silent, heard, "Nobody acknowledges: the adapter is alone on the bus, as far as it can tell.", _ALONE,
+            errors.silent, heard, "No node acknowledges: the adapter is alone on the bus, as far as it can tell.", _ALONE,
         )  # fmt: skip
     elif errors.silent and heard and len(errors.silent) >= _LEAST:
         own = _of(all_errors, errors.silent)
         yield _suspicion(
             "can_no_ack", Confidence.LIKELY, own, errors.silent, heard,
-            "For a time nobody acknowledged: all other nodes were off the bus or without power.", _ALONE,
+            "For a time no node acknowledged: all others were off the bus or without power.", _ALONE,
         )  # fmt: skip
     elif errors.stuck and not heard and not garbled and not errors.off:
         yield _suspicion(
             "can_no_ack", Confidence.LIKELY, [*all_errors, *unanswered], errors.stuck, heard,
-            "The counter of the sender's errors stands at 128, as it does where nobody acknowledges.", _ALONE,
+            "The counter of the sender's errors stands at 128, as it does where no node acknowledges.", _ALONE,
         )  # fmt: skip
     if garbled and not heard and not on_sending:
         yield _suspicion(
@@ -143,7 +143,7 @@ def _errors(scene: Scene, errors: _Errors, heard: list[Piece]) -> Iterator[Suspi
         )  # fmt: skip
     elif garbled:
         say = (
-            "Bits that the adapter sends come back changed: somebody else drives the line, or it is short or open."
+            "Bits that the adapter sends come back changed: another node drives the line, or it is short or open."
             if on_sending
             else "Frames get through, and others are destroyed on the line."
         )
@@ -163,14 +163,14 @@ def _errors(scene: Scene, errors: _Errors, heard: list[Piece]) -> Iterator[Suspi
         yield _suspicion(
             "can_no_ack", Confidence.POSSIBLE if heard else Confidence.LIKELY, [*all_errors, *unanswered],
             errors.waiting, heard,
-            "What is to be sent waits in the adapter's queue: no frame goes out, as where nobody acknowledges.",
+            "Frames wait in the adapter's queue and none goes out, as where no node acknowledges.",
             f"{_ALONE}; `ip -details -statistics link show can0` shows the state",
         )  # fmt: skip
     if len(errors.bare) >= _LEAST and not (errors.silent or garbled or errors.off):
         cause, say = (
             ("can_bit_errors", "Frames get through, and others are destroyed on the line.")
             if heard
-            else ("can_no_ack", "Only errors come: nobody acknowledges, or the nodes run at different bit rates.")
+            else ("can_no_ack", "Only errors come: no node acknowledges, or the nodes run at different bit rates.")
         )
         yield _suspicion(
             cause, Confidence.LIKELY if heard else Confidence.POSSIBLE, all_errors, errors.bare, heard, say,
@@ -274,7 +274,7 @@ def _wrong_identifier(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialec
             right = [shown(dialect.link.completed(p.data[:-1], node), node) for p, _, _ in found]
             yield Suspicion(
                 "can_wrong_id", Confidence.LIKELY, scene.of("damaged", "unanswered", "silent_address"),
-                f"Nobody answers at identifier {identifier(can.id)}: {why}",
+                f"No drive answers at identifier {identifier(can.id)}: {why}",
                 f"{shown(piece.data, can.id)} at byte {piece.offset}; {counted(len(found), 'frame')}, no reply",
                 f"Send to the drive's address (1 by default): {right[0]}",
                 tuple(Shown(p.offset, shown(p.data, c.id), r) for (p, c, _), r in zip(found, right, strict=True)),

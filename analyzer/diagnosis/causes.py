@@ -181,7 +181,7 @@ CAUSES = {
         ),
         Cause(
             "no_reply",
-            "The requests are right, and nobody answers.",
+            "The requests are right, and no drive answers.",
             "Requests alone; no drive says anything, not even garbled.",
             "The bytes cannot tell: power, wires, speed, address, or dialect.",
             "Try in order what the next step says; `servotap scan` does much of it by itself.",
@@ -189,7 +189,7 @@ CAUSES = {
         ),
         Cause(
             "wrong_address",
-            "The host asks an address at which nobody answers; another one answers.",
+            "No drive answers at the address that the host asks; another address answers.",
             "All requests to one address are unanswered, those to another are not.",
             "The drive has another address than the program, or is not wired up.",
             "Look the address up in the drive's menu.",
@@ -341,7 +341,7 @@ CAUSES = {
         ),
         Cause(
             "can_no_ack",
-            "Nobody acknowledges the adapter's frames.",
+            "No node acknowledges the adapter's frames.",
             "Error frames that name the acknowledge alone, and no frame of a drive.",
             "No power, a broken or swapped wire, or a drive at another bit rate.",
             "Check power, CAN_H and CAN_L, the termination, then the bit rate.",
@@ -374,7 +374,7 @@ CAUSES = {
         Cause(
             "can_wrong_id",
             "Frames go to an identifier that no drive listens to.",
-            "Nobody answers; the frames are right for another identifier.",
+            "No drive answers; the frames are right for another identifier.",
             "CANopen adds 0x200 and other numbers to an address, and these drives do not; or the sum is that of another drive.",
             "Send to the drive's address, with the sum over that identifier.",
             "201#3132 for 001#3132",

@@ -85,7 +85,7 @@ def reported(scene: Scene) -> list[tuple[Stretch, Stretch]]:
 
 class Placed(NamedTuple):
     """A sound reply among all that was received. `read`: the turn in which it begins; `shift`: bytes before it in this turn;
-    `back`: how many requests were sent between the one that it answers and itself; `crosses`: it ends in a later turn.
+    `back`: how many requests were sent after its own and before it; `crosses`: it ends in a later turn.
     """
 
     read: Turn

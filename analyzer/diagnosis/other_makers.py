@@ -145,7 +145,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     for make in MAKES:
         found = [(trouble, data) for trouble, data in sent if make.is_frame(data)]
         different = len({data for _, data in found})
-        # Where all that the host sends is of a make, the replies are, too, whatever became of them.
+        # Where all that the host sends is of a make, the replies are, too, also damaged ones.
         spoken = len(sent) == len(damaged) and bool(asked) and all(make.is_frame(data) for data in asked)
         # Beside frames that are known a check is needed, and several that have it.
         least = make.least - 2 * spoken if not known else _BESIDE if make.least == 1 else len(sent) + 1

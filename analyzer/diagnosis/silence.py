@@ -1,4 +1,4 @@
-"""Nobody answers, or the drive refuses: who is asked, in which dialect, and what was set before."""
+"""No drive answers, or it refuses: which address is asked, in which dialect, and what was set before."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         if piece.message is not None and piece.message.role is Role.REPLY and "bad_checksum" not in piece.rules:
             answering.setdefault(piece.message.address, piece.message.frame.dialect.name)
     for asked in _unanswered(scene):
-        yield from _nobody(scene, asked, answering)
+        yield from _unanswered_by_all(scene, asked, answering)
     for part in (_reported, _to_all, _to_none, _from_new, _respond, _refused):
         yield from part(scene)
 
@@ -55,7 +55,7 @@ def _unanswered(scene: Scene) -> Iterator[_Asked]:
     yield from found.values()
 
 
-def _nobody(scene: Scene, asked: _Asked, answering: dict[int, str]) -> Iterator[Suspicion]:
+def _unanswered_by_all(scene: Scene, asked: _Asked, answering: dict[int, str]) -> Iterator[Suspicion]:
     dialect, address = asked.dialect, asked.address
     who = identifier(address) if dialect.bus == "can" else str(address)
     first = asked.troubles[0]
@@ -101,17 +101,17 @@ def _nobody(scene: Scene, asked: _Asked, answering: dict[int, str]) -> Iterator[
         there = ", ".join(identifier(a) if dialect.bus == "can" else str(a) for a in others[:4])
         yield Suspicion(
             "wrong_address", Confidence.LIKELY, asked.troubles,
-            f"Nobody answers at address {who}; {there} does.",
+            f"No drive answers at address {who}; {there} does.",
             f"{evidence}; replies come from {there}",
             f"Look up the address in the drive's menu, or ask {drive_name(dialect, others[0])}; if two drives are there, "
-            f"check the wiring and the power of the one that is silent",
+            f"check the wiring and the power of the silent one",
             frames,
         )  # fmt: skip
         return
     if (len(asked.troubles) > 1 or len(scene.pieces) == 1) and not scene.listed:
         yield Suspicion(
             "no_reply", Confidence.LIKELY if len(asked.troubles) > 1 else Confidence.POSSIBLE, asked.troubles,
-            f"The requests to address {who} are right, and nobody answers.",
+            f"The requests to address {who} are right, and no drive answers.",
             evidence,
             _order(dialect),
             frames,
@@ -298,7 +298,7 @@ def _from_new(scene: Scene) -> Iterator[Suspicion]:
             [t for t in scene.troubles if t.piece in pair] or [Trouble("unsolicited_reply", piece.offset, None, piece)],
             f"The unit was given the address {data[0]}, and answers from it at once.",
             f"{shown(data)} at byte {piece.offset} writes {data[0]}, and comes from {data[0]}",
-            f"Ask at address {data[0]} from here on: the write is done, whatever a library reports",
+            f"Ask at address {data[0]} from here on: the write is done, also where a library reports an error",
             (Shown(piece.offset, shown(data)),),
         )  # fmt: skip
         return

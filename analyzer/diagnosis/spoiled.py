@@ -95,11 +95,11 @@ def _floating(scene: Scene) -> Iterator[Suspicion]:
     _, first, idle = own[0]
     yield Suspicion(
         "noise", Confidence.CERTAIN if len(own) > 1 else Confidence.LIKELY, [trouble for trouble, _, _ in own],
-        "The line floats while nobody sends: its idle level is read as bytes, with a bit low here and there.",
+        "The line floats while no node sends: its idle level is read as bytes, with a bit low here and there.",
         f"{shown(first.data[:24])} at byte {first.offset} has {counted(idle, 'byte')} of an idle line; "
         f"{counted(len(own), 'time')}",
-        "Bias the line (A up to 5 V, B down to ground, 390 to 680 Ohm each, at one place), terminate it at both ends, and join "
-        "the grounds; then see that the driver of each node is off while it does not send",
+        "Bias the line at one place (A up to 5 V, B down to ground, 390 to 680 Ohm each); terminate it at both ends; join the "
+        "grounds; then see that the driver of each node is off while it does not send",
         tuple(Shown(stretch.offset, shown(stretch.data)) for _, stretch, _ in own),
     )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""What libraries and people say in words beside the bytes: the maker of a motor, a code of a library, a mismatch."""
+"""What libraries and people write next to the bytes: the maker of a motor, a code of a library, a mismatch."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def _tcp(reader: Reader, data: bytes) -> bytes | None:
 
 DRESSES = (
     Dress(
-        "text_mode", _replaced, "Bytes are read as UTF-8 text: what is no text is replaced by EF BF BD, and lost.",
+        "text_mode", _replaced, "Bytes are read as UTF-8 text: all that are not valid text are replaced by EF BF BD.",
         "Read and write bytes, not strings: no decoding, no text mode of the port",
     ),
     Dress(

@@ -280,7 +280,7 @@ ERRATA: tuple[Erratum, ...] = (
         printed="speedControl int32_t (also angleControl in 12 and 13, angleIncrement in 16 and 17)",
         wrong="which way a positive speed or increment turns is not said where it is commanded",
         taken_as="positive is clockwise, and raises the position that 0x92 reads",
-        why="0x92 and 0x94 count clockwise upward; a position that is commanded must be the one that is read",
+        why="0x92 and 0x94 count clockwise upward; a position must read as it was commanded",
         certainty=Certainty.LIKELY,
         bears_on={Doubt.SIGN: (), Doubt.SEQUENCE: ()},
     ),

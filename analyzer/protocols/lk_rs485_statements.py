@@ -153,7 +153,7 @@ STATEMENTS: tuple[S, ...] = (
     ),
     S(
         "Single motor command/answers-any-time",
-        "Each sound command is answered, whatever came before it and however long ago.",
+        "Each sound command is answered, after any bytes and any pause.",
         ("framing/*/next", "resilience/*/next", "resilience/noise/*", "resilience/idle/*"),
     ),
     # --- 1: state 1 and error flags ---

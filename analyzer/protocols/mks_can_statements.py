@@ -698,7 +698,7 @@ STATEMENTS: tuple[Statement, ...] = (
     ),
     _unseen("3.8.1/status-0", "Status 0 says that it is not.", "every number of 32 bits is allowed"),
     *_tables("3.8.2", "read_user_id", "42 without data", "32 bits"),
-    _said("3.8.2/read", "The number is the one that was written.", "read-back/write_user_id/read"),
+    _said("3.8.2/read", "The number reads as it was written.", "read-back/write_user_id/read"),
     *_tables("3.9", "read_parameter", "00 with the code of a parameter", "the parameter under its own code"),
     _said(
         "3.9/code",
@@ -707,7 +707,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "shape/read_parameter/code",
     ),
     _said("3.9/layout", "The reply has the layout that sets the parameter.", "shape/read_parameter/of/*"),
-    _said("3.9/value", "The value is the one that was set.", "read-back/set_*/read"),
+    _said("3.9/value", "The value reads as it was set.", "read-back/set_*/read"),
     _said("3.9/unreadable", "A parameter that cannot be read is answered FF FF.", "shape/read_parameter/unreadable"),
     # Part 4: motion
     _said("4/bus-modes-only", "Motion by the bus needs a bus mode.", "motion/*/pulse-mode"),

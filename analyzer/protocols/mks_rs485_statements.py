@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from analyzer.catalogue import Statement
 
 DISPLAY = "not visible on the bus: the display"
-KEYS = "not visible on the bus: the keys beside the display"
+KEYS = "not visible on the bus: the keys at the display"
 CURRENT_UNSEEN = "not visible on the bus: no command reads a current"
 
 _RUNS = ("run_speed", "move_relative_pulses", "move_absolute_pulses", "move_relative_axis", "move_absolute_axis")

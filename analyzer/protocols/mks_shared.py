@@ -174,7 +174,7 @@ class BaudRate(IntEnum):
 
 
 class KeyLock(IntEnum):
-    """Whether the keys beside the display work."""
+    """Whether the keys at the display work."""
 
     UNLOCKED = 0
     LOCKED = 1

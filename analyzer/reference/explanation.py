@@ -3,8 +3,8 @@
     text -> Given -> a reading for each dialect, with and without its check -> the best of them
 
 Four facts rank a reading: the check fits, the command is in the manual, the data fit its layout, and the manual lists the
-values. A frame counts as one without its check only if no dialect reads it with a fitting check. A frame is readable if its
-check fits, if it has a catalogued command with a fitting layout, or if only one dialect has its head.
+values. A frame counts as one without its check only if no dialect reads it with a fitting check. A frame is readable for
+any of three reasons: its check fits, its command is in the manual and the layout fits, or only one dialect has its head.
 
 Earlier traffic is not known here. A frame that may be a request or a reply stays `unknown` and has both readings, unless
 `request` gives the request that it answers.

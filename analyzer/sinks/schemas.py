@@ -102,7 +102,7 @@ def slots_property(dialect: Dialect) -> dict[str, Any]:
 def state_schema() -> bytes:
     """Return the schema of the derived state of a drive."""
     return _object(
-        "State of a drive, from whichever frame carried it; the same units for every dialect",
+        "State of a drive, from all frames that carry it; the same units for every dialect",
         {name: {"type": "number", "unit": unit, "description": f"unit {unit}"} for name, unit in STATE_UNITS.items()},
     )
 

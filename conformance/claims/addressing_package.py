@@ -303,7 +303,7 @@ def _runs(dialect: Dialect) -> Iterator[Case]:
 
 @_of_packages("a speed that comes at once, or never", name="ramp", each=_runs)
 def _by_its_ramp(probe: Probe, command: Command) -> None:
-    """A motion in a slot of a package has its acceleration, whatever motion it is."""
+    """Each motion in a slot of a package has its acceleration."""
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     for run in probe.dialect.motions(MotionKind.RUN, *motion.MOVES):
         start = motion.place(probe, run)
@@ -336,7 +336,7 @@ def _turns_and_stops(probe: Probe, command: Command, run: Command, stop: Command
     motion.prepare(probe, run)
     ways = [_run_and_stop(probe, command, run, stop, before, way) for way in (1, -1)]
     one, other = ways
-    text = f"{run.name} in a slot of a package turns the shaft one way, whichever is asked for"
+    text = f"{run.name} in a slot of a package turns the shaft one way for both directions"
     got = f"{one:+g} and {other:+g} rpm"
     probe.expect(got, holds=one * other < 0, expected="one way, then the other", refutes=text)
 

@@ -120,7 +120,7 @@ def judge_next(probe: Probe, what: str, send: Callable[[], Exchange]) -> None:
         if last:
             break
         if not all(_answers_read(probe)[0] for _ in range(_CONTROLS)):
-            raise Inconclusive("good requests are not always answered, whatever is before them")
+            raise Inconclusive("good requests are not always answered, also where nothing is sent before them")
     before = f", sent behind {hex_of(sent.sent)}" if sent.sent is not None else ""
     raise Refuted(
         f"the good request behind {what} is not answered",

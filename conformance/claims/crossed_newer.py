@@ -226,7 +226,7 @@ def _ends(tried: Tried, sense: int) -> tuple[float, float]:
     each=_cases, name="{command}/again-and-again", refuted_by="a shaft that goes where an older one led it, or at its speed"
 )
 def _again_and_again(probe: Probe, command: Command) -> None:
-    """The last of many {command}, each sent while the one before is carried out, is the one that holds."""
+    """Many {command} follow one another, each before the last is done: the newest holds."""
     motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=motion.SUBDIVISION)
     start, begin = motion.wait_standing(probe), motion.place(probe, command)
     for degrees, rpm in _UPDATES:
@@ -317,7 +317,7 @@ def _ends_of_homing(dialect: Dialect) -> Iterator[Case]:
 
 @of_motion(each=_ends_of_homing, name="{command}/ends-{home}", refuted_by="a shaft that goes on", at_best=Certainty.LIKELY)
 def _ends_homing(probe: Probe, command: Command, home: Command, values: dict[str, int]) -> None:
-    """{command} ends homing, whichever way it goes: the shaft stands."""
+    """{command} ends homing in both directions: the shaft stands."""
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     for direction in (0, 1):
         homing.set_home(probe, home_speed=_HOME_RPM, home_direction=direction)

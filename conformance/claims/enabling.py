@@ -135,7 +135,7 @@ def _on_goes_on(probe: Probe) -> None:
     risks=lambda case: frozenset().union(*(c.all_risks for c in case.dialect.motions(*_TURNING))),
 )
 def _off_holds_all(probe: Probe) -> None:
-    """A disabled motor is turned by no run and no move, whatever it answers."""
+    """No run and no move turns a disabled motor, also where the drive answers that it does."""
     motion.ready_to_move(probe)
     motion.switch(probe, False)
     for command in probe.dialect.motions(*_TURNING):

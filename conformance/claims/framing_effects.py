@@ -324,7 +324,7 @@ def _broadcasting(dialect: Dialect) -> Iterable[Case]:
     alone=True,
 )
 def _wrong_to_all(probe: Probe) -> None:
-    """A motion to all drives whose checksum does not fit turns nothing, whatever motion it is."""
+    """No motion to all drives turns a shaft if its checksum does not fit."""
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     before = motion.wait_standing(probe)
     for case in _runs_and_moves(probe.dialect):

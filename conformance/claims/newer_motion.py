@@ -187,7 +187,7 @@ def _turns_back(probe: Probe, command: Command, older: Command) -> None:
 @of_motion(
     each=lambda dialect: (c for c in motions(MotionKind.RUN, *MOVES)(dialect) if motion.of(command_of(c)).acceleration),
     name="{command}/speed-0",
-    statement="{command} with speed 0 stops the shaft, whatever else it says.",
+    statement="{command} with speed 0 stops the shaft, with any of its other values.",
     refuted_by="a shaft that goes on",
     at_best=Certainty.OPEN,
     risks=risks_by(Verb.RUN_SPEED),

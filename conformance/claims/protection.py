@@ -118,7 +118,7 @@ def _lets_go(probe: Probe) -> None:
     "3E that reads 0", each=commands(Verb.SET_PROTECTION), more_risks=(Verb.RUN_SPEED, Verb.RELEASE_PROTECTION, Verb.ENABLE)
 )
 def _lets_go_turning(probe: Probe) -> None:
-    """With the protection on, a shaft that is held while it turns is let go, whichever way it turns."""
+    """With the protection on, a shaft that is held while it turns is let go, in both directions."""
     for way in (1, -1):
         _prepare(probe, 1)
         motion.run_at(probe, way * 120, QUICK)
@@ -315,7 +315,7 @@ def _off_again(probe: Probe) -> None:
 
 @_without_hands("3E that reads otherwise", each=commands(Verb.RELEASE_PROTECTION), at_best=Certainty.LIKELY)
 def _limp_either_way(probe: Probe) -> None:
-    """A motor without current is protected whichever way it was to turn, from rest and from a run."""
+    """A motor without current is protected in both directions, from rest and from a run."""
     # From rest the first way is that of the claim above.
     for number, (way, runs) in enumerate(((-1, False), (1, True), (-1, True))):
         _prepare(probe, 1)

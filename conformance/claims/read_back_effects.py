@@ -382,7 +382,7 @@ _ALTERING = (Verb.EMERGENCY_STOP, Verb.SET_ZERO, Verb.ENABLE, Verb.SET_STALL_TOL
     each=_stays_written, name="{command}/stays", refuted_by="a port that another command writes", at_best=Certainty.LIKELY
 )
 def _stays(probe: Probe, command: Command, deeds: list[Command]) -> None:
-    """A written port stays as it was written, whatever moves, ends, is switched or is set meanwhile."""
+    """A written port stays as it was written while a motor moves, stops, is switched, or is set."""
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     moves = probe.dialect.motions(MotionKind.RUN, *MOVES)
     for level in (0, 1):

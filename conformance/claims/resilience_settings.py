@@ -276,7 +276,7 @@ def _of_no_motion(dialect: Dialect) -> Iterator[Case]:
 
 @_in_conditions(each=_of_no_motion, name="settings/leave-motion", refuted_by="another speed or way, or a refusal")
 def _leave_motion(probe: Probe, chosen: list[Setting]) -> None:
-    """Settings that say nothing of motion change none, whatever they are set to: a fast run, and a fast move."""
+    """Settings that say nothing of motion change no run and no move, at any of their values."""
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
     for which, way in ((_ONE, 1), (_OTHER, -1)):
         motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)

@@ -137,7 +137,7 @@ def _all_together(dialect: Dialect) -> Iterator[Case]:
 
 @of_read_back(each=_all_together, name="settings/restart", refuted_by="another setting", aspect=None)
 def _all_kept(probe: Probe, chosen: list[Setting]) -> None:
-    """A restart keeps every setting, whatever the others are set to."""
+    """A restart keeps every setting, at any values of the others."""
     motion.ready_to_move(probe)
     held: dict[str, Mapping[str, int]] = {}
     # What some modes refuse is set before the mode.

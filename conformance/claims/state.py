@@ -56,7 +56,7 @@ def _first(probe: Probe) -> None:
     at_best=Certainty.LIKELY,
 )
 def _walk(probe: Probe, leg: int) -> None:
-    """Whatever state a drive is in and whatever it was sent before, it answers and moves as the manual says (leg {leg})."""
+    """In any state and after any requests, a drive answers and moves as the manual says (leg {leg})."""
     allowance = probe.gate.allowance
     leeway = Leeway(allowance.bounds, allowance.subdivision, dialect=probe.dialect)
     story.check(probe, route.steps(probe.dialect, seed=probe.rig.seed, leeway=leeway, leg=leg, legs=LEGS))

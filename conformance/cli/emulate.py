@@ -279,7 +279,7 @@ def _say_end(bus: Bus, faults: WireFaults | None, lost: int) -> None:
     if bus.collisions:
         told.append(f"{bus.collisions} collisions")
     if lost:
-        told.append(f"{lost} bytes or frames that nobody took")
+        told.append(f"{lost} bytes or frames that no client took")
     if faults is not None:
         told += [f"{count} x {kind}" for kind, count in faults.struck.items() if count]
     if told:

@@ -133,7 +133,7 @@ def _rows(dialect_name: str, model: str) -> tuple[dict[str, Any], ...]:
         lambda going, deed: verbs[deed.name].motion is not None or going in (0, ("run", 1), ("move", -1)),
     ]
     if "replies" in factors:
-        # What is no motion is answered whatever is set.
+        # Only motion commands can be silenced.
         rules.append(lambda deed, replies: verbs[deed.name].motion is not None or replies in ((1, 1), (0, 0)))
     if "subdivision" in factors:
         rules.append(lambda deed, subdivision: verbs[deed.name].motion is not None or subdivision in _SUBDIVISIONS[1:4])

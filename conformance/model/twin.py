@@ -71,9 +71,9 @@ class _Ear:
 
 
 class Twin:
-    """The ideal drive. `drive`: itself, to be looked at; `change` what is to be changed in it.
+    """The ideal drive. Look at it through `drive`, and change it through `change`.
 
-    `spread_ns`: two more drives are as far before it and behind it; what a shaft is on its way lies between (`between`).
+    `spread_ns`: two more drives hear each request so much earlier and later. A turning shaft lies between them (`between`).
     """
 
     def __init__(

@@ -12,7 +12,7 @@ Rules kept here:
 - Places, speeds and errors are compared through the resolution and the measured noise, of a shaft that stands or has its speed.
 - Where the manual leaves open what becomes of the shaft (it is stopped, let go, its mode changes), the twin takes the word
   of the drive. So it does of what differs at the very begin, which no request of the walk has set.
-- Currents, voltages and temperatures are nobody's promise.
+- No manual promises currents, voltages or temperatures.
 - A number that differs is read again when the shaft surely rests. The twin has a known quirk that explains a reply from
   then on: other claims name it.
 """
@@ -184,8 +184,8 @@ class Walk:
         try:
             self._do(command, step.values)
         except (GateRefused, NotRun):
-            # Bytes of these values could be read as a frame that is not allowed, they are beyond the bounds, or nobody knows
-            # what to put back: this is no step.
+            # This is no step: its bytes could be read as a frame that is not allowed, its values are beyond the bounds, or
+            # the old value is not known.
             self.steps.pop()
 
     def _do(self, command: Command, given: Mapping[str, int]) -> None:
@@ -305,7 +305,7 @@ class Walk:
     # --- rest -----------------------------------------------------------------------------------------------------
 
     def _rest(self, *, watched: bool) -> None:
-        """Wait until both shafts stand, and compare what was said unasked meanwhile. `watched`: nobody knows for how long."""
+        """Wait until both shafts stand, and compare what was said unasked meanwhile. `watched`: its end is not known."""
         probe, twin = self.probe, self.twin
         self._hear_nothing()
         left_ns = 0.0

@@ -106,7 +106,7 @@ class Observable(ABC):
         if self.is_done(got, change.undone):
             return False
         raise Refuted(
-            f"{change.command.name} has another effect than the one that was asked for",
+            f"{change.command.name} has another effect than was asked for",
             expected=f"{change.after} to be read where it is executed, {change.before} where it is not",
             got=str(got),
         )

@@ -14,7 +14,7 @@ Rules kept here:
 - A move to a place goes from where the drive says that it is, so that nothing depends on its zero.
 - A dialect that tells the end of a move by a reply is listened to; with one that does not the shaft is watched.
 - A value is known to have been true at some moment between the end of the request and the begin of the reply (`Sample`).
-- Whatever does not work raises Inconclusive: a claim about it judges it.
+- A motion that does not work raises Inconclusive: a claim of its own judges it.
 - Nothing here disables a motor or goes faster than it is told.
 
 Not known here: in which work mode a native MKS drive is, since none can be read. A drive that refuses to be enabled is in

@@ -6,7 +6,7 @@ link (address, speed, dialect) the drive is followed (`conformance.safety.follow
 
 Rules kept here:
 - A frame to all drives, in a package, or to an address that the drive may have taken counts as sent to the drive.
-- Old values may be put back whatever the bounds and the budget of the run say of them.
+- Old values may be put back also where they are beyond the bounds and the budget of the run.
 - A speed that is kept for the next power-on is forgotten again: a motor must not turn by itself because a suite has run.
 """
 

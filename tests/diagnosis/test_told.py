@@ -1,4 +1,4 @@
-"""Pastes in which the words count: lists that nobody sent, makers, reports of libraries, consoles, late replies."""
+"""Pastes in which the words count: lists that were never sent, makers, reports of libraries, consoles, late replies."""
 
 from __future__ import annotations
 

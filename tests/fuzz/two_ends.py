@@ -1,4 +1,4 @@
-"""What a target does beside the command that it runs: a client of its port, a program at its terminal, keys at its view.
+"""What runs while a target's command runs: a client of its port, a program at its terminal, keys at its view.
 
 All of it follows from the bytes of the input, so that the file alone repeats a fault.
 """
@@ -138,7 +138,7 @@ def program(link: Path, data: bytes) -> Callable[[threading.Event], None]:
 
 
 def can_bus() -> tuple[str, int]:
-    """Return a multicast bus that nobody else has, and its port."""
+    """Return a multicast bus of its own, and its port."""
     port = free_port(socket.SOCK_DGRAM)
     return f"udp_multicast:{_GROUP},port={port}", port
 

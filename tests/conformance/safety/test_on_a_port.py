@@ -221,7 +221,7 @@ def test_what_a_scan_leaves_open_is_no_beginning_for_the_next_program():
         assert set(left()[2:]) <= {0x00, 0x55}
 
 
-# --- a shaft that turns is stopped, whatever set it going -------------------------------------------------------------
+# --- a turning shaft is stopped, also one that no claim set going -----------------------------------------------------
 
 
 def test_a_run_that_no_claim_declared_is_stopped_at_the_end_of_the_claim(tmp_path):

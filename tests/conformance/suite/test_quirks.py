@@ -108,7 +108,7 @@ _TOLD_EARLY = "motion/stop_speed/told-when-standing"
         # Replies that are late let a stop look as if it were told early.
         ("quirk=slow-replies-in-motion", "all", Outcome.OBSERVED, ("slow-replies-in-motion",)),
         ("quirk=slow-replies-in-motion", "", Outcome.REFUTED, ("slow-replies-in-motion",)),
-        # One that is told early by a drive without the quirk is a lie, whatever is accepted.
+        # A drive without the quirk that tells it early lies, also with every quirk accepted.
         ("fault=stop-completion-early", "all", Outcome.REFUTED, ()),
         ("fault=stop-completion-early,quirk=settling", "all", Outcome.REFUTED, ()),
     ],
