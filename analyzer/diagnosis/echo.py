@@ -17,6 +17,8 @@ _ONCE, _LEAST = 5, 3
 _CHANGED, _ONE_WAY = 0.6, 4
 #: A request to read, and those that read registers.
 _READ_BYTES, _REGISTERS = 8, (0x03, 0x04)
+_OFF = "Switch the receiver off while sending (tie RE to DE)"
+_DROP = f"{_OFF}, or drop as many bytes as were sent before reading the reply"
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
@@ -27,8 +29,16 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     exchanges = sum(pair == (Role.REQUEST, Role.REPLY) for pair in pairwise(sides))
     found = whole + [(t, shown(sent)) for t, sent in _received(scene) if t not in [w for w, _ in whole]]
     if not found:
-        yield from _damaged(list(_changed(scene)))
-        yield from _alone(scene)
+        yield from _damaged(
+            list(_changed(scene)), "came behind {}",
+            "The host receives its own bytes, damaged: as many as it has sent, and most of their bits.",
+            f"{_OFF}; then look for what else pulls at the line: A and B swapped at another node, a driver that stays on, a "
+            "level of 5 V at an input of 3.3 V",
+        )  # fmt: skip
+        yield from _damaged(
+            list(_cut(scene)), "is {} without its end",
+            "What was received is a request, cut to the length of its reply: the host gets its own bytes back.", _DROP,
+        )  # fmt: skip
         return
     # An adapter that echoes does so each time.
     if len(found) < exchanges / 2 if exchanges else not scene.often(len(found), Role.REQUEST):
@@ -41,25 +51,19 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         "echo", Confidence.CERTAIN if len(found) > 1 else Confidence.LIKELY, [trouble for trouble, _ in found],
         "What the host receives begins with what it has sent: its own bytes come back.",
         f"{data}, which was sent, comes back at byte {first.offset}; {counted(len(found), 'time')}",
-        "Switch the receiver off while sending (tie RE to DE), or drop as many bytes as were sent before reading the reply",
+        _DROP,
         tuple(Shown(trouble.offset, text) for trouble, text in found),
     )  # fmt: skip
 
 
-def _damaged(found: list[tuple[Trouble, bytes]]) -> Iterator[Suspicion]:
-    """Suspect an echo that comes back with some bits changed, each time."""
+def _damaged(found: list[tuple[Trouble, bytes]], how: str, say: str, todo: str) -> Iterator[Suspicion]:
+    """Suspect an echo of damaged bytes, with what was sent. `how`: what the received bytes are to those sent."""
     if not found:
         return
-    first, sent = found[0]
-    assert first.stretch is not None  # damaged bytes
-    yield Suspicion(
-        "echo", Confidence.LIKELY, [trouble for trouble, _ in found],
-        "The host receives its own bytes, damaged: as many as it has sent, and most of their bits.",
-        f"{shown(first.stretch.data)} at byte {first.offset} came behind {shown(sent)}; {counted(len(found), 'time')}",
-        "Switch the receiver off while sending (tie RE to DE); then look for what else pulls at the line: A and B swapped at "
-        "another node, a driver that stays on, a level of 5 V at an input of 3.3 V",
-        tuple(Shown(t.offset, shown(t.stretch.data), shown(sent)) for t, sent in found if t.stretch is not None),
-    )  # fmt: skip
+    frames = tuple(Shown(t.offset, shown(t.stretch.data), shown(sent)) for t, sent in found if t.stretch is not None)
+    first = frames[0]
+    evidence = f"{first.data} at byte {first.offset} {how.format(first.right)}; {counted(len(found), 'time')}"
+    yield Suspicion("echo", Confidence.LIKELY, [trouble for trouble, _ in found], say, evidence, todo, frames)
 
 
 def _changed(scene: Scene) -> Iterator[tuple[Trouble, bytes]]:
@@ -80,26 +84,13 @@ def _changed(scene: Scene) -> Iterator[tuple[Trouble, bytes]]:
             yield trouble, own.data
 
 
-def _alone(scene: Scene) -> Iterator[Suspicion]:
-    """Suspect what was received to be a request, where no request is shown: whole but for its last byte."""
+def _cut(scene: Scene) -> Iterator[tuple[Trouble, bytes]]:
+    """Yield damaged bytes that are a request but for its last byte, where no request is shown."""
     if any(scene.direction(piece.offset) is Role.REQUEST or piece.is_request for piece in scene.pieces):
         return
-    found = [
-        (trouble, whole)
-        for trouble in scene.damaged
-        if trouble.stretch is not None and trouble.stretch.ends and (whole := _cut_read(trouble.stretch.data)) is not None
-    ]
-    if not found:
-        return
-    first, whole = found[0]
-    assert first.stretch is not None  # damaged bytes
-    yield Suspicion(
-        "echo", Confidence.LIKELY, [trouble for trouble, _ in found],
-        "What was received is a request, cut to the length of its reply: the host gets its own bytes back.",
-        f"{shown(first.stretch.data)} at byte {first.offset} is {shown(whole)} without its end; {counted(len(found), 'time')}",
-        "Switch the receiver off while sending (tie RE to DE), or drop as many bytes as were sent before reading the reply",
-        tuple(Shown(t.offset, shown(t.stretch.data), shown(whole)) for t, whole in found if t.stretch is not None),
-    )  # fmt: skip
+    for trouble in scene.damaged:
+        if trouble.stretch is not None and trouble.stretch.ends and (whole := _cut_read(trouble.stretch.data)) is not None:
+            yield trouble, whole
 
 
 def _cut_read(data: bytes) -> bytes | None:

@@ -113,20 +113,21 @@ def _words(data: bytes) -> bool:
 
 
 _UART = "its manual has them; the dialects known here are those of `servotap catalogue`"
+_LIBRARY, _PROTOCOL = f"Use the library of its maker: {_UART}", f"Use the protocol of its maker: {_UART}"
 MAKES = (
     Make("an MKS SERVO42C (heads E0 to E9)", _mks_42c, 1, "The SERVO42D and 57D have the heads FA and FB; " + _UART),
     Make("an MKS SERVO42C of firmware 1.0 (heads E0 to E9)", _mks_42c_plain, 3, "Newer firmware has a sum; " + _UART),
-    Make("an Emm or ZDT stepper (a last byte 6B)", _fixed_end, 4, "Use the protocol of its maker: " + _UART),
-    Make("a Dynamixel or Feetech servo (FF FF)", _two_ff, 1, "Use the library of its maker: " + _UART),
-    Make("a Dynamixel servo of protocol 2 (FF FF FD 00)", _ff_ff_fd, 1, "Use the library of its maker: " + _UART),
-    Make("a bus servo of Hiwonder or LewanSoul (55 55)", _two_55, 1, "Use the library of its maker: " + _UART),
+    Make("an Emm or ZDT stepper (a last byte 6B)", _fixed_end, 4, _PROTOCOL),
+    Make("a Dynamixel or Feetech servo (FF FF)", _two_ff, 1, _LIBRARY),
+    Make("a Dynamixel servo of protocol 2 (FF FF FD 00)", _ff_ff_fd, 1, _LIBRARY),
+    Make("a bus servo of Hiwonder or LewanSoul (55 55)", _two_55, 1, _LIBRARY),
     Make("an RMD motor on RS485 (3E, a count of 8, a CRC)", _rmd, 1, "LK motors have sums and no CRC: " + _UART),
     Make("a VESC (02 ... 03)", _vesc, 4, "Use its own tool: " + _UART),
     Make("a Trinamic module (TMCL, nine bytes)", _tmcl, 4, "Use its own library: " + _UART),
-    Make("a battery (7E ... 0D)", _battery, 2, "Use the protocol of its maker: " + _UART),
-    Make("a battery of JBD (DD ... 77)", _jbd, 1, "Use the protocol of its maker: " + _UART),
-    Make("a battery of Daly (A5, thirteen bytes)", _daly, 1, "Use the protocol of its maker: " + _UART),
-    Make("an electricity meter (68 ... 68 ... 16)", _meter, 1, "Use the protocol of its maker: " + _UART),
+    Make("a battery (7E ... 0D)", _battery, 2, _PROTOCOL),
+    Make("a battery of JBD (DD ... 77)", _jbd, 1, _PROTOCOL),
+    Make("a battery of Daly (A5, thirteen bytes)", _daly, 1, _PROTOCOL),
+    Make("an electricity meter (68 ... 68 ... 16)", _meter, 1, _PROTOCOL),
     Make("Modbus ASCII", _modbus_ascii, 1, "Set both sides to Modbus RTU"),
 )
 

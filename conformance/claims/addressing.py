@@ -18,10 +18,10 @@ from analyzer.codec import codec
 from analyzer.link import HeadLink, LkLink
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.addressing_many import read_of, send_to
-from conformance.claims.control_reads import ask_first, judge_next, plain_read, received_text
+from conformance.claims.control_reads import ask_first, expect_silence, judge_next, plain_read, received_text
 from conformance.claims.declare import Case, claim, commands, described_in, needing
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion_claim import expect_stays, of_motion, risks_by
+from conformance.claims.motion_claim import expect_not_turned, expect_stays, of_motion, risks_by
 from conformance.motion import effects, motion
 from conformance.motion.effects import Observable
 from conformance.talk.exchange import Exchange, hex_of
@@ -105,14 +105,8 @@ def _not_answered(probe: Probe, addresses: Addresses) -> None:
     ask_first(probe)
     for address in _chosen(probe, addresses(probe.dialect, probe.address)):
         sent = read_of(probe, address)
-        probe.expect(
-            received_text(sent),
-            holds=sent.silent,
-            expected=f"silence after {hex_of(sent.sent or b'')}",
-            refutes=f"a request to {address} is answered, and the drive is {probe.address}",
-            exchange=sent,
-            key="another address is answered",
-        )
+        text = f"a request to {address} is answered, and the drive is {probe.address}"
+        expect_silence(probe, sent, text, key="another address is answered")
 
 
 @_addressing("silence, or another answer", name="other/next")
@@ -171,10 +165,7 @@ def _motion_of_another(probe: Probe, command: Command) -> None:
     others = (own + 1, own - 1, own ^ 0x80, own + 16, _BYTE, own ^ 0x100, *_edges(dialect, own), *_one_bit(dialect, own))
     for address in _chosen(probe, others)[:_MANY]:
         sent = probe.ask(command, values, address=address, until=Until.TIMEOUT, timeout_ns=_BETWEEN_NS)
-        after = motion.position(probe)
-        if abs(after.value - before.value) > motion.same(probe):
-            motion.stop(probe)
-        expect_stays(before, after, sent, f"{command.name} to {address} turns the shaft of {own}")
+        expect_not_turned(probe, before, sent, f"{command.name} to {address} turns the shaft of {own}")
     probe.wait(_LISTEN_NS)
     expect_stays(before, motion.position(probe), sent, f"{command.name} to another address turns the shaft of {own}")
     motion.begin(probe, command, _DEGREES)
@@ -240,10 +231,8 @@ def _inside_request(probe: Probe, moves: list[tuple[Command, Form]]) -> None:
         size = form.layout.byte_length
         for address in _chosen(probe, _neighbours(dialect, own))[:2]:
             frame = dialect.link.build(command, form, address, inner.rjust(size, b"\0"), Role.REQUEST)
-            sent = probe.send(frame)
             text = f"what the data of a {command.name} to another drive read like is answered"
-            expected = f"silence after {hex_of(frame)}"
-            probe.expect(received_text(sent), holds=sent.silent, expected=expected, refutes=text, exchange=sent)
+            expect_silence(probe, probe.send(frame), text)
 
 
 # --- another address for the drive ------------------------------------------------------------------------------------
@@ -358,23 +347,21 @@ def _foreign_replies(probe: Probe) -> tuple[bytes, bytes]:
     return zeros, inner
 
 
-def _expect_silence(probe: Probe, frame: bytes) -> None:
+def _expect_ignored(probe: Probe, frame: bytes) -> None:
     ask_first(probe)
-    sent = probe.send(frame)
-    expected, text = f"silence after {hex_of(frame)}", "another drive's reply is answered"
-    probe.expect(received_text(sent), holds=sent.silent, expected=expected, refutes=text, exchange=sent)
+    expect_silence(probe, probe.send(frame), "another drive's reply is answered")
 
 
 @_addressing("any answer", each=_with_heads, name="foreign_reply/ignored")
 def _reply_ignored(probe: Probe) -> None:
     """Another drive's reply is not answered."""
-    _expect_silence(probe, _foreign_replies(probe)[0])
+    _expect_ignored(probe, _foreign_replies(probe)[0])
 
 
 @_addressing("an answer to what its data read like", each=_with_heads, name="foreign_reply/inside", at_best=Certainty.OPEN)
 def _inside_reply(probe: Probe) -> None:
     """Another drive's reply whose data read like a request is not answered."""
-    _expect_silence(probe, _foreign_replies(probe)[1])
+    _expect_ignored(probe, _foreign_replies(probe)[1])
 
 
 @_addressing("silence, or another answer", each=_with_heads, name="foreign_reply/next", at_best=Certainty.LIKELY)

@@ -13,7 +13,7 @@ from typing import Any
 from analyzer.catalogue import Command, Dialect, Doubt, MotionKind, Risk, Subject, Verb
 from conformance.claim import Theme
 from conformance.claims import guarded, ranges, setting_effects
-from conformance.claims.control_reads import ask_first, is_answered, judge_next, plain_read, received_text
+from conformance.claims.control_reads import ask_first, expect_silence, is_answered, judge_next, plain_read, received_text
 from conformance.claims.declare import Case, Cases, claim, described_in
 from conformance.claims.known_reads import every_read
 from conformance.claims.setting_effects import differing
@@ -154,14 +154,7 @@ def _addressing(refuted_by: str, each: Cases, **facts: Any) -> Callable[[Callabl
 
 
 def _expect_silence(probe: Probe, sent: Exchange, what: str) -> None:
-    probe.expect(
-        received_text(sent),
-        holds=sent.silent,
-        expected=f"silence after {hex_of(sent.sent or b'')}",
-        refutes=f"{what} is answered",
-        exchange=sent,
-        key=f"{what} is answered",
-    )
+    expect_silence(probe, sent, f"{what} is answered")
 
 
 # --- reads ------------------------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
 from conformance.claim import Inconclusive, Theme
-from conformance.claims.control_reads import ask_first, judge_next, plain_read, received_text
+from conformance.claims.control_reads import ask_first, expect_silence, judge_next, plain_read
 from conformance.claims.declare import Case, Cases, claim
 from conformance.claims.known_reads import every_read
 from conformance.motion import effects, motion
@@ -382,8 +382,7 @@ def _silent(probe: Probe, command: Command) -> None:
     for number, slot in enumerate(slots):
         frame = _frame(probe, command, [EMPTY] * (number % command.slots.count) + [{"address": own, **slot}])
         sent = probe.send(frame, timeout_ns=_STEPS_NS if slot is refused else probe.rig.silence_ns)
-        expected = f"silence after {hex_of(frame)}"
-        probe.expect(received_text(sent), holds=sent.silent, expected=expected, refutes="a package is answered", exchange=sent)
+        expect_silence(probe, sent, "a package is answered")
 
 
 @_of_packages("silence, or another answer", name="next")

@@ -66,6 +66,12 @@ def received_text(exchange: Exchange) -> str:
     return exchange.received.hex(" ").upper() or ("silence" if exchange.silent else "a frame without data")
 
 
+def expect_silence(probe: Probe, sent: Exchange, refutes: str, *, key: str = "") -> None:
+    """Refute where anything came behind what was sent."""
+    expected = f"silence after {hex_of(sent.sent or b'')}"
+    probe.expect(received_text(sent), holds=sent.silent, expected=expected, refutes=refutes, exchange=sent, key=key)
+
+
 def is_answered(exchange: Exchange) -> bool:
     """Say whether a frame of the same command and address, with a good checksum, answered; an exception is no answer."""
     asked = exchange.command.name if exchange.command is not None else ""

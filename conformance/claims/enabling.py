@@ -14,7 +14,7 @@ from analyzer.link import CanLink
 from conformance.claims.bench import lk_drive
 from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion_claim import expect_stays, expect_taken, of_motion, risks_by
+from conformance.claims.motion_claim import expect_not_turned, expect_taken, of_motion, risks_by
 from conformance.claims.stops import expect_standing, set_going
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, SECOND_NS
@@ -142,10 +142,7 @@ def _off_holds_all(probe: Probe) -> None:
         before = motion.position(probe)
         exchange = motion.ask(probe, command, 30, quiet_ns=0)
         probe.wait(300 * MS)
-        after = motion.position(probe)
-        if abs(after.value - before.value) > motion.same(probe):
-            motion.stop(probe)
-        expect_stays(before, after, exchange, f"{command.name} turns a disabled motor")
+        expect_not_turned(probe, before, exchange, f"{command.name} turns a disabled motor")
     motion.switch(probe, True)
 
 

@@ -13,7 +13,7 @@ from analyzer import encoder
 from analyzer.catalogue import Command, Dialect, Role, Vector, Verb
 from analyzer.decoder import slots_of
 from conformance.claim import Aspect, Inconclusive, Theme
-from conformance.claims.control_reads import received_text
+from conformance.claims.control_reads import expect_silence
 from conformance.claims.declare import Case, claim
 from conformance.motion import motion
 from conformance.motion.motion import SECOND_NS
@@ -100,8 +100,7 @@ def _runs_alone(probe: Probe) -> bool:
 
 def _judge(probe: Probe, sent: Exchange, moved: float, moves_alone: Callable[[], bool]) -> None:
     what = hex_of(sent.sent or b"")
-    expected = f"silence after {what}"
-    probe.expect(received_text(sent), holds=sent.silent, expected=expected, refutes="the example is answered", exchange=sent)
+    expect_silence(probe, sent, "the example is answered")
     if abs(moved) < _MOVED:
         if not moves_alone():
             raise Inconclusive("no move can be seen when the drive is told by itself either")

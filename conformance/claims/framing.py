@@ -23,11 +23,10 @@ from analyzer.catalogue import Certainty, Dialect, Doubt, Risk, Role, Subject
 from analyzer.link import CanLink, HeadLink, Link, LkLink, ModbusLink
 from analyzer.records import CanFrame
 from conformance.claim import NotRun, Theme
-from conformance.claims.control_reads import PAUSE_NS, ask_first, garblers, judge_next, plain_read, received_text
+from conformance.claims.control_reads import PAUSE_NS, ask_first, expect_silence, garblers, judge_next, plain_read
 from conformance.claims.declare import Case, claim, described_in
 from conformance.claims.known_quirks import known
 from conformance.talk import garbling
-from conformance.talk.exchange import hex_of
 from conformance.talk.garbling import Garbler, Variant
 from conformance.talk.probe import Probe
 
@@ -196,14 +195,7 @@ def _ignored(probe: Probe, kind: _Damage) -> None:
         if not exchange.silent and probe.claim.quirks and _tolerated(probe.dialect, kind, what):
             probe.meets(probe.claim.quirks[0])
             continue
-        probe.expect(
-            received_text(exchange),
-            holds=exchange.silent,
-            expected=f"silence after {hex_of(item)}",
-            refutes=f"{what}: answered",
-            exchange=exchange,
-            key=f"{kind.name}: answered",
-        )
+        expect_silence(probe, exchange, f"{what}: answered", key=f"{kind.name}: answered")
 
 
 @_of_kinds("silence, or another answer than the request's", name="{kind}/next", at_best=lambda case: case["kind"].following)

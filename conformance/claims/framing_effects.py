@@ -14,7 +14,7 @@ from analyzer.link import HeadLink
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import received_text
 from conformance.claims.declare import Case, claim, commands, described_in
-from conformance.claims.motion_claim import expect_stays, of_motion
+from conformance.claims.motion_claim import expect_not_turned, expect_stays, of_motion
 from conformance.motion import effects, motion
 from conformance.motion.effects import Observable
 from conformance.motion.motion import QUICK
@@ -229,10 +229,7 @@ def _expect_none_turns(probe: Probe, command: Command, values: Mapping[str, int]
     built = probe.build(command, values, address=to)
     for what, frame in _wrong_in_all_ways(probe.dialect, built.frame, to):
         sent = probe.send(built.item(frame), timeout_ns=_BETWEEN_NS)
-        after = motion.position(probe)
-        if abs(after.value - before.value) > motion.same(probe):
-            motion.stop(probe)
-        expect_stays(before, after, sent, f"{command.name} is executed with {what}")
+        expect_not_turned(probe, before, sent, f"{command.name} is executed with {what}")
     probe.wait(_LISTEN_NS)
     expect_stays(before, motion.position(probe), sent, f"{command.name} is executed with a wrong checksum")
 

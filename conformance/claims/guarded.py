@@ -18,7 +18,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Ro
 from analyzer.protocols.lk_rs485 import ERROR_BITS
 from conformance.claim import Inconclusive, Theme
 from conformance.claims import bench
-from conformance.claims.control_reads import PAUSE_NS, received_text
+from conformance.claims.control_reads import PAUSE_NS, expect_silence
 from conformance.claims.declare import Case, claim, described_in
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.known_reads import every_read, is_stored, plain_reads
@@ -311,9 +311,7 @@ def _reads_guarded(probe: Probe) -> None:
             changed = bytearray(built.frame)
             changed[check.start] ^= 1
             sent = probe.send(built.item(bytes(changed)), timeout_ns=PAUSE_NS)
-            text = f"{command.name} is answered with a wrong {check.name}"
-            expected = f"silence after {hex_of(sent.sent or b'')}"
-            probe.expect(received_text(sent), holds=sent.silent, expected=expected, refutes=text, exchange=sent, key=text)
+            expect_silence(probe, sent, f"{command.name} is answered with a wrong {check.name}")
 
 
 def _of_one_length(dialect: Dialect) -> Iterator[Case]:

@@ -23,12 +23,11 @@ from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Subject
 from analyzer.link import READS, WRITE_MANY, WRITE_ONE
 from analyzer.protocols.modbus import ModbusException
 from conformance.claim import Theme
-from conformance.claims.control_reads import ask_alone, plain_read, received_text
+from conformance.claims.control_reads import ask_alone, expect_silence, plain_read
 from conformance.claims.declare import Case, claim, described_in
 from conformance.claims.modbus_frames import expect_exceptions, on_modbus, request
 from conformance.claims.motion_claim import of_motion
 from conformance.motion import motion
-from conformance.talk.exchange import hex_of
 from conformance.talk.garbling import harmless
 from conformance.talk.probe import Probe
 
@@ -214,12 +213,6 @@ def _refused_while_turning(probe: Probe) -> None:
 # --- addresses --------------------------------------------------------------------------------------------------------
 
 
-def _expect_silence(probe: Probe, frame: bytes, refutes: str) -> None:
-    sent = probe.send(frame)
-    expected = f"silence after {hex_of(frame)}"
-    probe.expect(received_text(sent), holds=sent.silent, expected=expected, refutes=refutes, exchange=sent)
-
-
 @claim(
     Theme.MODBUS,
     each=on_modbus,
@@ -235,7 +228,7 @@ def _reserved_addresses(probe: Probe) -> None:
     read = plain_read(probe.dialect)
     for address in _RESERVED:
         frame = request(probe, read.function or 0, read.code, read.quantity, address=address)
-        _expect_silence(probe, frame, f"the reserved address {address} is answered")
+        expect_silence(probe, probe.send(frame), f"the reserved address {address} is answered")
 
 
 def _by_broadcast(own: int) -> tuple[int, ...]:
@@ -272,4 +265,4 @@ def _no_exception(probe: Probe, how: str, addresses: Callable[[int], tuple[int, 
             (read.function or 0, read.code, 0),
         ):
             frame = request(probe, function, register, quantity, address=address)
-            _expect_silence(probe, frame, f"a wrong request {how} is answered")
+            expect_silence(probe, probe.send(frame), f"a wrong request {how} is answered")

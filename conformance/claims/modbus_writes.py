@@ -14,7 +14,7 @@ from conformance.claims.control_reads import ask_alone, received_text
 from conformance.claims.declare import Case, Cases, claim
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.modbus_frames import Denied, ask, expect_answer, expect_exceptions, on_modbus, request, unambiguous
-from conformance.claims.motion_claim import expect_stays, of_motion
+from conformance.claims.motion_claim import expect_not_turned, expect_stays, of_motion
 from conformance.model import limits
 from conformance.motion import motion
 from conformance.motion.effects import STEP_NS
@@ -257,10 +257,7 @@ def _other_forms(probe: Probe, command: Command) -> None:
     }
     for what, sent_frame in forms.items():
         sent = probe.send(sent_frame, timeout_ns=_BETWEEN_NS)
-        after = motion.position(probe)
-        if abs(after.value - before.value) > motion.same(probe):
-            motion.stop(probe)
-        expect_stays(before, after, sent, f"{command.name} is executed with {what}")
+        expect_not_turned(probe, before, sent, f"{command.name} is executed with {what}")
     probe.wait(_WATCH_NS)
     expect_stays(before, motion.position(probe), sent, f"{command.name} is executed in another form")
 

@@ -110,6 +110,14 @@ def expect_stays(before: Sample, after: Sample, exchange: Exchange | None, text:
         raise Refuted(text, expected="no motion", got=f"the shaft moved by {moved:+.2f} degrees", exchange=exchange)
 
 
+def expect_not_turned(probe: Probe, before: Sample, exchange: Exchange, text: str) -> None:
+    """Refute unless the shaft is where it was; a shaft that turns is stopped first."""
+    after = motion.position(probe)
+    if abs(after.value - before.value) > motion.same(probe):
+        motion.stop(probe)
+    expect_stays(before, after, exchange, text)
+
+
 def expect_speed(seen: Sample | float, rpm: float, exchange: Exchange | None, text: str, share: float = CLOCK_SHARE) -> None:
     """Refute unless a speed is near `rpm`, in either direction."""
     value, noise = (abs(seen), 0.0) if isinstance(seen, float) else (abs(seen.value), seen.noise)

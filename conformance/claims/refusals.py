@@ -14,7 +14,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Ve
 from conformance.claim import Inconclusive
 from conformance.claims.control_reads import judge_next
 from conformance.claims.declare import Case, motions
-from conformance.claims.motion_claim import command_of, expect_stays, of_motion, risks_by
+from conformance.claims.motion_claim import command_of, expect_not_turned, expect_stays, of_motion, risks_by
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, QUICK
 from conformance.talk.acceptance import need_reliable_replies
@@ -54,10 +54,7 @@ def expect_refused(probe: Probe, command: Command, why: str, again: Callable[[],
     if again is not None:
         again()
         probe.wait(_LOOKED_AT_NS)
-    after = motion.position(probe)
-    if abs(after.value - before.value) > motion.same(probe):
-        motion.stop(probe)
-    expect_stays(before, after, exchange, f"{command.name} {why} turns the shaft")
+    expect_not_turned(probe, before, exchange, f"{command.name} {why} turns the shaft")
     probe.expect(
         answer.data.hex(" ").upper(),
         holds=probe.refused(exchange),

@@ -15,6 +15,7 @@ import time
 import tty
 import zlib
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 #: Bytes with which the far end of a bus answers a request.
@@ -28,18 +29,14 @@ _GROUP = "239.74.163.31"
 def beside(act: Callable[[threading.Event], None]) -> Iterator[None]:
     """Run a client in a thread; `ended` is set when the command is over. What a port that closes raises is no fault."""
     ended = threading.Event()
-
-    def run() -> None:
-        with contextlib.suppress(OSError):
-            act(ended)
-
-    thread = threading.Thread(target=run)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()
+    with ThreadPoolExecutor(1) as pool:
+        client = pool.submit(act, ended)
+        try:
+            yield
+        finally:
+            ended.set()
+    with contextlib.suppress(OSError):
+        client.result()
 
 
 @contextlib.contextmanager
