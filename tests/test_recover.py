@@ -11,10 +11,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from analyzer.cli import main
-from analyzer.live import config
 from analyzer.live.lock import RUNNING, Lock
-from analyzer.live.log_parts import LogParts
-from analyzer.live.recording import Recording
 from analyzer.sinks.mcap_repair import is_whole, repair
 from tests.collect import sum8
 from tests.live.spooled import Spools, content, decoded_of, metadata, port, raw_of, read
@@ -108,15 +105,7 @@ def whole_log(tmp_path, count=4000):
     for n in range(count):
         spools.data("1-left", 5 * n, sum8("FA 01 32") if n % 2 == 0 else sum8(f"FB 01 32 {n % 256:02X} D4"))
     spools.end(6 * count)
-    told = config.load(spools.folder)
-    recording = Recording(spools.folder, told, LogParts(spools.folder, told))
-    for number, each in enumerate(recording.merger.take(None)):
-        recording.take([each])
-        if number % 200 == 0:
-            recording.flush()
-    while not recording.merger.drained:
-        recording.take(recording.merger.take(None))
-    recording.finish(lambda step: step())
+    spools.record_in_chunks(200)
     shutil.rmtree(spools.folder)
     return spools
 
@@ -272,8 +261,7 @@ def test_a_recording_in_parts(tmp_path):
 def test_killed_when_the_log_was_whole_and_its_spools_still_there(tmp_path):
     spools = Spools(tmp_path, LEFT, RIGHT, ARM)
     fill(spools, 2)
-    told = config.load(spools.folder)
-    recording = Recording(spools.folder, told, LogParts(spools.folder, told))
+    recording = spools.begin()
     while not recording.merger.drained:
         recording.take(recording.merger.take(None))
         recording.settle(recording.merger.horizon_ns)

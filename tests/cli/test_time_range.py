@@ -227,23 +227,11 @@ def test_comments_before_all_traffic_do_not_begin_a_log_in_1970(tmp_path, capsys
 
 def test_what_lies_before_is_not_read(tmp_path):
     """Of a whole log only the chunks of the stretch are read, and its hash is not told."""
-    from analyzer.live import config
-    from analyzer.live.log_parts import LogParts
-    from analyzer.live.recording import Recording
-
     spools = Spools(tmp_path, LEFT)
     for n in range(600):
         spools.data("1-left", 100 * n, sum8("FA 01 32"))
     spools.end(60_000)
-    told = config.load(spools.folder)
-    recording = Recording(spools.folder, told, LogParts(spools.folder, told))
-    for number, each in enumerate(recording.merger.take(None)):
-        recording.take([each])
-        if number % 20 == 0:
-            recording.flush()
-    while not recording.merger.drained:
-        recording.take(recording.merger.take(None))
-    recording.finish(lambda step: step())
+    spools.record_in_chunks(20)
     data = bytearray(spools.log.read_bytes())
     chunks = make_reader(io.BytesIO(bytes(data))).get_summary().chunk_indexes
     for chunk in chunks[2:20]:
@@ -415,15 +403,11 @@ class Following:
 
 def test_follow_one_that_is_written(tmp_path):
     """Frames are shown as they are flushed, over a rotation and a process that goes on, up to the end of the recording."""
-    from analyzer.live import config
     from analyzer.live.lock import RUNNING, Lock
-    from analyzer.live.log_parts import LogParts
-    from analyzer.live.recording import Recording
 
     spools = Spools(tmp_path, LEFT, rotate_bytes=8000)
-    told = config.load(spools.folder)
     lock = Lock(spools.folder, RUNNING, shared=True)
-    recording = Recording(spools.folder, told, LogParts(spools.folder, told))
+    recording = spools.begin()
     following = None
     shown = []
     try:
@@ -444,7 +428,7 @@ def test_follow_one_that_is_written(tmp_path):
                 shown += following.lines(30)
             if n == 30:
                 recording.abandon()
-                recording = Recording(spools.folder, told, LogParts(spools.folder, told))
+                recording = spools.begin()
         spools.end(7000)
         while not recording.merger.drained:
             recording.take(recording.merger.take(None))

@@ -39,9 +39,7 @@ from analyzer.context import Context
 from analyzer.decoder import Decoder
 from analyzer.errors import ServotapError
 from analyzer.framer import Framer
-from analyzer.live import config, spool
-from analyzer.live.log_parts import LogParts
-from analyzer.live.recording import Recording
+from analyzer.live import spool
 from analyzer.pipeline import Options, Pipeline
 from analyzer.records import CanFrame, Chunk, Frame
 from analyzer.sources import FORMATS, open_source
@@ -369,8 +367,7 @@ def recordings() -> list[Input]:
             if seed == 3:
                 spools.end(500)
             spools.close()
-            told = config.load(spools.folder)
-            recording = Recording(spools.folder, told, LogParts(spools.folder, told))
+            recording = spools.begin()
             for number, each in enumerate(recording.merger.take(START + 10**12)):
                 if number == flushed:
                     break

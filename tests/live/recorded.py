@@ -14,6 +14,8 @@ import tty
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import pytest
+
 from analyzer.live.spool import last_record, spool_folder, stems
 from tests.conformance.drives.served import wait_for
 
@@ -32,6 +34,19 @@ def pty_pair():
         os.close(slave)
         with suppress(OSError):
             os.close(master)
+
+
+@contextmanager
+def small_disk(folder, size):
+    """A disk of its own; yields what makes it larger. Only root may mount one."""
+    folder.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)], capture_output=True)
+    if mounted.returncode:
+        pytest.skip("no small disk can be mounted here")
+    try:
+        yield lambda larger: subprocess.run(["mount", "-o", f"remount,size={larger}", str(folder)], check=True)
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
 def children_of(pid):

@@ -88,10 +88,25 @@ class Spools:
         Recorder(self.folder, say=said.append, **options).run()
         return said
 
+    def begin(self):
+        """Begin a recording of what is there, or go on with it."""
+        told = config.load(self.folder)
+        return Recording(self.folder, told, LogParts(self.folder, told))
+
+    def record_in_chunks(self, flush_every):
+        """Make the log of what is there, with a flush every so many records."""
+        recording = self.begin()
+        for number, each in enumerate(recording.merger.take(None)):
+            recording.take([each])
+            if number % flush_every == 0:
+                recording.flush()
+        while not recording.merger.drained:
+            recording.take(recording.merger.take(None))
+        recording.finish(lambda step: step())
+
     def record_and_be_killed(self, after, flush_every):
         """Record up to a record, and leave everything as a process that is killed then leaves it."""
-        told = config.load(self.folder)
-        recording = Recording(self.folder, told, LogParts(self.folder, told))
+        recording = self.begin()
         for number, each in enumerate(recording.merger.take(START + 10**12)):
             recording.take([each])
             if number % flush_every == flush_every - 1:

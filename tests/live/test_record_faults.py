@@ -11,10 +11,8 @@ import threading
 import time
 from contextlib import contextmanager, suppress
 
-import pytest
-
 from tests.conformance.drives.served import wait_for
-from tests.live.recorded import Recorded, gone, pty_pair
+from tests.live.recorded import Recorded, gone, pty_pair, small_disk
 from tests.live.test_reader_serial import terminal
 from tests.live.test_record import POLL, events, raw, servotap
 
@@ -240,19 +238,6 @@ def test_a_tcp_server_gone_and_back(tmp_path):
 
 
 # --- full -----------------------------------------------------------------------------------------------------------------
-
-
-@contextmanager
-def small_disk(folder, size):
-    """A disk of its own; yields what makes it larger. Only root may mount one."""
-    folder.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)], capture_output=True)
-    if mounted.returncode:
-        pytest.skip("no small disk can be mounted here")
-    try:
-        yield lambda larger: subprocess.run(["mount", "-o", f"remount,size={larger}", str(folder)], check=True)
-    finally:
-        subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
 def flood(fd, count):

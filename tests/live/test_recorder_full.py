@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import resource
 import subprocess
 import sys
@@ -13,11 +11,9 @@ import pytest
 from mcap.reader import make_reader
 
 from analyzer.cli import main
-from analyzer.live import config
-from analyzer.live.log_parts import LogParts
-from analyzer.live.recording import Recording
 from analyzer.sources import open_source
 from tests.collect import sum8
+from tests.live.recorded import small_disk
 from tests.live.spooled import Spools, decoded_of, metadata, port, raw_of, read
 
 EXCHANGE = bytes.fromhex(sum8("FA 01 32") + sum8("FB 01 32 FE D4"))
@@ -87,25 +83,9 @@ def test_killed_while_the_disk_is_full(tmp_path):
     assert raw_of([spools.log], "left") == decoded_of([spools.log], "left") == spools.sent["left"]
 
 
-@contextlib.contextmanager
-def small_disk(path, size):
-    path.mkdir()
-    mounted = (
-        os.geteuid() == 0
-        and not subprocess.run(
-            ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(path)], capture_output=True
-        ).returncode
-    )
-    if not mounted:
-        pytest.skip("no file system can be mounted here")
-    try:
-        yield path
-    finally:
-        subprocess.run(["umount", "-l", str(path)], check=True)
-
-
 def test_a_disk_that_is_really_full(tmp_path):
-    with small_disk(tmp_path / "disk", "4m") as disk:
+    disk = tmp_path / "disk"
+    with small_disk(disk, "4m"):
         spools = Spools(disk, port("1-left", "left"), segment_size=1 << 16)
         fill(spools)
         used = sum(p.stat().st_size for p in spools.folder.iterdir())
@@ -157,8 +137,7 @@ def test_every_write_may_fail_once(tmp_path, monkeypatch, rotating):
                 continue
         raise Full
 
-    told = config.load(spools.folder)
-    recording = Recording(spools.folder, told, LogParts(spools.folder, told))
+    recording = spools.begin()
     monkeypatch.setattr(mcap_index, "write_whole", flaky)
     for number, each in enumerate(recording.merger.take(None)):
         recording.take([each])

@@ -12,9 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 from analyzer.cli import main
-from analyzer.live import checkpoint, config, recorder
-from analyzer.live.log_parts import LogParts
-from analyzer.live.recording import Recording
+from analyzer.live import checkpoint, recorder
 from analyzer.records import Chunk
 from analyzer.sources import open_source
 from tests.collect import sum8
@@ -52,10 +50,6 @@ def once(step):
     step()
 
 
-def begun(spools):
-    return Recording(spools.folder, config.load(spools.folder), LogParts(spools.folder, config.load(spools.folder)))
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_gone_on_with_after_each_kill(tmp_path, seed):
     (tmp_path / "a").mkdir()
@@ -65,7 +59,7 @@ def test_gone_on_with_after_each_kill(tmp_path, seed):
         fill(spools, seed)
     straight.record()
     chance = random.Random(seed)
-    recording = begun(killed)
+    recording = killed.begin()
     now_ns = START
     kills = 0
     while not recording.merger.drained:
@@ -84,7 +78,7 @@ def test_gone_on_with_after_each_kill(tmp_path, seed):
             recording.abandon()
             with recording.parts.path.open("ab") as stream:
                 stream.write(chance.randbytes(chance.randint(0, 3000)))
-            recording = begun(killed)
+            recording = killed.begin()
     recording.finish(once)
     assert kills
     for bus in ("left", "right"):
@@ -96,7 +90,7 @@ def test_gone_on_with_after_each_kill(tmp_path, seed):
 def test_another_version_goes_on(tmp_path):
     spools = Spools(tmp_path, LEFT, RIGHT, ARM)
     fill(spools, 3)
-    recording = begun(spools)
+    recording = spools.begin()
     for number, each in enumerate(recording.merger.take(START + 10**12)):
         recording.take([each])
         if number == 300:

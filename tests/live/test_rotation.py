@@ -9,9 +9,7 @@ import pytest
 from analyzer.cli import main
 from analyzer.errors import UsageError
 from analyzer.live import config
-from analyzer.live.log_parts import LogParts
 from analyzer.live.recorder import Recorder
-from analyzer.live.recording import Recording
 from analyzer.sources import open_source
 from analyzer.sources.recording_parts import base_of, look, part_path, parts_named
 from tests.collect import sum8
@@ -22,8 +20,7 @@ from tests.live.test_recorder_killed import ARM, LEFT, RIGHT, fill, once
 def recorded_in_steps(spools, seed, killed=False):
     """Record with a flush after every few records; return the parts."""
     chance = random.Random(seed)
-    told = config.load(spools.folder)
-    recording = Recording(spools.folder, told, LogParts(spools.folder, told))
+    recording = spools.begin()
     now_ns = START
     while not recording.merger.drained:
         now_ns += chance.randint(1, 300) * 1_000_000
@@ -37,7 +34,7 @@ def recorded_in_steps(spools, seed, killed=False):
         recording.settle(recording.merger.horizon_ns)
         if killed and chance.random() < 0.2:
             recording.abandon()
-            recording = Recording(spools.folder, told, LogParts(spools.folder, told))
+            recording = spools.begin()
     recording.finish(once)
     return parts_named(spools.log)
 

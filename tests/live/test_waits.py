@@ -23,10 +23,10 @@ from analyzer.live.recording import Recording
 from analyzer.live.supervisor import END_S, SILENT_S, Supervisor
 from tests.collect import sum8
 from tests.conformance.drives.served import wait_for
-from tests.live.recorded import Recorded, pty_pair
+from tests.live.recorded import Recorded, pty_pair, small_disk
 from tests.live.spooled import Spools, port
 from tests.live.test_record import raw, servotap
-from tests.live.test_record_faults import flood, small_disk
+from tests.live.test_record_faults import flood
 
 ROOT = Path(__file__).parents[2]
 S = 1_000_000_000
