@@ -241,6 +241,7 @@ def _repeatable(dialect: Dialect) -> Iterator[Case]:
 
 
 _of_guarded = partial(claim, refuted_by="an effect of it", risks=risks, parameters={})
+_of_framing = partial(claim, Theme.FRAMING, section=described_in(Subject.FRAMING), parameters={})
 
 
 def _expect_no_effect(probe: Probe, guarded: Guarded, before: float, sent: Exchange, refutes: str, key: str) -> None:
@@ -295,14 +296,7 @@ def _with_reads(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, facts={"commands": tuple(c.name for c in plain_reads(dialect))})
 
 
-@claim(
-    Theme.FRAMING,
-    each=_with_reads,
-    name="reads/guarded",
-    refuted_by="an answer",
-    section=described_in(Subject.FRAMING),
-    parameters={},
-)
+@_of_framing(each=_with_reads, name="reads/guarded", refuted_by="an answer")
 def _reads_guarded(probe: Probe) -> None:
     """No read whose check is wrong is answered."""
     for command in plain_reads(probe.dialect):
@@ -322,15 +316,12 @@ def _of_one_length(dialect: Dialect) -> Iterator[Case]:
         yield from (*guarded.values(), *moves)
 
 
-@claim(
-    Theme.FRAMING,
+@_of_framing(
     each=_of_one_length,
     name="{command}/other-length",
     refuted_by="an effect of it",
     risks=lambda case: risks(case) | {Risk.UNKNOWN},
-    section=described_in(Subject.FRAMING),
     at_best=Certainty.LIKELY,
-    parameters={},
 )
 def _guarded_by_length(probe: Probe, command: Command, guarded: Guarded) -> None:
     """{command} with a byte more or less, or without any, all else fitting, or without its check, is not executed.
@@ -372,14 +363,11 @@ def _with_settings(dialect: Dialect, *more: Risk) -> Iterator[Case]:
         yield Case(dialect, given={"chosen": chosen}, facts={"risks": risks | set(more), "settings": names})
 
 
-@claim(
-    Theme.FRAMING,
+@_of_framing(
     each=_with_settings,
     name="settings/guarded",
     refuted_by="a value that is stored",
-    section=described_in(Subject.FRAMING),
     quirks=may_meet(lk_parameters.OTHER_FIRMWARE),
-    parameters={},
 )
 def _settings_guarded(probe: Probe, chosen: list[ReadableSetting]) -> None:
     """A setting whose check is wrong is not stored."""
@@ -395,15 +383,12 @@ def _settings_guarded(probe: Probe, chosen: list[ReadableSetting]) -> None:
             probe.expect(each.read(probe), equal=was, refutes=text, exchange=sent, key=text)
 
 
-@claim(
-    Theme.FRAMING,
+@_of_framing(
     each=lambda dialect: _with_settings(dialect, Risk.UNKNOWN) if dialect.link.tells_length else (),
     name="settings/other-length",
     refuted_by="a value that is stored",
-    section=described_in(Subject.FRAMING),
     at_best=Certainty.LIKELY,
     quirks=may_meet(lk_parameters.OTHER_FIRMWARE),
-    parameters={},
 )
 def _settings_of_one_length(probe: Probe, chosen: list[ReadableSetting]) -> None:
     """A setting with a byte more or less is not stored."""

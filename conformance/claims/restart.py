@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping
+from functools import partial
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, MotionKind, Risk, Verb
@@ -75,6 +76,9 @@ def stored_effect(dialect: Dialect, command: Command) -> SettingEffect | None:
 def _restart_risks(case: Case) -> frozenset[Risk]:
     assert case.command is not None  # only cases of commands are asked for
     return case.command.all_risks | case.dialect.by_verb[Verb.RESTART].all_risks
+
+
+_of_restart = partial(of_read_back, name="{command}/restart", risks=_restart_risks)
 
 
 # --- settings ---------------------------------------------------------------------------------------------------------
@@ -185,14 +189,7 @@ def _kept_field(probe: Probe, command: Command, row: Kept) -> None:
     probe.expect(row.effect.words(after), holds=holds, expected=expected, refutes=text, exchange=exchange)
 
 
-@of_read_back(
-    each=commands(Verb.WRITE_USER_ID),
-    name="{command}/restart",
-    refuted_by="another number",
-    fields=fields_of,
-    settings=fields_of,
-    risks=_restart_risks,
-)
+@_of_restart(each=commands(Verb.WRITE_USER_ID), refuted_by="another number", fields=fields_of, settings=fields_of)
 def _user_id(probe: Probe, command: Command) -> None:
     """A restart keeps the user's number."""
     wanted = {next(iter(command.request_forms[0].layout.named)): 0x01020304}
@@ -208,14 +205,7 @@ def _addresses(dialect: Dialect) -> Iterator[Case]:
             yield Case(dialect, command, {}, {"fields": (field.name,), "settings": (field.name,)})
 
 
-@of_read_back(
-    each=_addresses,
-    name="{command}/restart",
-    refuted_by="an answer at another address",
-    alone=True,
-    risks=_restart_risks,
-    quirks=may_meet(NEW_ADDRESS_ANSWERS),
-)
+@_of_restart(each=_addresses, refuted_by="an answer at another address", alone=True, quirks=may_meet(NEW_ADDRESS_ANSWERS))
 def _address(probe: Probe, command: Command) -> None:
     """A restart keeps the address."""
     before = probe.address
@@ -253,13 +243,7 @@ def _kept_links(effect: Effect) -> Cases:
     return cases
 
 
-@of_read_back(
-    each=_kept_links(Effect.BAUD_RATE),
-    name="{command}/restart",
-    refuted_by="silence at the new speed",
-    alone=True,
-    risks=_restart_risks,
-)
+@_of_restart(each=_kept_links(Effect.BAUD_RATE), refuted_by="silence at the new speed", alone=True)
 def _speed_of_the_line(probe: Probe, command: Command, field: str) -> None:
     """A restart keeps the speed of the line."""
     need_reliable_replies(probe)
@@ -288,13 +272,7 @@ def _speed_of_the_line(probe: Probe, command: Command, field: str) -> None:
     probe.expect("silence", holds=kept, expected=expected, refutes=text, exchange=exchange, key=f"{command.name} lost")
 
 
-@of_read_back(
-    each=_kept_links(Effect.DIALECT),
-    name="{command}/restart",
-    refuted_by="an answer in the old dialect",
-    alone=True,
-    risks=_restart_risks,
-)
+@_of_restart(each=_kept_links(Effect.DIALECT), refuted_by="an answer in the old dialect", alone=True)
 def _dialect_of_the_line(probe: Probe, command: Command, field: str) -> None:
     """A restart keeps the dialect."""
     own, sibling = probe.dialect, registry.get(probe.dialect.siblings[0])
