@@ -5,7 +5,10 @@ A rule is a row here, and a small condition in the module that has the fact:
     the bytes of one frame        analyzer.codec, analyzer.decoder
     the course of an exchange     analyzer.transactions
     the course of a recording     analyzer.events
+    a CAN frame of another type   analyzer.pipeline
     one message by itself         `of_message` below
+
+`is_plain` and `Pipeline._plain` know what these rules look at. A message that is in order there never reaches them.
 
 All use the ids of this table, so that reports, filters and the conformance suite have one list.
 """

@@ -118,6 +118,8 @@ class Field:
             raise ValueError(f"field name {self.name!r} is taken by the log")
         if self.order is Order.LITTLE and self.bit_width % 8:
             raise ValueError(f"little-endian field {self.name!r} has {self.bit_width} bits, expected whole bytes")
+        if isinstance(self.scale, float):
+            raise ValueError(f"field {self.name!r} has the scale {self.scale}, expected a Fraction as Fraction(1, 10)")
 
     @property
     def wire_minimum(self) -> int:

@@ -77,6 +77,7 @@ def test_an_open_ended_layout_fits_every_length_from_its_fixed_part_on():
         (lambda: Layout(uint("a", 4)), "do not fill whole bytes"),
         (lambda: Layout(uint("a", 4), Field(name="b", bit_width=8, order=Order.LITTLE), uint("c", 4)), "starts at bit 4"),
         (lambda: Field(name="b", bit_width=12, order=Order.LITTLE), "expected whole bytes"),
+        (lambda: u8("voltage", scale=0.1), "expected a Fraction"),
         (lambda: u8("address"), "taken by the log"),
         (lambda: u8("_raw"), "taken by the log"),
     ],

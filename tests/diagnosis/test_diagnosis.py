@@ -40,7 +40,9 @@ def diagnosed(items):
         watch.take(item)
         pipeline.feed(item)
     pipeline.close()
-    return diagnosis(watch, chosen)
+    found = diagnosis(watch, chosen)
+    assert {each.suspicion.cause for each in found.causes} <= CAUSES.keys()
+    return found
 
 
 def lines(*rows):
