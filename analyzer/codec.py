@@ -189,16 +189,20 @@ class Codec:
                 tests.append(f"{field.low} <= ({text}) <= {field.high}")
         return _compile("valid", f"    return {' and '.join(tests) or True}", dict(names))
 
+    @cached_property
+    def _judged(self) -> list[tuple[Field, Callable[[bytes], int]]]:
+        """The fields whose values may break something, each with what reads it."""
+        judged = [(o, f) for o, f in self.layout if f.bit_width and f.fixed is None]
+        return [(f, _compile("value", f"    return {_expression(o, f)}", {})) for o, f in judged]
+
     def broken(self, data: bytes) -> tuple[Violation, ...]:
         """Return what the values break; empty where all are as the manual says."""
         return () if self.valid(data) else self._broken(data)
 
     def _broken(self, data: bytes) -> tuple[Violation, ...]:
         result = []
-        for offset, field in self.layout:
-            if field.bit_width == 0 or field.fixed is not None:
-                continue
-            value = eval(_expression(offset, field), {"d": data, "int": int})
+        for field, read in self._judged:
+            value = read(data)
             if field.allows(value):
                 continue
             rule, text = _judge(field, value)

@@ -95,15 +95,14 @@ class Framer:
         self._starts = re.compile(b"|".join(s.starts for s in self._slicers), re.DOTALL)
         self._longest = max(s.longest for s in self._slicers)
         # By first byte: the slicers that know it (as indexes), what looks there, and whose frame it is if that is sure.
-        self._by_head: list[tuple[int, ...]] = []
-        self._looks: list[_Look] = []
-        self._owners: list[Dialect | None] = []
-        for head in range(256):
-            known = tuple(i for i, s in enumerate(self._slicers) if head in s.heads)
-            self._by_head.append(known)
+        self._by_head: list[tuple[int, ...]] = [()] * 256
+        self._looks: list[_Look] = [_nothing] * 256
+        self._owners: list[Dialect | None] = [None] * 256
+        for head in set().union(*(s.heads for s in self._slicers)):
+            known = self._by_head[head] = tuple(i for i, s in enumerate(self._slicers) if head in s.heads)
             only = len(known) == 1
-            self._looks.append(self._slicers[known[0]].look if only else self._look_at_several if known else _nothing)
-            self._owners.append(self.dialects[known[0]] if only else None)
+            self._looks[head] = self._slicers[known[0]].look if only else self._look_at_several
+            self._owners[head] = self.dialects[known[0]] if only else None
         self._byte_ns = byte_ns
         self._silence_ns = silence_ns
         self._buffer = b""

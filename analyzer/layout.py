@@ -19,7 +19,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from fractions import Fraction
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 
@@ -52,6 +52,11 @@ class Effect(StrEnum):
     SUBDIVISION = "subdivision"
     CURRENT = "current"
     HOME_SPEED = "home_speed"
+
+
+@cache
+def _choice_names(choices: type[IntEnum]) -> dict[int, str]:
+    return {int(c): c.name.lower() for c in choices}
 
 
 #: Names that a decoded message or a filter uses for something else; no field may take one.
@@ -156,7 +161,7 @@ class Field:
     @property
     def choice_names(self) -> dict[int, str]:
         """Integer as sent -> name in lower case; empty without choices."""
-        return {} if self.choices is None else {int(c): c.name.lower() for c in self.choices}
+        return {} if self.choices is None else _choice_names(self.choices)
 
     def physical(self, value: int) -> int | float:
         """Return the physical value of an integer as sent, in `unit`."""

@@ -59,7 +59,11 @@ class HeadLink(Link):
         return _HeadFinder(self, commands)
 
     def slicer(self, commands: Sequence[CommandShape], expects: Callable[[int, int], int]) -> Slicer:
-        return _HeadSlicer(self, commands)
+        # It keeps nothing of what it slices, so one is enough for all lines; the commands are kept with it, for their id.
+        kept: dict[int, tuple[Sequence[CommandShape], _HeadSlicer]] = self.__dict__.setdefault("_slicers", {})
+        if id(commands) not in kept:
+            kept[id(commands)] = commands, _HeadSlicer(self, commands)
+        return kept[id(commands)][1]
 
     def parse(self, frame: bytes, can_id: int | None = None) -> Head:
         if self.package is not None and frame[:1] == bytes((self.package.head,)):

@@ -474,11 +474,11 @@ class Drive(ABC):
 
     def _own(self, t_ns: int) -> int:
         """Return a time of the line as the drive's clock has it."""
-        return t_ns * (_MILLION + self.clock_ppm) // _MILLION
+        return t_ns * (_MILLION + self.clock_ppm) // _MILLION if self.clock_ppm else t_ns
 
     def _of_line(self, own_ns: int) -> int:
         """Return the first time of the line at which the drive's clock shows a time."""
-        return -(-own_ns * _MILLION // (_MILLION + self.clock_ppm))
+        return -(-own_ns * _MILLION // (_MILLION + self.clock_ppm)) if self.clock_ppm else own_ns
 
     def changed(self) -> None:
         """Say that something changed, so that what comes next must be found anew."""

@@ -85,8 +85,14 @@ _REPLY_BYTES = 20
 _NOTHING = Pending()
 #: Bytes that begin no frame of any dialect: the reads of a drive at FAh, FCh or 3Eh are heads themselves.
 _FILLERS = (bytes(8), b"\x55" * 8, b"\x00\x55" * 4, b"\x55\x00" * 4)
+#: What tells an item from every other, its time aside.
+_Key = bytes | tuple[int, bytes, bool, bool, bool, bool]
 #: A frame that a stop has passed in spite of: where it begins in all that was sent, and its slot.
 _Passed = tuple[int, int]
+
+
+def _key(item: Item) -> _Key:
+    return (item.id, item.data, item.extended, item.remote, item.error, item.fd) if isinstance(item, CanFrame) else item
 
 
 class _Sent:
@@ -123,8 +129,8 @@ class Judge:
         self._can = CanInterpreter([d for d in chosen if d.bus == "can"])
         self._sent = _Sent()
         self.known = Knowledge(allowance.subdivision)
-        #: Bytes that do nothing but read, by what was pending: they were allowed, and nothing can change that.
-        self._plain: dict[tuple[Pending, bytes], Pending] = {}
+        #: What does nothing but read, by what was pending: it was allowed, and nothing can change that.
+        self._plain: dict[tuple[Pending, _Key], Pending] = {}
 
     @property
     def early(self) -> deque[Chunk | CanFrame]:
@@ -162,11 +168,11 @@ class Judge:
 
         `closing`: it goes before a stop, which would make sound what this leaves damaged. Raises Refused, with nothing changed.
         """
-        key = (self._sent.pending, item)
-        after = self._plain.get(key) if isinstance(item, bytes) else None  # type: ignore[arg-type]
+        key = (self._sent.pending, _key(item))
+        after = self._plain.get(key)
         if after is not None:
             self._sent.pending = after
-            self._sent.count += len(item.data if isinstance(item, CanFrame) else item)
+            self._sent.count += len(item) if isinstance(item, bytes) else 0
             return ()
         found, after = self._interpret(item)
         objections = self._objections(item, found, now_ns, self.allowance.budget.take)
@@ -182,10 +188,10 @@ class Judge:
         sent.pending = after
         for each in found:
             self.known.learn(each, now_ns)
-        if isinstance(item, bytes) and all(each.reads_only for each in found):
+        if all(each.reads_only for each in found):
             if len(self._plain) >= _KEPT:
                 self._plain.clear()
-            self._plain[key] = after  # type: ignore[index]
+            self._plain[key] = after
         return found
 
     # --- why not --------------------------------------------------------------------------------------------------

@@ -34,7 +34,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 from analyzer.catalogue import Command, Dialect, Form, Risk
 from analyzer.codec import codec
@@ -200,13 +201,19 @@ def _of(dialect: Dialect) -> _Dialect:
     return kept
 
 
+@lru_cache(maxsize=32)
+def _known(*dialects: _Dialect) -> dict[Any, Any]:
+    """Return where the interpretations of these dialects are kept, for all gates together: they depend on nothing else."""
+    return {}
+
+
 class SerialInterpreter:
     """Interprets what leaves on a serial line."""
 
     def __init__(self, dialects: Sequence[Dialect]) -> None:
         self._dialects = [_of(d) for d in dialects]
         self._longest = max((d.finder.longest for d in self._dialects), default=0)
-        self._kept: dict[tuple[Pending, bytes], tuple[tuple[Interpretation, ...], Pending]] = {}
+        self._kept: dict[tuple[Pending, bytes], tuple[tuple[Interpretation, ...], Pending]] = _known(*self._dialects)
 
     def interpret(self, pending: Pending, item: bytes) -> tuple[tuple[Interpretation, ...], Pending]:
         """Return the interpretations that need a byte of `item`, and what is pending behind it."""
@@ -383,7 +390,7 @@ class CanInterpreter:
 
     def __init__(self, dialects: Sequence[Dialect]) -> None:
         self._dialects = [_of(d) for d in dialects]
-        self._kept: dict[tuple[int, bytes, str], tuple[Interpretation, ...]] = {}
+        self._kept: dict[tuple[int, bytes, str], tuple[Interpretation, ...]] = _known(*self._dialects)
 
     def interpret(self, frame: CanFrame) -> tuple[Interpretation, ...]:
         """Return the interpretations of a frame in all dialects."""

@@ -191,6 +191,8 @@ class Motor:
 
     def strays(self, counts: Number, after: Number) -> Number | None:
         """Return the first time, not before `after`, at which the position error is greater than `counts`, or None."""
+        if self._high is None and self._low is None and not self._lost:
+            return None
         if size(self.error(after)) > counts:
             return after
         times = []

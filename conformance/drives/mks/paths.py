@@ -73,6 +73,10 @@ def size(number: Number) -> Number:
 
 def divided(number: Number, divisor: Number) -> Number:
     """Return an exact quotient, as an integer where it is one."""
+    if isinstance(number, int) and isinstance(divisor, int):
+        whole, rest = divmod(number, divisor)
+        if not rest:
+            return whole
     quotient = Fraction(number) / divisor
     return quotient.numerator if quotient.denominator == 1 else quotient
 

@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache
 from typing import NamedTuple, Unpack
 
 from analyzer.catalogue import Command, Dialect, Verb
@@ -35,6 +36,11 @@ COUNTS_PER_TURN, SUBDIVISION = mks_shared.COUNTS_PER_TURN, mks_shared.SUBDIVISIO
 #: The position error at which a locked rotor counts as one where no setting says: that of the CAN drives.
 STALL_COUNTS = COUNTS_PER_TURN // 2
 DEGREES = 360
+
+
+@cache
+def _counts(tolerance: int, scale: Fraction) -> Number:
+    return divided(tolerance * scale * COUNTS_PER_TURN, DEGREES)
 
 
 def way_of(direction: int) -> int:
@@ -261,7 +267,7 @@ class MksState(Drive):
         declared = self.fields.get("stall_tolerance")
         if declared is None:
             return STALL_COUNTS
-        return divided(self.settings["stall_tolerance"] * declared.scale * COUNTS_PER_TURN, DEGREES)
+        return _counts(self.settings["stall_tolerance"], declared.scale)
 
     # --- switches -------------------------------------------------------------------------------------------------
 
