@@ -365,12 +365,16 @@ def test_the_help_names_every_key():
 def test_enter_pressed_twice_in_the_prompt_counts_once(closed):
     async def steps(driver):
         await driver.press("slash")
+        await driver.type("MOVE_RELATIVE")
+        first = driver.app.frames.cursor
+        await driver.press("g", "slash")
         prompt = driver.app._prompt
         asked = prompt.asking
-        prompt.post_message(prompt.Given(asked, "speed > 1"))
-        prompt.post_message(prompt.Given("" if closed else asked, "speed > 1"))
+        prompt.post_message(prompt.Given(asked, "MOVE_RELATIVE"))
+        prompt.post_message(prompt.Given("" if closed else asked, "MOVE_RELATIVE"))
         await driver.until(lambda: not prompt.asking)
-        await driver.press("q")
+        await driver.settle()
+        assert driver.app.frames.cursor == first
 
     drive(capture_of(LOG), steps)
 

@@ -104,6 +104,8 @@ def moved(text: str) -> Noise:
 def test_the_speed_of_a_shaft_that_rests_still_is_measured_in_a_move(drive):
     noise = moved(f"{drive},speed-noise=2%")
     assert (rig(f"{drive},speed-noise=2%").noise.live, noise.live) == (False, True)
+    # Nothing trembles at rest: only the speed of the move does.
+    assert noise.degrees == noise.loop == noise.rpm == 0
     assert 0.01 < noise.share <= 0.021
     assert noise.speed(300) >= 6
 
