@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib.util
 import re
+from importlib import import_module
 from pathlib import Path
 
 import pytest
+
+from analyzer.cli import _every_command
+from analyzer.live import endpoint
+from tests.test_layers import PACKAGES
 
 ROOT = Path(__file__).parents[1]
 _SPEC = importlib.util.spec_from_file_location("make_docs", ROOT / "docs" / "make.py")
@@ -49,3 +55,39 @@ def test_demo_names_three_commands_that_work(tmp_path):
         assert output
         assert "Traceback" not in output
         assert "servotap: " not in output.splitlines()[-1], output
+
+
+#: Pages and modules, whose texts name commands: `servotap record serial:PORT,baud=auto`.
+TEXTS = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(p for name in PACKAGES for p in (ROOT / name).rglob("*.py"))]
+#: Places that a text leaves open.
+OPEN = {"ENDPOINT": "serial:/dev/x", "PORT": "/dev/x"}
+
+
+def named_commands(text):
+    """Return the words of the commands that a text names between backticks, and of those on lines of their own."""
+    quoted, alone = (
+        re.findall(r"`servotap ([^`]+)`", text),
+        re.findall(r"^ *(?:\$ )?servotap (.*?)(?:\s{2,}.*)?$", text, re.MULTILINE),
+    )
+    return [
+        [re.findall(r"'[^']*'|\"[^\"]*\"|[^\s\\]+", each.partition(" | ")[0]) for each in found] for found in (quoted, alone)
+    ]
+
+
+def test_every_command_that_a_text_names_is_there_with_its_options():
+    options = {}
+    for name, (module, _) in _every_command().items():
+        parser = argparse.ArgumentParser()
+        import_module(module).add_arguments(parser)
+        options[name] = set(parser._option_string_actions)
+    count = 0
+    for path in TEXTS:
+        quoted, alone = named_commands(path.read_text())
+        assert {name for name, *_ in quoted if name[:1] not in "-{"} <= {*options, "COMMAND"}, path.name
+        for name, *words in (each for each in quoted + alone if each and each[0] in options):
+            count += 1
+            given = {word.partition("=")[0] for word in words if re.match(r"--\w|-[a-z]$", word)}
+            assert given <= options[name], (path.name, name, words)
+            for place in (word for word in words[:1] if name == "record" and re.search(r"[:,]", word)):
+                endpoint.parse(re.sub("|".join(OPEN), lambda m: OPEN[m[0]], place))
+    assert count > 100

@@ -88,7 +88,7 @@ CAUSES = {
             "Sender and receiver run at different speeds.",
             "The same garbled bytes each time, fewer or more than were sent.",
             "One side was set to another speed, or keeps one from before.",
-            "Set both sides to one speed; `servotap record PORT:auto` finds it by listening.",
+            "Set both sides to one speed; `servotap record serial:PORT,baud=auto` finds it by listening.",
             "98 06 00 98 66 for FA 01 30 2B at half the speed",
         ),
         Cause(

@@ -98,7 +98,7 @@ _WORDS = {
     "wrong_baud": _Words(
         "The sender's speed is {:g} times the receiver's.",
         "{} is {} read so",
-        "Set both sides to one speed; the ratio fits {}. `servotap record PORT:auto` finds the speed",
+        "Set both sides to one speed; the ratio fits {}. `servotap record serial:PORT,baud=auto` finds the speed",
     ),
 }
 
@@ -232,8 +232,8 @@ def _unknown(garbled: Sequence[_Garbled]) -> Suspicion:
         "Nothing that comes is a frame, and it repeats itself: the receiver is set up otherwise than the sender, most likely "
         "to another speed.",
         f"{shown(first.data)} at byte {first.trouble.offset}; {counted(len(garbled), 'time')}, and no whole frame",
-        "The bytes cannot tell which; try in this order: the speed (`servotap record PORT:auto` finds it), A and B swapped, "
-        "then parity and data bits (8N1)",
+        "The bytes cannot tell which; try in this order: the speed (`servotap record serial:PORT,baud=auto` finds it), A and B "
+        "swapped, then parity and data bits (8N1)",
         tuple(Shown(each.trouble.offset, shown(each.data)) for each in garbled),
     )  # fmt: skip
 
