@@ -79,6 +79,13 @@ class Decoder:
             return lane
         return lane.choose(data, context) if isinstance(lane, _Several) else _chosen(lane, data, context)  # type: ignore[arg-type]
 
+    def lanes(self, frame: Frame) -> tuple[Lane, ...]:
+        """Return every lane that frames of this head and length can have; none if each must be looked at."""
+        found = self._new_lane(frame) if self._head_bytes else None
+        if found is None or isinstance(found, Lane):
+            return () if found is None else (found,)
+        return found if isinstance(found, tuple) else found.lanes
+
     def _new_lane(self, frame: Frame) -> Lane | tuple[Lane, Lane] | _Several | None:
         """Return the lane of frames like this, or those that are chosen from.
 
@@ -336,7 +343,7 @@ class _Several:
     """Lanes of one role: of commands that share a code (run and stop), or of values that tell them apart."""
 
     def __init__(self, lanes: list[Lane]) -> None:
-        self._lanes = lanes
+        self.lanes = tuple(lanes)
         self._first = lanes[0]
 
     def choose(self, data: bytes, context: Context) -> Lane | None:
@@ -344,12 +351,12 @@ class _Several:
         first = self._first
         own = data[first.start : first.stop]
         if first.is_request:
-            return next((lane for lane in self._lanes if lane.codec.matches(own)), None)
+            return next((lane for lane in self.lanes if lane.codec.matches(own)), None)
         waiting = context.open.get(first.address)
         if waiting is None or len(waiting) != 1:
             return None
         command = waiting[0].command
-        return next((lane for lane in self._lanes if lane.command is command and lane.codec.matches(own)), None)
+        return next((lane for lane in self.lanes if lane.command is command and lane.codec.matches(own)), None)
 
 
 def _chosen(lanes: tuple[Lane, Lane], data: bytes, context: Context) -> Lane | None:

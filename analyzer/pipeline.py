@@ -13,12 +13,13 @@ decoded again give the same.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import msgspec
 
 from analyzer import events
 from analyzer.catalogue import Dialect, Role
+from analyzer.columns.block import CanBlock
 from analyzer.errors import UsageError
 from analyzer.findings import Issue, finding, is_plain, of_junk, of_message
 from analyzer.foreign import CAN_ID_LIMIT
@@ -27,13 +28,16 @@ from analyzer.records import CanFrame, Chunk, Comment, Event, Finding, Frame, Ju
 from analyzer.transactions import Late
 from analyzer.values import counted
 
+if TYPE_CHECKING:
+    from analyzer.columns.pairs import Pairing, Plain
+
 __all__ = [
     "CAN_ID_LIMIT", "CAN_OVERHEAD_BITS", "Entry", "EventSink", "Item", "Options", "Pipeline", "PlainSink", "Port",
-    "PortSetup", "Sink", "topic_name",
+    "PortSetup", "RunSink", "Sink", "topic_name",
 ]  # fmt: skip
 
 #: What can be fed.
-Item = Chunk | CanFrame | Comment | Silence | Event
+Item = Chunk | CanFrame | CanBlock | Comment | Silence | Event
 
 #: Data bits of a CAN frame besides its payload, for made-up times: standard frame with its gap.
 CAN_OVERHEAD_BITS = 47
@@ -76,6 +80,17 @@ class PlainSink(Protocol):
 
 
 @runtime_checkable
+class RunSink(Protocol):
+    """A sink that takes many plain frames at once."""
+
+    def begin(self, plain: Plain) -> None:
+        """Take the next block; of its frames, only those of a run count."""
+
+    def run(self, start: int, stop: int) -> None:
+        """Take the plain exchanges in some rows of the block."""
+
+
+@runtime_checkable
 class EventSink(Protocol):
     """A sink that takes events, too; a finding about one follows."""
 
@@ -107,6 +122,11 @@ class Pipeline:
         # A sink may take frames that are in order as they are, without an entry being built for it.
         self._plain_sinks = [s.plain for s in self.sinks if isinstance(s, PlainSink)]
         self._entry_sinks = [s for s in self.sinks if not isinstance(s, PlainSink)]
+        #: All sinks, if each takes runs.
+        self._run_sinks = [s for s in self.sinks if isinstance(s, RunSink)]
+        if len(self._run_sinks) < len(self.sinks):
+            self._run_sinks.clear()
+        self._pairings: dict[str, Pairing] = {}
         self._event_sinks = [s for s in self.sinks if isinstance(s, EventSink)]
         self._setups = dict(ports or {})
         self._on_setup = on_setup
@@ -128,6 +148,8 @@ class Pipeline:
             self._feed_can(self._port(item), item)
         elif isinstance(item, Silence):
             self.silence(item.port)
+        elif isinstance(item, CanBlock):
+            self._feed_block(item)
         elif isinstance(item, Event):
             self._feed_event(item)
         else:
@@ -249,6 +271,39 @@ class Pipeline:
             self._frame(port, frame)
         else:
             self._write(port, Message(frame, Role.UNKNOWN, can.id, None, None, can.data), [_unusual(can)])
+
+    def _feed_block(self, block: CanBlock) -> None:
+        """Pass plain exchanges on together, all other frames one by one."""
+        from analyzer.columns.pairs import AFTER_REFUSAL, Pairing
+
+        # The first frame opens the bus, if it is a new one.
+        self._feed_rows(block, 0, 1)
+        port, at = self.ports[block.port], 1
+        if not self._run_sinks or not self.options.timed or not Pairing.serves(port):
+            self._feed_rows(block, at, len(block))
+            return
+        pairing = self._pairings.get(port.name)
+        if pairing is None or not pairing.is_of(port):
+            pairing = self._pairings[port.name] = Pairing(port, self.options.late_ns)
+        plain = pairing.look(block, self.sequence, port.bytes_in - int(block.sizes[0]))
+        for sink in self._run_sinks:
+            sink.begin(plain)
+        while at < len(block):
+            start, stop = pairing.next_run(at)
+            self._feed_rows(block, at, start)
+            if start < stop and not pairing.take(start, stop):
+                stop = min(start + AFTER_REFUSAL, stop)
+                self._feed_rows(block, start, stop)
+            elif start < stop:
+                self.sequence += stop - start
+                port.bytes_in += int(block.sizes[start:stop].sum())
+                for sink in self._run_sinks:
+                    sink.run(start, stop)
+            at = stop
+
+    def _feed_rows(self, block: CanBlock, start: int, stop: int) -> None:
+        for row in range(start, stop):
+            self.feed(block.frame(row))
 
     # --- what both share ------------------------------------------------------------------------------------------
 

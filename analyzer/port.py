@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from analyzer import dialects as registry
-from analyzer.catalogue import Dialect, Role
+from analyzer.catalogue import Command, Dialect, Role
 from analyzer.context import Context
 from analyzer.decoder import Decoder
 from analyzer.foreign import CAN_ID_LIMIT, Likeness, Nodes
@@ -157,11 +157,15 @@ class Port:
             return f"/{self.bus}/foreign"
         if command is None or role is Role.UNKNOWN:
             return f"/{self.bus}/unknown"
+        return self.topic_of(message.address, command, role)
+
+    def topic_of(self, address: int, command: Command, role: Role) -> str:
+        """Return the topic of a command's requests or replies."""
         topics = self._request_topics if role is Role.REQUEST else self._reply_topics
-        key = (message.address, command.name)
+        key = (address, command.name)
         known = topics.get(key)
         if known is None:
-            who = "all" if command.slots is not None else str(message.address)
+            who = "all" if command.slots is not None else str(address)
             known = topics[key] = f"/{self.bus}/{who}/{command.name}/{role}"
         return known
 

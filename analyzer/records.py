@@ -168,6 +168,7 @@ class Lane:
         "plain",
         "role",
         "start",
+        "states",
         "stop",
         "topic",
         "valid",
@@ -186,6 +187,8 @@ class Lane:
         self.json = self.codec.json
         self.start = start
         self.stop = stop
+        #: Whether its data carry the state of the drive.
+        self.states = role is Role.REPLY and any(f.state is not None for f in form.layout.fields)
         #: A request that one drive answers, if that was not changed by a setting.
         self.plain = bool(command.reply_forms) and address != dialect.broadcast
         #: Data of a status reply -> what it means, as far as seen.

@@ -18,6 +18,7 @@ between, is an echo when it comes at once and a retry when it comes later.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import msgspec
@@ -176,6 +177,31 @@ class Transactions:
         self._last = frame
         self._last_is_reply = True
         return request
+
+    # --- many plain cases at once ---------------------------------------------------------------------------------
+
+    def may_follow(self, data: bytes) -> bool:
+        """Say whether these bytes are no repetition of the frame before them."""
+        return self._last is None or self._last.data != data
+
+    def were_answered(
+        self, request: Request, reply: Frame, replies: Mapping[int, bytes], moved: Iterable[int], times_ns: Sequence[int]
+    ) -> None:
+        """Take plain exchanges as done, of which the last is `request` and `reply`.
+
+        `replies`: the last one of each address. `moved`: those that answered a motion command. `times_ns`: of all frames,
+        rising, with a method `searchsorted`.
+        """
+        for address in replies:
+            self.context.speaks[address] = reply.dialect.name
+        self._last_reply.update(replies)
+        self._answers_motion.update(moved)
+        self.context.last_request = request
+        self._last, self._last_is_reply = reply, True
+        # As `observe` would have looked for requests that have expired; there were none.
+        step = GIVE_UP * self.late_ns // 10
+        while self._check_ns <= times_ns[-1]:
+            self._check_ns = int(times_ns[times_ns.searchsorted(self._check_ns)]) + step  # type: ignore[attr-defined]
 
     # --- requests -------------------------------------------------------------------------------------------------
 

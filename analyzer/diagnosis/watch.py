@@ -5,11 +5,15 @@ from __future__ import annotations
 import re
 from collections import deque
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Dialect
 from analyzer.diagnosis.scene import Piece, Read, Scene
 from analyzer.pipeline import Entry, Item
 from analyzer.records import Chunk, Comment, Finding, Frame, Junk, Lane, Message
+
+if TYPE_CHECKING:
+    from analyzer.columns.pairs import Plain
 
 #: Frames and reads that are kept before and behind a trouble.
 _NEAR = 128
@@ -34,13 +38,15 @@ class Watch:
     """Keeps what stands near trouble. Feed it the items of the source by `take`, before the pipeline gets them."""
 
     def __init__(self) -> None:
-        self._near: deque[_Kept] = deque(maxlen=_NEAR)
+        #: What came last: frames, and rows of the present block.
+        self._near: deque[_Kept | range] = deque(maxlen=_NEAR)
         self._kept: list[_Kept] = []
         self._reads_near: deque[tuple[Chunk, int]] = deque(maxlen=2 * _NEAR)
         self._reads: list[tuple[Chunk, int]] = []
         self._offsets: dict[str, int] = {}
         self._findings: list[Finding] = []
         self._said: list[str] = []
+        self._plain: Plain
         #: Frames and findings that came by, kept or not.
         self.frames = self.found = 0
         self.timed = self._words = self._asks = False
@@ -61,6 +67,29 @@ class Watch:
         """Take a frame that is in order."""
         self._near.append((lane, frame, sequence, request_sequence))
         self.frames += 1
+
+    def begin(self, plain: Plain) -> None:
+        """Take the next block of frames."""
+        self._spread()
+        self._plain = plain
+
+    def run(self, start: int, stop: int) -> None:
+        """Take plain exchanges: the last of them may stand near trouble."""
+        self._near.append(range(max(start, stop - _NEAR), stop))
+        self.frames += stop - start
+
+    def _spread(self) -> None:
+        """Put frames in the place of the rows that are near."""
+        newest: list[_Kept] = []
+        while self._near and len(newest) < _NEAR:
+            each = self._near.pop()
+            newest.extend(map(self._row, reversed(each)) if isinstance(each, range) else (each,))
+        self._near = deque(reversed(newest[:_NEAR]), maxlen=_NEAR)
+
+    def _row(self, row: int) -> _Kept:
+        plain = self._plain
+        lane = plain.lanes[plain.lane[row]]
+        return lane, plain.frame(row), plain.first + row, None if lane.is_request else plain.first + row - 1
 
     def entry(self, entry: Entry) -> None:
         """Take a decoded frame."""
@@ -98,7 +127,8 @@ class Watch:
 
     def _keep(self) -> None:
         if len(self._kept) < _MOST_KEPT:
-            self._kept.extend(self._near)
+            self._spread()
+            self._kept.extend(each for each in self._near if not isinstance(each, range))
             self._reads.extend(self._reads_near)
         self._near.clear()
         self._reads_near.clear()

@@ -16,7 +16,7 @@ import zlib
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import zstandard
 from mcap.data_stream import ReadDataStream, RecordBuilder
@@ -38,6 +38,9 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 
 from analyzer.sinks.mcap_index import Index, MemoryIndex
+
+if TYPE_CHECKING:
+    from analyzer.columns.rows import Messages
 
 #: Uncompressed bytes of a chunk.
 CHUNK_SIZE = 1 << 20
@@ -226,6 +229,31 @@ class McapFile:
         building.messages += 1
         if building.size >= self._chunk_size:
             self._end_chunk()
+
+    def add_messages(self, added: Messages) -> None:
+        """Add messages that are packed already."""
+        import numpy as np
+
+        starts = np.concatenate(([0], added.ends[:-1]))
+        at, count = 0, len(added.ends)
+        while at < count:
+            building, base = self._building, int(starts[at])
+            # As for single messages: the one that fills a chunk is its last.
+            stop = min(count, int(np.searchsorted(added.ends, base + self._chunk_size - building.size)) + 1)
+            end = int(added.ends[stop - 1])
+            entries = np.stack((added.log_ns[at:stop], starts[at:stop] - base + building.size), axis=1)
+            channels = added.channels[at:stop]
+            if not building.messages:
+                building.first_ns = int(added.log_ns[at])
+            for channel in np.unique(channels).tolist():
+                building.index.setdefault(channel, array("Q")).frombytes(entries[channels == channel].tobytes())
+            building.parts.append(added.data[base:end].tobytes())
+            building.size += end - base
+            building.last_ns = int(added.log_ns[stop - 1])
+            building.messages += stop - at
+            at = stop
+            if building.size >= self._chunk_size:
+                self._end_chunk()
 
     def flush(self) -> None:
         """Write everything so far to the stream and flush it."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from binascii import hexlify
 from collections.abc import Callable, Mapping
-from typing import IO, Any, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
@@ -27,6 +27,11 @@ from analyzer.sinks import schemas
 from analyzer.sinks.mcap_file import LogFile, McapFile
 from analyzer.sources.recording_parts import CLOCK_METADATA
 from analyzer.sources.times import Clock
+
+if TYPE_CHECKING:
+    from analyzer.columns.block import CanBlock
+    from analyzer.columns.pairs import Plain
+    from analyzer.columns.rows import Rows
 
 PROFILE = "servotap"
 LIBRARY = f"servotap {__version__}"
@@ -90,6 +95,7 @@ class McapLog:
         self._channels: dict[str, int] = {}
         self._last_ns = 0
         self._seconds: dict[str, Second] = {}
+        self._rows: Rows
         self._speed = Speed(byte_ns, bit_ns)
         self._speeds = dict(speeds or {})
         if clock is not Clock.UTC:
@@ -147,6 +153,37 @@ class McapLog:
         second.bytes += size
         byte_ns, bit_ns = second.speed
         second.wire_ns += size * byte_ns if can is None else (CAN_OVERHEAD_BITS + 8 * size) * bit_ns
+
+    def begin(self, plain: Plain) -> None:
+        """Take the next block of frames."""
+        from analyzer.columns.rows import Rows
+
+        self._rows = Rows(plain)
+
+    def run(self, start: int, stop: int) -> None:
+        """Write plain exchanges, and the state that they carry."""
+        assert isinstance(self._file, McapFile)  # only a capture that is read whole comes in blocks
+        rows = self._rows
+        block = rows.plain.block
+        for number in rows.new_lanes(start, stop):
+            lane, message = rows.example(number)
+            kept = self._lanes.get(lane.topic) or self._open_lane(lane.topic, message)
+            state = self._state_topic(kept, block.port, lane.address) if lane.states else None
+            rows.set_channels(number, kept.channel, 0 if state is None else state.channel)
+        log_ns = block.t_ns[start:stop].clip(self._last_ns, _LATEST_NS)
+        second = self._seconds.get(block.port)
+        written = counted = 0
+        while counted < len(log_ns):
+            behind = 0 if second is None else int(log_ns.searchsorted(second.end_ns))
+            if second is not None:
+                _count(second, block, start + counted, start + behind)
+            # The frame that begins a second stands before the counts of the one that it ends.
+            end = min(behind + 1, len(log_ns))
+            self._file.add_messages(rows.messages(start + written, start + end, log_ns[written:end]))
+            self._last_ns = int(log_ns[end - 1])
+            if behind < len(log_ns):
+                second = self._second(block.port, int(log_ns[behind]))
+            written, counted = end, behind if behind < len(log_ns) else end
 
     def entry(self, entry: Entry) -> None:
         """Write a decoded frame, and the state it carries."""
@@ -380,11 +417,7 @@ class McapLog:
         parts: tuple[tuple[str, str, float], ...],
         log_ns: int,
     ) -> None:
-        target = lane.state_lane
-        if target is None:
-            topic = f"/{topic_name(frame.port)}/{address}/state"
-            target = self._lanes.get(topic) or self._add_lane(topic, "servotap.state", schemas.state_schema, {})
-            lane.state_lane = target
+        target = lane.state_lane or self._state_topic(lane, frame.port, address)
         if len(parts) == 1:
             name, quantity, factor = parts[0]
             data = b'{"%b":%a}' % (quantity.encode(), fields[name] * factor)
@@ -394,6 +427,12 @@ class McapLog:
                 state[quantity] = state.get(quantity, 0.0) + fields[name] * factor
             data = _encode(state)
         self._file.add_message(target.channel, sequence, log_ns, max(0, frame.first_ns), data)
+
+    def _state_topic(self, lane: _Topic, port: str, address: int) -> _Topic:
+        """Return the topic of the state that a topic's messages carry."""
+        topic = f"/{topic_name(port)}/{address}/state"
+        lane.state_lane = self._lanes.get(topic) or self._add_lane(topic, "servotap.state", schemas.state_schema, {})
+        return lane.state_lane
 
     def _second(self, port: str, log_ns: int) -> Second:
         second = self._seconds.get(port)
@@ -423,6 +462,14 @@ class McapLog:
 def _backward_ns(t_ns: int, log_ns: int) -> int:
     """Return how far a time lies before the one of the log, where its clock was set back; buses differ by less."""
     return log_ns - t_ns if t_ns < log_ns - JUMP_BACK_NS else 0
+
+
+def _count(second: Second, block: CanBlock, start: int, stop: int) -> None:
+    """Count frames of a block."""
+    frames, size = stop - start, int(block.sizes[start:stop].sum())
+    second.frames += frames
+    second.bytes += size
+    second.wire_ns += (CAN_OVERHEAD_BITS * frames + 8 * size) * second.speed.bit_ns
 
 
 def can_flags(can: CanFrame) -> list[str]:

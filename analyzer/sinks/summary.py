@@ -8,11 +8,15 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from analyzer.catalogue import Role
 from analyzer.pipeline import Entry
 from analyzer.records import Comment, Finding, Frame, Junk, Lane, Severity
+
+if TYPE_CHECKING:
+    from analyzer.columns.codec import Integers
+    from analyzer.columns.pairs import Plain
 
 _GRAVITY = (Severity.INFO, Severity.WARNING, Severity.ERROR)
 #: Findings of each rule that are kept to be shown.
@@ -40,6 +44,17 @@ class Latencies:
         more = latency_ns.bit_length() - 6
         bucket = latency_ns if more <= 0 else (more << 6) + (latency_ns >> more)
         self._buckets[bucket] = self._buckets.get(bucket, 0) + 1
+
+    def add_all(self, latencies_ns: Integers) -> None:
+        """Count many times."""
+        import numpy as np
+
+        self.count += len(latencies_ns)
+        self.greatest = max(self.greatest, int(latencies_ns.max(initial=0)))
+        more = np.maximum(np.frexp(latencies_ns.astype(np.float64))[1] - 6, 0).astype(np.int64)
+        buckets, counts = np.unique(np.where(more > 0, (more << 6) + (latencies_ns >> more), latencies_ns), return_counts=True)
+        for bucket, count in zip(buckets.tolist(), counts.tolist(), strict=True):
+            self._buckets[bucket] = self._buckets.get(bucket, 0) + count
 
     def quantile(self, share: float) -> int:
         """Return the time that this share (0..1) of all does not exceed, in ns; 0 without any."""
@@ -96,6 +111,8 @@ class Summary:
         self.first_ns: int | None = None
         self.last_ns = 0
         self._known: dict[str, Row] = {}
+        self._plain: Plain | None = None
+        self._taken: list[slice] = []
 
     def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
         """Count a frame that is in order."""
@@ -114,6 +131,50 @@ class Summary:
             row.replies += 1
             if latency_ns is not None:
                 row.latencies.add(latency_ns)
+
+    def begin(self, plain: Plain) -> None:
+        """Take the next block of frames."""
+        self.settle()
+        self._plain = plain
+        self._taken = []
+
+    def run(self, start: int, stop: int) -> None:
+        """Count plain exchanges; by commands they are counted when the block has ended."""
+        assert self._plain is not None  # a run is of a block
+        block = self._plain.block
+        if self.first_ns is None:
+            self.first_ns = int(block.t_ns[start])
+        self.frames += stop - start
+        self.frame_bytes += int(block.sizes[start:stop].sum())
+        self.last_ns = max(self.last_ns, int(block.t_ns[stop - 1]))
+        self._taken.append(slice(start, stop))
+
+    def settle(self) -> Summary:
+        """Count by commands what was taken of the last block. Return this."""
+        plain = self._plain
+        if plain is None or not self._taken:
+            return self
+        import numpy as np
+
+        rows = np.concatenate([np.arange(each.start, each.stop) for each in self._taken])
+        own = plain.lane[rows]
+        order = np.argsort(own, kind="stable")
+        numbers, bounds = np.unique(own[order], return_index=True)
+        for number, each in zip(numbers.tolist(), np.split(rows[order], bounds[1:]), strict=True):
+            lane = plain.lanes[number]
+            row = self._known.get(lane.topic)
+            if row is None:
+                message = lane.message(plain.frame(int(each[0])))
+                self._sound.add((plain.block.port, message.who))
+                row = self._row(Entry(message, 0, lane.topic))
+            if lane.is_request:
+                row.requests += len(each)
+            else:
+                row.replies += len(each)
+                times = plain.latencies[each]
+                row.latencies.add_all(times[times > 0])
+        self._plain = None
+        return self
 
     def entry(self, entry: Entry) -> None:
         """Count a frame."""

@@ -1,0 +1,241 @@
+"""Which frames of a block are plain exchanges: a request that is in order, and right behind it the reply that ends it.
+
+Theory of operation. Identifier, length and code of a frame name its lanes, as for single frames. A frame can be a request, a
+reply, or, where the two look alike, either. At row `i` a plain exchange begins if row `i` can be a request, row `i + 1` a final
+reply to that command, and nothing is wrong with the two. Exchanges that follow each other are a run. The pipeline passes a run
+on whole if no request is open before it, and all other frames one by one, in their order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from analyzer.catalogue import Dialect, Role
+from analyzer.columns.block import DIRECTIONS, CanBlock
+from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers
+from analyzer.context import Request, RequestOutcome, State
+from analyzer.link.can import CanLink
+from analyzer.port import Port
+from analyzer.records import Frame, Lane, Message
+from analyzer.transactions import meaning_of
+
+#: Fewer frames than this are passed on faster one by one.
+SHORTEST_RUN = 16
+#: Frames that are passed on one by one after a run that what is known of the drives forbids.
+AFTER_REFUSAL = 256
+_UNKNOWN, _REQUEST, _REPLY = range(len(DIRECTIONS))
+
+
+@dataclass(frozen=True)
+class Plain:
+    """The frames of a block that are part of plain exchanges.
+
+    `lanes`: those that occur; `lane`: of each row, a place in `lanes`, -1 where a frame is not plain. `offsets`: bytes of the
+    bus before each frame. `first`: sequence number of the first row; the others count on from it.
+    """
+
+    dialect: Dialect
+    block: CanBlock
+    lanes: tuple[Lane, ...]
+    lane: Integers
+    offsets: Integers
+    first: int
+
+    def frame(self, row: int) -> Frame:
+        """Return one frame."""
+        can = self.block.frame(row)
+        t_ns = int(self.block.t_ns[row])
+        return Frame(can.port, t_ns, t_ns, int(self.offsets[row]), can.data, self.dialect, can.direction, True, can)
+
+    @cached_property
+    def latencies(self) -> Integers:
+        """The time from the frame before to each; not above 0: it is not known."""
+        return np.diff(self.block.t_ns, prepend=self.block.t_ns[:1])
+
+
+class Pairing:
+    """Finds the plain exchanges in the blocks of one bus."""
+
+    def __init__(self, port: Port, late_ns: int) -> None:
+        self._port = port
+        self._late_ns = late_ns
+        self._dialect = port.can[0]
+        self._decoder = port.decoders[self._dialect.name]
+        self._lanes: list[Lane] = []
+        #: By identifier, length and code: places in `_lanes` of what a frame can be, requests and replies.
+        self._known: dict[int, tuple[list[int], list[int]]] = {}
+        self._codecs: list[ColumnCodec] = []
+        self._finals: list[dict[bytes, bool]] = []
+
+    @staticmethod
+    def serves(port: Port) -> bool:
+        """Say whether blocks of a bus can be looked at: it has one dialect, whose frames name their lanes."""
+        return len(port.can) == 1 and bool(port.can[0].link.deciding_bytes) and port.nodes.listed is None
+
+    def is_of(self, port: Port) -> bool:
+        """Say whether this was made for a bus as it is now."""
+        return port is self._port and [self._dialect] == port.can and port.decoders[self._dialect.name] is self._decoder
+
+    def look(self, block: CanBlock, first: int, offset: int) -> Plain:
+        """Return what is plain in the next block: its first frame has the number `first` and `offset` bytes before it."""
+        requests, replies = self._roles(block)
+        begins = _first_of_two(self._pairs(block, requests, replies))
+        lane = np.where(begins, requests, -1)
+        lane[1:] = np.where(begins[:-1], replies[1:], lane[1:])
+        used = np.unique(lane[lane >= 0])
+        places = np.full(len(self._lanes) + 1, -1, dtype=np.int64)
+        places[used] = np.arange(len(used))
+        offsets = offset + np.cumsum(block.sizes) - block.sizes
+        self._plain = Plain(self._dialect, block, tuple(self._lanes[n] for n in used), places[lane], offsets, first)
+        edges = np.diff(np.concatenate(([0], (lane >= 0).astype(np.int8), [0])))
+        starts, stops = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
+        long = stops - starts >= SHORTEST_RUN
+        self._starts, self._stops = starts[long], stops[long]
+        return self._plain
+
+    def next_run(self, at: int) -> tuple[int, int]:
+        """Return where the next run at or behind a row begins and ends; the end of the block twice where there is none."""
+        count = len(self._plain.lane)
+        place = int(np.searchsorted(self._stops, at, side="right"))
+        if place == len(self._stops):
+            return count, count
+        start, stop = int(self._starts[place]), int(self._stops[place])
+        # A run that was begun one by one goes on with its next request.
+        start += max(0, -(-(at - start) // 2)) * 2
+        return (start, stop) if start < stop else self.next_run(stop)
+
+    def take(self, start: int, stop: int) -> bool:
+        """Say whether a run can be passed on whole, and tell the bus of it."""
+        context, transactions, plain = self._port.context, self._port.transactions, self._plain
+        if context.open or context.echoes or context.borrowed:
+            return False
+        own = plain.lane[start:stop]
+        lanes = [plain.lanes[n] for n in np.unique(own).tolist()]
+        if not all(map(self._allowed, lanes)) or not transactions.may_follow(plain.block.frame(start).data):
+            return False
+        asked, told = plain.frame(stop - 2), plain.frame(stop - 1)
+        lane = plain.lanes[plain.lane[stop - 2]]
+        request = Request(asked, lane.address, lane.command, plain.first + stop - 2, lane.topic)
+        request.lane, request.state, request.outcome = lane, State.DONE, RequestOutcome.ANSWERED
+        addresses, rows = np.unique(plain.block.ids[start + 1 : stop : 2][::-1], return_index=True)
+        lasts = (stop - 1 - 2 * rows).tolist()
+        replies = {a: plain.block.frame(row).data for a, row in zip(addresses.tolist(), lasts, strict=True)}
+        moved = {each.address for each in lanes if not each.is_request and each.command.silenced}
+        transactions.were_answered(request, told, replies, moved, plain.block.t_ns[start:stop])
+        return True
+
+    def _allowed(self, lane: Lane) -> bool:
+        context, address = self._port.context, lane.address
+        if not lane.topic:
+            lane.topic = self._port.topic_of(lane.address, lane.command, lane.role)
+        return (
+            address in self._port.nodes.drives
+            and address not in context.groups
+            and not (lane.command.silenced and address in context.silenced)
+            and context.speaks.get(address, lane.dialect) == lane.dialect
+        )
+
+    # --- what each frame can be -----------------------------------------------------------------------------------
+
+    def _roles(self, block: CanBlock) -> tuple[Integers, Integers]:
+        """Return the lane that each frame has as a request, and as a reply to the frame before it; -1: none."""
+        keys = block.ids << 16 | block.sizes << 8 | block.data[:, 0]
+        unique, places = np.unique(keys, return_inverse=True)
+        order = np.argsort(places, kind="stable")
+        bounds = np.searchsorted(places[order], np.arange(len(unique) + 1))
+        sound = self._checked(block)
+        requests = np.full(len(block), -1, dtype=np.int64)
+        replies = np.full(len(block), -1, dtype=np.int64)
+        groups = [order[bounds[n] : bounds[n + 1]] for n in range(len(unique))]
+        kinds = [self._kinds(int(key), block, int(group[0])) for key, group in zip(unique, groups, strict=True)]
+        for (asking, _), group in zip(kinds, groups, strict=True):
+            left = group[sound[group] & (block.directions[group] != _REPLY)]
+            for number in asking:
+                own = block.data[left, self._lanes[number].start : self._lanes[number].stop]
+                matches = self._codecs[number].matches(own)
+                # The first that matches is the frame's lane, even if its values are then found wrong.
+                requests[left[matches & self._codecs[number].valid(own)]] = number
+                left = left[~matches]
+        for (_, telling), group in zip(kinds, groups, strict=True):
+            rows = group[(group > 0) & sound[group] & (block.directions[group] != _REQUEST)]
+            for number in telling:
+                lane = self._lanes[number]
+                asked = [n for n, each in enumerate(self._lanes) if each.is_request and self._asks(each, lane)]
+                fitting = rows[np.isin(requests[rows - 1], asked)] if asked else rows[:0]
+                own = block.data[fitting, lane.start : lane.stop]
+                good = self._codecs[number].matches(own) & self._codecs[number].valid(own)
+                if lane.command.judged:
+                    good &= self._final(number, own)
+                replies[fitting[good]] = number
+        return requests, replies
+
+    @staticmethod
+    def _asks(request: Lane, reply: Lane) -> bool:
+        return request.command is reply.command and request.address == reply.address and request.plain
+
+    def _pairs(self, block: CanBlock, requests: Integers, replies: Integers) -> Flags:
+        """Say of each row whether a plain exchange begins there."""
+        pairs = np.zeros(len(block), dtype=np.bool_)
+        if len(block) < 2:
+            return pairs
+        repeated = np.zeros(len(block), dtype=np.bool_)
+        repeated[1:] = (block.sizes[1:] == block.sizes[:-1]) & (block.data[1:] == block.data[:-1]).all(axis=1)
+        # The first row of a run is compared with the frame before it when the run is taken.
+        pairs[:-1] = (requests[:-1] >= 0) & (replies[1:] >= 0) & (np.diff(block.t_ns) <= self._late_ns)
+        result: Flags = pairs & ~repeated
+        return result
+
+    def _checked(self, block: CanBlock) -> Flags:
+        link = self._dialect.link
+        if isinstance(link, CanLink):
+            last = np.take_along_axis(block.data, np.maximum(block.sizes - 1, 0)[:, None], axis=1)[:, 0]
+            total = block.ids + block.data.sum(axis=1, dtype=np.int64) - last
+            fits: Flags = (total & 0xFF) == last
+        else:
+            fits = np.array([link.fits(frame.data, frame.id) for frame in block.frames()], dtype=np.bool_)
+        return fits & (block.sizes >= link.shortest)
+
+    def _kinds(self, key: int, block: CanBlock, row: int) -> tuple[list[int], list[int]]:
+        known = self._known.get(key)
+        if known is None:
+            can = block.frame(row)
+            frame = Frame(self._port.name, 0, 0, 0, can.data, self._dialect, Role.UNKNOWN, True, can)
+            known = self._known[key] = ([], [])
+            for lane in self._decoder.lanes(frame):
+                if not ColumnCodec.fits(lane.form.layout) or lane.command.borrows:
+                    continue
+                if not lane.is_request and lane.command.effects:
+                    continue
+                known[not lane.is_request].append(len(self._lanes))
+                self._lanes.append(lane)
+                self._codecs.append(ColumnCodec(lane.form.layout))
+                self._finals.append({})
+        return known
+
+    def _final(self, number: int, own: Bytes) -> Flags:
+        """Say of each reply whether it ends its exchange well."""
+        lane, known = self._lanes[number], self._finals[number]
+        if not len(own):
+            return np.zeros(0, dtype=np.bool_)
+        unique, places = np.unique(own, axis=0, return_inverse=True)
+        told = []
+        for data in map(bytes, unique):
+            if data not in known:
+                frame = Frame(self._port.name, 0, 0, 0, data, self._dialect, Role.REPLY, True)
+                message = Message(frame, lane.role, lane.address, lane.command, lane.form, data)
+                known[data] = meaning_of(message, lane.command)[0] == "final"
+            told.append(known[data])
+        result: Flags = np.array(told, dtype=np.bool_)[places.reshape(-1)]
+        return result
+
+
+def _first_of_two(pairs: Flags) -> Flags:
+    """Return where exchanges begin that do not overlap: of rows that follow each other, the first, the third and so on."""
+    rows = np.arange(len(pairs))
+    before = np.concatenate(([False], pairs[:-1]))
+    begin = np.maximum.accumulate(np.where(pairs & ~before, rows, 0))
+    result: Flags = pairs & ((rows - begin) % 2 == 0)
+    return result
