@@ -122,6 +122,7 @@ class _Sinks:
         self.given: tuple[Sink, ...]
         if available() and size is not None and size >= LONG_CAPTURE:
             self._process = SinkProcess(reading.possible, make)
+            reading.source.in_blocks = not reading.time_range.wanted and not __import__("os").environ.get("NO_BLOCKS")
             self.given = (self._process,)
         else:
             self._log, self._summary = make()
@@ -130,8 +131,8 @@ class _Sinks:
     def summary(self) -> Summary:
         """Return the counts of everything so far."""
         if self._process is None:
-            return self._summary
-        accounted: Summary = self._process.call(1, "")
+            return self._summary.settle()
+        accounted: Summary = self._process.call(1, "settle")
         return accounted
 
     def finish(self, metadata: Mapping[str, str]) -> None:

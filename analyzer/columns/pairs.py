@@ -129,8 +129,6 @@ class Pairing:
 
     def _allowed(self, lane: Lane) -> bool:
         context, address = self._port.context, lane.address
-        if not lane.topic:
-            lane.topic = self._port.topic_of(lane.address, lane.command, lane.role)
         return (
             address in self._port.nodes.drives
             and address not in context.groups
@@ -209,6 +207,7 @@ class Pairing:
                     continue
                 if not lane.is_request and lane.command.effects:
                     continue
+                lane.topic = self._port.topic_of(lane.address, lane.command, lane.role)
                 known[not lane.is_request].append(len(self._lanes))
                 self._lanes.append(lane)
                 self._codecs.append(ColumnCodec(lane.form.layout))

@@ -21,12 +21,15 @@ import pickle
 import signal
 import struct
 from collections.abc import Callable, Sequence
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from analyzer.catalogue import Dialect, Role
-from analyzer.pipeline import Entry, EventSink, PlainSink, Sink
+from analyzer.pipeline import Entry, EventSink, PlainSink, RunSink, Sink
 from analyzer.records import CanFrame, Comment, Event, Finding, Frame, Junk, Lane
 from analyzer.sinks.object_table import Table, TablePickler, TableUnpickler
+
+if TYPE_CHECKING:
+    from analyzer.columns.pairs import Plain
 
 _PLAIN, _OTHER = b"P", b"O"
 #: tag, lane, sequence, first_ns, last_ns, offset, latency_ns or -1, request sequence or -1, length
@@ -68,9 +71,7 @@ class SinkProcess:
 
     def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
         """Pass a frame on that is in order."""
-        number = self._lanes.get(id(lane) if frame.role is Role.UNKNOWN else (id(lane), frame.role))
-        if number is None:
-            number = self._add_lane(lane, frame)
+        number = self._number(lane, frame)
         data = frame.data
         head = _HEAD.pack(
             _PLAIN, number, sequence, frame.first_ns, frame.last_ns, frame.offset,
@@ -82,6 +83,16 @@ class SinkProcess:
         self._size += 53 + len(data)
         if self._size >= _BATCH:
             self._flush()
+
+    def begin(self, plain: Plain) -> None:
+        """Pass a block on, its lanes as numbers."""
+        firsts = {int(n): row for row, n in reversed(list(enumerate(plain.lane.tolist()))) if n >= 0}
+        lanes = tuple(self._number(plain.lanes[n], plain.frame(row)) for n, row in sorted(firsts.items()))
+        self._other(("begin", (plain.dialect, plain.block, lanes, plain.lane, plain.offsets, plain.first)))
+
+    def run(self, start: int, stop: int) -> None:
+        """Pass a run on."""
+        self._other(("run", (start, stop)))
 
     def entry(self, entry: Entry) -> None:
         """Pass an entry on."""
@@ -140,6 +151,10 @@ class SinkProcess:
             raise result
         return result
 
+    def _number(self, lane: Lane, frame: Frame) -> int:
+        number = self._lanes.get(id(lane) if frame.role is Role.UNKNOWN else (id(lane), frame.role))
+        return self._add_lane(lane, frame) if number is None else number
+
     def _add_lane(self, lane: Lane, frame: Frame) -> int:
         number = len(self._lanes)
         self._lanes[id(lane) if frame.role is Role.UNKNOWN else (id(lane), frame.role)] = number
@@ -193,6 +208,7 @@ def _work(pipe: int, answers: int, table: Table, make: Callable[[], Sequence[Sin
 def _serve(stream: IO[bytes], answers: int, table: Table, sinks: Sequence[Sink]) -> None:
     plain_sinks = [s.plain for s in sinks if isinstance(s, PlainSink)]
     others = [s for s in sinks if not isinstance(s, PlainSink)]
+    run_sinks = [s for s in sinks if isinstance(s, RunSink)]
     event_sinks: list[Any] = [s for s in sinks if isinstance(s, EventSink)]
     lanes: list[tuple[Lane, Dialect, str, Role, CanFrame | None]] = []
     head, plain_tag, other_tag = _HEAD.size, _PLAIN[0], _OTHER[0]
@@ -226,9 +242,23 @@ def _serve(stream: IO[bytes], answers: int, table: Table, sinks: Sequence[Sink])
             elif what == "call":
                 index, method, rest_of = arguments
                 _say(answers, (True, getattr(sinks[index], method)(*rest_of) if method else sinks[index]))
+            elif what == "begin":
+                plain = _plain(lanes, *arguments)
+                for sink in run_sinks:
+                    sink.begin(plain)
+            elif what == "run":
+                for sink in run_sinks:
+                    sink.run(*arguments)
             else:
                 for sink in event_sinks if what == "happened" else sinks:
                     getattr(sink, what)(*arguments)
+
+
+def _plain(known: Sequence[tuple[Lane, Dialect, str, Role, CanFrame | None]], *about: Any) -> Plain:
+    from analyzer.columns.pairs import Plain
+
+    dialect, block, numbers, *rest = about
+    return Plain(dialect, block, tuple(known[n][0] for n in numbers), *rest)
 
 
 def _lane(

@@ -56,9 +56,9 @@ class Budget:
             )
         self.unpacked(size)
 
-    def record(self) -> None:
-        """Pay for a line, a block, an object or a message. Raises UnreadableError where they are too many."""
-        self._records += 1
+    def record(self, count: int = 1) -> None:
+        """Pay for lines, blocks, objects or messages. Raises UnreadableError where they are too many."""
+        self._records += count
         if self._records > FREE_RECORDS and self._records > FREE_RECORDS + RECORDS_PER_BYTE * self.read:
             self._refuse("records", FREE_RECORDS, RECORDS_PER_BYTE)
 

@@ -14,16 +14,18 @@ error frames and rounds times, so lines are read here; a test holds the two toge
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Callable, Iterator
 
 from analyzer.catalogue import Role
+from analyzer.columns.block import CanBlock
 from analyzer.records import CanFrame, Comment
 from analyzer.sources.lines import Lines, cut_note, head_lines, share
 from analyzer.sources.source import SECOND_NS, Source, quote
 from analyzer.sources.times import Clock, Deltas, clock_ns, day_ns, falls, number_ns
 
-_LOG = re.compile(
+LOG = re.compile(
     r"\s*\((\d{1,18})\.(\d{1,9})\) +(\S+) +([0-9A-Fa-f]{1,8})#([0-9A-Fa-f]*)([#RrXx_][0-9A-Fa-f]*|)(?: +([RTrt]))?\s*$"
 )
 #: Signs of a quotation may stand before a line of the screen.
@@ -31,7 +33,7 @@ _SCREEN = re.compile(
     r"[\s>|]*(?:\(([^)]{1,40})\)\s+)?(\S+)\s+(?:(RX|TX) [B-] [E-]\s+)?([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[(\d{1,2})\]"
     r"(?:\s+(remote request)|((?:\s+[0-9A-Fa-f]{2})*))(?:\s+ERRORFRAME|\s+'.*')?\s*$"
 )
-_EITHER = re.compile(f"(?:{_LOG.pattern})|(?:{_SCREEN.pattern})")
+_EITHER = re.compile(f"(?:{LOG.pattern})|(?:{_SCREEN.pattern})")
 _ERROR_TEXT = re.compile(r"(?:[>|] ?)*(?:(?:\t| {2,})[a-z][a-z-]*|[a-z]+(?:-[a-z]+)+)(?:\{.*)?\s*$")
 _KNOWN = re.compile(f"(?:{_EITHER.pattern})|(?:{_ERROR_TEXT.pattern})")
 _DATED = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)\.(\d{1,9})$")
@@ -51,7 +53,7 @@ def score(head: bytes) -> float:
     return 0.95 * share(head, _KNOWN)
 
 
-def read(source: Source) -> Iterator[CanFrame | Comment]:
+def read(source: Source) -> Iterator[CanFrame | CanBlock | Comment]:
     """Read the lines one by one."""
     source.time_source = "capture: seconds as candump printed them, exact to their digits"
     screens = [m for line in head_lines(source.head) if (m := _SCREEN.match(line))]
@@ -80,11 +82,14 @@ def _screen_ns(text: str) -> int:
     return day_ns(int(year), int(month), int(day)) + clock_ns(hour, minute, second, fraction)
 
 
-def _records(source: Source, screen_time: Callable[[str], int]) -> Iterator[CanFrame | Comment]:
+def _records(source: Source, screen_time: Callable[[str], int]) -> Iterator[CanFrame | CanBlock | Comment]:
     lines = Lines(source)
-    match, port, fromhex = _LOG.match, source.port, bytes.fromhex
+    match, port, fromhex = LOG.match, source.port, bytes.fromhex
     unknown = Role.UNKNOWN
-    for line in lines:
+    for line in lines.with_blocks(_blocks):
+        if not isinstance(line, str):
+            yield line
+            continue
         found = match(line)
         if found is None:
             record = _screen(source, line, lines.number, screen_time)
@@ -115,6 +120,19 @@ def frame_of(line: str) -> CanFrame | None:
     extended = len(ident) > _EXTENDED_DIGITS and not error
     data = bytes.fromhex(text or "")
     return CanFrame(None, name, bits & _ID_MASK, data, _ROLES[mark], extended, bool(remote), error, len(length) > 1)
+
+
+def _blocks(source: Source, text: bytes) -> Iterator[str | CanBlock]:
+    """Yield the frames of many lines together where they are plain, and the other lines."""
+    from analyzer.columns.candump import pieces
+
+    texts: list[str] = []
+    for start, stop, name, block in pieces(text):
+        if block is not None:
+            yield dataclasses.replace(block, port=source.port(name))
+        else:
+            texts = texts or text.decode().split("\n")
+            yield from texts[start:stop]
 
 
 def _special(source: Source, line: int, t_ns: int, found: re.Match[str]) -> CanFrame | None:

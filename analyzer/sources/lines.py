@@ -8,15 +8,19 @@ spaces) becomes a blank, so that all parsers see blanks and tabs only.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from difflib import SequenceMatcher
 from functools import lru_cache, wraps
 from typing import Concatenate, ParamSpec, TypeVar
 
 from analyzer.sources.source import Source
 
+Block = TypeVar("Block", bound=Sized)
+
 #: Bytes of one line.
 LINE_LIMIT = 1 << 20
+#: Bytes that are read together where lines become blocks.
+TOGETHER = 2 << 20
 _COLOR = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
 #: Characters that Chinese serial assistants put before traffic (send, receive, arrows), as they write them.
 _CHINESE_MARKS = ("发", "收", "→", "←")
@@ -33,6 +37,8 @@ _COMPARED = 160
 _NEIGHBOURS = 6
 _LIKE = 0.8
 _HEX_DIGIT = re.compile(r"[0-9A-Fa-f]")
+#: What is taken out of a text or put in the place of others before its lines are read.
+_UNPLAIN = re.compile(b"[\r\x1b\x0b\x0c\x1c-\x1f]")
 _CONTROLS = bytes(c for c in range(32) if c not in b"\t\n\r\f\v\b\x1b") + b"\x7f"
 
 
@@ -68,13 +74,42 @@ class Lines:
         self.ended = True
 
     def __iter__(self) -> Iterator[str]:
+        pay = self._source.stream.budget.record
+        for text in self._texts():
+            for line in text if isinstance(text, list) else _text(text, self._encoding).split("\n"):
+                self.number += 1
+                pay()
+                yield line
+
+    def with_blocks(self, parse: Callable[[Source, bytes], Iterator[str | Block]]) -> Iterator[str | Block]:
+        """Yield the lines, and where blocks are wanted what `parse` makes of many lines of plain ASCII together.
+
+        It yields lines too; a block counts as so many lines as it has entries.
+        """
+        pay = self._source.stream.budget.record
+        for text in self._texts():
+            plain = isinstance(text, bytes) and self._source.in_blocks and text.isascii() and not _UNPLAIN.search(text)
+            parts: Iterable[str | Block]
+            if isinstance(text, bytes):
+                parts = parse(self._source, text + b"\n") if plain else _text(text, self._encoding).split("\n")
+            else:
+                parts = text
+            for part in parts:
+                count = 1 if isinstance(part, str) else len(part)
+                self.number += count
+                pay(count)
+                yield part
+
+    def _texts(self) -> Iterator[bytes | list[str]]:
+        """Yield whole lines, many at once without the last end; as a list where one of them was cut."""
         source, encoding, end = self._source, self._encoding, self._end
         read = source.stream.block
-        pay = source.stream.budget.record
         held: list[bytes] = []
         held_size = dropped = 0
         first = True
         while block := read():
+            while source.in_blocks and len(block) < TOGETHER and (more := read()):
+                block += more
             if first:
                 block = block.removeprefix(b"\xef\xbb\xbf")
                 first = False
@@ -87,27 +122,24 @@ class Lines:
                     dropped += len(block)
                 continue
             held.append(block[:cut])
-            text = _text(b"".join(held).removesuffix(b"\r"), encoding)
+            text = b"".join(held).removesuffix(b"\r")
             rest = block[cut + len(end) :]
             held = [rest] if rest else []
             overlong = held_size >= LINE_LIMIT
             held_size = len(rest)
-            lines = text.split("\n")
             if overlong:
+                lines = _text(text, encoding).split("\n")
                 lines[0] = self._cut(lines[0], dropped)
                 dropped = 0
-            for line in lines:
-                self.number += 1
-                pay()
-                yield line
+                yield lines
+            else:
+                yield text
         if held:
             self.ended = False
-            text = _text(b"".join(held), encoding)
+            lines = _text(b"".join(held), encoding).split("\n")
             if held_size >= LINE_LIMIT:
-                text = self._cut(text, dropped)
-            for line in text.split("\n"):
-                self.number += 1
-                yield line
+                lines[0] = self._cut(lines[0], dropped)
+            yield lines
 
     def _cut(self, line: str, dropped: int) -> str:
         if dropped or len(line) > LINE_LIMIT:

@@ -19,9 +19,11 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
+from typing import cast
 
 import msgspec
 
+from analyzer.columns.block import CanBlock
 from analyzer.errors import ServotapError, UnreadableError
 from analyzer.records import CanFrame, Chunk, Comment, Event, Silence
 from analyzer.sources.stream import Stream
@@ -94,6 +96,8 @@ class Source:
         self.time_source = "none"
         #: What the times are, for those who show them; known with the first record.
         self.clock = Clock.UTC
+        #: Give many frames as one block where the format can. It may be set at any time.
+        self.in_blocks = False
         #: Of a decoded log: give each frame as one piece with the role it was found to have, and raw bytes only where
         #: they were never decoded. Set before the first record is taken.
         self.framed = False
@@ -105,7 +109,7 @@ class Source:
         self._parts: list[Path] = []
         self._passed = 0
         self.head = b""
-        self._records: Iterator[Record] = iter(())
+        self._records: Iterator[Record | CanBlock] = iter(())
         self._ports: dict[tuple[str | None, str], str] = {}
         self._backward = 0
         self._backward_ns = 0
@@ -113,10 +117,17 @@ class Source:
         self._impossible = 0
         self._negative = False
         self._untimed = 0
+        self._given = False
+        self._last_ns: int | None = None
 
     # --- for those who read it ------------------------------------------------------------------------------------
 
     def __iter__(self) -> Iterator[Record]:
+        # Blocks come only to those who set `in_blocks`, and they use `items`.
+        return cast(Iterator[Record], self._records)
+
+    def items(self) -> Iterator[Record | CanBlock]:
+        """Return what iterating yields, with blocks once they are wanted."""
         return self._records
 
     def position(self) -> int:
@@ -225,37 +236,21 @@ class Source:
         text = text.strip()
         return Comment(t_ns, port, text if len(text) <= COMMENT_LIMIT else text[:COMMENT_LIMIT] + "...")
 
-    def begin(self, records: Iterator[Record]) -> None:
+    def begin(self, records: Iterator[Record | CanBlock]) -> None:
         """Set what iterating yields."""
         self._records = self._run(records)
 
     # --- reading --------------------------------------------------------------------------------------------------
 
-    def _run(self, records: Iterator[Record]) -> Iterator[Record]:
-        given = False
-        last_ns: int | None = None
+    def _run(self, records: Iterator[Record | CanBlock]) -> Iterator[Record | CanBlock]:
         try:
-            for record in _with_times_of_heads(records):
-                t_ns = record.t_ns
-                if t_ns is None:
-                    if last_ns is not None:
-                        self._untimed += isinstance(record, (Chunk, CanFrame))
-                        record = msgspec.structs.replace(record, t_ns=last_ns)
-                elif last_ns is None or last_ns <= t_ns < FAR_NS:
-                    if not 0 <= t_ns < FAR_NS:
-                        record = self._odd_time(record, t_ns, last_ns)
-                    last_ns = record.t_ns
-                else:
-                    record = self._odd_time(record, t_ns, last_ns)
-                    last_ns = record.t_ns
-                given = True
-                yield record
+            yield from self._timed(_with_times_of_heads(records))
         except ServotapError:
             raise
         # A damaged file can make a library's parser raise any exception.
         except Exception as error:
             what = describe(error)
-            if not given:
+            if not self._given:
                 raise UnreadableError(f"{self.name}: cannot be read as {self.title}: {what}") from error
             self.problem(f"the capture breaks off: {what}", offset=self.stream.position)
         finally:
@@ -265,10 +260,41 @@ class Source:
         # A pipe whose reading broke off may go on for ever.
         if self.size is not None or not self.problem_count:
             self.stream.drain()
-        if not given:
+        if not self._given:
             if self.problem_count:
                 raise UnreadableError(f"{self.name}: cannot be read as {self.title}: {self.problems[0]}")
             self.note("the capture holds no traffic")
+
+    def _timed(self, records: Iterator[Record | CanBlock]) -> Iterator[Record | CanBlock]:
+        """Yield records with times that are possible, and blocks whose times never decrease."""
+        last_ns = self._last_ns
+        for record in records:
+            if isinstance(record, CanBlock):
+                if (last_ns or 0) <= record.t_ns[0] and record.t_ns[-1] < FAR_NS:
+                    last_ns = int(record.t_ns[-1])
+                    self._given = True
+                    yield record
+                    continue
+                # One by one, and so what follows: it may lie before what was.
+                self.in_blocks, self._last_ns = False, last_ns
+                yield from self._timed(record.frames())
+                last_ns = self._last_ns
+                continue
+            t_ns = record.t_ns
+            if t_ns is None:
+                if last_ns is not None:
+                    self._untimed += isinstance(record, (Chunk, CanFrame))
+                    record = msgspec.structs.replace(record, t_ns=last_ns)
+            elif last_ns is None or last_ns <= t_ns < FAR_NS:
+                if not 0 <= t_ns < FAR_NS:
+                    record = self._odd_time(record, t_ns, last_ns)
+                last_ns = record.t_ns
+            else:
+                record = self._odd_time(record, t_ns, last_ns)
+                last_ns = record.t_ns
+            self._given = True
+            yield record
+        self._last_ns = last_ns
 
     def _odd_time(self, record: Record, t_ns: int, last_ns: int | None) -> Record:
         if abs(t_ns) > LATEST_NS:
@@ -277,6 +303,7 @@ class Source:
         self._negative |= t_ns < 0
         self._far += t_ns >= FAR_NS
         if last_ns is not None and t_ns < last_ns:
+            self.in_blocks = False
             self._backward += 1
             self._backward_ns = max(self._backward_ns, last_ns - t_ns)
         return record
@@ -303,14 +330,15 @@ class Source:
         yield f"{places}: {shown}" + (f"; and {left} more" if left > 0 else "")
 
 
-def _with_times_of_heads(records: Iterator[Record]) -> Iterator[Record]:
+def _with_times_of_heads(records: Iterator[Record | CanBlock]) -> Iterator[Record | CanBlock]:
     """Give comments before all traffic the time of the first: without one, a log would begin in 1970."""
     head: list[Comment] = []
     for record in records:
         if isinstance(record, Comment) and record.t_ns is None and len(head) < _HEAD_LIMIT:
             head.append(record)
             continue
-        yield from (msgspec.structs.replace(comment, t_ns=record.t_ns) for comment in head)
+        first_ns = int(record.t_ns[0]) if isinstance(record, CanBlock) else record.t_ns
+        yield from (msgspec.structs.replace(comment, t_ns=first_ns) for comment in head)
         yield record
         break
     else:

@@ -1,0 +1,122 @@
+"""Lines of candump's log form as columns.
+
+    (1436509052.249713) can0 001#F60140023A
+
+Lines of one length that look like the first of them are read together, place by place. What is no plain data frame with an
+identifier of 11 bits is left to the reader of single lines, in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analyzer.columns.block import CanBlock
+from analyzer.columns.codec import Bytes, Flags, Integers
+from analyzer.sources.candump import LOG
+
+#: Fewer lines than this in a row are read faster one by one.
+SHORTEST = 64
+#: Kinds of lines of one length: of several buses, or with other digits.
+_MOST_KINDS = 8
+_STANDARD_ID = 0x7FF
+_NO_DIGIT = 255
+_NIBBLES = np.full(256, _NO_DIGIT, dtype=np.uint8)
+for _code in b"0123456789ABCDEFabcdef":
+    _NIBBLES[_code] = int(chr(_code), 16)
+_MARKS = {None: 0, "R": 0, "r": 0, "T": 1, "t": 1}
+
+
+@dataclass
+class _Columns:
+    """What the lines of a text hold, one entry a line. `bus`: a place in `names`; -1: the line is left."""
+
+    t_ns: Integers
+    ids: Integers
+    sizes: Integers
+    data: Bytes
+    marks: Integers
+    bus: Integers
+    names: list[str]
+
+
+def pieces(text: bytes) -> Iterator[tuple[int, int, str, CanBlock | None]]:
+    """Yield the lines of a text in stretches: from which to which, on which bus, and their frames; None: read them singly.
+
+    `text` ends with a line end. The port of a block is empty.
+    """
+    codes = np.frombuffer(text, dtype=np.uint8)
+    ends = np.flatnonzero(codes == ord("\n"))
+    starts = np.concatenate(([0], ends[:-1] + 1))
+    found = _read(codes, starts, ends - starts)
+    # A stretch ends where the bus changes, where a line is left, and where times run backwards.
+    breaks = np.flatnonzero((np.diff(found.bus) != 0) | (np.diff(found.t_ns) < 0)) + 1
+    edges = [0, *breaks.tolist(), len(ends)]
+    single = 0
+    for start, stop in zip(edges, edges[1:], strict=False):
+        bus = int(found.bus[start])
+        if bus < 0 or stop - start < SHORTEST:
+            continue
+        if single < start:
+            yield single, start, "", None
+        own = slice(start, stop)
+        yield start, stop, found.names[bus], CanBlock(
+            "", found.t_ns[own], found.ids[own], found.sizes[own], found.data[own], found.marks[own]
+        )  # fmt: skip
+        single = stop
+    if single < len(ends):
+        yield single, len(ends), "", None
+
+
+def _read(codes: Bytes, starts: Integers, lengths: Integers) -> _Columns:
+    count = len(starts)
+    found = _Columns(*(np.zeros(count, dtype=np.int64) for _ in range(3)), np.zeros((count, 8), dtype=np.uint8),
+                     np.zeros(count, dtype=np.int64), np.full(count, -1, dtype=np.int64), [])  # fmt: skip
+    order = np.argsort(lengths, kind="stable")
+    sizes, firsts = np.unique(lengths[order], return_index=True)
+    for length, rows in zip(sizes.tolist(), np.split(order, firsts[1:]), strict=True):
+        for _ in range(_MOST_KINDS):
+            if len(rows) < SHORTEST // 8:
+                break
+            rows = rows[~_kind(codes, starts[rows], length, rows, found)]
+    return found
+
+
+def _kind(codes: Bytes, starts: Integers, length: int, rows: Integers, found: _Columns) -> Flags:
+    """Read the lines that look like the first of some of one length. Say which were dealt with."""
+    line = codes[int(starts[0]) : int(starts[0]) + length].tobytes()
+    match = LOG.match(line.decode("ascii", "replace"))
+    done: Flags = np.zeros(len(rows), dtype=np.bool_)
+    done[0] = True
+    if match is None or match[6] or len(match[4]) != 3 or len(match[5]) > 16 or len(match[5]) % 2:
+        return done
+    table = codes[starts[:, None] + np.arange(length)]
+    seconds, fraction, ident, data = (table[:, slice(*match.span(n))] for n in (1, 2, 4, 5))
+    digits, nibbles = np.hstack((seconds, fraction)) - np.uint8(ord("0")), _NIBBLES[np.hstack((ident, data))]
+    free = np.zeros(length, dtype=np.bool_)
+    for group in (1, 2, 4, 5):
+        free[slice(*match.span(group))] = True
+    good = (digits <= 9).all(axis=1) & (nibbles != _NO_DIGIT).all(axis=1) & (table[:, ~free] == table[0, ~free]).all(axis=1)
+    ids = nibbles[:, :3].astype(np.int64) @ np.array([256, 16, 1])
+    good &= ids <= _STANDARD_ID
+    unit = 10 ** (9 - fraction.shape[1])
+    taken = rows[good]
+    found.t_ns[taken] = _number(digits[good, : seconds.shape[1]]) * 1_000_000_000 + _number(digits[good, seconds.shape[1] :]) * unit
+    found.ids[taken] = ids[good]
+    size = data.shape[1] // 2
+    found.sizes[taken] = size
+    found.data[taken, :size] = nibbles[good, 3::2] << 4 | nibbles[good, 4::2]
+    found.marks[taken] = _MARKS[match[7]]
+    name = match[3]
+    if name not in found.names:
+        found.names.append(name)
+    found.bus[taken] = found.names.index(name)
+    return good | done
+
+
+def _number(digits: NDArray[np.uint8]) -> Integers:
+    value: Integers = digits.astype(np.int64) @ 10 ** np.arange(digits.shape[1] - 1, -1, -1, dtype=np.int64)
+    return value
