@@ -18,8 +18,8 @@ between, is an echo when it comes at once and a retry when it comes later.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
@@ -28,6 +28,10 @@ from analyzer.context import Context, Request, RequestOutcome, State, answers
 from analyzer.findings import Issue
 from analyzer.layout import Effect
 from analyzer.records import Frame, Lane, Message, Severity
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 #: A request is given up for good after this many late limits.
 GIVE_UP = 5
@@ -185,12 +189,12 @@ class Transactions:
         return self._last is None or self._last.data != data
 
     def were_answered(
-        self, request: Request, reply: Frame, replies: Mapping[int, bytes], moved: Iterable[int], times_ns: Sequence[int]
+        self, request: Request, reply: Frame, replies: Mapping[int, bytes], moved: Iterable[int], times_ns: NDArray[np.int64]
     ) -> None:
         """Take plain exchanges as done, of which the last is `request` and `reply`.
 
         `replies`: the last one of each address. `moved`: those that answered a motion command. `times_ns`: of all frames,
-        rising, with a method `searchsorted`.
+        rising.
         """
         for address in replies:
             self.context.speaks[address] = reply.dialect.name
@@ -201,7 +205,7 @@ class Transactions:
         # As `observe` would have looked for requests that have expired; there were none.
         step = GIVE_UP * self.late_ns // 10
         while self._check_ns <= times_ns[-1]:
-            self._check_ns = int(times_ns[times_ns.searchsorted(self._check_ns)]) + step  # type: ignore[attr-defined]
+            self._check_ns = int(times_ns[times_ns.searchsorted(self._check_ns)]) + step
 
     # --- requests -------------------------------------------------------------------------------------------------
 

@@ -27,6 +27,7 @@ LAYERS = (
     ("analyzer.findings",),
     ("analyzer.transactions", "analyzer.events"),
     ("analyzer.port",),
+    ("analyzer.columns",),
     ("analyzer.pipeline",),
     ("analyzer.detect",),
     ("analyzer.diagnosis",),

@@ -7,7 +7,7 @@ A row is as wide as the widest. Zeros in the text are padding and are taken out,
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -106,10 +106,8 @@ class Rows:
 def _groups(plain: Plain) -> Iterator[tuple[Integers, Lane]]:
     """Yield the rows of lanes that read alike and have frames of one length, with one of these lanes."""
     kinds: dict[tuple[int, bool, int], int] = {}
-    numbers = [
-        kinds.setdefault((id(lane.form), lane.is_request, lane.start), len(kinds)) for lane in plain.lanes
-    ]
-    examples = {kind: lane for kind, lane in zip(numbers, plain.lanes, strict=True)}
+    numbers = [kinds.setdefault((id(lane.form), lane.is_request, lane.start), len(kinds)) for lane in plain.lanes]
+    examples = dict(zip(numbers, plain.lanes, strict=True))
     kind = np.array([*numbers, -1], dtype=np.int64)[plain.lane]
     order = np.argsort(kind, kind="stable")
     bounds = np.searchsorted(kind[order], np.arange(len(kinds) + 1))

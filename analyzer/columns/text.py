@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from analyzer.columns.codec import Bytes, Integers
 
 _GROUP = 10_000
-_DIGITS = np.array([list(f"{n:04d}".encode()) for n in range(_GROUP)], dtype=np.uint8).view(np.uint32).reshape(-1)
-_LEADING = np.array([list(f"{n:4d}".replace(" ", "\0").encode()) for n in range(_GROUP)], dtype=np.uint8)
-_LEADING = _LEADING.view(np.uint32).reshape(-1)
+#: Four digits as one word, with leading zeros and without.
+_DIGITS = np.frombuffer(b"".join(b"%04d" % n for n in range(_GROUP)), dtype=np.uint32)
+_LEADING = np.frombuffer(b"".join((b"%4d" % n).replace(b" ", b"\0") for n in range(_GROUP)), dtype=np.uint32)
 _HEX = np.array([list(f"{n:02X} ".encode()) for n in range(256)], dtype=np.uint8)
 #: Where Python writes a number with an exponent, and JSON encoders write that in another way.
 _SMALL, _GREAT = 1e-4, 1e16

@@ -243,12 +243,12 @@ def _serve(stream: IO[bytes], answers: int, table: Table, sinks: Sequence[Sink])
                 index, method, rest_of = arguments
                 _say(answers, (True, getattr(sinks[index], method)(*rest_of) if method else sinks[index]))
             elif what == "begin":
-                plain = _plain(lanes, *arguments)
-                for sink in run_sinks:
-                    sink.begin(plain)
+                block = _plain(lanes, *arguments)
+                for taker in run_sinks:
+                    taker.begin(block)
             elif what == "run":
-                for sink in run_sinks:
-                    sink.run(*arguments)
+                for taker in run_sinks:
+                    taker.run(*arguments)
             else:
                 for sink in event_sinks if what == "happened" else sinks:
                     getattr(sink, what)(*arguments)

@@ -124,7 +124,7 @@ def frame_of(line: str) -> CanFrame | None:
 
 def _blocks(source: Source, text: bytes) -> Iterator[str | CanBlock]:
     """Yield the frames of many lines together where they are plain, and the other lines."""
-    from analyzer.columns.candump import pieces
+    from analyzer.sources.candump_blocks import pieces
 
     texts: list[str] = []
     for start, stop, name, block in pieces(text):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,8 @@ SHORTEST = 64
 #: Kinds of lines of one length: of several buses, or with other digits.
 _MOST_KINDS = 8
 _STANDARD_ID = 0x7FF
+#: Digits of seconds that fit into 63 bits as nanoseconds.
+_SECONDS = 9 + 1
 _NO_DIGIT = 255
 _NIBBLES = np.full(256, _NO_DIGIT, dtype=np.uint8)
 for _code in b"0123456789ABCDEFabcdef":
@@ -56,7 +59,7 @@ def pieces(text: bytes) -> Iterator[tuple[int, int, str, CanBlock | None]]:
     breaks = np.flatnonzero((np.diff(found.bus) != 0) | (np.diff(found.t_ns) < 0)) + 1
     edges = [0, *breaks.tolist(), len(ends)]
     single = 0
-    for start, stop in zip(edges, edges[1:], strict=False):
+    for start, stop in pairwise(edges):
         bus = int(found.bus[start])
         if bus < 0 or stop - start < SHORTEST:
             continue
@@ -73,8 +76,8 @@ def pieces(text: bytes) -> Iterator[tuple[int, int, str, CanBlock | None]]:
 
 def _read(codes: Bytes, starts: Integers, lengths: Integers) -> _Columns:
     count = len(starts)
-    found = _Columns(*(np.zeros(count, dtype=np.int64) for _ in range(3)), np.zeros((count, 8), dtype=np.uint8),
-                     np.zeros(count, dtype=np.int64), np.full(count, -1, dtype=np.int64), [])  # fmt: skip
+    t_ns, ids, sizes, marks = np.zeros((4, count), dtype=np.int64)
+    found = _Columns(t_ns, ids, sizes, np.zeros((count, 8), dtype=np.uint8), marks, np.full(count, -1, dtype=np.int64), [])
     order = np.argsort(lengths, kind="stable")
     sizes, firsts = np.unique(lengths[order], return_index=True)
     for length, rows in zip(sizes.tolist(), np.split(order, firsts[1:]), strict=True):
@@ -91,7 +94,7 @@ def _kind(codes: Bytes, starts: Integers, length: int, rows: Integers, found: _C
     match = LOG.match(line.decode("ascii", "replace"))
     done: Flags = np.zeros(len(rows), dtype=np.bool_)
     done[0] = True
-    if match is None or match[6] or len(match[4]) != 3 or len(match[5]) > 16 or len(match[5]) % 2:
+    if match is None or match[6] or len(match[1]) > _SECONDS or len(match[4]) != 3 or len(match[5]) > 16 or len(match[5]) % 2:
         return done
     table = codes[starts[:, None] + np.arange(length)]
     seconds, fraction, ident, data = (table[:, slice(*match.span(n))] for n in (1, 2, 4, 5))
@@ -102,9 +105,12 @@ def _kind(codes: Bytes, starts: Integers, length: int, rows: Integers, found: _C
     good = (digits <= 9).all(axis=1) & (nibbles != _NO_DIGIT).all(axis=1) & (table[:, ~free] == table[0, ~free]).all(axis=1)
     ids = nibbles[:, :3].astype(np.int64) @ np.array([256, 16, 1])
     good &= ids <= _STANDARD_ID
-    unit = 10 ** (9 - fraction.shape[1])
+    whole, parts = digits[:, : seconds.shape[1]], digits[:, seconds.shape[1] :]
+    t_ns = _number(whole) * 1_000_000_000 + _number(parts) * 10 ** (9 - fraction.shape[1])
+    # Of so many digits, the greatest numbers do not fit.
+    good &= t_ns >= 0
     taken = rows[good]
-    found.t_ns[taken] = _number(digits[good, : seconds.shape[1]]) * 1_000_000_000 + _number(digits[good, seconds.shape[1] :]) * unit
+    found.t_ns[taken] = t_ns[good]
     found.ids[taken] = ids[good]
     size = data.shape[1] // 2
     found.sizes[taken] = size
@@ -114,7 +120,8 @@ def _kind(codes: Bytes, starts: Integers, length: int, rows: Integers, found: _C
     if name not in found.names:
         found.names.append(name)
     found.bus[taken] = found.names.index(name)
-    return good | done
+    done |= good
+    return done
 
 
 def _number(digits: NDArray[np.uint8]) -> Integers:
