@@ -133,6 +133,8 @@ class Pipeline:
         self._others = tuple(others)
         self.ports: dict[str, Port] = {}
         self.sequence = 0
+        #: Frames that were passed on by runs of a block.
+        self.in_runs = 0
 
     def run(self, items: Iterable[Item]) -> None:
         """Feed all items, then close."""
@@ -296,6 +298,7 @@ class Pipeline:
                 self._feed_rows(block, start, stop)
             elif start < stop:
                 self.sequence += stop - start
+                self.in_runs += stop - start
                 port.bytes_in += int(block.sizes[start:stop].sum())
                 for sink in self._run_sinks:
                     sink.run(start, stop)

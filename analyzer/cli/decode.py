@@ -225,6 +225,8 @@ def _metadata(
         "frames": str(summary.frames),
         "findings": str(sum(summary.findings.values())),
     }
+    if pipeline.in_runs:
+        values["frames_by_columns"] = str(pipeline.in_runs)
     if source.sha256:
         values["source_sha256"] = source.sha256
     if reading.model:

@@ -1,0 +1,102 @@
+"""The same CAN frames through the pipeline one by one and by blocks, and all that comes out."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections import deque
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from mcap.reader import make_reader
+
+from analyzer import dialects
+from analyzer.columns.block import DIRECTIONS, CanBlock
+from analyzer.context import Request
+from analyzer.diagnosis.watch import Watch
+from analyzer.pipeline import Item, Options, Pipeline
+from analyzer.records import CanFrame
+from analyzer.sinks.mcap_log import McapLog
+from analyzer.sinks.summary import Summary
+
+
+def messages(log: bytes) -> list[tuple[object, ...]]:
+    """Return the messages of a log, whose checksums are looked at."""
+    reader = make_reader(io.BytesIO(log), validate_crcs=True)
+    return [
+        (channel.topic, schema.name, m.sequence, m.log_time, m.publish_time, json.loads(m.data))
+        for schema, channel, m in reader.iter_messages()
+    ]
+
+
+def outcome(items: Sequence[Item], dialect: str) -> tuple[dict[str, object], Pipeline]:
+    """Return all that comes out of a pipeline that is fed these items."""
+    stream, summary, watch = io.BytesIO(), Summary(), Watch()
+    log = McapLog(stream, bit_ns=2000)
+    pipeline = Pipeline([dialects.get(dialect)], [log, summary, watch], Options())
+    for item in items:
+        watch.take(item)
+        pipeline.feed(item)
+    before = {name: plain_values(port.state()) for name, port in pipeline.ports.items()}
+    pipeline.close()
+    log.finish({})
+    shown = [repr((s.bus, s.pieces, s.findings, s.frames, s.timed)) for s in watch.scenes([dialects.get(dialect)])]
+    return {
+        "messages": messages(stream.getvalue()),
+        "summary": summary.settle().as_object(),
+        "doubtful": summary.doubtful(),
+        "watch": shown,
+        "sequence": pipeline.sequence,
+        "ports": before,
+    }, pipeline  # fmt: skip
+
+
+def plain_values(value: object) -> object:
+    """Return what can be compared: objects as their attributes, mappings without their order."""
+    if isinstance(value, Request):
+        kept = (value.message, value.sequence, value.topic, value.t_ns, value.state, value.outcome, value.reply, value.gave_up)
+        return plain_values(kept)
+    if isinstance(value, dict):
+        return {repr(key): plain_values(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple, deque)):
+        return [plain_values(each) for each in value]
+    return repr(value)
+
+
+def blocks(frames: Sequence[CanFrame], most: int) -> Iterator[CanBlock | CanFrame]:
+    """Yield frames as a reader of blocks does: what no block holds, singly."""
+    held: list[CanFrame] = []
+    for frame in frames:
+        fits = not (frame.extended or frame.remote or frame.error or frame.fd) and frame.id <= 0x7FF
+        fits = fits and len(frame.data) <= 8 and frame.t_ns is not None
+        if held and (not fits or len(held) == most or frame.port != held[0].port or frame.t_ns < held[-1].t_ns):
+            yield block(held)
+            held = []
+        if fits:
+            held.append(frame)
+        else:
+            yield frame
+    if held:
+        yield block(held)
+
+
+def block(frames: Sequence[CanFrame]) -> CanBlock:
+    """Return frames of one bus as a block."""
+    data = np.zeros((len(frames), 8), dtype=np.uint8)
+    for row, frame in enumerate(frames):
+        data[row, : len(frame.data)] = np.frombuffer(frame.data, dtype=np.uint8)
+    numbers = [[f.t_ns, f.id, len(f.data), DIRECTIONS.index(f.direction)] for f in frames]
+    t_ns, ids, sizes, directions = np.array(numbers, dtype=np.int64).T
+    return CanBlock(frames[0].port, t_ns, ids, sizes, data, directions)
+
+
+def same(frames: Sequence[CanFrame], dialect: str, most: int) -> Pipeline:
+    """Check that both ways give the same. Return the pipeline that took blocks."""
+    streamed, _ = outcome(frames, dialect)
+    columns, pipeline = outcome(list(blocks(frames, most)), dialect)
+    for name, value in streamed.items():
+        if isinstance(value, list):
+            for one, other in zip(value, columns[name], strict=False):
+                assert one == other, name
+        assert value == columns[name], name
+    return pipeline

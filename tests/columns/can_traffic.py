@@ -1,0 +1,112 @@
+"""Exchanges of CAN drives, most of them plain, and all that spoils one."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+
+from analyzer import dialects
+from analyzer.catalogue import Command, Form, Risk, Role
+from analyzer.codec import codec
+from analyzer.layout import FieldKind, Layout
+from analyzer.records import CanFrame
+
+_US = 1_000
+
+
+def data_of(layout: Layout, chance: random.Random) -> bytes:
+    """Return data of a layout with values that its manual allows."""
+    values = {}
+    for field in layout.fields:
+        if field.kind is FieldKind.RESERVED:
+            continue
+        listed = [v for v in (field.values or field.choice_names) if field.allows(v)]
+        if field.fixed is not None:
+            values[field.name] = field.fixed
+        elif listed:
+            values[field.name] = chance.choice(listed)
+        else:
+            values[field.name] = chance.choice((field.low, field.high, 0, chance.randint(field.low, field.high)))
+            values[field.name] = values[field.name] if field.allows(values[field.name]) else field.low
+    return codec(layout).encode(values)
+
+
+def _usable(form: Form) -> bool:
+    return all(field.bit_width > 0 and field.kind is not FieldKind.BYTES for field in form.layout.fields)
+
+
+def commands(dialect: str) -> list[Command]:
+    """Return the commands of a dialect whose frames can be made here."""
+    every = dialects.get(dialect).commands
+    return [
+        c for c in every if c.code is not None and c.request_forms and all(map(_usable, (*c.request_forms, *c.reply_forms)))
+    ]
+
+
+def frames(dialect: str, chance: random.Random, count: int, busy: float, odd: float, port: str = "can0") -> Iterator[CanFrame]:
+    """Yield about so many frames. `busy`: the share of exchanges that are no reads; `odd`: in which something is not plain."""
+    link, usable = dialects.get(dialect).link, commands(dialect)
+    reads = [c for c in usable if c.all_risks == {Risk.READ}]
+    others = [c for c in usable if c not in reads]
+    few = chance.sample(reads, min(6, len(reads)))
+    t_ns = 1_772_442_000_000_000_000
+    marked = chance.random() < 0.3
+
+    def frame(body: bytes, address: int, role: Role = Role.UNKNOWN, **marks: bool) -> CanFrame:
+        nonlocal t_ns
+        t_ns += chance.choice((90, 150, 400, 3000)) * _US
+        data = link.completed(body, address)
+        return CanFrame(t_ns, port, address, data, role if marked else Role.UNKNOWN, **marks)
+
+    sent = 0
+    while sent < count:
+        command, address = chance.choice(others if others and chance.random() < busy else few), chance.choice((1, 2, 3))
+        request = frame(
+            bytes((command.code,)) + data_of(chance.choice(command.request_forms).layout, chance), address, Role.REQUEST
+        )
+        reply = None
+        if command.reply_forms:
+            body = data_of(chance.choice(command.reply_forms).layout, chance)
+            reply = frame(bytes((command.code,)) + body, address, Role.REPLY)
+        pair = [request] + [reply] * (reply is not None)
+        if chance.random() < odd:
+            pair = list(spoiled(pair, chance))
+            if chance.random() < 0.1:
+                t_ns += chance.choice((20_000_000, 1_500_000_000, 40_000_000_000))
+        sent += len(pair)
+        yield from pair
+
+
+def spoiled(pair: list[CanFrame], chance: random.Random) -> Iterator[CanFrame]:
+    """Yield an exchange with something wrong, or something else beside it."""
+    import msgspec
+
+    replace = msgspec.structs.replace
+    which = chance.randrange(12)
+    for place, frame in enumerate(pair):
+        own = place == len(pair) - 1
+        if which == 0 and own:
+            continue
+        if which == 1 and own and frame.data:
+            frame = replace(frame, data=frame.data[:-1] + bytes((frame.data[-1] ^ 0x55,)))
+        if which == 2 and not own:
+            yield frame
+        if which == 3 and own:
+            frame = replace(frame, extended=True)
+        if which == 4 and own:
+            frame = replace(frame, data=frame.data[:-2])
+        if which == 5 and own:
+            yield replace(frame, id=0x155, data=bytes(chance.randrange(256) for _ in range(chance.randrange(9))))
+        if which == 6 and own:
+            frame = replace(frame, t_ns=frame.t_ns - 20_000_000)
+        if which == 7 and own:
+            yield frame
+        if which == 8:
+            frame = replace(frame, data=bytes(chance.randrange(256) for _ in frame.data))
+        if which == 9 and own:
+            yield replace(frame, error=True, data=b"")
+        if which == 10 and own:
+            frame = replace(frame, t_ns=frame.t_ns + 80_000_000)
+        if which == 11 and own:
+            frame = replace(frame, direction=Role.REQUEST)
+        yield frame
