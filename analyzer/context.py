@@ -46,7 +46,6 @@ class Request:
     state = State.WAITING
     outcome = RequestOutcome.OPEN
     lane: Lane | None = None
-    reply: Message | None = None
     gave_up = ""
     _message: Message | None = None
 

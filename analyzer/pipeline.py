@@ -293,16 +293,17 @@ class Pipeline:
         while at < len(block):
             start, stop = pairing.next_run(at)
             self._feed_rows(block, at, start)
-            if start < stop and not pairing.take(start, stop):
-                stop = min(start + AFTER_REFUSAL, stop)
-                self._feed_rows(block, start, stop)
-            elif start < stop:
-                self.sequence += stop - start
-                self.in_runs += stop - start
-                port.bytes_in += int(block.sizes[start:stop].sum())
+            at = pairing.take(start, stop) if start < stop else stop
+            if start < at:
+                self.sequence += at - start
+                self.in_runs += at - start
+                port.bytes_in += int(block.sizes[start:at].sum())
                 for sink in self._run_sinks:
-                    sink.run(start, stop)
-            at = stop
+                    sink.run(start, at)
+            if at < stop:
+                refused = min(at + AFTER_REFUSAL, stop)
+                self._feed_rows(block, at, refused)
+                at = refused
 
     def _feed_rows(self, block: CanBlock, start: int, stop: int) -> None:
         for row in range(start, stop):

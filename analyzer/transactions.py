@@ -188,6 +188,13 @@ class Transactions:
         """Say whether these bytes are no repetition of the frame before them."""
         return self._last is None or self._last.data != data
 
+    def patient_until_ns(self) -> int | None:
+        """Return the time until which no open request is given up while others are asked and answered; None: for ever."""
+        times = [r.t_ns for requests in self.context.open.values() for r in requests if r.state is State.WAITING]
+        if times and self.half_duplex:
+            return 0
+        return min(times) + GIVE_UP * self.late_ns if times else None
+
     def were_answered(
         self, request: Request, reply: Frame, replies: Mapping[int, bytes], moved: Iterable[int], times_ns: NDArray[np.int64]
     ) -> None:
@@ -202,6 +209,7 @@ class Transactions:
         self._answers_motion.update(moved)
         self.context.last_request = request
         self._last, self._last_is_reply = reply, True
+        self._behind = 0
         # As `observe` would have looked for requests that have expired; there were none.
         step = GIVE_UP * self.late_ns // 10
         while self._check_ns <= times_ns[-1]:
@@ -344,7 +352,6 @@ class Transactions:
             if meaning == "final" and command.effects:
                 self._learn(request.message)
         self._last_reply[message.address] = message.frame.data
-        request.reply = message
         if request.state is State.DONE:
             self._end(request, RequestOutcome.FAILED if meaning == "failed" else RequestOutcome.ANSWERED)
 

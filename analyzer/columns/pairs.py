@@ -2,8 +2,9 @@
 
 Theory of operation. Identifier, length and code of a frame name its lanes, as for single frames. A frame can be a request, a
 reply, or, where the two look alike, either. At row `i` a plain exchange begins if row `i` can be a request, row `i + 1` a final
-reply to that command, and nothing is wrong with the two. Exchanges that follow each other are a run. The pipeline passes a run
-on whole if no request is open before it, and all other frames one by one, in their order.
+reply to that command, and nothing is wrong with the two. Exchanges that follow each other are a run. A run is passed on whole
+as far as no open request has to do with it: until one would be given up, and but for drives that still wait for a reply. All
+other frames go one by one, in their order.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from analyzer.catalogue import Dialect, Role
+from analyzer.catalogue import Command, Dialect, Role
 from analyzer.columns.block import DIRECTIONS, CanBlock
 from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers
 from analyzer.context import Request, RequestOutcome, State
@@ -25,7 +26,7 @@ from analyzer.transactions import meaning_of
 #: Fewer frames than this are passed on faster one by one.
 SHORTEST_RUN = 16
 #: Frames that are passed on one by one after a run that what is known of the drives forbids.
-AFTER_REFUSAL = 256
+AFTER_REFUSAL = 32
 _UNKNOWN, _REQUEST, _REPLY = range(len(DIRECTIONS))
 
 
@@ -107,15 +108,26 @@ class Pairing:
         start += max(0, -(-(at - start) // 2)) * 2
         return (start, stop) if start < stop else self.next_run(stop)
 
-    def take(self, start: int, stop: int) -> bool:
-        """Say whether a run can be passed on whole, and tell the bus of it."""
+    def take(self, start: int, stop: int) -> int:
+        """Tell the bus of as many exchanges of a run as can be passed on whole. Return where they end."""
         context, transactions, plain = self._port.context, self._port.transactions, self._plain
-        if context.open or context.echoes or context.borrowed:
-            return False
-        own = plain.lane[start:stop]
-        lanes = [plain.lanes[n] for n in np.unique(own).tolist()]
-        if not all(map(self._allowed, lanes)) or not transactions.may_follow(plain.block.frame(start).data):
-            return False
+        if context.borrowed or not transactions.may_follow(plain.block.frame(start).data):
+            return start
+        allowed = np.array([self._allowed(lane) for lane in plain.lanes])[plain.lane[start:stop]]
+        if context.echoes:
+            # On a bus that may echo, a reply that repeats its request can be one.
+            allowed &= ~self._repeated[start:stop]
+        frames = len(allowed) if allowed.all() else int(allowed.argmin())
+        until_ns = transactions.patient_until_ns()
+        if until_ns is not None:
+            frames = min(frames, int(plain.block.t_ns[start:stop].searchsorted(until_ns, side="right")))
+        stop = start + frames // 2 * 2
+        if stop > start:
+            self._tell(start, stop)
+        return stop
+
+    def _tell(self, start: int, stop: int) -> None:
+        plain = self._plain
         asked, told = plain.frame(stop - 2), plain.frame(stop - 1)
         lane = plain.lanes[plain.lane[stop - 2]]
         request = Request(asked, lane.address, lane.command, plain.first + stop - 2, lane.topic)
@@ -123,17 +135,26 @@ class Pairing:
         addresses, rows = np.unique(plain.block.ids[start + 1 : stop : 2][::-1], return_index=True)
         lasts = (stop - 1 - 2 * rows).tolist()
         replies = {a: plain.block.frame(row).data for a, row in zip(addresses.tolist(), lasts, strict=True)}
-        moved = {each.address for each in lanes if not each.is_request and each.command.silenced}
-        transactions.were_answered(request, told, replies, moved, plain.block.t_ns[start:stop])
-        return True
+        ended = (plain.lanes[n] for n in np.unique(plain.lane[start + 1 : stop : 2]).tolist())
+        moved = {lane.address for lane in ended if lane.command.silenced}
+        self._port.transactions.were_answered(request, told, replies, moved, plain.block.t_ns[start:stop])
 
     def _allowed(self, lane: Lane) -> bool:
-        context, address = self._port.context, lane.address
+        """Say whether what is known of the drives lets frames of a lane be plain."""
+        context, address, command = self._port.context, lane.address, lane.command
         return (
             address in self._port.nodes.drives
             and address not in context.groups
-            and not (lane.command.silenced and address in context.silenced)
+            and not (command.silenced and address in context.silenced)
             and context.speaks.get(address, lane.dialect) == lane.dialect
+            and all(
+                # What a drive still does takes no reply of another code; a request that waits is overtaken by any.
+                other.state is State.RUNNING
+                and not command.moves
+                and other.command is not None
+                and not _share(command, other.command)
+                for other in context.open.get(address, ())
+            )
         )
 
     # --- what each frame can be -----------------------------------------------------------------------------------
@@ -179,7 +200,7 @@ class Pairing:
         pairs = np.zeros(len(block), dtype=np.bool_)
         if len(block) < 2:
             return pairs
-        repeated = np.zeros(len(block), dtype=np.bool_)
+        self._repeated = repeated = np.zeros(len(block), dtype=np.bool_)
         repeated[1:] = (block.sizes[1:] == block.sizes[:-1]) & (block.data[1:] == block.data[:-1]).all(axis=1)
         # The first row of a run is compared with the frame before it when the run is taken.
         pairs[:-1] = (requests[:-1] >= 0) & (replies[1:] >= 0) & (np.diff(block.t_ns) <= self._late_ns)
@@ -229,6 +250,15 @@ class Pairing:
             told.append(known[data])
         result: Flags = np.array(told, dtype=np.bool_)[places.reshape(-1)]
         return result
+
+
+def _share(command: Command, other: Command) -> bool:
+    """Say whether the replies to two commands can have one code."""
+    return not _reply_codes(command).isdisjoint(_reply_codes(other))
+
+
+def _reply_codes(command: Command) -> set[int | None]:
+    return {command.code if form.code is None else form.code for form in command.reply_forms}
 
 
 def _first_of_two(pairs: Flags) -> Flags:

@@ -54,7 +54,7 @@ def outcome(items: Sequence[Item], dialect: str) -> tuple[dict[str, object], Pip
 def plain_values(value: object) -> object:
     """Return what can be compared: objects as their attributes, mappings without their order."""
     if isinstance(value, Request):
-        kept = (value.message, value.sequence, value.topic, value.t_ns, value.state, value.outcome, value.reply, value.gave_up)
+        kept = (value.message, value.sequence, value.topic, value.t_ns, value.state, value.outcome, value.gave_up)
         return plain_values(kept)
     if isinstance(value, dict):
         return {repr(key): plain_values(each) for key, each in value.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from analyzer import dialects
 from analyzer.catalogue import Command, Form, Risk, Role
@@ -43,12 +43,17 @@ def commands(dialect: str) -> list[Command]:
     ]
 
 
-def frames(dialect: str, chance: random.Random, count: int, busy: float, odd: float, port: str = "can0") -> Iterator[CanFrame]:
-    """Yield about so many frames. `busy`: the share of exchanges that are no reads; `odd`: in which something is not plain."""
+def frames(
+    dialect: str, chance: random.Random, count: int, busy: float, odd: float, *, polls: Sequence[str] = ()
+) -> Iterator[CanFrame]:
+    """Yield about so many frames.
+
+    `busy`: the share of exchanges that are no reads; `odd`: in which something is not plain. `polls`: the reads, by name.
+    """
     link, usable = dialects.get(dialect).link, commands(dialect)
-    reads = [c for c in usable if c.all_risks == {Risk.READ}]
+    reads = [c for c in usable if c.all_risks == {Risk.READ} and not c.borrows]
     others = [c for c in usable if c not in reads]
-    few = chance.sample(reads, min(6, len(reads)))
+    few = [c for c in usable if c.name in polls] or chance.sample(reads, min(6, len(reads)))
     t_ns = 1_772_442_000_000_000_000
     marked = chance.random() < 0.3
 
@@ -56,7 +61,7 @@ def frames(dialect: str, chance: random.Random, count: int, busy: float, odd: fl
         nonlocal t_ns
         t_ns += chance.choice((90, 150, 400, 3000)) * _US
         data = link.completed(body, address)
-        return CanFrame(t_ns, port, address, data, role if marked else Role.UNKNOWN, **marks)
+        return CanFrame(t_ns, "can0", address, data, role if marked else Role.UNKNOWN, **marks)
 
     sent = 0
     while sent < count:
