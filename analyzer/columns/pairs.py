@@ -17,6 +17,7 @@ import numpy as np
 from analyzer.catalogue import Command, Dialect, Role
 from analyzer.columns.block import DIRECTIONS, CanBlock
 from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers
+from analyzer.columns.groups import groups, ranks
 from analyzer.context import Request, RequestOutcome, State
 from analyzer.link.can import CanLink
 from analyzer.port import Port
@@ -86,11 +87,10 @@ class Pairing:
         begins = _first_of_two(self._pairs(block, requests, replies))
         lane = np.where(begins, requests, -1)
         lane[1:] = np.where(begins[:-1], replies[1:], lane[1:])
-        used = np.unique(lane[lane >= 0])
-        places = np.full(len(self._lanes) + 1, -1, dtype=np.int64)
-        places[used] = np.arange(len(used))
+        used, places = ranks(lane + 1)
+        used, places = (used[1:], places.astype(np.int64) - 1) if used[0] == 0 else (used, places.astype(np.int64))
         offsets = offset + np.cumsum(block.sizes) - block.sizes
-        self._plain = Plain(self._dialect, block, tuple(self._lanes[n] for n in used), places[lane], offsets, first)
+        self._plain = Plain(self._dialect, block, tuple(self._lanes[n - 1] for n in used), places, offsets, first)
         edges = np.diff(np.concatenate(([0], (lane >= 0).astype(np.int8), [0])))
         starts, stops = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
         long = stops - starts >= SHORTEST_RUN
@@ -161,16 +161,15 @@ class Pairing:
 
     def _roles(self, block: CanBlock) -> tuple[Integers, Integers]:
         """Return the lane that each frame has as a request, and as a reply to the frame before it; -1: none."""
-        keys = block.ids << 16 | block.sizes << 8 | block.data[:, 0]
-        unique, places = np.unique(keys, return_inverse=True)
-        order = np.argsort(places, kind="stable")
-        bounds = np.searchsorted(places[order], np.arange(len(unique) + 1))
+        ids, places = ranks(block.ids)
+        # The rank of an identifier instead of itself: so keys are small numbers, of which groups are found fast.
+        alike = groups(places.astype(np.int64) << 12 | block.sizes << 8 | block.data[:, 0])
+        keyed = [(int(ids[key >> 12]) << 12 | key & 0xFFF, rows) for key, rows in alike]
         sound = self._checked(block)
         requests = np.full(len(block), -1, dtype=np.int64)
         replies = np.full(len(block), -1, dtype=np.int64)
-        groups = [order[bounds[n] : bounds[n + 1]] for n in range(len(unique))]
-        kinds = [self._kinds(int(key), block, int(group[0])) for key, group in zip(unique, groups, strict=True)]
-        for (asking, _), group in zip(kinds, groups, strict=True):
+        kinds = [(*self._kinds(key, block, int(rows[0])), rows) for key, rows in keyed]
+        for asking, _, group in kinds:
             left = group[sound[group] & (block.directions[group] != _REPLY)]
             for number in asking:
                 own = block.data[left, self._lanes[number].start : self._lanes[number].stop]
@@ -178,7 +177,7 @@ class Pairing:
                 # The first that matches is the frame's lane, even if its values are then found wrong.
                 requests[left[matches & self._codecs[number].valid(own)]] = number
                 left = left[~matches]
-        for (_, telling), group in zip(kinds, groups, strict=True):
+        for _, telling, group in kinds:
             rows = group[(group > 0) & sound[group] & (block.directions[group] != _REQUEST)]
             for number in telling:
                 lane = self._lanes[number]

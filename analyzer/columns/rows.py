@@ -18,6 +18,7 @@ from analyzer.catalogue import Role
 from analyzer.columns import text
 from analyzer.columns.block import DIRECTIONS
 from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers
+from analyzer.columns.groups import groups
 from analyzer.columns.pairs import Plain
 from analyzer.layout import Field
 from analyzer.records import Lane, Message
@@ -50,8 +51,9 @@ class Rows:
         count, head = len(plain.lane), HEADER.itemsize
         groups = list(_groups(plain))
         cells = [(rows, _fields(plain, rows, lane), _state(plain, rows, lane)) for rows, lane in groups]
-        self._second_head = head + max((own.shape[1] for _, own, _ in cells), default=0)
-        width = self._second_head + head + max((state.shape[1] for _, _, state in cells), default=0)
+        # Both parts end where a word does, so that the bytes kept in them can be counted by words.
+        self._second_head = _whole_words(head + max((own.shape[1] for _, own, _ in cells), default=0))
+        width = self._second_head + _whole_words(head + max((state.shape[1] for _, _, state in cells), default=0))
         self._rows = np.zeros((count, width), dtype=np.uint8)
         self._has_state = np.zeros(count, dtype=np.bool_)
         for places, own, state in cells:
@@ -59,10 +61,10 @@ class Rows:
             self._rows[places, self._second_head + head : self._second_head + head + state.shape[1]] = state
             self._has_state[places] = state.shape[1] > 0
         self._kept: Flags = self._rows != 0
-        texts = self._kept[:, head : self._second_head], self._kept[:, self._second_head + head :]
-        self._lengths = np.stack([np.count_nonzero(each, axis=1) for each in texts], axis=1)
         self._kept[:, :head] = True
         self._kept[:, self._second_head : self._second_head + head] = self._has_state[:, None]
+        #: Bytes of the messages in each row.
+        self._sizes = np.stack((_sizes(self._kept[:, : self._second_head]), _sizes(self._kept[:, self._second_head :])), axis=1)
         self._channels = np.zeros((len(plain.lanes), 2), dtype=np.int64)
 
     def new_lanes(self, start: int, stop: int) -> list[int]:
@@ -85,12 +87,12 @@ class Rows:
     def messages(self, start: int, stop: int, log_ns: Integers) -> Messages:
         """Return the messages of some rows; all their lanes have channels. `log_ns`: of each row, rising."""
         plain, head = self.plain, HEADER.itemsize
-        rows, has_state, lengths = self._rows[start:stop], self._has_state[start:stop], self._lengths[start:stop]
+        rows, has_state, sizes = self._rows[start:stop], self._has_state[start:stop], self._sizes[start:stop]
         channels = self._channels[plain.lane[start:stop]]
         for place, at in enumerate((0, self._second_head)):
             headers = np.zeros(stop - start, dtype=HEADER)
             headers["opcode"] = _MESSAGE
-            headers["length"] = lengths[:, place] + head - _UNCOUNTED
+            headers["length"] = sizes[:, place] - _UNCOUNTED
             headers["channel"] = channels[:, place]
             headers["sequence"] = np.arange(plain.first + start, plain.first + stop) & 0xFFFFFFFF
             headers["log_ns"] = log_ns
@@ -98,9 +100,21 @@ class Rows:
             rows[:, at : at + head] = headers.view(np.uint8).reshape(stop - start, head)
         there = np.stack((np.ones(stop - start, dtype=np.bool_), has_state), axis=1)
         return Messages(
-            rows[self._kept[start:stop]], np.cumsum((lengths + head)[there]), channels[there],
+            rows[self._kept[start:stop]], np.cumsum(sizes[there]), channels[there],
             np.repeat(log_ns[:, None], 2, axis=1)[there],
         )  # fmt: skip
+
+
+def _whole_words(size: int) -> int:
+    return -(-size // 8) * 8
+
+
+def _sizes(kept: Flags) -> Integers:
+    """Return how many bytes of each row are kept, by words: their bytes are 0 or 1 and a row has at most 255 words."""
+    words = kept.view(np.uint64).sum(axis=1)
+    low, one = np.uint64(0x00FF00FF00FF00FF), np.uint64(0x0001000100010001)
+    result: Integers = ((((words & low) + (words >> np.uint64(8) & low)) * one) >> np.uint64(48)).astype(np.int64)
+    return result
 
 
 def _groups(plain: Plain) -> Iterator[tuple[Integers, Lane]]:
@@ -108,11 +122,10 @@ def _groups(plain: Plain) -> Iterator[tuple[Integers, Lane]]:
     kinds: dict[tuple[int, bool, int], int] = {}
     numbers = [kinds.setdefault((id(lane.form), lane.is_request, lane.start), len(kinds)) for lane in plain.lanes]
     examples = dict(zip(numbers, plain.lanes, strict=True))
-    kind = np.array([*numbers, -1], dtype=np.int64)[plain.lane]
-    order = np.argsort(kind, kind="stable")
-    bounds = np.searchsorted(kind[order], np.arange(len(kinds) + 1))
-    for number, lane in examples.items():
-        yield order[bounds[number] : bounds[number + 1]], lane
+    kind = np.array([*numbers, -1], dtype=np.int64)[plain.lane] + 1
+    for number, rows in groups(kind):
+        if number:
+            yield rows, examples[number - 1]
 
 
 def _fields(plain: Plain, rows: Integers, lane: Lane) -> Bytes:

@@ -234,6 +234,8 @@ class McapFile:
         """Add messages that are packed already."""
         import numpy as np
 
+        from analyzer.columns.groups import groups
+
         starts = np.concatenate(([0], added.ends[:-1]))
         at, count = 0, len(added.ends)
         while at < count:
@@ -242,11 +244,10 @@ class McapFile:
             stop = min(count, int(np.searchsorted(added.ends, base + self._chunk_size - building.size)) + 1)
             end = int(added.ends[stop - 1])
             entries = np.stack((added.log_ns[at:stop], starts[at:stop] - base + building.size), axis=1)
-            channels = added.channels[at:stop]
             if not building.messages:
                 building.first_ns = int(added.log_ns[at])
-            for channel in np.unique(channels).tolist():
-                building.index.setdefault(channel, array("Q")).frombytes(entries[channels == channel].tobytes())
+            for channel, rows in groups(added.channels[at:stop]):
+                building.index.setdefault(channel, array("Q")).frombytes(entries[rows].tobytes())
             building.parts.append(added.data[base:end].tobytes())
             building.size += end - base
             building.last_ns = int(added.log_ns[stop - 1])

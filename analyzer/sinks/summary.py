@@ -156,11 +156,11 @@ class Summary:
             return self
         import numpy as np
 
+        from analyzer.columns.groups import groups
+
         rows = np.concatenate([np.arange(each.start, each.stop) for each in self._taken])
-        own = plain.lane[rows]
-        order = np.argsort(own, kind="stable")
-        numbers, bounds = np.unique(own[order], return_index=True)
-        for number, each in zip(numbers.tolist(), np.split(rows[order], bounds[1:]), strict=True):
+        for number, places in groups(plain.lane[rows]):
+            each = rows[places]
             lane = plain.lanes[number]
             row = self._known.get(lane.topic)
             if row is None:

@@ -20,7 +20,7 @@ Block = TypeVar("Block", bound=Sized)
 #: Bytes of one line.
 LINE_LIMIT = 1 << 20
 #: Bytes that are read together where lines become blocks.
-TOGETHER = 2 << 20
+TOGETHER = 1 << 21
 _COLOR = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
 #: Characters that Chinese serial assistants put before traffic (send, receive, arrows), as they write them.
 _CHINESE_MARKS = ("发", "收", "→", "←")
@@ -38,7 +38,7 @@ _NEIGHBOURS = 6
 _LIKE = 0.8
 _HEX_DIGIT = re.compile(r"[0-9A-Fa-f]")
 #: What is taken out of a text or put in the place of others before its lines are read.
-_UNPLAIN = re.compile(b"[\r\x1b\x0b\x0c\x1c-\x1f]")
+_UNPLAIN = [bytes((code,)) for code in b"\r\x1b" + _BLANK_BYTES]
 _CONTROLS = bytes(c for c in range(32) if c not in b"\t\n\r\f\v\b\x1b") + b"\x7f"
 
 
@@ -88,7 +88,12 @@ class Lines:
         """
         pay = self._source.stream.budget.record
         for text in self._texts():
-            plain = isinstance(text, bytes) and self._source.in_blocks and text.isascii() and not _UNPLAIN.search(text)
+            plain = (
+                isinstance(text, bytes)
+                and self._source.in_blocks
+                and text.isascii()
+                and not any(code in text for code in _UNPLAIN)
+            )
             parts: Iterable[str | Block]
             if isinstance(text, bytes):
                 parts = parse(self._source, text + b"\n") if plain else _text(text, self._encoding).split("\n")

@@ -1,0 +1,39 @@
+"""Which rows have the same value."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analyzer.columns.codec import Integers
+
+#: Values below this are counted in a table; greater ones are sorted.
+_DENSE = 1 << 20
+#: Numbers of 16 bits are sorted by digits, in a time that grows with their count alone.
+_SHORT = 1 << 16
+
+
+def ranks(values: NDArray[Any]) -> tuple[Integers, NDArray[Any]]:
+    """Return the values that occur, rising, and for each entry its place among them. No value is negative."""
+    if int(values.max(initial=0)) >= _DENSE:
+        known, places = np.unique(values, return_inverse=True)
+        return known, places
+    known = np.flatnonzero(np.bincount(values))
+    table = np.zeros(int(known[-1]) + 1 if len(known) else 0, dtype=np.uint16 if len(known) <= _SHORT else np.int64)
+    table[known] = np.arange(len(known))
+    return known, table[values]
+
+
+def groups(values: NDArray[Any]) -> Iterator[tuple[int, Integers]]:
+    """Yield each value that occurs, rising, with the rows that have it. No value is negative."""
+    if not len(values):
+        return
+    known, places = ranks(values)
+    order = np.argsort(places, kind="stable")
+    start = 0
+    for value, count in zip(known.tolist(), np.bincount(places, minlength=len(known)).tolist(), strict=True):
+        yield value, order[start : start + count]
+        start += count
