@@ -16,6 +16,7 @@ import zlib
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import starmap
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import zstandard
@@ -24,7 +25,6 @@ from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
     Chunk,
-    ChunkIndex,
     DataEnd,
     Footer,
     Header,
@@ -45,6 +45,13 @@ if TYPE_CHECKING:
 #: Uncompressed bytes of a chunk.
 CHUNK_SIZE = 1 << 20
 _MESSAGE = struct.Struct("<BQHIQQ")
+#: A chunk index: opcode and length, times of the messages, place and length of the chunk, bytes of offsets;
+_CHUNK_INDEX = struct.Struct("<BQQQQQI")
+#: channel and place of its message index, for each;
+_OFFSET = struct.Struct("<HQ")
+#: bytes of the message indexes, compression, size with and without it.
+_CHUNK_SIZES = struct.Struct("<QI4sQQ")
+_CHUNK_INDEX_REST = _CHUNK_INDEX.size - 9 + _CHUNK_SIZES.size
 #: Of the index of a channel's messages in a chunk: opcode, length, channel, bytes of its entries.
 INDEX_HEAD = struct.Struct("<BQHI")
 _LEVEL = 1
@@ -336,27 +343,23 @@ class McapFile:
         parts = [chunk]
         offsets = {}
         index_start = place = start + len(chunk)
-        for channel_id, places in building.index.items():
+        for channel_id, logged in building.index.items():
             offsets[channel_id] = place
-            entries = places.tobytes()
+            entries = logged.tobytes()
             parts += (INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel_id, len(entries)), entries)
             place += INDEX_HEAD.size + len(entries)
-        index = ChunkIndex(
-            chunk_length=len(chunk),
-            chunk_start_offset=start,
-            compression="zstd",
-            compressed_size=len(compressed),
-            message_end_time=building.last_ns,
-            message_index_length=place - index_start,
-            message_index_offsets=offsets,
-            message_start_time=building.first_ns,
-            uncompressed_size=size,
-        )
+        # Packed here: a chunk has an entry for each channel, and the library writes them number by number.
+        places = b"".join(starmap(_OFFSET.pack, offsets.items()))
+        fixed = building.first_ns, building.last_ns, start, len(chunk)
+        index = b"".join((
+            _CHUNK_INDEX.pack(Opcode.CHUNK_INDEX, _CHUNK_INDEX_REST + len(places), *fixed, len(places)), places,
+            _CHUNK_SIZES.pack(place - index_start, 4, b"zstd", len(compressed), size),
+        ))  # fmt: skip
         self._put(b"".join(parts))
         # Only now is it gone from memory: the write may have failed.
         del self._waiting[0]
         self._chunks += 1
-        self._index.add(record_bytes(index))
+        self._index.add(index)
 
     # --- the end --------------------------------------------------------------------------------------------------
 

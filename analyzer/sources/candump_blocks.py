@@ -125,8 +125,10 @@ def _kind(codes: Bytes, starts: Integers, length: int, rows: Integers, found: _C
 
 def _rows_of(cells: Flags) -> Flags:
     """Say of each row whether all its cells are true; usually all of all rows are, which is found out faster."""
-    result: Flags = np.ones(len(cells), dtype=np.bool_) if cells.all() else cells.all(axis=1)
-    return result
+    if cells.all():
+        return np.ones(len(cells), dtype=np.bool_)
+    rows: Flags = np.logical_and.reduce(cells, axis=1)
+    return rows
 
 
 def _number(digits: NDArray[np.uint8]) -> Integers:

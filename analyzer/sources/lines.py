@@ -20,7 +20,7 @@ Block = TypeVar("Block", bound=Sized)
 #: Bytes of one line.
 LINE_LIMIT = 1 << 20
 #: Bytes that are read together where lines become blocks.
-TOGETHER = 1 << 21
+TOGETHER = 1 << 20
 _COLOR = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
 #: Characters that Chinese serial assistants put before traffic (send, receive, arrows), as they write them.
 _CHINESE_MARKS = ("发", "收", "→", "←")
