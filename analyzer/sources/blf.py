@@ -11,12 +11,14 @@ holds this reader and python-can's together.
 
 from __future__ import annotations
 
+import dataclasses
 import struct
 import zlib
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 
 from analyzer.catalogue import Role
+from analyzer.columns.block import CanBlock
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame
 from analyzer.sources.budget import CONTAINER_LIMIT
@@ -48,6 +50,9 @@ _FD64 = struct.Struct("<BBBBLLLLLLLHBBL")  # channel, length, data bytes, ..., i
 _ID_MASK, _EXTENDED = 0x1FFF_FFFF, 0x8000_0000
 _SENT, _REMOTE = 0x01, 0x80
 _FD_BYTES = 64
+#: Types of objects that are CAN messages of 8 bytes.
+_MESSAGES = (1, 86)
+_MESSAGE_SIZE = _OBJECT.size + _TIMES[1].size + _CAN.size
 
 
 def score(head: bytes) -> float:
@@ -55,13 +60,13 @@ def score(head: bytes) -> float:
     return 1.0 if head.startswith(_MAGIC) else 0.0
 
 
-def read(source: Source) -> Iterator[CanFrame]:
+def read(source: Source) -> Iterator[CanFrame | CanBlock]:
     """Read the frames."""
     source.time_source = "capture: the start of the measurement, to 1 ms, and the time of each frame since then"
     return _records(source)
 
 
-def _records(source: Source) -> Iterator[CanFrame]:
+def _records(source: Source) -> Iterator[CanFrame | CanBlock]:
     stream = source.stream
     begin = stream.exactly(8)
     size = _HEADER_SIZE.unpack_from(begin, 4)[0] if len(begin) == 8 else 0
@@ -75,9 +80,27 @@ def _records(source: Source) -> Iterator[CanFrame]:
         raise UnreadableError(f"{source.name}: the BLF header breaks off after {len(header)} of {size} bytes")
     start_ns = _start_ns(header)
     for kind, data in _objects(source, _containers(source, size)):
+        # Data that are longer than one message are several.
+        if kind in _MESSAGES and len(data) >= 2 * _MESSAGE_SIZE and _OBJECT.unpack_from(data)[3] == _MESSAGE_SIZE:
+            yield from _together(source, kind, data, start_ns)
+            continue
         taken = _frame(source, kind, data, start_ns)
         if taken is not None:
             yield taken
+
+
+def _together(source: Source, kind: int, data: bytes, start_ns: int) -> Iterator[CanFrame | CanBlock]:
+    """Yield the frames of many objects of one size, as blocks where they are plain."""
+    from analyzer.sources.blf_blocks import SIZE, pieces
+
+    for start, stop, name, block in pieces(data, start_ns):
+        if block is not None:
+            yield dataclasses.replace(block, port=source.port(name or None))
+            continue
+        for at in range(start * SIZE, stop * SIZE, SIZE):
+            taken = _frame(source, kind, data[at : at + SIZE], start_ns)
+            if taken is not None:
+                yield taken
 
 
 def _start_ns(header: bytes) -> int:
@@ -144,7 +167,7 @@ def _unpack(source: Source, body: bytes) -> bytes:
 
 
 def _objects(source: Source, pieces: Iterator[bytes | None]) -> Iterator[tuple[int, bytes]]:
-    """Yield type and bytes of each object, past damage."""
+    """Yield type and bytes of each object, past damage; of many messages that follow each other, together."""
     buffer = bytearray()
     for piece in pieces:
         buffer += piece or b""
@@ -171,7 +194,13 @@ def _whole(source: Source, buffer: bytearray, *, final: bool) -> Iterator[tuple[
         elif kind not in _FRAMES and len(buffer) - end >= _NEXT and buffer.find(_SIGNATURE, end, end + _NEXT) < 0:
             source.problem(f"an object of type {kind} claims {counted(size, 'byte')}, and no object follows it")
         else:
-            source.stream.budget.record()
+            count = 1
+            if source.in_blocks and kind in _MESSAGES and (version, size) == (1, _MESSAGE_SIZE):
+                from analyzer.sources.blf_blocks import alike
+
+                count = alike(buffer, at)
+            source.stream.budget.record(count)
+            end = at + count * size
             yield kind, bytes(buffer[at:end])
             at = end
             continue
@@ -246,4 +275,6 @@ def _fd64(data: bytes, at: int, header_size: int) -> _Taken:
 
 
 #: Types of objects that are CAN frames.
-_FRAMES: dict[int, Callable[[bytes, int, int], _Taken]] = {1: _can, 86: _can, 73: _error, 100: _fd, 101: _fd64}
+_FRAMES: dict[int, Callable[[bytes, int, int], _Taken]] = {
+    **dict.fromkeys(_MESSAGES, _can), 73: _error, 100: _fd, 101: _fd64,
+}  # fmt: skip

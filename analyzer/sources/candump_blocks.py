@@ -9,8 +9,6 @@ identifier of 11 bits is left to the reader of single lines, in its place.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +17,10 @@ from analyzer.columns.block import CanBlock
 from analyzer.columns.codec import Bytes, Flags, Integers
 from analyzer.columns.groups import groups
 from analyzer.sources.candump import LOG
+from analyzer.sources.found import SHORTEST, STANDARD_ID, Found
 
-#: Fewer lines than this in a row are read faster one by one.
-SHORTEST = 64
 #: Kinds of lines of one length: of several buses, or with other digits.
 _MOST_KINDS = 8
-_STANDARD_ID = 0x7FF
 #: Digits of seconds that fit into 63 bits as nanoseconds.
 _SECONDS = 9 + 1
 _NO_DIGIT = 255
@@ -32,19 +28,6 @@ _NIBBLES = np.full(256, _NO_DIGIT, dtype=np.uint8)
 for _code in b"0123456789ABCDEFabcdef":
     _NIBBLES[_code] = int(chr(_code), 16)
 _MARKS = {None: 0, "R": 0, "r": 0, "T": 1, "t": 1}
-
-
-@dataclass
-class _Columns:
-    """What the lines of a text hold, one entry a line. `bus`: a place in `names`; -1: the line is left."""
-
-    t_ns: Integers
-    ids: Integers
-    sizes: Integers
-    data: Bytes
-    marks: Integers
-    bus: Integers
-    names: list[str]
 
 
 def pieces(text: bytes) -> Iterator[tuple[int, int, str, CanBlock | None]]:
@@ -55,30 +38,11 @@ def pieces(text: bytes) -> Iterator[tuple[int, int, str, CanBlock | None]]:
     codes = np.frombuffer(text, dtype=np.uint8)
     ends = np.flatnonzero(codes == ord("\n"))
     starts = np.concatenate(([0], ends[:-1] + 1))
-    found = _read(codes, starts, ends - starts)
-    # A stretch ends where the bus changes, where a line is left, and where times run backwards.
-    breaks = np.flatnonzero((np.diff(found.bus) != 0) | (np.diff(found.t_ns) < 0)) + 1
-    edges = [0, *breaks.tolist(), len(ends)]
-    single = 0
-    for start, stop in pairwise(edges):
-        bus = int(found.bus[start])
-        if bus < 0 or stop - start < SHORTEST:
-            continue
-        if single < start:
-            yield single, start, "", None
-        own = slice(start, stop)
-        yield start, stop, found.names[bus], CanBlock(
-            "", found.t_ns[own], found.ids[own], found.sizes[own], found.data[own], found.marks[own]
-        )  # fmt: skip
-        single = stop
-    if single < len(ends):
-        yield single, len(ends), "", None
+    yield from _read(codes, starts, ends - starts).stretches()
 
 
-def _read(codes: Bytes, starts: Integers, lengths: Integers) -> _Columns:
-    count = len(starts)
-    t_ns, ids, sizes, marks = np.zeros((4, count), dtype=np.int64)
-    found = _Columns(t_ns, ids, sizes, np.zeros((count, 8), dtype=np.uint8), marks, np.full(count, -1, dtype=np.int64), [])
+def _read(codes: Bytes, starts: Integers, lengths: Integers) -> Found:
+    found = Found.of(len(starts))
     for length, rows in groups(lengths):
         for _ in range(_MOST_KINDS):
             if len(rows) < SHORTEST // 8:
@@ -87,7 +51,7 @@ def _read(codes: Bytes, starts: Integers, lengths: Integers) -> _Columns:
     return found
 
 
-def _kind(codes: Bytes, starts: Integers, length: int, rows: Integers, found: _Columns) -> Flags:
+def _kind(codes: Bytes, starts: Integers, length: int, rows: Integers, found: Found) -> Flags:
     """Read the lines that look like the first of some of one length. Say which were dealt with."""
     line = codes[int(starts[0]) : int(starts[0]) + length].tobytes()
     match = LOG.match(line.decode("ascii", "replace"))
@@ -103,7 +67,7 @@ def _kind(codes: Bytes, starts: Integers, length: int, rows: Integers, found: _C
         free[slice(*match.span(group))] = True
     good = _rows_of(digits <= 9) & _rows_of(nibbles != _NO_DIGIT) & _rows_of(table[:, ~free] == table[0, ~free])
     ids = nibbles[:, :3].astype(np.int64) @ np.array([256, 16, 1])
-    good &= ids <= _STANDARD_ID
+    good &= ids <= STANDARD_ID
     whole, parts = digits[:, : seconds.shape[1]], digits[:, seconds.shape[1] :]
     t_ns = _number(whole) * 1_000_000_000 + _number(parts) * 10 ** (9 - fraction.shape[1])
     # Of so many digits, the greatest numbers do not fit.

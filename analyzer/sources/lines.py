@@ -13,14 +13,12 @@ from difflib import SequenceMatcher
 from functools import lru_cache, wraps
 from typing import Concatenate, ParamSpec, TypeVar
 
-from analyzer.sources.source import Source
+from analyzer.sources.source import TOGETHER, Source
 
 Block = TypeVar("Block", bound=Sized)
 
 #: Bytes of one line.
 LINE_LIMIT = 1 << 20
-#: Bytes that are read together where lines become blocks.
-TOGETHER = 1 << 20
 _COLOR = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
 #: Characters that Chinese serial assistants put before traffic (send, receive, arrows), as they write them.
 _CHINESE_MARKS = ("发", "收", "→", "←")

@@ -19,6 +19,7 @@ from analyzer.catalogue import Role
 from analyzer.records import CanFrame, Chunk, Comment
 from analyzer.sources.source import Source
 
+SOCKETCAN = 227
 _EXTENDED = 0x8000_0000
 _REMOTE = 0x4000_0000
 _ERROR = 0x2000_0000
@@ -123,7 +124,7 @@ def _rtac(line: Line, t_ns: int | None, data: bytes, outgoing: bool | None) -> T
 
 #: Link types that are read: kind of the bus, and what takes a record apart.
 LINKS: dict[int, tuple[str, Callable[[Line, int | None, bytes, bool | None], Taken]]] = {
-    227: ("can", _can),
+    SOCKETCAN: ("can", _can),
     113: ("can", _cooked),
     276: ("can", _cooked),
     250: ("serial", _rtac),

@@ -7,12 +7,14 @@ A record whose length cannot be true ends the reading: nothing marks where the n
 
 from __future__ import annotations
 
+import dataclasses
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
+from analyzer.columns.block import CanBlock
 from analyzer.errors import UnreadableError
-from analyzer.sources.links import EXPECTED, LINKS, Line, link_name
-from analyzer.sources.source import SECOND_NS, Record, Source
+from analyzer.sources.links import EXPECTED, LINKS, SOCKETCAN, Line, link_name
+from analyzer.sources.source import SECOND_NS, TOGETHER, Record, Source
 from analyzer.values import counted
 
 #: Magic number -> byte order, nanoseconds of the fraction's unit.
@@ -34,7 +36,7 @@ def score(head: bytes) -> float:
     return 1.0 if head[:4] in _MAGICS else 0.0
 
 
-def read(source: Source) -> Iterator[Record]:
+def read(source: Source) -> Iterator[Record | CanBlock]:
     """Read the records. Raises UnreadableError for a link type that carries neither CAN nor serial bytes."""
     found = _MAGICS.get(source.head[:4])
     if found is None or len(source.head) < _HEADER_SIZE:
@@ -49,7 +51,18 @@ def read(source: Source) -> Iterator[Record]:
     return _records(source, order, unit, link)
 
 
-def _records(source: Source, order: str, unit: int, link: int) -> Iterator[Record]:
+def _pieces(
+    source: Source, link: int, buffer: bytes, at: int, order: str, unit: int
+) -> Iterable[tuple[int, int, CanBlock | None]]:
+    """Return the stretches of a buffer: of CAN frames as blocks, where blocks are wanted, else one to be read singly."""
+    if not source.in_blocks or link != SOCKETCAN:
+        return ((at, len(buffer), None),)
+    from analyzer.sources.pcap_blocks import pieces
+
+    return pieces(buffer, at, order, unit)
+
+
+def _records(source: Source, order: str, unit: int, link: int) -> Iterator[Record | CanBlock]:
     line = Line(source, link, source.port(), "little" if order == "<" else "big")
     take = LINKS[link][1]
     unpack = struct.Struct(order + "LLLL").unpack_from
@@ -57,23 +70,32 @@ def _records(source: Source, order: str, unit: int, link: int) -> Iterator[Recor
     stream.exactly(_HEADER_SIZE)
     buffer, at, offset = b"", 0, _HEADER_SIZE
     while True:
-        # One record is whole in the buffer as a rule; the buffer grows only where one is not.
-        while len(buffer) - at >= _RECORD_SIZE:
-            seconds, fraction, stored, original = unpack(buffer, at)
-            if stored > _RECORD_LIMIT:
-                source.problem(f"a record of {stored} bytes, expected at most {_RECORD_LIMIT}", offset=offset + at)
-                return
-            end = at + _RECORD_SIZE + stored
-            if end > len(buffer):
-                break
-            if stored < original:
-                source.problem(f"a record was cut when it was captured: {stored} of {original} bytes", offset=offset + at)
-            taken = take(line, seconds * SECOND_NS + fraction * unit, buffer[at + _RECORD_SIZE : end], None)
-            at = end
-            pay()
-            if taken is not None:
-                yield taken
+        for start, stop, block in _pieces(source, link, buffer, at, order, unit):
+            if block is not None:
+                pay(len(block))
+                yield dataclasses.replace(block, port=line.port)
+                at = stop
+                continue
+            at = start
+            # One record is whole in the buffer as a rule; the buffer grows only where one is not.
+            while stop - at >= _RECORD_SIZE:
+                seconds, fraction, stored, original = unpack(buffer, at)
+                if stored > _RECORD_LIMIT:
+                    source.problem(f"a record of {stored} bytes, expected at most {_RECORD_LIMIT}", offset=offset + at)
+                    return
+                end = at + _RECORD_SIZE + stored
+                if end > stop:
+                    break
+                if stored < original:
+                    source.problem(f"a record was cut when it was captured: {stored} of {original} bytes", offset=offset + at)
+                taken = take(line, seconds * SECOND_NS + fraction * unit, buffer[at + _RECORD_SIZE : end], None)
+                at = end
+                pay()
+                if taken is not None:
+                    yield taken
         more = stream.block()
+        while source.in_blocks and len(more) < TOGETHER and (further := stream.block()):
+            more += further
         if not more:
             break
         buffer, at, offset = buffer[at:] + more, 0, offset + at

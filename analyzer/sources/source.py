@@ -48,6 +48,8 @@ PORT_LIMIT = 64
 _HEAD_LIMIT = 1000
 
 SECOND_NS = 1_000_000_000
+#: Bytes that are read together where records become blocks.
+TOGETHER = 1 << 20
 #: 2100-01-01: what lies behind it is noted.
 FAR_NS = 4_102_444_800 * SECOND_NS
 #: The greatest time that every part of the program can hold.

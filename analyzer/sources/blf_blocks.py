@@ -1,0 +1,51 @@
+"""Objects of a BLF file that are CAN messages as columns: objects with one header that follow each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from analyzer.catalogue import Role
+from analyzer.columns.block import DIRECTIONS, CanBlock
+from analyzer.sources.found import SHORTEST, STANDARD_ID, Found, without_rest
+
+_OBJECT = np.dtype(
+    [
+        ("head", "V16"), ("unit", "<u4"), ("client", "<u2"), ("version", "<u2"), ("ticks", "<u8"),
+        ("channel", "<u2"), ("flags", "u1"), ("length", "u1"), ("id", "<u4"), ("data", "u1", 8),
+    ]
+)  # fmt: skip
+SIZE = _OBJECT.itemsize
+_TEN_MICROSECONDS = 1
+_SENT, _REMOTE = 0x01, 0x80
+_LAST_NS = 1 << 62
+
+
+def alike(buffer: bytearray, at: int) -> int:
+    """Return how many objects with the header of this one follow each other; 1: too few to be read together."""
+    count = (len(buffer) - at) // SIZE
+    head = buffer[at : at + 16]
+    if count < SHORTEST or buffer[at + (SHORTEST - 1) * SIZE : at + (SHORTEST - 1) * SIZE + 16] != head:
+        return 1
+    rows = np.frombuffer(bytes(buffer[at : at + count * SIZE]), dtype=np.uint8).reshape(count, SIZE)
+    same = (rows[:, :16] == rows[0, :16]).all(axis=1)
+    count = count if same.all() else int(same.argmin())
+    return count if count >= SHORTEST else 1
+
+
+def pieces(data: bytes, start_ns: int) -> Iterator[tuple[int, int, str, CanBlock | None]]:
+    """Yield objects in stretches: from which to which, on which bus, and their frames; None: read them singly."""
+    rows = np.frombuffer(data, dtype=_OBJECT)
+    found = Found.of(len(rows))
+    units = np.where(rows["unit"] == _TEN_MICROSECONDS, 10_000, 1).astype(np.uint64)
+    plain = (rows["id"] <= STANDARD_ID) & (rows["length"] <= 8) & (rows["flags"] & _REMOTE == 0)
+    plain &= rows["ticks"] < np.uint64(_LAST_NS) // units
+    found.t_ns[:] = start_ns + (rows["ticks"] * units).astype(np.int64)
+    found.ids[:], found.sizes[:] = rows["id"], rows["length"]
+    found.data = without_rest(rows["data"], rows["length"])
+    found.marks[:] = np.where(rows["flags"] & _SENT, DIRECTIONS.index(Role.REQUEST), DIRECTIONS.index(Role.UNKNOWN))
+    channels = np.unique(rows["channel"])
+    found.names += [f"can{channel}" if channel else "" for channel in channels.tolist()]
+    found.bus[plain] = np.searchsorted(channels, rows["channel"][plain])
+    yield from found.stretches()

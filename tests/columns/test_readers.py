@@ -1,0 +1,97 @@
+"""Readers give the same frames singly and in blocks, whatever else stands between plain ones."""
+
+from __future__ import annotations
+
+import random
+
+import can
+import pytest
+
+from analyzer.columns.block import CanBlock
+from analyzer.records import CanFrame
+from analyzer.sources import found, open_source
+from tests.sources.builders import pcap_file, socketcan
+
+T = 1_682_894_455_899_123_000
+
+
+def frames(chance, count):
+    """Make frames, most of them plain: identifier, data, what is special, time."""
+    t_ns = T
+    for _ in range(count):
+        t_ns += chance.choice((0, 1, 100, 250)) * 1000
+        odd = chance.choice(("extended", "remote", "error", "fd", "back", "far")) if chance.random() < 0.03 else ""
+        if odd == "back":
+            t_ns -= 5000_000
+        number = chance.choice((1, 2, 3, 0x7FF)) if odd != "far" else 0x1234567
+        yield t_ns, number, chance.randbytes(chance.choice((0, 1, 3, 6, 8, 8))), odd
+
+
+def candump(rows, path):
+    tail = {"remote": "R", "fd": "#1AABB", "error": ""}
+    lines = []
+    for number, (t_ns, ident, data, odd) in enumerate(rows):
+        shown = f"{ident:08X}" if odd in ("extended", "far") else f"{ident | (0x20000000 if odd == 'error' else 0):03X}"
+        bus = "can1" if number % 400 > 370 else "can0"
+        lines.append(f"({t_ns // 10**9}.{t_ns % 10**9 // 1000:06d}) {bus} {shown}#{tail.get(odd, data.hex().upper())}")
+        if number % 311 == 0:
+            lines.append("something else")
+    path.write_text("\n".join(lines) + "\n")
+
+
+def pcap(rows, path, padding=8, order="<"):
+    marks = {"extended": 0x8000_0000, "far": 0x8000_0000, "remote": 0x4000_0000, "error": 0x2000_0000}
+    made = [
+        (
+            t_ns,
+            socketcan(ident | marks.get(odd, 0), data.ljust(padding, b"\0") if odd != "fd" else data, 4 if odd == "fd" else 0),
+        )
+        for t_ns, ident, data, odd in rows
+    ]
+    # The length counts the data alone, whatever is stored.
+    made = [
+        (t_ns, record[:4] + bytes((len(data),)) + record[5:])
+        for (t_ns, record), (_, _, data, _) in zip(made, rows, strict=True)
+    ]
+    path.write_bytes(pcap_file(227, made, order))
+
+
+def pcap_short(rows, path):
+    pcap(rows, path, 0, ">")
+
+
+def blf(rows, path):
+    with can.BLFWriter(str(path)) as writer:
+        for number, (t_ns, ident, data, odd) in enumerate(rows):
+            writer.on_message_received(
+                can.Message(
+                    t_ns / 1e9, ident, odd in ("extended", "far"), odd == "remote", odd == "error", number % 900 > 850,
+                    0 if odd == "remote" else len(data), b"" if odd == "remote" else data, odd == "fd",
+                    is_rx=number % 3 > 0,
+                )
+            )  # fmt: skip
+
+
+@pytest.mark.parametrize("write", [candump, pcap, pcap_short, blf], ids=lambda write: write.__name__)
+@pytest.mark.parametrize("seed", range(3))
+def test_the_same_frames(write, seed, tmp_path, monkeypatch):
+    monkeypatch.setattr(found, "SHORTEST", 8)
+    path = tmp_path / "capture"
+    write(list(frames(random.Random(seed), 1500)), path)
+    single, together = open_source(str(path)), open_source(str(path))
+    together.in_blocks = True
+    expected = list(single)
+    got, in_blocks = [], 0
+    for item in together.items():
+        if isinstance(item, CanBlock):
+            got += item.frames()
+            in_blocks += len(item)
+            # What runs backwards ends the blocks for good.
+            together.in_blocks = True
+        else:
+            got.append(item)
+            together.in_blocks = True
+    assert got == expected
+    assert in_blocks > 500
+    assert (together.notes, together.problems) == (single.notes, single.problems)
+    assert {type(item) for item in got} <= {CanFrame, *map(type, expected)}
