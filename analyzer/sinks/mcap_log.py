@@ -164,7 +164,15 @@ class McapLog:
         """Write plain exchanges, and the state that they carry."""
         assert isinstance(self._file, McapFile)  # only a capture that is read whole comes in blocks
         rows = self._rows
-        block = rows.plain.block
+        plain, block = rows.plain, rows.plain.block
+        if block.t_ns[start] < self._last_ns - JUMP_BACK_NS:
+            # Its clock was set back: each message says how far.
+            for row in range(start, stop):
+                lane, latency_ns = plain.lanes[plain.lane[row]], int(plain.latencies[row])
+                asked_by = None if lane.is_request else plain.first + row - 1
+                known_ns = latency_ns if asked_by is not None and latency_ns > 0 else None
+                self.plain(lane, plain.frame(row), plain.first + row, known_ns, asked_by)
+            return
         for number in rows.new_lanes(start, stop):
             lane, message = rows.example(number)
             kept = self._lanes.get(lane.topic) or self._open_lane(lane.topic, message)

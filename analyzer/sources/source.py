@@ -277,8 +277,8 @@ class Source:
                     self._given = True
                     yield record
                     continue
-                # One by one, and so what follows: it may lie before what was.
-                self.in_blocks, self._last_ns = False, last_ns
+                # It lies before what was, or too far off.
+                self._last_ns = last_ns
                 yield from self._timed(record.frames())
                 last_ns = self._last_ns
                 continue
@@ -305,7 +305,6 @@ class Source:
         self._negative |= t_ns < 0
         self._far += t_ns >= FAR_NS
         if last_ns is not None and t_ns < last_ns:
-            self.in_blocks = False
             self._backward += 1
             self._backward_ns = max(self._backward_ns, last_ns - t_ns)
         return record

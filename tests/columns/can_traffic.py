@@ -103,7 +103,7 @@ def spoiled(pair: list[CanFrame], chance: random.Random) -> Iterator[CanFrame]:
         if which == 5 and own:
             yield replace(frame, id=0x155, data=bytes(chance.randrange(256) for _ in range(chance.randrange(9))))
         if which == 6 and own:
-            frame = replace(frame, t_ns=frame.t_ns - 20_000_000)
+            frame = replace(frame, t_ns=frame.t_ns - chance.choice((20_000_000, 20_000_000_000)))
         if which == 7 and own:
             yield frame
         if which == 8:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import random
+from pathlib import Path
 
 import pytest
 
 from analyzer.columns import pairs
-from tests.columns.both_ways import same
+from analyzer.sources import found, open_source
+from tests.columns.both_ways import outcome, same
 from tests.columns.can_traffic import frames
+
+CAPTURES = Path(__file__).parents[2] / "captures"
 
 
 @pytest.mark.parametrize(("busy", "odd"), [(0, 0), (0.01, 0), (0, 0.02), (0.05, 0.05), (0.5, 0.5)])
@@ -28,3 +32,15 @@ def test_odd_frames_leave_one_by_one():
     odd = [*polls[:801], *polls[802:1200], polls[1200], *polls[1200:]]
     pipeline = same(odd, "mks-can", 1000)
     assert pipeline.in_runs > 0.9 * len(odd)
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in sorted(CAPTURES.glob("mks_can.*")) if p.suffix != ".golden"], ids=lambda path: path.name
+)
+def test_captures(path, monkeypatch):
+    monkeypatch.setattr(pairs, "SHORTEST_RUN", 2)
+    monkeypatch.setattr(found, "SHORTEST", 2)
+    single, together = open_source(str(path)), open_source(str(path))
+    together.in_blocks = True
+    streamed, columns = outcome(list(single), "mks-can")[0], outcome(list(together.items()), "mks-can")[0]
+    assert streamed == columns

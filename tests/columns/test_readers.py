@@ -86,11 +86,8 @@ def test_the_same_frames(write, seed, tmp_path, monkeypatch):
         if isinstance(item, CanBlock):
             got += item.frames()
             in_blocks += len(item)
-            # What runs backwards ends the blocks for good.
-            together.in_blocks = True
         else:
             got.append(item)
-            together.in_blocks = True
     assert got == expected
     assert in_blocks > 500
     assert (together.notes, together.problems) == (single.notes, single.problems)
