@@ -306,8 +306,8 @@ class Pipeline:
                 at = refused
 
     def _feed_rows(self, block: CanBlock, start: int, stop: int) -> None:
-        for row in range(start, stop):
-            self.feed(block.frame(row))
+        for frame in block.frames(start, stop):
+            self._feed_can(self._port(frame), frame)
 
     # --- what both share ------------------------------------------------------------------------------------------
 

@@ -45,14 +45,11 @@ class CanBlock:
         data = self.data[row, : self.sizes[row]].tobytes()
         return CanFrame(int(self.t_ns[row]), self.port, int(self.ids[row]), data, DIRECTIONS[self.directions[row]])
 
-    def frames(self) -> Iterator[CanFrame]:
-        """Yield all frames."""
-        for row in range(len(self)):
-            yield self.frame(row)
-
-    def part(self, start: int, stop: int) -> CanBlock:
-        """Return some frames that follow each other."""
-        return CanBlock(
-            self.port, self.t_ns[start:stop], self.ids[start:stop], self.sizes[start:stop], self.data[start:stop],
-            self.directions[start:stop],
-        )  # fmt: skip
+    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[CanFrame]:
+        """Yield frames from one row to another, usually all."""
+        own = slice(start, stop)
+        data, at = self.data[own].tobytes(), 0
+        columns = (self.t_ns, self.ids, self.sizes, self.directions)
+        for t_ns, number, size, direction in zip(*(column[own].tolist() for column in columns), strict=True):
+            yield CanFrame(t_ns, self.port, number, data[at : at + size], DIRECTIONS[direction])
+            at += self.data.shape[1]

@@ -25,7 +25,7 @@ from analyzer.records import Frame, Lane, Message
 from analyzer.transactions import meaning_of
 
 #: Fewer frames than this are passed on faster one by one.
-SHORTEST_RUN = 16
+SHORTEST_RUN = 24
 #: Frames that are passed on one by one after a run that what is known of the drives forbids.
 AFTER_REFUSAL = 32
 _UNKNOWN, _REQUEST, _REPLY = range(len(DIRECTIONS))
@@ -113,7 +113,9 @@ class Pairing:
         context, transactions, plain = self._port.context, self._port.transactions, self._plain
         if context.borrowed or not transactions.may_follow(plain.block.frame(start).data):
             return start
-        allowed = np.array([self._allowed(lane) for lane in plain.lanes])[plain.lane[start:stop]]
+        own = plain.lane[start:stop]
+        refused = [n for n in np.flatnonzero(np.bincount(own)).tolist() if not self._allowed(plain.lanes[n])]
+        allowed = ~np.isin(own, refused) if refused else np.ones(stop - start, dtype=np.bool_)
         if context.echoes:
             # On a bus that may echo, a reply that repeats its request can be one.
             allowed &= ~self._repeated[start:stop]

@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 
 #: Uncompressed bytes of a chunk.
 CHUNK_SIZE = 1 << 20
+#: Fewer messages than this are indexed faster one by one than by channels.
+_FEW = 256
 _MESSAGE = struct.Struct("<BQHIQQ")
 #: A chunk index: opcode and length, times of the messages, place and length of the chunk, bytes of offsets;
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
@@ -250,11 +252,18 @@ class McapFile:
             # As for single messages: the one that fills a chunk is its last.
             stop = min(count, int(np.searchsorted(added.ends, base + self._chunk_size - building.size)) + 1)
             end = int(added.ends[stop - 1])
-            entries = np.stack((added.log_ns[at:stop], starts[at:stop] - base + building.size), axis=1)
+            places = starts[at:stop] - base + building.size
             if not building.messages:
                 building.first_ns = int(added.log_ns[at])
-            for channel, rows in groups(added.channels[at:stop]):
-                building.index.setdefault(channel, array("Q")).frombytes(entries[rows].tobytes())
+            if stop - at < _FEW:
+                for channel, *entry in zip(
+                    *(c.tolist() for c in (added.channels[at:stop], added.log_ns[at:stop], places)), strict=True
+                ):
+                    building.index.setdefault(channel, array("Q")).extend(entry)
+            else:
+                entries = np.stack((added.log_ns[at:stop], places), axis=1)
+                for channel, rows in groups(added.channels[at:stop]):
+                    building.index.setdefault(channel, array("Q")).frombytes(entries[rows].tobytes())
             building.parts.append(added.data[base:end].tobytes())
             building.size += end - base
             building.last_ns = int(added.log_ns[stop - 1])

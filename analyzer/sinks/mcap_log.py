@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from binascii import hexlify
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
@@ -95,7 +96,8 @@ class McapLog:
         self._channels: dict[str, int] = {}
         self._last_ns = 0
         self._seconds: dict[str, Second] = {}
-        self._rows: Rows
+        #: Returns the rows of the present block, which are made when the first run of it comes.
+        self._rows_of: Callable[[], Rows]
         self._speed = Speed(byte_ns, bit_ns)
         self._speeds = dict(speeds or {})
         if clock is not Clock.UTC:
@@ -158,12 +160,12 @@ class McapLog:
         """Take the next block of frames."""
         from analyzer.columns.rows import Rows
 
-        self._rows = Rows(plain)
+        self._rows_of = cache(lambda: Rows(plain))
 
     def run(self, start: int, stop: int) -> None:
         """Write plain exchanges, and the state that they carry."""
         assert isinstance(self._file, McapFile)  # only a capture that is read whole comes in blocks
-        rows = self._rows
+        rows = self._rows_of()
         plain, block = rows.plain, rows.plain.block
         if block.t_ns[start] < self._last_ns - JUMP_BACK_NS:
             # Its clock was set back: each message says how far.

@@ -86,8 +86,11 @@ class SinkProcess:
 
     def begin(self, plain: Plain) -> None:
         """Pass a block on, its lanes as numbers."""
-        firsts = {int(n): row for row, n in reversed(list(enumerate(plain.lane.tolist()))) if n >= 0}
-        lanes = tuple(self._number(plain.lanes[n], plain.frame(row)) for n, row in sorted(firsts.items()))
+        from analyzer.columns.groups import groups
+
+        # Rows without a lane come first, under 0.
+        firsts = [int(rows[0]) for number, rows in groups(plain.lane + 1) if number]
+        lanes = tuple(self._number(lane, plain.frame(row)) for lane, row in zip(plain.lanes, firsts, strict=True))
         self._other(("begin", (plain.dialect, plain.block, lanes, plain.lane, plain.offsets, plain.first)))
 
     def run(self, start: int, stop: int) -> None:

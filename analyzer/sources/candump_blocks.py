@@ -45,7 +45,7 @@ def _read(codes: Bytes, starts: Integers, lengths: Integers) -> Found:
     found = Found.of(len(starts))
     for length, rows in groups(lengths):
         for _ in range(_MOST_KINDS):
-            if len(rows) < SHORTEST // 8:
+            if len(rows) <= SHORTEST // 8:
                 break
             rows = rows[~_kind(codes, starts[rows], length, rows, found)]
     return found
