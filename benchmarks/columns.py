@@ -1,0 +1,97 @@
+"""Long CAN captures: `servotap decode` by columns beside its peers on the same frames, in the same run, as CPU seconds.
+
+    python benchmarks/columns.py [--frames 1000000] [--rounds 3]
+
+Two captures are made, each as candump lines and as pcap: polls (four drives, five reads, values that the manual allows) and
+plausible sessions (`captures/make.py`: polls, settings, motion). The peers: tshark, which decodes no drive, and the plain script
+of `decode_peers.py`, which pairs nothing and reports nothing. CPU seconds count all processes that a command starts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import resource
+import shutil
+import statistics
+import struct
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from analyzer.records import CanFrame  # noqa: E402
+from analyzer.sources import open_source  # noqa: E402
+from tests.columns.can_traffic import frames  # noqa: E402
+
+POLLS = ("read_encoder_carry", "read_speed", "read_pulses", "read_position", "read_angle_error")
+SCRIPT = "import sys; sys.path.insert(0, {!r}); from benchmarks import decode_peers as p; from pathlib import Path; p.plain_can({}, {})"
+
+
+def write(rows: Sequence[CanFrame], dump: Path, pcap: Path) -> None:
+    """Write frames in both formats."""
+    with dump.open("w") as text, pcap.open("wb") as records:
+        records.write(struct.pack("<LHHlLLL", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 227))
+        for row in rows:
+            seconds, us = divmod((row.t_ns or 0) // 1000, 1_000_000)
+            text.write(f"({seconds}.{us:06d}) can0 {row.id:03X}#{row.data.hex().upper()}\n")
+            records.write(struct.pack("<LLLL", seconds, us, 16, 16) + struct.pack(">LB3x8s", row.id, len(row.data), row.data))
+
+
+def cpu(command: Sequence[str]) -> float:
+    """Return the CPU seconds that a command takes."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=ROOT)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def main() -> None:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=1_000_000)
+    parser.add_argument("--rounds", type=int, default=3)
+    arguments = parser.parse_args()
+    print("| capture | by | CPU s | times ours |\n| --- | --- | --- | --- |")
+    with tempfile.TemporaryDirectory() as folder:
+        session = Path(folder, "session.log")
+        make = [sys.executable, str(ROOT / "captures" / "make.py"), "--frames", str(arguments.frames)]
+        subprocess.run([*make, "-o", str(session), "--dialect", "mks-can"], check=True)
+        captures = {
+            "polls": list(frames("mks-can", random.Random(5), arguments.frames, 0, 0, polls=POLLS)),
+            "session": [item for item in open_source(str(session)) if isinstance(item, CanFrame)],
+        }
+        for name, rows in captures.items():
+            dump, pcap, log = (Path(folder, f"{name}.{end}") for end in ("candump", "pcap", "mcap"))
+            write(rows, dump, pcap)
+            ours = [sys.executable, "-m", "analyzer", "decode", "-o", str(log), "--force", "--dialect", "mks-can"]
+            peers = {
+                "servotap decode, candump": [*ours, str(dump)],
+                "servotap decode, pcap": [*ours, str(pcap)],
+                "plain script, candump": [
+                    sys.executable,
+                    "-c",
+                    SCRIPT.format(str(ROOT), repr(dump), repr(log)).replace("PosixPath", "Path"),
+                ],
+            }
+            if shutil.which("tshark"):
+                shown = ["-e", "frame.time_epoch", "-e", "can.id", "-e", "data.data"]
+                peers["tshark -T json, pcap"] = ["tshark", "-r", str(pcap), "-T", "json"]
+                peers["tshark -T fields, pcap"] = ["tshark", "-r", str(pcap), "-T", "fields", *shown]
+            spent: dict[str, list[float]] = {peer: [] for peer in peers}
+            # In turn, so that a drift of the machine's speed hits all.
+            for _ in range(arguments.rounds):
+                for peer, command in peers.items():
+                    spent[peer].append(cpu(command))
+            own = statistics.median(spent["servotap decode, pcap"])
+            for peer, times in spent.items():
+                taken = statistics.median(times)
+                print(f"| {name} | {peer} | {taken:.2f} | {taken / own:.1f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
