@@ -3,8 +3,8 @@
     python benchmarks/columns.py [--frames 1000000] [--rounds 3]
 
 Two captures are made, each as candump lines and as pcap: polls (four drives, five reads, values that the manual allows) and
-plausible sessions (`captures/make.py`: polls, settings, motion). The peers: tshark, which decodes no drive, and the plain script
-of `decode_peers.py`, which pairs nothing and reports nothing. CPU seconds count all processes that a command starts.
+plausible sessions (`captures/make.py`: polls, settings, motion). The peers: tshark, which decodes no drive, and the plain
+script of `decode_peers.py`, which pairs nothing and reports nothing. CPU seconds count all processes of a command.
 """
 
 from __future__ import annotations
@@ -24,12 +24,13 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+from analyzer import dialects  # noqa: E402
 from analyzer.records import CanFrame  # noqa: E402
 from analyzer.sources import open_source  # noqa: E402
 from tests.columns.can_traffic import frames  # noqa: E402
 
 POLLS = ("read_encoder_carry", "read_speed", "read_pulses", "read_position", "read_angle_error")
-SCRIPT = "import sys; sys.path.insert(0, {!r}); from benchmarks import decode_peers as p; from pathlib import Path; p.plain_can({}, {})"
+SCRIPT = "from pathlib import Path; from benchmarks.decode_peers import plain_can; plain_can(Path({!r}), Path({!r}))"
 
 
 def write(rows: Sequence[CanFrame], dump: Path, pcap: Path) -> None:
@@ -58,25 +59,21 @@ def main() -> None:
     arguments = parser.parse_args()
     print("| capture | by | CPU s | times ours |\n| --- | --- | --- | --- |")
     with tempfile.TemporaryDirectory() as folder:
-        session = Path(folder, "session.log")
+        session = Path(folder, "made.log")
         make = [sys.executable, str(ROOT / "captures" / "make.py"), "--frames", str(arguments.frames)]
         subprocess.run([*make, "-o", str(session), "--dialect", "mks-can"], check=True)
         captures = {
-            "polls": list(frames("mks-can", random.Random(5), arguments.frames, 0, 0, polls=POLLS)),
+            "polls": list(frames(dialects.get("mks-can"), random.Random(5), arguments.frames, 0, 0, polls=POLLS)),
             "session": [item for item in open_source(str(session)) if isinstance(item, CanFrame)],
         }
         for name, rows in captures.items():
-            dump, pcap, log = (Path(folder, f"{name}.{end}") for end in ("candump", "pcap", "mcap"))
+            dump, pcap, log = (Path(folder, f"{name}.{end}") for end in ("log", "pcap", "mcap"))
             write(rows, dump, pcap)
             ours = [sys.executable, "-m", "analyzer", "decode", "-o", str(log), "--force", "--dialect", "mks-can"]
             peers = {
                 "servotap decode, candump": [*ours, str(dump)],
                 "servotap decode, pcap": [*ours, str(pcap)],
-                "plain script, candump": [
-                    sys.executable,
-                    "-c",
-                    SCRIPT.format(str(ROOT), repr(dump), repr(log)).replace("PosixPath", "Path"),
-                ],
+                "plain script, candump": [sys.executable, "-c", SCRIPT.format(str(dump), str(log))],
             }
             if shutil.which("tshark"):
                 shown = ["-e", "frame.time_epoch", "-e", "can.id", "-e", "data.data"]

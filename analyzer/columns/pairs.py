@@ -134,9 +134,10 @@ class Pairing:
         lane = plain.lanes[plain.lane[stop - 2]]
         request = Request(asked, lane.address, lane.command, plain.first + stop - 2, lane.topic)
         request.lane, request.state, request.outcome = lane, State.DONE, RequestOutcome.ANSWERED
-        addresses, rows = np.unique(plain.block.ids[start + 1 : stop : 2][::-1], return_index=True)
+        addresses = np.array([lane.address for lane in plain.lanes])[plain.lane[start + 1 : stop : 2]]
+        known, rows = np.unique(addresses[::-1], return_index=True)
         lasts = (stop - 1 - 2 * rows).tolist()
-        replies = {a: plain.block.frame(row).data for a, row in zip(addresses.tolist(), lasts, strict=True)}
+        replies = {a: plain.block.frame(row).data for a, row in zip(known.tolist(), lasts, strict=True)}
         ended = (plain.lanes[n] for n in np.unique(plain.lane[start + 1 : stop : 2]).tolist())
         moved = {lane.address for lane in ended if lane.command.silenced}
         self._port.transactions.were_answered(request, told, replies, moved, plain.block.t_ns[start:stop])
@@ -145,7 +146,7 @@ class Pairing:
         """Say whether what is known of the drives lets frames of a lane be plain."""
         context, address, command = self._port.context, lane.address, lane.command
         return (
-            address in self._port.nodes.drives
+            self._dialect.link.identifier(command, address) in self._port.nodes.drives
             and address not in context.groups
             and not (command.silenced and address in context.silenced)
             and context.speaks.get(address, lane.dialect) == lane.dialect
@@ -210,10 +211,12 @@ class Pairing:
 
     def _checked(self, block: CanBlock) -> Flags:
         link = self._dialect.link
-        if isinstance(link, CanLink):
+        if not link.checked:
+            fits: Flags = np.ones(len(block), dtype=np.bool_)
+        elif type(link).fits is CanLink.fits:
             last = np.take_along_axis(block.data, np.maximum(block.sizes - 1, 0)[:, None], axis=1)[:, 0]
             total = block.ids + block.data.sum(axis=1, dtype=np.int64) - last
-            fits: Flags = (total & 0xFF) == last
+            fits = (total & 0xFF) == last
         else:
             fits = np.array([link.fits(frame.data, frame.id) for frame in block.frames()], dtype=np.bool_)
         return fits & (block.sizes >= link.shortest)

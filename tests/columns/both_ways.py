@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from mcap.reader import make_reader
 
-from analyzer import dialects
+from analyzer.catalogue import Dialect
 from analyzer.columns.block import DIRECTIONS, CanBlock
 from analyzer.context import Request
 from analyzer.diagnosis.watch import Watch
@@ -29,18 +29,18 @@ def messages(log: bytes) -> list[tuple[object, ...]]:
     ]
 
 
-def outcome(items: Sequence[Item], dialect: str) -> tuple[dict[str, object], Pipeline]:
+def outcome(items: Sequence[Item], dialect: Dialect) -> tuple[dict[str, object], Pipeline]:
     """Return all that comes out of a pipeline that is fed these items."""
     stream, summary, watch = io.BytesIO(), Summary(), Watch()
     log = McapLog(stream, bit_ns=2000)
-    pipeline = Pipeline([dialects.get(dialect)], [log, summary, watch], Options())
+    pipeline = Pipeline([dialect], [log, summary, watch], Options())
     for item in items:
         watch.take(item)
         pipeline.feed(item)
     before = {name: plain_values(port.state()) for name, port in pipeline.ports.items()}
     pipeline.close()
     log.finish({})
-    shown = [repr((s.bus, s.pieces, s.findings, s.frames, s.timed)) for s in watch.scenes([dialects.get(dialect)])]
+    shown = [repr((s.bus, s.pieces, s.findings, s.frames, s.timed)) for s in watch.scenes([dialect])]
     return {
         "messages": messages(stream.getvalue()),
         "summary": summary.settle().as_object(),
@@ -90,7 +90,7 @@ def block(frames: Sequence[CanFrame]) -> CanBlock:
     return CanBlock(frames[0].port, t_ns, ids, sizes, data, directions)
 
 
-def same(frames: Sequence[CanFrame], dialect: str, most: int) -> Pipeline:
+def same(frames: Sequence[CanFrame], dialect: Dialect, most: int) -> Pipeline:
     """Check that both ways give the same. Return the pipeline that took blocks."""
     streamed, _ = outcome(frames, dialect)
     columns, pipeline = outcome(list(blocks(frames, most)), dialect)

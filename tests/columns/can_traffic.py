@@ -5,8 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator, Sequence
 
-from analyzer import dialects
-from analyzer.catalogue import Command, Form, Risk, Role
+from analyzer.catalogue import Command, Dialect, Form, Risk, Role
 from analyzer.codec import codec
 from analyzer.layout import FieldKind, Layout
 from analyzer.records import CanFrame
@@ -35,44 +34,39 @@ def _usable(form: Form) -> bool:
     return all(field.bit_width > 0 and field.kind is not FieldKind.BYTES for field in form.layout.fields)
 
 
-def commands(dialect: str) -> list[Command]:
+def commands(dialect: Dialect) -> list[Command]:
     """Return the commands of a dialect whose frames can be made here."""
-    every = dialects.get(dialect).commands
+    every = dialect.commands
     return [
         c for c in every if c.code is not None and c.request_forms and all(map(_usable, (*c.request_forms, *c.reply_forms)))
     ]
 
 
 def frames(
-    dialect: str, chance: random.Random, count: int, busy: float, odd: float, *, polls: Sequence[str] = ()
+    dialect: Dialect, chance: random.Random, count: int, busy: float, odd: float, *, polls: Sequence[str] = ()
 ) -> Iterator[CanFrame]:
     """Yield about so many frames.
 
     `busy`: the share of exchanges that are no reads; `odd`: in which something is not plain. `polls`: the reads, by name.
     """
-    link, usable = dialects.get(dialect).link, commands(dialect)
+    link, usable = dialect.link, commands(dialect)
     reads = [c for c in usable if c.all_risks == {Risk.READ} and not c.borrows]
     others = [c for c in usable if c not in reads]
     few = [c for c in usable if c.name in polls] or chance.sample(reads, min(6, len(reads)))
     t_ns = 1_772_442_000_000_000_000
     marked = chance.random() < 0.3
 
-    def frame(body: bytes, address: int, role: Role = Role.UNKNOWN, **marks: bool) -> CanFrame:
+    def frame(command: Command, form: Form, address: int, role: Role) -> CanFrame:
         nonlocal t_ns
         t_ns += chance.choice((90, 150, 400, 3000)) * _US
-        data = link.completed(body, address)
-        return CanFrame(t_ns, "can0", address, data, role if marked else Role.UNKNOWN, **marks)
+        data = link.build(command, form, address, data_of(form.layout, chance), role)
+        return CanFrame(t_ns, "can0", link.identifier(command, address), data, role if marked else Role.UNKNOWN)
 
     sent = 0
     while sent < count:
         command, address = chance.choice(others if others and chance.random() < busy else few), chance.choice((1, 2, 3))
-        request = frame(
-            bytes((command.code,)) + data_of(chance.choice(command.request_forms).layout, chance), address, Role.REQUEST
-        )
-        reply = None
-        if command.reply_forms:
-            body = data_of(chance.choice(command.reply_forms).layout, chance)
-            reply = frame(bytes((command.code,)) + body, address, Role.REPLY)
+        request = frame(command, chance.choice(command.request_forms), address, Role.REQUEST)
+        reply = frame(command, chance.choice(command.reply_forms), address, Role.REPLY) if command.reply_forms else None
         pair = [request] + [reply] * (reply is not None)
         if chance.random() < odd:
             pair = list(spoiled(pair, chance))

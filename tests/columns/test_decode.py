@@ -7,6 +7,7 @@ import random
 
 import pytest
 
+from analyzer import dialects
 from analyzer.cli import decode, main
 from analyzer.columns import pairs
 from tests.columns.both_ways import messages
@@ -24,7 +25,7 @@ def run(capture, target, capsys):
 def test_decode(odd, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(pairs, "SHORTEST_RUN", 2)
     capture = tmp_path / "can.log"
-    rows = [f for f in frames("mks-can", random.Random(4), 4000, 0.02, odd) if not (f.extended or f.error)]
+    rows = [f for f in frames(dialects.get("mks-can"), random.Random(4), 4000, 0.02, odd) if not (f.extended or f.error)]
     capture.write_text("".join(f"({f.t_ns // 10**9}.{f.t_ns % 10**9:09d}) can0 {f.id:03X}#{f.data.hex()}\n" for f in rows))
     monkeypatch.setattr(decode, "LONG_CAPTURE", 1 << 30)
     single = run(capture, tmp_path / "single.mcap", capsys)
