@@ -288,8 +288,9 @@ class Pipeline:
         if pairing is None or not pairing.is_of(port):
             pairing = self._pairings[port.name] = Pairing(port, self.options.late_ns)
         plain = pairing.look(block, self.sequence, port.bytes_in - int(block.sizes[0]))
-        for sink in self._run_sinks:
-            sink.begin(plain)
+        if pairing.next_run(at)[0] < len(block):
+            for sink in self._run_sinks:
+                sink.begin(plain)
         while at < len(block):
             start, stop = pairing.next_run(at)
             self._feed_rows(block, at, start)

@@ -25,7 +25,9 @@ from analyzer.records import Frame, Lane, Message
 from analyzer.transactions import meaning_of
 
 #: Fewer frames than this are passed on faster one by one.
-SHORTEST_RUN = 24
+SHORTEST_RUN = 64
+#: A block of which less than this is in runs goes one by one: runs cost the columns of the whole block.
+LEAST_SHARE = 0.25
 #: Frames that are passed on one by one after a run that what is known of the drives forbids.
 AFTER_REFUSAL = 32
 _UNKNOWN, _REQUEST, _REPLY = range(len(DIRECTIONS))
@@ -95,6 +97,8 @@ class Pairing:
         starts, stops = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
         long = stops - starts >= SHORTEST_RUN
         self._starts, self._stops = starts[long], stops[long]
+        if (self._stops - self._starts).sum() < LEAST_SHARE * len(lane):
+            self._starts = self._stops = starts[:0]
         return self._plain
 
     def next_run(self, at: int) -> tuple[int, int]:

@@ -24,6 +24,7 @@ CAPTURES = Path(__file__).parents[2] / "captures"
 def test_exchanges(dialect, seed, busy, odd, monkeypatch):
     # Short runs and short stretches without: so they begin and end at as many places as there can be.
     monkeypatch.setattr(pairs, "SHORTEST_RUN", 2)
+    monkeypatch.setattr(pairs, "LEAST_SHARE", 0)
     monkeypatch.setattr(pairs, "AFTER_REFUSAL", 2)
     most = random.Random(seed).choice((7, 100, 250, 1000))
     pipeline = same(list(frames(dialect, random.Random(seed), 600, busy, odd)), dialect, most)
@@ -43,6 +44,7 @@ def test_odd_frames_leave_one_by_one():
 )
 def test_captures(path, monkeypatch):
     monkeypatch.setattr(pairs, "SHORTEST_RUN", 2)
+    monkeypatch.setattr(pairs, "LEAST_SHARE", 0)
     monkeypatch.setattr(found, "SHORTEST", 2)
     single, together = open_source(str(path)), open_source(str(path))
     together.in_blocks = True

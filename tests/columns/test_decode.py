@@ -24,6 +24,7 @@ def run(capture, target, capsys):
 @pytest.mark.parametrize("odd", [0, 0.02])
 def test_decode(odd, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(pairs, "SHORTEST_RUN", 2)
+    monkeypatch.setattr(pairs, "LEAST_SHARE", 0)
     capture = tmp_path / "can.log"
     rows = [f for f in frames(dialects.get("mks-can"), random.Random(4), 4000, 0.02, odd) if not (f.extended or f.error)]
     capture.write_text("".join(f"({f.t_ns // 10**9}.{f.t_ns % 10**9:09d}) can0 {f.id:03X}#{f.data.hex()}\n" for f in rows))
