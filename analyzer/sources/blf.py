@@ -22,7 +22,7 @@ from analyzer.columns.block import CanBlock
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame
 from analyzer.sources.budget import CONTAINER_LIMIT
-from analyzer.sources.source import SECOND_NS, TOGETHER, Source
+from analyzer.sources.source import SECOND_NS, Source
 from analyzer.values import counted
 
 _MAGIC = b"LOGG"
@@ -171,8 +171,6 @@ def _objects(source: Source, pieces: Iterator[bytes | None]) -> Iterator[tuple[i
     buffer = bytearray()
     for piece in pieces:
         buffer += piece or b""
-        if source.in_blocks and piece is not None and len(buffer) < TOGETHER:
-            continue
         yield from _whole(source, buffer, final=piece is None)
     yield from _whole(source, buffer, final=True)
 

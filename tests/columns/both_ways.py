@@ -2,22 +2,40 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 from collections import deque
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
+import pytest
 from mcap.reader import make_reader
 
 from analyzer.catalogue import Dialect
+from analyzer.columns import pairs
 from analyzer.columns.block import DIRECTIONS, CanBlock
 from analyzer.context import Request
 from analyzer.diagnosis.watch import Watch
+from analyzer.errors import ServotapError
 from analyzer.pipeline import Item, Options, Pipeline
 from analyzer.records import CanFrame
 from analyzer.sinks.mcap_log import McapLog
 from analyzer.sinks.summary import Summary
+from analyzer.sources import blf_blocks, candump_blocks, found, open_source
+
+
+@contextlib.contextmanager
+def short_runs() -> Iterator[None]:
+    """Let runs and stretches without be short: so they begin and end at as many places as there can be."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pairs, "SHORTEST_RUN", 2)
+        patch.setattr(pairs, "LEAST_SHARE", 0)
+        patch.setattr(pairs, "AFTER_REFUSAL", 2)
+        for module in (found, blf_blocks, candump_blocks):
+            patch.setattr(module, "SHORTEST", 2)
+        yield
 
 
 def messages(log: bytes) -> list[tuple[object, ...]]:
@@ -88,6 +106,23 @@ def block(frames: Sequence[CanFrame]) -> CanBlock:
     numbers = [[f.t_ns, f.id, len(f.data), DIRECTIONS.index(f.direction)] for f in frames]
     t_ns, ids, sizes, directions = np.array(numbers, dtype=np.int64).T
     return CanBlock(frames[0].port, t_ns, ids, sizes, data, directions)
+
+
+def same_capture(path: Path, dialect: Dialect) -> int:
+    """Check that both ways give the same of a capture, and say the same of it. Return how many frames went by runs."""
+    results: list[object] = []
+    in_runs = 0
+    for in_blocks in (False, True):
+        try:
+            with open_source(path) as source:
+                source.in_blocks = in_blocks
+                came, pipeline = outcome(list(source.items()), dialect)
+                results.append((came, source.notes, source.problems))
+                in_runs = pipeline.in_runs
+        except ServotapError as error:
+            results.append(str(error))
+    assert results[0] == results[1]
+    return in_runs
 
 
 def same(frames: Sequence[CanFrame], dialect: Dialect, most: int) -> Pipeline:

@@ -5,6 +5,7 @@ bounds time and memory. Some targets state more:
 
     framer    each byte stands in one frame or piece of junk, in order, however the bytes were cut
     pipeline  the same, for any capture, behind its source
+    columns   by blocks comes out what frame by frame does
     decode    the same, in the log as the library `mcap` reads it
     recover   the result is read by the library; each record that is whole in the spools stands in it (where bytes alone
               were changed, and no checksum made to fit)
@@ -47,6 +48,7 @@ from analyzer.transactions import Transactions
 from conformance.claim import RigFault
 from tests.bytestreams import SERIAL, vectors
 from tests.collect import Collect, sum8
+from tests.columns.both_ways import same_capture, short_runs
 from tests.fuzz.corpus import CAPTURES, INPUT, Input, captures, lay_out, quick
 from tests.fuzz.mutators import TOKENS, VALUES, bytes_changed, kind_of, mutated, text_changed
 from tests.fuzz.two_ends import beside, can_bus, datagrams, far_end, free_port, program, tcp_clients, viewed
@@ -302,6 +304,16 @@ def _pipeline(given: Input, place: Place) -> None:
         found = {bus: sum(len(data) for _, data in events) for bus, events in placed(sink).items()}
         if {bus: size for bus, size in found.items() if size} != {bus: size for bus, size in sizes.items() if size}:
             raise Fault(f"{sizes} bytes came in, {found} came out")
+
+
+def _columns(given: Input, place: Place) -> None:
+    path = place.folder / INPUT
+    lay_out(given, place.folder)
+    try:
+        with short_runs():
+            same_capture(path, dialects.get("mks-can"))
+    except AssertionError as error:
+        raise Fault(f"by blocks comes something else: {error}") from error
 
 
 # --- recover ------------------------------------------------------------------------------------------------------------
@@ -686,6 +698,7 @@ def _with(name: str, *targets: str) -> Callable[[], list[Input]]:
 TARGETS: dict[str, Target] = {
     "framer": Target(_framer, _bytes_seeds, _bytes_changed, 10.0, 5.0),
     "pipeline": Target(_pipeline, _file_seeds("decode"), _file_changed, 10.0),
+    "columns": Target(_columns, _file_seeds("decode", kinds=("blf", "candump", "pcap")), _file_changed, 3.0),
     "decode": Target(_decode, _file_seeds("decode"), _file_changed, 3.0),
     "show": _on_files("show", INPUT),
     "show-json": _on_files("show", INPUT, "--json", "--bytes", "--since", "+1s"),
