@@ -125,7 +125,7 @@ def _shows_switch(probe: Probe, command: Command) -> None:
     each=_counted_positions,
     statement=f"The position counts on over {_WIDE_TURNS} turns: more than 24 bits hold.",
     refuted_by="a position that begins anew",
-    risks=risks_by(Verb.RUN_SPEED),
+    risks=risks_by(Verb.RUN_SPEED, Verb.SET_ZERO),
 )
 def _wide(probe: Probe) -> None:
     motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
@@ -136,6 +136,8 @@ def _wide(probe: Probe) -> None:
     motion.stop(probe, 255)
     turns = (before.value - motion.wait_standing(probe).value) / 360
     least, most = _WIDE_TURNS * 0.97, _WIDE_TURNS * 1.2
+    # So far from its zero a move to a place could not go on.
+    probe.do(Verb.SET_ZERO)
     text = "the position does not count on"
     probe.expect(abs(turns), at_least=least, at_most=most, unit="turns", refutes=text, exchange=exchange)
 

@@ -100,6 +100,9 @@ def _unreadable(probe: Probe, command: Command, field: str, value: int) -> None:
     exchange, code = probe.ask(command, {field: value}), f"{value:02X}"
     _expect(probe, exchange, code, not exchange.silent, "an answer that it cannot be read", "silence")
     reading = _checked(probe, exchange)
+    told = reading.part("code")
+    if told is not None:
+        _expect(probe, exchange, code, told.ok, f"the code {told.expected.hex().upper()}", told.got.hex().upper())
     form = reading.template.form
     refused = form.name in command.replies.failed_forms and codec(form.layout).matches(reading.own)
     _expect(probe, exchange, code, refused, "FF FF", reading.own.hex(" ").upper())

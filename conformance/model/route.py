@@ -50,6 +50,8 @@ _OF_STANDING = frozenset(
 #: A motor needs these as they are, or a switch decides what they do.
 _STRONG = frozenset({"current", "home_current", "holding_current", "stall_tolerance", "end_limit"})
 _SUBDIVISIONS = (motion.SUBDIVISION, 64, 7, 128, 0)
+#: Of these a little less is as good, so that what was not stored shows.
+_EITHER = _STRONG - {"end_limit"}
 #: What motions are drawn from: the speed, the way in turns, the acceleration; and for how long they go at most.
 _RPM, _TURNS, _ACCELERATIONS = (
     (3, 25, 60, 140, 600, 1600, 3000),
@@ -64,6 +66,8 @@ _LONG, _LONG_RPM = 540, 90
 #: A homing search that no switch ends is this fast at most.
 _HOME_RPM = 600
 _GOING_LOOKS, _LOOKS = 2, 3
+#: What changes between rows, and the share of rows that come whatever changes.
+_SETTINGS, _LEAPS = ("mode", "on", "subdivision", "direction", "replies"), 0.15
 #: The farthest name of a place, in hundredths of a degree.
 _FAR = 100_000_000
 #: Limits with which a motor moves as it would without.
@@ -169,11 +173,20 @@ class _Route:
     def steps(self, leg: int, legs: int) -> Iterator[Step]:
         rows = list(_rows(self.dialect.name, self.dialect.model))
         self.chance.shuffle(rows)
-        for row in rows[leg - 1 :: legs]:
+        for row in self._ordered(rows[leg - 1 :: legs]):
             yield from _into(self.dialect, self.state, row)
             yield from self._row(row)
         if Verb.WRITE_IO in self.dialect.by_verb:
             yield Step(self.dialect.by_verb[Verb.WRITE_IO].name, {"alm_mask": 0, "pend_mask": 0, "alm": 0, "pend": 0})
+
+    def _ordered(self, rows: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+        """Yield rows so that mostly few settings change from one to the next one, and now and then many."""
+        before: Mapping[str, Any] = {}
+        while rows:
+            changes = [sum(before.get(n) != row[n] for n in _SETTINGS if n in row) for row in rows]
+            fewest = min(changes) if self.chance.random() > _LEAPS else changes[0]
+            before = rows.pop(changes.index(fewest))
+            yield dict(before)
 
     def _row(self, row: Mapping[str, Any]) -> Iterator[Step]:
         dialect, chance, going, deed = self.dialect, self.chance, row["going"], row["deed"]
@@ -325,8 +338,12 @@ def setting_values(dialect: Dialect, command: Command, chance: random.Random, le
     for name, field in form.layout.named.items():
         if name == beyond:
             values[name] = chance.choice(limits.beyond(field))
-        elif field.fixed is not None or name in _STRONG:
-            values[name] = field.fixed if field.fixed is not None else plain[name]
+        elif field.fixed is not None:
+            values[name] = field.fixed
+        elif name in _STRONG:
+            values[name] = chance.choice(
+                [v for v in (plain[name] - 1, plain[name]) if name in _EITHER and field.allows(v)] or [plain[name]]
+            )
         else:
             values[name] = _value(field, chance, leeway)
     return values
