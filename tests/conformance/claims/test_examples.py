@@ -51,7 +51,6 @@ def test_an_example_is_as_sure_as_its_erratum():
     ("fault", "dialect", "name"),
     [
         ("interim-missing", "mks-rs485", "move_relative_pulses/5"),
-        ("completion-says-1", "mks-can", "move_relative_pulses/5"),
         ("stop-completion-missing", "mks-rs485", "stop_relative_pulses/3"),
         ("run-status-2", "mks-can", "run_speed/3"),
         ("write-many-quantity-in-bytes", "mks-modbus", "run_speed/1"),
