@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from analyzer.catalogue import Statement
+from analyzer.protocols.mks_shared_statements import said, unseen
 
 _DISPLAY = "not visible on the bus: lights"
 _ELECTRIC = "not visible on the bus: an electric property"
@@ -17,18 +18,10 @@ _PULSES = "the suite sends no pulses: these ports are not on the bus"
 _HEAT = "not visible on the bus: a property of the motor"
 
 
-def _said(name: str, says: str, *claims: str) -> Statement:
-    return Statement(name, says, claims)
-
-
-def _unseen(name: str, says: str, why: str) -> Statement:
-    return Statement(name, says, unclaimed=why)
-
-
 def _tables(section: str, command: str, sent: str, answered: str) -> Iterator[Statement]:
     """Yield what the two tables of a command say: its request and its reply."""
-    yield _said(f"{section}/request", f"The request is {sent}.", f"shape/{command}/answered", f"shape/{command}/code")
-    yield _said(
+    yield said(f"{section}/request", f"The request is {sent}.", f"shape/{command}/answered", f"shape/{command}/code")
+    yield said(
         f"{section}/reply",
         f"It is answered once, under its own ID and code, with {answered}.",
         *(f"shape/{command}/{part}" for part in ("once", "address", "code", "length", "checksum")),
@@ -38,15 +31,15 @@ def _tables(section: str, command: str, sent: str, answered: str) -> Iterator[St
 def _setting(section: str, command: str, sent: str, *fields: str) -> Iterator[Statement]:
     """Yield what the manual says of a setting whose values are listed or limited, and whose replies are 1 and 0."""
     yield from _tables(section, command, sent, "a status of one byte")
-    yield _said(
+    yield said(
         f"{section}/status-1",
         "Status 1 says that it is set.",
         f"read-back/{command}/read",
         *(f"ranges/{command}/{f}/[hil]*" for f in fields),
     )
-    yield _said(f"{section}/status-0", "Status 0 says that it is not set.", *_refusals(command, *fields))
-    yield _said(f"{section}/alone", "It sets this and nothing else.", "resilience/settings/*")
-    yield _said(
+    yield said(f"{section}/status-0", "Status 0 says that it is not set.", *_refusals(command, *fields))
+    yield said(f"{section}/alone", "It sets this and nothing else.", "resilience/settings/*")
+    yield said(
         f"{section}/kept",
         "What was set is a stored parameter: a restart and a loss of power leave it.",
         "read-back/settings/restart",
@@ -61,138 +54,136 @@ def _refusals(command: str, *fields: str) -> Iterator[str]:
 
 STATEMENTS: tuple[Statement, ...] = (
     # Part 1: the product
-    _said(
+    said(
         "1.1/position-feedback",
         "The drive goes by the position of its encoder, so that no steps are lost.",
         "motion/*/again",
         "motion/read_angle_error/held-*",
     ),
-    _said(
+    said(
         "1.2/modes",
         "Pulses or the bus run the motor, in open or closed loop.",
         "ranges/set_work_mode/work_mode/listed",
         "motion/run_speed/highest-*",
         "motion/*/pulse-mode",
     ),
-    _said("1.2/ramps", "Speeds rise and fall by a ramp.", "timing/run_speed/ramp-*", "timing/stop_speed/ramp-*"),
-    _unseen(
+    said("1.2/ramps", "Speeds rise and fall by a ramp.", "timing/run_speed/ramp-*", "timing/stop_speed/ramp-*"),
+    unseen(
         "1.2/zeroing-in-a-turn",
         "The drive can go back to a zero within one turn.",
         "no command of this manual does it (mks-can-08)",
     ),
-    _said("1.2/zeroing", "The drive finds its zero over several turns by an end stop.", "motion/home/finds-switch-*"),
-    _said("1.2/zero-here", "The present position can be made zero.", "motion/set_zero/*"),
-    _said(
+    said("1.2/zeroing", "The drive finds its zero over several turns by an end stop.", "motion/home/finds-switch-*"),
+    said("1.2/zero-here", "The present position can be made zero.", "motion/set_zero/*"),
+    said(
         "1.2/moves",
         "Positions are relative or absolute.",
         "motion/move_relative_*/distance",
         "motion/move_absolute_*/reads-as-asked",
     ),
-    _said("1.2/subdivision", "A full step has up to 256 subdivisions.", "motion/set_subdivision/pulses-at-256"),
-    _unseen("1.2/pulse-frequency", "Pulses come at up to 300 kHz.", _PULSES),
-    _said("1.2/speed", "The highest speed is 3000 rpm.", "motion/*/crossed-speed", "motion/*/beyond-highest"),
-    _said(
+    said("1.2/subdivision", "A full step has up to 256 subdivisions.", "motion/set_subdivision/pulses-at-256"),
+    unseen("1.2/pulse-frequency", "Pulses come at up to 300 kHz.", _PULSES),
+    said("1.2/speed", "The highest speed is 3000 rpm.", "motion/*/crossed-speed", "motion/*/beyond-highest"),
+    said(
         "1.2/angle-while-free",
         "The angle is kept up to date, whether the motor is enabled or not.",
         "motion/read_position/while-disabled",
     ),
-    _said("1.2/stall-protection", "A stalled motor is protected.", "motion/set_protection/lets-go"),
-    _said("1.2/restore", "The drive can be put back to the state of its delivery.", "read-back/restore/settings"),
-    _said("1.2/emergency-stop", "The motor can be stopped at once.", "motion/emergency_stop/ends-*"),
-    _said(
+    said("1.2/stall-protection", "A stalled motor is protected.", "motion/set_protection/lets-go"),
+    said("1.2/restore", "The drive can be put back to the state of its delivery.", "read-back/restore/settings"),
+    said("1.2/emergency-stop", "The motor can be stopped at once.", "motion/emergency_stop/ends-*"),
+    said(
         "1.2/limits",
         "Limits to the left and to the right can stop the motor.",
         "motion/set_home/end-limit-stops-*",
         "motion/set_limit_remap/right-on",
     ),
-    _said(
+    said(
         "1.2/addresses",
         "A drive has an ID of its own, and hears a broadcast ID and a group ID.",
         "addressing/other/*",
         "addressing/broadcast/executed",
         "addressing/group/executed",
     ),
-    _unseen("1.2/voltage", "The supply is 20 to 60 V.", _ELECTRIC),
-    _unseen(
+    unseen("1.2/voltage", "The supply is 20 to 60 V.", _ELECTRIC),
+    unseen(
         "1.3/loops",
         "The loops of torque, speed and position run at 20, 10 and 10 kHz.",
         "not visible on the bus: faster than frames follow one another",
     ),
-    _said(
-        "1.3/current", "The working current is 0 to 3000 mA on a 42E, 0 to 5200 mA on a 57E.", "ranges/set_current/current/*"
-    ),
-    _said(
+    said("1.3/current", "The working current is 0 to 3000 mA on a 42E, 0 to 5200 mA on a 57E.", "ranges/set_current/current/*"),
+    said(
         "1.3/subdivisions",
         "The subdivisions are 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, 64, 100, 128, 200 and 256.",
         "ranges/set_subdivision/subdivision/*",
         "motion/set_subdivision/pulses-at-*",
     ),
-    _said("1.3/speed", "The speed goes up to 3000 rpm.", "motion/*/crossed-speed"),
-    _unseen("1.3/heat", "The motor runs quietly and stays cool.", _HEAT),
-    _unseen("1.3/pulse-inputs", "Pulse inputs take 3.3 to 24 V.", _ELECTRIC),
-    _said("1.3/rates", "The bus runs at 125, 250, 500 or 1000 kbit/s.", "ranges/set_bit_rate/bit_rate/*"),
-    _said(
+    said("1.3/speed", "The speed goes up to 3000 rpm.", "motion/*/crossed-speed"),
+    unseen("1.3/heat", "The motor runs quietly and stays cool.", _HEAT),
+    unseen("1.3/pulse-inputs", "Pulse inputs take 3.3 to 24 V.", _ELECTRIC),
+    said("1.3/rates", "The bus runs at 125, 250, 500 or 1000 kbit/s.", "ranges/set_bit_rate/bit_rate/*"),
+    said(
         "1.3/addresses",
         "There are one broadcast ID and 2047 IDs of drives.",
         "ranges/set_address/new_address/*",
         "addressing/broadcast/executed",
     ),
-    _unseen(
+    unseen(
         "1.4/alarm-output",
         "The output ALM closes at an alarm.",
         "what raises an alarm is not in the manual's commands; its bit is 3.1.5's",
     ),
-    _said(
+    said(
         "1.4/in-position-output",
         "The output PEND tells that the shaft has arrived.",
         "motion/read_io/in-position-at-rest",
         "motion/read_io/not-in-position-while-moving",
     ),
-    _said(
+    said(
         "1.4/42e-input",
         "On a 42E, IN is the home switch or left limit.",
         "motion/home/finds-switch-*",
         "motion/set_home/end-limit-stops-*",
     ),
-    _said(
+    said(
         "1.4/42e-right-limit",
         "On a 42E, En can be remapped to be the right limit.",
         "read-back/set_limit_remap/effect",
         "motion/set_limit_remap/right-*",
     ),
-    _unseen("1.4/remap-ends-pulse-control", "With En remapped, pulse control no longer works.", _PULSES),
-    _said(
+    unseen("1.4/remap-ends-pulse-control", "With En remapped, pulse control no longer works.", _PULSES),
+    said(
         "1.4/57e-inputs",
         "On a 57E, IN2 is the home switch or left limit, and IN1 the right limit.",
         "motion/home/finds-switch-*",
         "motion/set_limit_remap/right-off",
     ),
-    _unseen("1.5/pulse-inputs", "A falling edge of STP is a step; 3.3 to 28 V, 400 kHz, 2.5 us.", _PULSES),
-    _unseen("1.5/pulse-kind", "A command sets whether pulses have a direction or two inputs.", _PULSES),
-    _said(
+    unseen("1.5/pulse-inputs", "A falling edge of STP is a step; 3.3 to 28 V, 400 kHz, 2.5 us.", _PULSES),
+    unseen("1.5/pulse-kind", "A command sets whether pulses have a direction or two inputs.", _PULSES),
+    said(
         "1.5/en-releases", "Where En is at the level that disables, the motor is released.", "read-back/set_enable_level/effect"
     ),
-    _unseen(
+    unseen(
         "1.5/en-clears-alarm",
         "En at the level that disables clears the alarm.",
         "the manual has no command that shows an alarm and its cause",
     ),
-    _said(
+    said(
         "1.5/pend",
         "PEND is on when the motion that was asked for is done.",
         "motion/read_io/in-position-at-rest",
         "motion/read_io/not-in-position-while-moving",
     ),
-    _unseen("1.5/outputs", "Outputs bear 35 V and 50 mA.", _ELECTRIC),
-    _unseen("1.5/phases", "With phases connected otherwise the motor raises an alarm.", "wiring"),
-    _unseen(
+    unseen("1.5/outputs", "Outputs bear 35 V and 50 mA.", _ELECTRIC),
+    unseen("1.5/phases", "With phases connected otherwise the motor raises an alarm.", "wiring"),
+    unseen(
         "1.6/lights", "Lights tell running, stop, over-current, open phase, voltage, position and encoder errors.", _DISPLAY
     ),
-    _unseen("2/resistance", "A phase has less than 10 ohms.", "wiring"),
-    _unseen("2.1/inputs", "Inputs limit their current to 10 mA.", _ELECTRIC),
+    unseen("2/resistance", "A phase has less than 10 ohms.", "wiring"),
+    unseen("2.1/inputs", "Inputs limit their current to 10 mA.", _ELECTRIC),
     # Part 3: parameters
-    _said("3/default-id", "The ID is 1 by default.", "read-back/restore/link"),
-    _said(
+    said("3/default-id", "The ID is 1 by default.", "read-back/restore/link"),
+    said(
         "3/check",
         "The last byte of a frame is a check over the ID and all before it.",
         "shape/*/checksum",
@@ -200,7 +191,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "framing/checksum_value/*",
         "framing/flipped_bit/*",
     ),
-    _said(
+    said(
         "3/check-guards-motion",
         "A motion whose check does not fit is not carried out.",
         "framing/run_speed/wrong_check",
@@ -208,151 +199,149 @@ STATEMENTS: tuple[Statement, ...] = (
         "framing/checksum_bit/not_executed",
     ),
     *_tables("3.1.1", "read_encoder_carry", "30 without data", "carry (32 bits, signed) and value (16 bits)"),
-    _said(
+    said(
         "3.1.1/value",
         "The value lies within a turn, 0 to 3FFFh.",
         "motion/read_encoder_carry/standing",
         "motion/read_encoder_carry/at-the-carry",
         "shape/read_encoder_carry/values",
     ),
-    _said(
+    said(
         "3.1.1/carry-up",
         "Beyond 3FFFh the carry rises by one.",
         "motion/read_encoder_carry/standing",
         "motion/read_encoder_carry/at-the-carry",
     ),
-    _said(
+    said(
         "3.1.1/carry-down",
         "Below 0 the carry falls by one.",
         "motion/read_encoder_carry/standing",
         "motion/read_encoder_carry/at-the-carry",
     ),
-    _said(
+    said(
         "3.1.1/ccw-raises",
         "A turn counter-clockwise raises the carry by one and leaves the value.",
         "motion/read_encoder_carry/standing",
         "motion/run_speed/raises",
     ),
-    _said("3.1.1/cw-lowers", "A turn clockwise lowers the carry by one, below zero too.", "motion/read_encoder_carry/standing"),
+    said("3.1.1/cw-lowers", "A turn clockwise lowers the carry by one, below zero too.", "motion/read_encoder_carry/standing"),
     *_tables("3.1.2", "read_position", "31 without data", "a value of 48 bits, signed"),
-    _said("3.1.2/turn", "A turn changes the value by 4000h.", "motion/read_position/turn"),
-    _said(
+    said("3.1.2/turn", "A turn changes the value by 4000h.", "motion/read_position/turn"),
+    said(
         "3.1.2/ccw-raises",
         "Counter-clockwise raises the value, and clockwise lowers it.",
         "motion/run_speed/raises",
         "motion/move_*_axis/sign",
     ),
-    _said(
+    said(
         "3.1.2/adds-up",
         "The value adds up over all turns, below zero too.",
         "motion/read_position/wide",
         "motion/read_encoder_carry/standing",
     ),
     *_tables("3.1.3", "read_speed", "32 without data", "a speed of 16 bits, signed"),
-    _said(
+    said(
         "3.1.3/real-time",
         "It is the speed that the shaft has now, in rpm.",
         "motion/read_speed/crossed",
         "motion/read_speed/standing",
         "motion/run_speed/speed-*",
     ),
-    _said("3.1.3/sign", "Counter-clockwise it is above zero, clockwise below.", "motion/read_speed/crossed"),
+    said("3.1.3/sign", "Counter-clockwise it is above zero, clockwise below.", "motion/read_speed/crossed"),
     *_tables("3.1.4", "read_pulses", "33 without data", "a count of 32 bits, signed"),
-    _said(
+    said(
         "3.1.4/received",
         "It counts the pulses that were received.",
         "motion/read_pulses/counts-moves",
         "motion/read_pulses/wide",
     ),
     *_tables("3.1.5", "read_io", "34 without data", "a byte of four ports"),
-    _said("3.1.5/reserved", "Bits 7 to 4 are reserved.", "shape/read_io/reserved", "traffic/reply_reserved"),
-    _said(
+    said("3.1.5/reserved", "Bits 7 to 4 are reserved.", "shape/read_io/reserved", "traffic/reply_reserved"),
+    said(
         "3.1.5/pend",
         "PEND is 1 in place and 0 on the way.",
         "motion/read_io/in-position-at-rest",
         "motion/read_io/not-in-position-while-moving",
     ),
-    _said("3.1.5/alm", "ALM is 1 without an alarm.", "motion/read_io/in-position-at-rest"),
-    _said("3.1.5/alm-0", "ALM is 0 with an alarm, as that of a locked rotor.", "motion/read_io/stall"),
-    _said(
+    said("3.1.5/alm", "ALM is 1 without an alarm.", "motion/read_io/in-position-at-rest"),
+    said("3.1.5/alm-0", "ALM is 0 with an alarm, as that of a locked rotor.", "motion/read_io/stall"),
+    said(
         "3.1.5/inputs",
         "IN_1 and IN_2 are the levels of the switches.",
         "motion/read_io/shows-left-switch",
         "read-back/set_limit_remap/effect",
     ),
-    _said(
+    said(
         "3.1.5/42e-en", "On a 42E, bit 1 is the level of En.", "motion/read_io/shows-enable-pin", "motion/read_io/is-enable-pin"
     ),
     *_tables("3.1.6", "read_angle_error", "39 without data", "an error of 32 bits, signed"),
-    _said(
+    said(
         "3.1.6/wanted-minus-real",
         "It is the wanted angle minus that of the shaft.",
         "motion/read_angle_error/held-*",
         "motion/read_angle_error/standing",
     ),
-    _said("3.1.6/unit", "51200 are 360 degrees, so that 1 degree is 142.", "motion/read_angle_error/held-*"),
+    said("3.1.6/unit", "51200 are 360 degrees, so that 1 degree is 142.", "motion/read_angle_error/held-*"),
     *_tables("3.1.7", "read_enabled", "3A without data", "a byte"),
-    _said("3.1.7/values", "1 is enabled and 0 is disabled.", "motion/enable/is-read", "shape/read_enabled/values"),
+    said("3.1.7/values", "1 is enabled and 0 is disabled.", "motion/enable/is-read", "shape/read_enabled/values"),
     *_tables("3.1.8", "release_protection", "3D without data", "a status of one byte"),
-    _said("3.1.8/releases", "It ends the protection of a locked rotor.", "motion/release_protection/releases"),
-    _said("3.1.8/status-1", "Status 1 says that the protection is ended.", "motion/release_protection/releases"),
-    _unseen("3.1.8/status-0", "Status 0 says that it could not be ended.", "the manual names nothing that prevents it"),
+    said("3.1.8/releases", "It ends the protection of a locked rotor.", "motion/release_protection/releases"),
+    said("3.1.8/status-1", "Status 1 says that the protection is ended.", "motion/release_protection/releases"),
+    unseen("3.1.8/status-0", "Status 0 says that it could not be ended.", "the manual names nothing that prevents it"),
     *_tables("3.1.9", "read_protection", "3E without data", "a status of one byte"),
-    _said("3.1.9/protected", "1 is protected.", "motion/set_protection/lets-go"),
-    _said(
-        "3.1.9/not-protected", "0 is not protected.", "motion/read_protection/at-first", "motion/release_protection/releases"
-    ),
+    said("3.1.9/protected", "1 is protected.", "motion/set_protection/lets-go"),
+    said("3.1.9/not-protected", "0 is not protected.", "motion/read_protection/at-first", "motion/release_protection/releases"),
     *_tables("3.2.1", "calibrate", "80 with a byte 00", "a status of one byte"),
-    _said("3.2.1/status-0-and-1", "Status 0 says that it goes on, and 1 that it is done.", "motion/calibrate/replies"),
-    _said("3.2.1/status-2", "Status 2 says that it failed.", "motion/calibrate/held"),
-    _unseen(
+    said("3.2.1/status-0-and-1", "Status 0 says that it goes on, and 1 that it is done.", "motion/calibrate/replies"),
+    said("3.2.1/status-2", "Status 2 says that it failed.", "motion/calibrate/held"),
+    unseen(
         "3.2.1/what",
         "It finds which way the bare encoder counts as the motor turns clockwise.",
         "not visible on the bus: the wiring decides it",
     ),
-    _unseen("3.2.1/not-needed", "With phases as delivered no calibration is needed.", "wiring"),
+    unseen("3.2.1/not-needed", "With phases as delivered no calibration is needed.", "wiring"),
     *_setting("3.2.2", "set_work_mode", "82 with a mode", "work_mode"),
-    _said(
+    said(
         "3.2.2/values",
         "Modes are X0, 02, 03, X4 and 05, where X is 0 with an encoder and 1 without.",
         "ranges/set_work_mode/work_mode/listed",
         "ranges/set_work_mode/work_mode/unlisted",
     ),
-    _said(
+    said(
         "3.2.2/pulse-modes",
         "In modes X0, 02 and 03 pulses run the motor, not the bus.",
         "motion/*/pulse-mode",
         "read-back/set_work_mode/effect",
     ),
-    _said(
+    said(
         "3.2.2/bus-modes",
         "In modes X4 and 05 the bus runs the motor.",
         "motion/run_speed/highest-*",
         "motion/*/crossed-stops",
         "read-back/set_work_mode/effect",
     ),
-    _said("3.2.2/default", "Mode 03 is the default.", "read-back/restore/settings"),
-    _unseen("3.2.2/pulse-frequency", "In pulse modes the frequency is up to 300 kHz.", _PULSES),
-    _said(
+    said("3.2.2/default", "Mode 03 is the default.", "read-back/restore/settings"),
+    unseen("3.2.2/pulse-frequency", "In pulse modes the frequency is up to 300 kHz.", _PULSES),
+    said(
         "3.2.2/bus-speed",
         "In bus modes the speed is up to 3000 rpm.",
         "motion/run_speed/highest-*",
         "ranges/run_speed/speed/bus_*",
     ),
-    _unseen(
+    unseen(
         "3.2.2/no-encoder", "Without an encoder its value cannot be read.", "what is answered in place of the value is not said"
     ),
     *_setting("3.2.3", "set_current", "83 with 16 bits of mA", "current"),
-    _said(
+    said(
         "3.2.3/limits",
         "The current goes up to 3000 mA on a 42E and 5200 mA on a 57E.",
         "ranges/set_current/current/highest",
         "ranges/set_current/current/above",
     ),
-    _said("3.2.3/default", "The default is 1600 mA on a 42E and 3200 mA on a 57E.", "read-back/restore/settings"),
-    _unseen("3.2.3/effect", "The motor works at this current.", "not visible on the bus: a current"),
+    said("3.2.3/default", "The default is 1600 mA on a 42E and 3200 mA on a 57E.", "read-back/restore/settings"),
+    unseen("3.2.3/effect", "The motor works at this current.", "not visible on the bus: a current"),
     *_setting("3.2.4", "set_subdivision", "84 with a byte", "subdivision"),
-    _said(
+    said(
         "3.2.4/values",
         "The values are 0, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, 64, 100, 128 and 200.",
         "ranges/set_subdivision/subdivision/listed",
@@ -360,108 +349,108 @@ STATEMENTS: tuple[Statement, ...] = (
         "ranges/set_subdivision/subdivision/every",
         "ranges/set_subdivision/subdivision/round",
     ),
-    _said("3.2.4/256", "0 is 256 subdivisions.", "motion/set_subdivision/pulses-at-256", "motion/set_subdivision/speed-at-256"),
-    _said("3.2.4/default", "16 is the default.", "read-back/restore/settings"),
-    _said("3.2.4/pulses", "A turn has so many pulses for each of its 200 full steps.", "motion/set_subdivision/pulses-at-*"),
+    said("3.2.4/256", "0 is 256 subdivisions.", "motion/set_subdivision/pulses-at-256", "motion/set_subdivision/speed-at-256"),
+    said("3.2.4/default", "16 is the default.", "read-back/restore/settings"),
+    said("3.2.4/pulses", "A turn has so many pulses for each of its 200 full steps.", "motion/set_subdivision/pulses-at-*"),
     *_setting("3.2.5", "set_enable_level", "85 with a byte", "enable_level"),
-    _said(
+    said(
         "3.2.5/values",
         "0 is active at the low level, 1 at the high one, 2 is always.",
         "ranges/set_enable_level/enable_level/*",
         "read-back/set_enable_level/effect",
     ),
-    _said("3.2.5/default", "Active at the low level is the default.", "read-back/restore/settings"),
-    _unseen("3.2.5/100-ms", "Pulses count again 100 ms after the setting.", _PULSES),
-    _said("3.2.5/pulse-modes-only", "It counts in pulse modes only.", "motion/set_enable_level/not-in-bus-modes"),
+    said("3.2.5/default", "Active at the low level is the default.", "read-back/restore/settings"),
+    unseen("3.2.5/100-ms", "Pulses count again 100 ms after the setting.", _PULSES),
+    said("3.2.5/pulse-modes-only", "It counts in pulse modes only.", "motion/set_enable_level/not-in-bus-modes"),
     *_setting("3.2.6", "set_direction", "86 with a byte", "motor_direction"),
-    _said(
+    said(
         "3.2.6/values",
         "0 is clockwise and 1 counter-clockwise.",
         "ranges/set_direction/motor_direction/*",
         "motion/set_direction/and-the-bus",
     ),
-    _said("3.2.6/default", "Clockwise is the default.", "read-back/restore/settings"),
-    _said(
+    said("3.2.6/default", "Clockwise is the default.", "read-back/restore/settings"),
+    said(
         "3.2.6/bus-too",
         "It turns motion by the bus too.",
         "motion/set_direction/and-the-bus",
         "motion/set_direction/and-move_*",
     ),
     *_setting("3.2.7", "set_pulse_delay", "87 with a byte", "pulse_delay"),
-    _said("3.2.7/values", "Values are 0 to 3 for 0, 4, 20 and 40 ms.", "ranges/set_pulse_delay/pulse_delay/*"),
-    _said("3.2.7/default", "20 ms is the default.", "read-back/restore/settings"),
-    _unseen("3.2.7/delay", "Pulses are delayed by so long.", _PULSES),
+    said("3.2.7/values", "Values are 0 to 3 for 0, 4, 20 and 40 ms.", "ranges/set_pulse_delay/pulse_delay/*"),
+    said("3.2.7/default", "20 ms is the default.", "read-back/restore/settings"),
+    unseen("3.2.7/delay", "Pulses are delayed by so long.", _PULSES),
     *_setting("3.2.8", "set_protection", "88 with a byte", "protection"),
-    _said("3.2.8/on", "1 protects a locked rotor.", "motion/set_protection/lets-go*", "motion/release_protection/limp*"),
-    _said("3.2.8/off", "0 does not.", "motion/set_protection/off-holds-on"),
-    _said("3.2.8/default", "The protection is on by default.", "read-back/restore/settings"),
-    _said("3.2.8/ends-by-3d", "3D ends the state of protection.", "motion/release_protection/releases"),
-    _unseen("3.2.8/ends-by-en", "En at the level that disables ends it too.", "the suite has no hand on the En pin of a drive"),
+    said("3.2.8/on", "1 protects a locked rotor.", "motion/set_protection/lets-go*", "motion/release_protection/limp*"),
+    said("3.2.8/off", "0 does not.", "motion/set_protection/off-holds-on"),
+    said("3.2.8/default", "The protection is on by default.", "read-back/restore/settings"),
+    said("3.2.8/ends-by-3d", "3D ends the state of protection.", "motion/release_protection/releases"),
+    unseen("3.2.8/ends-by-en", "En at the level that disables ends it too.", "the suite has no hand on the En pin of a drive"),
     *_setting("3.2.9", "set_stall_tolerance", "89 with 16 bits", "stall_tolerance"),
-    _said("3.2.9/range", "The tolerance is 0 to 7FFFh.", "ranges/set_stall_tolerance/stall_tolerance/*"),
-    _said("3.2.9/default", "64h is the default.", "read-back/restore/settings"),
-    _said(
+    said("3.2.9/range", "The tolerance is 0 to 7FFFh.", "ranges/set_stall_tolerance/stall_tolerance/*"),
+    said("3.2.9/default", "64h is the default.", "read-back/restore/settings"),
+    said(
         "3.2.9/lets-go",
         "When the error is beyond it, the protection lets the shaft go.",
         "motion/set_stall_tolerance/angle",
         "motion/set_protection/lets-go",
     ),
-    _said("3.2.9/unit", "64h is 180 degrees, C8h 360, and so on.", "motion/set_stall_tolerance/angle"),
+    said("3.2.9/unit", "64h is 180 degrees, C8h 360, and so on.", "motion/set_stall_tolerance/angle"),
     *_tables("3.2.10", "set_bit_rate", "8A with a byte", "a status of one byte"),
-    _said(
+    said(
         "3.2.10/values",
         "Values are 0 to 3 for 125, 250, 500 and 1000 kbit/s.",
         "ranges/set_bit_rate/bit_rate/1*",
         "ranges/set_bit_rate/bit_rate/250000",
         "ranges/set_bit_rate/bit_rate/500000",
     ),
-    _said("3.2.10/default", "500 kbit/s is the default.", "read-back/restore/settings", "read-back/restore/link"),
-    _said(
+    said("3.2.10/default", "500 kbit/s is the default.", "read-back/restore/settings", "read-back/restore/link"),
+    said(
         "3.2.10/status-0",
         "Status 0 says that it is not set.",
         "ranges/set_bit_rate/bit_rate/unlisted",
         "ranges/set_bit_rate/bit_rate/unchanged",
     ),
     *_tables("3.2.11", "set_address", "8B with 16 bits", "a status of one byte"),
-    _said(
+    said(
         "3.2.11/set",
         "The drive is heard at the ID that was set.",
         "addressing/set_address/moves",
         "ranges/set_address/new_address/highest",
     ),
-    _said(
+    said(
         "3.2.11/range",
         "The ID goes up to 7FFh.",
         "ranges/set_address/new_address/highest",
         "ranges/set_address/new_address/above",
     ),
-    _said("3.2.11/default", "1 is the default.", "read-back/restore/link"),
-    _said(
+    said("3.2.11/default", "1 is the default.", "read-back/restore/link"),
+    said(
         "3.2.11/broadcast",
         "ID 0 is that of all drives.",
         "addressing/broadcast/executed",
         "ranges/set_address/new_address/below",
     ),
-    _said("3.2.11/kept", "A restart leaves the ID.", "read-back/set_address/restart"),
+    said("3.2.11/kept", "A restart leaves the ID.", "read-back/set_address/restart"),
     *_setting("3.2.12", "set_respond", "8C with two bytes, respond and active", "respond", "active"),
-    _said("3.2.12/default", "Both are on by default.", "read-back/restore/settings"),
-    _said(
+    said("3.2.12/default", "Both are on by default.", "read-back/restore/settings"),
+    said(
         "3.2.12/no-respond",
         "With respond 0 a motion is carried out and not answered at all.",
         "motion/set_respond/0-silences-*",
     ),
-    _said(
+    said(
         "3.2.12/f1-tells",
         "With respond 0, F1 tells what the motor does.",
         "motion/set_respond/0-leaves-reads",
         "motion/set_respond/0-status-follows",
     ),
-    _said(
+    said(
         "3.2.12/inactive",
         "With active 0 only the beginning of a motion is answered, by 1 or 0.",
         "motion/set_respond/inactive-*",
     ),
-    _said(
+    said(
         "3.2.12/active",
         "With both on, the end of a motion is answered too, by 2, or by 3 at a limit.",
         "motion/*/replies",
@@ -469,30 +458,30 @@ STATEMENTS: tuple[Statement, ...] = (
         "motion/set_respond/1-answers-again",
     ),
     *_setting("3.2.13", "set_axis_lock", "8F with a byte", "axis_lock"),
-    _said(
+    said(
         "3.2.13/locked",
         "With 1 the shaft is held when a bus mode begins.",
         "read-back/set_axis_lock/effect",
         "motion/set_axis_lock/at-power-on-1",
     ),
-    _said("3.2.13/unlocked", "With 0 it is free then.", "read-back/set_axis_lock/effect", "motion/set_axis_lock/at-power-on-0"),
-    _said("3.2.13/default", "The shaft is held by default.", "read-back/restore/settings"),
+    said("3.2.13/unlocked", "With 0 it is free then.", "read-back/set_axis_lock/effect", "motion/set_axis_lock/at-power-on-0"),
+    said("3.2.13/default", "The shaft is held by default.", "read-back/restore/settings"),
     *_setting("3.2.14", "set_group_address", "8D with 16 bits", "group_address"),
-    _said("3.2.14/range", "A group ID is 1 to 7FFh.", "ranges/set_group_address/group_address/*"),
-    _said(
+    said("3.2.14/range", "A group ID is 1 to 7FFh.", "ranges/set_group_address/group_address/*"),
+    said(
         "3.2.14/broadcast",
         "What is sent to ID 0 turns all drives.",
         "addressing/broadcast/*",
         "examples/move_relative_pulses/to_all_1",
     ),
-    _said(
+    said(
         "3.2.14/own-id",
         "What is sent to the ID of one drive turns that one alone.",
         "addressing/*/other_address",
         "addressing/other/not_executed",
         "addressing/group/own",
     ),
-    _said(
+    said(
         "3.2.14/group",
         "What is sent to a group ID turns the drives of that group, and no others.",
         "addressing/group/executed",
@@ -500,24 +489,24 @@ STATEMENTS: tuple[Statement, ...] = (
         "addressing/group/settings",
         "examples/move_relative_pulses/to_group_*",
     ),
-    _said(
+    said(
         "3.2.14/silent",
         "A drive does not answer what is sent to its group.",
         "addressing/group/silent",
         "addressing/group/read",
     ),
     *_tables("3.3", "write_io", "36 with a byte of masks and levels", "a status of one byte"),
-    _said(
+    said(
         "3.3/write",
         "With mask 1 the port has the level that is written.",
         "read-back/write_io/effect",
         "read-back/write_io/each-port",
     ),
-    _said("3.3/keep", "With mask 2 the port stays as it is.", "read-back/write_io/effect", "read-back/write_io/each-port"),
-    _said(
+    said("3.3/keep", "With mask 2 the port stays as it is.", "read-back/write_io/effect", "read-back/write_io/each-port"),
+    said(
         "3.3/give-back", "With mask 0 the port is that of its alarm or in-place signal again.", "read-back/write_io/gives-back"
     ),
-    _said(
+    said(
         "3.3/status",
         "Status 1 says that it is written, 0 that it is not.",
         "ranges/write_io/*/listed",
@@ -533,19 +522,19 @@ STATEMENTS: tuple[Statement, ...] = (
         "end_limit",
         "home_mode",
     ),
-    _said(
+    said(
         "3.4.1/level",
         "HmTrig is the level at which the end stop is closed: 0 low, 1 high.",
         "motion/home/trigger",
         "read-back/set_home/home_trigger",
     ),
-    _said(
+    said(
         "3.4.1/direction",
         "HmDir is the way home: 0 clockwise, 1 counter-clockwise.",
         "motion/home/finds-switch-*",
         "read-back/set_home/home_direction",
     ),
-    _said(
+    said(
         "3.4.1/speed",
         "HmSpeed is the speed of homing, 0 to 3000 rpm.",
         "motion/home/speed-*",
@@ -553,37 +542,37 @@ STATEMENTS: tuple[Statement, ...] = (
         "read-back/set_home/home_speed-at-8",
         "ranges/set_home/home_speed/*",
     ),
-    _said(
+    said(
         "3.4.1/limit-switch",
         "EndLimit 1 lets the end stops limit motion, and 0 does not.",
         "motion/set_home/end-limit-stops-*",
         "motion/set_home/end-limit-off",
     ),
-    _said("3.4.1/defaults", "Defaults are low, clockwise, 60 rpm, without limit.", "read-back/restore/settings"),
-    _said(
+    said("3.4.1/defaults", "Defaults are low, clockwise, 60 rpm, without limit.", "read-back/restore/settings"),
+    said(
         "3.4.1/left",
         "With EndLimit 1 and the left limit closed the motor no longer turns to the left.",
         "motion/set_home/end-limit-stops-*",
         "motion/set_home/end-limit-holds-*",
     ),
-    _said(
+    said(
         "3.4.1/right",
         "With EndLimit 1 and the right limit closed the motor no longer turns to the right.",
         "motion/set_limit_remap/right-on",
     ),
-    _said("3.4.1/back", "It turns away from a limit that is closed.", "motion/set_home/end-limit-lets-back"),
-    _unseen(
+    said("3.4.1/back", "It turns away from a limit that is closed.", "motion/set_home/end-limit-lets-back"),
+    unseen(
         "3.4.1/needs-homing",
         "A changed limit holds only after homing.",
         "what holds before is not said, so that neither can be refuted",
     ),
-    _unseen("3.4.1/not-in-pulse-modes", "In pulse modes no limit holds.", _PULSES),
+    unseen("3.4.1/not-in-pulse-modes", "In pulse modes no limit holds.", _PULSES),
     *_tables("3.4.2", "home", "91 without data", "a status of one byte"),
-    _said("3.4.2/status", "Status 1 says that it begins, and 2 that home is found.", "motion/home/replies"),
-    _said("3.4.2/status-0", "Status 0 says that it failed.", "motion/home/disabled"),
-    _said("3.4.2/from-closed", "From a closed end stop the motor first turns the other way.", "motion/home/from-closed-*"),
+    said("3.4.2/status", "Status 1 says that it begins, and 2 that home is found.", "motion/home/replies"),
+    said("3.4.2/status-0", "Status 0 says that it failed.", "motion/home/disabled"),
+    said("3.4.2/from-closed", "From a closed end stop the motor first turns the other way.", "motion/home/from-closed-*"),
     *_tables("3.4.3", "set_zero", "92 without data", "a status of one byte"),
-    _said(
+    said(
         "3.4.3/zero",
         "The present position becomes zero, as homing does.",
         "motion/set_zero/position",
@@ -591,249 +580,245 @@ STATEMENTS: tuple[Statement, ...] = (
         "motion/set_zero/carry",
         "motion/set_zero/and-*",
     ),
-    _said("3.4.3/stands", "The motor does not turn for it.", "motion/set_zero/stands"),
-    _said("3.4.3/status-1", "Status 1 says that it is done.", "motion/set_zero/position", "examples/set_zero/1"),
-    _unseen("3.4.3/status-0", "Status 0 says that it is not done.", "the manual names nothing that prevents it"),
+    said("3.4.3/stands", "The motor does not turn for it.", "motion/set_zero/stands"),
+    said("3.4.3/status-1", "Status 1 says that it is done.", "motion/set_zero/position", "examples/set_zero/1"),
+    unseen("3.4.3/status-0", "Status 0 says that it is not done.", "the manual names nothing that prevents it"),
     *_setting("3.4.4", "set_no_limit_current", "93 with 16 bits of mA", "home_current"),
-    _said(
+    said(
         "3.4.4/limits",
         "The current goes up to 3000 mA on a 42E and 5200 mA on a 57E.",
         "ranges/set_no_limit_current/home_current/highest",
         "ranges/set_no_limit_current/home_current/above",
     ),
-    _said("3.4.4/default", "The default is 300 mA on a 42E and 600 mA on a 57E.", "read-back/restore/settings"),
-    _said(
+    said("3.4.4/default", "The default is 300 mA on a 42E and 600 mA on a 57E.", "read-back/restore/settings"),
+    said(
         "3.4.4/obstacle",
         "Without a switch the motor runs into an obstacle, goes back by a way, and that point is zero.",
         "motion/home/without-switch-*",
     ),
-    _unseen("3.4.4/torque", "It runs at this current then, and only then.", "not visible on the bus: a current"),
+    unseen("3.4.4/torque", "It runs at this current then, and only then.", "not visible on the bus: a current"),
     *_tables("3.4.5", "set_no_limit_home", "94 with 32 bits of return angle and 16 bits of mA", "a status of one byte"),
-    _said(
+    said(
         "3.4.5/mode",
         "Mode 0 homes by a switch and 1 without one; 0 is the default.",
         "motion/home/finds-switch-*",
         "motion/home/without-switch-*",
     ),
-    _unseen(
+    unseen(
         "3.4.5/trigger",
         "Homing begins by 91, at power-on, or in pulse modes by En.",
         "no byte of the command holds it (mks-can-49)",
     ),
-    _said("3.4.5/angle", "The return angle is 4000h for 360 degrees.", "motion/home/without-switch-*"),
-    _said("3.4.5/range", "It is 0 to FFFFFFFFh.", "ranges/set_no_limit_home/return_angle/*"),
-    _said("3.4.5/default", "2000h is the default.", "read-back/restore/settings"),
-    _said(
+    said("3.4.5/angle", "The return angle is 4000h for 360 degrees.", "motion/home/without-switch-*"),
+    said("3.4.5/range", "It is 0 to FFFFFFFFh.", "ranges/set_no_limit_home/return_angle/*"),
+    said("3.4.5/default", "2000h is the default.", "read-back/restore/settings"),
+    said(
         "3.4.5/status",
         "Status 1 says that it is set, and 0 that it is not.",
         "ranges/set_no_limit_home/*/highest",
         "ranges/set_no_limit_home/home_current/above",
     ),
-    _said("3.4.5/kept", "What was set is there after a restart.", "read-back/settings/restart"),
-    _unseen(
+    said("3.4.5/kept", "What was set is there after a restart.", "read-back/settings/restart"),
+    unseen(
         "3.4.5/en-pulse", "In pulse modes 200 ms of the disabling level at En begin homing; 150 to 250 ms are seen.", _PULSES
     ),
     *_setting("3.4.6", "set_limit_remap", "9E with a byte", "limit_remap"),
-    _said(
+    said(
         "3.4.6/on",
         "With 1 the En port is the right limit.",
         "motion/set_limit_remap/right-on",
         "read-back/set_limit_remap/effect",
     ),
-    _said("3.4.6/off", "With 0, the default, it is not.", "motion/set_limit_remap/right-off", "read-back/restore/settings"),
-    _said("3.4.6/bus-modes", "It is for bus modes only.", "motion/set_limit_remap/pulse-mode"),
-    _said("3.4.6/57e", "A 57E has a right limit without it.", "motion/set_limit_remap/right-off"),
+    said("3.4.6/off", "With 0, the default, it is not.", "motion/set_limit_remap/right-off", "read-back/restore/settings"),
+    said("3.4.6/bus-modes", "It is for bus modes only.", "motion/set_limit_remap/pulse-mode"),
+    said("3.4.6/57e", "A 57E has a right limit without it.", "motion/set_limit_remap/right-off"),
     *_setting("3.5", "set_pulse_division", "9F with a starting level and 32 bits of a period", "division_level"),
-    _said(
+    said(
         "3.5/values",
         "Values are 0 and 1, and any period; both are 0 by default.",
         "ranges/set_pulse_division/*",
         "read-back/restore/settings",
     ),
-    _unseen(
+    unseen(
         "3.5/flips",
         "From a period of 100 on PEND flips once for so many pulses.",
         "observed by motion/set_pulse_division/divides: whether 34 shows the port or the signal of the drive is not said",
     ),
-    _unseen(
+    unseen(
         "3.5/cancel",
         "A period below 100, or 0, gives PEND back to its signal.",
         "observed by motion/set_pulse_division/divides: whether 34 shows the port or the signal of the drive is not said",
     ),
     *_tables("3.6.1", "restore", "3F without data", "a status of one byte"),
-    _said(
-        "3.6.1/defaults", "All parameters have their defaults again.", "read-back/restore/settings", "read-back/restore/link"
-    ),
-    _said("3.6.1/status", "Status 1 says that it is done.", "examples/restore/1"),
-    _unseen("3.6.1/status-0", "Status 0 says that it is not done.", "the manual names nothing that prevents it"),
-    _said("3.6.1/reboots", "The drive starts again then.", "read-back/restore/reboots"),
+    said("3.6.1/defaults", "All parameters have their defaults again.", "read-back/restore/settings", "read-back/restore/link"),
+    said("3.6.1/status", "Status 1 says that it is done.", "examples/restore/1"),
+    unseen("3.6.1/status-0", "Status 0 says that it is not done.", "the manual names nothing that prevents it"),
+    said("3.6.1/reboots", "The drive starts again then.", "read-back/restore/reboots"),
     *_tables("3.6.2", "restart", "41 without data", "a status of one byte"),
-    _said("3.6.2/restarts", "The drive starts again.", "motion/restart/ends-motion", "timing/restart/answers-again"),
-    _said("3.6.2/keeps", "No parameter changes.", "read-back/*/restart"),
-    _said("3.6.2/status", "Status 1 says that it is done.", "examples/restart/1"),
-    _unseen("3.6.2/status-0", "Status 0 says that it is not done.", "the manual names nothing that prevents it"),
+    said("3.6.2/restarts", "The drive starts again.", "motion/restart/ends-motion", "timing/restart/answers-again"),
+    said("3.6.2/keeps", "No parameter changes.", "read-back/*/restart"),
+    said("3.6.2/status", "Status 1 says that it is done.", "examples/restart/1"),
+    unseen("3.6.2/status-0", "Status 0 says that it is not done.", "the manual names nothing that prevents it"),
     *_tables("3.7", "read_version", "40 without data", "four bytes"),
-    _said("3.7/series", "Bit 7 is 1 for the E series.", "motion/read_version/names-the-drive"),
-    _said(
+    said("3.7/series", "Bit 7 is 1 for the E series.", "motion/read_version/names-the-drive"),
+    said(
         "3.7/sense",
         "Bits 5 and 4 are 1 where clockwise raises the bare encoder, 2 where it lowers it.",
         "motion/read_version/calibration",
         "shape/read_version/values",
     ),
-    _said(
+    said(
         "3.7/hardware", "Bits 3 to 0 are 2 for a 42E with CAN and 4 for a 57E with CAN.", "motion/read_version/names-the-drive"
     ),
-    _unseen(
+    unseen(
         "3.7/firmware",
         "The three bytes are the numbers of the firmware's version.",
         "any version is one: the suite cannot know which a drive has",
     ),
     *_tables("3.8.1", "write_user_id", "42 with 32 bits", "a status of one byte"),
-    _said(
+    said(
         "3.8.1/written",
         "Status 1 says that the number is kept.",
         "read-back/write_user_id/read",
         "read-back/write_user_id/restart",
         "ranges/write_user_id/user_id/*",
     ),
-    _unseen("3.8.1/status-0", "Status 0 says that it is not.", "every number of 32 bits is allowed"),
+    unseen("3.8.1/status-0", "Status 0 says that it is not.", "every number of 32 bits is allowed"),
     *_tables("3.8.2", "read_user_id", "42 without data", "32 bits"),
-    _said("3.8.2/read", "The number reads as it was written.", "read-back/write_user_id/read"),
+    said("3.8.2/read", "The number reads as it was written.", "read-back/write_user_id/read"),
     *_tables("3.9", "read_parameter", "00 with the code of a parameter", "the parameter under its own code"),
-    _said(
+    said(
         "3.9/code",
         "The reply has the code of the parameter that was asked for.",
         "shape/read_parameter/of/*",
         "shape/read_parameter/code",
     ),
-    _said("3.9/layout", "The reply has the layout that sets the parameter.", "shape/read_parameter/of/*"),
-    _said("3.9/value", "The value reads as it was set.", "read-back/set_*/read"),
-    _said("3.9/unreadable", "A parameter that cannot be read is answered FF FF.", "shape/read_parameter/unreadable"),
+    said("3.9/layout", "The reply has the layout that sets the parameter.", "shape/read_parameter/of/*"),
+    said("3.9/value", "The value reads as it was set.", "read-back/set_*/read"),
+    said("3.9/unreadable", "A parameter that cannot be read is answered FF FF.", "shape/read_parameter/unreadable"),
     # Part 4: motion
-    _said("4/bus-modes-only", "Motion by the bus needs a bus mode.", "motion/*/pulse-mode"),
-    _said(
+    said("4/bus-modes-only", "Motion by the bus needs a bus mode.", "motion/*/pulse-mode"),
+    said(
         "4.1/speed-range",
         "A speed is 0 to 3000, and a greater one is faster.",
         "ranges/*/speed/*",
         "motion/run_speed/speed-*",
         "motion/*/crossed-speed",
     ),
-    _said(
+    said(
         "4.1/speed-at-16-32-64",
         "At 16, 32 and 64 subdivisions the speed as sent is that of the shaft.",
         "motion/set_subdivision/speed-at-16",
         "motion/set_subdivision/speed-at-32",
         "motion/set_subdivision/speed-at-64",
     ),
-    _said(
+    said(
         "4.1/speed-at-others",
         "At other subdivisions a run turns at the speed as sent times 16 by the subdivision.",
         "motion/set_subdivision/speed-at-*",
     ),
-    _said(
+    said(
         "4.1/moves-at-others", "Moves too turn at the speed as sent times 16 by the subdivision.", "motion/move_*/crossed-speed"
     ),
-    _said("4.1/acceleration-range", "An acceleration is 0 to 255.", "ranges/*/acceleration/*"),
-    _said(
+    said("4.1/acceleration-range", "An acceleration is 0 to 255.", "ranges/*/acceleration/*"),
+    said(
         "4.1/acceleration-0",
         "0 changes the speed at once.",
         "timing/run_speed/ramp-0",
         "timing/stop_speed/ramp-0",
         "motion/*/at-once",
     ),
-    _said("4.1/ramp-up", "On the way up one rpm takes (256 - acc) x 50 us.", "timing/run_speed/ramp-*", "timing/*/takes-*"),
-    _said("4.1/ramp-down", "On the way down one rpm takes as long.", "timing/stop_speed/ramp-*", "timing/*/takes-*"),
-    _said(
+    said("4.1/ramp-up", "On the way up one rpm takes (256 - acc) x 50 us.", "timing/run_speed/ramp-*", "timing/*/takes-*"),
+    said("4.1/ramp-down", "On the way down one rpm takes as long.", "timing/stop_speed/ramp-*", "timing/*/takes-*"),
+    said(
         "4.1/even",
         "On a ramp the speed rises evenly, rpm by rpm, and not beyond the speed that was asked for.",
         "motion/*/crossed-course",
     ),
     *_tables("4.2.1", "read_status", "F1 without data", "a status of one byte"),
-    _said(
+    said(
         "4.2.1/stopped",
         "1: the motor stands.",
         "motion/read_status/standing",
         "motion/read_status/after-a-move",
         "motion/read_status/slow-*",
     ),
-    _said("4.2.1/up", "2: it speeds up.", "motion/read_status/crossed"),
-    _said("4.2.1/down", "3: it slows down.", "motion/read_status/slowing-down"),
-    _said("4.2.1/full", "4: it has its full speed.", "motion/read_status/crossed", "motion/read_status/slow-*"),
-    _said("4.2.1/homing", "5: it is homing.", "motion/home/status"),
-    _said("4.2.1/calibrating", "6: it is calibrating.", "motion/calibrate/status"),
-    _unseen("4.2.1/fail", "0: the query failed.", "the manual names nothing that makes it fail"),
-    _unseen("4.2.1/pulse-modes", "In pulse modes only a calibration is told.", "what is answered there instead is not said"),
-    _said(
+    said("4.2.1/up", "2: it speeds up.", "motion/read_status/crossed"),
+    said("4.2.1/down", "3: it slows down.", "motion/read_status/slowing-down"),
+    said("4.2.1/full", "4: it has its full speed.", "motion/read_status/crossed", "motion/read_status/slow-*"),
+    said("4.2.1/homing", "5: it is homing.", "motion/home/status"),
+    said("4.2.1/calibrating", "6: it is calibrating.", "motion/calibrate/status"),
+    unseen("4.2.1/fail", "0: the query failed.", "the manual names nothing that makes it fail"),
+    unseen("4.2.1/pulse-modes", "In pulse modes only a calibration is told.", "what is answered there instead is not said"),
+    said(
         "4.2.2/f3-decides",
         "In bus modes F3 enables the motor, and the level of En does not.",
         "motion/enable/is-read",
         "motion/set_enable_level/not-in-bus-modes",
     ),
     *_tables("4.2.2", "enable", "F3 with a byte", "a status of one byte"),
-    _said("4.2.2/values", "1 enables and 0 disables.", "motion/enable/is-read", "ranges/enable/enabled/*"),
-    _said("4.2.2/off", "A motor that is disabled does not turn.", "motion/*/disabled", "motion/enable/off-ends-motion"),
-    _said(
+    said("4.2.2/values", "1 enables and 0 disables.", "motion/enable/is-read", "ranges/enable/enabled/*"),
+    said("4.2.2/off", "A motor that is disabled does not turn.", "motion/*/disabled", "motion/enable/off-ends-motion"),
+    said(
         "4.2.2/status",
         "Status 1 says that it is done, and 0 that it is not.",
         "ranges/enable/enabled/listed",
         "ranges/enable/enabled/unlisted",
     ),
     *_tables("4.3", "emergency_stop", "F7 without data", "a status of one byte"),
-    _said("4.3/stops", "The motor stops at once.", "motion/emergency_stop/ends-*"),
-    _said("4.3/status", "Status 1 says that it stops.", "motion/emergency_stop/replies"),
-    _unseen("4.3/status-0", "Status 0 says that it does not.", "the manual names nothing that prevents it in a bus mode"),
-    _unseen("4.3/fast", "Above 1000 rpm a stop at once is discouraged.", "advice, and nothing that a drive does"),
+    said("4.3/stops", "The motor stops at once.", "motion/emergency_stop/ends-*"),
+    said("4.3/status", "Status 1 says that it stops.", "motion/emergency_stop/replies"),
+    unseen("4.3/status-0", "Status 0 says that it does not.", "the manual names nothing that prevents it in a bus mode"),
+    unseen("4.3/fast", "Above 1000 rpm a stop at once is discouraged.", "advice, and nothing that a drive does"),
     *_tables("4.4.1", "run_speed", "F6 with direction, speed of 12 bits and acceleration", "a status of one byte"),
-    _said(
+    said(
         "4.4.1/runs",
         "The shaft turns at the speed, by the ramp, until told otherwise.",
         "motion/run_speed/speed-*",
         "motion/run_speed/lasts",
         "timing/run_speed/ramp-*",
     ),
-    _said(
+    said(
         "4.4.1/direction",
         "Direction 0 turns counter-clockwise and 1 clockwise.",
         "motion/run_speed/raises",
         "motion/run_speed/opposite",
     ),
-    _said(
+    said(
         "4.4.1/speed",
         "Bits 3 to 0 of byte 2 and byte 3 are the speed together.",
         "ranges/run_speed/speed/width",
         "motion/run_speed/crossed-speed",
     ),
-    _said("4.4.1/examples", "The two frames of the manual run at 320 rpm, one each way.", "examples/run_speed/*"),
-    _said("4.4.1/status-1", "Status 1 says that it runs.", "motion/run_speed/crossed-replies"),
-    _said("4.4.1/status-0", "Status 0 says that it does not.", "motion/run_speed/disabled", "motion/run_speed/protected"),
+    said("4.4.1/examples", "The two frames of the manual run at 320 rpm, one each way.", "examples/run_speed/*"),
+    said("4.4.1/status-1", "Status 1 says that it runs.", "motion/run_speed/crossed-replies"),
+    said("4.4.1/status-0", "Status 0 says that it does not.", "motion/run_speed/disabled", "motion/run_speed/protected"),
     *_tables("4.4.2", "stop_speed", "F6 with speed 0", "a status of one byte"),
-    _said(
+    said(
         "4.4.2/ramp",
         "With an acceleration the shaft slows down by the ramp and stands.",
         "motion/stop_speed/by-ramp",
         "timing/stop_speed/ramp-*",
     ),
-    _said("4.4.2/at-once", "With acceleration 0 it stands at once.", "motion/stop_speed/at-once"),
-    _said("4.4.2/stays", "It then stays where it is.", "motion/stop_speed/stays-stopped"),
-    _said("4.4.2/examples", "The two frames of the manual stop the shaft.", "examples/stop_speed/*"),
-    _said(
+    said("4.4.2/at-once", "With acceleration 0 it stands at once.", "motion/stop_speed/at-once"),
+    said("4.4.2/stays", "It then stays where it is.", "motion/stop_speed/stays-stopped"),
+    said("4.4.2/examples", "The two frames of the manual stop the shaft.", "examples/stop_speed/*"),
+    said(
         "4.4.2/status",
         "Status 1 says that it begins to stop, and 2 that it stands.",
         "motion/stop_speed/replies",
         "motion/stop_speed/told-when-standing",
     ),
-    _unseen(
-        "4.4.2/status-0", "Status 0 says that it does not stop.", "the manual names nothing that prevents it in a bus mode"
-    ),
+    unseen("4.4.2/status-0", "Status 0 says that it does not stop.", "the manual names nothing that prevents it in a bus mode"),
     *_tables("4.4.3", "save_speed", "FF with a byte", "a status of one byte"),
-    _said(
+    said(
         "4.4.3/saved",
         "A saved run begins again when power comes on, either way, at its speed.",
         "motion/save_speed/runs-direction-*",
         "read-back/save_speed/restart",
     ),
-    _said("4.4.3/cleaned", "A cleaned one does not.", "motion/save_speed/clean", "read-back/save_speed/clean"),
-    _said(
+    said("4.4.3/cleaned", "A cleaned one does not.", "motion/save_speed/clean", "read-back/save_speed/clean"),
+    said(
         "4.4.3/status",
         "Status 1 says that it is done, and 0 that it is not.",
         "ranges/save_speed/save_state/listed",
@@ -842,265 +827,265 @@ STATEMENTS: tuple[Statement, ...] = (
     *_tables(
         "4.5.1", "move_relative_pulses", "FD with direction, speed, acceleration and 24 bits of pulses", "a status of one byte"
     ),
-    _said(
+    said(
         "4.5.1/distance",
         "The shaft moves by so many pulses of the subdivision that is set.",
         "motion/move_relative_pulses/distance",
         "motion/set_subdivision/pulses-at-*",
         "motion/move_relative_pulses/again",
     ),
-    _said(
+    said(
         "4.5.1/ends-there",
         "It ends there at any speed.",
         "motion/move_relative_pulses/within",
         "motion/move_relative_pulses/crossed-ends",
     ),
-    _said(
+    said(
         "4.5.1/direction",
         "Direction 0 turns counter-clockwise and 1 clockwise, as in a run.",
         "motion/move_relative_pulses/opposite",
         "motion/run_speed/same-sense",
     ),
-    _said(
+    said(
         "4.5.1/speed",
         "It turns at the speed and by the ramp that are sent.",
         "motion/move_relative_pulses/crossed-speed",
         "timing/move_relative_pulses/takes-*",
         "ranges/move_relative_pulses/speed/width",
     ),
-    _said(
+    said(
         "4.5.1/range",
         "Pulses are 0 to FFFFFFh.",
         "ranges/move_relative_pulses/pulses/*",
         "motion/move_relative_pulses/crossed-replies",
         "motion/move_relative_pulses/far",
     ),
-    _said("4.5.1/examples", "The frames of the manual turn the shaft 20 times, either way.", "examples/move_relative_pulses/*"),
-    _said(
+    said("4.5.1/examples", "The frames of the manual turn the shaft 20 times, either way.", "examples/move_relative_pulses/*"),
+    said(
         "4.5.1/status",
         "Status 1 says that it begins, and 2 that it is done.",
         "motion/move_relative_pulses/replies",
         "motion/move_relative_pulses/told-when-there",
     ),
-    _said(
+    said(
         "4.5.1/status-0",
         "Status 0 says that it does not run.",
         "motion/move_relative_pulses/disabled",
         "motion/move_relative_pulses/protected",
     ),
-    _said(
+    said(
         "4.5.1/status-3", "Status 3 says that an end limit stopped it.", "motion/set_home/end-limit-told-move_relative_pulses"
     ),
     *_tables("4.5.2", "stop_relative_pulses", "FD with speed and pulses 0", "a status of one byte"),
-    _said(
+    said(
         "4.5.2/ramp",
         "With an acceleration the shaft slows down by the ramp and stands.",
         "motion/stop_relative_pulses/by-ramp",
         "timing/stop_relative_pulses/told-in-time",
     ),
-    _said("4.5.2/at-once", "With acceleration 0 it stands at once.", "motion/stop_relative_pulses/at-once"),
-    _said("4.5.2/stays", "It then stays where it is.", "motion/stop_relative_pulses/stays-stopped"),
-    _said("4.5.2/examples", "The frames of the manual stop the shaft.", "examples/stop_relative_pulses/*"),
-    _said(
+    said("4.5.2/at-once", "With acceleration 0 it stands at once.", "motion/stop_relative_pulses/at-once"),
+    said("4.5.2/stays", "It then stays where it is.", "motion/stop_relative_pulses/stays-stopped"),
+    said("4.5.2/examples", "The frames of the manual stop the shaft.", "examples/stop_relative_pulses/*"),
+    said(
         "4.5.2/status",
         "Status 1 says that it begins to stop, 2 that it stands, 3 that a limit stopped it.",
         "motion/stop_relative_pulses/replies",
         "motion/stop_relative_pulses/told-when-standing",
     ),
     *_tables("4.6.1", "move_absolute_pulses", "FE with speed, acceleration and 24 bits, signed", "a status of one byte"),
-    _said(
+    said(
         "4.6.1/target",
         "The shaft moves to a count of pulses, wherever it is, and the count reads so then.",
         "motion/move_absolute_pulses/distance",
         "motion/move_absolute_pulses/reads-as-asked",
         "motion/move_absolute_pulses/same-place",
     ),
-    _said(
+    said(
         "4.6.1/ends-there",
         "It ends there at any speed.",
         "motion/move_absolute_pulses/within",
         "motion/move_absolute_pulses/crossed-ends",
     ),
-    _said(
+    said(
         "4.6.1/speed",
         "It turns at the speed and by the ramp that are sent.",
         "motion/move_absolute_pulses/crossed-speed",
         "timing/move_absolute_pulses/takes-*",
         "ranges/move_absolute_pulses/speed/width",
     ),
-    _said(
+    said(
         "4.6.1/range",
         "The target is -8388607 to 8388607.",
         "ranges/move_absolute_pulses/position/*",
         "motion/move_absolute_pulses/far",
     ),
-    _said("4.6.1/examples", "The frames of the manual move to 4000h and to -4000h.", "examples/move_absolute_pulses/*"),
-    _said(
+    said("4.6.1/examples", "The frames of the manual move to 4000h and to -4000h.", "examples/move_absolute_pulses/*"),
+    said(
         "4.6.1/status",
         "Status 1 says that it begins, and 2 that it is done.",
         "motion/move_absolute_pulses/replies",
         "motion/move_absolute_pulses/told-when-there",
     ),
-    _said(
+    said(
         "4.6.1/status-0",
         "Status 0 says that it does not run.",
         "motion/move_absolute_pulses/disabled",
         "motion/move_absolute_pulses/protected",
     ),
-    _said(
+    said(
         "4.6.1/status-3", "Status 3 says that an end limit stopped it.", "motion/set_home/end-limit-told-move_absolute_pulses"
     ),
     *_tables("4.6.2", "stop_absolute_pulses", "FE with speed and target 0", "a status of one byte"),
-    _said(
+    said(
         "4.6.2/ramp",
         "With an acceleration the shaft slows down by the ramp and stands.",
         "motion/stop_absolute_pulses/by-ramp",
         "timing/stop_absolute_pulses/told-in-time",
     ),
-    _said("4.6.2/at-once", "With acceleration 0 it stands at once.", "motion/stop_absolute_pulses/at-once"),
-    _said("4.6.2/stays", "It then stays where it is.", "motion/stop_absolute_pulses/stays-stopped"),
-    _said("4.6.2/examples", "The frames of the manual stop the shaft.", "examples/stop_absolute_pulses/*"),
-    _said(
+    said("4.6.2/at-once", "With acceleration 0 it stands at once.", "motion/stop_absolute_pulses/at-once"),
+    said("4.6.2/stays", "It then stays where it is.", "motion/stop_absolute_pulses/stays-stopped"),
+    said("4.6.2/examples", "The frames of the manual stop the shaft.", "examples/stop_absolute_pulses/*"),
+    said(
         "4.6.2/status",
         "Status 1 says that it begins to stop, 2 that it stands, 3 that a limit stopped it.",
         "motion/stop_absolute_pulses/replies",
         "motion/stop_absolute_pulses/told-when-standing",
     ),
     *_tables("4.7.1", "move_relative_axis", "F4 with speed, acceleration and 24 bits, signed", "a status of one byte"),
-    _said(
+    said(
         "4.7.1/distance",
         "The shaft moves by so many counts of the encoder, as 31 reads them.",
         "motion/move_relative_axis/distance",
         "motion/move_relative_axis/sign",
         "motion/move_relative_axis/again",
     ),
-    _said(
+    said(
         "4.7.1/ends-there",
         "It ends there at any speed.",
         "motion/move_relative_axis/within",
         "motion/move_relative_axis/crossed-ends",
     ),
-    _said(
+    said(
         "4.7.1/speed",
         "It turns at the speed and by the ramp that are sent.",
         "motion/move_relative_axis/crossed-speed",
         "timing/move_relative_axis/takes-*",
         "ranges/move_relative_axis/speed/width",
     ),
-    _said(
+    said(
         "4.7.1/range",
         "The way is -8388607 to 8388607.",
         "ranges/move_relative_axis/position/*",
         "motion/move_relative_axis/crossed-replies",
         "motion/move_relative_axis/far",
     ),
-    _said("4.7.1/examples", "The frames of the manual move by 4000h and by -4000h.", "examples/move_relative_axis/*"),
-    _said(
+    said("4.7.1/examples", "The frames of the manual move by 4000h and by -4000h.", "examples/move_relative_axis/*"),
+    said(
         "4.7.1/status",
         "Status 1 says that it begins, and 2 that it is done.",
         "motion/move_relative_axis/replies",
         "motion/move_relative_axis/told-when-there",
     ),
-    _said(
+    said(
         "4.7.1/status-0",
         "Status 0 says that it does not run.",
         "motion/move_relative_axis/disabled",
         "motion/move_relative_axis/protected",
     ),
-    _said("4.7.1/status-3", "Status 3 says that an end limit stopped it.", "motion/set_home/end-limit-told-move_relative_axis"),
+    said("4.7.1/status-3", "Status 3 says that an end limit stopped it.", "motion/set_home/end-limit-told-move_relative_axis"),
     *_tables("4.7.2", "stop_relative_axis", "F4 with speed and way 0", "a status of one byte"),
-    _said(
+    said(
         "4.7.2/ramp",
         "With an acceleration the shaft slows down by the ramp and stands.",
         "motion/stop_relative_axis/by-ramp",
         "timing/stop_relative_axis/told-in-time",
     ),
-    _said("4.7.2/at-once", "With acceleration 0 it stands at once.", "motion/stop_relative_axis/at-once"),
-    _said("4.7.2/stays", "It then stays where it is.", "motion/stop_relative_axis/stays-stopped"),
-    _said("4.7.2/examples", "The frames of the manual stop the shaft.", "examples/stop_relative_axis/*"),
-    _said(
+    said("4.7.2/at-once", "With acceleration 0 it stands at once.", "motion/stop_relative_axis/at-once"),
+    said("4.7.2/stays", "It then stays where it is.", "motion/stop_relative_axis/stays-stopped"),
+    said("4.7.2/examples", "The frames of the manual stop the shaft.", "examples/stop_relative_axis/*"),
+    said(
         "4.7.2/status",
         "Status 1 says that it begins to stop, 2 that it stands, 3 that a limit stopped it.",
         "motion/stop_relative_axis/replies",
         "motion/stop_relative_axis/told-when-standing",
     ),
     *_tables("4.8.1", "move_absolute_axis", "F5 with speed, acceleration and 24 bits, signed", "a status of one byte"),
-    _said(
+    said(
         "4.8.1/target",
         "The shaft moves to a count of the encoder, wherever it is, and 31 reads so then.",
         "motion/move_absolute_axis/distance",
         "motion/move_absolute_axis/reads-as-asked",
         "motion/move_absolute_axis/same-place",
     ),
-    _said(
+    said(
         "4.8.1/ends-there",
         "It ends there at any speed.",
         "motion/move_absolute_axis/within",
         "motion/move_absolute_axis/crossed-ends",
     ),
-    _said(
+    said(
         "4.8.1/update",
         "A newer command on the way changes speed and target.",
         "motion/move_absolute_axis/newer-*",
         "motion/move_absolute_axis/update-*",
     ),
-    _said(
+    said(
         "4.8.1/speed",
         "It turns at the speed and by the ramp that are sent.",
         "motion/move_absolute_axis/crossed-speed",
         "timing/move_absolute_axis/takes-*",
         "ranges/move_absolute_axis/speed/width",
     ),
-    _said(
+    said(
         "4.8.1/range",
         "The target is -8388607 to 8388607.",
         "ranges/move_absolute_axis/position/*",
         "motion/move_absolute_axis/far",
     ),
-    _said("4.8.1/examples", "The frames of the manual move to 4000h and to -4000h.", "examples/move_absolute_axis/*"),
-    _said(
+    said("4.8.1/examples", "The frames of the manual move to 4000h and to -4000h.", "examples/move_absolute_axis/*"),
+    said(
         "4.8.1/status",
         "Status 1 says that it begins, and 2 that it is done.",
         "motion/move_absolute_axis/replies",
         "motion/move_absolute_axis/told-when-there",
     ),
-    _said(
+    said(
         "4.8.1/status-0",
         "Status 0 says that it does not run.",
         "motion/move_absolute_axis/disabled",
         "motion/move_absolute_axis/protected",
     ),
-    _said("4.8.1/status-3", "Status 3 says that an end limit stopped it.", "motion/set_home/end-limit-told-move_absolute_axis"),
+    said("4.8.1/status-3", "Status 3 says that an end limit stopped it.", "motion/set_home/end-limit-told-move_absolute_axis"),
     *_tables("4.8.2", "stop_absolute_axis", "F5 with speed and target 0", "a status of one byte"),
-    _said(
+    said(
         "4.8.2/ramp",
         "With an acceleration the shaft slows down by the ramp and stands.",
         "motion/stop_absolute_axis/by-ramp",
         "timing/stop_absolute_axis/told-in-time",
     ),
-    _said("4.8.2/at-once", "With acceleration 0 it stands at once.", "motion/stop_absolute_axis/at-once"),
-    _said("4.8.2/stays", "It then stays where it is.", "motion/stop_absolute_axis/stays-stopped"),
-    _said("4.8.2/examples", "The frames of the manual stop the shaft.", "examples/stop_absolute_axis/*"),
-    _said(
+    said("4.8.2/at-once", "With acceleration 0 it stands at once.", "motion/stop_absolute_axis/at-once"),
+    said("4.8.2/stays", "It then stays where it is.", "motion/stop_absolute_axis/stays-stopped"),
+    said("4.8.2/examples", "The frames of the manual stop the shaft.", "examples/stop_absolute_axis/*"),
+    said(
         "4.8.2/status",
         "Status 1 says that it begins to stop, 2 that it stands, 3 that a limit stopped it.",
         "motion/stop_absolute_axis/replies",
         "motion/stop_absolute_axis/told-when-standing",
     ),
     # Part 5: examples
-    _said("5.3/encoder", "30 is answered with carry 1 and value 29EFh.", "examples/read_encoder_carry/2"),
-    _said("5.4/run", "F6 runs the motor and is answered by 1.", "examples/run_speed/3"),
-    _said(
+    said("5.3/encoder", "30 is answered with carry 1 and value 29EFh.", "examples/read_encoder_carry/2"),
+    said("5.4/run", "F6 runs the motor and is answered by 1.", "examples/run_speed/3"),
+    said(
         "5.4/save", "FF C8 saves the run and is answered by 1.", "examples/save_speed/1", "motion/save_speed/runs-direction-0"
     ),
-    _said("5.4/stop", "F6 with speed 0 stops the motor and is answered by 1.", "examples/stop_speed/3"),
-    _said("5.4/after-power-on", "The saved run begins again after power comes on.", "motion/save_speed/runs-direction-*"),
-    _said("5.5/move", "FD moves by 200 turns and is answered by 1, then 2.", "examples/move_relative_pulses/5"),
-    _said("5.5/long-move", "FD backwards by 1000 turns is answered by 1 when it begins.", "examples/move_relative_pulses/6"),
-    _said(
+    said("5.4/stop", "F6 with speed 0 stops the motor and is answered by 1.", "examples/stop_speed/3"),
+    said("5.4/after-power-on", "The saved run begins again after power comes on.", "motion/save_speed/runs-direction-*"),
+    said("5.5/move", "FD moves by 200 turns and is answered by 1, then 2.", "examples/move_relative_pulses/5"),
+    said("5.5/long-move", "FD backwards by 1000 turns is answered by 1 when it begins.", "examples/move_relative_pulses/6"),
+    said(
         "5.5/stop",
         "FD with speed 0 on the way stops the motor and is answered by 1, then 2.",
         "examples/stop_relative_pulses/3",
     ),
-    _unseen("6.1/supply", "The supply is 12 to 24 V; nothing is plugged under power; phases are connected in order.", "wiring"),
+    unseen("6.1/supply", "The supply is 12 to 24 V; nothing is plugged under power; phases are connected in order.", "wiring"),
 )

@@ -1,7 +1,7 @@
 """What the RS485 manual V1.0.5 of the MKS SERVO42D/57D says a drive does: Part 8, its Modbus-RTU chapter.
 
 In the manual's order, in our words. Parts 1 to 3 and section 6.1, which hold for both links, stand in
-`mks_rs485_statements`. Part 8 prints requests and replies as tables: that each is answered so is one statement of its section.
+`mks_shared_statements`. Part 8 prints requests and replies as tables: that each is answered so is one statement of its section.
 
 Not here: the files for a Modbus tool that the manual names (.mbp).
 """
@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from analyzer.catalogue import Statement
-from analyzer.protocols.mks_rs485_statements import CURRENT_UNSEEN, DISPLAY, KEYS, RAMPS, SHARED, read, said, unseen
+from analyzer.protocols.mks_shared_statements import CURRENT_UNSEEN, DISPLAY, KEYS, RAMPS, SHARED, read, said, unseen
 
 
 def _write(section: str, name: str, what: str, *effects: Statement) -> Iterator[Statement]:
