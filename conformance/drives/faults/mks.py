@@ -12,29 +12,21 @@ from fractions import Fraction
 from analyzer.catalogue import Verb
 from analyzer.link import READS, WRITE_MANY, WRITE_ONE
 from conformance.drives.faults import mks_behaviour as mks
+from conformance.drives.faults import mks_frames
 from conformance.drives.faults.mks_behaviour import (
     MOVES,
     afterwards,
-    answering,
     before,
     clinging,
     completing,
-    deaf_to,
-    done,
     forgetful,
     half_way,
-    hearing,
     heedless,
     homing_by,
     instead,
     landing,
     lying,
-    not_done,
-    of_functions,
     read_back,
-    silent_to,
-    slots,
-    translated,
     tuned,
     unless,
     unsaid,
@@ -42,6 +34,17 @@ from conformance.drives.faults.mks_behaviour import (
     with_law,
     with_state,
     wrapped,
+)
+from conformance.drives.faults.mks_frames import (
+    answering,
+    deaf_to,
+    done,
+    hearing,
+    not_done,
+    of_functions,
+    silent_to,
+    slots,
+    translated,
 )
 from conformance.drives.faults.numbers import accepts, always, exchanged, negated, renamed
 from conformance.drives.faults.places import (
@@ -84,78 +87,103 @@ PARAMETER = Verb.READ_PARAMETER
 
 HEARING: Rows = {
     "checksum": (
-        Row("hears-bad-checksum", "frames with a wrong checksum are executed and answered", taken(mks.take_bad_checksum)),
+        Row(
+            "hears-bad-checksum", "frames with a wrong checksum are executed and answered", taken(mks_frames.take_bad_checksum)
+        ),
         Row(
             "executes-bad-checksum",
             "frames with a wrong checksum are executed and not answered",
-            together(taken(mks.take_bad_checksum), silent_to(lambda d, m: not m.frame.checksum_ok)),
+            together(taken(mks_frames.take_bad_checksum), silent_to(lambda d, m: not m.frame.checksum_ok)),
         ),
         Row(
             "executes-bad-motion",
             "motion with a wrong checksum is executed and not answered",
-            together(taken(mks.take_bad_motion), silent_to(lambda d, m: not m.frame.checksum_ok)),
+            together(taken(mks_frames.take_bad_motion), silent_to(lambda d, m: not m.frame.checksum_ok)),
         ),
-        Row("deaf-after-bad-frame", "after a frame with a wrong checksum the next good one is not heard", Change(mks.startle)),
+        Row(
+            "deaf-after-bad-frame",
+            "after a frame with a wrong checksum the next good one is not heard",
+            Change(mks_frames.startle),
+        ),
     ),
     "head": (
-        Row("hears-reply-head", "frames with the head of a reply are taken for requests", taken(mks.take_reply_head), NATIVE),
+        Row(
+            "hears-reply-head",
+            "frames with the head of a reply are taken for requests",
+            taken(mks_frames.take_reply_head),
+            NATIVE,
+        ),
     ),
-    "unknown": (Row("answers-unknown-code", "unknown codes are answered with status 0", taken(mks.answer_unknown), TELLING),),
+    "unknown": (
+        Row("answers-unknown-code", "unknown codes are answered with status 0", taken(mks_frames.answer_unknown), TELLING),
+    ),
     "address": (
         Row(
             "answers-another-address",
             "requests to any address are executed and answered",
-            together(hearing(lambda d, m: True), answering(mks.to_one)),
+            together(hearing(lambda d, m: True), answering(mks_frames.to_one)),
         ),
         Row("executes-another-address", "requests to any address are executed, without an answer", hearing(lambda d, m: True)),
         Row(
             "executes-motion-of-another",
             "motion to any address is executed, and not answered",
-            hearing(mks.motion_of_another),
+            hearing(mks_frames.motion_of_another),
             CAN,
         ),
         Row(
             "answers-next-address",
             "requests to the next higher address are answered too",
-            together(hearing(mks.to_next), answering(mks.to_next)),
+            together(hearing(mks_frames.to_next), answering(mks_frames.to_next)),
         ),
         Row(
             "address-low-byte-only",
             "only the low byte of an ID is looked at",
-            together(hearing(mks.same_low_byte), answering(mks.same_low_byte)),
+            together(hearing(mks_frames.same_low_byte), answering(mks_frames.same_low_byte)),
             CAN,
         ),
     ),
     "broadcast": (
-        Row("answers-broadcast", "broadcasts are answered", answering(mks.to_all)),
-        Row("answers-broadcast-reads", "reads by broadcast are answered", answering(mks.read_of_all)),
-        Row("broadcast-stops-ignored", "a stop by broadcast is not executed", deaf_to(mks.stop_of_all)),
-        Row("ignores-broadcast", "broadcasts are not executed", deaf_to(mks.to_all)),
+        Row("answers-broadcast", "broadcasts are answered", answering(mks_frames.to_all)),
+        Row("answers-broadcast-reads", "reads by broadcast are answered", answering(mks_frames.read_of_all)),
+        Row("broadcast-stops-ignored", "a stop by broadcast is not executed", deaf_to(mks_frames.stop_of_all)),
+        Row("ignores-broadcast", "broadcasts are not executed", deaf_to(mks_frames.to_all)),
     ),
     "group": (
-        Row("answers-group", "requests to the group address are answered", answering(mks.to_group), TELLING),
+        Row("answers-group", "requests to the group address are answered", answering(mks_frames.to_group), TELLING),
         Row(
             "ignores-group-stops",
             "stops to the group address are not executed",
-            deaf_to(lambda d, m: mks.to_group(d, m) and mks.stops(m)),
+            deaf_to(lambda d, m: mks_frames.to_group(d, m) and mks_frames.stops(m)),
             TELLING,
         ),
-        Row("ignores-group", "requests to the group address are not executed", deaf_to(mks.to_group), TELLING),
-        Row("group-replaces-address", "a drive in a group no longer hears its own address", deaf_to(mks.grouped), TELLING),
+        Row("ignores-group", "requests to the group address are not executed", deaf_to(mks_frames.to_group), TELLING),
+        Row(
+            "group-replaces-address", "a drive in a group no longer hears its own address", deaf_to(mks_frames.grouped), TELLING
+        ),
     ),
     "package": (
-        Row("package-answered", "packages are answered", answering(mks.package), NATIVE),
-        Row("package-ignored", "packages are not executed", deaf_to(mks.package), NATIVE),
-        Row("package-any-length", "packages shorter than 52 bytes are executed", taken(mks.take_short_package), NATIVE),
-        Row("package-any-checksum", "packages are executed whatever their checksum", taken(mks.take_bad_package), NATIVE),
-        Row("package-both-slots", "all slots for an address are executed", slots(lambda own, all_, w: mks.mine(own, all_))),
+        Row("package-answered", "packages are answered", answering(mks_frames.package), NATIVE),
+        Row("package-ignored", "packages are not executed", deaf_to(mks_frames.package), NATIVE),
+        Row("package-any-length", "packages shorter than 52 bytes are executed", taken(mks_frames.take_short_package), NATIVE),
+        Row(
+            "package-any-checksum", "packages are executed whatever their checksum", taken(mks_frames.take_bad_package), NATIVE
+        ),
+        Row(
+            "package-both-slots",
+            "all slots for an address are executed",
+            slots(lambda own, all_, w: mks_frames.mine(own, all_)),
+        ),
         Row(
             "package-last-slot",
             "of two slots for an address the last is executed",
-            slots(lambda own, all_, w: mks.mine(own, all_)[-1:]),
+            slots(lambda own, all_, w: mks_frames.mine(own, all_)[-1:]),
         ),
-        Row("package-next-slot", "the slot behind the own one is executed", slots(mks.behind_mine)),
-        Row("package-first-slot-only", "only the first slot is looked at", slots(lambda own, all_, w: mks.mine(own, all_[:1]))),
+        Row("package-next-slot", "the slot behind the own one is executed", slots(mks_frames.behind_mine)),
+        Row(
+            "package-first-slot-only",
+            "only the first slot is looked at",
+            slots(lambda own, all_, w: mks_frames.mine(own, all_[:1])),
+        ),
         Row("package-every-slot", "the slots of all addresses are executed", slots(lambda own, all_, w: all_)),
         Row(
             "package-without-stops",
@@ -168,7 +196,9 @@ HEARING: Rows = {
             slots(lambda own, all_, w: [s for s in w if s.command is not None and s.command.motion is not None]),
         ),
         Row(
-            "package-broadcast-slot", "a slot for address 0 is executed", slots(lambda own, all_, w: w or mks.mine(0, all_)[:1])
+            "package-broadcast-slot",
+            "a slot for address 0 is executed",
+            slots(lambda own, all_, w: w or mks_frames.mine(0, all_)[:1]),
         ),
     ),
     "exception": (
@@ -536,7 +566,9 @@ COMPLETION: Rows = {
         Row("home-completion-missing", "the end of homing is not told", unsaid(Verb.HOME, 2)),
         Row("home-begins-with-2", "homing begins with status 2", reply("status", renamed(1, 2), Verb.HOME), TELLING),
         Row("calibration-without-interim", "80 is not answered when it begins", unsaid(Verb.CALIBRATE, 0)),
-        Row("modbus-completions", "the end of a move is told by a second echo", frames(mks.echo_at_end, (F4, F5)), MODBUS),
+        Row(
+            "modbus-completions", "the end of a move is told by a second echo", frames(mks_frames.echo_at_end, (F4, F5)), MODBUS
+        ),
     ),
     "respond": (
         Row("respond-ignored", "respond 0 silences nothing", heedless("respond"), TELLING),
@@ -590,13 +622,18 @@ STATES: Rows = {
         ),
     ),
     "checksum": (
-        Row("homes-on-bad-checksum", "91 with a wrong checksum is executed", mks.take_bad(Verb.HOME)),
-        Row("disables-on-bad-checksum", "F3 with a wrong checksum is executed", mks.take_bad(Verb.ENABLE)),
-        Row("stores-on-bad-checksum", "settings with a wrong checksum are stored", mks.take_bad(*SETTINGS), CAN),
+        Row("homes-on-bad-checksum", "91 with a wrong checksum is executed", mks_frames.take_bad(Verb.HOME)),
+        Row("disables-on-bad-checksum", "F3 with a wrong checksum is executed", mks_frames.take_bad(Verb.ENABLE)),
+        Row("stores-on-bad-checksum", "settings with a wrong checksum are stored", mks_frames.take_bad(*SETTINGS), CAN),
     ),
     "group": (
-        Row("group-deaf-to-settings", "settings by the group are not stored", deaf_to(mks.setting_of_group), CAN),
-        Row("group-low-byte-only", "only the low byte of a group address is looked at", hearing(mks.low_byte_of_group), CAN),
+        Row("group-deaf-to-settings", "settings by the group are not stored", deaf_to(mks_frames.setting_of_group), CAN),
+        Row(
+            "group-low-byte-only",
+            "only the low byte of a group address is looked at",
+            hearing(mks_frames.low_byte_of_group),
+            CAN,
+        ),
     ),
     "motion": (
         Row("newer-target-refused", "F5 is refused while a move is under way", before(F5, mks.refuse_newer)),
@@ -627,83 +664,87 @@ FUNCTIONS: Rows = {
         Row(
             "read-byte-count-in-registers",
             "reads count registers instead of bytes",
-            of_functions(READS, byte(mks.COUNT, lambda n: n // mks.WORD)),
+            of_functions(READS, byte(mks_frames.COUNT, lambda n: n // mks_frames.WORD)),
         ),
         Row(
             "read-byte-count-off-by-one",
             "the byte count of reads is one too high",
-            of_functions(READS, byte(mks.COUNT, lambda n: n + 1)),
+            of_functions(READS, byte(mks_frames.COUNT, lambda n: n + 1)),
         ),
-        Row("home-takes-six-bytes", "90h is taken with six bytes", translated(mks.six_bytes)),
+        Row("home-takes-six-bytes", "90h is taken with six bytes", translated(mks_frames.six_bytes)),
     ),
     "byte order": (
         Row(
             "read-words-swapped",
             "numbers of several registers come low register first",
-            of_functions(READS, mks.low_word_first),
+            of_functions(READS, mks_frames.low_word_first),
         ),
     ),
     "shape": (
         Row(
             "read-repeats-register",
             "a read is answered with its register before the data",
-            of_functions(READS, lambda b: b[: mks.COUNT + 1] + b"\0\x31" + b[mks.COUNT + 1 :]),
+            of_functions(READS, lambda b: b[: mks_frames.COUNT + 1] + b"\0\x31" + b[mks_frames.COUNT + 1 :]),
         ),
     ),
     "echo": (
         Row(
             "write-echo-zero",
             "06h is echoed with the value 0",
-            of_functions(WRITE_ONE, done(lambda b: b[: mks.VALUE] + b"\0\0")),
+            of_functions(WRITE_ONE, done(lambda b: b[: mks_frames.VALUE] + b"\0\0")),
         ),
         Row(
             "write-echo-next-register",
             "writes are echoed with the next register",
-            of_functions(WRITES, byte(mks.REGISTER + 1, lambda r: r + 1)),
+            of_functions(WRITES, byte(mks_frames.REGISTER + 1, lambda r: r + 1)),
         ),
-        Row("write-many-echoes-all", "10h is answered with the whole request", Change(mks.echo_write), MODBUS),
+        Row("write-many-echoes-all", "10h is answered with the whole request", Change(mks_frames.echo_write), MODBUS),
         Row(
             "refusal-echoes-value",
             "a refused 06h is echoed with 0",
-            of_functions(WRITE_ONE, not_done(lambda b: b[: mks.VALUE] + b"\0\0")),
+            of_functions(WRITE_ONE, not_done(lambda b: b[: mks_frames.VALUE] + b"\0\0")),
         ),
     ),
     "quantity": (
         Row(
             "write-many-quantity-in-bytes",
             "10h is echoed with the byte count",
-            of_functions(WRITE_MANY, done(byte(mks.VALUE + 1, lambda q: 2 * q))),
+            of_functions(WRITE_MANY, done(byte(mks_frames.VALUE + 1, lambda q: 2 * q))),
         ),
         Row(
             "write-many-quantity-off-by-one",
             "10h is echoed with a quantity one too low",
-            of_functions(WRITE_MANY, done(byte(mks.VALUE + 1, lambda q: q - 1))),
+            of_functions(WRITE_MANY, done(byte(mks_frames.VALUE + 1, lambda q: q - 1))),
         ),
         Row(
             "refusal-echoes-quantity",
             "a refused 10h is echoed with its quantity",
-            of_functions(WRITE_MANY, not_done(byte(mks.VALUE + 1, lambda _: 4))),
+            of_functions(WRITE_MANY, not_done(byte(mks_frames.VALUE + 1, lambda _: 4))),
         ),
-        Row("any-quantity-reads", "a read of any quantity is answered with the register's own", translated(mks.own_quantity)),
+        Row(
+            "any-quantity-reads",
+            "a read of any quantity is answered with the register's own",
+            translated(mks_frames.own_quantity),
+        ),
     ),
     "code": (
         Row(
             "write-one-as-many",
             "06h is answered under function 10h",
-            of_functions(WRITE_ONE, byte(mks.FUNCTION, lambda _: 0x10)),
+            of_functions(WRITE_ONE, byte(mks_frames.FUNCTION, lambda _: 0x10)),
         ),
     ),
     "exception": (
         Row(
             "refused-by-exception",
             "refused writes are answered with exception 03",
-            of_functions(WRITES, not_done(lambda b: bytes((b[0], b[mks.FUNCTION] | 0x80, 3)))),
+            of_functions(WRITES, not_done(lambda b: bytes((b[0], b[mks_frames.FUNCTION] | 0x80, 3)))),
         ),
         Row("exception-always-04", "every exception is 04", of_functions(REQUESTS, byte(2, lambda _: 4), exceptions=True)),
         Row(
             "exception-while-turning",
             "reads are answered by exception 04 while the shaft turns",
-            frames(mks.busy_while_turning),
+            frames(mks_frames.busy_while_turning),
             MODBUS,
         ),
         Row(
@@ -714,12 +755,12 @@ FUNCTIONS: Rows = {
         Row(
             "exception-without-bit",
             "exceptions lack the high bit of the function",
-            of_functions(REQUESTS, byte(mks.FUNCTION, lambda f: f & 0x7F), exceptions=True),
+            of_functions(REQUESTS, byte(mks_frames.FUNCTION, lambda f: f & 0x7F), exceptions=True),
         ),
     ),
-    "function": (Row("function-03-reads", "03h reads as 04h does", translated(mks.as_04)),),
+    "function": (Row("function-03-reads", "03h reads as 04h does", translated(mks_frames.as_04)),),
     "address": (
-        Row("register-low-byte-only", "only the low byte of a register is looked at", translated(mks.low_byte_register)),
+        Row("register-low-byte-only", "only the low byte of a register is looked at", translated(mks_frames.low_byte_register)),
     ),
 }
 

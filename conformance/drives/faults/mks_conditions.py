@@ -15,7 +15,8 @@ from analyzer.link import WRITE_ONE
 from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Outgoing, Request, Values
-from conformance.drives.faults.mks_behaviour import OK, before, clinging, forgetful, mks, own, tuned
+from conformance.drives.faults.mks_behaviour import OK, before, clinging, forgetful, mks, tuned
+from conformance.drives.faults.mks_frames import own
 from conformance.drives.faults.places import (
     CAN,
     CAN_LONGEST,

@@ -15,8 +15,9 @@ from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Request, Values
 from conformance.drives.faults import numbers
-from conformance.drives.faults.mks_behaviour import OK, before, mine, slots, tuned
+from conformance.drives.faults.mks_behaviour import OK, before, tuned
 from conformance.drives.faults.mks_conditions import refused_when, undone_when
+from conformance.drives.faults.mks_frames import mine, slots
 from conformance.drives.faults.places import NATIVE, SERIAL, Change, Row, Rows, faults, having, limit, request, result, storing
 from conformance.drives.mks.core import STOPS, Activity, MksCore
 from conformance.drives.mks.motion import TARGETS
