@@ -18,7 +18,7 @@ from enum import StrEnum
 from functools import cached_property
 from importlib import import_module
 
-from analyzer.layout import Effect, Field, Layout
+from analyzer.layout import ANSWERING, Effect, Field, Layout
 from analyzer.link import Link
 from analyzer.link import Role as Role
 
@@ -479,6 +479,11 @@ class Command:
         """What the request's fields change, each with the name of its field."""
         fields = all_fields(self.request_forms).values()
         return {f.effect: f.name for f in reversed(fields) if f.effect is not None}
+
+    @cached_property
+    def changes_answers(self) -> bool:
+        """Whether the request changes who answers, or how."""
+        return not ANSWERING.isdisjoint(self.effects)
 
     def sets(self, effect: Effect) -> str:
         """Return the name of the request's field that has an effect, or nothing."""

@@ -89,7 +89,7 @@ class Decoder:
     def _new_lane(self, frame: Frame) -> Lane | tuple[Lane, Lane] | _Several | None:
         """Return the lane of frames like this, or those that are chosen from.
 
-        That is a request's and its reply's, where the two look alike; or those of several commands of one code.
+        That is a request's and a reply's, where the two look alike; or those of several commands of one code.
         """
         head = self._link.parse(frame.data, frame.can.id if frame.can is not None else None)
         if head.code is None or head.exception is not None or head.quantity is not None:
@@ -116,7 +116,7 @@ class Decoder:
         if chosen:
             return None
         alike = len(lanes) == 2 and lanes[0].is_request and not lanes[1].is_request
-        return (lanes[0], lanes[1]) if alike and lanes[0].command is lanes[1].command else None
+        return (lanes[0], lanes[1]) if alike else None
 
     # --- who sent it ----------------------------------------------------------------------------------------------
 
@@ -360,7 +360,7 @@ class _Several:
 
 
 def _chosen(lanes: tuple[Lane, Lane], data: bytes, context: Context) -> Lane | None:
-    """Tell a request from its reply where the two look alike, as far as it is plain: by the one open request."""
+    """Tell a request from a reply where the two look alike, as far as it is plain: by the one open request."""
     request, reply = lanes
     own = data[request.start : request.stop]
     waiting = context.open.get(request.address)

@@ -54,6 +54,10 @@ class Effect(StrEnum):
     HOME_SPEED = "home_speed"
 
 
+#: What changes who answers, and how.
+ANSWERING = frozenset((Effect.ADDRESS, Effect.GROUP, Effect.DIALECT, Effect.RESPOND, Effect.ACTIVE))
+
+
 @cache
 def _choice_names(choices: type[IntEnum]) -> dict[int, str]:
     return {int(c): c.name.lower() for c in choices}

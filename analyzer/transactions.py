@@ -158,7 +158,7 @@ class Transactions:
             or request.state is not State.WAITING
             or context.echoes
             or frame.first_ns - request.t_ns > self.late_ns
-            or command.effects
+            or command.changes_answers
         ):
             return None
         if command.judged:
@@ -349,7 +349,7 @@ class Transactions:
         if command is not None:
             if command.silenced:
                 self._answers_motion.add(message.address)
-            if meaning == "final" and command.effects:
+            if meaning == "final" and command.changes_answers:
                 self._learn(request.message)
         self._last_reply[message.address] = message.frame.data
         if request.state is State.DONE:

@@ -234,7 +234,7 @@ class Pairing:
             for lane in self._decoder.lanes(frame):
                 if not ColumnCodec.fits(lane.form.layout) or lane.command.borrows:
                     continue
-                if not lane.is_request and lane.command.effects:
+                if not lane.is_request and lane.command.changes_answers:
                     continue
                 lane.topic = self._port.topic_of(lane.address, lane.command, lane.role)
                 known[not lane.is_request].append(len(self._lanes))
