@@ -57,6 +57,13 @@ def test_demo_names_three_commands_that_work(tmp_path):
         assert "servotap: " not in output.splitlines()[-1], output
 
 
+def test_the_files_that_a_newcomer_is_sent_to_exist():
+    page = (ROOT / "docs" / "adding.md").read_text()
+    named = re.findall(rf"((?:{'|'.join(PACKAGES)}|tests|docs)/[\w/.]*)", page)
+    assert len(named) > 20
+    assert [path for path in named if not (ROOT / path).exists() and "DIALECT" not in path] == []
+
+
 #: Pages and modules, whose texts name commands: `servotap record serial:PORT,baud=auto`.
 TEXTS = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(p for name in PACKAGES for p in (ROOT / name).rglob("*.py"))]
 #: Places that a text leaves open.

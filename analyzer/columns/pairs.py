@@ -1,10 +1,10 @@
 """Which frames of a block are plain exchanges: a request that is in order, and right behind it the reply that ends it.
 
-Theory of operation. Identifier, length and code of a frame name its lanes, as for single frames. A frame can be a request, a
-reply, or, where the two look alike, either. At row `i` a plain exchange begins if row `i` can be a request, row `i + 1` a final
-reply to that command, and nothing is wrong with the two. Exchanges that follow each other are a run. A run is passed on whole
-as far as no open request has to do with it: until one would be given up, and but for drives that still wait for a reply. All
-other frames go one by one, in their order.
+Theory of operation. Identifier, length and code of a frame name its lanes, as for single frames. A frame can be a request,
+a reply, or, where the two look alike, either. At row `i` a plain exchange begins under three conditions: row `i` can be a
+request, row `i + 1` a final reply to that command, and nothing is wrong with the two. Exchanges that follow each other are
+a run. A run is passed on whole as far as no open request has to do with it: until one would be given up, and but for drives
+that still wait for a reply. All other frames go one by one, in their order.
 """
 
 from __future__ import annotations

@@ -103,7 +103,7 @@ CAUSES = {
             "noise",
             "Noise damages frames here and there; most get through.",
             "Bad checksums and stray bytes at any address, in requests and replies, in no order.",
-            "No common ground, no or too many terminations, no bias, motor cables beside the bus, or a speed at its limit.",
+            "The bus lacks ground or bias, has wrong terminations, lies at motor cables, or is at the limit of its speed.",
             "Check ground, termination and bias; shield the bus and lay it away from motor cables; repeat what fails.",
             "FB 01 30 00 00 40 01 20 00 4D for FB 01 30 00 00 00 01 20 00 4D",
         ),

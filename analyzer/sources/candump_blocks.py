@@ -2,8 +2,8 @@
 
     (1436509052.249713) can0 001#F60140023A
 
-Lines of one length that look like the first of them are read together, place by place. What is no plain data frame with an
-identifier of 11 bits is left to the reader of single lines, in its place.
+Lines of one length that look like the first of them are read together, place by place. They hold plain data frames with
+identifiers of 11 bits. All other lines are left to the reader of single lines, in their place.
 """
 
 from __future__ import annotations

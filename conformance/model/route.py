@@ -66,7 +66,7 @@ _LONG, _LONG_RPM = 540, 90
 #: A homing search that no switch ends is this fast at most.
 _HOME_RPM = 600
 _GOING_LOOKS, _LOOKS = 2, 3
-#: What changes between rows, and the share of rows that come whatever changes.
+#: What changes between rows, and the share of rows that come in any case.
 _SETTINGS, _LEAPS = ("mode", "on", "subdivision", "direction", "replies"), 0.15
 #: The farthest name of a place, in hundredths of a degree.
 _FAR = 100_000_000

@@ -1,4 +1,4 @@
-"""Readers give the same frames singly and in blocks, whatever else stands between plain ones."""
+"""Readers give the same frames singly and in blocks, with any others between plain ones."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def pcap(rows, path, padding=8, order="<"):
         )
         for t_ns, ident, data, odd in rows
     ]
-    # The length counts the data alone, whatever is stored.
+    # The length counts the data alone, also where more is stored.
     made = [
         (t_ns, record[:4] + bytes((len(data),)) + record[5:])
         for (t_ns, record), (_, _, data, _) in zip(made, rows, strict=True)

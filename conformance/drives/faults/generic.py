@@ -398,11 +398,9 @@ NUMBER: Rows = {
     ),
     "sign": (
         Row("negative-positions-cut", "positions below zero are taken for zero", asked("position", at_least(0))),
-        Row("lk-asked-speed-sign-lost", "0xA2 runs clockwise whatever the sign", asked("speed", without_sign)),
+        Row("lk-asked-speed-sign-lost", "0xA2 runs clockwise, for both signs", asked("speed", without_sign)),
         Row(
-            "lk-increment-sign-lost",
-            "0xA7 and 0xA8 go clockwise whatever the sign",
-            asked("position", without_sign, INCREMENTS),
+            "lk-increment-sign-lost", "0xA7 and 0xA8 go clockwise, for both signs", asked("position", without_sign, INCREMENTS)
         ),
         Row("lk-temperature-unsigned", "temperatures below zero are answered as 0", reply("temperature", at_least(0))),
     ),

@@ -751,7 +751,7 @@ ROWS: Rows = {
             _read(lambda d, v: {"encoder_zero": d.motor.encoder}, Verb.SET_ZERO),
         ),
         Row("lk-zero-at-once", "0x19 moves the zero at once", acting("set_zero", _zero_now, after=True)),
-        Row("lk-zero-not-told", "0x90 tells the offset 0, whatever 0x19 set", reply("encoder_offset", always(0))),
+        Row("lk-zero-not-told", "0x90 always tells the offset 0", reply("encoder_offset", always(0))),
         Row("lk-zero-lost", "the zero of 0x19 is not there after power-up", unstored("encoder_zero")),
     ),
     "parameters": (
@@ -797,7 +797,7 @@ ROWS: Rows = {
         ),
         Row(
             "lk-single-turn-shortest",
-            "0xA5 and 0xA6 take the shortest way whatever the direction",
+            "0xA5 and 0xA6 take the shortest way, for both directions",
             moving(SINGLE_TURN, _shortest),
         ),
         Row("lk-speed-inverted", "0xA2 runs in the other direction", asked("speed", negated)),

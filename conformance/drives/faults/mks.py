@@ -165,9 +165,7 @@ HEARING: Rows = {
         Row("package-answered", "packages are answered", answering(mks_frames.package), NATIVE),
         Row("package-ignored", "packages are not executed", deaf_to(mks_frames.package), NATIVE),
         Row("package-any-length", "packages shorter than 52 bytes are executed", taken(mks_frames.take_short_package), NATIVE),
-        Row(
-            "package-any-checksum", "packages are executed whatever their checksum", taken(mks_frames.take_bad_package), NATIVE
-        ),
+        Row("package-any-checksum", "packages are executed with any checksum", taken(mks_frames.take_bad_package), NATIVE),
         Row(
             "package-both-slots",
             "all slots for an address are executed",
@@ -402,7 +400,7 @@ MOTION: Rows = {
         Row("ramp-off-by-one", "one rpm takes (255 - acc) x 50 us", with_law("ramp", lambda a: (255 - a) * 50_000 if a else 0)),
         Row("ramp-turned-round", "the larger the acceleration, the slower the ramp", with_law("ramp", lambda a: a * 50_000)),
         Row("acceleration-0-by-formula", "acceleration 0 is the slowest ramp", with_law("ramp", lambda a: (256 - a) * 50_000)),
-        Row("no-ramp", "speeds change at once whatever the acceleration", with_law("ramp", lambda a: 0)),
+        Row("no-ramp", "speeds change at once, at any acceleration", with_law("ramp", lambda a: 0)),
         Row("overshoot", "moves go 1000 counts beyond their target and come back", landing(1000, 0)),
     ),
     "direction": (
@@ -470,7 +468,7 @@ MOTION: Rows = {
         Row("newer-move-ignored", "moves are ignored while one is under way", before(MOVES, mks.keep_going)),
     ),
     "stop": (
-        Row("stop-without-ramp", "stops are at once whatever the acceleration", asked("acceleration", always(0), STOPS)),
+        Row("stop-without-ramp", "stops are at once, at any acceleration", asked("acceleration", always(0), STOPS)),
         Row(
             "stop-by-slowest-ramp", "stops go by the slowest ramp, also those at once", asked("acceleration", always(1), STOPS)
         ),
@@ -652,7 +650,7 @@ STATES: Rows = {
         ),
     ),
     "port": (
-        Row("alarm-never", "ALM tells no alarm, whatever is the matter", reply("alm", always(1))),
+        Row("alarm-never", "ALM never tells an alarm", reply("alm", always(1))),
         Row("in-2-dead", "in_2 stays 0", reply("in_2", always(0)), CAN),
     ),
 }

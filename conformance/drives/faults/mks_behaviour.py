@@ -198,7 +198,7 @@ def landing_above(speed: int, offset: int) -> Change:
 
 
 def at_speed_as_sent(behaviour: Behaviour) -> Behaviour:
-    """Move at the speed as sent, whatever the subdivision."""
+    """Move at the speed as sent, at any subdivision."""
 
     def act(drive: MksCore, request: Request) -> Values | None:
         law, drive.real_speed = drive.real_speed, lambda speed: speed  # type: ignore[method-assign]

@@ -570,7 +570,7 @@ def _zero_not_cleaned(drive: MksCore, request: Request) -> Values | None:
 
 
 def _home_told(drive: MksCore) -> None:
-    """Tell the end of homing whatever `active` says."""
+    """Tell the end of homing also where `active` is off."""
     complete = drive.complete
 
     def tell(request: Request, values: Values) -> None:
@@ -767,7 +767,7 @@ DOING: Rows = {
         ),
         Row(
             "package-never-disables",
-            "F3 in a package enables whatever it says",
+            "F3 in a package always enables",
             _in_packages(lambda values: values | {"enabled": 1}, Verb.ENABLE),
         ),
     ),

@@ -167,7 +167,7 @@ def take_reply_head(drive: Drive, frame: Frame, message: Message, wanted: bool) 
 
 
 def take_bad_package(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
-    """Take packages whatever their checksum."""
+    """Take packages with any checksum."""
     return wanted or package(mks(drive), message)
 
 

@@ -189,7 +189,7 @@ SEQUENCES: Rows = {
     ),
     "few send it": (
         Row("address-fa-refused", "the address FA is refused", limit("new_address", numbers.refuses(0xFA)), NATIVE),
-        Row("stops-of-all-at-once", "stops by broadcast are at once whatever their acceleration", tuned(_stops_of_all)),
+        Row("stops-of-all-at-once", "stops by broadcast are at once, at any acceleration", tuned(_stops_of_all)),
         Row(
             "short-moves-undone",
             f"moves by fewer than {_SHORTEST} units turn nothing",
