@@ -126,16 +126,8 @@ def _trouble(folder: Path, log: Path, interrupt: Interrupt) -> str:
         parts.close()
     except UnreadableError as error:
         return str(error)
-    place = 0
-
-    def reached(at: int) -> None:
-        nonlocal place
-        place = at
-        if interrupt.asked:
-            raise KeyboardInterrupt
-
-    with showing_progress(f"reading {path.name}", start.position, lambda: place):
-        broken = broken_before(path, start.position, reached)
+    with showing_progress(f"reading {path.name}", start.position, lambda: interrupt.place):
+        broken = broken_before(path, start.position, interrupt.reached)
     return f"{path} is damaged: {broken}" if broken else ""
 
 
@@ -271,27 +263,19 @@ def _repair(path: Path, target: Path | None, replace: bool) -> None:
     """Copy what can be read of a log into a whole one."""
     into = target or path
     with Interrupt() as interrupt:
-        place = 0
-
-        def told(at: int) -> None:
-            nonlocal place
-            place = at
-            if interrupt.asked:
-                raise KeyboardInterrupt
-
         size = path.stat().st_size
         if target is None:
-            with showing_progress(f"reading {path.name}", size, lambda: place):
-                whole = not broken_before(path, None, told) and not unreadable(path, told)
+            with showing_progress(f"reading {path.name}", size, lambda: interrupt.place):
+                whole = not broken_before(path, None, interrupt.reached) and not unreadable(path, interrupt.reached)
             if whole:
                 print(f"{printable(path.name)} is whole: nothing was changed")
                 return
         output = Output(into, replace or target is None)
         try:
-            with showing_progress(f"recovering {path.name}", size, lambda: place):
-                outcome = repair(path, output.stream, told)
+            with showing_progress(f"recovering {path.name}", size, lambda: interrupt.place):
+                outcome = repair(path, output.stream, interrupt.reached)
                 output.stream.flush()
-                trouble = unreadable(output.part, told)
+                trouble = unreadable(output.part, interrupt.reached)
             if trouble:
                 raise UnreadableError(f"{path} was repaired, but the result cannot be read back: {trouble}; it is as it was")
             output.keep()

@@ -40,13 +40,14 @@ class _Stop(Exception):
 
 
 class Interrupt:
-    """While this is entered, a signal ends `items` instead of raising; `asked` is its name.
+    """While this is entered, a signal ends `items` instead of raising; `asked` is its name, `place` how far the work is.
 
     It acts between items: what was read is decoded to its end, and nothing is cut in two.
     """
 
     def __init__(self) -> None:
         self.asked = ""
+        self.place = 0
         self._reading = False
         self._handled: contextlib.AbstractContextManager[None]
 
@@ -63,6 +64,12 @@ class Interrupt:
         if self._reading:
             # A read that waits would go on waiting: only there the signal has to break in.
             raise _Stop
+
+    def reached(self, place: int) -> None:
+        """Note how far the work is. Raises KeyboardInterrupt if a signal has arrived."""
+        self.place = place
+        if self.asked:
+            raise KeyboardInterrupt
 
     def items(self, source: Iterable[T]) -> Iterator[T]:
         """Yield the items of a source until it ends or a signal arrives."""

@@ -21,7 +21,7 @@ from conformance.claims.addressing_many import read_of, send_to
 from conformance.claims.control_reads import ask_first, expect_silence, judge_next, plain_read, received_text
 from conformance.claims.declare import Case, claim, commands, described_in, needing
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion_claim import expect_not_turned, expect_stays, of_motion, risks_by
+from conformance.claims.motion_claim import by_bus, expect_not_turned, expect_stays, of_motion, risks_by
 from conformance.motion import effects, motion
 from conformance.motion.effects import Observable
 from conformance.talk.exchange import Exchange, hex_of
@@ -146,16 +146,7 @@ def _not_executed(probe: Probe, shown: Observable) -> None:
     shown.control(probe)
 
 
-def _runs_and_moves(dialect: Dialect) -> Iterator[Case]:
-    """Yield the motions of the MKS drives by the bus."""
-    if dialect.family == "mks":
-        for command in dialect.motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO):
-            yield Case(dialect, command)
-
-
-@of_motion(
-    theme=Theme.ADDRESSING, each=_runs_and_moves, name="{command}/other_address", refuted_by="a shaft that turns", alone=True
-)
+@of_motion(theme=Theme.ADDRESSING, each=by_bus, name="{command}/other_address", refuted_by="a shaft that turns", alone=True)
 def _motion_of_another(probe: Probe, command: Command) -> None:
     """{command} to another address turns nothing."""
     dialect, own = probe.dialect, probe.address

@@ -219,7 +219,7 @@ def _acceleration(probe: Probe, ramp: int, how: Command) -> tuple[float, Exchang
 
 def _ramped(dialect: Dialect) -> Iterator[Case]:
     for case in commands(Verb.WRITE_PARAMETER)(dialect):
-        for run in dialect.motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO):
+        for run in dialect.motions(*motion.RUNS_AND_MOVES):
             yield Case(dialect, case.command, {"run": run})
 
 

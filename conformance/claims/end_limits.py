@@ -52,7 +52,7 @@ def _motions(*kinds: MotionKind) -> Cases:
 
 
 _moves = _motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO)
-_runs_and_moves = _motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO)
+_runs_and_moves = _motions(*motion.RUNS_AND_MOVES)
 
 
 def _of_limits(refuted_by: str, *, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:

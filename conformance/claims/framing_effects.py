@@ -14,7 +14,7 @@ from analyzer.link import HeadLink
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import received_text
 from conformance.claims.declare import Case, claim, commands, described_in
-from conformance.claims.motion_claim import expect_not_turned, expect_stays, of_motion
+from conformance.claims.motion_claim import by_bus, expect_not_turned, expect_stays, of_motion
 from conformance.motion import effects, motion
 from conformance.motion.effects import Observable
 from conformance.motion.motion import QUICK
@@ -234,20 +234,11 @@ def _expect_none_turns(probe: Probe, command: Command, values: Mapping[str, int]
     expect_stays(before, motion.position(probe), sent, f"{command.name} is executed with a wrong checksum")
 
 
-def _runs_and_moves(dialect: Dialect) -> Iterable[Case]:
-    """Return the motions of the MKS drives by the bus; a damaged one is small and slow as the whole one is."""
-    if dialect.family == "mks":
-        for command in dialect.motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO):
-            yield Case(dialect, command)
-
-
 def _read_as(case: Case) -> frozenset[Risk]:
     return _READ_AS.get(type(case.dialect.link), frozenset())
 
 
-@of_motion(
-    theme=Theme.FRAMING, each=_runs_and_moves, name="{command}/wrong_check", refuted_by="a shaft that turns", risks=_read_as
-)
+@of_motion(theme=Theme.FRAMING, each=by_bus, name="{command}/wrong_check", refuted_by="a shaft that turns", risks=_read_as)
 def _wrong_check(probe: Probe, command: Command) -> None:
     """{command} whose checksum does not fit turns nothing, however it is wrong."""
     motion.prepare(probe, command)
@@ -317,14 +308,14 @@ def _broadcasting(dialect: Dialect) -> Iterable[Case]:
     each=_broadcasting,
     name="broadcast/wrong_check",
     refuted_by="a shaft that turns",
-    risks=lambda case: _read_as(case).union(*(c.command.all_risks for c in _runs_and_moves(case.dialect) if c.command)),
+    risks=lambda case: _read_as(case).union(*(c.command.all_risks for c in by_bus(case.dialect) if c.command)),
     alone=True,
 )
 def _wrong_to_all(probe: Probe) -> None:
     """No motion to all drives turns a shaft if its checksum does not fit."""
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     before = motion.wait_standing(probe)
-    for case in _runs_and_moves(probe.dialect):
+    for case in by_bus(probe.dialect):
         assert case.command is not None
         command = probe.command(case.command.name)
         values = motion.values_of(probe.dialect, command, _DEGREES, acceleration=QUICK, start=motion.place(probe, command))

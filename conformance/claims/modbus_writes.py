@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from analyzer.link import WRITE_MANY, WRITE_ONE, ModbusLink
 from analyzer.protocols.modbus import ModbusException
 from conformance.claim import Inconclusive, Theme
@@ -227,7 +227,7 @@ def _other_function(probe: Probe, settings: tuple[Command, ...]) -> None:
 
 def _motions(dialect: Dialect) -> Iterator[Case]:
     for case in on_modbus(dialect):
-        for command in dialect.motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO):
+        for command in dialect.motions(*motion.RUNS_AND_MOVES):
             yield Case(case.dialect, command)
 
 

@@ -10,12 +10,12 @@ each declaration names its cases, its statement and what would refute it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from analyzer.catalogue import Command, MotionKind, Risk, Verb
+from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
 from conformance.claim import Aspect, Inconclusive, Refuted, Theme
-from conformance.claims.declare import Case, Cases, claim
+from conformance.claims.declare import Case, Cases, claim, motions
 from conformance.model.lk_parameters import need_room
 from conformance.motion import motion
 from conformance.motion.motion import SAME, Sample
@@ -86,6 +86,12 @@ def risks_of(*names: str) -> Callable[[Case], frozenset[Risk]]:
 def risks_by(*verbs: Verb) -> Callable[[Case], frozenset[Risk]]:
     """Return what tells all risks of the commands of some verbs, those that the dialect has."""
     return lambda case: frozenset().union(*(c.all_risks for v in verbs if (c := case.dialect.by_verb.get(v)) is not None))
+
+
+def by_bus(dialect: Dialect) -> Iterator[Case]:
+    """Yield the runs and moves of the MKS drives; a damaged one is small and slow as the whole one is."""
+    if dialect.family == "mks":
+        yield from motions(*motion.RUNS_AND_MOVES)(dialect)
 
 
 def has_direction(command: Command) -> bool:

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Verb
 from conformance.claim import Inconclusive
 from conformance.claims import bench
 from conformance.claims.control_reads import received_text
@@ -174,10 +174,7 @@ def _releases(probe: Probe, command: Command) -> None:
     probe.expect(abs(moved), at_least=10, unit="degrees", refutes=text, exchange=exchange)
 
 
-@_of_protection(
-    "a motion, or an answer that says success",
-    each=needing(Verb.SET_PROTECTION, motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO)),
-)
+@_of_protection("a motion, or an answer that says success", each=needing(Verb.SET_PROTECTION, motions(*motion.RUNS_AND_MOVES)))
 def _protected(probe: Probe, command: Command) -> None:
     """{command} is refused while the rotor protection holds."""
     protect(probe)
@@ -289,7 +286,7 @@ def _limp(probe: Probe, command: Command) -> None:
     if not _is_protected(probe):
         _expect_free(probe, exchange, went)
     _current(probe, True)
-    for each in probe.dialect.motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO):
+    for each in probe.dialect.motions(*motion.RUNS_AND_MOVES):
         expect_refused(probe, each, "while protected")
         _expect(probe, probe.traffic[-1], 1, f"{each.name} ends the protection")
     exchange = probe.ask(command)

@@ -28,7 +28,6 @@ from conformance.motion.motion import MS
 from conformance.talk.acceptance import Acceptance, acceptance, can_refuse, expect_accepted, expect_refused
 from conformance.talk.probe import Probe, Until
 
-_RUNS = (MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO)
 #: How slow a move is whose distance does not matter, and how steep the ramp of one that is to reach a high speed. (Not 250:
 #: that byte begins a frame, and what follows it would have to be allowed as one.)
 SLOW, STEEP = 10, 252
@@ -45,7 +44,7 @@ _TWO_BYTE_RPM = 257
 def turns(command: Command) -> bool:
     """Say whether a command is a run, a move or the stop of one by a ramp, and can be refused."""
     moving = command.motion
-    kinds = (*_RUNS, MotionKind.STOP)
+    kinds = (*motion.RUNS_AND_MOVES, MotionKind.STOP)
     return can_refuse(command) and moving is not None and moving.kind in kinds and bool(moving.acceleration)
 
 
@@ -54,7 +53,7 @@ def _commands(dialect: Dialect) -> Iterator[Command]:
 
 
 def _runs(dialect: Dialect) -> Iterator[Command]:
-    return (command for command in _commands(dialect) if motion.of(command).kind in _RUNS)
+    return (command for command in _commands(dialect) if motion.of(command).kind in motion.RUNS_AND_MOVES)
 
 
 def _needs(dialect: Dialect, command: Command, *, stands: bool = False) -> dict[str, Any]:

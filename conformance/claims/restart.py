@@ -542,7 +542,7 @@ def _motion_as_before(probe: Probe, command: Command) -> None:
 
 def motion_commands(dialect: Dialect) -> tuple[Command, ...]:
     """Return the motions that a bus asks for."""
-    return dialect.motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO)
+    return dialect.motions(*motion.RUNS_AND_MOVES)
 
 
 def _each_motion(probe: Probe) -> dict[str, float]:

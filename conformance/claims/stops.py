@@ -267,7 +267,7 @@ def _stops_all(probe: Probe, command: Command) -> None:
 
 def _emergencies(dialect: Dialect) -> Iterator[Case]:
     for case in _emergency(dialect):
-        for run in dialect.motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO):
+        for run in dialect.motions(*motion.RUNS_AND_MOVES):
             yield Case(dialect, case.command, {"run": run})
 
 

@@ -265,7 +265,7 @@ def _while_moving(probe: Probe, command: Command) -> None:
 
 
 def _motions_and_stops(dialect: Dialect) -> Iterator[Case]:
-    motions = dialect.motions(MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO)
+    motions = dialect.motions(*motion.RUNS_AND_MOVES)
     for command in (*motions, *(dialect.stops_of(m)[0] for m in motions)):
         yield Case(dialect, command)
 

@@ -51,6 +51,8 @@ QUICK = 248
 CALM = 60
 #: The kinds of motion that end by themselves at a place.
 MOVES = (MotionKind.MOVE_BY, MotionKind.MOVE_TO, MotionKind.MOVE_IN_TURN)
+#: What any drive does at a speed that is asked for, but for moves within a turn.
+RUNS_AND_MOVES = (MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO)
 #: The subdivision at which the suite counts pulses.
 SUBDIVISION = 16
 #: Degrees by which an axis without a known encoder may miss its target.
