@@ -130,12 +130,14 @@ def look(scene: Scene) -> Iterator[Suspicion]:
 
 
 def _frames(adapter: Adapter, data: bytes) -> list[Carried]:
+    """Return an adapter's frames, as far as they can still be enough."""
     found: list[Carried] = []
-    at = 0
-    while at < len(data) and len(found) < _MANY:
+    at = between = 0
+    while at < len(data) and len(found) < _MANY and between <= (1 - _SHARE) * len(data):
         frame = adapter.read(data, at)
         if frame is not None:
             found.append(frame)
+        between += frame is None
         at += 1 if frame is None else frame.size
     return found
 

@@ -10,12 +10,14 @@ What is left are very few rows of cells, and fewer whose bytes are a frame with 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator, Sequence
 from math import ceil
 from typing import NamedTuple
 
 #: Cells that a byte has: start, eight bits, stop.
 CELLS = 10
+#: By so many first bytes `read` can be told what is looked for.
+BEGUN = 3
 #: Cells that are set in one search, before it is given up.
 _MOST_STEPS = 12_000
 #: Steps after which what was found is good enough.
@@ -92,11 +94,41 @@ def levels(data: bytes, line: Line = AS_SENT, gap: int = 0) -> str:
     return seen.translate(_TURNED) if line.inverted else seen
 
 
-def read(seen: str, line: Line, late: tuple[float, float] = (0.0, 0.0), heads: bytes = b"") -> bytes:
+class Rows:
+    """Levels of many frames side by side, each behind one idle cell: a column of cells is a number, a row one bit of it."""
+
+    def __init__(self, rows: Sequence[str]) -> None:
+        width = max(map(len, rows))
+        self._columns = [
+            int("".join(cells), 2) for cells in zip(*(row.ljust(width, "1") for row in reversed(rows)), strict=True)
+        ]
+        self._all = (1 << len(rows)) - 1
+
+    def _column(self, place: float) -> int:
+        return self._columns[int(place)] if place < len(self._columns) else self._all
+
+    def beginning(self, line: Line, late: tuple[float, float], heads: bytes) -> Iterator[int]:
+        """Yield the rows of which a receiver may read one of `heads` first. All begin with their start bit, in cell 1."""
+        # Where it sees no start bit in the first one, only `read` tells where the byte begins.
+        found = self._column(1 + line.ratio / 2 + late[0])
+        begun = [(0, self._all & ~found)]
+        for bit in range(8):
+            high = self._column(1 + (bit + 1.5) * line.ratio + late[1])
+            grown = [each for byte, rows in begun for each in ((byte, rows & ~high), (byte | 1 << bit, rows & high))]
+            begun = [(byte, rows) for byte, rows in grown if rows]
+        for byte, rows in begun:
+            found |= rows if byte in heads else 0
+        while found:
+            lowest = found & -found
+            yield lowest.bit_length() - 1
+            found ^= lowest
+
+
+def read(seen: str, line: Line, late: tuple[float, float] = (0.0, 0.0), begins: Container[bytes] | None = None) -> bytes:
     """Return what a receiver reads of levels; behind them the line is idle.
 
-    `late`: how far behind the middle of start bits, and of others, it samples, in cells. `heads`: nothing that begins
-    otherwise is looked for.
+    `late`: how far behind the middle of start bits, and of others, it samples, in cells. `begins`: nothing is looked for
+    whose first bytes, up to `BEGUN` of them, are none of these.
     """
     ratio, last = line.ratio, len(seen)
     idle = seen + ("0" if line.inverted else "1") * (int(10 * ratio) + 2)
@@ -113,9 +145,9 @@ def read(seen: str, line: Line, late: tuple[float, float] = (0.0, 0.0), heads: b
         for bit, place in enumerate(places):
             if idle[int(edge + place)] == "1":
                 byte |= 1 << bit
-        if not found and heads and byte not in heads:
-            return b""
         found.append(byte)
+        if begins is not None and len(found) <= BEGUN and bytes(found) not in begins:
+            return b""
         at = edge + (8 + line.parity + 1.5) * ratio
     return bytes(found)
 
@@ -142,17 +174,17 @@ def _ways(heard: bytes, line: Line, begins: Callable[[bytes], bool]) -> Iterator
     """Yield each row of whole bytes that is read as `heard` or its beginning, how much of it, and the steps so far."""
     # Cell 0 is the idle line before the frame; a receiver that wakes up late misses what comes before.
     idle = [1] * (int(12 * line.ratio) + 2)
-    waiting = [([1], _Ear(-1, 1 + line.missed if line.missed else 1, 0, 0))]
+    waiting = [([1], _Ear(-1, 1 + line.missed if line.missed else 1, 0, 0), b"")]
     line = line._replace(missed=line.missed + 1 if line.missed else 0)
     steps = 0
     while waiting:
-        cells, ear = waiting.pop()
+        cells, ear, data = waiting.pop()
         steps += 1
         if steps > _MOST_STEPS:
             return
         sent, place = divmod(len(cells) - 1, CELLS)
         if place == 0 and sent:
-            data = _bytes(cells)
+            data += bytes((sum(cell << bit for bit, cell in enumerate(cells[-9:-1])),))
             if sent > 1 and not begins(data):
                 continue
             if sent > 3 and ear.read:
@@ -167,8 +199,4 @@ def _ways(heard: bytes, line: Line, begins: Callable[[bytes], bool]) -> Iterator
             grown = [*cells, cell]
             after = _listen(line, grown, ear, heard)
             if after is not None:
-                waiting.append((grown, after))
-
-
-def _bytes(cells: list[int]) -> bytes:
-    return bytes(sum(cells[at + 1 + bit] << bit for bit in range(8)) for at in range(1, len(cells) - CELLS + 1, CELLS))
+                waiting.append((grown, after, data))

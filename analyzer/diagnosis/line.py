@@ -18,7 +18,7 @@ from typing import NamedTuple
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect, Role
 from analyzer.codec import codec
-from analyzer.diagnosis.bits import Line, levels, read, unread
+from analyzer.diagnosis.bits import BEGUN, Line, Rows, levels, read, unread
 from analyzer.diagnosis.exchanges import Awaited, replies_to
 from analyzer.diagnosis.reader import Reader
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Suspicion, Trouble, shown
@@ -387,9 +387,10 @@ def _of_dialect(dialect: Dialect) -> Iterator[bytes]:
 
 
 @cache
-def _levels() -> tuple[tuple[bytes, str], ...]:
-    """Return the likely frames with their levels."""
-    return tuple((frame, levels(frame)) for frame in _likely())
+def _levels() -> tuple[tuple[str, ...], Rows]:
+    """Return the levels of the likely frames, one by one and side by side."""
+    seen = tuple(map(levels, _likely()))
+    return seen, Rows(seen)
 
 
 @cache
@@ -407,16 +408,19 @@ def _ratios() -> tuple[float, ...]:
 def _at_other_speeds(garbled: Sequence[_Garbled]) -> Iterator[_Way]:
     """Yield what each speed explains: render what is likely to be sent, and look for it."""
     heads = bytes(set().union(*(each.data for each in garbled)))
+    begins = {each.data[at : at + size] for each in garbled for at in range(len(each.data)) for size in range(1, BEGUN + 1)}
+    likely, (seen, rows) = _likely(), _levels()
     for ratio in _ratios():
         found: dict[Trouble, dict[bytes, bytes]] = defaultdict(dict)
-        for frame, seen in _levels():
-            for late in _lates(ratio):
-                came = read(seen, Line(ratio), late, heads)
-                if len(set(came)) < 2:
-                    continue
-                for trouble, data, _ in garbled:
-                    if came == data or (len(came) >= _LEAST and came in data):
-                        found[trouble][came] = frame
+        line, lates = Line(ratio), _lates(ratio)
+        tried = sorted((row, number) for number, late in enumerate(lates) for row in rows.beginning(line, late, heads))
+        for row, number in tried:
+            came = read(seen[row], line, lates[number], begins)
+            if len(set(came)) < 2:
+                continue
+            for trouble, data, _ in garbled:
+                if came == data or (len(came) >= _LEAST and came in data):
+                    found[trouble][came] = likely[row]
         fits = []
         for trouble, data, _ in garbled:
             if own := found.get(trouble):

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from analyzer.diagnosis.bits import Line, levels, read, unread
+from analyzer.diagnosis.bits import Line, Rows, levels, read, unread
 from analyzer.diagnosis.reader import Reader
 from tests.diagnosis.spoiled_line import STEPS, both, received
 from tests.diagnosis.spoiled_line import levels as on_the_line
@@ -51,6 +51,21 @@ def test_both_receivers_read_the_same(how):
     line = Line(**how)
     for data in READS + LK_READS:
         assert read(levels(data, line), line) == received(on_the_line(data), **how)
+
+
+@pytest.mark.parametrize("ratio", [0.167, 0.5, 0.868, 1.302, 2.0, 3.333, 6.667])
+def test_a_search_looks_at_every_frame_that_may_begin_so(ratio):
+    chance, line = random.Random(ratio), Line(ratio)
+    seen = [levels(chance.randbytes(size)) for size in (1, 3, 5, 8) * 30]
+    for late in ((-0.05, -0.05), (0.05, 0.05), (-0.05, 0.05)):
+        whole = [read(each, line, late) for each in seen]
+        heads = bytes({came[0] for came in whole[::40] if came})
+        chosen = set(Rows(seen).beginning(line, late, heads))
+        assert {row for row, came in enumerate(whole) if came and came[0] in heads} <= chosen
+        assert ratio < 0.5 or len(chosen) < len(seen)
+        for came, each in zip(whole, seen, strict=True):
+            assert read(each, line, late, {came[:size] for size in (1, 2, 3)}) == came
+            assert len(came) < 2 or read(each, line, late, {came[:1]}) == b""
 
 
 # --- set up wrongly ------------------------------------------------------------------------------------------------------
