@@ -15,7 +15,7 @@ Rules kept here:
 from __future__ import annotations
 
 import inspect
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import combinations, product
 from typing import Any
@@ -24,6 +24,8 @@ Row = dict[str, Any]
 Rule = Callable[..., object]
 #: A factor and the place of one of its levels.
 _Level = tuple[str, int]
+#: What is to meet yet, by each of its factors: the place of its level, and the others.
+_Missing = dict[str, list[tuple[int, frozenset[_Level]]]]
 
 
 def rows(
@@ -41,6 +43,14 @@ def rows(
     groups = {*combinations(factors, min(strength, len(factors))), *map(tuple, together)}
     found = table.rows(groups)
     return tuple(map(table.named, found if cost is None else table.cheaper(found, groups, cost)))
+
+
+def _by_factor(missing: Iterable[frozenset[_Level]]) -> _Missing:
+    found: _Missing = defaultdict(list)
+    for met in missing:
+        for level in met:
+            found[level[0]].append((level[1], met - {level}))
+    return found
 
 
 class _Table:
@@ -69,7 +79,7 @@ class _Table:
         found = []
         while missing:
             wanted = next(iter(missing))
-            row = self._filled(dict(wanted), missing) if self._kept(dict(wanted)) else None
+            row = self._filled(dict(wanted), _by_factor(missing)) if self._kept(dict(wanted)) else None
             if row is None:
                 del missing[wanted]
                 continue
@@ -116,7 +126,7 @@ class _Table:
             if self._kept(tried := {**row, name: place}, name):
                 yield from self._whole(tried)
 
-    def _filled(self, row: dict[str, int], missing: Iterable[frozenset[_Level]]) -> dict[str, int] | None:
+    def _filled(self, row: dict[str, int], missing: _Missing) -> dict[str, int] | None:
         """Return a whole row that keeps all rules and has most of what is missing, None where there is none."""
         name = next((name for name in self._factors if name not in row), None)
         if name is None:
@@ -124,10 +134,8 @@ class _Table:
         levels = frozenset(row.items())
         # What can still meet in this row: each level of a factor counts by what it would add.
         gains = [0] * len(self._factors[name])
-        for met in missing:
-            left = met - levels
-            if len(left) == 1 and (added := next(iter(left)))[0] == name:
-                gains[added[1]] += 1
+        for place, others in missing[name]:
+            gains[place] += others <= levels
         for place in sorted(range(len(gains)), key=lambda place: -gains[place]):
             tried = {**row, name: place}
             if self._kept(tried, name) and (whole := self._filled(tried, missing)) is not None:

@@ -2,6 +2,7 @@
 
     edges(field)             the limits, or every choice           beyond(field)        the nearest forbidden values
     allowed(field)           spans of allowed values               forbidden(field)     spans of forbidden ones
+    between(spans, n, seed)  some values that are drawn
     reserved_masks(layout)   the reserved bits, as data            with_bits(layout, values, mask)
 
 Strategies (`conformance.model.strategies`) and claims are made from these lists.
@@ -9,13 +10,17 @@ Strategies (`conformance.model.strategies`) and claims are made from these lists
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import random
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from analyzer.catalogue import Command
 from analyzer.codec import codec
 from analyzer.layout import Field, FieldKind, Layout
 from conformance.gate.bounds import NO_BOUNDS, Leeway, Span, span
+
+#: How often a value is drawn; and how many bits it may be away from 0 where a span holds that: small ones and large ones.
+_DRAWS, _REACH = 24, (8, 16, 32, 64)
 
 
 def listed(field: Field) -> tuple[int, ...] | None:
@@ -69,6 +74,18 @@ def forbidden(field: Field) -> list[Span]:
     if at <= field.wire_maximum:
         result.append((at, field.wire_maximum))
     return result
+
+
+def between(spans: Iterable[Span], count: int, seed: str) -> tuple[int, ...]:
+    """Return up to `count` different values between the ends of spans, small ones and large ones; the same for one seed."""
+    chance = random.Random(seed)
+    wide = [(low + 1, high - 1) for low, high in spans if high - low > 1]
+    found: dict[int, None] = {}
+    for _ in range(_DRAWS if wide else 0):
+        low, high = chance.choice(wide)
+        middle, reach = max(low, min(0, high)), 1 << chance.choice(_REACH)
+        found[chance.randint(max(low, middle - reach), min(high, middle + reach))] = None
+    return tuple(found)[:count]
 
 
 def beyond(field: Field) -> tuple[int, ...]:

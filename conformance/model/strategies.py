@@ -6,7 +6,6 @@
     reserved_set(layout)    data whose reserved bits are not all 0
     requests(dialect, risks, leeway)     whole requests with allowed risks only
     packages(dialect, risks, leeway)     packages of such requests
-    drawn(strategy, count, seed)        so many different values, the same for the same seed
 
 All take a `leeway`: bounds (speed, distance, acceleration and current of a motion) and the known facts about the drive. Values
 are drawn within it and within the risks; no draw is thrown away. A bound narrows only its own fields. If a field uses all
@@ -23,9 +22,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
-from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
@@ -41,7 +39,6 @@ __all__ = [
     "Request",
     "Stray",
     "beyond",
-    "drawn",
     "edges",
     "inside",
     "layouts",
@@ -55,7 +52,6 @@ __all__ = [
     "with_bits",
 ]
 
-_Drawn = TypeVar("_Drawn")
 #: The longest bytes that are drawn for a field without a length.
 _LONGEST = 64
 
@@ -201,30 +197,3 @@ def _from(spans: Sequence[Span], field: Field) -> SearchStrategy[Any]:
     ends = sorted({end for each in spans for end in each})
     wide = [st.integers(low, high) for low, high in spans if high - low > 1]
     return st.one_of(st.sampled_from(ends), *wide) if wide else st.sampled_from(ends)
-
-
-# --- without a test ---------------------------------------------------------------------------------------------------
-
-
-def drawn(strategy: SearchStrategy[_Drawn], count: int, start: int = 0) -> list[_Drawn]:
-    """Return up to `count` different values of a strategy, the same for the same `start`; none where it draws nothing."""
-    if strategy.is_empty:
-        return []
-    found: dict[str, _Drawn] = {}
-
-    @seed(start)
-    @settings(
-        max_examples=2 * count,
-        phases=(Phase.generate,),
-        database=None,
-        deadline=None,
-        derandomize=False,
-        suppress_health_check=list(HealthCheck),
-    )
-    @given(strategy)
-    def keep(value: _Drawn) -> None:
-        if len(found) < count:
-            found.setdefault(repr(value), value)
-
-    keep()
-    return list(found.values())

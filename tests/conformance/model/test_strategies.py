@@ -133,13 +133,16 @@ def test_packages_hold_requests_of_the_same_risks(package):
     assert built.refusals == ()
 
 
-def test_what_is_drawn_without_a_test_is_the_same_each_time_and_different_for_another_start():
-    field = spoken("mks-rs485", "57D").by_name["set_current"].request_forms[0].layout.named["current"]
-    first = strategies.drawn(strategies.inside(field), 5)
+def test_what_is_drawn_without_a_test_is_the_same_each_time_and_different_for_another_seed():
+    spans = [(5, 5), (10, 11), (-(1 << 40), 1 << 40), (1 << 50, (1 << 50) + 4)]
+    first = limits.between(spans, 5, "a")
     assert len(set(first)) == 5
-    assert first == strategies.drawn(strategies.inside(field), 5)
-    assert first != strategies.drawn(strategies.inside(field), 5, 1)
-    assert strategies.drawn(st.nothing(), 3) == []
+    assert first == limits.between(spans, 5, "a")
+    assert first != limits.between(spans, 5, "b")
+    many = limits.between(spans, 20, "a")
+    assert all(any(low < value < high for low, high in spans) for value in many)
+    assert min(map(abs, many)) < 1 << 16 < 1 << 30 < max(map(abs, many))
+    assert limits.between([(5, 5), (10, 11)], 3, "a") == ()
 
 
 @pytest.mark.parametrize(("name", "model"), EVERY)
