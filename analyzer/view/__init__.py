@@ -52,8 +52,8 @@ def run_live(snapshots: int, *, mark: Callable[[str], str], log: str = "", model
 
     `snapshots`: descriptor of the reading end, which is closed at the end; `log`: the file to name; `model`: of the drives.
     """
+    from analyzer.view.app import run
     from analyzer.view.live import LiveSource
-    from analyzer.view.run import run
 
     source = LiveSource(snapshots, mark=mark, log=log, model=model)
     try:
@@ -64,8 +64,8 @@ def run_live(snapshots: int, *, mark: Callable[[str], str], log: str = "", model
 
 def run_capture(reading: OpenCapture, *, filter_text: str = "") -> str:
     """Show a capture that is open until the user quits; return `quit`, or why it broke off."""
+    from analyzer.view.app import run
     from analyzer.view.capture import CaptureSource
-    from analyzer.view.run import run
 
     source = CaptureSource(reading)
     try:

@@ -7,6 +7,7 @@ This work is bounded: under load the view shows less but keeps up.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 
 from textual.app import App, ComposeResult
 from textual.containers import Vertical
@@ -29,7 +30,7 @@ from analyzer.view.rows import Rows
 from analyzer.view.screens import EndQuestion, HelpScreen
 from analyzer.view.search import Seeker
 from analyzer.view.source import ViewSource
-from analyzer.view.terminal import EndingSignals, terminal_watch
+from analyzer.view.terminal import EndingSignals, forgiving_terminal, terminal_watch
 from analyzer.view.watch import number_of
 
 #: Seconds between two looks at what is new, and how long one look may take for each thing that is asked for.
@@ -424,3 +425,14 @@ class ViewApp(App[str]):
         more = "" if self.source.done or self.source.live else " so far"
         self.say(f"{search.what}: none {'below' if search.step > 0 else 'above'}{more}")
         self.bell()
+
+
+def run(source: ViewSource, *, filter_text: str = "") -> str:
+    """Run the view until it ends; return `quit`, `ended`, or why it could not go on. Raises what failed in it."""
+    # The supervisor of a recording has its own handlers.
+    with forgiving_terminal(), nullcontext() if source.live else EndingSignals() as signals:
+        app = ViewApp(source, filter_text=filter_text, signals=signals)
+        result = app.run()
+    if app.failed is not None:
+        raise app.failed
+    return result or "quit"
