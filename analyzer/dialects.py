@@ -19,6 +19,7 @@ from importlib import import_module
 from analyzer import plugins
 from analyzer.catalogue import Command, Dialect
 from analyzer.errors import UsageError
+from analyzer.link import Link
 from analyzer.values import near, quote
 
 #: Dialects of this package: name -> module with a `DIALECT`.
@@ -45,6 +46,10 @@ def _added() -> dict[str, Dialect]:
 def _as_dialect(found: object) -> Dialect:
     if not isinstance(found, Dialect):
         raise UsageError(f"expected a Dialect, got {type(found).__name__}")
+    if found.name in _OWN:
+        raise UsageError(f"the name {found.name} is taken: expected another one")
+    if not isinstance(found.link, Link):
+        raise UsageError(f"{found.name}: expected a Link, got {type(found.link).__name__}")
     return found
 
 

@@ -5,9 +5,11 @@ One that fails is named on standard error and left out: a recording does not end
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from collections.abc import Callable, Iterator
-from importlib.metadata import EntryPoint, entry_points
+from functools import partial
+from importlib.metadata import Distribution, EntryPoint, distributions, entry_points
 from typing import Any, TypeVar
 
 from analyzer.values import printable
@@ -17,13 +19,28 @@ T = TypeVar("T")
 
 def points(group: str) -> list[EntryPoint]:
     """Return the entry points of a group."""
-    return list(entry_points(group=group))
+    try:
+        return list(entry_points(group=group))
+    # The files of any package that is installed can be damaged.
+    except Exception:
+        return [point for package in distributions() for point in attempt(_named(package), partial(_of, package, group)) or ()]
+
+
+def _of(package: Distribution, group: str) -> list[EntryPoint]:
+    return [point for point in package.entry_points if point.group == group]
+
+
+def _named(package: Distribution) -> str:
+    # Its own word for its name can be what is damaged.
+    return f"the list of entry points in {getattr(package, '_path', 'a package')}"
 
 
 def attempt(what: str, call: Callable[[], T]) -> T | None:
     """Return what a call into another package returns; None where it fails, which is said."""
     try:
-        return call()
+        # What is printed is the output of a command, which others may read.
+        with contextlib.redirect_stdout(sys.stderr):
+            return call()
     # A module that is imported can do anything, and end the program, too.
     except (Exception, SystemExit) as error:
         why = printable(f"{type(error).__name__}: {error}")

@@ -55,6 +55,14 @@ def _ends():
     [
         (lambda: "no dialect", "x of servotap.dialects failed and is left out: UsageError: expected a Dialect, got str"),
         (lambda: 1 / 0, "x (bad:\\x1b) of servotap.dialects failed and is left out: ZeroDivisionError: division by zero"),
+        (
+            lambda: replace(dialects.get("mks-can")),
+            "x of servotap.dialects failed and is left out: UsageError: the name mks-can is taken: expected another one",
+        ),
+        (
+            lambda: replace(dialects.get("mks-can"), name="new", link=None),
+            "x of servotap.dialects failed and is left out: UsageError: new: expected a Link, got NoneType",
+        ),
         (_ends, "x (bad:\\x1b) of servotap.dialects failed and is left out: SystemExit: 1"),
     ],
 )

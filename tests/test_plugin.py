@@ -95,3 +95,22 @@ def test_it_is_found_decoded_and_logged(site):
         messages = [(c.topic, json.loads(m.data)) for _, c, m in make_reader(stream).iter_messages()]
     assert ("/serial/1/state", {"speed": 7.0}) in messages
     assert any(topic == "/serial/1/read_speed/reply" and value["gate_name"] == "shut" for topic, value in messages)
+
+
+def test_a_package_whose_files_are_damaged_is_named_and_left_out(tmp_path, monkeypatch):
+    monkeypatch.setenv("SERVOTAP_FAULTS", str(tmp_path))
+    info = tmp_path / "broken-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_bytes(b"Metadata-Version: 2.1\nName: \xff\n")
+    (info / "entry_points.txt").write_bytes(b"[servotap.dialects]\nx = \xff:y\n")
+    done = servotap(
+        make_site(tmp_path, "toy_drive", "print('hello')\n" + MODULE, "toy-rs485"), "explain", xored("55 01 21 FE D4 01")
+    )
+    assert done.returncode == 0
+    assert done.stdout.startswith("toy-rs485  reply")
+    assert "broken-1.0.dist-info failed and is left out" in done.stderr
+    (tmp_path / "toy_command.py").write_text("def add_arguments(parser): pass\ndef run(arguments): return 1 / 0\n")
+    (tmp_path / "toy_drive-1.0.dist-info" / "entry_points.txt").write_text("[servotap.commands]\ntoy = toy_command\n")
+    done = servotap(tmp_path, "toy")
+    assert done.returncode == 70
+    assert done.stderr.count("ZeroDivisionError") == 1

@@ -192,7 +192,8 @@ def _run(name: str, module: ModuleType, words: Sequence[str]) -> int:
     # Options may stand among the positional arguments: `frame D@1 run_speed --reply status=1`.
     parsed = parser.parse_intermixed_args(_joined(words))
     try:
-        return int(module.run(parsed))
+        # A command of another package may return nothing.
+        return int(module.run(parsed) or 0)
     except ServotapError as error:
         print(f"servotap {name}: {error}", file=sys.stderr)
         return error.exit_status

@@ -181,13 +181,17 @@ def _write_report(words: Sequence[str], trace: str) -> str:
     from datetime import UTC, datetime
     from importlib.metadata import distributions
 
-    packages = sorted({f"{each.name} {each.version}" for each in distributions()})
+    packages = set()
+    for each in distributions():
+        # A package whose own words cannot be read may be what is at fault.
+        with contextlib.suppress(Exception):
+            packages.add(f"{each.name} {each.version}")
     about = {
         "command line": ["servotap", *words],
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "python": f"{sys.version} on {platform.platform()}",
         "encodings": f"{sys.getfilesystemencoding()}, {sys.stdout.encoding}, {sys.stderr.encoding}",
-        "packages": ", ".join(packages),
+        "packages": ", ".join(sorted(packages)),
     }
     handle, name = tempfile.mkstemp(prefix="servotap-fault-", suffix=".txt", dir=os.environ.get(FOLDER) or None)
     with open(handle, "w", encoding="utf-8", errors="backslashreplace") as file:

@@ -12,6 +12,7 @@ import contextlib
 import sys
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import IO
 
@@ -171,7 +172,8 @@ def _target(arguments: argparse.Namespace) -> Path | None:
 
 def _export_raw(arguments: argparse.Namespace, stream: IO[bytes], interrupt: Interrupt, target: Path | None) -> list[str]:
     """Export all bytes; return the lines that tell of it."""
-    with contextlib.closing(open_source(arguments.file, format=arguments.format, baud=arguments.baud)) as source:
+    opening = partial(open_source, arguments.file, format=arguments.format, baud=arguments.baud)
+    with contextlib.closing(interrupt.opened(opening)) as source:
         source.framed = not arguments.chunks
         outcome, broken = _write(source, stream, arguments, interrupt)
         return _report(source, outcome, broken, target, arguments)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import IO
 
@@ -27,7 +28,7 @@ def export_table(arguments: argparse.Namespace, stream: IO[bytes], interrupt: In
     kind = KINDS[arguments.to]
     if kind.package:
         needed(kind.package)
-    reading = open_reading(arguments.file, arguments)
+    reading = interrupt.opened(partial(open_reading, arguments.file, arguments))
     chosen = Chosen(_split(arguments.topics), _split(arguments.fields))
     with contextlib.closing(reading.source) as source, progress(source, f"decoding {source.name}"):
         chosen.check_possible(reading.possible)

@@ -70,6 +70,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"{path} is a folder, expected a log, or a folder of spools (*.spool) with its {config.NAME}")
     if not path.exists():
         raise UnreadableError(f"{path} does not exist, and neither does {folder}")
+    if not path.is_file():
+        # A pipe would be waited for.
+        raise UsageError(f"{path} is not a regular file, expected a log")
     _repair(path, target, arguments.force)
     return 0
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from types import FrameType
 from typing import Any, TypeVar
 
@@ -71,12 +71,27 @@ class Interrupt:
         if self.asked:
             raise KeyboardInterrupt
 
+    def opened(self, call: Callable[[], T]) -> T:
+        """Return what a call gives that may wait for input. A signal ends it as Ctrl-C does."""
+        self._reading = True
+        try:
+            if self.asked:
+                raise _Stop
+            return call()
+        except _Stop:
+            raise KeyboardInterrupt from None
+        finally:
+            self._reading = False
+
     def items(self, source: Iterable[T]) -> Iterator[T]:
         """Yield the items of a source until it ends or a signal arrives."""
         iterator = iter(source)
         try:
-            while not self.asked:
+            while True:
+                # Asked behind it: a signal comes before, or breaks in.
                 self._reading = True
+                if self.asked:
+                    return
                 item = next(iterator)
                 self._reading = False
                 yield item

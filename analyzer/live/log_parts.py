@@ -6,8 +6,10 @@ The index for a part's summary stands in the folder of the spools until the summ
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
+import stat
 from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
@@ -239,8 +241,8 @@ class LogParts:
         too_long = bool(config.rotate_ns) and clock_ns - self._begun_ns >= config.rotate_ns
         return too_long or bool(self.rotate_bytes and self.file.position >= self.rotate_bytes)
 
-    def drop_old(self) -> list[Path]:
-        """Delete the oldest parts where there are too many, or too much in all; return which.
+    def drop_old(self) -> list[str]:
+        """Delete the oldest parts where there are too many, or too much in all; return why one cannot be deleted.
 
         Called when a checkpoint says that the present part was begun: what was kept for the ones before is needed no more.
         """
@@ -250,19 +252,25 @@ class LogParts:
         config = self._config
         if not (self.rotating and (config.keep or config.max_total)):
             return []
-        older = [path for path in recording_parts.parts_named(self.log) if path != self.path and self._is_own(path)]
-        sizes = {path: path.stat().st_size for path in older}
+        sizes: dict[Path, int] = {}
+        for path in recording_parts.parts_named(self.log):
+            if path != self.path and self._is_own(path):
+                with contextlib.suppress(OSError):
+                    sizes[path] = path.stat().st_size
         total = sum(sizes.values()) + self.file.position
-        dropped = []
-        for at, path in enumerate(older):
-            too_many = config.keep and len(older) - at + 1 > config.keep
+        refused = []
+        for at, (path, size) in enumerate(sizes.items()):
+            too_many = config.keep and len(sizes) - at + 1 > config.keep
             too_much = config.max_total and total > config.max_total
             if not too_many and not too_much:
                 break
-            path.unlink(missing_ok=True)
-            total -= sizes[path]
-            dropped.append(path)
-        return dropped
+            try:
+                path.unlink(missing_ok=True)
+            except OSError as error:
+                refused.append(f"{path.name} is to be deleted and cannot be: {error.strerror or error}")
+            total -= size
+        # Of many that cannot be deleted the first tells enough.
+        return refused[:1]
 
     def about(self) -> dict[str, str]:
         """Return the metadata of the part itself."""
@@ -293,7 +301,13 @@ class LogParts:
 
     def _is_own(self, path: Path) -> bool:
         """Say whether a log is of this recording, or was begun and never written to."""
-        return path.stat().st_size == 0 or recording_parts.look(path).recording == self.recording
+        try:
+            found = path.stat()
+        except OSError:
+            # A link that leads nowhere, or a file that has gone since it was listed.
+            return False
+        empty = found.st_size == 0
+        return stat.S_ISREG(found.st_mode) and (empty or recording_parts.look(path).recording == self.recording)
 
     def _drop_later(self) -> None:
         """Delete what a process began behind the checkpoint: all of it is still in the spools."""

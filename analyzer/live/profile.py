@@ -172,9 +172,14 @@ def names() -> list[str]:
 def paths() -> list[Path]:
     """Return the profiles that there are: the nearest one of this folder and those above, then the user's."""
     here = Path.cwd()
-    found = next((folder / FILE for folder in (here, *here.parents) if (folder / FILE).exists()), None)
+    found = next((folder / FILE for folder in (here, *here.parents) if _is_there(folder / FILE)), None)
     own = user_folder() / FILE
-    return [*([found] if found is not None else []), *([own] if own != found and own.exists() else [])]
+    return [*([found] if found is not None else []), *([own] if own != found and _is_there(own) else [])]
+
+
+def _is_there(path: Path) -> bool:
+    # A pipe of that name would be waited for.
+    return path.exists() and not path.is_fifo()
 
 
 def user_folder() -> Path:

@@ -196,7 +196,8 @@ class Recording:
         # Twice: then neither checkpoint needs the part before.
         patiently(self.flush)
         patiently(self.flush)
-        self.parts.drop_old()
+        for text in self.parts.drop_old():
+            self.happened("note", text=text)
 
     def _begun_part(self) -> Callable[[], None]:
         """Return the step that opens a part; its events are fed once, though it may be tried again."""

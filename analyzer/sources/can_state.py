@@ -17,6 +17,7 @@ from analyzer.records import CanFrame, Comment
 from analyzer.sources import can_text, candump
 from analyzer.sources.lines import Lines, head_lines
 from analyzer.sources.source import Source
+from analyzer.sources.stamps import ANY
 from analyzer.sources.times import number_ns
 
 _CONTROLLER, _PROTOCOL, _NO_ACK, _BUS_OFF, _BUS_ERROR = 0x04, 0x08, 0x20, 0x40, 0x80
@@ -46,6 +47,7 @@ _SAID: tuple[tuple[re.Pattern[str], int, str], ...] = tuple(
     )
 )
 _KERNEL_TIME = re.compile(r"\[\s*(\d{1,9}\.\d{1,9})\]")
+_TIMED = re.compile(rf"\s*[\[(]?\s*(?:{ANY})(?![\w.])")
 _LONGEST_LINE = 1000
 _SAMPLE_LINES = 400
 _LARGEST_BYTE = 0xFF
@@ -53,8 +55,12 @@ _LARGEST_BYTE = 0xFF
 
 def score(head: bytes) -> float:
     """Say how sure it is that this text tells the state of a controller, 0..1."""
-    lines = head_lines(head)[:_SAMPLE_LINES]
-    return 0.96 if any(_IP.search(line) or _said(line) is not None for line in lines if len(line) <= _LONGEST_LINE) else 0.0
+    lines = [line for line in head_lines(head)[:_SAMPLE_LINES] if len(line) <= _LONGEST_LINE]
+    if not any(_IP.search(line) or _said(line) is not None for line in lines):
+        return 0.0
+    # A word on the controller may stand in a capture of any format, as a comment; it takes no times from it, and no bytes.
+    frames = [line for line in lines if _frame(line) is not None]
+    return 0.96 if frames and not any(_TIMED.match(line) for line in frames) else 0.54
 
 
 def read(source: Source) -> Iterator[CanFrame | Comment]:

@@ -68,6 +68,9 @@ def described(path: Path) -> dict[str, Mapping[str, str]]:
     from mcap.stream_reader import StreamReader
 
     found: dict[str, Mapping[str, str]] = {}
+    # A pipe would be waited for.
+    if not path.is_file():
+        return found
     try:
         with path.open("rb") as stream:
             for count, record in enumerate(StreamReader(stream, emit_chunks=True, record_size_limit=1 << 20).records):

@@ -12,14 +12,14 @@ from pathlib import Path
 
 from analyzer.catalogue import Dialect
 from analyzer.dialects import drive_name
-from analyzer.errors import UnreadableError
+from analyzer.errors import UnreadableError, UsageError
 from analyzer.live import profile
 from conformance.bus.line import LineLost
 from conformance.cli.endpoint import gate_to
 from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
 from conformance.safety import journal
-from conformance.safety.keeper import dialect_of, restore
+from conformance.safety.keeper import command_of, dialect_of, restore
 from conformance.safety.stopping import standing_failure, stop_or_cut
 
 EXAMPLES = """\
@@ -46,8 +46,11 @@ def run(arguments: argparse.Namespace) -> int:
     if not changes:
         print(f"{path}: nothing is left to be put back")
         return 0
-    for change in changes:
-        command = dialect_of(change).by_name[change.command]
+    try:
+        commands = [command_of(change) for change in changes]
+    except UsageError as error:
+        raise UnreadableError(f"{path}: not a line of a run: {error}") from None
+    for change, command in zip(changes, commands, strict=True):
         print(f"{change.target}: {command.name} {journal.values_text(command, change.values)}")
     if arguments.dry_run:
         return 0

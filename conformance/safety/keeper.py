@@ -19,7 +19,9 @@ from pathlib import Path
 
 from analyzer import dialects
 from analyzer.catalogue import Command, Dialect, Risk, Verb, all_fields
+from analyzer.errors import UsageError
 from analyzer.layout import Effect, Field
+from analyzer.values import quote
 from conformance.claim import NotRun
 from conformance.gate.budget import Budget
 from conformance.gate.gate import Gate, Refused
@@ -395,8 +397,26 @@ def link_changed(path: Path) -> bool:
 
 
 def dialect_of(entry: Entry) -> Dialect:
-    """Return the dialect that a journal's line names, for its model."""
+    """Return the dialect that a journal's line names, for its model. Raises UsageError."""
     head, *parts = entry.target.split(",")
     found = dialects.get(head.partition("@")[0])
     model = next((p.removeprefix("model=") for p in parts if p.startswith("model=")), "")
-    return found.for_model(model) if model else found
+    return dialects.for_model([found], model)[0]
+
+
+def command_of(entry: Entry) -> Command:
+    """Return the command that a journal's line names. Raises UsageError where a run cannot have written the line."""
+    dialect = dialect_of(entry)
+    command = dialect.by_name.get(entry.command)
+    first, last = dialect.addresses
+    if command is None or not settings.changes(command):
+        raise UsageError(f"{dialect.name} has no setting {quote(entry.command)}")
+    if not first <= entry.address <= last:
+        raise UsageError(f"{command.name}: got the address {entry.address}, expected {first}..{last}")
+    forms = [{n for n, f in form.layout.named.items() if f.fixed is None} for form in command.request_forms]
+    whole = command.verb is Verb.SAVE_SPEED or any(names <= entry.values.keys() for names in forms)
+    strange = {name for values in (entry.values, *entry.sent) for name in values} - all_fields(command.request_forms).keys()
+    if strange or not whole:
+        told = ", ".join(map(quote, sorted(strange or entry.values))) or "nothing"
+        raise UsageError(f"{command.name}: got {told}, expected {' or '.join(', '.join(sorted(names)) for names in forms)}")
+    return command

@@ -265,3 +265,19 @@ def test_ctrl_c_in_a_destructor_ends_the_command_without_a_word_of_python(capfd)
 
     assert bounded(command, []) == 130
     assert capfd.readouterr() == ("", "servotap: interrupted; nothing more was written\n")
+
+
+@pytest.mark.parametrize("kind", ["hex", "csv"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_an_export_of_a_pipe_that_says_nothing(kind, number, tmp_path, monkeypatch, capsys):
+    silent, end = os.pipe()
+    monkeypatch.setattr(sys, "stdin", os.fdopen(silent))
+    timer = threading.Timer(0.2, lambda: signal.pthread_kill(threading.main_thread().ident, number))
+    # Without the signal the pipe ends, so that the test does.
+    late = threading.Timer(5.0, lambda: os.close(end))
+    timer.start()
+    late.start()
+    assert main(["export", "-", "--to", kind, "-o", str(tmp_path / "out")]) == 130
+    late.cancel()
+    assert "nothing more was written" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

@@ -10,7 +10,8 @@ import pytest
 from analyzer.catalogue import Role
 from analyzer.cli import main
 from analyzer.diagnosis.scene import Confidence
-from analyzer.records import CanFrame
+from analyzer.records import CanFrame, Comment
+from analyzer.sources import open_source
 from tests.diagnosis.test_diagnosis import can, diagnosed
 
 GOOD = ["001#3233", "001#32006497"]
@@ -137,3 +138,22 @@ def test_the_state_of_a_controller_in_words(text, cause, tmp_path, capsys):
     assert main(["diagnose", str(path), "--json"]) == (cause is not None)
     found = json.loads(capsys.readouterr().out)["causes"]
     assert [each["cause"] for each in found[:1]] == ([cause] if cause else [])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "2026-03-02 09:00:00.000 > FA 01 30 2B\n2026-03-02 09:00:00.003 < FB 01 F6 01 F3\n",
+        "date Sun Apr 30 10:40:55.899 pm 2023\nbase hex  timestamps absolute\n   0.000511 1  001   Rx   d 3 F6 01 F8\n",
+        "time,id,dlc,data,note\n0.001,0x001,3,F6 01 F8,\n",
+        "(1709640000.000001) can0 001#F60140023A\n",
+    ],
+)
+def test_a_word_on_a_controller_takes_no_bytes_from_a_capture_of_another_format(text, tmp_path):
+    path = tmp_path / "capture"
+    path.write_text(text + text.splitlines(keepends=True)[-1] * 5)
+    with open_source(path) as source:
+        alone = [(each.t_ns, each.data) for each in source if not isinstance(each, Comment)]
+    path.write_text(path.read_text() + "// can0: bus-off\n")
+    with open_source(path) as source:
+        assert [(each.t_ns, each.data) for each in source if not isinstance(each, Comment)] == alone

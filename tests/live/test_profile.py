@@ -176,6 +176,9 @@ def test_a_profile_that_cannot_be_read(folder):
     with pytest.raises(UnreadableError, match="servotap.toml: Is a directory" if sys.platform != "win32" else "servotap.toml"):
         profile.look_up("arm")
     assert profile.names() == []
+    (folder / "servotap.toml").rmdir()
+    os.mkfifo(folder / "servotap.toml")
+    assert profile.names() == []
     assert issubclass(UnreadableError, ServotapError)
 
 

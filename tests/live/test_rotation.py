@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import json
+import os
 import random
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +14,7 @@ from analyzer.cli import main
 from analyzer.errors import UsageError
 from analyzer.live import config
 from analyzer.live.recorder import Recorder
+from analyzer.records import Chunk
 from analyzer.sources import open_source
 from analyzer.sources.recording_parts import base_of, look, part_path, parts_named
 from tests.collect import sum8
@@ -109,6 +114,41 @@ def test_the_oldest_parts_are_dropped(tmp_path):
     with open_source(tmp_path) as source:
         assert list(source)
         assert any("are not there any more" in note for note in source.notes)
+
+
+def test_links_that_lead_nowhere_under_the_names_of_parts_stay_and_cost_nothing(tmp_path):
+    spools = Spools(tmp_path, LEFT, RIGHT, ARM, rotate_bytes=12_000, keep=100)
+    fill(spools, 5)
+    links = [part_path(spools.log, number) for number in (2, 3, 5)]
+    for link in links:
+        link.symlink_to(tmp_path / "nowhere")
+    os.mkfifo(part_path(spools.log, 4))
+    recorded_in_steps(spools, 5, killed=True)
+    assert all(link.is_symlink() for link in links)
+    assert part_path(spools.log, 4).is_fifo()
+    paths = [path for path in parts_named(spools.log) if path.is_file()]
+    assert raw_of(paths, "left") == decoded_of(paths, "left") == spools.sent["left"]
+    assert not (tmp_path / "nowhere").exists()
+    # The folder is read without waiting for what a pipe will never say.
+    with open_source(tmp_path) as source:
+        assert b"".join(item.data for item in source if isinstance(item, Chunk) and item.port == "left") == spools.sent["left"]
+
+
+def test_a_part_that_cannot_be_deleted_is_told_and_the_recording_goes_on(tmp_path, monkeypatch):
+    spools = Spools(tmp_path, LEFT, RIGHT, ARM, rotate_bytes=12_000, keep=2)
+    fill(spools, 5)
+    unlink = Path.unlink
+
+    def refuse(path, missing_ok=False):
+        if path.name.endswith("-0001.mcap"):
+            raise PermissionError(errno.EPERM, "Operation not permitted")
+        unlink(path, missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    paths = recorded_in_steps(spools, 5)
+    assert part_path(spools.log, 1) in paths
+    said = [json.loads(m.data).get("text", "") for path in paths for t, m, _ in read(path) if t == "/recording"]
+    assert any("out-0001.mcap is to be deleted and cannot be: Operation not permitted" in text for text in said)
 
 
 def test_all_parts_together_stay_below_a_size(tmp_path):

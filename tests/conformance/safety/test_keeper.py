@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 
 from analyzer.catalogue import Risk
+from analyzer.cli import main
 from conformance.bus.emulated import EmulatedLine
 from conformance.bus.line import LineLost
 from conformance.claim import Claim, Outcome, RigFault, Theme
@@ -15,7 +17,7 @@ from conformance.drives import make
 from conformance.gate.budget import Budget
 from conformance.gate.permissions import Allowance, parse_allow
 from conformance.safety import journal
-from conformance.safety.keeper import restore
+from conformance.safety.keeper import command_of, restore
 from conformance.suite import engine
 from conformance.suite import plan as suite
 from conformance.suite.rig_real import RealRig
@@ -106,6 +108,7 @@ def test_each_parameter_of_an_lk_drive_is_put_back_and_told_apart_in_the_journal
         text = (tmp_path / "j").read_bytes()
         changes = journal.open_changes(journal.read(tmp_path / "j"))
         assert len(changes) == 2, text
+        assert [command_of(change).name for change in changes] == ["write_parameter"] * 2
 
     verdict = ran(rig, check, Risk.SETTING)
     assert verdict.outcome is Outcome.CONFIRMED, verdict.reason
@@ -291,3 +294,42 @@ def test_a_position_whose_bytes_begin_another_frame_is_put_back_beside_it(tmp_pa
     assert verdict.outcome is Outcome.CONFIRMED, verdict.reason
     assert round(rig.drives[0].motor.position * 100) == 0xC4FA - 3
     rig.close()
+
+
+def test_each_line_that_a_run_writes_is_taken_back(tmp_path):
+    allowance = Allowance(frozenset(Risk), alone=True)
+    rig = EmulatedPort("mks-can@1", tmp_path, allowance=allowance, settings={"group_address": "80"})
+
+    def check(probe):
+        probe.ask("restore")
+        changes = journal.open_changes(journal.read(tmp_path / "j"))
+        assert len([command_of(change) for change in changes]) > 10
+
+    verdict = ran(rig, check, *Risk, alone=True)
+    assert verdict.outcome is Outcome.CONFIRMED, verdict.reason
+    rig.close()
+
+
+LINE = {"event": "change", "target": "mks-rs485@1", "command": "set_current", "address": 1, "values": {"current": 1600}}
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"command": "nope"},
+        {"command": "run_speed", "values": {"direction": 0, "speed": 320, "acceleration": 2}},
+        {"command": "restart", "values": {}},
+        {"command": "set_zero", "values": {}},
+        {"target": "mks-rs485@1,model=ZZ"},
+        {"target": "nobody@1"},
+        {"address": 999},
+        {"values": {}},
+        {"values": {"current": 1600, "x": 1}},
+        {"sent": [{"x": 1}]},
+    ],
+)
+def test_a_line_that_no_run_can_have_written_is_refused(wrong, tmp_path, capsys):
+    path = tmp_path / "j"
+    path.write_text(json.dumps(LINE | wrong) + "\n")
+    assert main(["restore", str(path), "--dry-run"]) == 2
+    assert "not a line of a run" in capsys.readouterr().err
