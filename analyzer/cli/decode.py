@@ -1,4 +1,4 @@
-"""Decode a capture of any format into an annotated MCAP log, and end with a summary.
+"""Decode a capture of any format into an annotated MCAP log or Parquet tables, and end with a summary.
 
 The log stands beside the capture as FILE.mcap unless -o says otherwise. With --dialect auto (the default) the dialects
 are ranked on the data, and the reason is shown.
@@ -12,10 +12,10 @@ import gc
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from analyzer import __version__
-from analyzer.cli.output import Output, target_of
+from analyzer.cli.output import Output, OutputFolder, target_of
 from analyzer.cli.reading import OpenCapture, add_reading_arguments, now_text, open_reading, progress
 from analyzer.cli.signals import Interrupt
 from analyzer.diagnosis.diagnose import Diagnosis, diagnosis, lines
@@ -28,6 +28,9 @@ from analyzer.sinks.process import SinkProcess, available
 from analyzer.sinks.summary import Summary
 from analyzer.values import printable
 
+if TYPE_CHECKING:
+    from analyzer.sinks.parquet import ParquetTables
+
 #: From this size on, in bytes, writing in a process of its own is worth starting one.
 LONG_CAPTURE = 1 << 20
 
@@ -39,6 +42,7 @@ examples:
   candump -L can0 | servotap decode - -o can.mcap
   servotap decode old.mcap -o new.mcap --dialect mks-modbus
   servotap decode week.mcap --since +10min --until +11min -o minute.mcap
+  servotap decode can.log --to parquet                a folder can.log.parquet: a table for each command
 """
 
 
@@ -46,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("files", nargs="+", metavar="FILE", help="captures, logs, folders of parts; - reads standard input")
     parser.add_argument("-o", "--output", metavar="OUT.mcap", help="the log, or a folder for several")
+    parser.add_argument("--to", choices=("mcap", "parquet"), default="mcap", help="a log, or a folder of Parquet tables")
     add_reading_arguments(parser)
     parser.add_argument("--strict", action="store_true", help="exit with 1 if there are findings of severity error")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON, one line per file")
@@ -73,32 +78,34 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _target(path: str, arguments: argparse.Namespace, taken: Sequence[Path]) -> Path:
-    """Return the log of a capture: another one than those that are taken."""
+    """Return the log of a capture, or the folder of its tables: another one than those that are taken."""
+    end = "." + arguments.to
     if arguments.output is None:
         if path == "-":
             raise UsageError("standard input has no file name: name the log with -o")
         if Path(path).is_dir():
             # Next to the folder: inside it the log would be taken for one more part.
             folder = Path(path).resolve()
-            target = folder.with_name(folder.name + ".decoded.mcap")
+            target = folder.with_name(folder.name + ".decoded" + end)
         else:
-            target = Path(path + ".mcap") if not path.endswith(".mcap") else Path(path[: -len(".mcap")] + ".decoded.mcap")
+            target = Path(path.removesuffix(end) + ".decoded" + end if path.endswith(end) else path + end)
     else:
         target = target_of(Path(arguments.output))
-        if target.is_dir():
-            target = target / (Path("standard_input" if path == "-" else path).name + ".mcap")
+        # A folder of tables that was named so is replaced; in any other the tables of each capture have one.
+        if target.is_dir() and target.suffix != ".parquet":
+            target = target / (Path("standard_input" if path == "-" else path).name + end)
         elif len(arguments.files) > 1:
             raise UsageError(f"-o {arguments.output} is one file for {len(arguments.files)} captures; give a folder")
     first, number = target, 1
     while target in taken:
         number += 1
-        target = first.with_name(f"{first.stem}-{number}.mcap")
+        target = first.with_name(f"{first.stem}-{number}{end}")
     if target is not first:
         print(
             f"note: {printable(str(first))} is the log of another capture: {printable(path)} goes to {printable(target.name)}",
             file=sys.stderr,
         )
-    if target.exists() and not target.is_file():
+    if arguments.to == "mcap" and target.exists() and not target.is_file():
         raise UsageError(f"{target} is not a regular file: cannot write a log there")
     if path != "-" and target.exists() and Path(path).exists() and target.samefile(path):
         raise UsageError(f"{target} is the capture itself; choose another name with -o")
@@ -110,10 +117,14 @@ def _target(path: str, arguments: argparse.Namespace, taken: Sequence[Path]) -> 
 class _Sinks:
     """The log and the summary: in a process of their own for a long capture, else here."""
 
-    def __init__(self, reading: OpenCapture, output: Output) -> None:
+    def __init__(self, reading: OpenCapture, output: Output | OutputFolder) -> None:
         options = reading.options
 
-        def make() -> tuple[McapLog, Summary]:
+        def make() -> tuple[McapLog | ParquetTables, Summary]:
+            if isinstance(output, OutputFolder):
+                from analyzer.sinks.parquet import ParquetTables
+
+                return ParquetTables(output.part, reading.source.clock), Summary()
             byte_ns, bit_ns = options.byte_ns, options.synthetic_bit_ns
             return McapLog(output.stream, byte_ns=byte_ns, bit_ns=bit_ns, clock=reading.source.clock), Summary()
 
@@ -166,7 +177,7 @@ def decode(path: str, target: Path, arguments: argparse.Namespace) -> Summary:
 def _decode(path: str, target: Path, reading: OpenCapture, arguments: argparse.Namespace) -> Summary:
     # From before the log exists to when it is whole, Ctrl-C ends the reading and nothing else.
     with contextlib.closing(reading.source), Interrupt() as interrupt:
-        output = Output(target, arguments.force)
+        output = (OutputFolder if arguments.to == "parquet" else Output)(target, arguments.force)
         sinks = _Sinks(reading, output)
         watch = Watch()
         pipeline = reading.pipeline((*sinks.given, watch))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import stat
 import tempfile
 from pathlib import Path
@@ -76,3 +77,36 @@ class Output:
         with contextlib.suppress(OSError):
             self.stream.close()
         self.part.unlink(missing_ok=True)
+
+
+class OutputFolder:
+    """A folder of tables under construction beside the target. It takes the target's name only when it is whole.
+
+    `target`: the name it is to have; `replace`: whether a folder of that name that holds nothing but tables may be replaced.
+    Raises UsageError where no folder can be made.
+    """
+
+    def __init__(self, target: Path, replace: bool) -> None:
+        self.target = target
+        if target.exists():
+            if not replace:
+                raise UsageError(f"{target} exists; --force replaces it")
+            if not target.is_dir() or any(each.suffix != ".parquet" for each in target.iterdir()):
+                raise UsageError(f"{target} is no folder of Parquet files alone: name another one")
+        try:
+            self.part = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
+        except OSError as error:
+            raise UsageError(f"cannot write {target}: {error.strerror}") from None
+
+    def keep(self) -> None:
+        """Give the folder its name."""
+        umask = os.umask(0)
+        os.umask(umask)
+        self.part.chmod(0o777 & ~umask)
+        if self.target.exists():
+            shutil.rmtree(self.target)
+        self.part.replace(self.target)
+
+    def drop(self) -> None:
+        """Leave no folder."""
+        shutil.rmtree(self.part, ignore_errors=True)

@@ -49,7 +49,7 @@ class Rows:
     def __init__(self, plain: Plain) -> None:
         self.plain = plain
         count, head = len(plain.lane), HEADER.itemsize
-        groups = list(_groups(plain))
+        groups = list(alike(plain))
         cells = [(rows, _fields(plain, rows, lane), _state(plain, rows, lane)) for rows, lane in groups]
         # Both parts end where a word does, so that the bytes kept in them can be counted by words.
         self._second_head = _whole_words(head + max((own.shape[1] for _, own, _ in cells), default=0))
@@ -117,7 +117,7 @@ def _sizes(kept: Flags) -> Integers:
     return result
 
 
-def _groups(plain: Plain) -> Iterator[tuple[Integers, Lane]]:
+def alike(plain: Plain) -> Iterator[tuple[Integers, Lane]]:
     """Yield the rows of lanes that read alike and have frames of one length, with one of these lanes."""
     kinds: dict[tuple[int, bool, int], int] = {}
     numbers = [kinds.setdefault((id(lane.form), lane.is_request, lane.start), len(kinds)) for lane in plain.lanes]
@@ -152,15 +152,14 @@ def _fields(plain: Plain, rows: Integers, lane: Lane) -> Bytes:
 
 
 def _number(values: Integers, field: Field) -> Bytes:
-    if field.scale.denominator == 1:
-        return text.integers(values * field.scale.numerator)
-    return text.floats(_physical(values, field))
+    shown = physical_column(values, field)
+    return text.integers(shown) if shown.dtype == np.int64 else text.floats(shown)
 
 
-def _physical(values: Integers, field: Field) -> NDArray[np.float64]:
+def physical_column(values: Integers, field: Field) -> NDArray[Any]:
     """Return values in the field's unit, as the codec of single frames reckons them."""
-    result: NDArray[np.float64] = values * field.scale.numerator / field.scale.denominator
-    return result
+    whole = values * field.scale.numerator
+    return whole if field.scale.denominator == 1 else whole / field.scale.denominator
 
 
 def _reply(plain: Plain, rows: Integers) -> list[Bytes | bytes]:
@@ -177,15 +176,19 @@ def _state(plain: Plain, rows: Integers, lane: Lane) -> Bytes:
     """Return the state that some rows carry as JSON, without columns where they carry none."""
     if not lane.states:
         return np.zeros((len(rows), 0), dtype=np.uint8)
-    wire = ColumnCodec(lane.form.layout).wire(plain.block.data[rows, lane.start : lane.stop])
-    parts = [f for f in lane.form.layout.fields if f.state is not None]
-    sums: dict[str, Any] = {}
-    for field in parts:
-        assert field.state is not None  # only such fields are parts
-        value = wire[field.name] if field.scale == 1 else _physical(wire[field.name], field)
-        share = value * float(field.state.factor)
-        sums[field.state.quantity] = sums.get(field.state.quantity, 0.0) + share if len(parts) > 1 else share
     pieces: list[Bytes | bytes] = []
-    for quantity, values in sums.items():
+    for quantity, values in states(plain, rows, lane).items():
         pieces += [(b"," if pieces else b"{") + f'"{quantity}":'.encode(), text.floats(values)]
     return text.joined([*pieces, b"}"], len(rows))
+
+
+def states(plain: Plain, rows: Integers, lane: Lane) -> dict[str, NDArray[np.float64]]:
+    """Return the state that some rows carry, by quantity."""
+    wire = ColumnCodec(lane.form.layout).wire(plain.block.data[rows, lane.start : lane.stop])
+    parts = [f for f in lane.form.layout.fields if f.state is not None]
+    sums: dict[str, NDArray[np.float64]] = {}
+    for field in parts:
+        assert field.state is not None  # only such fields are parts
+        share = physical_column(wire[field.name], field) * float(field.state.factor)
+        sums[field.state.quantity] = sums.get(field.state.quantity, 0.0) + share if len(parts) > 1 else share
+    return sums

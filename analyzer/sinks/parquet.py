@@ -1,0 +1,341 @@
+"""Tables of a capture as Parquet files in one folder: a sink beside the log, with the same values under the same names.
+
+    mks-can.read_speed.reply.parquet    a table for each dialect, command and role
+    unknown, foreign, junk              frames without a command, of other nodes; bytes that are no frame
+    states                              position, speed, ... of the drives, in the same units for every dialect
+    findings, comments, events          what was found, said and happened
+    metadata                            what stands in the metadata of a log, as names and values
+
+Times are timestamps in nanoseconds, names of choices dictionaries. Unit, section and manual are metadata of the columns. Plain
+frames of a block become columns at once; all others become rows, and each table is in the order of its sequence numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from analyzer import events
+from analyzer.catalogue import Command, Dialect, Role
+from analyzer.columns.block import DIRECTIONS
+from analyzer.columns.codec import ColumnCodec, Integers
+from analyzer.columns.rows import alike, physical_column, states
+from analyzer.decoder import physical
+from analyzer.layout import STATE_UNITS, Field, FieldKind
+from analyzer.pipeline import Entry, topic_name
+from analyzer.records import Comment, Event, Finding, Frame, Junk, Lane, Message
+from analyzer.sinks.schemas import forms_of
+from analyzer.sources.times import Clock
+from analyzer.table.extras import needed
+
+if TYPE_CHECKING:
+    import pyarrow
+
+    from analyzer.columns.pairs import Plain
+
+#: Rows of all tables that are held, and that stand together in the files. A row that was taken alone needs more room.
+HELD = 1 << 17
+_ALONE = 8
+_SECOND = 1_000_000_000
+#: Bits beyond which a number has a text twin, and beyond which it needs a sign's place.
+_WIDEST, _LONG = 53, 64
+
+
+class _Table:
+    """A table: rows that were taken one by one, columns of many, and the file that both go to."""
+
+    def __init__(self, path: Path, schema: pyarrow.Schema, choices: Mapping[str, Field]) -> None:
+        self.schema = schema
+        self.choices = choices
+        self.rows: list[dict[str, Any]] = []
+        self._path = path
+        self._batches: list[pyarrow.Table] = []
+        self._writer: Any = None
+
+    def add(self, columns: Mapping[str, Any], count: int) -> None:
+        """Take many rows; a column that is not given is empty."""
+        pa = needed("pyarrow")
+        arrays = [columns[f.name] if f.name in columns else pa.nulls(count, f.type) for f in self.schema]
+        self._batches.append(pa.Table.from_arrays(arrays, schema=self.schema))
+
+    def write(self) -> None:
+        """Write what is held, in order."""
+        pa, parquet = needed("pyarrow"), needed("pyarrow.parquet")
+        mixed = bool(self._batches)
+        if self.rows:
+            self._batches.append(pa.Table.from_pylist(self.rows, schema=self.schema))
+            self.rows.clear()
+        if not self._batches:
+            return
+        whole = pa.concat_tables(self._batches)
+        self._batches.clear()
+        if mixed:
+            order = np.argsort(whole["sequence"].to_numpy(), kind="stable")
+            whole = whole.take(pa.array(order)) if (np.diff(order) < 0).any() else whole
+        if self._writer is None:
+            self._writer = parquet.ParquetWriter(self._path, self.schema, compression="zstd", compression_level=1)
+        self._writer.write_table(whole)
+
+    def close(self) -> None:
+        """Write the rest, and end the file."""
+        self.write()
+        if self._writer is not None:
+            self._writer.close()
+
+
+class ParquetTables:
+    """A sink that writes tables into a folder that exists. `clock`: what its times are."""
+
+    def __init__(self, folder: Path, clock: Clock = Clock.UTC) -> None:
+        pa = self._pa = needed("pyarrow")
+        self._folder = folder
+        self._time = pa.timestamp("ns", "UTC" if clock is Clock.UTC else None)
+        self._tables: dict[str, _Table] = {}
+        self._plain: Plain | None = None
+        self._taken: list[slice] = []
+        self._held = 0
+
+    # --- frames by columns ----------------------------------------------------------------------------------------
+
+    def begin(self, plain: Plain) -> None:
+        """Take the next block of frames."""
+        self._settle()
+        self._plain = plain
+
+    def run(self, start: int, stop: int) -> None:
+        """Take plain exchanges; they become columns when the block has ended."""
+        self._taken.append(slice(start, stop))
+
+    def _settle(self) -> None:
+        plain = self._plain
+        if plain is not None and self._taken:
+            taken = np.zeros(len(plain.lane), dtype=np.bool_)
+            for each in self._taken:
+                taken[each] = True
+            for group, lane in alike(plain):
+                rows = group[taken[group]]
+                if len(rows):
+                    self._columns(plain, rows, lane)
+        self._taken = []
+        if self._held >= HELD:
+            for table in self._tables.values():
+                table.write()
+            self._held = 0
+
+    def _columns(self, plain: Plain, rows: Integers, lane: Lane) -> None:
+        pa, block, count = self._pa, plain.block, len(rows)
+        table = self._command(plain.dialect, lane.command, lane.role)
+        sizes = int(block.sizes[rows[0]])
+        data = np.ascontiguousarray(block.data[rows, :sizes])
+        places = (
+            np.arange(0, (count + 1) * sizes, sizes, dtype=np.int32)[: count + 1] if sizes else np.zeros(count + 1, np.int32)
+        )
+        addresses = np.array([each.address for each in plain.lanes])[plain.lane[rows]]
+        common = {
+            "time": pa.array(block.t_ns[rows]).view(self._time),
+            "bus": pa.repeat(topic_name(block.port), count),
+            "address": pa.array(addresses, pa.int64()),
+            "sequence": pa.array(plain.first + rows),
+        }
+        columns = {
+            **common,
+            "_raw": pa.Array.from_buffers(pa.binary(), count, [None, pa.py_buffer(places), pa.py_buffer(data)]),
+            "_checksum_ok": pa.repeat(True, count),
+            "_offset": pa.array(plain.offsets[rows]),
+            "_can_id": pa.array(block.ids[rows]),
+        }
+        marks = block.directions[rows]
+        if marks.any():
+            names = pa.array([None if role is Role.UNKNOWN else role.value for role in DIRECTIONS])
+            columns["_direction"] = names.take(pa.array(marks))
+        if not lane.is_request:
+            latencies = plain.latencies[rows]
+            columns["_latency"] = pa.array(latencies / _SECOND, mask=latencies <= 0)
+            columns["_request_sequence"] = pa.array(plain.first + rows - 1)
+        layout = lane.form.layout
+        for name, values in ColumnCodec(layout).wire(block.data[rows, lane.start : lane.stop]).items():
+            shown = physical_column(values, layout.named[name])
+            columns[name] = pa.array(shown).cast(table.schema.field(name).type)
+            if name in table.choices:
+                columns[name + "_name"] = self._names(values, table.choices[name])
+        table.add(columns, count)
+        self._held += count
+        if lane.states:
+            found = {name: pa.array(each) for name, each in states(plain, rows, lane).items()}
+            self._states().add({**common, **found}, count)
+            self._held += count
+
+    def _names(self, values: NDArray[np.int64], field: Field) -> pyarrow.Array:
+        known = sorted(field.choice_names)
+        places = np.searchsorted(known, values).clip(0, len(known) - 1)
+        indices = self._pa.array(places.astype(np.int32), mask=np.array(known)[places] != values)
+        return self._pa.DictionaryArray.from_arrays(indices, [field.choice_names[value] for value in known])
+
+    def _count_one(self) -> None:
+        self._held += _ALONE
+        if self._held >= HELD:
+            self._settle()
+
+    # --- frames one by one ----------------------------------------------------------------------------------------
+
+    def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
+        """Take a frame that is in order."""
+        self.entry(Entry(lane.message(frame), sequence, lane.topic, (), latency_ns, request_sequence))
+
+    def entry(self, entry: Entry) -> None:
+        """Take a decoded frame, and the state it carries."""
+        message = entry.message
+        frame, command, can = message.frame, message.command, message.frame.can
+        shown = physical(message)
+        row = {
+            **self._place(frame.last_ns, frame.port, message.address, entry.sequence),
+            "_raw": frame.data, "_checksum_ok": frame.checksum_ok, "_offset": frame.offset,
+            "_findings": [found.rule for found in entry.findings] or None,
+            "_latency": None if entry.latency_ns is None else entry.latency_ns / _SECOND,
+            "_request_sequence": entry.request_sequence,
+        }  # fmt: skip
+        if can is not None:
+            row["_can_id"] = can.id
+            row["_direction"] = None if frame.role is Role.UNKNOWN else frame.role.value
+        if message.role is Role.FOREIGN or command is None or message.role is Role.UNKNOWN:
+            table = self._odd("foreign" if message.role is Role.FOREIGN else "unknown")
+            said = {"dialect": frame.dialect.name, "role": message.role.value, "command": command and command.name}
+            row |= {**said, "values": msgspec.json.encode(shown).decode() if shown else None}
+        else:
+            table = self._command(frame.dialect, command, message.role)
+            if command.slots is not None:
+                shown = {"slots": msgspec.json.encode(shown["slots"]).decode()}
+            row |= shown
+        table.rows.append(row)
+        self._count_one()
+        self._state(message, shown, entry.sequence)
+
+    def _state(self, message: Message, shown: Mapping[str, Any], sequence: int) -> None:
+        if message.form is None or message.role is not Role.REPLY or not message.frame.checksum_ok:
+            return
+        found: dict[str, float] = {}
+        for name, field in message.form.layout.named.items():
+            if field.state is not None:
+                found[field.state.quantity] = found.get(field.state.quantity, 0.0) + shown[name] * field.state.factor
+        if found:
+            frame = message.frame
+            place = self._place(frame.last_ns, frame.port, message.address, sequence)
+            self._states().rows.append(place | found)
+
+    def junk(self, junk: Junk, sequence: int, topic: str) -> None:
+        """Take bytes that are no frame."""
+        row = self._place(junk.last_ns, junk.port, None, sequence)
+        row |= {"reason": junk.reason.value, "length": len(junk.data), "_raw": junk.data, "_offset": junk.offset}
+        self._other("junk", reason="string", length="int64", _raw="binary", _offset="int64").rows.append(row)
+
+    def finding(self, found: Finding) -> None:
+        """Take a finding."""
+        row = self._place(found.last_ns, found.port, found.address, found.sequence)
+        row |= {"rule": found.rule, "severity": found.severity.value, "text": found.text, "topic": found.topic}
+        row |= {"section": found.section, "_offset": found.offset}
+        words = dict.fromkeys(("rule", "severity", "text", "topic", "section"), "string")
+        self._other("findings", **words, _offset="int64").rows.append(row)
+
+    def comment(self, comment: Comment) -> None:
+        """Take a comment of the capture."""
+        row = self._place(comment.t_ns, comment.port, None, None)
+        self._other("comments", text="string").rows.append(row | {"text": comment.text})
+
+    def happened(self, event: Event, sequence: int) -> None:
+        """Take an event."""
+        row = self._place(event.t_ns, event.port, None, sequence)
+        values = msgspec.json.encode(dict(event.values)).decode()
+        row |= {"event": event.name, "text": events.text_of(event), "values": values}
+        self._other("events", event="string", text="string", values="string").rows.append(row)
+
+    def finish(self, metadata: Mapping[str, str]) -> None:
+        """End the files; the folder is whole after this."""
+        self._settle()
+        pa = self._pa
+        about = _Table(self._folder / "metadata.parquet", pa.schema({"name": pa.string(), "value": pa.string()}), {})
+        about.rows += [{"name": name, "value": text} for name, text in metadata.items()]
+        for table in (*self._tables.values(), about):
+            table.close()
+
+    def abandon(self) -> None:
+        """Give the tables up: who made the folder removes it."""
+
+    # --- tables ---------------------------------------------------------------------------------------------------
+
+    @staticmethod
+    def _place(t_ns: int | None, port: str, address: int | None, sequence: int | None) -> dict[str, Any]:
+        return {"time": t_ns, "bus": topic_name(port) if port else None, "address": address, "sequence": sequence}
+
+    def _command(self, dialect: Dialect, command: Command, role: Role) -> _Table:
+        name = f"{dialect.name}.{command.name}.{role.value}"
+        return self._tables.get(name) or self._new_command(name, dialect, command, role)
+
+    def _new_command(self, name: str, dialect: Dialect, command: Command, role: Role) -> _Table:
+        pa = self._pa
+        declared: dict[str, list[Field]] = {}
+        for form in forms_of(dialect, command, role):
+            for known, field in form.layout.named.items():
+                declared.setdefault(known, []).append(field)
+        own = []
+        about = {"section": command.section, "manual": dialect.manual}
+        for known, fields in declared.items():
+            first = fields[0]
+            words = about | ({"unit": first.unit} if first.unit else {}) | ({"note": first.note} if first.note else {})
+            own.append(pa.field(known, self._type(fields), metadata=words))
+            if first.choices is not None:
+                own.append(pa.field(known + "_name", pa.dictionary(pa.int32(), pa.string()), metadata=about))
+            if any(field.bit_width > _WIDEST for field in fields):
+                own.append(pa.field(known + "_text", pa.string(), metadata=about))
+        if command.slots is not None:
+            own = [pa.field("slots", pa.string(), metadata=about)]
+        choices = {known: fields[0] for known, fields in declared.items() if fields[0].choices is not None}
+        words = about | {"dialect": dialect.name, "command": command.name, "role": role.value, "summary": command.summary}
+        return self._new(name, [*own, *self._frame(role, dialect.bus)], words, choices)
+
+    def _type(self, fields: Sequence[Field]) -> Any:
+        pa = self._pa
+        if any(field.kind is FieldKind.BYTES for field in fields):
+            return pa.string()
+        if any(field.scale != 1 for field in fields):
+            return pa.float64()
+        return pa.uint64() if any(f.kind is FieldKind.UINT and f.bit_width >= _LONG for f in fields) else pa.int64()
+
+    def _frame(self, role: Role, bus: str) -> list[Any]:
+        """Return what each frame has besides its fields."""
+        pa = self._pa
+        own = {"_raw": pa.binary(), "_checksum_ok": pa.bool_(), "_offset": pa.int64(), "_findings": pa.list_(pa.string())}
+        if role is not Role.REQUEST:
+            own |= {"_latency": pa.float64(), "_request_sequence": pa.int64()}
+        if bus == "can":
+            own |= {"_can_id": pa.int64(), "_direction": pa.string()}
+        units = {"_latency": {"unit": "s"}}
+        return [pa.field(name, kind, metadata=units.get(name)) for name, kind in own.items()]
+
+    def _odd(self, name: str) -> _Table:
+        words = [self._pa.field(known, self._pa.string()) for known in ("dialect", "role", "command", "values")]
+        return self._tables.get(name) or self._new(name, [*words, *self._frame(Role.UNKNOWN, "can")])
+
+    def _states(self) -> _Table:
+        pa = self._pa
+        own = [pa.field(name, pa.float64(), metadata={"unit": unit}) for name, unit in STATE_UNITS.items()]
+        return self._tables.get("states") or self._new("states", own)
+
+    def _other(self, name: str, **types: str) -> _Table:
+        pa = self._pa
+        self._count_one()
+        known = self._tables.get(name)
+        return known or self._new(name, [pa.field(each, pa.type_for_alias(kind)) for each, kind in types.items()])
+
+    def _new(
+        self, name: str, own: Sequence[Any], about: Mapping[str, str] | None = None, choices: Mapping[str, Field] | None = None
+    ) -> _Table:
+        pa = self._pa
+        place = [("time", self._time), ("bus", pa.string()), ("address", pa.int64()), ("sequence", pa.int64())]
+        schema = pa.schema([*(pa.field(*each) for each in place), *own], metadata=dict(about or {}))
+        table = self._tables[name] = _Table(self._folder / f"{name}.parquet", schema, choices or {})
+        return table

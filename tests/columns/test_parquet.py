@@ -1,0 +1,112 @@
+"""Tables of a capture hold what the log does, by blocks and frame by frame, and other programs read them."""
+
+from __future__ import annotations
+
+import io
+import json
+import random
+
+import duckdb
+import polars
+import pytest
+from pyarrow import parquet
+
+from analyzer import dialects
+from analyzer.cli import decode, main
+from analyzer.pipeline import Options, Pipeline
+from analyzer.sinks import parquet as tables
+from analyzer.sinks.mcap_log import McapLog
+from analyzer.sources import open_source
+from tests.columns.both_ways import blocks, messages, short_runs
+from tests.columns.can_traffic import frames
+from tests.test_captures import CAPTURES
+
+MKS = dialects.get("mks-can")
+
+
+def written(items, folder, dialect, ports=()):
+    folder.mkdir()
+    sink, log = tables.ParquetTables(folder), io.BytesIO()
+    kept = McapLog(log)
+    Pipeline([dialect], [sink, kept], Options()).run(items)
+    sink.finish({"source": "made"})
+    kept.finish({})
+    read = {path.stem: parquet.read_table(path) for path in sorted(folder.iterdir())}
+    return {name: table.to_pylist() for name, table in read.items()}, messages(log.getvalue())
+
+
+def of_log(row):
+    """Return a row as the log has it: what is absent is left out."""
+    shown = {name: value for name, value in row.items() if value is not None}
+    for name in ("time", "bus", "sequence"):
+        shown.pop(name)
+    if "_raw" in shown:
+        shown["_raw"] = shown["_raw"].hex(" ").upper()
+    if "slots" in shown:
+        shown["slots"] = json.loads(shown["slots"])
+    return shown
+
+
+def check(read, logged):
+    """Compare the tables of commands, of states, junk and findings with the messages of a log."""
+    found = {}
+    for name, rows in read.items():
+        kind = name.partition(".")[2].replace(".", "/") or name
+        found |= {(kind, row["sequence"]): of_log(row) for row in rows if name not in ("metadata", "findings", "comments")}
+    count = 0
+    for topic, _, sequence, *_, data in logged:
+        kind = topic.split("/", 3)[-1] if topic.count("/") > 2 else topic.rpartition("/")[2]
+        kind = "states" if kind == "state" else kind
+        if kind in ("stats", "findings", "comments", "foreign", "unknown"):
+            continue
+        row = found.pop((kind, sequence))
+        row.pop("address", None)
+        data.pop("_can_flags", None)
+        data.pop("_backward_ns", None)
+        assert row == data, (topic, sequence)
+        count += 1
+    return count
+
+
+@pytest.mark.parametrize("held", [tables.HELD, 300])
+def test_both_ways_and_the_log(held, tmp_path, monkeypatch):
+    monkeypatch.setattr(tables, "HELD", held)
+    made = list(frames(MKS, random.Random(6), 400, 0.1, 0.05))
+    with short_runs():
+        together, logged = written(list(blocks(made, 250)), tmp_path / "together", MKS)
+    assert written(made, tmp_path / "single", MKS) == (together, logged)
+    assert check(together, logged) > 350
+    assert [row["rule"] for row in together["findings"]] == [m[-1]["name"] for m in logged if m[0] == "/findings"]
+    assert len(together["unknown"]) == sum(m[0].endswith("/unknown") for m in logged)
+
+
+@pytest.mark.parametrize("name", ["lk_rs485.log", "mks_modbus.log", "mks_rs485.log"])
+def test_serial_captures(name, tmp_path):
+    dialect = dialects.get(name.removesuffix(".log").replace("_", "-"))
+    with open_source(CAPTURES / name) as source:
+        assert check(*written(list(source), tmp_path / "tables", dialect)) > 10
+
+
+def test_others_read_them(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(decode, "LONG_CAPTURE", 0)
+    folder = tmp_path / "can.parquet"
+    words = ["decode", str(CAPTURES / "mks_can.candump.log"), "--to", "parquet", "-o", str(folder), "--dialect", "mks-can"]
+    assert main(words) == 0
+    replies = folder / "mks-can.read_speed.reply.parquet"
+    schema = parquet.read_schema(replies)
+    assert str(schema.field("time").type) == "timestamp[ns, tz=UTC]"
+    assert schema.field("speed").metadata[b"unit"] == b"rpm"
+    assert {b"section", b"manual", b"command"} <= set(schema.metadata)
+    expected = parquet.read_table(replies)["speed"].to_pylist()
+    assert duckdb.sql(f"select speed from '{replies}' order by sequence").fetchall() == [(each,) for each in expected]
+    assert polars.read_parquet(replies)["speed"].to_list() == expected
+    assert str(parquet.read_schema(folder / "mks-can.run_speed.reply.parquet").field("status_name").type).startswith(
+        "dictionary"
+    )
+    # What exists stays, unless it is to be replaced and holds tables alone.
+    assert main(words) == 2
+    (folder / "notes.txt").touch()
+    assert main([*words, "--force"]) == 2
+    (folder / "notes.txt").unlink()
+    assert main([*words, "--force"]) == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["can.parquet"]
