@@ -1,6 +1,6 @@
 """Decode a capture of any format into an annotated MCAP log or Parquet tables, and end with a summary.
 
-The log stands beside the capture as FILE.mcap unless -o says otherwise. With --dialect auto (the default) the dialects
+The log is written next to the capture as FILE.mcap, or to the file of -o. With --dialect auto (the default) the dialects
 are ranked on the data, and the reason is shown.
 """
 

@@ -249,7 +249,7 @@ class McapFile:
         at, count = 0, len(added.ends)
         while at < count:
             building, base = self._building, int(starts[at])
-            # As for single messages: the one that fills a chunk is its last.
+            # As for single messages: the message that fills a chunk is its last.
             stop = min(count, int(np.searchsorted(added.ends, base + self._chunk_size - building.size)) + 1)
             end = int(added.ends[stop - 1])
             places = starts[at:stop] - base + building.size

@@ -187,7 +187,7 @@ class McapLog:
             behind = 0 if second is None else int(log_ns.searchsorted(second.end_ns))
             if second is not None:
                 _count(second, block, start + counted, start + behind)
-            # The frame that begins a second stands before the counts of the one that it ends.
+            # The first frame of a second stands before the counts of the last second.
             end = min(behind + 1, len(log_ns))
             self._file.add_messages(rows.messages(start + written, start + end, log_ns[written:end]))
             self._last_ns = int(log_ns[end - 1])

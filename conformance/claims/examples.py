@@ -156,7 +156,7 @@ def _example(probe: Probe, command: Command, example: Example) -> None:
 
 
 def _lasts_ns(dialect: Dialect, command: Command, values: Mapping[str, Any]) -> float:
-    """Return how long a move takes by the law of ramps, at the subdivision of `_prepare`; 0 for what is no move."""
+    """Return how long a move takes by the law of ramps, at the subdivision of `_prepare`; 0 for all other commands."""
     of, law = command.motion, dialect.subdivision
     if of is None or law is None or not of.distance or not values[of.speed]:
         return 0.0

@@ -24,7 +24,7 @@ Row = dict[str, Any]
 Rule = Callable[..., object]
 #: A factor and the place of one of its levels.
 _Level = tuple[str, int]
-#: What is to meet yet, by each of its factors: the place of its level, and the others.
+#: The levels that have yet to meet, by each factor: the place of its level, and the other levels.
 _Missing = dict[str, list[tuple[int, frozenset[_Level]]]]
 
 
