@@ -71,6 +71,7 @@ MODULES = (
     "standing_reads",
     "crossed_motions",
     "crossed_newer",
+    "slowing",
     "crossed_stops",
     "crossed_reads",
     "crossed_goal_claims",
