@@ -16,6 +16,8 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Mapping
 from functools import partial
+from itertools import combinations, pairwise
+from typing import NamedTuple
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, MotionKind, Risk, Verb
@@ -455,28 +457,101 @@ def _zero_modes(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, command, {}, facts)
 
 
-@of_read_back(each=_zero_modes, name="{command}/restart", refuted_by="another place", at_best=Certainty.LIKELY)
+class _Back(NamedTuple):
+    """A way back to zero. `turns`: from the zero, counted clockwise where the direction decides, else as the encoder does."""
+
+    mode: int
+    direction: int
+    speed: int
+    turns: float
+
+
+class _Came(NamedTuple):
+    """What came of one. `wanted`: the way that it should take; `on_way`: the speed that the shaft had, where it was seen.
+
+    `status`, `off`: what 3B said at the end, and by how many counts the shaft missed its zero.
+    """
+
+    back: _Back
+    exchange: Exchange
+    wanted: int
+    on_way: float | None
+    status: int
+    off: int
+
+
+_NEARER, _BY_DIRECTION, _CLOCKWISE, _COUNTER = 2, 1, 0, 1
+#: By the shorter way though the direction says the other one; by the direction the longer way.
+_BACKS = (_Back(_NEARER, _COUNTER, 0, 0.3), _Back(_BY_DIRECTION, _CLOCKWISE, 4, 0.3), _Back(_BY_DIRECTION, _COUNTER, 2, -0.3))
+#: Between two looks at a shaft on its way back, and the speed of one that surely turns.
+_ON_WAY_NS, _TURNS_RPM = 25 * MS, 10
+
+
+@of_read_back(
+    each=_zero_modes,
+    name="{command}/restart",
+    refuted_by="another place, another way, or another speed",
+    at_best=Certainty.LIKELY,
+)
 def _returns_to_zero(probe: Probe, command: Command) -> None:
-    """With a zero kept, the shaft goes back to it after a restart."""
-    turn = probe.dialect.counts_per_turn
+    """With a zero kept, the shaft goes back to it after a restart: the way that was set, and faster by a higher speed."""
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
-    probe.do(command, {"zero_mode": 2, "set_zero": 1, "zero_speed": 2, "zero_direction": 0})
-    setting_effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 60, "acceleration": STEEP, "position": turn // 4})
-    before = probe.read(Verb.READ_ENCODER_CARRY, "encoder")
+    clockwise = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), -18)
+    sense = 1 if clockwise.degrees > 0 else -1
+    try:
+        every = [_come_back(probe, command, back, sense) for back in _BACKS]
+    finally:
+        probe.do(command, {"zero_mode": 0, "set_zero": 0, "zero_speed": 0, "zero_direction": 0})
+    for came in every:
+        shown = f"zero_mode {came.back.mode}, zero_direction {came.back.direction}, {came.back.turns:+g} turns from the zero"
+        # The drive takes the end of the way back for its zero, so that the angle within the turn is what shows it.
+        probe.expect(
+            f"{came.off} counts off, 3B {came.status}",
+            holds=came.status == 1 and came.off <= _PLAY,
+            expected=f"zero, and 3B 1: {shown}",
+            refutes=f"the shaft is {came.off} counts off after a restart, and 3B says {came.status}",
+            exchange=came.exchange,
+            key="zero mode",
+        )
+        if came.on_way is not None:
+            text = "the shaft goes the other way back to its zero"
+            right = came.on_way * came.wanted > 0
+            told = f"{came.on_way:+.3g} rpm"
+            probe.expect(told, holds=right, expected=f"the other way: {shown}", refutes=text, exchange=came.exchange, key=text)
+    speeds = [(came.back.speed, abs(came.on_way)) for came in every if came.on_way is not None]
+    for (slow, rpm), (fast, more) in combinations(speeds, 2):
+        if slow < fast:
+            text = "a higher zero_speed does not bring the shaft back faster"
+            expected = f"more than at {slow}: {rpm:.3g} rpm"
+            probe.expect(f"{more:.3g} rpm at {fast}", holds=more > rpm, expected=expected, refutes=text, key=text)
+
+
+def _come_back(probe: Probe, command: Command, back: _Back, sense: int) -> _Came:
+    """Keep a zero, go away from it and restart. `sense`: 1 where clockwise raises the position."""
+    turn = probe.dialect.counts_per_turn
+    motion.ready_to_move(probe)
+    by_direction = back.mode == _BY_DIRECTION
+    values = {"zero_mode": back.mode, "set_zero": 1, "zero_speed": back.speed, "zero_direction": back.direction}
+    probe.do(command, values)
+    away = back.turns * (sense if by_direction else 1)
+    setting_effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 60, "acceleration": STEEP, "position": round(away * turn)})
     exchange = restart(probe)
-    probe.wait(1_500 * MS)
+    rpm = _on_its_way(probe)
     motion.wait_standing(probe)
     status, now = probe.read(Verb.READ_ZERO_STATUS), probe.read(Verb.READ_ENCODER_CARRY, "encoder")
-    probe.do(command, {"zero_mode": 0, "set_zero": 0, "zero_speed": 0, "zero_direction": 0})
-    # The drive takes the end of the way back for its zero, so that the angle within the turn is what shows it.
-    probe.expect(
-        f"{now} (before: {before}), 3B {status}",
-        holds=status == 1 and min(now, turn - now) <= _PLAY,
-        expected="zero, and 3B 1",
-        refutes=f"the shaft is at {now} counts within the turn after a restart, and 3B says {status}",
-        exchange=exchange,
-        key="zero mode",
-    )
+    wanted = sense * (1 if back.direction == _CLOCKWISE else -1) if by_direction else (-1 if away > 0 else 1)
+    return _Came(back, exchange, wanted, rpm, status, min(now, turn - now))
+
+
+def _on_its_way(probe: Probe) -> float | None:
+    """Return the speed of a shaft that turns, None where it does not, or where its place jumps to zero at the end."""
+    looks = [motion.position(probe)]
+    for _ in range(2):
+        probe.wait(_ON_WAY_NS)
+        looks.append(motion.position(probe))
+    first, second = (motion.speed_between(one, other)[0] for one, other in pairwise(looks))
+    steady = abs(first - second) <= _SHARE * 3 * abs(first) and abs(first) > _TURNS_RPM
+    return (first + second) / 2 if steady else None
 
 
 @of_read_back(each=_zero_modes, name="{command}/clean", refuted_by="a shaft that goes back", at_best=Certainty.LIKELY)

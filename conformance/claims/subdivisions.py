@@ -34,10 +34,10 @@ from conformance.talk.probe import Probe, Until
 
 #: Subdivisions at which the rule of speeds and pulses is tried, as the number that they stand for.
 _TRIED = (2, 8, 16, 32, 64, 100, 128, 256)
-#: Others: each motion by a speed is tried at the first of them too, moves by pulses at all.
-_ALSO, _OTHERS = (1, 7), (4, 5, 10, 20, 25, 40, 50, 200)
-#: The way of a move in degrees, its ramp, and when the shaft is looked at: a move at the middle speed ends a little later.
-_WAY, _STEEP, _MIDWAY = 36, 255, 75 * MS
+#: Others: at the first of them each motion is tried too, at all a move by pulses and one motion more in turn.
+_ALSO, _OTHERS = (1, 4, 7), (5, 10, 20, 25, 40, 50, 200)
+#: The way of a move in degrees, its ramp, and when the shaft is looked at: a move that is twice as fast is beyond it.
+_WAY, _STEEP, _MIDWAY = 36, 255, 50 * MS
 #: What a shaft may lag behind its law.
 _LAG_NS = 10 * MS
 
@@ -87,8 +87,10 @@ def _sent(dialect: Dialect, subdivision: int) -> int | None:
 def _table(dialect: Dialect) -> Iterator[tuple[int, Command, int]]:
     """Yield each subdivision with the motions that are tried at it, and their ways."""
     every = motions_of(dialect)
+    by_pulses = [c for c in every if c.verb is Verb.MOVE_RELATIVE_PULSES]
+    others = [c for c in every if c not in by_pulses]
     for number, subdivision in enumerate((*_TRIED, *_ALSO, *_OTHERS)):
-        tried = every if subdivision not in _OTHERS else [c for c in every if motion.takes_pulses(c)][:1]
+        tried = every if subdivision not in _OTHERS else (*by_pulses, others[number % len(others)])
         for place, command in enumerate(tried) if _sent(dialect, subdivision) is not None else ():
             yield subdivision, command, -1 if (number + place) % 2 else 1
 
@@ -238,10 +240,10 @@ def _pulses(probe: Probe, subdivision: int) -> None:
     each=_settings_of_subdivisions,
     name="{command}/pulses-at-others",
     refuted_by="a move by pulses of another length",
-    statement=f"At {', '.join(map(str, _OTHERS))} subdivisions too a turn has 200 pulses for each.",
+    statement=f"At {', '.join(map(str, sorted((*_ALSO, *_OTHERS))))} subdivisions too a turn has 200 pulses for each.",
 )
 def _pulses_at_others(probe: Probe) -> None:
-    for subdivision in _OTHERS:
+    for subdivision in (*_ALSO, *_OTHERS):
         _pulses(probe, subdivision)
 
 

@@ -52,6 +52,8 @@ _STRONG = frozenset({"current", "home_current", "holding_current", "stall_tolera
 _SUBDIVISIONS = (motion.SUBDIVISION, 64, 7, 128, 0)
 #: Of these a little less is as good, so that what was not stored shows.
 _EITHER = _STRONG - {"end_limit"}
+#: How often values are drawn anew that are those of before.
+_DRAWS = 6
 #: What motions are drawn from: the speed, the way in turns, the acceleration; and for how long they go at most.
 _RPM, _TURNS, _ACCELERATIONS = (
     (3, 25, 60, 140, 600, 1600, 3000),
@@ -165,6 +167,8 @@ class _Route:
         self.state: dict[str, Any] = {}
         self._next, self._rpm = 0, float(_LONG_RPM)
         self._selectors = selectors(dialect)
+        #: What each setting was sent last: it is sent something else next, so that what is not stored shows.
+        self._sent: dict[str, dict[str, int]] = {}
 
     def _look(self, count: int) -> Step:
         self._next += count
@@ -293,7 +297,12 @@ class _Route:
                 yield Step(command.name, {"brake_control": control})
                 yield self._look(2)
         else:
-            values = setting_values(dialect, command, chance, self.leeway, stray=deed.stray)
+            for _ in range(_DRAWS):
+                values = setting_values(dialect, command, chance, self.leeway, stray=deed.stray)
+                if values != self._sent.get(command.name):
+                    break
+            if not deed.stray:
+                self._sent[command.name] = values
             yield Step(command.name, values | ({LEAVE: 1} if leave else {}))
 
 
