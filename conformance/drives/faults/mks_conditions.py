@@ -67,6 +67,10 @@ def _rises(drive: MksCore) -> bool:
     return drive.motor.phase(drive.now_ns) is Phase.SPEEDING_UP
 
 
+def _falls(drive: MksCore) -> bool:
+    return drive.motor.phase(drive.now_ns) is Phase.SLOWING_DOWN
+
+
 def _faster(rpm: float) -> Condition:
     return lambda drive: abs(_rpm(drive)) > rpm
 
@@ -414,6 +418,30 @@ def _beyond(drive: Drive, command: Command, values: Values) -> Values:
     return values if values["acceleration"] else values | {name: values[name] + 60}
 
 
+def _as_sent_at_128(drive: Drive, command: Command, values: Values) -> Values:
+    fast = mks(drive).subdivision == _FINE
+    return values | {"speed": values["speed"] * _FINE // mks_shared.SUBDIVISION.counted_at} if fast else values
+
+
+def _back_with(name: str, change: Callable[[int], int]) -> Change:
+    """Go back to the zero at power-on as though a setting was another one."""
+
+    def tune(drive: MksCore) -> None:
+        power_on = drive.power_on
+
+        def other(drive: MksCore) -> None:
+            kept = drive.settings[name]
+            drive.settings[name] = change(kept)
+            try:
+                power_on(drive)
+            finally:
+                drive.settings[name] = kept
+
+        drive.power_on = other
+
+    return Change(tuned(tune).install, having(Verb.SET_ZERO_MODE))
+
+
 def _turned_by_setting(drive: Drive, command: Command, values: Values) -> Values:
     return values | {"position": -values["position"]} if drive.settings["motor_direction"] else values
 
@@ -659,6 +687,8 @@ def _exceptions_turning(drive: Drive, command: Command, outgoing: Outgoing) -> t
     return (rebuilt(drive, outgoing, body[:2] + b"\2") if wrong else outgoing,)
 
 
+#: A fine subdivision.
+_FINE = 128
 #: Accelerations from the top bit on, a slow one; bytes of a frame that is too long at least, of an exception; of a refusal.
 _HALF_BYTE, _EASY, _LEAST_LONG, _EXCEPTION, _REFUSED = 127, 150, 4, 3, 0xFF
 #: What wears out: so many motions. Settings within so long are hasty.
@@ -697,6 +727,8 @@ DOING: Rows = {
     ),
     "power-on": (
         Row("zero-not-cleaned", "9A does not clean the zero", before(Verb.SET_ZERO_MODE, _zero_not_cleaned)),
+        Row("zero-direction-turned", "9A goes back the other way", _back_with("zero_direction", lambda v: 1 - v)),
+        Row("zero-speed-fixed", "9A goes back at one speed", _back_with("zero_speed", lambda v: 2)),
         Row("homing-always-told", "the end of homing is told with active 0 too", tuned(_home_told), NATIVE),
     ),
     "stop": (
@@ -711,6 +743,10 @@ DOING: Rows = {
         Row("home-over-motion-refused", "91 is refused while the shaft turns", refused_when(_turns, Verb.HOME)),
         Row("fast-stop-ignored", "stops are ignored above 1000 rpm", undone_when(_faster(_VERY_FAST), _ENDS)),
         Row("rising-stop-ignored", "stops are ignored while the shaft speeds up", undone_when(_rises, _ENDS)),
+        Row(
+            "falling-emergency-ignored", "F7 does nothing while the shaft slows down", undone_when(_falls, Verb.EMERGENCY_STOP)
+        ),
+        Row("falling-motion-undone", "motion is lost while the shaft slows down", undone_when(_falls, MOTIONS)),
         Row("emergency-latches", "after F7 motion is refused until the motor is enabled", tuned(_latched)),
     ),
     "enable": (
@@ -720,6 +756,11 @@ DOING: Rows = {
     "zero": (Row("zero-low-word", "92 clears 16 bits of the position", before(Verb.SET_ZERO, _low_word)),),
     "target": (
         Row("no-ramp-goes-beyond", "FE without a ramp ends 60 pulses beyond", request(_beyond, Verb.MOVE_ABSOLUTE_PULSES)),
+        Row(
+            "f5-as-sent-at-128",
+            "at 128 subdivisions F5 has its speed as sent",
+            request(_as_sent_at_128, Verb.MOVE_ABSOLUTE_AXIS),
+        ),
         Row(
             "high-pulses-back",
             "FD goes back where the top bit of its pulses is set",

@@ -124,6 +124,11 @@ REFUTED_BY = {
     "slow-speed-zero": "motion/run_speed/slow",
     "slow-run-after-homing": "resilience/reads/homing",
     "group-without-ramp": "addressing/group/as-sent",
+    "falling-emergency-ignored": "motion/emergency_stop/while-slowing",
+    "falling-motion-undone": "motion/move_relative_pulses/while-slowing",
+    "f5-as-sent-at-128": "motion/move_absolute_axis/at-each-subdivision",
+    "zero-direction-turned": "read-back/set_zero_mode/restart",
+    "zero-speed-fixed": "read-back/set_zero_mode/restart",
     "emergency-without-check": "framing/emergency_stop/other-length",
 }
 #: What a fault of the protection and of the angle error is seen by without a hand that holds the shaft.
