@@ -21,9 +21,9 @@ demo: $(VENV)/.installed
 	@echo '  $(BIN)/servotap show captures/mks_can.asc --filter "findings != []"'
 	@echo '  $(BIN)/servotap catalogue --dialect mks-can run_speed'
 
-# Three workers, for many tests wait for real processes and ports.
+# Three workers, for many tests wait for real processes and ports. What one has compiled the others take, and the next run.
 test: $(VENV)/.test
-	$(BIN)/python -m pytest -n 3 --dist worksteal
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 3 --dist worksteal
 
 # The terminal view as the oldest Textual that pyproject.toml allows draws it; `test` takes the newest.
 oldest: $(VENV)/.oldest

@@ -43,16 +43,13 @@ AS_SENT = Line()
 _TURNED = str.maketrans("01", "10")
 
 
-class _Ear(NamedTuple):
-    """A receiver on its way: `edge` -1 where it waits for one from `at` on; else `bit` is the next that it samples."""
-
-    edge: int
-    at: float
-    bit: int
-    read: int
+#: Cells stand in bytes, each by its level.
+_LOW, _HIGH = b"\0", b"\1"
+#: A receiver on its way: `edge` -1 where it waits for one from `at` on; else `bit` is the next that it samples; bytes read.
+_Ear = tuple[int, float, int, int]
 
 
-def _listen(line: Line, cells: list[int], ear: _Ear, wanted: bytes) -> _Ear | None:
+def _listen(line: Line, cells: bytes, ear: _Ear, wanted: bytes) -> _Ear | None:
     """Return the receiver after the cells so far; None where it has read something else than `wanted`."""
     edge, at, bit, read = ear
     high = 0 if line.inverted else 1
@@ -64,11 +61,11 @@ def _listen(line: Line, cells: list[int], ear: _Ear, wanted: bytes) -> _Ear | No
             ):
                 place += 1
             if place >= len(cells):
-                return _Ear(-1, place, 0, read)
+                return -1, place, 0, read
             edge, bit = place, 0
         place = int(edge + (bit + 0.5) * line.ratio + line.late)
         if place >= len(cells):
-            return _Ear(edge, at, bit, read)
+            return edge, at, bit, read
         seen = cells[place] == high
         if bit == 0:
             if seen:
@@ -173,8 +170,9 @@ def unread(
 def _ways(heard: bytes, line: Line, begins: Callable[[bytes], bool]) -> Iterator[tuple[bytes, int, int]]:
     """Yield each row of whole bytes that is read as `heard` or its beginning, how much of it, and the steps so far."""
     # Cell 0 is the idle line before the frame; a receiver that wakes up late misses what comes before.
-    idle = [1] * (int(12 * line.ratio) + 2)
-    waiting = [([1], _Ear(-1, 1 + line.missed if line.missed else 1, 0, 0), b"")]
+    idle = _HIGH * (int(12 * line.ratio) + 2)
+    begin: _Ear = (-1, 1 + line.missed, 0, 0)
+    waiting = [(_HIGH, begin, b"")]
     line = line._replace(missed=line.missed + 1 if line.missed else 0)
     steps = 0
     while waiting:
@@ -187,16 +185,16 @@ def _ways(heard: bytes, line: Line, begins: Callable[[bytes], bool]) -> Iterator
             data += bytes((sum(cell << bit for bit, cell in enumerate(cells[-9:-1])),))
             if sent > 1 and not begins(data):
                 continue
-            if sent > 3 and ear.read:
+            if sent > 3 and ear[3]:
                 rest = _listen(line, cells + idle, ear, heard)
-                if rest is not None and rest.edge < 0:
-                    yield data, rest.read, steps
-        choice = (0,) if place == 0 else (1,) if place == CELLS - 1 else (0, 1)
+                if rest is not None and rest[0] < 0:
+                    yield data, rest[3], steps
+        choice = (_LOW,) if place == 0 else (_HIGH,) if place == CELLS - 1 else (_LOW, _HIGH)
         # What brings the next edge soonest is tried first: that is the last in the list.
-        if ear.edge < 0 and (cells[-1] == 1) is line.inverted:
+        if ear[0] < 0 and (cells[-1] == 1) is line.inverted:
             choice = choice[::-1]
         for cell in choice:
-            grown = [*cells, cell]
+            grown = cells + cell
             after = _listen(line, grown, ear, heard)
             if after is not None:
                 waiting.append((grown, after, data))
