@@ -245,7 +245,15 @@ class Replay:
             if not self._spin_ns:
                 self._listen(due_ns)
         late_ns = gate.now_ns() - due_ns
-        exchange = self._exchange = self._dialogue.send(step.item)
+        # What it sets in motion is known before it leaves: a signal can break in while it does, and the motor turns then.
+        before = dict(self.moving)
+        self._watch(step, moves=True)
+        try:
+            exchange = self._exchange = self._dialogue.send(step.item)
+        except Refused:
+            self.moving = before
+            raise
+        self._watch(step, moves=False)
         sent = SentStep(step, exchange, late_ns, held)
         result = self.result
         result.sent += 1
@@ -257,7 +265,6 @@ class Replay:
             result.settle(self._open.popleft())
         self._awaited = _wire_size(step) if step.replies else 0
         self._awaited_until_ns = exchange.sent_ns + PATIENCE_NS
-        self._watch(step)
         return sent
 
     def _hold(self, due_ns: int) -> bool:
@@ -294,13 +301,14 @@ class Replay:
 
     # --- what moves -----------------------------------------------------------------------------------------------
 
-    def _watch(self, step: Step) -> None:
-        """Remember what a step sets in motion, and what it stops."""
+    def _watch(self, step: Step, *, moves: bool) -> None:
+        """Remember what a step sets in motion (`moves`), or forget what it stops."""
         for address, command, values in meant(step):
             kind = None if command is None or command.motion is None else command.motion.kind
             if kind is MotionKind.STOP:
-                self.moving.pop((step.dialect.name, address), None)
-            elif command is not None and command.moves and kind is not MotionKind.HOLD:
+                if not moves:
+                    self.moving.pop((step.dialect.name, address), None)
+            elif moves and command is not None and command.moves and kind is not MotionKind.HOLD:
                 self.moving[step.dialect.name, address] = _Moving(step.dialect, Risk.UNBOUNDED in command.risks(values))
 
     def stop(self, *, only_runs: bool = False) -> None:
@@ -308,10 +316,11 @@ class Replay:
         for (name, address), moving in list(self.moving.items()):
             if only_runs and not moving.for_ever:
                 continue
-            del self.moving[name, address]
             said = self._stop(moving.dialect, address)
             if said:
                 self.result.left_moving.append(f"{drive_name(moving.dialect, address)}: {said}")
+            # Not before: where a signal breaks into a stop, it is stopped once more.
+            del self.moving[name, address]
 
     def _stop(self, dialect: Dialect, address: int) -> str:
         try:

@@ -297,6 +297,27 @@ def test_ctrl_c_stops_the_motor_by_a_ramp(name: str):
     assert float(before) == pytest.approx(float(after))
 
 
+@pytest.mark.parametrize("broken_into", [RUN, STOP[:5]], ids=["the run", "the stop at the end"])
+def test_ctrl_c_that_falls_into_a_sending_leaves_no_motor_turning(broken_into: bytes):
+    """The motor turns as soon as the bytes have left, whatever of the sending is still to be done."""
+    watched = Watched()
+    left: list[bytes] = []
+
+    def interrupt(t_ns: int, item: Item) -> None:
+        if isinstance(item, bytes) and item.startswith(broken_into) and not left:
+            left.append(item)
+            raise KeyboardInterrupt
+
+    watched.gate.on_sent.append(interrupt)
+    result = watched.replay.run(plan_of((0, ">", RUN), (0.003, "<", RUNS)).steps)
+    assert left
+    assert result.stopped == "Ctrl-C"
+    assert result.left_moving == []
+    watched.gate.on_sent.clear()
+    watched.gate.wait(SECOND_NS)
+    assert stands(watched.drives[0])
+
+
 def test_a_broadcast_run_is_stopped_by_broadcast():
     watched = Watched()
     watched.gate = watched.gate.under(Allowance(EVERYTHING, alone=True))
