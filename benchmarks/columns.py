@@ -73,6 +73,14 @@ def main() -> None:
             peers = {
                 "servotap decode, candump": [*ours, str(dump)],
                 "servotap decode, pcap": [*ours, str(pcap)],
+                "servotap decode --to parquet, pcap": [
+                    *ours,
+                    "--to",
+                    "parquet",
+                    "-o",
+                    str(log.with_suffix(".parquet")),
+                    str(pcap),
+                ],
                 "plain script, candump": [sys.executable, "-c", SCRIPT.format(str(dump), str(log))],
             }
             if shutil.which("tshark"):

@@ -42,13 +42,16 @@ examples:
   candump -L can0 | servotap decode - -o can.mcap
   servotap decode old.mcap -o new.mcap --dialect mks-modbus
   servotap decode week.mcap --since +10min --until +11min -o minute.mcap
+  servotap decode week/ -o logs/                      all captures of a folder; logs/ is made if it is missing
   servotap decode can.log --to parquet                a folder can.log.parquet: a table for each command
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("files", nargs="+", metavar="FILE", help="captures, logs, folders of parts; - reads standard input")
+    parser.add_argument(
+        "files", nargs="+", metavar="FILE", help="captures, logs, folders of them or of parts; - reads standard input"
+    )
     parser.add_argument("-o", "--output", metavar="OUT.mcap", help="the log, or a folder for several")
     parser.add_argument("--to", choices=("mcap", "parquet"), default="mcap", help="a log, or a folder of Parquet tables")
     add_reading_arguments(parser)
@@ -61,11 +64,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Decode each file; return 0, 1 for errors found under --strict, 2 for a file that could not be read."""
     status = 0
     targets: list[Path] = []
+    arguments.files = [capture for path in arguments.files for capture in _captures(path, arguments)]
     for path in arguments.files:
         targets.append(_target(path, arguments, targets))
-    for path, target in zip(arguments.files, targets, strict=True):
+    for number, (path, target) in enumerate(zip(arguments.files, targets, strict=True), 1):
         try:
-            summary = decode(path, target, arguments)
+            summary = decode(path, target, arguments, f" ({number} of {len(targets)})" if len(targets) > 1 else "")
         except UnreadableError as error:
             if len(targets) == 1:
                 raise
@@ -75,6 +79,27 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.strict and summary.severities[Severity.ERROR]:
             status = max(status, 1)
     return status
+
+
+def _captures(path: str, arguments: argparse.Namespace) -> list[str]:
+    """Return the captures that a name stands for: of a folder without logs each file, else the capture or log itself.
+
+    The folder for their logs is made where it is missing.
+    """
+    folder = Path(path)
+    if path == "-" or not folder.is_dir() or any(folder.glob("*.mcap")):
+        return [path]
+    found = sorted(each for each in folder.iterdir() if each.is_file() and not each.name.startswith("."))
+    if not found:
+        raise UnreadableError(f"{folder} is a directory without files, expected captures, or the parts of a recording (*.mcap)")
+    if arguments.output is None:
+        raise UsageError(f"{folder} is a folder of captures: name the folder for their logs with -o")
+    target = target_of(Path(arguments.output))
+    try:
+        target.mkdir(exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"-o {target}: expected a folder for the logs of {folder}: {error.strerror}") from None
+    return [str(each) for each in found]
 
 
 def _target(path: str, arguments: argparse.Namespace, taken: Sequence[Path]) -> Path:
@@ -162,19 +187,19 @@ class _Sinks:
             self._process.abandon()
 
 
-def decode(path: str, target: Path, arguments: argparse.Namespace) -> Summary:
-    """Decode one capture into one log and print its summary."""
+def decode(path: str, target: Path, arguments: argparse.Namespace, place: str = "") -> Summary:
+    """Decode one capture into one log and print its summary. `place`: which of several it is, for the progress."""
     reading = open_reading(path, arguments)
     # What is loaded by now stays: the collector need not look at it again and again while records come and go, and a
     # worker that is forked shares it untouched.
     gc.freeze()
     try:
-        return _decode(path, target, reading, arguments)
+        return _decode(target, reading, arguments, place)
     finally:
         gc.unfreeze()
 
 
-def _decode(path: str, target: Path, reading: OpenCapture, arguments: argparse.Namespace) -> Summary:
+def _decode(target: Path, reading: OpenCapture, arguments: argparse.Namespace, place: str) -> Summary:
     # From before the log exists to when it is whole, Ctrl-C ends the reading and nothing else.
     with contextlib.closing(reading.source), Interrupt() as interrupt:
         output = (OutputFolder if arguments.to == "parquet" else Output)(target, arguments.force)
@@ -184,7 +209,7 @@ def _decode(path: str, target: Path, reading: OpenCapture, arguments: argparse.N
         stopped = ""
         try:
             try:
-                with progress(reading.source, f"decoding {reading.source.name}"):
+                with progress(reading.source, f"decoding {reading.source.name}{place}"):
                     for item in interrupt.items(reading):
                         watch.take(item)
                         pipeline.feed(item)

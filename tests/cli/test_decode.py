@@ -81,6 +81,25 @@ def test_several_files_need_a_folder(tmp_path, capsys):
     assert sorted(os.listdir(tmp_path)) == ["mks_can.asc.mcap", "mks_rs485.log.mcap"]
 
 
+def test_a_folder_of_captures_becomes_a_folder_of_logs(tmp_path, capsys):
+    week, logs = tmp_path / "week", tmp_path / "logs"
+    week.mkdir()
+    assert main(["decode", str(week), "-o", str(logs)]) == 2
+    assert "without files" in capsys.readouterr().err
+    for name in ("mks_rs485.log", "mks_can.candump.log"):
+        shutil.copy(CAPTURES / name, week)
+    assert main(["decode", str(week)]) == 2
+    assert "with -o" in capsys.readouterr().err
+    assert main(["decode", str(week), "-o", str(week / "mks_rs485.log")]) == 2
+    assert main(["decode", str(week), "-o", str(logs)]) == 0
+    assert sorted(os.listdir(logs)) == ["mks_can.candump.log.mcap", "mks_rs485.log.mcap"]
+    # What is no capture is told, and the others are decoded.
+    (week / "a.bin").write_bytes(b"")
+    assert main(["decode", str(week), "-o", str(logs), "--force"]) == 2
+    assert sorted(os.listdir(logs)) == ["mks_can.candump.log.mcap", "mks_rs485.log.mcap"]
+    assert sorted(os.listdir(week)) == ["a.bin", "mks_can.candump.log", "mks_rs485.log"]
+
+
 def test_the_rest_goes_on_after_an_unreadable_file(tmp_path, capsys):
     files = [str(tmp_path / "missing.log"), str(BENCH)]
     assert main(["decode", *files, "-o", str(tmp_path)]) == 2
