@@ -26,6 +26,7 @@ from analyzer.records import Severity
 from analyzer.sinks.mcap_log import McapLog
 from analyzer.sinks.process import SinkProcess, available
 from analyzer.sinks.summary import Summary
+from analyzer.table.extras import needed
 from analyzer.values import printable
 
 if TYPE_CHECKING:
@@ -62,6 +63,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Decode each file; return 0, 1 for errors found under --strict, 2 for a file that could not be read."""
+    if arguments.to == "parquet":
+        # What is missing is told before anything is made.
+        needed("pyarrow")
     status = 0
     targets: list[Path] = []
     arguments.files = [capture for path in arguments.files for capture in _captures(path, arguments)]

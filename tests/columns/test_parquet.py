@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import random
+import sys
 
 import duckdb
 import polars
@@ -110,3 +111,11 @@ def test_others_read_them(tmp_path, capsys, monkeypatch):
     (folder / "notes.txt").unlink()
     assert main([*words, "--force"]) == 0
     assert sorted(p.name for p in tmp_path.iterdir()) == ["can.parquet"]
+
+
+def test_without_pyarrow_nothing_is_made(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    folder = tmp_path / "can.parquet"
+    assert main(["decode", str(CAPTURES / "mks_can.candump.log"), "--to", "parquet", "-o", str(folder)]) == 2
+    assert "servotap[table]" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
