@@ -700,6 +700,7 @@ TARGETS: dict[str, Target] = {
     "pipeline": Target(_pipeline, _file_seeds("decode"), _file_changed, 10.0),
     "columns": Target(_columns, _file_seeds("decode", kinds=("blf", "candump", "pcap")), _file_changed, 3.0),
     "decode": Target(_decode, _file_seeds("decode"), _file_changed, 3.0),
+    "decode-parquet": _on_files("decode", INPUT, "--to", "parquet", "-o", "out.parquet", share=0.5),
     "show": _on_files("show", INPUT),
     "show-json": _on_files("show", INPUT, "--json", "--bytes", "--since", "+1s"),
     "diagnose": _on_files("diagnose", INPUT, "--json"),
