@@ -37,6 +37,7 @@ LAST_WAIT_S = 5.0
 _LAST_WORDS = 20
 #: How a line on standard error begins that is for people.
 SAYS = "servotap record: "
+_LEFT_OUT = "servotap: "
 #: Numbers of segments for each start of a reader: none is used twice, even after older ones were deleted.
 SEGMENTS = 1_000_000
 #: Readers go before everything else where that is allowed (root); elsewhere decoding goes after them.
@@ -146,9 +147,10 @@ class Child(ABC):
         with stream:
             for line in stream:
                 text = line.decode(errors="replace").rstrip()
-                if text.startswith(SAYS):
-                    # For people; all else is what a program leaves that breaks down.
-                    self._heard.put(("said", self.name, text.removeprefix(SAYS)))
+                # For people, also of a package that was left out; all else is what a program leaves that breaks down.
+                said = next((text.removeprefix(begin) for begin in (SAYS, _LEFT_OUT) if text.startswith(begin)), None)
+                if said is not None:
+                    self._heard.put(("said", self.name, said))
                 self._words.append(text)
 
     def _keep(self, leash: socket.socket) -> None:

@@ -7,12 +7,14 @@ fault of the rig (or no verdict), else 0: fixed.
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Generator, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 from analyzer.errors import UnreadableError
+from analyzer.values import quote
 from conformance.claim import NotStopped, Outcome, RigFault, Verdict, worst
 from conformance.gate.permissions import add_gate_arguments
 from conformance.report.log import METADATA
@@ -28,6 +30,7 @@ examples:
   servotap rerun failure.mcap --on tcp:192.168.0.7:5000 --allow motion --max-speed 300
 """
 FAILING = 1
+_SEED = re.compile(r"-?\d{1,40}")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,6 +57,10 @@ def stored(path: Path) -> dict[str, str]:
         raise UnreadableError(f"{path}: expected a stored failure (MCAP), got: {error}") from None
     if found is None:
         raise UnreadableError(f"{path}: expected a log that servotap test --failures wrote: it names no claim")
+    missing = next((key for key in ("claim", "target") if not found.get(key)), None)
+    if missing or not _SEED.fullmatch(found.get("seed") or "0"):
+        told = f"no {missing}" if missing else f"the seed {quote(found['seed'])}"
+        raise UnreadableError(f"{path}: expected a stored failure as servotap test --failures writes it, got {told}")
     return dict(found)
 
 
@@ -79,7 +86,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _verdicts(plan: suite.Plan, found: target.Target, times: int) -> Generator[Verdict]:
-    (claim,) = plan.selected(found)
+    claims = plan.selected(found)
+    if len(claims) != 1:
+        raise UnreadableError(f"expected the name of one claim in the file, got one of {len(claims)}")
+    (claim,) = claims
     rig = suite.open_rig(plan, found)
     try:
         for _ in range(times):

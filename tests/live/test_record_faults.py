@@ -15,6 +15,7 @@ from tests.conformance.drives.served import wait_for
 from tests.live.recorded import Recorded, gone, pty_pair, small_disk
 from tests.live.test_reader_serial import terminal
 from tests.live.test_record import POLL, events, raw, servotap
+from tests.plugin_site import make_site
 
 BLOCK = 700
 
@@ -122,6 +123,31 @@ def _lines(recorded):
     from tests.live.recorded import children_of
 
     return children_of(recorded.process.pid).values()
+
+
+_MINE = "from dataclasses import replace\nfrom analyzer.dialects import get\nDIALECT = replace(get('mks-can'), name='mine')\n"
+
+
+def test_a_package_that_breaks_while_a_recording_runs_costs_no_byte(tmp_path, monkeypatch):
+    site = tmp_path / "site"
+    site.mkdir()
+    make_site(site, "breaking", _MINE, "breaking")
+    monkeypatch.setenv("PYTHONPATH", str(site))
+    with pty_pair() as (master, path), Recorded(tmp_path, f"left=serial:{path},baud=115200") as recorded:
+        os.write(master, POLL)
+        assert recorded.wait_bytes(len(POLL))
+        # The decoding process that is started anew imports it again.
+        (site / "breaking.py").write_text("raise SystemExit('broken \\x1b[2J')\n")
+        os.kill(recorded.pid_of("live.recorder"), signal.SIGKILL)
+        recorded.wait_note("the decoding process ended (killed by SIGKILL)")
+        os.write(master, POLL)
+        assert recorded.wait_bytes(2 * len(POLL))
+        assert recorded.end() == 0, recorded.errors
+        assert recorded.summary["decoder_restarts"] == 1
+        said = recorded.errors + "".join(line.get("text", "") for line in recorded.lines)
+        assert "breaking (breaking:DIALECT) of servotap.dialects failed and is left out: SystemExit" in said
+        assert "\x1b" not in said
+    assert raw(recorded.log) == {"left": 2 * POLL}
 
 
 def test_after_the_death_of_the_supervisor_the_others_finish_the_log_and_end(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from mcap.writer import Writer
 
 from benchmarks.gate import READS, sound
 from conformance.claim import NotStopped, Outcome, RigFault, Verdict, worst
@@ -108,3 +109,23 @@ def test_a_rerun_without_a_verdict_is_a_fault_of_the_rig(stored, capsys, monkeyp
     monkeypatch.setattr("conformance.cli.rerun.engine.run_claim", unjudged)
     assert main(["rerun", stored]) == 10
     assert "no verdict: nothing answers" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"claim": ""}, "got no claim"),
+        ({"target": ""}, "got no target"),
+        ({"seed": "x"}, "got the seed 'x'"),
+        ({"claim": "*/shape/read_speed/*"}, "expected the name of one claim"),
+    ],
+)
+def test_a_stored_failure_that_no_run_wrote(changed, told, tmp_path, capsys):
+    about = {"claim": "mks-rs485/shape/read_speed/answered", "target": "mks-rs485@1"} | changed
+    with (tmp_path / "f.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        writer.add_metadata("servotap.claim", about)
+        writer.finish()
+    assert main(["rerun", str(tmp_path / "f.mcap")]) == 2
+    assert told in capsys.readouterr().err
