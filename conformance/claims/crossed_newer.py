@@ -12,6 +12,7 @@ Rules kept here:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -302,6 +303,55 @@ def _home_takes_over(probe: Probe, command: Command) -> None:
         within = _HOME_RPM * 2 * CLOCK_SHARE + spread + 2
         probe.expect(abs(rpm), near=_HOME_RPM, within=within, unit="rpm", expected=f"{_HOME_RPM} rpm, {shown}", **told)
         probe.expect(f"status {status}", holds=status == homing.HOMING, expected=f"status {homing.HOMING}, {shown}", **told)
+
+
+def _turning_homes(dialect: Dialect) -> Iterator[Case]:
+    return (Case(case.dialect, case.command, {}, case.facts) for case in _homes(dialect))
+
+
+@of_motion(each=_turning_homes, name="{command}/turns", refuted_by="another way or another speed", at_best=Certainty.LIKELY)
+def _home_turns(probe: Probe, command: Command) -> None:
+    """Homing turns the shaft at its speed and by its direction in each mode, with and without a switch, at each subdivision."""
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    law = probe.dialect.subdivision
+    assert law is not None  # it homes by a speed as sent
+    sense = 0.0
+    factors = {
+        "mode": tuple(reversed(motion.bus_modes(probe.dialect))),
+        "direction": (0, 1),
+        "home_mode": (0, 1),
+        "subdivision": (motion.SUBDIVISION, 8),
+    }
+    for row in covering.rows(factors):
+        motion.ready_to_move(probe, row["mode"], subdivision=row["subdivision"])
+        homing.set_home(
+            probe, home_speed=_HOME_RPM, home_direction=row["direction"], home_mode=row["home_mode"], return_angle=0
+        )
+        begun = probe.ask(command, quiet_ns=0)
+        probe.wait(begun.sent_ns + _RUNS_NS - probe.gate.now_ns())
+        first = motion.position(probe)
+        probe.wait(int(first.t_ns) + _HOMES_NS - probe.gate.now_ns())
+        rpm, spread = motion.speed_between(first, motion.position(probe))
+        probe.ask(Verb.EMERGENCY_STOP)
+        motion.wait_standing(probe)
+        shown = ", ".join(f"{name} {value}" for name, value in row.items())
+        text = "homing turns another way or at another speed in one condition"
+        real = _HOME_RPM if row["subdivision"] in law.plain else _HOME_RPM * law.counted_at / row["subdivision"]
+        # Which way clockwise is, is the drive's own word: that of the first row.
+        way = 1 if row["direction"] == 0 else -1
+        sense = sense or math.copysign(1, rpm * way)
+        wanted = real * sense * way
+        probe.expect(
+            rpm,
+            near=wanted,
+            within=real * 2 * CLOCK_SHARE + spread + 2,
+            unit="rpm",
+            expected=f"{wanted:+g} rpm: {shown}",
+            refutes=text,
+            exchange=begun,
+            key=text,
+        )
+    homing.set_home(probe)
 
 
 def _ends_of_homing(dialect: Dialect) -> Iterator[Case]:

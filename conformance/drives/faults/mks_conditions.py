@@ -442,6 +442,11 @@ def _back_with(name: str, change: Callable[[int], int]) -> Change:
     return Change(tuned(tune).install, having(Verb.SET_ZERO_MODE))
 
 
+def _slow_open_home(drive: MksCore) -> None:
+    held = drive.settings
+    drive.home_settings = lambda: held | {"home_speed": held["home_speed"] // 2} if "open" in drive.mode else held
+
+
 def _turned_by_setting(drive: Drive, command: Command, values: Values) -> Values:
     return values | {"position": -values["position"]} if drive.settings["motor_direction"] else values
 
@@ -846,6 +851,7 @@ DOING: Rows = {
     ),
     "homed": (
         Row("slow-run-after-homing", "the first run after 91 has the home speed at most", tuned(_slow_after_homing)),
+        Row("open-home-slow", "91 turns at half of its speed in the open mode", tuned(_slow_open_home)),
         Row("zero-status-2-after-homing", "3B reads 2 after homing", told_when(_homed, Verb.READ_ZERO_STATUS, status=2)),
     ),
 }

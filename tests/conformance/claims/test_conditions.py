@@ -124,6 +124,7 @@ REFUTED_BY = {
     "slow-speed-zero": "motion/run_speed/slow",
     "slow-run-after-homing": "resilience/reads/homing",
     "group-without-ramp": "addressing/group/as-sent",
+    "open-home-slow": "motion/home/turns",
     "falling-emergency-ignored": "motion/emergency_stop/while-slowing",
     "falling-motion-undone": "motion/move_relative_pulses/while-slowing",
     "f5-as-sent-at-128": "motion/move_absolute_axis/at-each-subdivision",
