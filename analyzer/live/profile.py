@@ -337,9 +337,9 @@ class _File:
         """Return the file and, where it is found, the line of a key of a table; without a key, of the table."""
         inside = not table
         for number, line in enumerate(self._text.splitlines(), 1):
-            header = re.fullmatch(r"\s*\[+\s*([^\[\]]+?)\s*\]+\s*(#.*)?", line)
+            header = re.fullmatch(r"\s*\[+([^\[\]]+)\]+\s*(#.*)?", line)
             if header is not None:
-                here = header[1].replace('"', "").replace(" ", "")
+                here = header[1].strip().replace('"', "").replace(" ", "")
                 inside = here == table or (not key and here.startswith(f"{table}."))
             if inside and (not key if header is not None else key and re.match(rf"\s*\"?{re.escape(key)}\"?\s*=", line)):
                 return f"{self.path}, line {number}"

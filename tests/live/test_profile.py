@@ -182,6 +182,12 @@ def test_a_profile_that_cannot_be_read(folder):
     assert issubclass(UnreadableError, ServotapError)
 
 
+def test_the_line_of_a_mistake_is_found_at_once_in_any_text(folder):
+    (folder / "servotap.toml").write_text(f'x = """\n[{" " * 100_000}\n"""\n[drive.arm]\nport = "/dev/x"\nbogus = 1\n')
+    with pytest.raises(UsageError, match="line 6: drive arm: bogus"):
+        profile.look_up("arm")
+
+
 def configured(folder, *words):
     arguments = parsed(*words, "-o", str(folder / "a.mcap"))
     endpoints, named = record._endpoints(arguments)
