@@ -518,7 +518,7 @@ def _returns_to_zero(probe: Probe, command: Command) -> None:
             right = came.on_way * came.wanted > 0
             told = f"{came.on_way:+.3g} rpm"
             probe.expect(told, holds=right, expected=f"the other way: {shown}", refutes=text, exchange=came.exchange, key=text)
-    speeds = [(came.back.speed, abs(came.on_way)) for came in every if came.on_way is not None]
+    speeds = sorted((came.back.speed, abs(came.on_way)) for came in every if came.on_way is not None)
     for (slow, rpm), (fast, more) in combinations(speeds, 2):
         if slow < fast:
             text = "a higher zero_speed does not bring the shaft back faster"
