@@ -212,6 +212,13 @@ def _settings_of_subdivisions(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, found[0], facts=_facts(dialect))
 
 
+def _other_subdivisions(dialect: Dialect) -> Iterator[Case]:
+    others = sorted(n for n in (*_ALSO, *_OTHERS) if _sent(dialect, n) is not None)
+    for case in _settings_of_subdivisions(dialect):
+        statement = f"At {', '.join(map(str, others))} subdivisions too a turn has 200 pulses for each."
+        yield Case(dialect, case.command, {"others": others}, {**case.facts, "statement": statement})
+
+
 def _motions(dialect: Dialect) -> Iterator[Case]:
     for _ in _settings_of_subdivisions(dialect):
         for command in motions_of(dialect):
@@ -236,14 +243,9 @@ def _pulses(probe: Probe, subdivision: int) -> None:
         _expect(probe, tried, text, speed=False)
 
 
-@of_motion(
-    each=_settings_of_subdivisions,
-    name="{command}/pulses-at-others",
-    refuted_by="a move by pulses of another length",
-    statement=f"At {', '.join(map(str, sorted((*_ALSO, *_OTHERS))))} subdivisions too a turn has 200 pulses for each.",
-)
-def _pulses_at_others(probe: Probe) -> None:
-    for subdivision in (*_ALSO, *_OTHERS):
+@of_motion(each=_other_subdivisions, name="{command}/pulses-at-others", refuted_by="a move by pulses of another length")
+def _pulses_at_others(probe: Probe, others: list[int]) -> None:
+    for subdivision in others:
         _pulses(probe, subdivision)
 
 
