@@ -285,11 +285,11 @@ class Wide(Table):
 
     def _values(self) -> Iterator[tuple[int, Row]]:
         """Yield the rows that change a column, with times that do not decrease."""
-        last_ns: int | None = None
+        last_ns = self.recorded.begin_ns
         for row in self.recorded.rows():
             feeds = self._places[row.shape] or self._states[row.shape] or self._latencies[row.shape] is not None
             if feeds and row.checksum_ok:
-                last_ns = row.t_ns if last_ns is None else max(last_ns, row.t_ns)
+                last_ns = max(last_ns, row.t_ns)
                 yield last_ns, row
 
     def _take(self, line: list[Any], row: Row) -> None:
