@@ -24,7 +24,9 @@ _DROP = f"{_OFF}, or drop as many bytes as were sent before reading the reply"
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect an echo."""
     repeated = scene.repeated
-    whole = [(e, "" if e.piece is None else shown(e.piece.data)) for e in scene.of("host_echo") if e not in repeated]
+    # What the capture says was sent is no echo: it was sent again.
+    came = [e for e in scene.of("host_echo") if e not in repeated and scene.direction(e.offset) is not Role.REQUEST]
+    whole = [(e, "" if e.piece is None else shown(e.piece.data)) for e in came]
     sides = [burst.direction for burst in scene.bursts] if scene.directed else []
     exchanges = sum(pair == (Role.REQUEST, Role.REPLY) for pair in pairwise(sides))
     found = whole + [(t, shown(sent)) for t, sent in _received(scene) if t not in [w for w, _ in whole]]

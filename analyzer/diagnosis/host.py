@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterator
 
 from analyzer.catalogue import Role
@@ -26,8 +27,8 @@ def _cut(scene: Scene) -> Iterator[Suspicion]:
             continue
         asked = asked_before(scene, stretch)
         wanted = _wanted(asked, stretch.data) if asked is not None else _promised(stretch.data)
-        # What the capture ends in may have gone on.
-        if wanted and (scene.directed or stretch.stop != scene.pieces[-1].stop):
+        # What the capture ends in may have gone on; what goes on in the reads behind it was not cut.
+        if wanted and not _goes_on(scene, stretch, wanted) and (scene.directed or stretch.stop != scene.pieces[-1].stop):
             cut.append((trouble, stretch.data, wanted))
     if not scene.often(len(cut), Role.REPLY):
         return
@@ -39,6 +40,16 @@ def _cut(scene: Scene) -> Iterator[Suspicion]:
         f"Read until {wanted} bytes are there or a timeout has passed, not what has come by the time of one read",
         tuple(Shown(t.offset, shown(d)) for t, d, _ in cut),
     )  # fmt: skip
+
+
+def _goes_on(scene: Scene, stretch: Stretch, wanted: int) -> bool:
+    """Say whether the reads behind make a reply of it whose CRC fits; a log may show each of them again when it is handled."""
+    data = last = stretch.data
+    for burst in scene.bursts[bisect_right(scene.bursts, stretch.offset, key=lambda b: b.offset) :]:
+        if burst.direction is Role.REQUEST or len(data) >= wanted:
+            break
+        data, last = data if burst.data == last else data + burst.data, burst.data
+    return len(data) == wanted and data[1] in READS and modbus_crc(data) == 0
 
 
 def asked_before(scene: Scene, stretch: Stretch) -> Message | None:

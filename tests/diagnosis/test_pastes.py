@@ -6,6 +6,7 @@ import pytest
 
 from analyzer import dialects as registry
 from analyzer.diagnosis.diagnose import of_traffic
+from analyzer.link import modbus_crc
 from analyzer.records import CanFrame
 from analyzer.sources.pasted import read_text
 
@@ -75,3 +76,21 @@ def test_a_search_for_drives_is_no_trouble():
 def test_a_number_of_a_logger_is_no_byte():
     text = "2020-07-31 16:33:39,109 MainThread  DEBUG    client  :35   Write to a register\n> 11 03 00 10 00 02 C7 5E\n"
     assert [item.data.hex() for item in read_text(text).traffic] == ["110300100002c75e"]
+
+
+def test_requests_that_are_sent_again_are_no_echo():
+    sent = "".join(f"[10:00:0{s}][D][uart_debug:114]: >>> 11:03:00:10:00:02:C7:5E\n" for s in (1, 1, 1, 1))
+    found = of_traffic(read_text(sent).traffic, [d for d in registry.every() if d.name == "mks-modbus"])
+    assert "echo" not in [each.suspicion.cause for each in found.causes]
+
+
+@pytest.mark.parametrize("shown_again", [False, True])
+def test_a_reply_that_goes_on_in_the_next_reads_is_not_cut(shown_again):
+    reply = bytes.fromhex("0403081122334455667788")
+    reply += modbus_crc(reply).to_bytes(2, "little")
+    text = "send: 0x4 0x3 0x62 0x75 0x0 0x4 0x4a 0x3e\n"
+    for part in (reply[:5], reply[5:12], reply[12:]):
+        said = " ".join(f"0x{byte:x}" for byte in part)
+        text += f"recv: {said}\n" + f"Processing: {said}\nFrame - not ready\n" * shown_again
+    found = of_traffic(read_text(text).traffic, [d for d in registry.every() if d.bus == "serial"])
+    assert "reply_cut" not in [each.suspicion.cause for each in found.causes]
