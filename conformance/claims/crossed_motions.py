@@ -154,7 +154,7 @@ def _speed(probe: Probe, command: Command) -> None:
 
 def _speed_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     for tried in sound(rows):
-        steady = _steady(tried)
+        steady = _steady(tried, probe.noise.place)
         if len(steady) < 2:
             continue
         seen, spread = motion.speed_between(steady[0], steady[-1])
@@ -183,13 +183,13 @@ def _first(probe: Probe, command: Command) -> None:
         judge(probe, command, rows)
 
 
-def _steady(tried: Tried) -> list[Sample]:
-    """Return the positions at which a shaft surely had its full speed."""
+def _steady(tried: Tried, noise: float) -> list[Sample]:
+    """Return the positions at which a shaft surely had its full speed; they may be off by `noise` degrees."""
     found = []
     for look in tried.places(tried.during):
         on, span = tried.spans(look)
         low, high = on.rpm(*span)
         if on is tried.course and min(abs(low), abs(high)) == on.top and low * high > 0:
             half_ns = (look.span[1] - look.span[0]) / 2
-            found.append(Sample(look.span[0] + half_ns, half_ns, place(look) * COUNT, COUNT))
+            found.append(Sample(look.span[0] + half_ns, half_ns, place(look) * COUNT, COUNT, noise))
     return found

@@ -114,6 +114,9 @@ class BareReplies:
         frame = found[0].message.frame
         if frame.data != whole or not frame.checksum_ok or found[0].message.form is None:
             return None
+        # A status that the manual does not list is the rest of a reply that ran into another frame.
+        if any(finding.rule == "unknown_choice" for finding in found[0].findings):
+            return None
         self._learn()
         as_it_came = replace(frame, data=data, first_ns=first_ns, last_ns=last_ns, offset=offset)
         return replace(found[0], message=replace(found[0].message, frame=as_it_came))

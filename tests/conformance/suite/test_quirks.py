@@ -11,12 +11,16 @@ from functools import cache
 
 import pytest
 
+from analyzer import dialects
+from analyzer.records import Junk, JunkReason
 from conformance import claims as registry
 from conformance.claim import Claim, Outcome
 from conformance.drives import make
 from conformance.suite import engine
 from conformance.suite.engine import Verdict
 from conformance.suite.rig_emulated import EmulatedRig
+from conformance.talk.exchange import Exchange
+from conformance.talk.no_checksum import BareReplies
 from tests.conformance.quirk_runs import UNSEEN, changes, pairs, run
 
 #: Of the claims that do not name a quirk, each of so many is run with it.
@@ -78,6 +82,14 @@ def test_other_damage_is_not_taken_for_a_missing_checksum(drive):
     claim = next(c for c in registry.every(rig.dialect) if c.id.endswith("/motion/read_speed/at-rest"))
     exchange = rig.probe(claim).ask("read_position")
     assert not any(answer.bare for answer in exchange.answers)
+
+
+@pytest.mark.parametrize(("status", "read"), [(0xC2, False), (2, True)])
+def test_the_rest_of_two_frames_that_collided_is_no_reply_without_checksum(status, read):
+    """The told end of a move ran into a request: `FB 01 F4 C2` came in place of `FB 01 F4 02 F2`."""
+    junk = Junk("bus", 0, 0, 0, bytes((0xFB, 1, 0xF4, status)), JunkReason.TRUNCATED)
+    found = BareReplies(dialects.get("mks-rs485")).of_junk(junk, Exchange(None, 0))
+    assert (found is not None) is read
 
 
 @pytest.mark.parametrize(
