@@ -99,7 +99,7 @@ def _misaligned(scene: Scene) -> Iterator[Suspicion]:
     if first is None or shifted < _SHIFTED or shifted < _SHIFTED_SHARE * reads:
         return
     turn, shift = first
-    if crosses and not crosses[0].shift:
+    if crosses and not crosses[0].shift and not _whole_before(scene, crosses[0].read):
         yield Suspicion(
             "reply_cut", Confidence.CERTAIN, troubles or [Trouble("damaged", turn.offset)],
             "The host reads too early: a part of each reply is left, and opens its next read.",
@@ -117,6 +117,11 @@ def _misaligned(scene: Scene) -> Iterator[Suspicion]:
         "Clear the input before each request, and look for the head of a reply instead of counting bytes",
         tuple(Shown(t.offset, shown(t.stretch.data)) for t in troubles if t.stretch is not None),
     )  # fmt: skip
+
+
+def _whole_before(scene: Scene, short: Turn) -> bool:
+    """Say whether whole replies were read before the first short read: the host knows their length, and loses step once."""
+    return any(not p.crosses and not p.shift and not p.back and p.read.offset < short.offset for p in placed(scene))
 
 
 def _shift(exchange: Exchange, turn: Turn) -> int:

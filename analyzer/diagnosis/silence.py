@@ -236,7 +236,7 @@ def _to_all(scene: Scene) -> Iterator[Suspicion]:
         piece
         for piece in scene.pieces
         if (m := piece.message) is not None and piece.is_request and piece.sound and m.command is not None
-        and m.address == m.frame.dialect.broadcast and m.command.reply_forms and _reads(m)
+        and m.address == m.frame.dialect.broadcast and m.command.reply_forms and (_reads(m) or _only_to_all(scene, m))
     ]  # fmt: skip
     if not sent:
         return
@@ -251,12 +251,19 @@ def _to_all(scene: Scene) -> Iterator[Suspicion]:
         # A register that the catalogue does not have: the same request, to one unit.
         right = dialect.link.completed(bytes((one,)) + message.frame.data[1 : dialect.link.parse(message.frame.data).stop])
     yield Suspicion(
-        "broadcast_no_reply", Confidence.CERTAIN, scene.of("unanswered"),
+        "broadcast_no_reply", Confidence.CERTAIN if _reads(message) else Confidence.LIKELY,
+        [t for t in scene.troubles if t.piece in sent or t.rule in ("unanswered", "unsolicited_reply")],
         f"{message.command.name} is sent to address {dialect.broadcast}, which is all drives: none answers it.",
         f"{_bytes(sent[0])} at byte {sent[0].offset}; {counted(len(sent), 'time')}",
         f"Ask one drive: {shown(right, dialect.link.identifier(message.command, one))}",
         tuple(Shown(p.offset, _bytes(p)) for p in sent),
     )  # fmt: skip
+
+
+def _only_to_all(scene: Scene, message: Message) -> bool:
+    """Say whether an unknown register is written and nobody but all is asked: a write to all stands beside other requests."""
+    unknown = message.command in message.frame.dialect.fallbacks.values()
+    return unknown and all(p.message is not None and p.message.address == message.address for p in scene.requests)
 
 
 def _to_none(scene: Scene) -> Iterator[Suspicion]:

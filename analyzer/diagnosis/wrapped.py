@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
+from analyzer.catalogue import Role
 from analyzer.diagnosis.reader import Reader
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Suspicion, Trouble, shown
 from analyzer.link.modbus import FUNCTIONS, modbus_crc
@@ -141,8 +142,20 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         first, data, frame = found[0]
         becomes = f" is {shown(frame)}" if frame else ""
         yield Suspicion(
-            dress.cause, Confidence.CERTAIN, [t for t, _, _ in found], dress.say,
+            dress.cause, Confidence.POSSIBLE if _all_answered(scene, dress) else Confidence.CERTAIN, [t for t, _, _ in found],
+            dress.say,
             f"{shown(data[:32])}{becomes}, at byte {first.offset}; {counted(len(found), 'time')}",
             f"{dress.next}: {shown(frame)}" if frame else dress.next,
             tuple(Shown(t.offset, shown(d), shown(f)) for t, d, f in found),
         )  # fmt: skip
+
+
+def _all_answered(scene: Scene, dress: Dress) -> bool:
+    """Say whether each wrapped request has a reply of its number and unit: then who answers takes the header."""
+    if dress.undo is not _tcp or not scene.directed:
+        return False
+    sent, came = (
+        [burst.data[:2] + burst.data[_HEADER : _HEADER + 1] for burst in scene.bursts if burst.direction is role]
+        for role in (Role.REQUEST, Role.REPLY)
+    )
+    return bool(sent) and set(sent) <= set(came)

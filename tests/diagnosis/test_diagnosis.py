@@ -251,6 +251,10 @@ def test_a_read_of_all_is_not_answered():
     assert first((">", build(NATIVE, "read_speed", 0))) == "broadcast_no_reply"
     # Of a register that the manual does not have, too.
     assert first("> 00 03 00 00 00 0A C4 1C") == "broadcast_no_reply"
+    # And a write of one, where nothing else is asked.
+    write = MODBUS.link.completed(bytes.fromhex("00 06 70 01 00 05"))
+    assert first((">", write)) == "broadcast_no_reply"
+    assert told((">", write), *exchanged("mks-modbus@1", build(MODBUS, "read_speed", 1))) == []
 
 
 def test_motion_is_refused_in_pulse_mode():

@@ -72,6 +72,11 @@ def test_headers_of_modbus_tcp(row):
     assert first(row) == "tcp_framing"
 
 
+def test_modbus_tcp_that_is_answered_is_no_fault_of_the_host():
+    rows = ("> 00 01 00 00 00 06 01 03 00 30 00 01", "< 00 01 00 00 00 05 01 03 02 00 07")
+    assert all(each.confidence == "possible" for each in told(*rows))
+
+
 def stick(data):
     return b"AT" + (1 << 21).to_bytes(4, "big") + bytes((len(data),)) + data + b"\r\n"
 

@@ -87,6 +87,17 @@ def test_reads_out_of_step(drive, stray):
     assert first(*shifted) == "read_misaligned"
 
 
+def test_one_short_read_puts_all_behind_it_out_of_step():
+    rows = exchanged("mks-modbus@1", *POLLS["mks-modbus@1"][:1] * 8)
+    size = len(rows[1][1])
+    stream = b"".join(data for mark, data in rows if mark == "<")
+    cuts = [0, *range(size, len(stream), size)][:2]
+    cuts += range(cuts[-1] + size - 3, len(stream), size)
+    reads = [stream[a:b] for a, b in pairwise(cuts)]
+    out = [row for (_, sent), read in zip(rows[::2], reads, strict=False) for row in ((">", sent), ("<", read))]
+    assert first(*out) == "read_misaligned"
+
+
 @pytest.mark.parametrize("drive", POLLS)
 def test_a_host_that_reads_too_early(drive):
     rows = exchanged(drive, *POLLS[drive][:1] * 8)
