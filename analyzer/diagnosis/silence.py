@@ -253,7 +253,7 @@ def _to_all(scene: Scene) -> Iterator[Suspicion]:
     yield Suspicion(
         "broadcast_no_reply", Confidence.CERTAIN if _reads(message) else Confidence.LIKELY,
         [t for t in scene.troubles if t.piece in sent or t.rule in ("unanswered", "unsolicited_reply")],
-        f"{message.command.name} is sent to address {dialect.broadcast}, which is all drives: none answers it.",
+        f"{message.command.name} is sent to address {dialect.broadcast}, which is all drives: by the manual none answers.",
         f"{_bytes(sent[0])} at byte {sent[0].offset}; {counted(len(sent), 'time')}",
         f"Ask one drive: {shown(right, dialect.link.identifier(message.command, one))}",
         tuple(Shown(p.offset, _bytes(p)) for p in sent),

@@ -31,6 +31,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
+from unittest import mock
 
 from mcap.reader import make_reader
 
@@ -734,17 +735,15 @@ TARGETS: dict[str, Target] = {
 
 def attempt(name: str, given: Input, folder: Path, said: Callable[[], bytes]) -> str:
     """Run a target on an input in an empty folder, and empty it again; return what is wrong, nothing if all holds."""
-    os.chdir(folder)
-    os.environ["SERVOTAP_FAULTS"] = str(folder)
     try:
-        TARGETS[name].run(given, Place(folder, said))
+        with contextlib.chdir(folder), mock.patch.dict(os.environ, SERVOTAP_FAULTS=str(folder)):
+            TARGETS[name].run(given, Place(folder, said))
     except Fault as fault:
         return str(fault)
     except BaseException:
         return traceback.format_exc()
     finally:
         said()
-        os.chdir("/")
         for entry in os.scandir(folder):
             shutil.rmtree(entry.path) if entry.is_dir(follow_symlinks=False) else os.unlink(entry.path)
     return ""
