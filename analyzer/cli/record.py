@@ -10,7 +10,6 @@ import argparse
 import contextlib
 import os
 import shlex
-import shutil
 import signal
 import stat
 import sys
@@ -127,7 +126,7 @@ def run(arguments: argparse.Namespace) -> int:
     dialects = dialects_of(arguments, endpoints, named)
     endpoints = [_at_its_speed(e, dialects[e.name], notes, quiet=arguments.json) for e in endpoints]
     config = configure(arguments, endpoints, target, notes, named)
-    return record(config, display, duration_ns=asked_duration_ns(arguments))
+    return record(config, display, duration_ns=asked_duration_ns(arguments), replaces=arguments.replaces)
 
 
 def display_of(arguments: argparse.Namespace, command: str) -> Display:
@@ -151,15 +150,22 @@ def asked_duration_ns(arguments: argparse.Namespace) -> int:
 
 
 def record(
-    config: RecordingConfig, display: Display, *, duration_ns: int = 0, plain: bool = False, readers: ReaderMaker | None = None
+    config: RecordingConfig,
+    display: Display,
+    *,
+    duration_ns: int = 0,
+    plain: bool = False,
+    readers: ReaderMaker | None = None,
+    replaces: Sequence[Path] = (),
 ) -> int:
-    """Record as configured; return the exit status. Signals end it in order. `readers`: see `Supervisor`."""
+    """Record as configured; return the exit status. Signals end it in order. `readers`, `replaces`: see `Supervisor`."""
     from analyzer.cli.record_report import summarize
     from analyzer.live.supervisor import Supervisor
 
     supervisor = Supervisor(
-        config, duration_ns=duration_ns, on_note=display.note, on_snapshot=display.snapshot, plain=plain, readers=readers
-    )
+        config, duration_ns=duration_ns, on_note=display.note, on_snapshot=display.snapshot, plain=plain, readers=readers,
+        replaces=replaces,
+    )  # fmt: skip
     with handled(_Ending(supervisor, display.say)):
         supervisor.start()
         display.begin(supervisor)
@@ -220,16 +226,16 @@ def target_of(arguments: argparse.Namespace) -> Path:
         target = target / name
     if target.suffix != ".mcap" and (target.is_file() or not target.exists()):
         raise UsageError(f"got {str(target)!r}, expected a name that ends in .mcap")
-    arguments.mode = _check_target(target, arguments.force, parts=bool(arguments.rotate or arguments.max_total))
+    arguments.replaces = _in_the_way(target, arguments.force, parts=bool(arguments.rotate or arguments.max_total))
+    logs = [path for path in arguments.replaces if path.is_file()]
+    arguments.mode = stat.S_IMODE(logs[-1].stat().st_mode) if logs else None
     return target
 
 
-def _check_target(log: Path, force: bool, *, parts: bool = False) -> int | None:
-    """Check that a log may be written. Raises UsageError where something is in the way; `force` removes it.
+def _in_the_way(log: Path, force: bool, *, parts: bool = False) -> list[Path]:
+    """Return what a log replaces: itself, with `parts` those of its name, and the spools of an unfinished recording.
 
-    Returns the permissions of what was removed, for the log that replaces it.
-
-    In the way are the log itself, with `parts` the parts of its name, and the spools of an unfinished recording.
+    Raises UsageError where the log cannot be written, or where something is in the way without `force`.
     """
     from analyzer.live.lock import running
     from analyzer.live.spool import spool_folder
@@ -243,6 +249,7 @@ def _check_target(log: Path, force: bool, *, parts: bool = False) -> int | None:
         raise UsageError(f"{log.parent} is no folder")
     if not os.access(log.parent, os.W_OK):
         raise UsageError(f"{log.parent}: no permission to write there")
+    found = []
     folder = spool_folder(log)
     if folder.exists():
         if running(folder):
@@ -251,15 +258,13 @@ def _check_target(log: Path, force: bool, *, parts: bool = False) -> int | None:
             raise UsageError(
                 f"{folder} exists: a recording to {log} was interrupted; servotap recover {log} repairs it, --force deletes it"
             )
-        shutil.rmtree(folder)
-    mode = None
+        found.append(folder)
     for path in parts_named(log) if parts else [log]:
         if path.exists():
             if not force:
                 raise UsageError(f"{path} exists; --force replaces it")
-            mode = stat.S_IMODE(path.stat().st_mode)
-            path.unlink()
-    return mode
+            found.append(path)
+    return found
 
 
 def _at_its_speed(endpoint: Endpoint, dialects: Sequence[Dialect], notes: list[str], *, quiet: bool) -> Endpoint:

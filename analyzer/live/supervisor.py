@@ -16,7 +16,7 @@ import queue
 import shutil
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +58,8 @@ class Supervisor:
 
     `on_note(bus, text)`: what a user should know, as it happens; bus is empty where it is about all. `on_snapshot`: what the
     decoding process tells. Both are called from the thread of `run`. `plain`: readers as where there is no Linux; `readers`:
-    other readers, one of which may store several spools.
+    other readers, one of which may store several spools. `replaces`: older logs and spools of this name; they go once all ports
+    are open, and stay where this recording does not begin.
     """
 
     def __init__(
@@ -70,6 +71,7 @@ class Supervisor:
         on_snapshot: Callable[[Snapshot], None] = ignore,
         plain: bool = False,
         readers: ReaderMaker | None = None,
+        replaces: Sequence[Path] = (),
     ) -> None:
         self.config = config
         self.folder = spool_folder(Path(config.log))
@@ -105,6 +107,9 @@ class Supervisor:
         self._deaths = 0
         self._given_up = False
         self._lock: Lock | None = None
+        self._replaces = replaces
+        #: Where older spools stand until this recording has begun.
+        self._aside = self.folder.with_name(f"{self.folder.name}.replaced-{config.anchor_utc_ns}")
 
     # --- from outside ---------------------------------------------------------------------------------------------
 
@@ -144,9 +149,12 @@ class Supervisor:
     def start(self) -> None:
         """Open all ports and begin. Raises UsageError when one cannot be opened; then nothing is left behind."""
         try:
+            if self.folder in self._replaces:
+                self.folder.rename(self._aside)
             # What replaces a private log is private.
             self.folder.mkdir(0o777 if self.config.mode is None else self.config.mode | 0o700, parents=True)
         except OSError as error:
+            self._put_back()
             raise UsageError(f"cannot write {self.folder}: {error.strerror}") from None
         try:
             self.config.save(self.folder)
@@ -158,6 +166,7 @@ class Supervisor:
             for child in self._readers.values():
                 child.start()
             self._await_open()
+            self._remove_replaced()
             self._decoder.start()
         except OSError as error:
             self._abandon()
@@ -186,6 +195,18 @@ class Supervisor:
                 if what.get("event") == "open":
                     waiting.discard(name)
 
+    def _put_back(self) -> None:
+        """Give older spools their name again."""
+        if self._aside.exists():
+            self._aside.rename(self.folder)
+
+    def _remove_replaced(self) -> None:
+        if self._aside.exists():
+            shutil.rmtree(self._aside)
+        for path in self._replaces:
+            if path.is_file():
+                path.unlink()
+
     def _words(self, name: str, status: int) -> str:
         return self._readers[name].died(status)
 
@@ -197,6 +218,7 @@ class Supervisor:
             child.wait(END_S)
             child.close()
         shutil.rmtree(self.folder, ignore_errors=True)
+        self._put_back()
         self.phase = "over"
 
     def run(self) -> None:

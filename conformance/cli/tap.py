@@ -79,7 +79,8 @@ def run(arguments: argparse.Namespace) -> int:
 
             return {stems[1]: TapChild(folder, stems, heard, ends, _options(arguments))}
 
-        return record(config, display, duration_ns=asked_duration_ns(arguments), readers=readers)
+        duration_ns = asked_duration_ns(arguments)
+        return record(config, display, duration_ns=duration_ns, readers=readers, replaces=arguments.replaces)
 
 
 def _endpoint(text: str) -> Endpoint:

@@ -10,7 +10,7 @@ import stat
 
 import pytest
 
-from analyzer.cli import option_types, record
+from analyzer.cli import main, option_types, record
 from analyzer.errors import UsageError
 from analyzer.live.config import RecordingConfig
 from analyzer.live.log_parts import LogParts
@@ -152,7 +152,12 @@ def test_json_and_view_exclude_each_other():
         record.run(parsed("serial:A", "--json", "--view"))
 
 
-def test_what_is_in_the_way_goes_with_force(tmp_path):
+def test_what_is_in_the_way_is_named_or_replaced_with_force(tmp_path):
+    def replaced(*words):
+        arguments = parsed("serial:A", "-o", str(log), "--force", *words)
+        record.target_of(arguments)
+        return arguments.replaces
+
     log = tmp_path / "a.mcap"
     spool = tmp_path / "a.mcap.spool"
     parts = [tmp_path / "a-0001.mcap", tmp_path / "a-0002.mcap"]
@@ -167,12 +172,21 @@ def test_what_is_in_the_way_goes_with_force(tmp_path):
     with pytest.raises(UsageError, match=r"a-0001\.mcap exists"):
         configured(tmp_path, "serial:A", "--rotate", "1MB")
     spool.mkdir()
-    configured(tmp_path, "serial:A", "--force")
-    assert not log.exists()
-    assert not spool.exists()
-    assert all(path.exists() for path in parts)
-    configured(tmp_path, "serial:A", "--rotate", "1MB", "--force")
-    assert not any(path.exists() for path in parts)
+    assert replaced() == [spool, log]
+    assert replaced("--rotate", "1MB") == [spool, *parts]
+    assert all(path.exists() for path in (log, spool, *parts))
+
+
+@pytest.mark.parametrize("words", [["serial:/dev/no-such-port,baud=9600"], ["serial:A", "--dialect", "mks"]])
+def test_a_recording_that_does_not_begin_replaces_nothing(tmp_path, words, capsys):
+    log, spool, part = tmp_path / "a.mcap", tmp_path / "a.mcap.spool", tmp_path / "a-0001.mcap"
+    spool.mkdir()
+    for path in (log, spool / "unread", part):
+        path.write_bytes(b"x")
+    assert main(["record", *words, "-o", str(log), "--force"]) == 2
+    assert main(["record", *words, "-o", str(log), "--force", "--rotate", "1MB"]) == 2
+    assert all(path.exists() for path in (log, spool / "unread", part))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a-0001.mcap", "a.mcap", "a.mcap.spool"]
 
 
 # --- amounts --------------------------------------------------------------------------------------------------------------
@@ -232,6 +246,7 @@ def test_a_log_that_replaces_a_private_one_is_private(tmp_path):
     old.chmod(0o600)
     config = configured(tmp_path, "serial:/dev/ttyUSB0,baud=9600", "-o", str(old), "--force")
     assert config.mode == 0o600
+    old.unlink()
     spool_folder(old).mkdir()
     parts = LogParts(spool_folder(old), config)
     parts.begin(1, lambda: None).abandon()
