@@ -26,6 +26,20 @@ def target_of(path: Path) -> Path:
         raise UsageError(f"{path} is a symbolic link that leads back to itself: remove it, or name another file") from None
 
 
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file under its name only when it is whole; it replaces an older one. Raises UsageError where that cannot be."""
+    output = Output(path, True)
+    try:
+        output.stream.write(data)
+        output.keep()
+    except OSError as error:
+        output.drop()
+        raise UsageError(f"cannot write {path}: {error.strerror or error}") from None
+    except BaseException:
+        output.drop()
+        raise
+
+
 class Output:
     """A file under construction in the target's folder. It takes the target's name only when it is whole.
 

@@ -12,8 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from analyzer.errors import UsageError
-
 
 @dataclass(frozen=True)
 class Line:
@@ -60,11 +58,3 @@ def render(package: str, template: str, **values: Any) -> str:
     world.globals["asset"] = asset
     world.filters["thousands"] = lambda number: f"{number:,}"
     return world.get_template(f"own/{template}").render(values)
-
-
-def write(path: Path, text: str) -> None:
-    """Write a page. Raises UsageError where it cannot be written."""
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"cannot write {path}: {error.strerror or error}") from None

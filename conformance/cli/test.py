@@ -25,6 +25,7 @@ from analyzer.live import profile
 from conformance.claim import NotStopped, Outcome, RigFault, worst
 from conformance.cli.endpoint import say_rate
 from conformance.gate.permissions import add_gate_arguments
+from conformance.report import write_reports
 from conformance.safety.signals import as_interrupt
 from conformance.suite import plan as suite
 from conformance.suite import target
@@ -32,6 +33,7 @@ from conformance.suite.options import add_safety_arguments, add_verdict_argument
 from conformance.suite.record import RunRecord, VerdictRecord, too_inconclusive
 
 if TYPE_CHECKING:
+    from conformance.report.baseline import Deviation
     from conformance.suite.plan import Plan
 
 EXAMPLES = """\
@@ -113,16 +115,17 @@ def run(arguments: argparse.Namespace) -> int:
         from conformance.tools.mutants import run_mutants
 
         return run_mutants(plan, jobs=arguments.jobs or os.cpu_count() or 1, as_json=arguments.json)
+    known = None
     if arguments.baseline:
         from conformance.report import baseline
 
         # Before the run: a file that cannot be read must not cost the time of one.
-        baseline.load(Path(arguments.baseline))
+        known = baseline.load(Path(arguments.baseline))
     if arguments.dry_run:
         from conformance.suite.dry_run import dry_run
 
         return dry_run(plan)
-    return _test(plan, arguments)
+    return _test(plan, arguments, known)
 
 
 def plan_of(arguments: argparse.Namespace) -> Plan:
@@ -154,7 +157,7 @@ def _list(plan: Plan) -> int:
     return 0
 
 
-def _test(plan: Plan, arguments: argparse.Namespace) -> int:
+def _test(plan: Plan, arguments: argparse.Namespace, known: list[Deviation] | None) -> int:
     started = time.monotonic()
     jobs = arguments.jobs or os.cpu_count() or 1
     records: list[VerdictRecord] = []
@@ -180,17 +183,18 @@ def _test(plan: Plan, arguments: argparse.Namespace) -> int:
             stopped = isinstance(error.__context__, KeyboardInterrupt)
     run_record = _run_record(plan, began, time.monotonic() - started, stopped, trouble)
     status = _status(records, arguments, trouble)
-    _write(records, run_record, arguments)
+    refused = write_reports(records, run_record, vars(arguments))
     if arguments.json:
         _print_json(run_record)
     else:
         _show(records, run_record, total)
-    status = worst(status, _baseline(records, arguments)) if arguments.baseline else status
-    if arguments.write_baseline:
-        from conformance.report import baseline
-
-        count = baseline.save(Path(arguments.write_baseline), records)
-        print(f"{arguments.write_baseline}: {count} deviations", file=sys.stderr)
+    if known is not None:
+        status = worst(status, _baseline(records, known, arguments.baseline))
+    if arguments.write_baseline and "write_baseline" not in refused:
+        print(f"{arguments.write_baseline}: {sum(r.refuted for r in records)} deviations", file=sys.stderr)
+    for reason in refused.values():
+        status = worst(status, UsageError.exit_status)
+        print(f"servotap test: {reason}", file=sys.stderr)
     if trouble is not None:
         print(f"servotap test: {trouble}", file=sys.stderr)
     if stopped:
@@ -212,14 +216,14 @@ def _status(records: Sequence[VerdictRecord], arguments: argparse.Namespace, tro
     return worst(*found, 0)
 
 
-def _baseline(records: Sequence[VerdictRecord], arguments: argparse.Namespace) -> int:
+def _baseline(records: Sequence[VerdictRecord], known: list[Deviation], name: str) -> int:
     from conformance.report import baseline
 
-    compared = baseline.compare(records, baseline.load(Path(arguments.baseline)))
+    compared = baseline.compare(records, known)
     for new in compared.new:
         print(f"new: {new.id}: {new.reason}", file=sys.stderr)
     for fixed in compared.fixed:
-        print(f"fixed: {fixed.claim} ({fixed.target}) holds now: take it out of {arguments.baseline}", file=sys.stderr)
+        print(f"fixed: {fixed.claim} ({fixed.target}) holds now: take it out of {name}", file=sys.stderr)
     for missing in compared.missing:
         print(f"not looked at: {missing.claim} ({missing.target}) has no verdict in this run", file=sys.stderr)
     print(
@@ -245,25 +249,6 @@ def _run_record(plan: Plan, began: str, elapsed: float, stopped: bool, trouble: 
         command=shlex.join(["servotap", *sys.argv[1:]]),
         notes=tuple(notes),
     )
-
-
-def _write(records: Sequence[VerdictRecord], run_record: RunRecord, arguments: argparse.Namespace) -> None:
-    if arguments.report:
-        from conformance.report.html import write_html
-
-        write_html(Path(arguments.report), records, run_record)
-    if arguments.junitxml:
-        from conformance.report.junit import write_junit
-
-        write_junit(Path(arguments.junitxml), records, run_record)
-    if arguments.log:
-        from conformance.report.log import write_log
-
-        write_log(Path(arguments.log), records, run_record)
-    if arguments.failures:
-        from conformance.report.log import write_failures
-
-        write_failures(Path(arguments.failures), records, run_record)
 
 
 def _print_json(each: VerdictRecord | RunRecord) -> None:

@@ -7,7 +7,6 @@ import shlex
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -17,7 +16,7 @@ from analyzer import __version__
 from conformance.claim import RigFault
 from conformance.pytest_plugin.plan import arguments_of, plan_of
 from conformance.pytest_plugin.plugin import end_with
-from conformance.report import terminal
+from conformance.report import terminal, write_reports
 from conformance.suite.options import inconclusive
 from conformance.suite.record import RunRecord, VerdictRecord, too_inconclusive
 
@@ -33,18 +32,10 @@ def summarise(reporter: Any, config: pytest.Config, verdicts: Sequence[str]) -> 
     reporter.section("claims")
     reporter.write(text.getvalue())
     arguments = arguments_of(config)
-    if arguments.report:
-        from conformance.report.html import write_html
-
-        write_html(Path(arguments.report), records, run)
-    if arguments.log:
-        from conformance.report.log import write_log
-
-        write_log(Path(arguments.log), records, run)
-    if arguments.failures:
-        from conformance.report.log import write_failures
-
-        write_failures(Path(arguments.failures), records, run)
+    places = {name: getattr(arguments, name) for name in ("report", "log", "failures")}
+    for reason in write_reports(records, run, places).values():
+        reporter.write_line(reason, red=True)
+        end_with(config, pytest.ExitCode.USAGE_ERROR.value)
 
 
 def judge(config: pytest.Config, verdicts: Sequence[str]) -> None:

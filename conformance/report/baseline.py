@@ -13,11 +13,11 @@ from typing import Any
 
 import msgspec
 
-from analyzer.cli.output import Output
-from analyzer.errors import UnreadableError, UsageError
+from analyzer.cli.output import write_whole
+from analyzer.errors import UnreadableError
 from analyzer.whole_file import read_whole
 from conformance.claim import Outcome
-from conformance.suite.record import VerdictRecord
+from conformance.suite.record import RunRecord, VerdictRecord
 
 
 class Deviation(msgspec.Struct, frozen=True, kw_only=True):
@@ -66,21 +66,14 @@ def load(path: Path) -> list[Deviation]:
         raise UnreadableError(f"{path}: expected a list of deviations as --write-baseline writes it, got: {error}") from None
 
 
-def save(path: Path, records: Iterable[VerdictRecord]) -> int:
-    """Write what is refuted as the new baseline and return how many deviations it has."""
+def save(path: Path, records: Iterable[VerdictRecord], run: RunRecord | None = None) -> None:
+    """Write what is refuted as the new baseline. Raises UsageError where it cannot be written."""
     deviations = [
         Deviation(claim=r.id, target=_drive(r.target), parameters=r.parameters, key=r.key, got=r.got)
         for r in records
         if r.refuted
     ]
-    output = Output(path, True)
-    try:
-        output.stream.write(msgspec.json.format(msgspec.json.encode(deviations), indent=1) + b"\n")
-        output.keep()
-    except OSError as error:
-        output.drop()
-        raise UsageError(f"cannot write {path}: {error.strerror or error}") from None
-    return len(deviations)
+    write_whole(path, msgspec.json.format(msgspec.json.encode(deviations), indent=1) + b"\n")
 
 
 def compare(records: Sequence[VerdictRecord], deviations: Sequence[Deviation]) -> Compared:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from analyzer import page
+from analyzer.cli.output import write_whole
 from analyzer.page import Line, Plot
 from conformance.claim import Aspect, Outcome
 from conformance.report.bus import line_causes
@@ -33,7 +34,7 @@ MS = 1_000_000
 
 def write_html(path: Path, records: Sequence[VerdictRecord], run: RunRecord) -> None:
     """Write the page. Raises UsageError where it cannot be written."""
-    page.write(path, html(records, run))
+    write_whole(path, html(records, run).encode())
 
 
 def html(records: Sequence[VerdictRecord], run: RunRecord) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
-from analyzer.errors import UsageError
+from analyzer.cli.output import write_whole
 from conformance.claim import Outcome
 from conformance.suite.record import RunRecord, VerdictRecord, firmware_of
 
@@ -38,10 +38,7 @@ def write_junit(path: Path, records: Sequence[VerdictRecord], run: RunRecord) ->
             _case(suite, record)
     tree = ElementTree.ElementTree(root)
     ElementTree.indent(tree)
-    try:
-        tree.write(path, encoding="utf-8", xml_declaration=True)
-    except OSError as error:
-        raise UsageError(f"cannot write {path}: {error.strerror or error}") from None
+    write_whole(path, ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
 
 
 def _case(suite: ElementTree.Element, record: VerdictRecord) -> None:

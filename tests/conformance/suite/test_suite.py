@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import re
 import subprocess
@@ -13,6 +14,7 @@ import pytest
 from mcap.reader import make_reader
 
 from analyzer.cli import main
+from analyzer.cli.output import Output, write_whole
 from analyzer.errors import UsageError
 from conformance.report.coverage import matrix
 from conformance.report.log import METADATA
@@ -116,6 +118,27 @@ def test_the_reports_of_a_run_say_the_same(tmp_path, capsys):
     with stored[0].open("rb") as stream:
         about = next(m.metadata for m in make_reader(stream).iter_metadata() if m.name == METADATA)
     assert about["claim"] in refuted
+
+
+@pytest.mark.parametrize(("fault", "status"), [("", 2), (",fault=checksum-wrong", 1)])
+def test_a_report_that_cannot_be_written_costs_neither_the_others_nor_the_verdict(fault, status, tmp_path, capsys):
+    junit = tmp_path / "j.xml"
+    words = ["--claim", "*/shape/read_speed/checksum", "--report", str(tmp_path / "none" / "r.html"), "--junitxml", str(junit)]
+    assert main(["test", f"mks-rs485@1{fault}", *words, "--jobs", "1"]) == status
+    shown = capsys.readouterr()
+    assert "cannot write" in shown.err
+    assert "1 of 1 claims ran" in shown.out
+    assert ElementTree.parse(junit).getroot().find("./testsuite/testcase") is not None
+
+
+def test_an_older_report_stays_where_the_new_one_finds_no_room(tmp_path, monkeypatch):
+    page = tmp_path / "r.html"
+    page.write_text("<html>old")
+    monkeypatch.setattr(Output, "keep", lambda self: (_ for _ in ()).throw(OSError(errno.ENOSPC, "No space left on device")))
+    with pytest.raises(UsageError, match="No space left"):
+        write_whole(page, b"<html>new")
+    assert page.read_text() == "<html>old"
+    assert list(tmp_path.iterdir()) == [page]
 
 
 def test_a_log_of_a_run_is_a_log_like_any_other(tmp_path, capsys):
