@@ -258,6 +258,18 @@ def test_a_recording_in_parts(tmp_path):
     assert read(part)
 
 
+def test_a_recording_in_parts_without_its_checkpoints(tmp_path, capsys):
+    _, broken = killed(tmp_path, rotate_bytes=1 << 30)
+    for path in broken.folder.glob("checkpoint.*"):
+        path.unlink()
+    assert main(["recover", str(broken.log)]) == 0
+    assert "there is no checkpoint" in capsys.readouterr().out
+    part, rest = broken.log.with_name("out-0001.mcap"), broken.log.with_name("out-spools.mcap")
+    assert sorted(broken.log.parent.glob("out*")) == [part, rest]
+    assert is_whole(part)
+    assert decoded_of([rest], "left") == broken.sent["left"]
+
+
 def test_killed_when_the_log_was_whole_and_its_spools_still_there(tmp_path):
     spools = Spools(tmp_path, LEFT, RIGHT, ARM)
     fill(spools, 2)

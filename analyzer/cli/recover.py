@@ -118,13 +118,14 @@ def _trouble(folder: Path, log: Path, interrupt: Interrupt) -> str:
     """Read back what the recording had written; return why it cannot be gone on with, or nothing."""
     try:
         start = checkpoint.load(folder)
+        told = config.load(folder)
+        parts = LogParts(folder, told)
         if start is None:
-            return f"there is no checkpoint in {folder}" if log.exists() else ""
+            begun = bool(parts_named(log)) if parts.rotating else log.exists()
+            return f"there is no checkpoint in {folder}" if begun else ""
         if not start.position:
             return ""
         path = log.with_name(start.path)
-        told = config.load(folder)
-        parts = LogParts(folder, told)
         Recording(folder, told, parts).abandon()
         parts.close()
     except UnreadableError as error:
