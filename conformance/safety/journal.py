@@ -68,6 +68,11 @@ class Journal:
         except OSError as error:
             raise RigFault(f"cannot write the journal {self.path}: {error.strerror or error}; nothing was changed") from None
 
+    @property
+    def empty(self) -> bool:
+        """Whether nothing was written down: then nothing was changed."""
+        return os.fstat(self._file.fileno()).st_size == 0
+
     def close(self, *, remove: bool) -> None:
         """Close the file; with `remove` (all is put back) it goes."""
         self._file.close()

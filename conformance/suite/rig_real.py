@@ -91,7 +91,7 @@ class RealRig(ClaimRig):
         self._journal = self._open_journal() if Risk.SETTING in self.allowed else None
         try:
             self._line = self._open_line()
-        except ServotapError:
+        except BaseException:
             self._end_journal(done=True)
             raise
         self.began_ns = self._line.now_ns()
@@ -152,6 +152,7 @@ class RealRig(ClaimRig):
     def _end_journal(self, *, done: bool) -> None:
         if self._journal is None:
             return
+        done = done or self._journal.empty
         if not done:
             print(
                 f"servotap: {self._journal.path} says what was not put back: servotap restore {self._journal.path}",

@@ -94,3 +94,14 @@ def test_a_drive_that_comes_back_is_judged(rig, monkeypatch):
     assert verdict.outcome is Outcome.REFUTED
     assert sent[-1] - sent[0] > 8 * S
     rig.close()
+
+
+@pytest.mark.parametrize("part", ["_open_line", "_last"])
+def test_ctrl_c_before_anything_was_changed_leaves_no_journal(part, tmp_path, monkeypatch):
+    def interrupted(rig):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(EmulatedPort, part, interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        EmulatedPort("mks-can@1,work_mode=bus_closed", tmp_path).close()
+    assert list(tmp_path.iterdir()) == []
