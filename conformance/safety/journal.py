@@ -8,6 +8,7 @@ the sent values say where the drive may be now.
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,6 +18,7 @@ import msgspec
 
 from analyzer.catalogue import Command, all_fields
 from analyzer.errors import UnreadableError, UsageError
+from analyzer.sinks.mcap_index import write_whole
 from analyzer.values import value_text
 from analyzer.whole_file import read_whole
 from conformance.claim import RigFault
@@ -49,8 +51,11 @@ class Journal:
 
     def __init__(self, path: Path, *, again: bool = False) -> None:
         self.path = path
+        self._told = False
         try:
-            self._file: IO[bytes] = path.open("ab" if again else "xb", buffering=0)
+            self._file: IO[bytes] = path.open("r+b" if again else "xb", buffering=0)
+            # A torn line says nothing: what it was about to say was not done.
+            self._file.truncate(read_whole(path).rfind(b"\n") + 1)
         except FileExistsError:
             raise UsageError(
                 f"{path} is there already, perhaps of a run that broke off: servotap restore {path} --on ... puts back "
@@ -60,18 +65,33 @@ class Journal:
             raise UsageError(f"cannot write the journal {path}: {error.strerror or error}") from None
 
     def write(self, entry: Entry) -> None:
-        """Write a line; it is on the disk when this returns. Raises RigFault where it cannot be written."""
+        """Write a line; it is on the disk when this returns. Raises RigFault where it cannot be written; then none of it is."""
         stamped = msgspec.structs.replace(entry, at=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()))
         try:
-            self._file.write(msgspec.json.encode(stamped) + b"\n")
+            line = msgspec.json.encode(stamped) + b"\n"
+            # Another process may have gone on with it.
+            write_whole(self._file, self._size, line)
             os.fsync(self._file.fileno())
         except OSError as error:
             raise RigFault(f"cannot write the journal {self.path}: {error.strerror or error}; nothing was changed") from None
 
+    def tell(self, entry: Entry) -> None:
+        """Write a line about what is done: where it cannot be written that is said once, and the rest goes on."""
+        try:
+            self.write(entry)
+        except RigFault:
+            if not self._told:
+                print(f"servotap: cannot write the journal {self.path}: it will not say what was put back", file=sys.stderr)
+            self._told = True
+
     @property
     def empty(self) -> bool:
         """Whether nothing was written down: then nothing was changed."""
-        return os.fstat(self._file.fileno()).st_size == 0
+        return self._size == 0
+
+    @property
+    def _size(self) -> int:
+        return os.fstat(self._file.fileno()).st_size
 
     def close(self, *, remove: bool) -> None:
         """Close the file; with `remove` (all is put back) it goes."""

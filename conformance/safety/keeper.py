@@ -162,20 +162,20 @@ class Keeper:
         if values not in kept.sent or key not in self._kept:
             # Where a drive can be found again must be known; of other settings the first change says enough.
             if key not in self._kept or changes_link(command):
-                self._write("change", command, kept.before, values)
+                self._write_change(command, kept.before, values)
             kept.sent.append(values)
         kept.last = values
         self._kept[key] = kept
 
-    def _write(self, event: str, command: Command, before: dict[str, int], *sent: dict[str, int], text: str = "") -> None:
-        if self._journal is None:
-            return
+    def _write_change(self, command: Command, before: dict[str, int], sent: dict[str, int]) -> None:
+        if self._journal is not None:
+            self._journal.write(self._entry("change", command, before, sent))
+
+    def _entry(self, event: str, command: Command, before: dict[str, int], *sent: dict[str, int]) -> Entry:
         # What was tells apart the settings of one command (LK's parameters).
-        self._journal.write(
-            Entry(
-                event=event, target=self._target, on=self._on, command=command.name, address=self._address, values=before,
-                sent=list(sent), text=text,
-            )
+        return Entry(
+            event=event, target=self._target, on=self._on, command=command.name, address=self._address, values=before,
+            sent=list(sent),
         )  # fmt: skip
 
     def _value(self, command: Command, values: Mapping[str, int]) -> dict[str, int] | None:
@@ -289,7 +289,8 @@ class Keeper:
                 failed.append(kept)
                 continue
             del self._kept[key]
-            self._write("back", kept.command, kept.before)
+            if self._journal is not None:
+                self._journal.tell(self._entry("back", kept.command, kept.before))
         return failed
 
     def _into_bus_mode(self, gate: Gate) -> bool:
@@ -377,7 +378,7 @@ def restore(path: Path, gate: Gate, known: Mapping[int, Dialect] | None = None, 
             if failure:
                 failed.append(failure)
         if not failed and not link_only:
-            journal.write(Entry(event="end", text="all was put back from the journal"))
+            journal.tell(Entry(event="end", text="all was put back from the journal"))
     finally:
         journal.close(remove=False)
     return "; ".join(failed)

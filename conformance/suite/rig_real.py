@@ -383,7 +383,7 @@ class RealRig(ClaimRig):
         except LineLost as error:
             failure = f"not put back: {error}" if self.keeper.changed else ""
         if not failure and self._journal is not None:
-            self._journal.write(Entry(event="end", target=self.name))
+            self._journal.tell(Entry(event="end", target=self.name))
         return failure
 
     def _settle_anew(self) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import os
 import signal
 import subprocess
@@ -15,6 +17,7 @@ from analyzer.catalogue import Risk
 from analyzer.cli.boundary import FOLDER
 from analyzer.live import endpoint as endpoints
 from conformance.bus import open_line
+from conformance.claim import RigFault
 from conformance.gate.gate import Allowance, Gate
 from conformance.motion import motion
 from conformance.safety import journal
@@ -152,6 +155,39 @@ def test_a_torn_last_line_of_a_journal_is_left_out(tmp_path):
     entry = b'{"event":"change","target":"mks-can@1","command":"set_work_mode","address":1,"values":{"work_mode":2}}\n'
     path.write_bytes(entry + b'{"event":"back","tar')
     assert len(journal.open_changes(journal.read(path))) == 1
+    again = journal.Journal(path, again=True)
+    again.write(journal.Entry(event="back", target="mks-can@1", command="set_work_mode", address=1, values={"work_mode": 2}))
+    again.close(remove=False)
+    assert [entry.event for entry in journal.read(path)] == ["change", "back"]
+
+
+class FullDisk(io.FileIO):
+    """A file that takes some bytes and then no more."""
+
+    room = 20
+
+    def write(self, data):
+        if not self.room:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        taken = super().write(bytes(data)[: self.room])
+        self.room -= taken
+        return taken
+
+
+def test_a_line_of_a_journal_is_written_whole_or_refused(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "a.journal"
+    kept = journal.Journal(path)
+    entry = journal.Entry(event="change", target="mks-can@1", command="set_work_mode", address=1, values={"work_mode": 2})
+    kept.write(entry)
+    whole = path.read_bytes()
+    kept._file = FullDisk(path, "r+b")
+    with pytest.raises(RigFault, match="nothing was changed"):
+        kept.write(entry)
+    assert path.read_bytes() == whole
+    kept.tell(entry)
+    kept.tell(entry)
+    assert capsys.readouterr().err.count("it will not say what was put back") == 1
+    assert path.read_bytes() == whole
 
 
 def test_what_the_guard_prints_steers_no_terminal(tmp_path, monkeypatch, capfd):

@@ -333,3 +333,22 @@ def test_a_line_that_no_run_can_have_written_is_refused(wrong, tmp_path, capsys)
     path.write_text(json.dumps(LINE | wrong) + "\n")
     assert main(["restore", str(path), "--dry-run"]) == 2
     assert "not a line of a run" in capsys.readouterr().err
+
+
+def test_all_is_put_back_where_the_journal_takes_no_more(tmp_path, monkeypatch, capsys):
+    rig = EmulatedPort("mks-can@1", tmp_path)
+    before = dict(rig.drives[0].settings)
+
+    def check(probe):
+        probe.ask("set_current", {"current": 800})
+        probe.ask("set_subdivision", {"subdivision": 8})
+
+        def full(file, entry):
+            raise RigFault("no room")
+
+        monkeypatch.setattr(journal.Journal, "write", full)
+
+    assert ran(rig, check, Risk.SETTING).outcome is Outcome.CONFIRMED
+    rig.close()
+    assert dict(rig.drives[0].settings) == before
+    assert capsys.readouterr().err.count("it will not say what was put back") == 1
