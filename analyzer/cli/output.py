@@ -105,7 +105,9 @@ class OutputFolder:
         if target.exists():
             if not replace:
                 raise UsageError(f"{target} exists; --force replaces it")
-            if not target.is_dir() or any(each.suffix != ".parquet" for each in target.iterdir()):
+            if target.is_symlink():
+                raise UsageError(f"{target} is a symbolic link: name the folder itself")
+            if not target.is_dir() or any(each.suffix != ".parquet" or not each.is_file() for each in target.iterdir()):
                 raise UsageError(f"{target} is no folder of Parquet files alone: name another one")
         try:
             self.part = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
@@ -117,9 +119,14 @@ class OutputFolder:
         umask = os.umask(0)
         os.umask(umask)
         self.part.chmod(0o777 & ~umask)
-        if self.target.exists():
-            shutil.rmtree(self.target)
+        if not self.target.exists():
+            self.part.replace(self.target)
+            return
+        # At a kill in between the old one is still there, under the other name.
+        old = self.part.with_suffix(".old")
+        self.target.replace(old)
         self.part.replace(self.target)
+        shutil.rmtree(old)
 
     def drop(self) -> None:
         """Leave no folder."""

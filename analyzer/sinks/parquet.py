@@ -78,7 +78,9 @@ class _Table:
             order = np.argsort(whole["sequence"].to_numpy(), kind="stable")
             whole = whole.take(pa.array(order)) if (np.diff(order) < 0).any() else whole
         if self._writer is None:
-            self._writer = parquet.ParquetWriter(self._path, self.schema, compression="zstd", compression_level=1)
+            # A name that is no UTF-8 is none for pyarrow.
+            self._stream = self._path.open("wb")
+            self._writer = parquet.ParquetWriter(self._stream, self.schema, compression="zstd", compression_level=1)
         self._writer.write_table(whole)
 
     def close(self) -> None:
@@ -86,6 +88,7 @@ class _Table:
         self.write()
         if self._writer is not None:
             self._writer.close()
+            self._stream.close()
 
 
 class ParquetTables:

@@ -94,8 +94,12 @@ _BEGINNINGS = {"report": b"<", "junitxml": b"<", "write_baseline": b"["}
 def _keep_others(arguments: argparse.Namespace) -> None:
     """Raise UsageError where an output would replace a log, or a file of another kind."""
     for name in ("log", *_BEGINNINGS):
-        path = Path(getattr(arguments, name) or "")
-        if arguments.force or not path.is_file():
+        place = getattr(arguments, name)
+        if not place or not (path := Path(place)).exists():
+            continue
+        if not path.is_file():
+            raise UsageError(f"{path} is not a regular file: name a file")
+        if arguments.force:
             continue
         with path.open("rb") as stream:
             begins = stream.read(1)

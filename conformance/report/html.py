@@ -34,7 +34,8 @@ MS = 1_000_000
 
 def write_html(path: Path, records: Sequence[VerdictRecord], run: RunRecord) -> None:
     """Write the page. Raises UsageError where it cannot be written."""
-    write_whole(path, html(records, run).encode())
+    # The command of the run may name a file that is no UTF-8.
+    write_whole(path, html(records, run).encode(errors="backslashreplace"))
 
 
 def html(records: Sequence[VerdictRecord], run: RunRecord) -> str:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import random
+import shutil
 import sys
 
 import duckdb
@@ -14,6 +16,8 @@ from pyarrow import parquet
 
 from analyzer import dialects
 from analyzer.cli import decode, main
+from analyzer.cli.output import OutputFolder
+from analyzer.errors import UsageError
 from analyzer.pipeline import Options, Pipeline
 from analyzer.sinks import parquet as tables
 from analyzer.sinks.mcap_log import McapLog
@@ -119,3 +123,32 @@ def test_without_pyarrow_nothing_is_made(tmp_path, capsys, monkeypatch):
     assert main(["decode", str(CAPTURES / "mks_can.candump.log"), "--to", "parquet", "-o", str(folder)]) == 2
     assert "servotap[table]" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_holds_more_than_tables_is_not_replaced(tmp_path, capsys):
+    kept = tmp_path / "kept.parquet" / "sub.parquet" / "mine.txt"
+    kept.parent.mkdir(parents=True)
+    kept.write_text("mine")
+    link = tmp_path / "link.parquet"
+    link.symlink_to(kept.parent.parent)
+    for name, said in (("kept.parquet", "no folder of Parquet files alone"), ("link.parquet", "is a symbolic link")):
+        with pytest.raises(UsageError, match=said):
+            OutputFolder(tmp_path / name, True)
+    assert kept.read_text() == "mine"
+
+
+def test_a_folder_of_tables_is_replaced_by_a_whole_one(tmp_path):
+    (tmp_path / "a.parquet").mkdir()
+    (tmp_path / "a.parquet" / "old.parquet").write_text("old")
+    output = OutputFolder(tmp_path / "a.parquet", True)
+    (output.part / "new.parquet").write_text("new")
+    output.keep()
+    assert [path.name for path in tmp_path.rglob("*.parquet")] == ["a.parquet", "new.parquet"]
+    assert [path.name for path in tmp_path.iterdir()] == ["a.parquet"]
+
+
+def test_a_capture_whose_name_is_no_utf8_goes_into_tables(tmp_path):
+    capture = tmp_path / os.fsdecode(b"caf\xe9.log")
+    shutil.copy(CAPTURES / "mks_can.candump.log", capture)
+    assert main(["decode", str(capture), "--to", "parquet", "-o", str(tmp_path / os.fsdecode(b"\xff"))]) == 0
+    assert parquet.read_table((tmp_path / os.fsdecode(b"\xff") / "states.parquet").open("rb")).num_rows
