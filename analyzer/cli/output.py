@@ -48,7 +48,7 @@ class Output:
     """
 
     def __init__(self, target: Path, replace: bool) -> None:
-        self.target = target
+        self.target = target = target_of(target)
         self._replace = replace
         if target.exists() and not target.is_file():
             raise UsageError(f"{target} is not a regular file: name a file")

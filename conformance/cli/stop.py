@@ -14,11 +14,10 @@ from typing import NamedTuple
 from analyzer.catalogue import Dialect
 from analyzer.cli.frame import parse_target
 from analyzer.dialects import drive_name
-from analyzer.errors import UsageError
+from analyzer.errors import ServotapError, UsageError
 from analyzer.live import endpoint as endpoints
 from analyzer.live import profile
 from analyzer.values import addresses as addresses_of
-from conformance.bus.line import LineLost
 from conformance.claim import Inconclusive, NotStopped
 from conformance.cli.endpoint import at_own_rate, gate_to
 from conformance.cli.scan import DEFAULT_ADDRESSES, dialects_on, rates_of, showing_progress
@@ -26,6 +25,7 @@ from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
 from conformance.motion import motion
 from conformance.safety import stopping
+from conformance.safety.signals import as_interrupt, undisturbed
 from conformance.talk.probe import plain_probe
 from conformance.talk.scan import Found, scan
 
@@ -75,22 +75,25 @@ def run(arguments: argparse.Namespace) -> int:
         if dialect.bus != endpoint.bus_kind:
             raise UsageError(f"{dialect.name} is a dialect of {dialect.bus}, and {endpoint.text} is a {endpoint.bus_kind} bus")
     endpoint = at_own_rate(endpoint, named[0][0]) if named else endpoint.at(rates[0]) if len(rates) > 1 else endpoint
+    addresses = addresses_of(arguments.addresses, "--addresses", min(d.addresses[0] for d in dialects))
     failures = []
-    with gate_to(endpoint, Allowance()) as gate:
+    with as_interrupt(), gate_to(endpoint, Allowance()) as gate:
         drives = [_Drive(*each, gate.line.endpoint.bits_per_second) for each in named]
         try:
             for drive in drives:
                 _ask(gate, drive)
             if not alone:
-                addresses = addresses_of(arguments.addresses, "--addresses", min(d.addresses[0] for d in dialects))
                 drives += [each for each in _found(gate, dialects, addresses, rates) if each not in drives]
             failures = [text for drive in drives if (text := _prove(gate, drive))]
-        except LineLost as error:
+            if not drives:
+                failures.append(f"no drive answered on {arguments.endpoint}: name it if it does not answer reads")
+        except ServotapError as error:
             failures.append(str(error))
-    if not drives:
-        failures.append(f"no drive answered on {arguments.endpoint}: name it if it does not answer reads")
+        except KeyboardInterrupt:
+            failures.append(f"{', '.join(drive.name for drive in drives) or arguments.endpoint}: interrupted")
     if failures:
-        raise NotStopped(f"NOT STOPPED: {'; '.join(failures)}; {stopping.cut_power(arguments.cut_power)}")
+        with undisturbed():
+            raise NotStopped(f"NOT STOPPED: {'; '.join(failures)}; {stopping.cut_power(arguments.cut_power)}")
     return 0
 
 

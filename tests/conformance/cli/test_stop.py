@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+
 import pytest
 
 from analyzer import cli as analyzer_cli
@@ -71,3 +73,11 @@ def test_a_drive_that_does_not_answer_is_not_stopped(port, capsys, tmp_path, mon
     assert run(place, "--addresses", "20") == 20
     assert "no drive answered" in capsys.readouterr().err
     assert run(place, "mks-can@1") == 2
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stop_that_is_interrupted_says_that_the_drive_may_turn(number, port, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(stop, "_prove", lambda gate, drive: signal.raise_signal(number))
+    assert run(port[0], "mks-rs485@2", "--cut-power", f"touch {tmp_path / 'cut'}") == 20
+    assert "NOT STOPPED: mks-rs485@2: interrupted" in capsys.readouterr().err
+    assert (tmp_path / "cut").exists()
