@@ -264,7 +264,7 @@ def _others(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[D
         (p, can) for p, can in standard if _is_canopen(can) and not any(d.link.fits(p.data, can.id) for d in checked)
     ]
     told = [(p, can) for p, can in open_frames if can.id - _OBJECTS[0] in _NODES or can.id - _OBJECTS[1] in _NODES]
-    if (len(open_frames) > 1 or told) and len(open_frames) * 2 > len(frames):
+    if (len(open_frames) > 1 or told) and len(open_frames) * 2 >= len(frames):
         piece, can = (told or open_frames)[0]
         yield Suspicion(
             "unsupported_dialect", Confidence.LIKELY, scene.troubles,

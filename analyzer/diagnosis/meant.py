@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator
-from itertools import product
+from itertools import islice, product
 from math import isfinite
 from typing import NamedTuple
 
@@ -23,6 +23,8 @@ _REGISTERS = (0x03, 0x04)
 _ONE = 2
 #: Replies and numbers that are looked at.
 _MOST_REPLIES, _MOST_NUMBERS = 20, 40
+#: Characters before a number that tell what it is.
+_BEFORE = 80
 #: How near a number comes to a reading: one that was printed, and one that somebody expects.
 _PRINTED, _EXPECTED = 2e-3, 2e-2
 _SCALES = (10, 100, 1000)
@@ -42,6 +44,12 @@ _RIGHT = re.compile(
 _COMPLAINT = re.compile(
     r"\b(?:instead|rather than|should|expect\w*|supposed|wrong|too (?:large|high|big|low|small|much)|nonsense|strange|weird|"
     r"odd|garbage|crazy|incorrect|off by|but)\b",
+    re.IGNORECASE,
+)
+#: What a program shows, and then what stands on the device.
+_COMPARED = re.compile(
+    r"\b(?:shows?|gets?|prints?|reads?|returns?|gives?|see)\b[^\n]{0,20}\d[^\n]{0,20}\b(?:meter|display|screen|panel|inverter|device)\b"
+    r"[^\n]{0,12}\b(?:shows?|says?|reads?)\b",
     re.IGNORECASE,
 )
 _FACTOR = re.compile(
@@ -87,7 +95,7 @@ class _Odd(NamedTuple):
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect how the host reads the values of replies."""
     words = "\n".join(_BYTES.sub(" ", _PLACE.sub("", line)) for line in scene.words)
-    if not words or (scene.noted and _COMPLAINT.search(words) is None):
+    if not words or (scene.noted and _COMPLAINT.search(words) is None and _COMPARED.search(words) is None):
         return
     replies = [p for p in scene.pieces if _registers(p)][:_MOST_REPLIES]
     odd = next((odd for piece in replies if (odd := _odd(piece, words, _said(words))) is not None), None)
@@ -111,10 +119,10 @@ def _registers(piece: Piece) -> bytes:
 def _said(words: str) -> list[_Said]:
     """Return the numbers of the words."""
     found = []
-    for row in _NUMBER.finditer(words):
-        line = words[words.rfind("\n", 0, row.start()) + 1 : row.start()]
+    for row in islice(_NUMBER.finditer(words), _MOST_NUMBERS):
+        line = words[max(words.rfind("\n", 0, row.start()) + 1, row.start() - _BEFORE) : row.start()]
         found.append(_Said(float(row[0]), _RIGHT.search(line) is not None, "." in row[0]))
-    return found[:_MOST_NUMBERS]
+    return found
 
 
 def _readings(data: bytes) -> Iterator[Reading]:

@@ -75,7 +75,7 @@ REPORTS = (
         r"|no response (?:received )?from the (?:remote )?(?:unit|slave|device)|request result: 0x(?:0?b|e4)\b"
         r"|modbus[^\n]{0,60}\btimed?[ -]?out\b(?! ?[=:(])|modbus\w*(?:timeout|timedout)(?:error|exception)"
         r"|\bconnection timed out: select"
-        r"|(?:read|write)\w* (?:registers?|coils?|inputs?|bits)? ?failed: ?(?:connection|operation) timed out",
+        r"|\b(?:read|write)\w*\b[^\n]{0,40}\bfailed: ?(?:connection|operation) timed out",
         "no_reply", "no reply came in time", _TRY,
     ),
     _report(

@@ -58,7 +58,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     examples = scene.noted and not scene.timed and sum(piece.sound for piece in scene.pieces) > _FEW // 2
     for (cause, _), rows in found.items():
         first = rows[0]
-        if examples and len(rows) == 1 and first.refusal is None:
+        if examples and len(rows) == 1 and first.refusal in (None, first.piece):
             continue
         # One refusal in long traffic is an answer like any other.
         if first.why.by_exception and len(rows) == 1 and asked > _FEW:

@@ -379,7 +379,9 @@ def _switched_off(scene: Scene) -> Iterator[Suspicion]:
         right = build(dialect, command, message.address, {setting[1].name: 1, **({active: 1} if active else {})})
         frame = shown(right, dialect.link.identifier(command, message.address))
         yield Suspicion(
-            "respond_off", Confidence.LIKELY, [t for t in scene.troubles if t.piece is not None and t.offset >= piece.offset],
+            # The frame itself says it; that somebody misses replies is told by the words alone.
+            "respond_off", Confidence.CERTAIN if scene.words else Confidence.LIKELY,
+            [t for t in scene.troubles if t.offset >= piece.offset],
             f"Address {message.who} is told to answer no motion command: respond is set to 0.",
             f"{_bytes(piece)} at byte {piece.offset}",
             f"Switch replies on: send {frame}",

@@ -46,12 +46,13 @@ def _reported(scene: Scene, words: str) -> Iterator[Suspicion]:
         return
     # Silence follows from any cause; what a bus shows besides it has a cause of its own.
     by_bytes = any(t.rule not in _SILENCE for t in scene.explained)
+    left = [t for t in scene.troubles if t not in scene.explained] if by_bytes else []
     replied = any(p.is_reply and p.sound for p in scene.pieces)
     for report, text, times in found:
         if report.cause in _OF_LINE and replied and not scene.damaged:
             continue
         yield Suspicion(
-            report.cause, Confidence.POSSIBLE if by_bytes else Confidence.LIKELY, scene.troubles,
+            report.cause, Confidence.POSSIBLE if by_bytes else Confidence.LIKELY, left or scene.troubles,
             f"The library reports that {report.what}.",
             f"{text.strip()!r} in the text; {counted(times, 'time')}",
             report.next,

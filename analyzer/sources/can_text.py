@@ -78,6 +78,12 @@ SHAPES: tuple[Shape, ...] = (
         rf".*?\bdata\s*=\s*{_LISTED}.*",
     ),
     _shape("call-id-data", rf".*?\b(?:write|send)\(\s*(?P<id>{_NUMBER}),\s*{_LISTED}.*"),
+    # In JavaScript.
+    _shape(
+        "call-object",
+        rf".*?\bsend\(\s*\{{(?=.*?\bid\s*:\s*(?P<id>{_NUMBER}))(?=.*\bext\s*:\s*(?P<extended>true))?.*?\bdata\s*:\s*"
+        r"(?:Buffer\.from\(|new Uint8Array\()?\s*\[(?P<listed>\s*(?:(?:0x[0-9A-F]{1,2}|\d{1,3})\s*,?\s*){0,64})\].*",
+    ),
     _shape("slcan", r"(?P<slcan>[tTrR])(?P<rest>[0-9A-F]{4,})[zZ]?", near=r"\s*[tr][0-9A-F]{4}"),
     _shape(
         "busmaster",

@@ -69,6 +69,8 @@ _LEAST_FIELDS, _FIELD_BYTES = 3, 2
 #: A row of a dump among words.
 _DUMP_ROW = re.compile(r"\W*([0-9A-Fa-f]{4,8}):?\s{1,3}((?:[0-9A-Fa-f]{2}(?:\s{1,2}|$|(?=\s*\|)))+)")
 _DUMP_END = re.compile(r"\s*[0-9A-Fa-f]{4,8}\s*")
+#: Characters of a line in which a library reports.
+_LONGEST_REPORT = 400
 #: Frames of one line; each is looked for in all that stands behind the one before.
 _PIECES = 50
 #: A header's lines are collected up to this many bytes.
@@ -102,8 +104,7 @@ def score(head: bytes) -> float:
         or spells_frame(p.data)
         for p in traffic
     )
-    spoken = _PROSE_SCORE if any(map(speaks, lines)) else 0.0
-    said = _PROSE_SCORE if plain or _says(parts) or _has_fields(lines) else spoken
+    said = _PROSE_SCORE if plain or _says(parts) or _has_fields(lines) else _reported(lines)
     if not traffic or not counted:
         return said
     ratio = len(traffic) / counted
@@ -113,9 +114,9 @@ def score(head: bytes) -> float:
     letters = letters or any(p.sign.startswith("each") or spells_frame(p.data) for p in traffic)
     letters = letters or any(len(p.data) > _SAID_BYTES and modbus_crc(p.data) == 0 for p in traffic)
     if not letters and not marked and sum(len(p.data) for p in traffic) > 4:
-        return max(0.1, spoken)
+        return max(0.1, _reported(lines))
     if not marked and _is_table([p for p in traffic if p.radix is Radix.DECIMAL]):
-        return max(0.1, spoken)
+        return max(0.1, _reported(lines))
     if ratio >= _LEAST_SHARE or (marked >= _MARKED_LINES and ratio >= _LEAST_MARKED_SHARE):
         return 0.4 + 0.5 * min(1.0, ratio)
     return max(said, 0.25 * ratio / _LEAST_SHARE)
@@ -123,6 +124,11 @@ def score(head: bytes) -> float:
 
 def _says(parts: Sequence[HexLine]) -> bool:
     return any(quotations(p.text) for p in parts if p.shape in (Shape.COMMENT, Shape.BROKEN))
+
+
+def _reported(lines: Sequence[str]) -> float:
+    """Say how sure a text is in which a library reports what went wrong, and no bytes stand."""
+    return _PROSE_SCORE if any(speaks(line[:_LONGEST_REPORT]) for line in lines) else 0.0
 
 
 def _has_fields(lines: Sequence[str]) -> bool:

@@ -27,6 +27,10 @@ LIBRARY = "if I run this\n\n6 1 16 FF FF\n\nI get this error\nRequest result: {}
 TCP = "Tx: 00 01 00 00 00 06 01 03 00 00 00 01\nRx: 00 01 00 00 00 {} {}\n"
 
 
+LATE_TCP = "Tx: 00 10 00 00 00 06 01 03 00 00 00 01\nRx: 00 0F 00 00 00 05 01 03 02 00 17 00 10 00 00 00 05 01 03 02 00 18\n"
+COUNTED_TCP = "Tx: 00 01 00 00 00 06 01 03 00 00 00 01\nRx: 00 01 00 00 00 0A 01 03 02 00 17\n"
+
+
 def value(frame: str, words: str) -> str:
     """Return a reply to a read, and words about its value."""
     body = bytes.fromhex(frame)
@@ -101,6 +105,8 @@ def value(frame: str, words: str) -> str:
             "byte READ_IT[] = {0xFA, 0x01, 0x31, 0x2C};\nbyte on[] = {0xFA, 0x01, 0xF3, 0x01, 0xEF};\nvoid go() { put(on); }",
             None,
         ),
+        ("byte[] cmd = {(byte)0xFA, 0x01, (byte)0xF3, 0x01};\nport.writeBytes(cmd);\n// nothing happens", "missing_checksum"),
+        ("channel.send({ id: 0x01, data: Buffer.from([0xF3, 0x01]) }) // does not react", "missing_checksum"),
         # On CAN.
         ("can0  601   [8]  40 41 60 00 00 00 00 00\ncan0  581   [8]  4B 41 60 00 50 02 00 00", "unsupported_dialect"),
         ("can0  701   [1]  7F\ncan0  701   [1]  7F", "unsupported_dialect"),
@@ -109,6 +115,12 @@ def value(frame: str, words: str) -> str:
         # Modbus TCP that works, and one that refuses.
         (TCP.format("05", "01 03 02 00 17"), None),
         (TCP.format("03", "01 83 02"), "wrong_register"),
+        (LATE_TCP, "late_reply"),
+        (COUNTED_TCP, "wrong_length"),
+        # Examples of a document.
+        ("Request: `01 03 00 6B 00 03 74 17`\nResponse: `01 03 06 02 2B 00 00 00 64 05 7A`\nException: `01 83 02 C0 F1`", None),
+        # Another number of registers than was asked for.
+        ("> 01 03 07 EE 00 02 A5 4A\n< 01 03 0C 43 3F 00 00 20 4C 49 54 48 49 55 4D D0 05", "wrong_length"),
         # A device that forgets the CRC of its own replies.
         ("Received: 01 03 00 00 00 01 84 0A\nSent: 01 03 02 00 17\nThe master says timeout", "missing_checksum"),
     ],
