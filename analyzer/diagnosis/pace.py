@@ -134,6 +134,9 @@ def _across(scene: Scene) -> Iterator[Suspicion]:
     if len({read.stop - read.offset for read in bursts}) > 1 or len({read.direction for read in bursts}) > 1:
         return
     frames = {piece.offset: piece for piece in scene.pieces if piece.sound and piece.can is None}
+    # Rows of a dump cut frames of any size.
+    if {len(piece.data) for piece in frames.values()} != {read.stop - read.offset for read in bursts}:
+        return
     starts = sorted(frames)
     for read in bursts:
         size = read.stop - read.offset
