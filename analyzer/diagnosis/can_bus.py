@@ -38,6 +38,8 @@ _NODES = range(1, 0x80)
 _MIT = (0xFC, 0xFD, 0xFE)
 _LEAST = 2
 _LONGEST = 8
+#: Bytes behind a request among which two may be no zeros.
+_TAIL = 4
 
 
 class _Errors(NamedTuple):
@@ -209,11 +211,16 @@ def _others(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[D
         for p, can in frames
         if can.extended and any(len(p.data) > 1 and d.link.fits(p.data, can.id & 0x7FF) for d in checked)
     ]
-    if len(extended) > 1 and len(extended) * 2 > len(frames):
+    # One alone must be a known request of that drive.
+    known = len(extended) == len(frames) == 1 and any(
+        (r := scene.reader.best(p.data, can.id & 0x7FF, Role.REQUEST)) is not None and r.listed for p, can in extended
+    )
+    if known or (len(extended) > 1 and len(extended) * 2 > len(frames)):
         piece, can = extended[0]
         right = shown(piece.data, can.id & 0x7FF)
         yield Suspicion(
-            "can_extended_id", Confidence.CERTAIN, (), "The frames have identifiers of 29 bits; the drives take 11 bits.",
+            "can_extended_id", Confidence.CERTAIN, scene.troubles,
+            "The frames have identifiers of 29 bits; the drives take 11 bits.",
             f"{identifier(can.id, extended=True)} {shown(piece.data)}; {counted(len(extended), 'frame')}",
             f"Send standard frames: {right}",
             (Shown(piece.offset, shown(piece.data), right),),
@@ -233,8 +240,11 @@ def _others(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[D
         return
     motors = [
         (p, can)
-        for p, can in standard
-        if any(can.id in ids for ids in _RMD) and can.data and not any(d.link.fits(p.data, can.id) for d in checked)
+        for p, can in frames
+        if not can.remote
+        and any(can.id in ids for ids in _RMD)
+        and can.data
+        and not any(d.link.fits(p.data, can.id) for d in checked)
     ]
     # One alone must be a known request, of full length.
     alone = len(motors) == 1 and len(motors[0][1].data) == _LONGEST and motors[0][1].data[0] in CODES_RMD
@@ -242,7 +252,7 @@ def _others(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[D
         piece, can = motors[0]
         short = "" if len(can.data) == _LONGEST else ", and shorter than theirs, which have eight bytes each"
         yield Suspicion(
-            "unsupported_dialect", Confidence.LIKELY, (),
+            "unsupported_dialect", Confidence.LIKELY, scene.troubles,
             f"These are frames of RMD and LK motors on CAN, a dialect that is not known here{short}.",
             f"identifier {identifier(can.id)} with {counted(len(can.data), 'byte')}: {shown(piece.data)}; "
             f"{counted(len(motors), 'frame')}",
@@ -250,8 +260,41 @@ def _others(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[D
             tuple(Shown(p.offset, shown(p.data, c.id)) for p, c in motors[:4]),
         )  # fmt: skip
         return
+    open_frames = [
+        (p, can) for p, can in standard if _is_canopen(can) and not any(d.link.fits(p.data, can.id) for d in checked)
+    ]
+    told = [(p, can) for p, can in open_frames if can.id - _OBJECTS[0] in _NODES or can.id - _OBJECTS[1] in _NODES]
+    if (len(open_frames) > 1 or told) and len(open_frames) * 2 >= len(frames):
+        piece, can = (told or open_frames)[0]
+        yield Suspicion(
+            "unsupported_dialect", Confidence.LIKELY, scene.troubles,
+            "These are frames of CANopen, a protocol that these drives do not speak.",
+            f"{shown(piece.data, can.id)} at byte {piece.offset}; {counted(len(open_frames), 'frame')} like it",
+            "Use a CANopen master with the EDS file of the drive's maker; MKS drives take a code first, at their own address, "
+            "and the sum as their last byte",
+            tuple(Shown(p.offset, shown(p.data, c.id)) for p, c in open_frames[:4]),
+        )  # fmt: skip
+        return
     yield from _wrong_identifier(scene, standard, checked)
     yield from _padded(scene, standard, checked)
+
+
+def _is_canopen(can: CanFrame) -> bool:
+    """Say whether a frame is one of CANopen: a service data object, the state of a node, or a word to all."""
+    data, size = can.data, len(can.data)
+    if can.id - _OBJECTS[0] in _NODES or can.id - _OBJECTS[1] in _NODES:
+        return size == _LONGEST and data[0] in _ACCESS
+    if can.id - _STATE_OF in _NODES:
+        return size == 1 and data[0] in _STATES
+    if can.id == 0:
+        return size == 2 and data[0] in _COMMANDS and data[1] in (0, *_NODES)
+    return can.id == _SYNC and size <= 1
+
+
+#: Identifiers and contents of CANopen: service data objects (request, reply), heartbeats, commands to all, the sync.
+_OBJECTS, _STATE_OF, _SYNC = (0x600, 0x580), 0x700, 0x80
+_ACCESS = frozenset(bytes.fromhex("40 22 23 27 2B 2F 42 43 47 4B 4F 60 80"))
+_STATES, _COMMANDS = (0x00, 0x04, 0x05, 0x7F), (0x01, 0x02, 0x80, 0x81, 0x82)
 
 
 def _wrong_identifier(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[Dialect]) -> Iterator[Suspicion]:
@@ -319,13 +362,14 @@ def _padded(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[D
 
 
 def _shorter(scene: Scene, data: bytes, can_id: int, dialects: list[Dialect]) -> Iterator[tuple[bytes, str]]:
-    """Yield the request that eight bytes begin with, where all but the last byte behind it are zero."""
+    """Yield the request that eight bytes begin with, where zeros stand behind it, but for what is meant as a check."""
     for dialect in dialects:
         if dialect.link.fits(data, can_id):
             continue
         for size in range(len(data) - 1, 1, -1):
             right = dialect.link.completed(data[: size - 1], can_id)
             reading = scene.reader.best(right, can_id, Role.REQUEST)
-            if reading is not None and reading.listed and not any(data[size:-1]):
+            zeros = data[size:-1] if size > len(data) - _TAIL else data[size - 1 : -2]
+            if reading is not None and reading.listed and not any(zeros):
                 yield right, reading.name
                 return

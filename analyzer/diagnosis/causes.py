@@ -22,7 +22,7 @@ CAUSES = {
         Cause(
             "missing_checksum",
             "A request is sent without its checksum.",
-            "No drive answers; the frame is right as far as it goes.",
+            "No drive answers; the frame is right as far as it goes, or has the first byte of its CRC alone.",
             "A program sends the bytes of a table as they are. A drive waits for the last byte, or drops the frame.",
             "Append the checksum; `servotap frame` prints whole frames.",
             "FA 01 F6 01 40 02",
@@ -134,7 +134,7 @@ CAUSES = {
         Cause(
             "reply_cut",
             "The host reads only a part of the reply.",
-            "What was received is the beginning of the right reply, and ends too early.",
+            "What was received is the beginning of the right reply or of an exception, and ends too early.",
             "The program reads once, at once, or asks for a number of bytes that is too small.",
             "Read until the length of the reply is there, or a timeout has passed.",
             "> FA 01 30 2B    < FB 01 30 00",
@@ -142,7 +142,7 @@ CAUSES = {
         Cause(
             "read_misaligned",
             "The host's reads are out of step with the replies.",
-            "Each read begins with the last bytes of the reply before, and misses as many of its own.",
+            "Each read begins with the last bytes of the frame before, and misses as many of its own; equal ones look turned.",
             "The program counts bytes; one stray byte, or one read too short, shifts all reads after it.",
             "Clear the input before each request, and look for the head of a reply.",
             "< 2D FB 01 31 00 00 00 00 1B 7B after FA 01 31 2C",
@@ -230,7 +230,7 @@ CAUSES = {
         Cause(
             "respond_off",
             "A drive answers reads and no motion command: its replies are switched off.",
-            "The motor moves, and the program waits for a reply.",
+            "The motor moves, and the program waits for a reply; or little more than 8C 00 is in the capture.",
             "Command 8C has set respond to 0, or a group address is used.",
             "Set respond to 1.",
             "FA 01 F6 01 40 02 34 unanswered, FA 01 30 2B answered",
@@ -238,7 +238,7 @@ CAUSES = {
         Cause(
             "text_mode",
             "Bytes are handled as text: replaced, encoded, or sent as the letters of their digits.",
-            "EF BF BD stands where a high byte belongs, or 46 41 (the letters FA) for one byte, or 0D before 0A.",
+            "EF BF BD stands where a high byte belongs, 46 41 (the letters FA) for one byte, or 0D before 0A.",
             "A program decodes or encodes strings, or a port is open in text mode.",
             "Read and write bytes; open the port raw.",
             "46 41 30 31 33 30 32 42 for FA 01 30 2B",
@@ -294,7 +294,7 @@ CAUSES = {
         Cause(
             "wrong_byte_order",
             "The bytes of the values stand in the wrong order.",
-            "Values are odd or out of range, and round ones with their bytes swapped.",
+            "Values are odd or out of range, and round with their bytes swapped; a float is next to nothing (2.4e-41).",
             "MKS sends the high byte first, LK the low one; a program packs them the other way.",
             "Swap the bytes of each value (struct.pack with > or <).",
             "FA 01 83 40 06 C4 for 1600 mA",
@@ -317,7 +317,7 @@ CAUSES = {
         ),
         Cause(
             "wrong_register",
-            "A register is one above a known one.",
+            "A register is one above a known one, or more or fewer are read than the value has.",
             "Silence or an exception, and the register below exists.",
             "Tools that count registers from 1 send one less, and others do not.",
             "Take one away from the register, or switch the tool to addresses from 0.",
@@ -334,8 +334,8 @@ CAUSES = {
         Cause(
             "unsupported_dialect",
             "The frames are of motors that are not known here.",
-            "Identifiers 0x141 and 0x241 with eight bytes each.",
-            "RMD motors on CAN speak another protocol.",
+            "Identifiers 0x141 and 0x241 with eight bytes each, 0x601 and 0x581 of CANopen; other heads and checks.",
+            "RMD motors, and others, speak a protocol of their own.",
             "Use the manual of the motor's maker.",
             "141#9A00000000000000",
         ),

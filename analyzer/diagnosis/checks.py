@@ -6,14 +6,15 @@ its sender got no other right.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from functools import reduce
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
-from analyzer.diagnosis.exchanges import reported
-from analyzer.diagnosis.reader import Reader
+from analyzer.diagnosis.exchanges import awaited, reported
+from analyzer.diagnosis.reader import Reader, Reading
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.link.modbus import modbus_crc
 from analyzer.values import counted
@@ -97,6 +98,27 @@ RULES = (
     Rule("the sum of all bytes in 16 bits", _RULE, lambda b, i: (sum(b) & 0xFFFF).to_bytes(2, "big")),
     Rule("the sum of all bytes in 16 bits, low byte first", _RULE, lambda b, i: (sum(b) & 0xFFFF).to_bytes(2, "little")),
 )
+
+
+def _sum(data: bytes) -> bytes:
+    return _byte(sum(data))
+
+
+#: Rules for frames whose head has a check of its own: of the head without it and of the data, the whole frame.
+_OF_TWO: tuple[tuple[str, Callable[[bytes, bytes], bytes]], ...] = (
+    ("one sum over all bytes, and none behind the head", lambda h, d: h + d + _sum(h + d)),
+    ("one sum over the data, and none behind the head", lambda h, d: h + d + _sum(d)),
+    ("the sum of all bytes at its end", lambda h, d: h + _sum(h) + d + _sum(h + _sum(h) + d)),
+    ("the sum of all bytes but the head's own sum at its end", lambda h, d: h + _sum(h) + d + _sum(h + d)),
+    ("the sum of the data behind its head", lambda h, d: h + _sum(d) + d + _sum(d)),
+    ("the sum of all bytes behind its head", lambda h, d: h + _sum(h + d) + d + _sum(d)),
+    ("the sum of the head without its first byte", lambda h, d: h + _sum(h[1:]) + d + _sum(d)),
+    ("one sum over the head, and none behind the data", lambda h, d: h + _sum(h) + d),
+    ("the XOR of all bytes at its end", lambda h, d: h + _sum(h) + d + _byte(_xor(h + _sum(h) + d))),
+    ("the XOR of head and data", lambda h, d: h + _byte(_xor(h)) + d + _byte(_xor(d))),
+)
+RULES_OF_TWO = tuple((Rule(name, _RULE, lambda b, i: b""), whole) for name, whole in _OF_TWO)
+_ORDER = {rule: at for at, rule in enumerate((*RULES, *(rule for rule, _ in RULES_OF_TWO)))}
 _LONGEST_CHECK = 2
 #: A frame that differs from a right one by fewer bits may be that one, damaged; and right ones that are compared.
 _LEAST_BITS = 2
@@ -106,7 +128,10 @@ _STRAY = 3
 
 
 class Failing(NamedTuple):
-    """A request that fails by its check alone. `rules`: those that give what it has; `right`: the frame as it should be."""
+    """A request that fails by its check alone. `rules`: those that give what it has; `right`: the frame as it should be.
+
+    `size`: how many bytes of a check it has; 0 where there is none, or only the first byte of the right one.
+    """
 
     trouble: Trouble
     right: bytes
@@ -120,13 +145,23 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     failing = [found for t in scene.damaged if t.stretch is not None and (found := failing_by_check(scene, t, t.stretch))]
     # What a library logs bare is sent with its check.
     bare = {sent.offset for sent, _ in reported(scene)}
-    missing = [each for each in failing if each.size == 0 and each.trouble.offset not in bare]
+    # What comes back with its check was sent with it.
+    whole = {p.data for p in scene.pieces if p.sound}
+    missing = [
+        each for each in failing
+        if each.size == 0 and each.trouble.offset not in bare and each.right not in whole and not _answered(scene, each)
+    ]  # fmt: skip
     wrong = [each for each in failing if each.size]
     # One that is right shows that the host can: what fails then is a damaged frame, unless a rule says how.
-    sound = [p for p in scene.pieces if p.is_request and p.sound and "bad_checksum" not in p.rules]
+    sound = [
+        p for p in scene.pieces
+        if p.is_request and p.sound and "bad_checksum" not in p.rules and scene.direction(p.offset) is not Role.REPLY
+    ]  # fmt: skip
     if missing := _deliberate(missing, sound):
         confidence = Confidence.CERTAIN if len(missing) > 1 else Confidence.LIKELY
-        yield _said("missing_checksum", confidence, missing, "is sent without its checksum", "Put the checksum behind it")
+        half = missing[0].trouble.stretch is not None and len(missing[0].trouble.stretch.data) + 1 == len(missing[0].right)
+        what = "the last byte of its checksum" if half and len(missing[0].right) > _READ_SIZE - 1 else "its checksum"
+        yield _said("missing_checksum", confidence, missing, f"is sent without {what}", "Put the whole checksum behind it")
     named = _named(wrong, bool(sound))
     for rule, each in named.items():
         sure = len({f.right for f in each}) > 1 or rule.strong
@@ -140,6 +175,16 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             "wrong_checksum", Confidence.LIKELY if again or not sound else Confidence.POSSIBLE, rest,
             "has a checksum that is not the manual's", "Replace the check",
         )  # fmt: skip
+
+
+def _answered(scene: Scene, failing: Failing) -> bool:
+    """Say whether the right reply comes behind a request without its check: then a library leaves it out of its log."""
+    reading, stretch = scene.reader.best(failing.right), failing.trouble.stretch
+    at = bisect_left(scene.bursts, stretch.stop, key=lambda burst: burst.offset) if stretch is not None else len(scene.bursts)
+    behind = scene.bursts[at] if at < len(scene.bursts) else None
+    if reading is None or behind is None or behind.direction is Role.REQUEST:
+        return False
+    return any(reply.stands(behind.data, 0) for reply in awaited(reading.message))
 
 
 def _deliberate(failing: list[Failing], sound: list[Piece]) -> list[Failing]:
@@ -179,7 +224,7 @@ def _named(wrong: list[Failing], some_right: bool) -> dict[Rule, list[Failing]]:
             fitting[rule].append(failing)
     named: dict[Rule, list[Failing]] = {}
     left = {id(f) for f in wrong}
-    for rule in sorted(fitting, key=lambda r: (-len(fitting[r]), RULES.index(r))):
+    for rule in sorted(fitting, key=lambda r: (-len(fitting[r]), _ORDER[r])):
         own = [f for f in fitting[rule] if id(f) in left]
         different = len({f.right for f in own})
         if different > 1 or (own and (rule.strong or not some_right or len(own) > 2)):
@@ -192,6 +237,7 @@ def failing_by_check(scene: Scene, trouble: Trouble, stretch: Stretch) -> Failin
     """Return a stretch as a request whose check alone is wrong or missing."""
     if stretch.direction is Role.REPLY:
         return None
+    sent = stretch.direction is Role.REQUEST
     data, can_id = stretch.data, stretch.can_id
     # Bytes too many before a sound frame are no matter of its check.
     if can_id is None and any(scene.reader.best(data[size:]) is not None for size in range(1, _STRAY + 1)):
@@ -201,32 +247,56 @@ def failing_by_check(scene: Scene, trouble: Trouble, stretch: Stretch) -> Failin
         found = _with_check(scene.reader, trouble, data[: len(data) - size], data[len(data) - size :], can_id, alone)
         if found is not None and (found.rules or stretch.ends):
             return found
-    return _with_check(scene.reader, trouble, data, b"", can_id, alone) if alone else None
+    return _with_check(scene.reader, trouble, data, b"", can_id, alone, sent) if alone else None
 
 
-def _with_check(reader: Reader, trouble: Trouble, body: bytes, got: bytes, can_id: int | None, alone: bool) -> Failing | None:
-    """Return the request that a body is with the right check behind it, if it is one. `alone`: it is all that was sent."""
+def _with_check(
+    reader: Reader, trouble: Trouble, body: bytes, got: bytes, can_id: int | None, alone: bool, sent: bool = False
+) -> Failing | None:
+    """Return the request that a body is with the right check behind it, if it is one. `alone`: it is all that was sent.
+
+    `sent`: the capture says that its writer has sent it; a device without checks sends replies.
+    """
     if len(body) < (1 if can_id is not None else 3):
         return None
     for right in _completions(reader, body, can_id):
         if right == body + got:
             continue
         rules = tuple(rule for rule in RULES if got and rule.of(body, can_id or 0) == got)
+        # Of a CRC its first byte is there.
+        half = len(got) == 1 and len(right) == len(body) + _LONGEST_CHECK and right.startswith(body + got)
         for reading in reader.readings(right, can_id):
             # Without its own check a frame of a code or register that is not listed could be anything, but for a read.
-            strong = reading.listed or (rules and len(got) > 1) or (alone and len(got) != 1 and _reads(right))
+            strong = reading.listed or (rules and len(got) > 1) or (alone and (len(got) != 1 or half) and _plain(right))
             lost = len(right) - len(body)
-            if reading.message.role is Role.REPLY or not strong or (not rules and got and len(got) != lost):
+            own = () if can_id is not None else tuple(_of_two(reading, body + got, right))
+            known = bool(rules or own or half)
+            if (reading.message.role is Role.REPLY and not sent) or not strong or (not known and got and len(got) != lost):
                 continue
-            return Failing(trouble, right, reading.name, len(got), rules)
+            return Failing(trouble, right, reading.name, 0 if half else len(got), own or rules)
     return None
 
 
-def _reads(frame: bytes) -> bool:
-    """Say whether a frame is a Modbus read of registers as programs ask for them."""
-    return len(frame) == _READ_SIZE and frame[1] in _READS and 0 < int.from_bytes(frame[4:6], "big") <= _MOST_REGISTERS
+def _of_two(reading: Reading, data: bytes, right: bytes) -> Iterator[Rule]:
+    """Yield the rules that make bytes of a frame whose head has a check of its own."""
+    first, *others = reading.dialect.link.checks(right)
+    if others:
+        head, body = right[: first.start], right[first.start + 1 : others[0].start]
+        yield from (rule for rule, whole in RULES_OF_TWO if whole(head, body) == data)
 
 
+def _plain(frame: bytes) -> bool:
+    """Say whether a frame is a Modbus read of registers, as programs ask for them or as they are answered, or an exception."""
+    if len(frame) == _READ_SIZE and frame[1] in _READS and 0 < int.from_bytes(frame[4:6], "big") <= _MOST_REGISTERS:
+        return True
+    return len(frame) > _EXCEPTION - 1 and (
+        (frame[1] in _READS and frame[2] == len(frame) - 5 and frame[2] % 2 == 0)
+        or (len(frame) == _EXCEPTION and frame[1] & 0x7F in _READS and 0 < frame[2] <= _LAST_CODE)
+    )
+
+
+#: The size of an exception, and the greatest code of one.
+_EXCEPTION, _LAST_CODE = 5, 0x0B
 _READ_SIZE = 8
 _READS = (0x03, 0x04)
 _MOST_REGISTERS = 125

@@ -26,6 +26,9 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     repeated = scene.repeated
     # What the capture says was sent is no echo: it was sent again.
     came = [e for e in scene.of("host_echo") if e not in repeated and scene.direction(e.offset) is not Role.REQUEST]
+    if scene.directed and not scene.shows_sent:
+        # A host that receives the same again and again has sent nothing that could come back.
+        came = []
     whole = [(e, "" if e.piece is None else shown(e.piece.data)) for e in came]
     sides = [burst.direction for burst in scene.bursts] if scene.directed else []
     exchanges = sum(pair == (Role.REQUEST, Role.REPLY) for pair in pairwise(sides))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections import Counter
 from collections.abc import Iterator
 
 from analyzer.catalogue import Role
 from analyzer.diagnosis.checks import failing_by_check
 from analyzer.diagnosis.exchanges import awaited
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
-from analyzer.link import READS, modbus_crc
+from analyzer.link import FUNCTIONS, READS, modbus_crc
 from analyzer.records import Message
 from analyzer.values import counted
 
@@ -21,12 +22,13 @@ def look(scene: Scene) -> Iterator[Suspicion]:
 
 def _cut(scene: Scene) -> Iterator[Suspicion]:
     cut: list[tuple[Trouble, bytes, int]] = []
+    heads = Counter(t.stretch.data[:_HEAD] for t in scene.damaged if t.stretch is not None)
     for trouble in scene.damaged:
         stretch = trouble.stretch
         if stretch is None or stretch.direction is Role.REQUEST or not stretch.ends or not stretch.opens:
             continue
         asked = asked_before(scene, stretch)
-        wanted = _wanted(asked, stretch.data) if asked is not None else _promised(stretch.data)
+        wanted = (_wanted(asked, stretch.data) if asked is not None else _promised(stretch, heads)) or _refusal(asked, stretch)
         # What the capture ends in may have gone on; what goes on in the reads behind it was not cut.
         if wanted and not _goes_on(scene, stretch, wanted) and (scene.directed or stretch.stop != scene.pieces[-1].stop):
             cut.append((trouble, stretch.data, wanted))
@@ -64,13 +66,39 @@ def asked_before(scene: Scene, stretch: Stretch) -> Message | None:
     return found
 
 
-def _promised(data: bytes) -> int:
-    """Return how many bytes a Modbus reply has by its own count, if its last byte alone is missing; else 0."""
+def _promised(stretch: Stretch, heads: Counter[bytes]) -> int:
+    """Return how many bytes a Modbus reply has by its own count, if fewer are there; else 0.
+
+    That is one whose last byte is missing, or one of registers that ends before its data do: it is marked as received, or
+    begins as others do. `heads`: how often damaged bytes begin so.
+    """
+    data = stretch.data
+    received = stretch.direction is Role.REPLY or heads[data[:_HEAD]] > 1
+    if received and len(data) >= _LEAST and 0 < data[0] <= _LAST_UNIT and data[1] in _REGISTERS and data[2] and not data[2] % 2:
+        size = _SHORTEST + data[2]
+        if len(data) <= size - _CHECK and size <= _LONGEST:
+            return size
     whole = len(data) > _SHORTEST and data[1] in READS and 3 + data[2] + 1 == len(data)
     return len(data) + 1 if whole and modbus_crc(data[:-1]) & 0xFF == data[-1] else 0
 
 
-_SHORTEST = 5
+def _refusal(asked: Message | None, stretch: Stretch) -> int:
+    """Return how many bytes an exception has, if these are one without its CRC, or with half of it; else 0."""
+    data = stretch.data
+    if not _SHORTEST - 2 <= len(data) < _SHORTEST or data[1] ^ 0x80 not in FUNCTIONS or not 0 < data[2] <= _LAST_CODE:
+        return 0
+    if asked is not None and bytes((data[0], data[1] & 0x7F)) != asked.frame.data[:2]:
+        return 0
+    half = len(data) < _SHORTEST - 1 or modbus_crc(data[:-1]) & 0xFF == data[-1]
+    return _SHORTEST if half and (asked is not None or stretch.direction is Role.REPLY) else 0
+
+
+#: The size of an exception, and the greatest code of one.
+_SHORTEST, _LAST_CODE = 5, 0x0B
+#: Unit, function and count of a reply.
+_HEAD = 3
+#: Functions that read registers, the last address, bytes of a beginning that tell, of a CRC, and of the longest reply.
+_REGISTERS, _LAST_UNIT, _LEAST, _CHECK, _LONGEST = (0x03, 0x04), 247, 4, 2, 255
 
 
 def _wanted(asked: Message, data: bytes) -> int:

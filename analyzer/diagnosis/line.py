@@ -152,6 +152,10 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         stretch = trouble.stretch
         if stretch is None or trouble in scene.explained or stretch.can_id is not None:
             continue
+        reading = scene.reader.best(stretch.data)
+        if reading is not None and reading.listed:
+            # A frame of a dialect that the rest of the capture is not in came through the line as it is.
+            continue
         asked = scene.asked_before(stretch.offset) if stretch.direction is not Role.REQUEST else None
         sides[stretch.direction].append(_Garbled(trouble, stretch.data[:_READ], replies_to(asked)))
     for side, garbled in sides.items():

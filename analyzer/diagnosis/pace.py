@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterator
 from itertools import pairwise
 
 from analyzer.catalogue import Role
 from analyzer.diagnosis.exchanges import Exchange, Placed, Turn, awaited, chains, placed
-from analyzer.diagnosis.scene import Confidence, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.diagnosis.scene import Confidence, Read, Scene, Shown, Suspicion, Trouble, shown
 from analyzer.link import READS
 from analyzer.values import counted
 
@@ -21,12 +22,15 @@ _SHIFTED_SHARE = 0.2
 #: A pause before a request that any drive stands; and one that only a drive that stores a setting needs.
 _SHORT_NS = 20_000_000
 _LONG_NS = 1_000_000_000
+#: Bytes of a read that can be a frame.
+_SHORTEST = 3
 #: Parts in which one frame is written.
 _PARTS = 3
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect when the host writes and reads."""
+    yield from _across(scene)
     if not chains(scene):
         return
     for part in (_late, _misaligned, _split, _split_replies, _too_fast):
@@ -83,7 +87,7 @@ def _misaligned(scene: Scene) -> Iterator[Suspicion]:
         return
     crosses = [p for p in placed(scene) if p.crosses]
     crossing = {p.read.offset: p.shift for p in crosses if p.shift}
-    reads = shifted = 0
+    reads = shifted = turned = 0
     first: tuple[Turn, int] | None = None
     troubles: list[Trouble] = []
     by_offset = {t.stretch.offset: t for t in scene.damaged if t.stretch is not None}
@@ -91,12 +95,16 @@ def _misaligned(scene: Scene) -> Iterator[Suspicion]:
         for exchange in chain:
             for turn in exchange.received:
                 reads += 1
-                shift = crossing.get(turn.offset, 0) or _shift(exchange, turn)
+                shift = _turned(exchange, turn)
+                turned += bool(shift)
+                shift = shift or crossing.get(turn.offset, 0) or _shift(exchange, turn)
                 if shift:
                     shifted += 1
                     first = first or (turn, shift)
                     troubles += [by_offset[turn.offset]] if turn.offset in by_offset else []
-    if first is None or shifted < _SHIFTED or shifted < _SHIFTED_SHARE * reads:
+    # One that is a reply with a CRC, but for the place at which it begins, is no chance.
+    least = 1 if turned else _SHIFTED
+    if first is None or shifted < least or shifted < _SHIFTED_SHARE * reads:
         return
     turn, shift = first
     if crosses and not crosses[0].shift and not _whole_before(scene, crosses[0].read):
@@ -117,6 +125,50 @@ def _misaligned(scene: Scene) -> Iterator[Suspicion]:
         "Clear the input before each request, and look for the head of a reply instead of counting bytes",
         tuple(Shown(t.offset, shown(t.stretch.data)) for t in troubles if t.stretch is not None),
     )  # fmt: skip
+
+
+def _across(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect reads of one size that begin and end within frames of that size, as those of a stream of equal requests do."""
+    inside: list[tuple[Read, int]] = []
+    bursts = [read for read in scene.reads if read.firm and read.stop - read.offset > _SHORTEST]
+    if len({read.stop - read.offset for read in bursts}) > 1 or len({read.direction for read in bursts}) > 1:
+        return
+    frames = {piece.offset: piece for piece in scene.pieces if piece.sound and piece.can is None}
+    # Rows of a dump cut frames of any size.
+    if {len(piece.data) for piece in frames.values()} != {read.stop - read.offset for read in bursts}:
+        return
+    starts = sorted(frames)
+    for read in bursts:
+        size = read.stop - read.offset
+        at = bisect_right(starts, read.offset)
+        behind = frames[starts[at]] if at < len(starts) else None
+        if behind is not None and read.offset < behind.offset < read.stop < behind.stop and len(behind.data) == size:
+            inside.append((read, behind.offset - read.offset))
+    if len(inside) < _SHIFTED or len({shift for _, shift in inside}) > 1 or 2 * len(inside) < len(bursts):
+        return
+    read, shift = inside[0]
+    own = next(p for p in scene.pieces if p.offset == read.offset + shift)
+    yield Suspicion(
+        "read_misaligned", Confidence.CERTAIN, scene.troubles,
+        "The reads are out of step: each begins with the end of one frame, and ends within the next.",
+        f"{shown(own.data)} stands {counted(shift, 'byte')} behind the start of the read at byte {read.offset}; "
+        f"{counted(len(inside), 'time')}",
+        "Begin a frame where the line was silent (3.5 characters with Modbus) or where its head stands, not after so many "
+        "bytes; clear the input once before the first",
+        tuple(Shown(read.offset, shown(own.data)) for read, _ in inside),
+    )  # fmt: skip
+
+
+def _turned(exchange: Exchange, turn: Turn) -> int:
+    """Return by how many bytes a read is turned: its end is the beginning of a reply whose check then fits; 0 where not."""
+    message, data = exchange.request.message, turn.data
+    for reply in awaited(message) if message is not None else ():
+        if reply.size != len(data) or reply.stands(data, 0):
+            continue
+        for at in range(1, len(data)):
+            if reply.stands(data[at:] + data[:at], 0):
+                return at
+    return 0
 
 
 def _whole_before(scene: Scene, short: Turn) -> bool:

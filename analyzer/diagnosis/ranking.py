@@ -27,12 +27,14 @@ class Ranked:
 def ranked(suspicions: Iterable[Suspicion], troubles: Sequence[Trouble]) -> list[Ranked]:
     """Return the causes that are told, the likeliest first.
 
-    What a certain cause explains needs no other; what is only possible is told beside its equals.
+    What a certain cause explains needs no other; what is only possible is told beside its equals. What explains nothing of the
+    trouble comes last, however sure it is.
     """
     total = len(troubles)
     weighed = sorted(
         (Ranked(each, min(1.0, len(set(each.troubles)) / total) if total else 1.0) for each in suspicions),
         key=lambda r: (
+            not r.share,
             r.suspicion.cause in _SYMPTOMS,
             -_WEIGHT[r.suspicion.confidence] * r.share,
             -_WEIGHT[r.suspicion.confidence],

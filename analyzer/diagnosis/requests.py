@@ -16,7 +16,7 @@ from analyzer.values import counted
 _READS = (0x03, 0x04)
 _LOOK_UP = "Look the command up: `servotap catalogue` lists what the manual has"
 #: What each exception of the standard says is wrong, by its code.
-_EXCEPTIONS = {
+EXCEPTIONS = {
     0x01: ("wrong_function", "it does not have this function", "Look up which function the register has (03, 04, 06 or 10)"),
     0x02: (
         "wrong_register", "there is no such register, or the quantity reaches over the last one",
@@ -46,6 +46,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     yield from _padded(scene)
     yield from _promised(scene)
     yield from _miscounted(scene)
+    yield from _other_quantity(scene)
     found: dict[tuple[str, str], list[_Wrong]] = {}
     for troubles, piece, refusal in _failing(scene):
         why = _why(scene, piece, refusal)
@@ -53,8 +54,12 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             key = (why.cause, why.say if why.by_exception else "")
             found.setdefault(key, []).append(_Wrong(troubles, piece, refusal, why))
     asked = sum(piece.is_request for piece in scene.pieces)
+    # Examples of a document, of which nobody says that they were sent.
+    examples = scene.noted and not scene.timed and sum(piece.sound for piece in scene.pieces) > _FEW // 2
     for (cause, _), rows in found.items():
         first = rows[0]
+        if examples and len(rows) == 1 and first.refusal in (None, first.piece):
+            continue
         # One refusal in long traffic is an answer like any other.
         if first.why.by_exception and len(rows) == 1 and asked > _FEW:
             continue
@@ -223,9 +228,39 @@ def _miscounted(scene: Scene) -> Iterator[Suspicion]:
     )  # fmt: skip
 
 
+def _other_quantity(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect a device that answers a read of registers with another number of them, in a frame that is sound."""
+    reads = [p for p in scene.pieces if p.is_request and p.can is None and len(p.data) == _ANSWER and p.data[1] in _READS]
+    asked = {piece.data[:2] + bytes((2 * piece.data[5],)) for piece in reads}
+    odd = []
+    for one, other in pairwise(scene.pieces):
+        reply = other.data
+        if one not in reads or other.can is not None or one.stop != other.offset or reply[:2] != one.data[:2]:
+            continue
+        known = one.message is not None and one.message.command is not None and one.message.command.code >= 0
+        whole = len(reply) > _SHORTEST and reply[2] == len(reply) - _SHORTEST and modbus_crc(reply) == 0
+        # That of a request before comes too late.
+        if whole and not known and reply[:3] not in asked:
+            odd.append((one, other))
+    if not odd:
+        return
+    one, other = odd[0]
+    found = [other for _, other in odd]
+    yield Suspicion(
+        "wrong_length", Confidence.CERTAIN if len(odd) > 1 else Confidence.LIKELY,
+        [t for t in scene.troubles if t.piece in found] or [Trouble("wrong_length", p.offset, None, p) for p in found],
+        f"A reply has {other.data[2] // 2} registers, and {int.from_bytes(one.data[4:6], 'big')} were asked for.",
+        f"{shown(other.data)} at byte {other.offset} answers {shown(one.data)}; {counted(len(odd), 'time')}",
+        "Take as many bytes as the reply counts; look up how many registers the value has, and ask for these",
+        tuple(Shown(p.offset, shown(p.data)) for p in found),
+    )  # fmt: skip
+
+
 def _other_count(scene: Scene, burst: Stretch) -> str:
     """Return what is wrong with the count of a burst; empty where it is right, or the bytes are damaged."""
     data, function = burst.data, burst.data[1]
+    if modbus_crc(data) == 0 and function in READS and burst.direction is Role.REQUEST and len(data) < _ANSWER:
+        return f"a request to read has {_ANSWER} bytes, and this {len(data)}"
     if modbus_crc(data) == 0 and modbus_crc(data[:-1]) != 0 and data[0] <= _LAST_UNIT:
         places = _COUNTS.get(function)
         if not places or len(data) == _ANSWER or any(n < len(data) and data[n] + n + 3 == len(data) for n in places):
@@ -284,9 +319,9 @@ def _refused(scene: Scene, piece: Piece | None, refusal: Piece) -> _Why | None:
     """Return what the drive itself says is wrong: the code of its exception. `piece`: the request, if it is known."""
     assert refusal.message is not None  # an exception
     code = refusal.message.values.get("exception", 0)
-    if code not in _EXCEPTIONS:
+    if code not in EXCEPTIONS:
         return None
-    cause, say, todo = _EXCEPTIONS[code]
+    cause, say, todo = EXCEPTIONS[code]
     right = b""
     if piece is not None and len(piece.data) == 8:
         function, register = piece.data[1], int.from_bytes(piece.data[2:4], "big")

@@ -179,6 +179,11 @@ class Scene:
         return any(read.direction is not Role.UNKNOWN for read in self.reads)
 
     @cached_property
+    def shows_sent(self) -> bool:
+        """Whether the capture says of any bytes that they were sent."""
+        return any(read.direction is Role.REQUEST for read in self.reads)
+
+    @cached_property
     def _read_by_offset(self) -> dict[int, Read]:
         return {read.offset: read for read in self.reads}
 

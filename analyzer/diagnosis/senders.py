@@ -16,6 +16,7 @@ from typing import NamedTuple
 from analyzer.catalogue import Role
 from analyzer.diagnosis.exchanges import replies_to
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown
+from analyzer.link import modbus_crc
 from analyzer.values import counted
 
 #: Damaged replies of one address, and good exchanges of others, that are no chance; the share of its replies.
@@ -71,7 +72,10 @@ def _sure(count: int) -> Confidence:
 def _two_masters(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
     """Suspect a second host: requests among what the host receives, which it has not sent."""
     own, others = [], []
-    for piece in scene.requests:
+    for piece in scene.pieces:
+        # A register or a length that the manual does not have makes a request no less one, where a CRC says so.
+        if not piece.is_request or not (piece.sound or (piece.can is None and modbus_crc(piece.data) == 0)):
+            continue
         direction = scene.direction(piece.offset)
         if direction is Role.REQUEST:
             own.append(piece.data)
@@ -82,7 +86,13 @@ def _two_masters(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicio
         return
     first = others[0]
     damage = [s for s in spoiled if s.stretch.direction is Role.REPLY]
-    troubles, frames = _of(damage)
+    _, frames = _of(damage)
+    theirs = {piece.message.address for piece in others if piece.message is not None}
+    troubles = [
+        t for t in scene.troubles
+        if scene.direction(t.offset) is Role.REPLY or (t.piece is not None and t.piece.message is not None
+        and t.piece.message.address in theirs) or t.rule == "unanswered"
+    ]  # fmt: skip
     yield Suspicion(
         "two_masters", _sure(len(others) + 1), troubles,
         "A second host is on the bus: the host receives requests that it has not sent.",

@@ -39,7 +39,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             answering.setdefault(piece.message.address, piece.message.frame.dialect.name)
     for asked in _unanswered(scene):
         yield from _unanswered_by_all(scene, asked, answering)
-    for part in (_reported, _to_all, _to_none, _from_new, _respond, _refused):
+    for part in (_reported, _to_all, _to_none, _from_new, _respond, _switched_off, _refused):
         yield from part(scene)
 
 
@@ -355,6 +355,43 @@ def _respond(scene: Scene) -> Iterator[Suspicion]:
             f"Switch replies on: send {frame}; if it is a group address, no reply is right (--group {address})",
             (Shown(trouble.offset, _bytes(trouble.piece), frame),),
         )  # fmt: skip
+
+
+def _switched_off(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect replies that are switched off where the capture has little more than the setting that does it.
+
+    On CAN the request without its second value looks like a reply, so that both are taken.
+    """
+    if len(scene.pieces) > _FEW or scene.noted:
+        return
+    for piece in scene.pieces:
+        message = piece.message
+        if message is None or message.command is None or piece.asked_by is not None or "bad_checksum" in piece.rules:
+            continue
+        dialect, command = message.frame.dialect, message.command
+        setting = dialect.effect(Effect.RESPOND)
+        if setting is None or setting[0] is not command:
+            continue
+        looks_like_reply = dialect.bus == "can" and len(message.data) == 1
+        if message.values.get(setting[1].name, message.data[0] if looks_like_reply else 1):
+            continue
+        active = command.sets(Effect.ACTIVE)
+        right = build(dialect, command, message.address, {setting[1].name: 1, **({active: 1} if active else {})})
+        frame = shown(right, dialect.link.identifier(command, message.address))
+        yield Suspicion(
+            # The frame itself says it; that somebody misses replies is told by the words alone.
+            "respond_off", Confidence.CERTAIN if scene.words else Confidence.LIKELY,
+            [t for t in scene.troubles if t.offset >= piece.offset],
+            f"Address {message.who} is told to answer no motion command: respond is set to 0.",
+            f"{_bytes(piece)} at byte {piece.offset}",
+            f"Switch replies on: send {frame}",
+            (Shown(piece.offset, _bytes(piece), frame),),
+        )  # fmt: skip
+        return
+
+
+#: Frames of a capture that is about one of them.
+_FEW = 4
 
 
 def _silenced(scene: Scene) -> Iterator[Trouble]:

@@ -10,6 +10,7 @@ from analyzer.catalogue import Role
 from analyzer.diagnosis.exchanges import replies_to
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.framer import GLITCHES
+from analyzer.link import FUNCTIONS, modbus_crc
 from analyzer.values import counted
 
 #: Bytes of one glitch: of those that a pulse makes, and of any others, where a frame stands in the same read.
@@ -21,6 +22,8 @@ _HIGH, _INSTEAD = 7, 3
 _LOST_BYTES = 3
 #: Bytes that a reply must show before it is one that only lacks its end.
 _LEAST_OF_REPLY = 5
+#: The last address of a Modbus unit.
+_LAST_UNIT = 247
 #: A sender's frames of which one with a glitch is no chance.
 _OFTEN = 10
 
@@ -138,11 +141,19 @@ def _with_start(scene: Scene, stretch: Stretch, heads: Iterable[bytes]) -> tuple
     """Return the frame that a stretch is with its start put in front."""
     if len(stretch.data) < 2:
         return None
+    # What a device received, in its own log, is what the host has sent.
+    role = stretch.direction if scene.shows_sent else Role.UNKNOWN
     for head in heads:
         whole = head + stretch.data
-        reading = scene.reader.best(whole, role=stretch.direction) if len(whole) > 3 + len(head) else None
+        reading = scene.reader.best(whole, role=role) if len(whole) > 3 + len(head) else None
         if reading is not None:
             return whole, reading.message.role
+    # One address alone makes the CRC fit.
+    if stretch.opens and len(stretch.data) >= _LEAST_OF_REPLY - 1 and stretch.data[0] & 0x7F in FUNCTIONS:
+        for address in range(1, _LAST_UNIT + 1):
+            whole = bytes((address,)) + stretch.data
+            if modbus_crc(whole) == 0 and (reading := scene.reader.best(whole, role=role)) is not None:
+                return whole, reading.message.role
     return None
 
 

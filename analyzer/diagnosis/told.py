@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+from analyzer.diagnosis.reports import reports
 from analyzer.diagnosis.scene import Confidence, Scene, Suspicion, Trouble, shown
 from analyzer.link import READS
+from analyzer.values import counted
 
 #: Makers and protocols that are not known here, as people write them.
 _OTHERS = re.compile(
@@ -14,13 +16,8 @@ _OTHERS = re.compile(
 )
 #: A library's words for a reply that does not fit the request.
 _MISFIT = re.compile(r"wrong (?:function ?code|(?:return )?slave ?address): \d+ instead of \d+", re.I)
-#: What a library reports instead of a reply: the words, the cause, what it means.
-_CODES = (
-    (r"request result: 0x0?1\b", "wrong_function", "the unit does not know the function"),
-    (r"request result: 0x0?2\b", "wrong_register", "the unit has no such register"),
-    (r"request result: 0x0?3\b", "value_out_of_range", "the unit does not take the value"),
-    (r"request result: 0x(?:0?b|e4)\b", "no_reply", "the unit did not answer"),
-)  # fmt: skip
+#: Causes that a list of all exceptions has, as documentation and programs have one.
+_EXCEPTIONS = frozenset(("wrong_function", "wrong_register", "value_out_of_range"))
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
@@ -31,12 +28,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     troubles = scene.troubles
     if (misfit := _MISFIT.search(words)) is not None:
         yield from _misfit(scene, misfit[0])
-    for pattern, cause, what in _CODES:
-        if (code := re.search(pattern, words, re.I)) is not None:
-            yield Suspicion(
-                cause, Confidence.LIKELY, troubles, f"The library reports that {what}.", f"{code[0]!r} in the text",
-                "Read a register that the manual lists, with the function that it names for it; then compare what is sent",
-            )  # fmt: skip
+    yield from _reported(scene, words)
     ours = any(p.sound and p.message is not None and p.message.command is not None for p in scene.pieces)
     if not ours and (other := _OTHERS.search(words)) is not None and (troubles or scene.pieces):
         yield Suspicion(
@@ -45,6 +37,30 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             f"{other[0]!r} in the text; {shown(scene.pieces[0].data)} at byte {scene.pieces[0].offset}",
             "Use the manual of its maker; the dialects known here are those of `servotap catalogue`",
         )  # fmt: skip
+
+
+def _reported(scene: Scene, words: str) -> Iterator[Suspicion]:
+    """Suspect what a library reports; bytes that are there tell more than its words."""
+    found = list(reports(words))
+    if {report.cause for report, _, _ in found} >= _EXCEPTIONS:
+        return
+    # Silence follows from any cause; what a bus shows besides it has a cause of its own.
+    by_bytes = any(t.rule not in _SILENCE for t in scene.explained)
+    left = [t for t in scene.troubles if t not in scene.explained] if by_bytes else []
+    replied = any(p.is_reply and p.sound for p in scene.pieces)
+    for report, text, times in found:
+        if report.cause in _OF_LINE and replied and not scene.damaged:
+            continue
+        yield Suspicion(
+            report.cause, Confidence.POSSIBLE if by_bytes else Confidence.LIKELY, left or scene.troubles,
+            f"The library reports that {report.what}.",
+            f"{text.strip()!r} in the text; {counted(times, 'time')}",
+            report.next,
+        )  # fmt: skip
+
+
+#: Rules of findings that say that no reply came; causes of damaged replies.
+_SILENCE, _OF_LINE = frozenset(("unanswered", "silent_address")), frozenset(("noise", "reply_cut"))
 
 
 def _misfit(scene: Scene, said: str) -> Iterator[Suspicion]:

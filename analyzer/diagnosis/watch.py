@@ -21,7 +21,7 @@ _NEAR = 128
 _MOST_KEPT = 20_000
 _MOST_FINDINGS = 5_000
 #: Comments that are kept, and how much of each.
-_MOST_SAID, _LONGEST_SAID = 200, 400
+_MOST_SAID, _LONGEST_SAID = 200, 1000
 
 #: Words by which people say that something is wrong, or ask.
 _ASKS = re.compile(
@@ -153,6 +153,9 @@ class Watch:
             own = frozenset(rules.get(sequence, ()))
             piece = Piece(where.offset, where.data, where.first_ns, sequence, message, asked_by, own)
             pieces.setdefault(where.port, []).append(piece)
+        if not pieces and self._said and not self.found:
+            # Words alone may tell what went wrong.
+            pieces["serial"] = []
         return [
             Scene(
                 bus, tuple(dialects), found,

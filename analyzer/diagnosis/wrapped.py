@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 from analyzer.catalogue import Role
 from analyzer.diagnosis.reader import Reader
-from analyzer.diagnosis.scene import Confidence, Scene, Shown, Suspicion, Trouble, shown
-from analyzer.link.modbus import FUNCTIONS, modbus_crc
+from analyzer.diagnosis.requests import EXCEPTIONS
+from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
+from analyzer.link import FUNCTIONS, READS, modbus_crc
 from analyzer.values import counted
 
 _REPLACED = b"\xef\xbf\xbd"
@@ -126,8 +127,76 @@ DRESSES = (
 )  # fmt: skip
 
 
+class _Header(NamedTuple):
+    """A header of Modbus TCP with what stands behind it: its number, the bytes that it promises, and those that are there."""
+
+    burst: Stretch
+    number: int
+    promised: int
+    body: bytes
+
+
+def _headers(scene: Scene) -> Iterator[_Header]:
+    """Yield the headers of Modbus TCP: several may stand in one read."""
+    for burst in scene.bursts:
+        data, at = burst.data, 0
+        while burst.can_id is None and len(data) >= at + _HEADER + 2 and data[at + 2 : at + 5] == b"\0\0\0":
+            count = data[at + 5]
+            body = data[at + _HEADER : at + _HEADER + count]
+            if len(body) < 2 or body[1] & 0x7F not in FUNCTIONS or count < _LEAST_COUNT:
+                break
+            yield _Header(burst, int.from_bytes(data[at : at + 2], "big"), count, body)
+            at += _HEADER + count
+
+
+def _of_header(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect what the headers of Modbus TCP tell: a number of an earlier request, or a count that is not that of the bytes."""
+    asked: list[int] = []
+    late: list[_Header] = []
+    wrong: list[_Header] = []
+    for header in _headers(scene):
+        burst, body = header.burst, header.body
+        if burst.direction is Role.REQUEST:
+            asked.append(header.number)
+        elif asked and 0 < (asked[-1] - header.number) & 0xFFFF <= _BACK:
+            late.append(header)
+        # Its own count of bytes says that it is whole.
+        whole = body[1] in READS and len(body) > _LEAST_COUNT and len(body) == _LEAST_COUNT + body[2]
+        if asked and whole and len(body) < header.promised and burst.opens and burst.ends:
+            wrong.append(header)
+    for found, cause, say, todo in (
+        (
+            late,
+            "late_reply",
+            "The reply has the number of an earlier request: it came when the host had asked again.",
+            "Wait longer for each reply, drop replies of another number, and read what is left before the next request",
+        ),
+        (
+            wrong,
+            "wrong_length",
+            "The header of Modbus TCP promises more bytes than follow, and the reply in it is whole.",
+            "Let the device put the number of bytes behind the count into it: unit, function and data",
+        ),
+    ):
+        if found:
+            first = found[0].burst
+            troubles = [t for t in scene.troubles if t.stretch is not None and any(t.offset == h.burst.offset for h in found)]
+            yield Suspicion(
+                cause, Confidence.LIKELY, scene.troubles if 2 * len(found) >= len(asked) else troubles, say,
+                f"{shown(first.data[:24])} at byte {first.offset}; {counted(len(found), 'time')}", todo,
+                tuple(Shown(h.burst.offset, shown(h.burst.data)) for h in found),
+            )  # fmt: skip
+
+
+#: Requests back that a late reply can be of.
+_BACK = 8
+#: Words of a program that speaks Modbus TCP itself.
+_SPEAKS_TCP = re.compile(r"\bmodbus[-_ ]?tcp|\btransaction[_ ]?id|\bmbap\b|\btcp-(?:client|response)", re.IGNORECASE)
+
+
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the dress."""
+    yield from _of_header(scene)
     for dress in DRESSES:
         found: list[tuple[Trouble, bytes, bytes]] = []
         for trouble in scene.damaged:
@@ -139,10 +208,15 @@ def look(scene: Scene) -> Iterator[Suspicion]:
                 found.append((trouble, stretch.data, frame))
         if len(found) < dress.least or (dress.least > 1 and len(found) < _MOSTLY * len(scene.damaged)):
             continue
+        if _all_answered(scene, dress):
+            # Who answers takes the header; what it says is another matter.
+            scene.explained.update(t for t, _, _ in found)
+            yield from _refused(found)
+            continue
         first, data, frame = found[0]
         becomes = f" is {shown(frame)}" if frame else ""
         yield Suspicion(
-            dress.cause, Confidence.POSSIBLE if _all_answered(scene, dress) else Confidence.CERTAIN, [t for t, _, _ in found],
+            dress.cause, Confidence.CERTAIN, [t for t, _, _ in found],
             dress.say,
             f"{shown(data[:32])}{becomes}, at byte {first.offset}; {counted(len(found), 'time')}",
             f"{dress.next}: {shown(frame)}" if frame else dress.next,
@@ -150,12 +224,34 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         )  # fmt: skip
 
 
+def _refused(found: list[tuple[Trouble, bytes, bytes]]) -> Iterator[Suspicion]:
+    """Suspect what a unit behind Modbus TCP names by its exceptions."""
+    refusals = [(t, data, frame[2]) for t, data, frame in found if len(frame) == _REFUSAL and frame[1] ^ 0x80 in FUNCTIONS]
+    for code in sorted({code for _, _, code in refusals} & set(EXCEPTIONS)):
+        cause, say, todo = EXCEPTIONS[code]
+        own = [(t, data) for t, data, other in refusals if other == code]
+        first, data = own[0]
+        # Where all is refused, that is what all of it is about.
+        told = found if 2 * len(own) >= len(found) else own
+        yield Suspicion(
+            cause, Confidence.LIKELY, [row[0] for row in told], f"The device refuses by exception {code:02X}: {say}.",
+            f"{shown(data)} at byte {first.offset}; {counted(len(own), 'time')}", todo,
+            tuple(Shown(t.offset, shown(d)) for t, d in own),
+        )  # fmt: skip
+
+
+#: The size of an exception with its CRC.
+_REFUSAL = 5
+
+
 def _all_answered(scene: Scene, dress: Dress) -> bool:
     """Say whether each wrapped request has a reply of its number and unit: then who answers takes the header."""
-    if dress.undo is not _tcp or not scene.directed:
+    if dress.undo is not _tcp:
         return False
+    if _SPEAKS_TCP.search("\n".join(scene.words)) is not None and not scene.shows_sent:
+        return True
     sent, came = (
-        [burst.data[:2] + burst.data[_HEADER : _HEADER + 1] for burst in scene.bursts if burst.direction is role]
+        {(header.number, header.body[0]) for header in _headers(scene) if header.burst.direction is role}
         for role in (Role.REQUEST, Role.REPLY)
     )
-    return bool(sent) and set(sent) <= set(came)
+    return bool(sent) and sent <= came

@@ -25,6 +25,7 @@ import msgspec
 from analyzer.catalogue import Role
 from analyzer.records import CanFrame, Comment
 from analyzer.sources import written
+from analyzer.sources.can_program import Program
 from analyzer.sources.lines import Lines, fitting, head_lines, is_like
 from analyzer.sources.marks import ACTIONS, MATTERS, SIGNS, role_of
 from analyzer.sources.source import Source, quote
@@ -77,6 +78,12 @@ SHAPES: tuple[Shape, ...] = (
         rf".*?\bdata\s*=\s*{_LISTED}.*",
     ),
     _shape("call-id-data", rf".*?\b(?:write|send)\(\s*(?P<id>{_NUMBER}),\s*{_LISTED}.*"),
+    # In JavaScript.
+    _shape(
+        "call-object",
+        rf".*?\bsend\(\s*\{{(?=.*?\bid\s*:\s*(?P<id>{_NUMBER}))(?=.*\bext\s*:\s*(?P<extended>true))?.*?\bdata\s*:\s*"
+        r"(?:Buffer\.from\(|new Uint8Array\()?\s*\[(?P<listed>\s*(?:(?:0x[0-9A-F]{1,2}|\d{1,3})\s*,?\s*){0,64})\].*",
+    ),
     _shape("slcan", r"(?P<slcan>[tTrR])(?P<rest>[0-9A-F]{4,})[zZ]?", near=r"\s*[tr][0-9A-F]{4}"),
     _shape(
         "busmaster",
@@ -91,7 +98,7 @@ SHAPES: tuple[Shape, ...] = (
     # In a sentence or a script too, with words behind it.
     _shape(
         "cansend",
-        r".*?\b(?P<mark>cansend)\s+(?P<port>\S+)\s+(?P<id>[0-9A-F]{3,8})#(?P<data>[0-9A-F.]*)(?![0-9A-Z#]).*",
+        r".*?\b(?P<mark>cansend)\s+(?P<port>\S+)\s+(?P<id>[0-9A-F]{1,8})#(?P<data>[0-9A-F.]*)(?![0-9A-Z#]).*",
         near=r".*\bcansend\s",
     ),
     _shape("hash", r"(?:(?P<port>[A-Za-z]\w{1,15})\s+)?(?P<id>[0-9A-F]{3}|[0-9A-F]{8})#(?P<data>(?:[0-9A-F]{2}\.?)*)"),
@@ -256,8 +263,13 @@ def frame_of(text: str) -> CanFrame | None:
 
 def _joined(lines: Iterable[str]) -> Iterator[str]:
     """Yield the lines; one that ends in an identifier and one of bytes below it, as Seeed's library prints them, are one."""
-    held, call = "", list[str]()
+    held, call, program = "", list[str](), Program()
     for line in lines:
+        if len(line) <= _LONGEST_LINE and (sent := list(program(line))):
+            yield from sent
+            if said := line.partition("//")[2].strip():
+                yield f"// {said}"
+            continue
         if call or (len(line) <= _LONGEST_LINE and "Message(" in line and _CALL.fullmatch(line)):
             call.append(line)
             if len(call) < _CALL_LINES and ")" not in line.replace("])", "]"):

@@ -229,8 +229,20 @@ def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
     return _peeled(text)
 
 
+#: A string of hex digits that a program writes: what goes out are its letters, unless something makes bytes of it.
+_AS_TEXT = re.compile(
+    r"""(?:[^"']*[\s=(;])?[A-Za-z_]\w*\.(?:write(?:Line)?|print(?:ln)?|send|puts)\(\s*[bu]?(["'])"""
+    r"""(?P<digits>(?:[0-9A-F]{2}[ ,:]?){3,})\1"""
+    r"""(?:\.encode\([^()]*\))?\s*(?:,(?!\s*['"]hex)[^"']*)?\)(?P<rest>.*)""",
+    re.IGNORECASE,
+)
+
+
 @remembered
 def _peeled(text: str, decimal: bool = False, led: bool = False) -> HexLine:
+    if "(" in text and (spelled := _AS_TEXT.fullmatch(text)) is not None:
+        data = spelled["digits"].encode()
+        return HexLine(Shape.TRAFFIC, data, role=Role.REQUEST, worded=True, note=spelled["rest"].strip(" ;"))
     return _Peeler(text, decimal, led).line()
 
 
@@ -379,7 +391,8 @@ class _Peeler:
                 self.words.append("sent")
             elif group == "variable":
                 self.declared = True
-                self.words += [word for word in value.lower().split("_") if word in WORDS]
+                # What a program calls "read" is the command that reads.
+                self.words += [word for word in value.lower().split("_") if word in WORDS and word != "read"]
             else:
                 self.name = self.name or value
         return True

@@ -23,11 +23,13 @@ from itertools import groupby
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
+from analyzer.diagnosis.reports import speaks
+from analyzer.link import modbus_crc
 from analyzer.records import Chunk, Comment
 from analyzer.sources.hexline import HexLine, Shape, bytes_of, take_apart
 from analyzer.sources.lines import Lines, head_lines
 from analyzer.sources.marks import ReceivedMarks
-from analyzer.sources.prose import Quotation, mentions, quotations, role_in_text
+from analyzer.sources.prose import Quotation, mentions, quotations, role_in_text, spells_frame
 from analyzer.sources.source import Source, quote
 from analyzer.sources.stamps import StampClock
 from analyzer.sources.written import Radix, decimal
@@ -67,6 +69,8 @@ _LEAST_FIELDS, _FIELD_BYTES = 3, 2
 #: A row of a dump among words.
 _DUMP_ROW = re.compile(r"\W*([0-9A-Fa-f]{4,8}):?\s{1,3}((?:[0-9A-Fa-f]{2}(?:\s{1,2}|$|(?=\s*\|)))+)")
 _DUMP_END = re.compile(r"\s*[0-9A-Fa-f]{4,8}\s*")
+#: Characters of a line in which a library reports.
+_LONGEST_REPORT = 400
 #: Frames of one line; each is looked for in all that stands behind the one before.
 _PIECES = 50
 #: A header's lines are collected up to this many bytes.
@@ -97,20 +101,22 @@ def score(head: bytes) -> float:
         (len(p.data) >= _SAID_BYTES and (p.marked or _HEX_LETTER.search(p.data.hex())))
         # Numbers of people have no zeros before them.
         or (len(p.data) >= _PADDED_BYTES and p.data[0] < 10 and p.radix is Radix.HEX)
+        or spells_frame(p.data)
         for p in traffic
     )
-    said = _PROSE_SCORE if plain or _says(parts) or _has_fields(lines) else 0.0
+    said = _PROSE_SCORE if plain or _says(parts) or _has_fields(lines) else _reported(lines)
     if not traffic or not counted:
         return said
     ratio = len(traffic) / counted
     marked = sum(1 for p in traffic if p.marked and len(p.data) > 1)
     # Rows of decimal numbers pass for hex; real traffic is not free of letters for long.
     letters = any(_HEX_LETTER.search(p.data.hex()) for p in traffic) or "0x" in "".join(lines)
-    letters = letters or any(p.sign.startswith("each") for p in traffic)
+    letters = letters or any(p.sign.startswith("each") or spells_frame(p.data) for p in traffic)
+    letters = letters or any(len(p.data) > _SAID_BYTES and modbus_crc(p.data) == 0 for p in traffic)
     if not letters and not marked and sum(len(p.data) for p in traffic) > 4:
-        return 0.1
+        return max(0.1, _reported(lines))
     if not marked and _is_table([p for p in traffic if p.radix is Radix.DECIMAL]):
-        return 0.1
+        return max(0.1, _reported(lines))
     if ratio >= _LEAST_SHARE or (marked >= _MARKED_LINES and ratio >= _LEAST_MARKED_SHARE):
         return 0.4 + 0.5 * min(1.0, ratio)
     return max(said, 0.25 * ratio / _LEAST_SHARE)
@@ -118,6 +124,11 @@ def score(head: bytes) -> float:
 
 def _says(parts: Sequence[HexLine]) -> bool:
     return any(quotations(p.text) for p in parts if p.shape in (Shape.COMMENT, Shape.BROKEN))
+
+
+def _reported(lines: Sequence[str]) -> float:
+    """Say how sure a text is in which a library reports what went wrong, and no bytes stand."""
+    return _PROSE_SCORE if any(speaks(line[:_LONGEST_REPORT]) for line in lines) else 0.0
 
 
 def _has_fields(lines: Sequence[str]) -> bool:

@@ -25,6 +25,8 @@ _CHINESE_MARKS = ("发", "收", "→", "←")
 #: What patterns and `split` take for white space, and `bytes.fromhex`, `csv` and `int` do not.
 _BLANKS = re.compile("[\x0b\x0c\x1c-\x1f\x85\xa0\u1680\u2000-\u200a\u2028\u2029\u202f\u205f\u3000]")
 _BLANK_BYTES = b"\x0b\x0c\x1c\x1d\x1e\x1f"
+#: A beginning of so many bytes may be cut within a line.
+_CUT = 4096
 #: How long a line may be that is remembered, and how many of such.
 _REMEMBERED = ((256, 1024), (1 << 16, 64))
 P = ParamSpec("P")
@@ -203,12 +205,12 @@ def is_text(head: bytes) -> bool:
 
 @lru_cache(maxsize=4)
 def head_lines(head: bytes) -> tuple[str, ...]:
-    """Return the whole lines of a capture's beginning that are not blank; its only line if it has no end."""
+    """Return the whole lines of a capture's beginning that are not blank; all of a short one, whose last may have no end."""
     if not is_text(head):
         return ()
     text = _text(head.removeprefix(b"\xef\xbb\xbf"), encoding_of(head))
     lines = text.split("\n")
-    if len(lines) > 1:
+    if len(lines) > 1 and len(head) >= _CUT:
         lines.pop()
     return tuple(line[:4096] for line in lines if line.strip())
 

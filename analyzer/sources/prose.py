@@ -64,6 +64,7 @@ _BYTES_WORD = re.compile(
     r"(?:hex|data|bytes?|frame|msg|message|packet|buffer|payload|raw|dump|tx|rx|sent|recv|received)\W*$", re.I
 )
 _WORD = re.compile(r"(?:[^\W\d_]|(?<=\w)['\u2019](?=\w))+")
+_OBJECT = re.compile(r"\b[a-z_]\w*\.(?=[a-z_])")
 _SENTENCE = re.compile(r"[.!?;]\s")
 _SIGN = re.compile(rf"(?:^|(?<=[\s\])|]))({'|'.join(map(re.escape, sorted(SIGNS, key=len, reverse=True)))})[\s:<\[({{'\"]*$")
 _NOT = frozenset(("not", "never", "no", "cannot", "without"))
@@ -144,6 +145,19 @@ def _data(run: re.Match[str]) -> bytes | None:
     return None if found is None else found.data
 
 
+def spells_frame(data: bytes) -> bool:
+    """Say whether bytes are the letters of hex digits, and these begin as a frame does."""
+    if len(data) < _SPELLED or _DIGITS.fullmatch(data) is None:
+        return False
+    head = bytes.fromhex(data[:4].decode())
+    return head[0] in _HEADS or head[1] in _STANDARD
+
+
+_DIGITS = re.compile(rb"(?:[0-9A-Fa-f]{2})+[\r\n]*")
+#: Letters of the shortest frame, the heads of native dialects, and the usual functions of Modbus.
+_SPELLED, _HEADS, _STANDARD = 8, b"\xfa\xfb\x3e", (3, 4, 6, 16)
+
+
 def _string(text: str) -> bytes | None:
     """Return the bytes of a string as programs print it, its other characters as they stand."""
     inner = text[text.index(text[-1]) + 1 : -1]
@@ -184,7 +198,7 @@ def _no_frame(run: re.Match[str], data: bytes, before: str, sentence: str, signe
     if _TIME.fullmatch(text):
         return None
     # Bytes are printed with their zeros, numbers of people without.
-    if not lettered and not direct and re.search(r"\b0", text) is None:
+    if not lettered and not direct and re.search(r"\b0", text) is None and not spells_frame(data):
         return None
     least = _LEAST_DIRECT if direct and lettered else _LEAST if lettered or direct else _UNLETTERED
     return "" if len(data) >= least else None
@@ -196,7 +210,8 @@ _SAID = frozenset((*ACTIONS, *MATTERS, *_VERBS)) - {"wrote"}
 
 def role_in_text(text: str) -> Role:
     """Return the sender by the last word of a text that tells it, and the speaker before that word."""
-    words = _WORD.findall(text.lower().replace("\u2019", "'"))
+    # In a program `motor.send` sends to the motor.
+    words = _WORD.findall(_OBJECT.sub("", text.lower().replace("\u2019", "'")))
     at = next((n for n in range(len(words) - 1, -1, -1) if words[n] in _SAID), None)
     if at is None:
         speakers = [n for n, word in enumerate(words) if word in SPEAKERS]

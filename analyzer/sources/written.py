@@ -53,8 +53,10 @@ _DIGITS = re.compile(r"-?\d{1,3}(?:[\s,;]+-?\d{1,3})*[\s,;]*|\d{1,3}(?:-\d{1,3})
 
 
 def plain(line: str) -> str:
-    """Return a line of a post without the signs that make bytes bold."""
-    return _EMPHASIS.sub("", line) if "**" in line else line
+    """Return a line of a post without the signs that make bytes bold, and without the casts that Java and C need."""
+    if "**" in line:
+        line = _EMPHASIS.sub("", line)
+    return _CAST.sub("", line) if ")0x" in line or ") 0x" in line else line
 
 
 def _bare(text: str) -> Written | None:
@@ -113,6 +115,7 @@ _BEGIN = re.compile(
 )
 #: What makes letters bold in a post.
 _EMPHASIS = re.compile(r"(?<=[\s\dA-Fa-f])\*\*|\*\*(?=[\s\dA-Fa-f])")
+_CAST = re.compile(r"\((?:byte|char|u?int8_t|unsigned char)\)\s?(?=0[xX])")
 _GAP = r"(?:\s*[,;|_-]\s*|\s+|:)"
 #: Ways to write bytes, the first that fits wins. Plain pairs of digits are read before these.
 _WAYS: tuple[tuple[re.Pattern[str], Callable[[str], Written | None]], ...] = tuple(

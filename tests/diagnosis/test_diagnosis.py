@@ -16,6 +16,8 @@ from analyzer.cli import main
 from analyzer.detect import choose
 from analyzer.diagnosis.causes import CAUSES
 from analyzer.diagnosis.diagnose import diagnosis
+from analyzer.diagnosis.ranking import ranked
+from analyzer.diagnosis.scene import Confidence, Suspicion, Trouble
 from analyzer.diagnosis.watch import Watch
 from analyzer.encoder import assemble, build
 from analyzer.pipeline import Options, Pipeline
@@ -410,3 +412,15 @@ def test_nothing_wrong_is_one_line(tmp_path, capsys):
 def test_each_cause_of_the_table_is_tested():
     own = "".join(path.read_text() for path in sorted(Path(__file__).parent.glob("test_*.py")))
     assert [cause for cause in CAUSES if f'"{cause}"' not in own] == []
+
+
+def test_what_explains_nothing_stands_behind_what_explains_all():
+    trouble = Trouble("unanswered", 0)
+    nothing, silence = (
+        Suspicion(cause, confidence, troubles, "", "", "")
+        for cause, confidence, troubles in (
+            ("two_masters", Confidence.CERTAIN, []),
+            ("no_reply", Confidence.POSSIBLE, [trouble]),
+        )
+    )
+    assert ranked([nothing, silence], [trouble])[0].suspicion is silence

@@ -17,6 +17,8 @@ EMODBUS = """[D] {}| ModbusClientRTU.cpp  [ 253] handleConnection: Request sent.
 [D] 2071| RTUutils.cpp         [ 437] receive: C/[D] {} packet: @3FFB8308/1:
   | 0000: {}
 """
+TURNED = "Tx: 01 03 00 00 00 01 84 0A\nRx: 4A 01 03 02 00 17 F8\n"
+STREAM = bytes.fromhex("01 03 00 00 00 0A C5 CD") * 5
 
 
 @pytest.mark.parametrize(
@@ -54,6 +56,26 @@ EMODBUS = """[D] {}| ModbusClientRTU.cpp  [ 253] handleConnection: Request sent.
             "can_extended_id",
         ),
         ("ch.write(0x141, bytes([0x92, 0, 0, 0, 0, 0, 0, 0]))", "unsupported_dialect"),
+        # Reads that are turned, and those that begin within a frame.
+        (TURNED * 2, "read_misaligned"),
+        ("".join(f"rx: {STREAM[at : at + 8].hex(' ')}\n" for at in (5, 13, 21)), "read_misaligned"),
+        ("01 30 2B FA\n" * 4, "read_misaligned"),
+        # One address alone makes the CRC fit.
+        ("got 03 02 00 17 f8 4a from the drive", "lost_start"),
+        ("rx: 03 00 6b 00 03 74 17\nrx: 03 00 6b 00 03 74 17\n", "lost_start"),
+        # Half a CRC, and exceptions without one.
+        ("I send 01 04 00 30 00 03 b0", "missing_checksum"),
+        ("Tx: 01 03 00 64 00 01 c5 d5\nRx: 01 83 02", "reply_cut"),
+        (r"The response is: '\x01\x03\x02\x00'", "reply_cut"),
+        # What a second host asks and gets.
+        (
+            "Tx: 01 03 00 00 00 02 C4 0B\nRx: 01 04 00 31 00 02 20 04 01 03 04 00 01 00 02 2A 32",
+            "two_masters",
+        ),
+        # LK has two sums.
+        ("motor.send: 3E A2 01 04 10 27 00 00 1C", "wrong_checksum_rule"),
+        ("send 3E A2 01 04 10 27 00 00 37", "wrong_checksum_rule"),
+        ("> 3E A2 01 04 2C A0 8C 00 00 2C", "wrong_checksum_rule"),
         ("It prints `CanErrorFrame { 00000088#0000040000000000 }` with nothing connected.", "can_wrong_bitrate"),
     ],
 )  # fmt: skip

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from analyzer.cli import main
+from analyzer.link import modbus_crc
 
 LIST = """const char stop[] = {0x3E, 0x80, 0x05, 0x00, 0xC3};
 const char still[] = {0x3E, 0x81, 0x05, 0x00, 0xC4};
@@ -23,6 +24,17 @@ DEBUG:recv: 0x4 0x3 0x2 0x0 0x1 0xb5 0x84
 
 SAID = "ValueError: {}\n\nvalue = instrument.read_registers(2012, 2, 3)\nthis code has been working for a year\n"
 LIBRARY = "if I run this\n\n6 1 16 FF FF\n\nI get this error\nRequest result: {}\n"
+TCP = "Tx: 00 01 00 00 00 06 01 03 00 00 00 01\nRx: 00 01 00 00 00 {} {}\n"
+
+
+LATE_TCP = "Tx: 00 10 00 00 00 06 01 03 00 00 00 01\nRx: 00 0F 00 00 00 05 01 03 02 00 17 00 10 00 00 00 05 01 03 02 00 18\n"
+COUNTED_TCP = "Tx: 00 01 00 00 00 06 01 03 00 00 00 01\nRx: 00 01 00 00 00 0A 01 03 02 00 17\n"
+
+
+def value(frame: str, words: str) -> str:
+    """Return a reply to a read, and words about its value."""
+    body = bytes.fromhex(frame)
+    return f"Rx: {(body + modbus_crc(body).to_bytes(2, 'little')).hex(' ')}\n{words}\n"
 
 
 @pytest.mark.parametrize(
@@ -50,6 +62,67 @@ LIBRARY = "if I run this\n\n6 1 16 FF FF\n\nI get this error\nRequest result: {}
         (LIBRARY.format("0x3"), "value_out_of_range"),
         (LIBRARY.format("0xE4"), "no_reply"),
         ("No answer of the ODrive:\n0x029 [8] 00 00 00 00 00 00 00 00\n", "unsupported_dialect"),
+        # Words alone.
+        ("Modbus exception 2: Illegal data address\nreading register 40051", "wrong_register"),
+        ("SlaveException: ...\nException Code: 2 - The data address is not an allowable address", "wrong_register"),
+        ("ExceptionResponse(131, 3, IllegalFunction)", "wrong_function"),
+        ("Illegal data value (exception code 3) on write_register(0x82, 9)", "value_out_of_range"),
+        ("01 ILLEGAL FUNCTION\n02 ILLEGAL DATA ADDRESS\n03 ILLEGAL DATA VALUE", None),
+        ("Modbus Error: [Invalid Message] No response received, expected at least 2 bytes (0 received)", "no_reply"),
+        ("ERROR Connection timed out: select\n", "no_reply"),
+        ("Data length error, expected 9 got 1", "reply_cut"),
+        ("CRC check failed: expected 0x1A2B, got 0xFF13", "noise"),
+        ("CRC error, expected 0xC4B0 but got 0xB0C4", "crc_swapped"),
+        ("Modbus CRC Check failed! C071!=00\nModbus CRC Check failed! C071!=8900", "reply_cut"),
+        ("read_float(0) gives 4.2e-41", "wrong_byte_order"),
+        # Values of sound replies, and what they should be.
+        (value("01 03 02 09 1A", "It shows 2330 but the display says 233.0 V"), "unit_or_sign"),
+        (value("01 03 02 09 1A", "raw 2330 is 233.0 V"), None),
+        (value("01 04 02 0B B8", "the speed is 10 times too high"), "unit_or_sign"),
+        (value("01 03 02 FF 38", "I get 65336 but expected -20.0"), "unit_or_sign"),
+        (value("01 03 02 00 17", "it prints 5888 instead of 23"), "wrong_byte_order"),
+        (value("01 04 04 66 66 43 69", "I get 2.72e+23 instead of 233.4"), "wrong_byte_order"),
+        (value("01 03 04 00 64 00 00", "The register is a uint16, and I get 6553600 instead of 100"), "wrong_register"),
+        (value("01 03 02 00 01", "The energy is a 32 bit value, so 1 is wrong"), "wrong_register"),
+        # What a program sends.
+        ('ser.write("FA 01 30 2B".encode())  # always empty', "text_mode"),
+        ("port.write(Buffer.from('FA01302B', 'hex')) // no answer", "no_reply"),
+        ("<Buffer 30 31 30 33 30 30 30 30 30 30 30 31 38 34 30 41>\nmotor does not react", "text_mode"),
+        ("byte data[3] = {0xF3, 0x01};\nCAN.sendMsgBuf(0x01, 0, 2, data);\n// does not enable", "missing_checksum"),
+        ("byte d[2] = {0x31, 0x32};\nCAN0.sendMsgBuf(0x01, 1, 2, d); // no reply", "can_extended_id"),
+        ("CAN.beginPacket(1);\nCAN.write(0xF3);\nCAN.write(0x01);\nCAN.write(0xF4);\nCAN.endPacket();", "wrong_checksum_rule"),
+        ("m.can_id = 1;\nm.can_dlc = 2;\nm.data[0] = 0xF3;\nm.data[1] = 1;\nmcp.sendMessage(&m);", "missing_checksum"),
+        (
+            "h.StdId = 0x01;\nuint8_t d[5] = {0xF6, 0x01, 0x40, 0x02};\nh.DLC = 4;\nHAL_CAN_AddTxMessage(&c, &h, d, &b);",
+            "missing_checksum",
+        ),
+        ("byte on[3] = {0xF3, 0x01, 0xF5};\nCAN0.sendMsgBuf(0x01, 0, 3, on);", None),
+        (
+            "uint8_t a[] = {0x01, 0x04, 0x00, 0x32, 0x00, 0x01, 0x90, 0x05};\nuint8_t b[] = {0xFA, 0x01, 0xF3, 0x01, 0xEF};",
+            None,
+        ),
+        (
+            "byte READ_IT[] = {0xFA, 0x01, 0x31, 0x2C};\nbyte on[] = {0xFA, 0x01, 0xF3, 0x01, 0xEF};\nvoid go() { put(on); }",
+            None,
+        ),
+        ("byte[] cmd = {(byte)0xFA, 0x01, (byte)0xF3, 0x01};\nport.writeBytes(cmd);\n// nothing happens", "missing_checksum"),
+        ("channel.send({ id: 0x01, data: Buffer.from([0xF3, 0x01]) }) // does not react", "missing_checksum"),
+        # On CAN.
+        ("can0  601   [8]  40 41 60 00 00 00 00 00\ncan0  581   [8]  4B 41 60 00 50 02 00 00", "unsupported_dialect"),
+        ("can0  701   [1]  7F\ncan0  701   [1]  7F", "unsupported_dialect"),
+        ("can0  001   [3]  8C 00 8D\n no more answers after that", "respond_off"),
+        ("can0  001   [4]  8C 01 01 8F\ncan0  001   [3]  8C 01 8E", None),
+        # Modbus TCP that works, and one that refuses.
+        (TCP.format("05", "01 03 02 00 17"), None),
+        (TCP.format("03", "01 83 02"), "wrong_register"),
+        (LATE_TCP, "late_reply"),
+        (COUNTED_TCP, "wrong_length"),
+        # Examples of a document.
+        ("Request: `01 03 00 6B 00 03 74 17`\nResponse: `01 03 06 02 2B 00 00 00 64 05 7A`\nException: `01 83 02 C0 F1`", None),
+        # Another number of registers than was asked for.
+        ("> 01 03 07 EE 00 02 A5 4A\n< 01 03 0C 43 3F 00 00 20 4C 49 54 48 49 55 4D D0 05", "wrong_length"),
+        # A device that forgets the CRC of its own replies.
+        ("Received: 01 03 00 00 00 01 84 0A\nSent: 01 03 02 00 17\nThe master says timeout", "missing_checksum"),
     ],
 )
 def test_a_paste_with_its_words(text: str, cause: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,164 @@
+"""What libraries report in words instead of a reply: a refusal, silence, a wrong check; each with its cause."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import NamedTuple
+
+
+class Report(NamedTuple):
+    """A library's words. `cause`: what they stand for; `what`: what they mean; `next`: what to do."""
+
+    pattern: re.Pattern[str]
+    cause: str
+    what: str
+    next: str
+
+
+_LOOK_UP = "Read a register that the manual lists, with the function that it names for it; then compare what is sent"
+_TRY = (
+    "Try in this order: A and B swapped, speed and parity, the unit's address, its power, a longer timeout; then show the raw "
+    "bytes (a debug log of the library), for they tell more"
+)
+_LINE = (
+    "Try in this order: speed and parity, one read for the whole reply, ground and termination; then show the raw bytes (a "
+    "debug log of the library), for they tell more"
+)
+#: A number of an exception, as libraries write it: behind the word, in brackets, in hexadecimal.
+_CODE = (
+    r"(?:\b(?:modbus )?exception (?:code|response|status)?\s*[:=#]?\s*\(?(?:0x0?)?{0}\b(?!\.\d)"
+    r"|ExceptionResponse\(\d+, ?\d+, ?{0}\b|\bexception_code\s*[:=]\s*{0}\b|request result: 0x0?{0}\b)"
+)
+
+
+def _report(pattern: str, cause: str, what: str, todo: str) -> Report:
+    return Report(re.compile(pattern, re.IGNORECASE), cause, what, todo)
+
+
+#: The more exact words stand first: one text often has several, of several layers of a program.
+REPORTS = (
+    _report(
+        rf"\billegal[ _]?data[ _]?address|\billegaldataaddress|{_CODE.format(2)}", "wrong_register",
+        "the unit has no such register, or the quantity reaches over the last one",
+        "Look the register up: many manuals count from 1, from 40001, or in hexadecimal; try one less",
+    ),
+    _report(
+        rf"\billegal[ _]?data[ _]?value|\billegaldatavalue|{_CODE.format(3)}", "value_out_of_range",
+        "the unit does not take the value or the quantity", "Look up the range of the register, and how many are read at once",
+    ),
+    _report(
+        rf"\billegal[ _]?function|{_CODE.format(1)}", "wrong_function", "the unit does not know the function",
+        "Look up which function the register has (03, 04, 06 or 10)",
+    ),
+    _report(
+        rf"\b(?:slave|server)[ _](?:device )?(?:is )?busy|{_CODE.format(6)}", "too_fast",
+        "the unit is busy with what it was asked before",
+        "Wait for the end of what runs, then ask again",
+    ),
+    _report(
+        rf"\bgateway[ _](?:target|path)|{_CODE.format('(?:0?b|11|10|0?a)')}", "no_reply",
+        "the unit behind the gateway does not answer",
+        "Check the unit's address behind the gateway, its speed, wires and power",
+    ),
+    _report(
+        r"expected at least \d+ bytes? \((?!0 )\d+ received\)|\b(?:data )?length error, expected \d+,? got (?!0\b)\d+"
+        r"|\b(?:response|reply|message|packet|frame) (?:is |was )?(?:too short|incomplete)\b|\btoo short (?:response|reply)",
+        "reply_cut", "a part of the reply came", "Read until the length of the reply is there or a timeout has passed",
+    ),
+    _report(
+        r"transaction[_ ]?id\s*=?\s*\d+,? but (?:got|received)|\b(?:unexpected|wrong|invalid) transaction[_ ]?id", "late_reply",
+        "a reply came that belongs to a request before", "Wait longer for each reply, and clear the input before each request",
+    ),
+    _report(
+        r"no response received|\(0 received\)|no communication with the instrument|\bNoResponseError|TransactionTimedOut"
+        r"|no response (?:received )?from the (?:remote )?(?:unit|slave|device)|request result: 0x(?:0?b|e4)\b"
+        r"|modbus[^\n]{0,60}\btimed?[ -]?out\b(?! ?[=:(])|modbus\w*(?:timeout|timedout)(?:error|exception)"
+        r"|\bconnection timed out: select"
+        r"|\b(?:read|write)\w*\b[^\n]{0,40}\bfailed: ?(?:connection|operation) timed out",
+        "no_reply", "no reply came in time", _TRY,
+    ),
+    _report(
+        r"(?<![\w.])-?\d(?:\.\d+)?e-(?:3[89]|4[0-5])\b", "wrong_byte_order",
+        "a float comes out next to nothing: the words or bytes that make it stand in the wrong order, or it is no float",
+        "Swap the two words (CDAB), then the bytes of each (BADC), until a known value comes out; a value that counts in whole "
+        "numbers is an integer of 32 bits",
+    ),
+)  # fmt: skip
+#: A check that was expected and one that was got, in any of the usual words.
+_CHECKS = (
+    re.compile(
+        r"\bcrc[^\n]{0,60}?\bexpected:?\s*(?:0x)?(?P<meant>[0-9a-f]{1,4})\b[^\n]{0,30}?\b(?:got|received|but|actual)\b:?[^\n]{0,12}?"
+        r"\s(?:0x)?(?P<got>[0-9a-f]{1,4})\b",
+        re.IGNORECASE,
+    ),
+    re.compile(
+        r"\bcrc received:?\s*(?:0x)?(?P<got>[0-9a-f]{1,4})\b[^\n]{0,12}?\bcrc calculated:?\s*(?:0x)?(?P<meant>[0-9a-f]{1,4})\b",
+        re.IGNORECASE,
+    ),
+    re.compile(r"\bcrc check failed!?\s*(?P<meant>[0-9a-f]{1,4})\s*!=\s*(?P<got>[0-9a-f]{1,4})\b", re.IGNORECASE),
+    re.compile(
+        r"\bcrc[^\n]{0,30}?\b(?:received|got)\b:?\s*(?:0x)?(?P<got>[0-9a-f]{1,4})\b[^\n]{0,20}?\b(?:calculated|expected|computed)\b"
+        r"[^\n]{0,8}?\s(?:0x)?(?P<meant>[0-9a-f]{1,4})\b",
+        re.IGNORECASE,
+    ),
+)
+_FAILED_CHECK = re.compile(
+    r"\bcrc(?:16)? ?(?:check )?(?:error|fail\w*|mismatch)|\b(?:invalid|wrong|bad|incorrect) crc|\bchecksum error in rtu",
+    re.IGNORECASE,
+)
+
+
+class Checks(NamedTuple):
+    """Checks of replies as a library prints them: `meant` computed from the bytes, `got` in them."""
+
+    text: str
+    meant: int
+    got: int
+
+    @property
+    def swapped(self) -> bool:
+        """Whether one is the other with its bytes swapped."""
+        return self.meant != self.got and self.meant == (self.got >> 8 | self.got << 8 & 0xFF00)
+
+    @property
+    def half(self) -> bool:
+        """Whether a byte of what was got is missing, or a 00 stands for it."""
+        return not self.got & 0xFF or not self.got >> 8
+
+
+def checks(words: str) -> list[Checks]:
+    """Return the checks that words compare."""
+    found = next((rows for rows in (list(each.finditer(words)) for each in _CHECKS) if rows), [])
+    return [Checks(row[0], int(row["meant"], 16), int(row["got"], 16)) for row in found]
+
+
+def reports(words: str) -> Iterator[tuple[Report, str, int]]:
+    """Yield what libraries report, with their words, and how often."""
+    for report in REPORTS:
+        found = [row[0] for row in report.pattern.finditer(words)]
+        if found:
+            yield report, found[0], len(found)
+    compared = checks(words)
+    if compared or _FAILED_CHECK.search(words) is not None:
+        yield _of_checks(words, compared)
+
+
+def _of_checks(words: str, compared: list[Checks]) -> tuple[Report, str, int]:
+    """Return what failing checks stand for: their numbers tell more than that they fail."""
+    if compared and all(each.swapped for each in compared):
+        cause, what = "crc_swapped", "the two bytes of each CRC are swapped"
+        todo = "Send the low byte of the CRC first, and compare it so"
+    elif compared and all(each.half for each in compared):
+        cause, what = "reply_cut", "a byte of each CRC is missing: the reply was not read to its end"
+        todo = "Read until the length of the reply is there or a timeout has passed"
+    else:
+        cause, what, todo = "noise", "replies come damaged", _LINE
+    shown = compared[0].text if compared else next(iter(_FAILED_CHECK.findall(words)), "")
+    times = len(compared) or len(_FAILED_CHECK.findall(words))
+    return Report(_FAILED_CHECK, cause, what, todo), shown, times
+
+
+def speaks(line: str) -> bool:
+    """Say whether a line has a library's report of an exchange."""
+    return any(report.pattern.search(line) for report in REPORTS) or _FAILED_CHECK.search(line) is not None
