@@ -37,6 +37,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "export a capture or log as a table (CSV, Parquet, Excel), or its raw bytes (candump, pcapng, hex)",
     ),
     "catalogue": ("analyzer.cli.catalogue", "show reference pages of the dialects and errata of their manuals"),
+    "dbc": ("analyzer.cli.dbc", "print the commands of a CAN dialect as a DBC file for other tools"),
+    "wireshark": ("analyzer.cli.wireshark", "print a dissector for Wireshark, made from the manuals"),
     "completion": ("analyzer.cli.completion", "print what makes your shell complete these commands"),
 }
 GROUP = "servotap.commands"
@@ -48,7 +50,7 @@ _DAY_S = 86_400
 _ALIASES = {"catalog": "catalogue"}
 #: What one wants to do -> the commands for it, in the order of the help. Commands that stand nowhere come last.
 _PURPOSES: dict[str, tuple[str, ...]] = {
-    "look": ("decode", "diagnose", "show", "view", "explain", "catalogue"),
+    "look": ("decode", "diagnose", "show", "view", "explain", "catalogue", "dbc", "wireshark"),
     "record": ("record", "tap", "ports", "recover", "cut", "merge", "export"),
     "drive": ("scan", "init", "send", "stop", "frame", "replay", "emulate"),
     "test": ("test", "check", "rerun", "restore"),

@@ -14,14 +14,16 @@ _EXTRAS = {
     "pandas": "pandas",
     "polars": "polars",
     "matplotlib": "servotap[plot]",
+    "cantools": "servotap[dbc]",
 }
 
 
 def needed(package: str) -> ModuleType:
-    """Return a package. Raises UsageError, with how to install it, where it is missing."""
+    """Return a package, or a module of it. Raises UsageError, with how to install it, where it is missing."""
+    top = package.partition(".")[0]
     try:
         return import_module(package)
     except ImportError as error:
-        if error.name != package:
+        if error.name != top:
             raise
-        raise UsageError(f"this needs {package}, which is not installed: pip install '{_EXTRAS[package]}'") from None
+        raise UsageError(f"this needs {top}, which is not installed: pip install '{_EXTRAS[top]}'") from None

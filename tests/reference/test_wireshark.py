@@ -1,0 +1,164 @@
+"""The dissector for Wireshark beside our own decoding: the captures of the project, and generated frames of each command."""
+
+from __future__ import annotations
+
+import json
+import random
+import shutil
+import struct
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from analyzer import dialects
+from analyzer.catalogue import Command, Dialect, Form, Role
+from analyzer.cli import main
+from analyzer.layout import FieldKind, Order
+from analyzer.reference.wireshark import dissector
+
+CAPTURES = Path(__file__).parents[2] / "captures"
+TSHARK = shutil.which("tshark")
+needs_tshark = pytest.mark.skipif(TSHARK is None, reason="tshark is not installed: apt install tshark")
+USER = 'uat:user_dlts:"User 0 (DLT=147)","servotap","0","","0",""'
+DLT_USER0, DLT_CAN_SOCKETCAN = 147, 227
+
+
+@pytest.fixture(scope="module")
+def script(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("lua") / "servotap.lua"
+    path.write_text(dissector(dialects.every()))
+    return path
+
+
+def seen_by_tshark(script: Path, capture: Path, *words: str) -> list[dict[str, Any]]:
+    """Return the frames as the dissector has them, each with its fields by name."""
+    command = [str(TSHARK), "-X", f"lua_script:{script}", "-r", str(capture), "-T", "json", "--no-duplicate-keys", *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
+    assert "Lua:" not in done.stderr, done.stderr
+    found = []
+    for packet in json.loads(done.stdout):
+        layer = packet["_source"]["layers"].get("servotap", [])
+        found += layer if isinstance(layer, list) else [layer]
+    return found
+
+
+def seen_by_us(capture: Path, capsys: pytest.CaptureFixture[str], *words: str) -> list[dict[str, Any]]:
+    capsys.readouterr()
+    assert main(["show", str(capture), "--json", *words]) in (0, 1)
+    every = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    return [each for each in every if each.get("raw") and "junk" not in each]
+
+
+def compare(ours: dict[str, Any], theirs: dict[str, Any], *, paired: bool = True) -> None:
+    """Hold a frame's command, sender, check and values together; `paired`: and what it answers."""
+    about = (ours, theirs)
+    assert theirs["servotap.command"] == ours["command"], about
+    assert theirs["servotap.role"] == ours["role"], about
+    assert int(theirs["servotap.address"]) == ours["address"], about
+    assert (theirs["servotap.checksum_ok"] in ("1", 1, True)) == ours["checksum_ok"], about
+    fields = {key.rpartition(".")[2]: value for key, value in theirs.items() if key.count(".") >= 3}
+    expected = {
+        key: value
+        for key, value in ours.items()
+        if isinstance(value, (int, float)) and key not in NOT_FIELDS and not isinstance(value, bool)
+    }
+    assert {k: float(v) for k, v in fields.items() if k in expected} == pytest.approx(expected, rel=1e-9), about
+    if not paired:
+        return
+    if ours.get("latency") is not None:
+        assert float(theirs["servotap.latency"]) == pytest.approx(ours["latency"], abs=2e-6), about
+    assert ("servotap.request_in" in theirs) == (ours.get("latency") is not None), about
+
+
+NOT_FIELDS = {"time", "address", "offset", "sequence", "latency", "request_sequence"}
+
+
+@needs_tshark
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("mks_can.socketcan.pcap", []),
+        ("mks_can.socketcan.pcapng", []),
+        ("mks_rs485.rtac.pcapng", ["-d", "rtacser.data,servotap"]),
+        ("mks_rs485.user.pcap", ["-o", USER]),
+    ],
+)
+def test_the_captures_of_the_project(name: str, words: list[str], script: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ours = seen_by_us(CAPTURES / name, capsys)
+    theirs = seen_by_tshark(script, CAPTURES / name, *words)
+    assert len(ours) == len(theirs) > 10
+    for mine, other in zip(ours, theirs, strict=True):
+        compare(mine, other)
+
+
+# --- generated ----------------------------------------------------------------------------------------------------------
+
+
+def data_of(form: Form, rng: random.Random) -> bytes:
+    """Return data of a form: any bits, half of the time values that the manual allows."""
+    total, strict = 0, rng.random() < 0.5
+    for field in form.layout.fields:
+        value = rng.getrandbits(field.bit_width) if field.bit_width else 0
+        if field.kind is FieldKind.RESERVED:
+            value = 0
+        elif field.fixed is not None:
+            value = field.fixed
+        elif strict and (field.choices is not None or field.values is not None):
+            value = rng.choice([v for v in (field.values or field.choice_names) if field.allows(v)])
+        elif strict:
+            value = rng.randint(field.low, field.high)
+        value &= (1 << field.bit_width) - 1
+        if field.order is Order.LITTLE:
+            value = int.from_bytes(value.to_bytes(field.bit_width // 8, "little"), "big")
+        total = total << field.bit_width | value
+    return total.to_bytes(form.layout.byte_length, "big")
+
+
+def exchanges(dialect: Dialect, count: int, rng: random.Random) -> Iterator[tuple[int, bytes]]:
+    """Yield identifiers and frames: each form of each command, and a reply behind each request."""
+    link, address = dialect.link, 5
+    # What changes who answers comes last.
+    for command in sorted(dialect.commands, key=lambda command: command.changes_answers):
+        if command.slots is not None or any(form.layout.open_ended for form in command.request_forms):
+            continue
+        for number in range(count):
+            request = command.request_forms[number % len(command.request_forms)]
+            yield 5, link.build(command, request, address, data_of(request, rng), Role.REQUEST)
+            replies = [form for form in command.reply_forms if answers(command, form)]
+            if replies:
+                reply = replies[number % len(replies)]
+                yield 5, link.build(command, reply, address, data_of(reply, rng), Role.REPLY)
+
+
+def answers(command: Command, form: Form) -> bool:
+    return not form.needs_request and not form.layout.open_ended
+
+
+def capture_of(dialect: Dialect, frames: list[tuple[int, bytes]], path: Path) -> Path:
+    """Write frames as packets of a pcap file, 10 ms apart."""
+    can = dialect.bus == "can"
+    out = [struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, DLT_CAN_SOCKETCAN if can else DLT_USER0)]
+    for number, (identifier, data) in enumerate(frames):
+        packet = struct.pack(">IB3x8s", identifier, len(data), data) if can else data
+        seconds, hundredths = divmod(number, 100)
+        out.append(struct.pack("<IIII", 1_700_000_000 + seconds, hundredths * 10_000, len(packet), len(packet)) + packet)
+    path.write_bytes(b"".join(out))
+    return path
+
+
+@needs_tshark
+@pytest.mark.parametrize("dialect", dialects.every(), ids=lambda dialect: dialect.name)
+def test_generated_frames_of_each_command(
+    dialect: Dialect, script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = list(exchanges(dialect, 4, random.Random(15)))
+    path = capture_of(dialect, frames, tmp_path / "made.pcap")
+    ours = seen_by_us(path, capsys, "--dialect", dialect.name)
+    theirs = seen_by_tshark(script, path, "-o", USER, "-o", f"servotap.dialect:{dialect.name}")
+    assert len(theirs) == len(ours) == len(frames)
+    for mine, other in zip(ours, theirs, strict=True):
+        changes = dialect.by_name[mine["command"]].changes_answers
+        compare(mine, other, paired=not changes)
