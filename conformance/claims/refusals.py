@@ -23,8 +23,8 @@ from conformance.talk.samples import sample
 
 #: Kinds of motion that the manual lets no pulse mode do; of the others it is less sure.
 _SURE = (MotionKind.RUN, *MOVES)
-#: How long is looked whether the shaft turns: at 60 rpm it would go by 70 degrees.
-_LOOKED_AT_NS = 120 * MS
+#: How long is looked whether the shaft turns: at 60 rpm it would go by 17 degrees.
+_LOOKED_AT_NS = 60 * MS
 
 
 def _can_refuse(command: Command) -> bool:

@@ -37,6 +37,7 @@ from conformance.claims.link_changes import (
     follow,
     is_reply,
     need_reply_or_silence,
+    settle,
 )
 from conformance.claims.read_back import expect_values, fields_of, of_read_back, parameters, text
 from conformance.claims.resilience_settings import expect_effects
@@ -257,7 +258,7 @@ def _speed_of_the_line(probe: Probe, command: Command, field: str) -> None:
     exchange = probe.ask(command, {field: codes[other]})
     follow(probe, other)
     try:
-        probe.wait(SETTLE_NS)
+        settle(probe)
         if not answers(probe, probe.address):
             raise Inconclusive(f"the drive does not answer at {other} bits per second")
         probe.ask(Verb.RESTART)
@@ -268,7 +269,7 @@ def _speed_of_the_line(probe: Probe, command: Command, field: str) -> None:
             probe.ask(command, {field: codes[before]})
     finally:
         follow(probe, before)
-    probe.wait(SETTLE_NS)
+    settle(probe)
     text = f"{command.name}: a restart loses the speed of the line"
     expected = f"an answer at {other}"
     probe.expect("silence", holds=kept, expected=expected, refutes=text, exchange=exchange, key=f"{command.name} lost")
