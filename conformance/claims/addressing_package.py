@@ -32,6 +32,8 @@ _ONE, _OTHER = 1, 3
 _STEPS_NS = 160_000_000
 #: How long the effect of a slot is waited for.
 _EFFECT_NS = 150_000_000
+#: How long a motion or a stop is listened to: its ramp takes 24 ms.
+_TURNS_NS = 100_000_000
 #: An acceleration as sent, and its time for one rpm.
 _SLOW_RAMP, _RAMP_STEP_NS = 56, 10_000_000
 
@@ -354,7 +356,7 @@ def _run_and_stop(probe: Probe, command: Command, run: Command, stop: Command, b
     seen = []
     for order, data in ((run, values), (stop, {"acceleration": motion.QUICK})):
         slot = {"address": probe.address, "command": order.name, **data}
-        sent = probe.send(_frame(probe, command, [EMPTY] * before + [slot]), timeout_ns=STEP_NS)
+        sent = probe.send(_frame(probe, command, [EMPTY] * before + [slot]), timeout_ns=_TURNS_NS)
         seen.append((motion.turning(probe).value, sent))
     (rpm, begun), (rest, ended) = seen
     turning, left = abs(rpm), abs(rest)

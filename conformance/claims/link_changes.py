@@ -102,7 +102,7 @@ def ask_in(
 ) -> bytes:
     """Send a request in another dialect, and return what came back."""
     item = encoder.build(other, what, probe.address if address is None else address, values)
-    exchange = probe.send(item, until=Until.TIMEOUT, timeout_ns=SETTLE_NS)
+    exchange = probe.send(item, until=Until.TIMEOUT, timeout_ns=min(SETTLE_NS, probe.rig.silence_ns))
     pieces = [(a.first_ns, a.data) for a in exchange.answers] + [(j.first_ns or 0, j.data) for j in exchange.junk]
     return b"".join(data for _, data in sorted(pieces))
 

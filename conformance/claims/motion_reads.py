@@ -80,8 +80,9 @@ def _at_the_carry(probe: Probe, command: Command) -> None:
     """On either side of a whole turn, count by count, carry x 16384 + value is the place, and the value is within a turn."""
     move, turn = probe.command(Verb.MOVE_ABSOLUTE_AXIS), probe.dialect.counts_per_turn
     motion.prepare(probe, move)
-    base = round(motion.place(probe, move) / turn)
-    for place in ((base + carry) * turn + beside for carry in (1, -1, 0) for beside in (-2, -1, 0, 1, 2)):
+    # About zero, wherever the shaft is: a carry without its sign is one elsewhere too.
+    probe.do(Verb.SET_ZERO)
+    for place in (carry * turn + beside for carry in (1, -1, 0) for beside in (-2, -1, 0, 1, 2)):
         exchange = motion.begin(
             probe, move, (place - motion.place(probe, move)) * 360 / turn, rpm=_QUICK_RPM, acceleration=QUICK
         )
