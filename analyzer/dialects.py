@@ -102,8 +102,8 @@ def drive_name(dialect: Dialect, address: int) -> str:
 
 
 def every() -> list[Dialect]:
-    """Return all dialects."""
-    return [get(name) for name in names()]
+    """Return all dialects, without those that have failed and are left out."""
+    return [dialect for dialect in map(get, names()) if not dialect.link.left_out]
 
 
 def first_bytes() -> frozenset[int]:
