@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from inspect import unwrap
 
 import numpy as np
 
@@ -217,7 +218,7 @@ class Pairing:
         link = self._dialect.link
         if not link.checked:
             fits: Flags = np.ones(len(block), dtype=np.bool_)
-        elif type(link).fits is CanLink.fits:
+        elif unwrap(type(link).fits) is CanLink.fits and not link.left_out:
             last = np.take_along_axis(block.data, np.maximum(block.sizes - 1, 0)[:, None], axis=1)[:, 0]
             total = block.ids + block.data.sum(axis=1, dtype=np.int64) - last
             fits = (total & 0xFF) == last
