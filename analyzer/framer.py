@@ -36,7 +36,7 @@ from typing import Any, NamedTuple
 from analyzer.catalogue import Command, Dialect, Role
 from analyzer.codec import Codec, codec
 from analyzer.context import Context
-from analyzer.link import MORE, TIE
+from analyzer.link import MORE, TIE, Slicer
 from analyzer.records import Chunk, Frame, Junk, JunkReason
 
 #: Junk is passed on in pieces of at most this many bytes, so that noise without end does not pile up.
@@ -62,12 +62,31 @@ _STATE = (
 )  # fmt: skip
 
 
-class _Mark(NamedTuple):
+class Mark(NamedTuple):
     """Bytes that came in one chunk: where they end on the port, the time of the last one, and what came before them."""
 
     stop: int
     t_ns: int
     before_ns: int
+
+
+class LineState(NamedTuple):
+    """What a framer knows of its line. `offset`: on the port, of the first byte of `held`."""
+
+    offset: int
+    held: bytes
+    marks: tuple[Mark, ...]
+    bursts: tuple[int, ...]
+    direction: Role
+    last_ns: int
+    timed: bool
+    byte_ns: int
+    silence_ns: int
+
+
+def slowest_ns(byte_ns: int) -> int:
+    """Return how long a byte can have taken on a line."""
+    return byte_ns or SLOWEST_BYTE_NS
 
 
 class Framer:
@@ -113,7 +132,7 @@ class Framer:
         self._step = offset  # offset on the port where the last frame ends, or a boundary behind it
         self._bursts: deque[int] = deque((offset,))  # offsets on the port where a burst begins or ends, ascending
         self._firm: set[int] = {offset}  # those of them that are no mere pause
-        self._marks: deque[_Mark] = deque()
+        self._marks: deque[Mark] = deque()
         self._direction = Role.UNKNOWN
         self._last_ns = 0
         self._timed = False
@@ -146,11 +165,11 @@ class Framer:
         end = self._base + len(self._buffer)
         before_ns = self._last_ns
         if chunk.t_ns is not None:
-            slowest_ns = self._byte_ns or SLOWEST_BYTE_NS
-            pause = chunk.t_ns - before_ns - size * slowest_ns if self._timed else 0
+            slowest = slowest_ns(self._byte_ns)
+            pause = chunk.t_ns - before_ns - size * slowest if self._timed else 0
             if pause > self._silence_ns or chunk.t_ns < before_ns - JUMP_BACK_NS:
                 yield from self.silence()
-            elif pause >= BURST_CHARACTERS * slowest_ns:
+            elif pause >= BURST_CHARACTERS * slowest:
                 self._add_burst(end)
             self._timed = True
             if chunk.t_ns < before_ns - JUMP_BACK_NS:
@@ -164,7 +183,7 @@ class Framer:
         self._base += self._junk_from
         self._at -= self._junk_from
         self._junk_from = 0
-        self._marks.append(_Mark(end + size, self._last_ns, before_ns))
+        self._marks.append(Mark(end + size, self._last_ns, before_ns))
         if chunk.burst:
             for offset in (end, end + size):
                 self._add_burst(offset)
@@ -183,6 +202,54 @@ class Framer:
         self._firm = {self._base}
 
     close = silence
+
+    # --- beside a search by columns ---------------------------------------------------------------------------------
+
+    @property
+    def slicer(self) -> Slicer | None:
+        """What finds the frames, where they are of one dialect."""
+        return self._slicers[0] if len(self._slicers) == 1 else None
+
+    @property
+    def standing(self) -> int:
+        """Offset on the port up to which all is given away, with a frame or a boundary right before; -1: it is not so."""
+        offset = self._base + self._at
+        return offset if self._at == self._junk_from and self._step == offset else -1
+
+    @property
+    def line(self) -> LineState:
+        """What the framer knows of the line: what it holds, and when it came."""
+        return LineState(
+            self._base + self._junk_from, self.pending, tuple(self._marks), tuple(self._bursts), self._direction,
+            self._last_ns, self._timed, self._byte_ns, self._silence_ns,
+        )  # fmt: skip
+
+    @property
+    def end(self) -> int:
+        """Offset on the port behind all bytes that have come."""
+        return self._base + len(self._buffer)
+
+    def go_on(self, offset: int, last_ns: int) -> Iterator[Frame | Junk]:
+        """Go on behind frames that were found elsewhere, within the bytes that are here. `last_ns`: when the last came."""
+        self._at = self._junk_from = offset - self._base
+        self._known = 0
+        self._step = offset
+        self._last_ns = last_ns
+        return self._advance(False)
+
+    def go_on_in(self, chunk: Chunk, mark: Mark, offset: int) -> Iterator[Frame | Junk]:
+        """Go on within a chunk, as `go_on` does: all before it has been dealt with. `mark`: of the chunk."""
+        self._buffer = chunk.data
+        self._base = mark.stop - len(chunk.data)
+        self._marks.clear()
+        self._marks.append(mark)
+        self._bursts.clear()
+        if chunk.burst:
+            self._bursts.append(mark.stop)
+        self._firm = set(self._bursts)
+        self._direction = chunk.direction
+        self._timed = True
+        return self.go_on(offset, mark.t_ns)
 
     def state(self) -> dict[str, Any]:
         """Return what was seen so far, as plain values and records, for `restore`."""

@@ -1,17 +1,18 @@
-"""CAN frames as columns: data frames with identifiers of 11 bits, in order of time, on one bus."""
+"""What came on one bus as columns, in order of time: CAN frames, bytes of a serial line, and the frames found in those."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
-from analyzer.catalogue import Role
-from analyzer.records import CanFrame
+from analyzer.catalogue import Dialect, Role
+from analyzer.records import CanFrame, Chunk, Frame
 
 if TYPE_CHECKING:
     # NumPy is there wherever a block is; what only asks for one does not bring it.
-    from analyzer.columns.codec import Bytes, Integers
+    from analyzer.columns.codec import Bytes, Flags, Integers
 
 #: Who sent a frame, as the capture marks it, by its number in a block.
 DIRECTIONS = (Role.UNKNOWN, Role.REQUEST, Role.REPLY)
@@ -19,7 +20,7 @@ DIRECTIONS = (Role.UNKNOWN, Role.REQUEST, Role.REPLY)
 
 @dataclass(frozen=True, slots=True)
 class CanBlock:
-    """Frames of one bus. All arrays have one entry a frame.
+    """CAN frames: data frames with identifiers of 11 bits. All arrays have one entry a frame.
 
     `t_ns`: times that never decrease. `data`: shape (frames, 8), zeros behind the `sizes` bytes that a frame has.
     `directions`: numbers in `DIRECTIONS`.
@@ -40,6 +41,23 @@ class CanBlock:
         """Data bytes of all frames."""
         return int(self.sizes.sum())
 
+    @property
+    def first_ns(self) -> Integers:
+        """When each frame began: on CAN, as far as is known, when it ended."""
+        return self.t_ns
+
+    @property
+    def waits_ns(self) -> Integers:
+        """The time from the frame before to each; not above 0: it is not known."""
+        import numpy as np
+
+        return np.diff(self.t_ns, prepend=self.t_ns[:1])
+
+    def frame_of(self, row: int, dialect: Dialect, offset: int) -> Frame:
+        """Return one frame as one of a dialect. `offset`: bytes of the bus before it."""
+        can, t_ns = self.frame(row), int(self.t_ns[row])
+        return Frame(can.port, t_ns, t_ns, offset, can.data, dialect, can.direction, True, can)
+
     def frame(self, row: int) -> CanFrame:
         """Return one frame."""
         data = self.data[row, : self.sizes[row]].tobytes()
@@ -53,3 +71,111 @@ class CanBlock:
         for t_ns, number, size, direction in zip(*(column[own].tolist() for column in columns), strict=True):
             yield CanFrame(t_ns, self.port, number, data[at : at + size], DIRECTIONS[direction])
             at += self.data.shape[1]
+
+
+@dataclass(slots=True)
+class ByteBlock:
+    """Chunks of one serial line, one behind the other.
+
+    `stops`: where each chunk ends in `data`. `t_ns`: when each came, never decreasing; None: the capture has no times.
+    `directions`: numbers in `DIRECTIONS`. `bursts`: whether the capture delimits it. `taken`: chunks that were needed to tell
+    what has been told of the block so far.
+    """
+
+    port: str
+    data: bytes
+    stops: Integers
+    t_ns: Integers | None
+    directions: Integers
+    bursts: Flags
+    taken: int = 0
+
+    @classmethod
+    def of(cls, chunks: Sequence[Chunk]) -> ByteBlock:
+        """Return some chunks of one line as a block; all have times, or none has."""
+        import numpy as np
+
+        count, first = len(chunks), chunks[0]
+        times = None if first.t_ns is None else np.fromiter((chunk.t_ns for chunk in chunks), np.int64, count)
+        marks = np.fromiter((DIRECTIONS.index(chunk.direction) for chunk in chunks), np.int64, count)
+        stops = np.cumsum(np.fromiter((len(chunk.data) for chunk in chunks), np.int64, count))
+        bursts = np.fromiter((chunk.burst for chunk in chunks), np.bool_, count)
+        return cls(first.port, b"".join(chunk.data for chunk in chunks), stops, times, marks, bursts)
+
+    def __len__(self) -> int:
+        return len(self.stops)
+
+    def chunk(self, number: int) -> Chunk:
+        """Return one chunk."""
+        start = int(self.stops[number - 1]) if number else 0
+        t_ns = None if self.t_ns is None else int(self.t_ns[number])
+        own = self.data[start : int(self.stops[number])]
+        return Chunk(t_ns, self.port, own, DIRECTIONS[self.directions[number]], bool(self.bursts[number]))
+
+    def chunks(self, start: int = 0, stop: int | None = None) -> Iterator[Chunk]:
+        """Yield chunks from one to another, usually all."""
+        return map(self.chunk, range(start, len(self) if stop is None else stop))
+
+
+#: Bytes of a frame that stand in columns. A longer frame is none of a lane.
+WIDEST_ROW = 40
+
+
+@dataclass
+class FrameBlock:
+    """Frames of a serial line whose checks fit, one right behind the other. Arrays have one entry a frame.
+
+    `whole`: the bytes that they stand in, and `starts` where each begins. `offset`: bytes of the line before `whole`. `t_ns`:
+    when the last byte of each came. `timed`: whether times say anything. `decided`: chunks that were needed to tell each.
+    """
+
+    port: str
+    whole: bytes
+    offset: int
+    starts: Integers
+    sizes: Integers
+    first_ns: Integers
+    t_ns: Integers
+    directions: Integers
+    decided: Integers
+    timed: bool
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    @cached_property
+    def data(self) -> Bytes:
+        """The bytes of the frames, of shape (frames, bytes of the longest, `WIDEST_ROW` at most), zeros behind a frame's own."""
+        import numpy as np
+
+        width = min(int(self.sizes.max(initial=0)), WIDEST_ROW)
+        codes = np.frombuffer(self.whole[int(self.starts[0]) : int(self.starts[-1]) + WIDEST_ROW] + bytes(width), dtype=np.uint8)
+        rows = np.lib.stride_tricks.sliding_window_view(codes, width)[self.starts - self.starts[0]]
+        return rows * (np.arange(width) < self.sizes[:, None])
+
+    @property
+    def bytes(self) -> int:
+        """Bytes of all frames."""
+        return int(self.sizes.sum())
+
+    @property
+    def waits_ns(self) -> Integers:
+        """The time from the frame before to each; not above 0: it is not known."""
+        import numpy as np
+
+        waits = np.zeros(len(self), dtype=np.int64)
+        if self.timed:
+            waits[1:] = self.first_ns[1:] - self.t_ns[:-1]
+        return waits
+
+    def frame_of(self, row: int, dialect: Dialect, offset: int = 0) -> Frame:
+        """Return one frame as one of a dialect."""
+        start = int(self.starts[row])
+        data = self.whole[start : start + int(self.sizes[row])]
+        times = int(self.first_ns[row]), int(self.t_ns[row])
+        return Frame(self.port, *times, self.offset + start, data, dialect, DIRECTIONS[self.directions[row]], True)
+
+    def __getstate__(self) -> dict[str, object]:
+        # What passes to another process is the frames alone.
+        first, end = int(self.starts[0]), int(self.starts[-1] + self.sizes[-1])
+        return vars(self) | {"whole": self.whole[first:end], "offset": self.offset + first, "starts": self.starts - first}

@@ -11,7 +11,9 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import accumulate
+from functools import cached_property
+from itertools import accumulate, pairwise
+from typing import TYPE_CHECKING, Any
 
 from analyzer.link.interface import (
     MORE,
@@ -32,6 +34,9 @@ from analyzer.link.interface import (
     request_sizes,
     sum8,
 )
+
+if TYPE_CHECKING:
+    from analyzer.link.arrays import Bytes, Found, Integers, Sums
 
 
 @dataclass(frozen=True)
@@ -203,6 +208,48 @@ class _HeadSlicer(Slicer):
         else:
             sums = [0, *accumulate(buffer[at : min(at + package.length - 2, end)])]
         return [n for n in range(4, min(package.length, end - at + 1)) if sums[n - 1] & 0xFF == buffer[at + n - 1]]
+
+    @cached_property
+    def _lengths_by_head(self) -> Any:
+        """The table as one array, by head and code."""
+        import numpy as np
+
+        return np.array(self._table, dtype=np.int16).reshape(-1)
+
+    def scan(self, codes: Bytes) -> Found | None:
+        if self._total is not sum:
+            return None
+        from analyzer.link.arrays import Found, Sums, places_of
+
+        sums = Sums(codes)
+        starts = places_of(codes, self.heads, 3)
+        kinds = codes[starts].astype("u2") << 8 | codes[starts + 2]
+        sizes = self._lengths_by_head[kinds]
+        for (head, code), lengths in self._choices.items():
+            if len(lengths) > 1:
+                rows = (kinds == head << 8 | code).nonzero()[0]
+                sizes[rows] = self._chosen(sums, starts[rows], lengths)
+        known = (sizes > 0) & (starts + sizes <= len(codes))
+        starts, sizes = starts[known], sizes[known].astype("i8")
+        good = sums.fit(starts, starts + sizes - 1)
+        return Found(starts[good], sizes[good])
+
+    @staticmethod
+    def _chosen(sums: Sums, starts: Integers, lengths: Sequence[int]) -> Integers:
+        """Return of several lengths the shortest that checks; 0 for none, for a tie and where that is open."""
+        chosen = starts * 0
+        if not len(starts):
+            return chosen
+        inside = starts + lengths[-1] <= len(sums.codes)
+        there = starts[inside]
+        fits = [sums.fit(there, there + length - 1) for length in lengths]
+        found = chosen[inside]
+        for length, own in reversed(list(zip(lengths, fits, strict=True))):
+            found[own] = length
+        for (first, one), (second, other) in pairwise(zip(lengths, fits, strict=True)):
+            found[one & other & (found == first) & (second == first + 1)] = 0
+        chosen[inside] = found
+        return chosen
 
 
 #: The longest frame of an unknown code that is looked for behind a head.

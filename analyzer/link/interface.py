@@ -19,9 +19,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from enum import StrEnum
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from analyzer.layout import Layout
+
+if TYPE_CHECKING:
+    from analyzer.link.arrays import Bytes, Found
 
 #: `Slicer.look`: a frame that may begin here is still arriving.
 MORE = -1
@@ -225,6 +228,13 @@ class Slicer(ABC):
     def shortened(self, buffer: bytes, at: int, end: int) -> list[int]:
         """Return the lengths at which a package that lost zeros would check, in ascending order."""
         return []
+
+    def scan(self, codes: Bytes) -> Found | None:
+        """Return, by operations over arrays, where `look` finds a frame and of which length, in ascending order.
+
+        A place that is left out costs time and nothing else; a `TIE` must be. None: frames can only be found one by one.
+        """
+        return None
 
 
 class Link(ABC):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from analyzer.link.interface import (
     MORE,
@@ -29,6 +30,9 @@ from analyzer.link.interface import (
     request_sizes,
     sum8,
 )
+
+if TYPE_CHECKING:
+    from analyzer.link.arrays import Bytes, Found
 
 _LK_HEAD = 0x3E
 _LK_LONGEST = 100
@@ -141,6 +145,22 @@ class _LkSlicer(Slicer):
         if data[3] == 0:
             return len(data) == 5
         return len(data) == data[3] + 6 and sum(data[5:-1]) & 0xFF == data[-1]
+
+    def scan(self, codes: Bytes) -> Found | None:
+        import numpy as np
+
+        from analyzer.link.arrays import Found, Sums, places_of
+
+        sums = Sums(codes)
+        starts = places_of(codes, self.heads, 5)
+        starts = starts[sums.fit(starts, starts + 4)]
+        own = codes[starts + 3].astype("i8")
+        sizes = np.where(own > 0, own + 6, 5)
+        bare = np.isin(np.arange(256), list(self._bare))
+        known = np.where(own > 0, own <= _LK_LONGEST, bare[codes[starts + 1]]) & (starts + sizes <= len(codes))
+        starts, sizes = starts[known], sizes[known]
+        good = (sizes == 5) | sums.fit(starts + 5, starts + sizes - 1)
+        return Found(starts[good], sizes[good])
 
 
 class _LkFinder(Finder):

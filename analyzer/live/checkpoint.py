@@ -28,7 +28,7 @@ from analyzer.catalogue import Role
 from analyzer.codec import Violation
 from analyzer.context import Context, Request, RequestOutcome, State
 from analyzer.errors import UnreadableError
-from analyzer.framer import _Mark
+from analyzer.framer import Mark
 from analyzer.records import CanFrame, Frame, Lane, Message
 from analyzer.sinks.object_table import Table, TablePickler, TableUnpickler
 
@@ -193,7 +193,7 @@ class _Pickler(TablePickler):
 #: All that may stand in a state.
 _ALLOWED: Mapping[tuple[str, str], Any] = {
     (each.__module__, each.__qualname__): each
-    for each in (CanFrame, Context, Frame, Message, RequestOutcome, Request, Role, State, Violation, _Mark, _lane, deque)
+    for each in (CanFrame, Context, Frame, Message, RequestOutcome, Request, Role, State, Violation, Mark, _lane, deque)
 }
 
 

@@ -1,0 +1,47 @@
+"""Bytes of serial lines, plain and damaged, cut into chunks with all that a capture can say of one."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator, Sequence
+
+from analyzer.catalogue import Role
+from analyzer.columns.block import ByteBlock
+from analyzer.framer import SILENCE_NS
+from analyzer.records import Chunk
+
+#: Pauses before a chunk, in nanoseconds, most of them none beyond the time of its bytes.
+_PAUSES = (0, 0, 0, 0, 300_000, 2_000_000, SILENCE_NS // 2, 2 * SILENCE_NS)
+
+
+def chunks_of(
+    line: bytes, chance: random.Random, ends: Sequence[int] = (), *, longest: int = 4096, byte_ns: int = 86_806
+) -> Iterator[Chunk]:
+    """Yield a line in chunks. `ends`: where its frames end: some captures cut there, and only they know who sent."""
+    t_ns, at, direction = 1_772_442_000_000_000_000, 0, Role.UNKNOWN
+    by_frames = bool(ends) and chance.random() < 0.5
+    marked, bursting = chance.random() < 0.3, chance.random() < 0.5
+    quiet = chance.random() < 0.5
+    stops = [*ends, len(line)] if by_frames else []
+    while at < len(line):
+        stop = next(s for s in stops if s > at) if by_frames and chance.random() < 0.98 else at + chance.randint(1, longest)
+        data = line[at:stop]
+        at = stop
+        t_ns += len(data) * byte_ns + (0 if quiet else chance.choice(_PAUSES))
+        if chance.random() < 0.002:
+            t_ns -= chance.choice((1_000, 40_000_000, 3_000_000_000))
+        if marked and chance.random() < 0.05:
+            direction = chance.choice(tuple(Role)[:3])
+        yield Chunk(t_ns, "line", data, direction, bursting and chance.random() < 0.9)
+
+
+def byte_blocks(chunks: Sequence[Chunk], most: int) -> Iterator[ByteBlock]:
+    """Yield chunks as a reader of blocks does."""
+    held: list[Chunk] = []
+    for chunk in chunks:
+        if held and (len(held) == most or (chunk.t_ns or 0) < (held[-1].t_ns or 0)):
+            yield ByteBlock.of(held)
+            held = []
+        held.append(chunk)
+    if held:
+        yield ByteBlock.of(held)
