@@ -101,12 +101,12 @@ class _Rows:
         self._closed = np.concatenate((known, self._stops[block.bursts]))
         self._find(*found)
 
-    def _find(self, starts: Integers, sizes: Integers) -> None:
+    def _find(self, starts: Integers, sizes: Integers, looks: Integers) -> None:
         """Tell where rows of frames begin and end."""
         ends = starts + sizes
         if len(self._silences):
             whole = self._silences.searchsorted(starts, side="right") >= self._silences.searchsorted(ends)
-            starts, ends = starts[whole], ends[whole]
+            starts, ends, looks = starts[whole], ends[whole], looks[whole]
         # Bytes inside a frame that look like a frame part those that follow each other: they are left out.
         parted = np.flatnonzero(starts[1:] < ends[:-1])
         following = starts.searchsorted(ends[parted])
@@ -116,8 +116,8 @@ class _Rows:
             if behind < ending and starts[behind] == end and not inside[place]:
                 inside[place + 1 : behind] = True
         if inside.any():
-            starts, ends = starts[~inside], ends[~inside]
-        self._starts, self._ends = starts, ends
+            starts, ends, looks = starts[~inside], ends[~inside], looks[~inside]
+        self._starts, self._ends, self._looks = starts, ends, looks
         lasts = np.append(np.flatnonzero(starts[1:] != ends[:-1]), len(starts) - 1) if len(starts) else starts
         firsts = np.append(0, lasts[:-1] + 1) if len(starts) else starts
         # The last of a row is believed only where a boundary follows it.
@@ -188,10 +188,13 @@ class _Rows:
 
         first_ns, chunks = time_of(self._starts)
         last_ns, ended = time_of(self._ends - 1)
-        # A frame is told once the one behind it is there, or a boundary.
-        decided = np.append(ended[1:], len(stops) - 1)[: len(ended)]
-        decided = np.where(self._is_in(self._opened, self._ends), np.minimum(decided, ended + 1), decided)
-        decided = np.where(self._is_in(self._closed, self._ends), ended, decided)
+        # A frame is told once it and the one behind it were looked at, or a boundary came.
+        looked = stops.searchsorted(self._starts + self._looks - 1, side="right")
+        decided = np.append(looked[1:], len(stops) - 1)[: len(ended)]
+        for places, told in ((self._opened, ended + 1), (self._closed, ended)):
+            decided = np.where(self._is_in(places, self._ends), np.minimum(decided, told), decided)
+        decided = np.maximum(decided, looked)
+        decided = np.where(self._is_in(self._silences, self._ends), np.minimum(decided, ended + 1), decided)
         return first_ns, last_ns, marks[chunks], np.maximum(decided + 1 - len(held), 0)
 
     def frames(self, first: int, stop: int, taken: int) -> FrameBlock:

@@ -219,6 +219,8 @@ class _HeadSlicer(Slicer):
     def scan(self, codes: Bytes) -> Found | None:
         if self._total is not sum:
             return None
+        import numpy as np
+
         from analyzer.link.arrays import Found, Sums, places_of
 
         sums = Sums(codes)
@@ -232,7 +234,14 @@ class _HeadSlicer(Slicer):
         known = (sizes > 0) & (starts + sizes <= len(codes))
         starts, sizes = starts[known], sizes[known].astype("i8")
         good = sums.fit(starts, starts + sizes - 1)
-        return Found(starts[good], sizes[good])
+        starts, sizes = starts[good], sizes[good]
+        looks = sizes
+        for (head, code), lengths in self._choices.items():
+            if any(other == one + 1 for one, other in pairwise(lengths)):
+                # The byte behind could make a tie.
+                own = (codes[starts] == head) & (codes[starts + 2] == code)
+                looks = sizes + (own & np.isin(sizes + 1, lengths))
+        return Found(starts, sizes, looks)
 
     @staticmethod
     def _chosen(sums: Sums, starts: Integers, lengths: Sequence[int]) -> Integers:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from fastcrc import crc16 as _crc16
 
@@ -34,18 +35,26 @@ from analyzer.link.interface import (
     Slicer,
 )
 
+if TYPE_CHECKING:
+    from analyzer.link.arrays import Bytes, Flags, Found, Integers
+
 modbus_crc: Callable[[bytes], int] = _crc16.modbus
 
 READS = frozenset({0x01, 0x02, 0x03, 0x04})
 WRITE_ONE = frozenset({0x05, 0x06})
 WRITE_MANY = frozenset({0x0F, 0x10})
 FUNCTIONS = READS | WRITE_ONE | WRITE_MANY
+_EXCEPTIONS = frozenset(function | 0x80 for function in FUNCTIONS)
 #: The highest address, and the last exception code, that Modbus has.
 _MODBUS_HIGHEST = 247
 _MODBUS_LAST_EXCEPTION = 11
 #: Characters of silence between frames, and the silence above a baud rate.
 _SILENT_CHARACTERS = 3.5
 _FAST_BAUD, _FAST_SILENCE_NS = 19200, 1_750_000
+#: Longer frames are found one by one: bytes inside others begin some of every length, and each length is a search.
+_LONGEST_SCANNED = 40
+#: Bytes before the end of a block where a frame may begin whose length is open.
+_ROOM = _LONGEST_SCANNED
 
 
 @dataclass(frozen=True)
@@ -237,6 +246,65 @@ class _ModbusSlicer(Slicer):
             return False
         # A frame that lost the 00 at its end checks too.
         return self.look(data + b"\0", 0, size + 1, True) != size + 1
+
+    def scan(self, codes: Bytes) -> Found | None:
+        import numpy as np
+
+        from analyzer.link.arrays import Crc16, Found
+
+        crc, room = Crc16(), max(0, len(codes) - _ROOM)
+        # By place: whether a frame of 8 bytes can begin there, and the other length that one can have.
+        eight, other = np.zeros(room, dtype=np.bool_), np.zeros(room, dtype=np.uint8)
+        begins = codes[:room] <= _MODBUS_HIGHEST
+        for functions, sizes_of in (
+            (READS, self._of_reads), (WRITE_ONE, None), (WRITE_MANY, self._of_writes), (_EXCEPTIONS, self._of_exceptions),
+        ):  # fmt: skip
+            known = np.isin(np.arange(256), list(functions))
+            starts = np.flatnonzero(known[codes[1 : room + 1]] & begins)
+            eight[starts], other[starts] = (True, 0) if sizes_of is None else sizes_of(codes, starts)
+        sizes = np.zeros(room, dtype=np.uint8)
+        places = np.flatnonzero(other)
+        own = other[places]
+        for size in range(int(own.max(initial=0)) + 1):
+            alike = places[own == size]
+            sizes[alike[crc.fit(codes, alike, size)]] = size
+        places = np.flatnonzero(eight)
+        places = places[crc.fit(codes, places, 8)]
+        # Of two lengths the shorter counts; where they are one apart, it is a tie.
+        found = sizes[places]
+        sizes[places] = np.where((found == 7) | (found == 9), 0, np.where((found > 0) & (found < 8), found, 8))
+        starts = np.flatnonzero(sizes)
+        found = sizes[starts].astype("i8")
+        # Where two lengths are one apart, the longer was looked at, too.
+        more = ((found == 7) & eight[starts]) | ((found == 8) & (other[starts] == 9))
+        return Found(starts, found, found + more)
+
+    @staticmethod
+    def _of_reads(codes: Bytes, starts: Integers) -> tuple[Flags, Bytes]:
+        """Say of each place whether a request fits there, and how long a reply is."""
+        few, count, high, low = codes[starts + 1] < 3, codes[starts + 2], codes[starts + 4], codes[starts + 5]
+        asks = (high == 0) & (low > 0) & ((low <= 125) | few)
+        if few.any():
+            asks |= few & (high > 0) & (high.astype("u2") << 8 | low <= 2000)
+        tells = (count > 0) & (count <= _LONGEST_SCANNED - 5) & ((count & 1 == 0) | few) & (codes[starts] > 0)
+        sizes = tells * (count + 5)
+        return asks | (sizes == 8), sizes * (sizes != 8)
+
+    def _of_writes(self, codes: Bytes, starts: Integers) -> tuple[bool, Bytes]:
+        """Likewise of writes of several registers or coils: a reply always fits."""
+        count, quantity = codes[starts + 6], codes[starts + 4].astype("i8") << 8 | codes[starts + 5]
+        wanted = quantity * 2
+        register = codes[starts + 2].astype("i8") << 8 | codes[starts + 3]
+        for number, odd in self._link.odd_counts.items():
+            wanted[register == number] = odd
+        coils = codes[starts + 1] == 0x0F
+        wanted[coils] = (quantity[coils] + 7) // 8
+        return True, ((quantity > 0) & (count == wanted) & (count <= _LONGEST_SCANNED - 9)) * (count + 9)
+
+    @staticmethod
+    def _of_exceptions(codes: Bytes, starts: Integers) -> tuple[bool, Bytes]:
+        """Likewise of exceptions: nothing else fits."""
+        return False, ((codes[starts + 2] - 1 < _MODBUS_LAST_EXCEPTION) * 5).astype("u1")
 
 
 class _ModbusFinder(Finder):
