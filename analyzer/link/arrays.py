@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
+from fastcrc import crc16
 from numpy.typing import NDArray
 
 Bytes = NDArray[np.uint8]
@@ -35,32 +36,46 @@ class Sums:
 
 
 class Crc16:
-    """The CRC of Modbus over many stretches of one length.
+    """The CRC of Modbus over many stretches of some bytes.
 
-    A CRC is linear: that of a stretch is what each byte alone would give at its place, all of it added without carry.
+    A CRC is linear: that of a stretch is what each byte alone would give at its place, all of it added without carry. Two bytes
+    are looked up at once.
     """
 
-    _POLYNOMIAL, _START = 0xA001, 0xFFFF
+    _POLYNOMIAL = 0xA001
+    #: What two bytes give, by how many follow.
+    _shares: ClassVar[dict[int, NDArray[np.uint16]]] = {}
 
-    def __init__(self) -> None:
-        shares = np.arange(256, dtype=np.uint16)
-        for _ in range(8):
-            shares = (shares >> 1) ^ (shares & 1) * np.uint16(self._POLYNOMIAL)
-        #: Shares of a byte by how many others follow it, and what the start value gives by how many bytes there are.
-        self._shares, self._starts = [shares], [self._START]
+    def __init__(self, codes: Bytes) -> None:
+        self._pairs = codes.astype(np.uint16)
+        self._pairs[:-1] |= codes[1:].astype(np.uint16) << 8
 
-    def fit(self, codes: Bytes, starts: Integers, size: int) -> Flags:
-        """Say which stretches end with their own CRC, low byte first."""
-        while len(self._shares) < size:
-            last = self._shares[-1]
-            self._shares.append((last >> 8) ^ self._shares[0][last & 0xFF])
-        while len(self._starts) <= size:
-            value = self._starts[-1]
-            self._starts.append(value >> 8 ^ int(self._shares[0][value & 0xFF]))
-        total = np.full(len(starts), self._starts[size], dtype=np.uint16)
-        for place in range(size):
-            total ^= self._shares[size - 1 - place][codes[starts + place]]
+    def fit(self, starts: Integers, size: int) -> Flags:
+        """Say which stretches of a length end with their own CRC, low byte first."""
+        # Zeros show what the start value alone gives.
+        total = np.full(len(starts), crc16.modbus(bytes(size)), dtype=np.uint16)
+        for place in range(0, size - 1, 2):
+            total ^= self._share(size - place - 2).take(self._pairs.take(starts + place))
+        if size % 2:
+            last = self._pairs.take(starts + size - 1) & np.uint16(0xFF)
+            # A byte with a zero before it: with nothing behind, the zero gives nothing.
+            total ^= self._share(0).take(last << 8)
         return total == 0
+
+    @classmethod
+    def _share(cls, behind: int) -> NDArray[np.uint16]:
+        known = cls._shares.get(behind)
+        if known is None:
+            pairs = np.arange(1 << 16, dtype=np.uint16)
+            # A byte more behind is eight shifts more.
+            known = cls._shares[behind] = cls._shifted(cls._share(behind - 1) if behind else cls._shifted(pairs))
+        return known
+
+    @classmethod
+    def _shifted(cls, values: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        for _ in range(8):
+            values = (values >> 1) ^ (values & 1) * np.uint16(cls._POLYNOMIAL)
+        return values
 
 
 def places_of(codes: Bytes, values: bytes, room: int) -> Integers:

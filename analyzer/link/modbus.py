@@ -53,8 +53,6 @@ _SILENT_CHARACTERS = 3.5
 _FAST_BAUD, _FAST_SILENCE_NS = 19200, 1_750_000
 #: Longer frames are found one by one: bytes inside others begin some of every length, and each length is a search.
 _LONGEST_SCANNED = 40
-#: Bytes before the end of a block where a frame may begin whose length is open.
-_ROOM = _LONGEST_SCANNED
 
 
 @dataclass(frozen=True)
@@ -252,36 +250,44 @@ class _ModbusSlicer(Slicer):
 
         from analyzer.link.arrays import Crc16, Found
 
-        crc, room = Crc16(), max(0, len(codes) - _ROOM)
-        # By place: whether a frame of 8 bytes can begin there, and the other length that one can have.
-        eight, other = np.zeros(room, dtype=np.bool_), np.zeros(room, dtype=np.uint8)
-        begins = codes[:room] <= _MODBUS_HIGHEST
-        for functions, sizes_of in (
-            (READS, self._of_reads), (WRITE_ONE, None), (WRITE_MANY, self._of_writes), (_EXCEPTIONS, self._of_exceptions),
-        ):  # fmt: skip
-            known = np.isin(np.arange(256), list(functions))
-            starts = np.flatnonzero(known[codes[1 : room + 1]] & begins)
-            eight[starts], other[starts] = (True, 0) if sizes_of is None else sizes_of(codes, starts)
-        sizes = np.zeros(room, dtype=np.uint8)
-        places = np.flatnonzero(other)
-        own = other[places]
-        for size in range(int(own.max(initial=0)) + 1):
-            alike = places[own == size]
-            sizes[alike[crc.fit(codes, alike, size)]] = size
-        places = np.flatnonzero(eight)
-        places = places[crc.fit(codes, places, 8)]
+        rules = (
+            (READS, self._of_reads), (WRITE_ONE, self._of_write), (WRITE_MANY, self._of_writes), (_EXCEPTIONS, self._of_exceptions),
+        )  # fmt: skip
+        kinds = np.zeros(256, dtype=np.uint8)
+        for kind, (functions, _) in enumerate(rules, 1):
+            kinds[list(functions)] = kind
+        room = max(0, len(codes) - _LONGEST_SCANNED)
+        there = kinds.take(codes[1 : room + 1])
+        places = np.flatnonzero(there.view(np.bool_) & (codes[:room] <= _MODBUS_HIGHEST))
+        there = there[places]
+        # Of each place: whether a frame of 8 bytes can begin there, and the other length that one can have, 0 for none.
+        eight, other = np.zeros(len(places), dtype=np.bool_), np.zeros(len(places), dtype=np.uint8)
+        for kind, (_, sizes_of) in enumerate(rules, 1):
+            rows = np.flatnonzero(there == kind)
+            eight[rows], other[rows] = sizes_of(codes, places[rows])
+        crc, sizes = Crc16(codes), np.zeros(len(places), dtype=np.uint8)
+        for size in np.flatnonzero(np.bincount(other, minlength=1)).tolist():
+            rows = np.flatnonzero(other == size) if size else places[:0]
+            sizes[rows[crc.fit(places[rows], size)]] = size
+        rows = np.flatnonzero(eight)
+        rows = rows[crc.fit(places[rows], 8)]
         # Of two lengths the shorter counts; where they are one apart, it is a tie.
-        found = sizes[places]
-        sizes[places] = np.where((found == 7) | (found == 9), 0, np.where((found > 0) & (found < 8), found, 8))
-        starts = np.flatnonzero(sizes)
-        found = sizes[starts].astype("i8")
+        found = sizes[rows]
+        sizes[rows] = np.where((found == 7) | (found == 9), 0, np.where((found > 0) & (found < 8), found, 8))
+        rows = np.flatnonzero(sizes)
+        found = sizes[rows].astype("i8")
         # Where two lengths are one apart, the longer was looked at, too.
-        more = ((found == 7) & eight[starts]) | ((found == 8) & (other[starts] == 9))
-        return Found(starts, found, found + more)
+        more = ((found == 7) & eight[rows]) | ((found == 8) & (other[rows] == 9))
+        return Found(places[rows], found, found + more)
+
+    @staticmethod
+    def _of_write(codes: Bytes, starts: Integers) -> tuple[bool, int]:
+        """Say of each place whether a frame of 8 bytes fits there, and which other length does."""
+        return True, 0
 
     @staticmethod
     def _of_reads(codes: Bytes, starts: Integers) -> tuple[Flags, Bytes]:
-        """Say of each place whether a request fits there, and how long a reply is."""
+        """Likewise of reads: a request has 8 bytes, a reply tells its length."""
         few, count, high, low = codes[starts + 1] < 3, codes[starts + 2], codes[starts + 4], codes[starts + 5]
         asks = (high == 0) & (low > 0) & ((low <= 125) | few)
         if few.any():
